@@ -83,7 +83,7 @@ def describe_area(run: FinishedRun, area: Any) -> dict[str, Any]:
     InputError
         If it is none, or holds fewer than two rows, columns or covered pixels.
     """
-    x, y = parse_crop(area)
+    x, y = parse_crop(area, "area")
     part = run.cropped(x, y)
     found = scenery.measure_area(part.read, part.strips(0))
     if found.pixels < 2:

@@ -340,7 +340,19 @@ class Geometry:
 
 
 def over_terrain(collection: Collection, terrain: Terrain) -> Geometry:
-    """A collection over a terrain. The plane that stands for the terrain in the large lies at its mean height."""
+    """A collection over a terrain. The plane that stands for the terrain in the large lies at its mean height.
+
+    Raises
+    ------
+    InputError
+        If that is not below the antenna.
+    """
+    lowest = float(collection.antenna_position[:, 2].min())
+    if terrain.mean >= lowest:
+        raise InputError(
+            f"the terrain lies at z = {terrain.mean:.6g} m on average, and the antenna falls to {lowest:.6g} m; "
+            "correct the unit or the datum of its heights"
+        )
     level = Collection(**{**collection.as_dict(), "ground_height": terrain.mean})
     return Geometry(collection=level, terrain=terrain)
 

@@ -80,8 +80,8 @@ def parse_range(limits: Any) -> Any:
     return ends
 
 
-def parse_crop(crop: Any) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Read a part of the ground, such as `0:500,18000:18500` or ((0, 500), (18000, 18500)), m.
+def parse_crop(crop: Any, name: str = "crop") -> tuple[tuple[float, float], tuple[float, float]]:
+    """Read a part of the ground, such as `0:500,18000:18500` or ((0, 500), (18000, 18500)), m; `name` is its option's.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def parse_crop(crop: Any) -> tuple[tuple[float, float], tuple[float, float]]:
         x0 = x1 = y0 = y1 = math.nan
     if not (x0 < x1 and y0 < y1 and all(map(math.isfinite, (x0, x1, y0, y1)))):
         raise InputError(
-            f"crop = {str(crop)[:80]!r}: give the ends of x and of y in metres, the lower first, such as "
+            f"{name} = {str(crop)[:80]!r}: give the ends of x and of y in metres, the lower first, such as "
             "0:500,18000:18500"
         )
     return (x0, x1), (y0, y1)

@@ -312,3 +312,11 @@ def test_points_without_a_height_are_lit_by_no_pulse() -> None:
     terrain = Terrain.flat(0.0, (8990.0, 9110.0), (-100.0, 100.0))
     assert most_lit_pulses(over_terrain(collection, terrain), x, y) > 50
     assert most_lit_pulses(over_terrain(collection, terrain), x - 900, y) == 0
+
+
+def test_a_terrain_above_the_antenna_is_named() -> None:
+    """The message named ground_height, which was 0."""
+    collection = axis_collection()
+    terrain = Terrain.flat(5000.0, (8500.0, 9500.0), (-500.0, 500.0))
+    with pytest.raises(InputError, match=r"^the terrain lies at z = 5000 m on average, and the antenna falls to"):
+        over_terrain(collection, terrain)
