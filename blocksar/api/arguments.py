@@ -19,6 +19,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError
 from blocksar.places import Location, place
+from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 
 if TYPE_CHECKING:
@@ -124,8 +125,8 @@ def scene_of(source: One) -> Scene | None:
 
 def _path_of(source: str | os.PathLike[str] | Place) -> str:
     """Where a store lies, however it is spelt."""
-    text = str(source)
-    return text if "://" in text else os.path.realpath(text)
+    lies = place(source)
+    return os.path.realpath(lies.path) if isinstance(lies, LocalPlace) else str(lies)
 
 
 def sources_of(source: Source) -> list[One]:

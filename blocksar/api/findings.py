@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache, partial
 
+from blocksar import stores
 from blocksar.api.checking import check_samples
 from blocksar.api.jobs import Job
 from blocksar.errors import InputError
@@ -54,9 +55,9 @@ def add_findings(
         history = segments[0].source
         inspections = _inspections(segments, [by_number[id(segment)] for segment in segments])
         if not inspections[-1].lit.any():
-            raise InputError(f"{history.variable} in {history.path} holds no valid sample; is it the right store?")
+            raise InputError(without_samples(history, zeros=False))
         if not inspections[-1].valid:
-            raise InputError(f"{history.variable} in {history.path} holds zeros only; write it again from its source")
+            raise InputError(without_samples(history, zeros=True))
         lines = [line for each in inspections for line in sentences.describe(each)]
         lines += [doubt] if (doubt := sentences.doubted_time(history.collection)) else []
         for segment in segments:
@@ -77,6 +78,14 @@ def add_findings(
         record, warnings=tuple(warnings), samples=SampleCounts(missing, impossible), check="; ".join(checks),
         doppler_centroid=max(offsets, key=lambda offset: abs(offset.error), default=None),
     )  # fmt: skip
+
+
+def without_samples(history: stores.PhaseHistory, *, zeros: bool) -> str:
+    """What is wrong with a phase history that has no valid sample, or none but zeros."""
+    wrong = (
+        "holds zeros only; write it again from its source" if zeros else "holds no valid sample; is it the right store?"
+    )
+    return f"{history.variable} in {history.path} {wrong}"
 
 
 def _inspections(segments: Sequence[Segment], read: Sequence[Recovered]) -> list[Inspection]:

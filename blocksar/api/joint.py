@@ -19,6 +19,7 @@ import numpy as np
 
 from blocksar import stores
 from blocksar.api.arguments import GridLike, Source, grid_of, history_of, sources_of
+from blocksar.api.findings import without_samples
 from blocksar.api.ground import image_grid
 from blocksar.api.shown import RunReport, is_measurable
 from blocksar.chunks import TILE
@@ -181,13 +182,15 @@ def _refuse_empty(members: Members) -> None:
     for name, histories in members.histories.items():
         for history in histories:
             n_pulse, n_column = history.shape
-            starts = range(0, n_pulse, TILE[0])
-            parts = (history.read(slice(at, min(at + TILE[0], n_pulse)), slice(0, n_column)) for at in starts)
-            if not any((np.isfinite(part) & (part != 0)).any() for part in parts):
-                raise InputError(
-                    f"{members.dimension} {name}: {history.variable} in {history.path} holds no valid sample; is it "
-                    "the right store?"
-                )
+            zeros = False
+            for at in range(0, n_pulse, TILE[0]):
+                part = history.read(slice(at, min(at + TILE[0], n_pulse)), slice(0, n_column))
+                finite = np.isfinite(part)
+                if (finite & (part != 0)).any():
+                    break
+                zeros |= bool(finite.any())
+            else:
+                raise InputError(f"{members.dimension} {name}: {without_samples(history, zeros=zeros)}")
 
 
 @contextmanager
@@ -195,6 +198,8 @@ def _nothing_left(folder: Place, *, there: bool) -> Iterator[None]:
     """Remove what a new run has written, if its input is found to be wrong; also the folder, if it was not there."""
     try:
         yield
+    except FolderError:  # what is there may be another's
+        raise
     except InputError:
         if folder.exists():
             with run_folder.claim(folder):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
@@ -186,11 +185,10 @@ class DopplerResampling(_AzimuthStep):
         This is the inverse of h, by Newton's method at Chebyshev nodes. A phase of pi d at the end of a row is left
         where it errs by d bins.
         """
-        return self._inverse[0]
+        return self._inverse()[0]
 
-    @cached_property
     def _inverse(self) -> tuple[FloatArray, float]:
-        """The positions, of the lowest order that serves, and their largest error, in bins."""
+        """The positions, of the lowest order that serves, and their largest error, bins; not kept: steps are sent."""
         for order in INVERSE_ORDERS:
             nodes = chebyshev.chebpts1(order + 1)
             positions = through_nodes(self.axes.doppler.position(self._origins(nodes, self.axes.rows.values)).T).T
@@ -223,7 +221,7 @@ class DopplerResampling(_AzimuthStep):
     @property
     def even(self) -> bool:
         """Whether positions are those of the inverse, and advance, all along the row, as can be interpolated."""
-        positions, error = self._inverse
+        positions, error = self._inverse()
         order = np.arange(1, positions.shape[1])
         u = np.linspace(-1, 1, PACE_PLACES)
         powers = order * u[:, None] ** (order - 1) * 2 / self.axes.doppler.size

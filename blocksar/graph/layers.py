@@ -161,10 +161,10 @@ class TerrainLayers:
         """
         if self._stored is None:
             return {}
-        of, number = self._at(window)
-        incidence = by_owner(self.sights, owner, lambda sight: of.of(number, sight).angle, np.nan)
-        seen = by_owner(self.sights, owner, lambda sight: of.visibility(number, sight), UNKNOWN)
-        height = of.any_of(number, next(iter(self.sights.values()))).rounded
+        surfaces, number = self._at(window)
+        incidence = by_owner(self.sights, owner, lambda sight: surfaces.of(number, sight).angle, np.nan)
+        seen = by_owner(self.sights, owner, lambda sight: surfaces.visibility(number, sight), UNKNOWN)
+        height = surfaces.any_of(number, next(iter(self.sights.values()))).rounded
         layers = {"height": height, "incidence_angle": incidence, "visibility": seen}
         return {name: layers[name].astype(kind.dtype, copy=False) for name, kind in stores.ON_TERRAIN.items()}
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
+from functools import partial
 from itertools import groupby
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ from blocksar.focusing.terrain_layers import Sight
 from blocksar.graph.alike import AlikeChunks
 from blocksar.graph.layers import TerrainLayers, write_layers, write_noise
 from blocksar.graph.segments import Margins, Merged
-from blocksar.graph.spectrum import Window
+from blocksar.graph.spectrum import Window, ahead
 from blocksar.graph.tasks import naming_failures, shifted, sign, write_image
 from blocksar.graph.writing import WritesBehind
 from blocksar.planning.tiling import chunk_window
@@ -77,14 +77,8 @@ def _read_ahead(
     pool: Executor, run: Run, cells: Mapping[tuple[int, int], Sequence[PatchChunk]], grid: Grid
 ) -> Iterator[ComplexArray]:
     """The pixels of all parts of output chunks, in their order; a few are read while those before are merged."""
-    coming: deque[Future[ComplexArray]] = deque()
-    for cell, parts in cells.items():
-        for part in parts:
-            coming.append(pool.submit(_read, run, chunk_window(cell, grid), part))
-            if len(coming) > READS_AT_ONCE:
-                yield coming.popleft().result()
-    while coming:
-        yield coming.popleft().result()
+    windows = ((chunk_window(cell, grid), part) for cell, parts in cells.items() for part in parts)
+    return ahead(pool, (partial(_read, run, window, part) for window, part in windows), READS_AT_ONCE)
 
 
 def _read(run: Run, window: Window, part: PatchChunk) -> ComplexArray:

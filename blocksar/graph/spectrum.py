@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from math import prod
+from typing import TypeVar
 
 from blocksar import stores
 from blocksar.arrays import ComplexArray
@@ -18,6 +21,7 @@ from blocksar.kernels import buffers
 from blocksar.places.place import Place
 from blocksar.runs.record import Written
 
+T = TypeVar("T")
 Window = tuple[slice, slice]  # rows and columns
 CACHED_SHARE = 1 / 8  # of the memory that a recovered spectrum may take of the page cache
 
@@ -110,15 +114,23 @@ class SpectrumChunks:
         return values
 
 
+def ahead(pool: Executor, jobs: Iterable[Callable[[], T]], count: int) -> Iterator[T]:
+    """The results of jobs in their order; up to `count` are done in the pool while the one before them is used."""
+    coming: deque[Future[T]] = deque()
+    for job in jobs:
+        coming.append(pool.submit(job))
+        if len(coming) > count:
+            yield coming.popleft().result()
+    while coming:
+        yield coming.popleft().result()
+
+
 def read_ahead(spectrum: SpectrumChunks, regions: Sequence[Window]) -> Iterator[tuple[Window, ComplexArray, float]]:
     """Read regions, each while the one before is used; with the seconds that were waited for it."""
     with ThreadPoolExecutor(1) as pool:
-        coming = [pool.submit(spectrum.read, regions[0])]
-        for number, region in enumerate(regions):
+        coming = ahead(pool, (partial(spectrum.read, region) for region in regions), 1)
+        for region in regions:
             started = time.perf_counter()
-            part = coming.pop().result()
-            waited = time.perf_counter() - started
-            if number + 1 < len(regions):
-                coming.append(pool.submit(spectrum.read, regions[number + 1]))
-            yield region, part, waited
+            part = next(coming)
+            yield region, part, time.perf_counter() - started
             del part

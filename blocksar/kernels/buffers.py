@@ -99,17 +99,15 @@ class Segment:
             else:
                 self.spans.append(span)
 
-    def give_back(self, wanted: int) -> int:
-        """Give back up to so many of the bytes that are kept, the last ones first; return how many."""
-        given = 0
+    def give_back(self, wanted: int) -> None:
+        """Give back so many of the bytes that are kept, or all of them, the last ones first."""
         for span in reversed(self.spans):
-            if span.written and not span.used and given < wanted:
-                first = max(span.first, span.last - -(-(wanted - given) // GRAIN) * GRAIN)
+            if span.written and not span.used and wanted > 0:
+                first = max(span.first, span.last - -(-wanted // GRAIN) * GRAIN)
                 with suppress(AttributeError, OSError):
                     self.memory.madvise(mmap.MADV_DONTNEED, first, span.last - first)
                 self.mark(first, span.last, used=False, written=False)
-                given += span.last - first
-        return given
+                wanted -= span.last - first
 
 
 class Memory:

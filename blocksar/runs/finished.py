@@ -18,7 +18,7 @@ from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.ownership import dwell_margin
 from blocksar.collection.weighting import Weighting
-from blocksar.errors import FolderError, InputError
+from blocksar.errors import InputError
 from blocksar.measurement.noise import NoiseFigures
 from blocksar.measurement.response import ReadChip
 from blocksar.places.local import LocalPlace
@@ -48,13 +48,7 @@ def finished_record(folder: Place) -> RunRecord:
         raise unreachable(folder, error) from error
     if not there:
         raise InputError(f"{folder} holds no run.json; give the folder that `blocksar focus --out` left")
-    try:
-        record = RunRecord.read(folder)
-    except FolderError:
-        raise
-    except InputError as error:  # not JSON; a folder without it is no run that `--overwrite` replaces
-        remedy = f"run `blocksar focus` with --out {folder} --overwrite to begin the run again"
-        raise InputError(str(error).replace("remove it, and create it again", remedy)) from error
+    record = RunRecord.read(folder)
     if not record.finished:
         raise InputError(f"{folder} is not finished; run `blocksar focus` again with the same settings")
     return record

@@ -402,7 +402,8 @@ class RunRecord:
             If a field is missing or of another type, or the record is of a newer format.
         """
         place = folder / RECORD
-        return cls.from_json(stores.read_json(place), f"{place}")
+        remedy = f"run `blocksar focus` with --out {folder} --overwrite to begin the run again"
+        return cls.from_json(stores.read_json(place, remedy), f"{place}")
 
     @classmethod
     def from_json(cls, value: Any, file: str = RECORD) -> Self:

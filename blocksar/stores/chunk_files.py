@@ -38,13 +38,20 @@ FRAME_MAGIC, FRAME_BLOCK = b"\x28\xb5\x2f\xfd", 1 << 17  # of zstd; bytes of a b
 DENSE_SAMPLE, DENSE_PARTS = 1 << 10, 4  # numbers of each of the parts of a chunk that tell whether it compresses
 
 
-def refuse_odd_file(path: str | os.PathLike[str], largest: int = MAX_METADATA) -> None:
-    """Raise an InputError if `path` is not a regular file or too large: reading a pipe or a device could never end."""
+def refuse_odd_file(path: str | os.PathLike[str], largest: int = MAX_METADATA) -> os.stat_result:
+    """Return a file's status.
+
+    Raises
+    ------
+    InputError
+        If it is not a regular file or too large: reading a pipe or a device could never end.
+    """
     status = os.stat(path)
     if not stat.S_ISREG(status.st_mode):
         raise InputError(f"{os.fspath(path)} is not a regular file; restore the file, or write it again")
     if status.st_size > largest:
         raise InputError(f"{os.fspath(path)} has {status.st_size} bytes, too many for such a file; write it again")
+    return status
 
 
 def check_out(out: Array, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
@@ -288,8 +295,7 @@ def chunk_files_of(path: Place, name: str) -> ChunkFiles | None:
     folder = os.path.join(path.path, name)
     metadata = os.path.join(folder, "zarr.json")
     try:
-        refuse_odd_file(metadata)
-        status = os.stat(metadata)
+        status = refuse_odd_file(metadata)
         layout = (_layout_in if _is_settled(status) else _layout_in.__wrapped__)(metadata, file_version(status))
     except (OSError, ValueError):
         return None

@@ -87,8 +87,8 @@ def nan_to_null(value: Any) -> Any:
     return value
 
 
-def read_json(path: Location) -> Any:
-    """Read JSON.
+def read_json(path: Location, remedy: str = "remove it, and create it again") -> Any:
+    """Read JSON; `remedy` says what to do about a damaged file.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def read_json(path: Location) -> Any:
         remedy = "the path" if isinstance(place, LocalPlace) else ENVIRONMENT
         raise InputError(f"{path} cannot be read ({error.strerror or error}); check {remedy}") from error
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is damaged ({cause_of(error)}); remove it, and create it again") from error
+        raise InputError(f"{path} is damaged ({cause_of(error)}); {remedy}") from error
 
 
 def checksum(array: Array) -> str:

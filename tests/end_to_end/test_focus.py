@@ -16,7 +16,7 @@ import pytest
 import xarray as xr
 from distributed import Client
 from quality_bar import check_targets, coarse_grid, planned
-from scenes import GEOMETRIES, scene, write_store
+from scenes import GEOMETRIES, UNSTEERED_SCENE, scene, write_store
 
 import blocksar
 from blocksar import api, stores
@@ -136,28 +136,12 @@ def test_an_unsteered_beam_is_coherent_with_back_projection(client: Client, tmp_
         blocksar.focus(store, tmp_path / "other", client=client)
 
 
-NARROW = """
-targets = [{name = "T", ground_range_offset = 0.0, cross_range_offset = 0.0}]
-[radar]
-carrier = 10e9
-bandwidth = 100e6
-range_sampling = 120e6
-prf = 400.0
-[track]
-position = [0.0, 0.0, 5000.0]
-velocity = [0.0, 120.0, 0.0]
-[time]
-pulses = 160
-[scene]
-swath = [7980.0, 8020.0]
-centre_yaw_deg = 0.0
-reference_range = "constant"
-"""
-
-
 def test_a_range_window_as_narrow_as_the_interpolation_is_covered(tmp_path: Path) -> None:
     """Rows were cut at the end of the window of 45 m: no pixel of this grid was covered, and 1.0 was predicted."""
-    (tmp_path / "scene.toml").write_text(NARROW)
+    text = UNSTEERED_SCENE.replace("swath = [7920.0, 8080.0]", "swath = [7980.0, 8020.0]")
+    text = text.replace("centre_yaw_deg = 20.0", "centre_yaw_deg = 0.0")
+    text = text.replace("ground_range_offset = 10.0, cross_range_offset = -15.0", "x = 6245.0, y = 0.0")
+    (tmp_path / "scene.toml").write_text(text)
     store = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "ph.zarr")
     grid = ((6235.0, 6255.0, 0.5), (-10.0, 10.0, 0.5))
     images = []
