@@ -40,7 +40,9 @@ class DwellGate:
 
     The keystone scales time by 1 + f / fc, so a dwell does not end at the same time for all range frequencies. The
     window that differs least from steps at times spread evenly over +-`blur` is their mean: it loses a third less than
-    a sharp one.
+    a sharp one. A target whose end lies inside that mean at some range frequencies, and outside it at others, then
+    lacks some of its sum over band and dwell: blur / 3 at each end under equal weights. So just inside the end windows
+    are raised, by a triangle of the height `lift` from 0 to 4 blurs, which has what is lacking.
 
     Under a weighting, each window rises (or falls) as the taper does, from its end to the dwell's middle, and stays at
     the middle's weight beyond (`dwell_taper`). It begins from zero where the edges of dwells are back-projected
@@ -61,6 +63,8 @@ class DwellGate:
         One coefficient each, e'(r) + D', s/Hz.
     blur : float
         Half of the time over which an end is spread, s.
+    lift : float
+        By how much windows are raised just inside an end, relative to the weight there.
     length : float
         The mean dwell after all steps, s.
     time : Axis
@@ -77,6 +81,7 @@ class DwellGate:
     begin_slope: RowPolynomial
     end_slope: RowPolynomial
     blur: float
+    lift: float
     length: float
     time: Axis
     taper: DwellTaper | None = None
@@ -85,17 +90,25 @@ class DwellGate:
     def window(self, slope: float, end: Literal["begin", "end"]) -> ComplexArray:
         """G over `time` for one end of the dwell, (time.size,) complex64; it fades out well beyond the other end."""
         time = self._time_towards_middle(end)
-        return self._fade_out(smeared_step(time + self.length / 2, slope=abs(slope), blur=self.blur), slope, time)
+        return self._fade_out(self._step(time + self.length / 2, abs(slope)), slope, time)
 
     def tapered_windows(self, slope: float, end: Literal["begin", "end"]) -> ComplexArray:
         """The windows of one end under the taper, one for each of its lengths: (n, time.size) complex64."""
         assert self.taper is not None
         time = self._time_towards_middle(end)
         half = self.taper.begin if end == "begin" else self.taper.end
-        rises = self.taper.rises(half, time + self.length / 2, slope=abs(slope), blur=self.blur)
+        rises = self.taper.rises(half, time + self.length / 2, slope=abs(slope), step=self._step)
         if end == "end":  # the weight of the middle counts once
             rises = [rise * float(self.taper.taper(np.array(0.0))) for rise in rises]
         return np.stack([self._fade_out(rise, slope, time) for rise in rises])
+
+    def _step(self, since: FloatArray, slope: float) -> NDArray[np.complex128]:
+        """The smeared step (n,) at times since an end, s, raised just inside of it."""
+        step = smeared_step(since, slope=slope, blur=self.blur)
+        if self.lift:
+            rise, fall = (smeared_step(since - n * self.blur, slope=slope, blur=self.blur) for n in (1, 3))
+            step += self.lift * (rise - fall)
+        return step
 
     def _time_towards_middle(self, end: Literal["begin", "end"]) -> FloatArray:
         """Time after the gate, s, that grows from one end of the dwell, at -length / 2, to the other at length / 2."""

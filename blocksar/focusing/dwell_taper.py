@@ -12,7 +12,7 @@ centre to 1 at its edge. A weighting is a function of v. Windows are made for ti
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,7 @@ from blocksar.focusing.lines import RowPolynomial
 from blocksar.kernels.fourier import fast_length, fft_rows
 from blocksar.kernels.fresnel import smeared_step
 
+Step = Callable[[FloatArray, float], NDArray[np.complex128]]  # (times since an end, s; slope, s/Hz) -> its smeared step
 FADE_SAMPLES = 16  # at least, of the grid on which a faded window is made, over its fade
 SMEARS = 12.0  # sqrt(e) beyond which the smear of a faded window is small
 
@@ -97,10 +98,10 @@ class DwellTaper:
     end: HalfDwell
     fade: int = 0
 
-    def rises(self, half: HalfDwell, since: FloatArray, *, slope: float, blur: float) -> list[NDArray[np.complex128]]:
+    def rises(self, half: HalfDwell, since: FloatArray, *, slope: float, step: Step) -> list[NDArray[np.complex128]]:
         """Windows over one of the halves, one for each of its lengths, (n,) each, relative to the middle's weight.
 
-        They are convolved with the Fresnel kernel of the area `slope` > 0, s/Hz (`dwell_gate`), as steps by `blur` are.
+        They are convolved with the Fresnel kernel of the area `slope` > 0, s/Hz (`dwell_gate`), as `step` is.
         """
         if self.fade:
             knots = half.knots or [None] * len(half.lengths)
@@ -108,8 +109,8 @@ class DwellTaper:
                 faded_rise(self.taper, half, since, length, each, slope=slope, fade=self.fade)
                 for length, each in zip(half.lengths, knots, strict=True)
             ]
-        step = smeared_step(since, slope=slope, blur=blur)
-        return [stepped_rise(self.taper, since, length, step, slope=slope) for length in half.lengths]
+        stepped = step(since, slope)
+        return [stepped_rise(self.taper, since, length, stepped, slope=slope) for length in half.lengths]
 
 
 def stepped_rise(

@@ -18,7 +18,7 @@ from blocksar.planning.block_lines import FineLines
 from blocksar.planning.dwell_ends import LitTimes, Moments, end_smear
 from blocksar.planning.dwell_taper import divide_dwells, plan_taper, stretch_levels
 from blocksar.planning.dwell_weights import beam_moves
-from blocksar.planning.fidelity import gate_blur
+from blocksar.planning.end_windows import band_spread, end_lift, gate_blur
 from blocksar.planning.relief import FINE_DEGREE
 from blocksar.planning.row_fit import RowFit
 from blocksar.planning.sector import Sector
@@ -82,13 +82,17 @@ def plan_dwell_gate(
     full, uneven = lines.ends.full, UNEVEN_SHARE * (1 - sector.fidelity)
     levels = stretch_levels(times, middle, full, uneven=uneven) if fade else (0.0, 0.0)
     polynomials = [fit.polynomial(series) for series in fitted]
+    spread = band_spread(sector.geometry.collection, lines.ends.uncut, scaled_about=lines.ends.scaled_about)
+    blur = gate_blur(sector.geometry.collection, spread)
+    lift = 0.0 if fade else end_lift(blur, spread, sector.weighting.range, follows=sector.gate_parts > 1)
     return DwellGate(
         begin=phases[0],
         end=phases[1],
         common=common,
         begin_slope=begin_slope,
         end_slope=end_slope,
-        blur=gate_blur(sector.geometry.collection, lines.ends.uncut, scaled_about=lines.ends.scaled_about),
+        blur=blur,
+        lift=lift,
         length=length,
         time=fourier.centred(0.0, sampling.long_time.step, size),
         taper=plan_taper(taper, fade, halves, polynomials, full=full, levels=levels) if weighed else None,

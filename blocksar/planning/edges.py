@@ -6,26 +6,33 @@ ends, and the energy E by which the chain's end differs from back-projection's (
 
     1 - coherence = E (w g)^2 at the ends / (dwell * mean of (w g)^2).
 
-Where this exceeds what the fidelity allows, edges are faded in the chain and back-projected. What the keystone then
-costs, by the ends that fade out and by the slopes of a taper, shrinks with the parts of the gate over the band
-(`focusing.dwell_gate`): the fewest are taken that leave half of the allowed loss to other causes.
+Where this exceeds what the fidelity allows, or what windows change in the side lobes does (`end_windows`), edges are
+faded in the chain and back-projected. What the keystone then costs, by the ends that fade out and by the slopes of a
+taper, shrinks with the parts of the gate over the band (`focusing.dwell_gate`): the fewest are taken that leave half of
+the allowed loss to other causes.
 """
 
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from blocksar import solvers
+from blocksar.arrays import FloatArray
+from blocksar.budget import side_lobe_budget
 from blocksar.collection.beam import aperture, dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
 from blocksar.collection.weighting import Weighting
+from blocksar.focusing.dwell_taper import faded_taper
 from blocksar.planning.dwell_weights import beam_moves, taper_over_dwells
+from blocksar.planning.end_windows import at_ends, end_lift, gate_blur
 from blocksar.planning.fidelity import blurred_energy, faded_energy, slope_loss, whole_pulse_energy
+from blocksar.planning.lobes import responses, side_lobe
 
 LEAST_PULSES = 8  # over which an end fades: with fewer its spectrum reaches the Doppler of other targets
 PER_MOVE = 6.0  # the time in which an end fades, at least: over that by which it moves at the edge of the band
@@ -85,21 +92,25 @@ def plan_edges(
     dwell = float(np.median((last - first)[ended]))
     moved = dwell / 2 * collection.bandwidth / (2 * collection.carrier) if keystone else 0.0
     fade, planned_first = 0, collection.has_axis and geometry.terrain is not None
-    if times or (not planned_first and edge_loss(collection, weighting, dwell, moved, band) > 1 - fidelity):
+    needed = edge_loss(collection, weighting, dwell, moved, band) > 1 - fidelity
+    needed = needed or _move_side_lobes(collection, weighting, dwell, moved, fidelity=fidelity, slopes=False)
+    if times or (not planned_first and needed):
         smeared = math.sqrt(dwell / max(band, 1 / dwell))
         pulses = max(LEAST_PULSES, math.ceil(max(PER_MOVE * moved, PER_SMEAR * smeared) * collection.prf))
         fade = max(int(dwell * collection.prf / 2 / (max(times, 1.0) * pulses)), LEAST_FADE)
-    return Edges(fade, _plan_parts(collection, weighting, dwell, moved, fade=fade, most=PARTS_SHARE * (1 - fidelity)))
+    most = PARTS_SHARE * (1 - fidelity)
+    least = 2 if _move_side_lobes(collection, weighting, dwell, moved, fidelity=fidelity, fade=fade) else 1
+    return Edges(fade, _plan_parts(collection, weighting, dwell, moved, fade=fade, most=most, least=least))
 
 
 def _plan_parts(
-    collection: Collection, weighting: Weighting, dwell: float, moved: float, *, fade: int, most: float
+    collection: Collection, weighting: Weighting, dwell: float, moved: float, *, fade: int, most: float, least: int
 ) -> int:
-    """The fewest parts over the band with which the keystone costs at most `most`."""
+    """The fewest parts over the band, from `least` on, with which the keystone costs at most `most`."""
     if not moved:
         return 1
     none, weights = np.zeros(1), _beam_weights(collection, weighting)
-    for parts in range(1, MOST_PARTS):
+    for parts in range(least, MOST_PARTS):
         lost = slope_loss(collection, weighting.range) * weights.change if parts == 1 else 0.0
         if fade:
             energy = faded_energy(none, none, np.array([moved]), dwell / (2 * fade), weighting.range, parts=parts)
@@ -122,6 +133,36 @@ def edge_loss(collection: Collection, weighting: Weighting, dwell: float, moved:
     return (energy * weights.ends + whole_pulse_energy(interval) * beyond) / dwell
 
 
+def _move_side_lobes(
+    collection: Collection, weighting: Weighting, dwell: float, moved: float, *, fidelity: float, fade: int = 0,
+    slopes: bool = True,
+) -> bool:  # fmt: skip
+    """Whether a keystone changes the highest side lobe by more than the fidelity allows, with one gate over the band.
+
+    It does so by windows at the ends of whole dwells (`end_windows`) and by slopes. In the time that it has scaled by
+    a = 1 + f / fc back-projection weighs echoes by w(v / a) / a, a chain by w(v): this lacks the mean of that over the
+    band, as at a = 1 +- B / (2 sqrt(3) fc), less w(v). Of ends that fade out, w is the faded weighting.
+    """
+    if not moved:
+        return False
+    v, gain = _over_beam(collection)
+    taper = taper_over_dwells(collection, weighting)
+    time, shares = dwell / 2 * v, np.append(solvers.gauss_legendre(BEAM_NODES)[1], [0.0, 0.0]) * gain * dwell / 2
+    found = [(time, shares * taper(v))]
+    if slopes:
+        a = 1 + np.array([[-1.0], [1.0]]) * collection.bandwidth / (2 * math.sqrt(3) * collection.carrier)
+        weight = partial(faded_taper, taper, fade=fade) if fade else taper
+        found.append((time, shares * (weight(v) - (weight(v / a) / a).mean(axis=0))))
+    if not fade:
+        blur = gate_blur(collection, moved)
+        ends = taper(v[-2:]) * gain[-2:]
+        found.append(at_ends(blur, end_lift(blur, moved, weighting.range), time[-2:], ends))
+    time, made = (np.concatenate(each) for each in zip(*found, strict=True))
+    ideal = np.append(found[0][1], np.zeros(made.size - v.size))
+    changed, unchanged = map(side_lobe, responses(time, made, ideal))
+    return abs(changed - unchanged) > side_lobe_budget(fidelity, unchanged)
+
+
 class _BeamWeights(NamedTuple):
     """Squares over the beam, divided by the mean of (w g)^2."""
 
@@ -131,15 +172,20 @@ class _BeamWeights(NamedTuple):
 
 
 def _beam_weights(collection: Collection, weighting: Weighting) -> _BeamWeights:
-    nodes, shares = solvers.gauss_legendre(BEAM_NODES)
-    v = np.concatenate([nodes, [-1.0, 1.0]])
-    taper, gain = taper_over_dwells(collection, weighting), np.ones(v.size)
-    if collection.beam_offset is not None and collection.beam_pattern is not None:
-        offset = v * (collection.beam_width or 0.0) / 2
-        gain = np.interp(offset, collection.beam_offset, collection.beam_pattern)
+    _, shares = solvers.gauss_legendre(BEAM_NODES)
+    taper = taper_over_dwells(collection, weighting)
+    v, gain = _over_beam(collection)
     squared, changed = (taper(v) * gain) ** 2, (taper.slope(v) * v * gain) ** 2
     mean, lit = (shares * squared[:-2]).sum(), (shares * gain[:-2] ** 2).sum()
     return _BeamWeights(
         ends=float(squared[-2:].mean() * 2 / mean), change=float((shares * changed[:-2]).sum() / mean),
         pulse=float(taper(np.array(1.0))) ** 2 * float(lit / mean),
     )  # fmt: skip
+
+
+def _over_beam(collection: Collection) -> tuple[FloatArray, FloatArray]:
+    """Places in the beam (n,), the nodes of a quadrature and then both ends, and the antenna's pattern there."""
+    v = np.concatenate([solvers.gauss_legendre(BEAM_NODES)[0], [-1.0, 1.0]])
+    if collection.beam_offset is None or collection.beam_pattern is None:
+        return v, np.ones(v.size)
+    return v, np.interp(v * (collection.beam_width or 0.0) / 2, collection.beam_offset, collection.beam_pattern)

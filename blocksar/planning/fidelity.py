@@ -62,6 +62,7 @@ from blocksar.kernels.fresnel import FAR, far_fresnel_integral
 from blocksar.planning.band_parts import gate_parts
 from blocksar.planning.dwell_ends import dwell_ends, end_smear
 from blocksar.planning.dwell_weights import DwellWeights
+from blocksar.planning.end_windows import lift_energy
 from blocksar.planning.lit_ends import lit_energy
 
 ONE_SIDE = 0.5  # of the energy of both ends of a dwell that are displaced to the same side
@@ -252,10 +253,10 @@ def _at_ends(
                 left, displaced, scaled * edge_of_band, blur=gate.blur, pulse_interval=collection.pulse_interval,
                 lit_band=weights.lit_band, band=band_nodes(band, BAND_NODES), gain=weights.gains(side),
             )  # fmt: skip
-            total *= CHIPS * weights.end**2
+            total = (total + lift_energy(gate.blur, gate.lift)) * CHIPS * weights.end**2
         else:
             total = blurred_energy(left, displaced, scaled * edge_of_band, gate.blur, collection.pulse_interval, band)
-            total *= np.square(weights.edge)
+            total = (total + lift_energy(gate.blur, gate.lift)) * np.square(weights.edge)
         cut = np.abs(moment - collection.time[end]) < collection.pulse_interval
         lost += np.where(cut, 0.0, total)
     return lost / (2 * lit)
@@ -290,18 +291,6 @@ def smear_loss(line: Line, spots: Focus, rate: FloatArray, geometry: Geometry, f
         middle = (low + high)[:, None] / 2
         lost += blurred_energy(slope - middle, np.zeros(1), spread, spread, collection.pulse_interval) / (2 * lit)
     return float(lost[full].max())
-
-
-def gate_blur(collection: Collection, uncut: tuple[FloatArray, FloatArray], *, scaled_about: float | None) -> float:
-    """Half of the time over which the ends of dwells are spread, s: by a keystone, and by the grid of pulses.
-
-    `uncut` (2, n_yaw) are the ends, s from the epoch, as if the collection did not cut them.
-    """
-    spread = 0.0
-    if scaled_about is not None:
-        away = np.abs(np.array(uncut) - scaled_about)
-        spread = float(away.mean()) * collection.bandwidth / 2 / collection.carrier
-    return float(np.hypot(spread, collection.pulse_interval / 2))
 
 
 def blurred_energy(

@@ -14,9 +14,11 @@ from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line
-from blocksar.planning.dwell_ends import full_dwells
+from blocksar.planning.dwell_ends import dwell_ends, full_dwells
 from blocksar.planning.dwell_weights import DwellWeights
+from blocksar.planning.end_windows import at_ends
 from blocksar.planning.fidelity import worst_losses
+from blocksar.planning.lobes import lobe_width, responses, side_lobe
 
 
 class Prediction(NamedTuple):
@@ -85,22 +87,15 @@ def predict(
     judged = residual if weights.uniform else np.where(full, residual, -1.0)
     if reached is not None:
         judged = np.where(reached, judged, -1.0)
-    worst = np.unravel_index(int(np.argmax(judged)), residual.shape)
-    weight = weights.weigh(line).weight[worst]
-    made = weight * (np.sqrt(np.maximum(line.stretch, LEAST_STRETCH)) * spots.levels)[worst]
-    time = line.time[worst] - spots.time[worst]
-    level = line.phase[worst] - spots.doppler[worst] * line.time[worst]
-    spread = float(np.ptp(time))
-    offsets = np.linspace(-4, 4, 401) / max(spread, 1e-9)
-    # The ends of the dwell lie slightly outside the outermost nodes. The quadrature over the nodes is still exact.
-    waves = np.exp(-2j * np.pi * offsets[:, None] * time)
-    response = np.abs((made * np.exp(2j * np.pi * level) * waves).sum(axis=1))
-    ideal = np.abs((weight * waves).sum(axis=1))
+    worst = tuple(int(i) for i in np.unravel_index(int(np.argmax(judged)), residual.shape))
+    some = [worst] if weights.uniform or not full.any() else [worst, *_corners(full)]
+    changed = _at_ends(line, geometry, gate, weights.edge, rng, yaw) if gate is not None and gate.lift else None
+    lobes = max((_azimuth_lobes(line, spots, weights, target, changed) for target in some), key=_Lobes.change)
     slope = np.gradient(spots.doppler, yaw, axis=1)
     dwell = (line.weight * line.stretch).sum(axis=-1)
     width = weights.taper.ideal.width
     if weights.patterned:
-        width = _width(ideal) * float(offsets[1] - offsets[0]) * float(dwell[worst])
+        width = lobes.ideal_width * float(dwell[lobes.target])
     widths = width / np.maximum(np.abs(slope) * dwell, 1e-12)
     ground = np.sqrt(np.maximum(rng**2 - (geometry.epoch_position[2] - geometry.collection.ground_height) ** 2, 0.0))
     middle = yaw.size // 2
@@ -112,8 +107,8 @@ def predict(
     return Prediction(
         residual_phase=float((residual if reached is None else residual[reached]).max()),
         quadratic_phase=float((spots.quadratic if reached is None else spots.quadratic[reached]).max()),
-        pslr=_pslr(response),
-        width=_width(response) / _width(ideal),
+        pslr=lobes.side,
+        width=lobes.width / lobes.ideal_width,
         migration=float(spots.migration.max() / range_cell),
         resolution=float(widths[rng.size // 2, middle] * ground[rng.size // 2]),
         track_phase=track_phase,
@@ -122,8 +117,61 @@ def predict(
         range_loss=lost.range,
         dispersion_loss=lost.dispersion,
         track_loss=lost.track,
-        ideal_pslr=_pslr(ideal),
+        ideal_pslr=lobes.ideal_side,
     )
+
+
+class _Lobes(NamedTuple):
+    """Highest side lobes, dB, and widths, Hz, of a target's response along azimuth, and those in back-projection."""
+
+    target: tuple[int, ...]
+    side: float
+    width: float
+    ideal_side: float
+    ideal_width: float
+
+    def change(self) -> float:
+        return abs(self.side - self.ideal_side)
+
+
+def _corners(full: BoolArray) -> list[tuple[int, ...]]:
+    """The first and the last of the targets with full dwell, at the first, the middle and the last range with any."""
+    rows = np.flatnonzero(full.any(axis=1))
+    ends = [(row, np.flatnonzero(full[row])[[0, -1]].tolist()) for row in rows[[0, rows.size // 2, -1]].tolist()]
+    return sorted({(row, column) for row, columns in ends for column in columns})
+
+
+def _azimuth_lobes(
+    line: Line, spots: Focus, weights: DwellWeights, target: tuple[int, ...],
+    changed: tuple[FloatArray, FloatArray] | None,
+) -> _Lobes:  # fmt: skip
+    """Those of one target, with what windows have `changed` (`_at_ends`)."""
+    weight = weights.weigh(line).weight[target]
+    made = weight * (np.sqrt(np.maximum(line.stretch, LEAST_STRETCH)) * spots.levels)[target]
+    made = made * np.exp(2j * np.pi * (line.phase[target] - spots.doppler[target] * line.time[target]))
+    time = line.time[target] - spots.time[target]
+    if changed is not None:
+        at, change = (each[target] for each in changed)
+        time, weight = np.append(time, at - spots.time[target]), np.append(weight, np.zeros(at.size))
+        made = np.append(made, change)
+    # The ends of the dwell lie slightly outside the outermost nodes. The quadrature over the nodes is still exact.
+    response, ideal = responses(time, made, weight)
+    return _Lobes(target, side_lobe(response), lobe_width(response, time), side_lobe(ideal), lobe_width(ideal, time))
+
+
+def _at_ends(
+    line: Line, geometry: Geometry, gate: DwellGate, edge: FloatArray | float, rng: FloatArray, yaw: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Times and weights (..., 4) by which windows at ends of dwells change sums; none at ends that no window makes.
+
+    `edge` (...) are the weights of targets at their ends.
+    """
+    collection = geometry.collection
+    moments = np.stack(dwell_at(geometry, yaw, rng[:, None]), axis=-1)
+    cut = np.abs(moments - collection.time[[0, -1]]) < collection.pulse_interval
+    stretch = np.sqrt(np.maximum(line.stretch[..., [0, -1]], LEAST_STRETCH))
+    weight = np.where(cut, 0.0, np.broadcast_to(edge, line.time.shape[:-1])[..., None] * stretch)
+    return at_ends(gate.blur, gate.lift, np.stack(dwell_ends(line), axis=-1), weight)
 
 
 def _track_phase(geometry: Geometry, rng: FloatArray, yaw: FloatArray) -> float:
@@ -155,23 +203,3 @@ def _along_sight(geometry: Geometry, rng: FloatArray, yaw: FloatArray, misfit: F
     """The misfit along the line of sight of one point at each pulse, (n_pulse,) m."""
     sight = geometry.ground_point(rng, yaw) - geometry.collection.antenna_position
     return np.asarray((sight * misfit).sum(axis=1) / np.sqrt((sight * sight).sum(axis=1)))
-
-
-def _pslr(response: FloatArray) -> float:
-    """Highest side lobe over the peak, dB."""
-    peak = int(np.argmax(response))
-    left, right = peak, peak
-    while left > 0 and response[left - 1] < response[left]:
-        left -= 1
-    while right < response.size - 1 and response[right + 1] < response[right]:
-        right += 1
-    side = max(response[:left].max(initial=0.0), response[right + 1 :].max(initial=0.0))
-    return float(20 * np.log10(max(side, 1e-12) / response[peak]))
-
-
-def _width(response: FloatArray) -> float:
-    """Distance between the outermost crossings of 3 dB below the peak, samples."""
-    above = np.concatenate([[-1.0], response / response.max() - np.sqrt(0.5), [-1.0]])
-    first, last = np.flatnonzero(above >= 0)[[0, -1]]
-    left, right = above[first] - above[first - 1], above[last] - above[last + 1]
-    return float(last - first + above[first] / left + above[last] / right)

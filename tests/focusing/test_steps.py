@@ -306,6 +306,7 @@ def test_the_gate_keeps_at_each_doppler_the_time_about_its_own_middle(slope: flo
         begin_slope=row_polynomial(slope - growth / 2),
         end_slope=row_polynomial(slope + growth / 2),
         blur=time.step / 2,
+        lift=0.0,
         length=length,
         time=fourier.centred(0.0, time.step, 400),
     )
