@@ -179,10 +179,8 @@ def wobbling_beam(plan: Plan) -> str | None:
 def outside_window(plans: Sequence[Plan]) -> list[str]:
     """A sentence if a part of a grid that was asked for lies outside the range windows of all plans, else none."""
     grid = plans[0].grid
-    if any(plan.geometry.collection.has_axis for plan in plans):
-        return []  # the ranges of its region are those that are lit
     if all(plan.geometry.collection.steered and grid == default_grid(plan.geometry, plan.region) for plan in plans):
-        return []  # the corners of the box about a lit sector
+        return []  # the corners of the box about what is lit
     share = share_outside([(plan.geometry, plan.region) for plan in plans], grid)
     if share == 0:
         return []

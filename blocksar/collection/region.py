@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray
-from blocksar.collection.beam import dwell_at, has_full_dwell, lit_yaw, wrapped
+from blocksar.collection.beam import dwell, dwell_at, has_full_dwell, lit_yaw, wrapped
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution, outline
@@ -163,6 +163,7 @@ def _lit_region(geometry: Geometry, what: str, low: float, high: float) -> Regio
                 return float(outwards[int(lit.argmin())])
         return edge + sign * np.pi / 2
 
+    side = _sides(geometry, low, high)
     inside = np.linspace(low, high, min(max(math.ceil((high - low) / step), LEAST_YAWS), MOST_YAWS) + 1)
     lit = np.flatnonzero(is_any_lit(inside))
     if lit.size == 0:
@@ -170,7 +171,8 @@ def _lit_region(geometry: Geometry, what: str, low: float, high: float) -> Regio
             f"{what} lies outside the swath: the beam (beam_axis, beam_steering, beam_width) lights none of its yaws; "
             "move the grid"
         )
-    yaw = np.linspace(first_unlit(inside[lit[0]], -1.0), first_unlit(inside[lit[-1]], 1.0), FINE_YAWS)
+    outer = first_unlit(inside[lit[0]], -1.0), first_unlit(inside[lit[-1]], 1.0)
+    yaw = np.linspace(max(outer[0], side[0]), min(outer[1], side[1]), FINE_YAWS)
     near, far = _window(geometry, yaw, None)
     lit = np.flatnonzero(_lit_ranges(geometry, yaw, near, far, count=FEW_RANGES)[2])
     if lit.size == 0:
@@ -184,6 +186,16 @@ def _lit_region(geometry: Geometry, what: str, low: float, high: float) -> Regio
     farthest = np.maximum(np.maximum(farthest[:-2], farthest[1:-1]), farthest[2:])
     lit_there = nearest < farthest
     return Region(yaw=yaw, near=np.where(lit_there, nearest, near), far=np.where(lit_there, farthest, far))
+
+
+def _sides(geometry: Geometry, low: float, high: float) -> tuple[float, float]:
+    """First and last yaw, rad, of the side of the track on which yaws low .. high lie; no limits where on both."""
+    ahead = geometry.collection.antenna_position[-1] - geometry.collection.antenna_position[0]
+    heading = float(np.arctan2(ahead[1], ahead[0]))
+    first = heading + np.pi * math.floor((low + high - 2 * heading) / (2 * np.pi))
+    if low < first or high > first + np.pi:
+        return -np.inf, np.inf
+    return first + SIDE_ENDS, first + np.pi - SIDE_ENDS
 
 
 def _joined(regions: Sequence[Region]) -> Region:
@@ -312,13 +324,18 @@ def grid_extent(geometry: Geometry, region: Region, grid: Grid, owned: Owned | N
 def share_outside(lit: Sequence[tuple[Geometry, Region]], grid: Grid) -> float:
     """Share of a grid's points at lit yaws whose ranges lie outside the range window, of every collection in `lit`.
 
-    From every n-th row and column; points without a height count as within.
+    From every n-th row and column; points without a height count as within. Under a beam about its axis, which does not
+    light all ranges, of points that are lit.
     """
     axes = (axis[:: math.ceil(axis.size / LOOKED_AT)] for axis in (grid.x, grid.y))
     x, y = (mesh.ravel() for mesh in np.meshgrid(*axes))
     any_yaw, held = np.zeros(x.size, bool), np.zeros(x.size, bool)
     for geometry, region in lit:
         _, rng, within_yaw, within_range = _placed(geometry, region, x, y)
+        if geometry.collection.has_axis:
+            beyond = np.flatnonzero(within_yaw & ~within_range)
+            first, last = dwell(geometry, x[beyond], y[beyond])
+            within_yaw[beyond] = last > first
         any_yaw |= within_yaw
         held |= within_yaw & within_range | ~np.isfinite(rng)
     return float((any_yaw & ~held).mean())

@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from axis_beams import axis_collection
 
+from blocksar.collection.beam import dwell
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.collection.region import WINDOW_GUARD, plan_region, share_outside
+from blocksar.collection.region import WINDOW_GUARD, default_grid, plan_region, share_outside
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 
@@ -66,3 +68,28 @@ def test_pixels_whose_ranges_leave_the_window_are_counted(small_collection: Coll
     assert 0.2 < outside < 0.8
     assert share_outside([(geometry, plan_region(geometry, grid))], grid) == pytest.approx(outside, abs=0.01)
     assert share_outside([(geometry, plan_region(geometry, GRID))], GRID) == 0
+
+
+def test_under_a_beam_about_its_axis_lit_pixels_outside_the_window_are_counted() -> None:
+    """Those that it does not light are not outside."""
+    collection = axis_collection()
+    geometry, grid = Geometry(collection=collection), Grid(8.7e3, 9.3e3, 2.0, -200.0, 200.0, 2.0)
+    mesh_x, mesh_y = np.meshgrid(grid.x, grid.y)
+    first, last = dwell(geometry, mesh_x, mesh_y)
+    points = np.stack([mesh_x, mesh_y, np.full(mesh_x.shape, collection.ground_height)], axis=-1)
+    half = collection.range_window / 2 - WINDOW_GUARD * SPEED_OF_LIGHT / (2 * collection.bandwidth)
+    away = [geometry.range_history(points, np.clip(at, *collection.time[[0, -1]]))[0] for at in (first, last)]
+    reference = [np.interp(at, collection.time, collection.reference_range) for at in (first, last)]
+    outside = np.abs(np.subtract(away, reference)).max(axis=0) > half
+    wanted = float((outside & (last > first)).mean())
+    assert 0.1 < wanted < 0.5
+    assert share_outside([(geometry, plan_region(geometry, grid))], grid) == pytest.approx(wanted, abs=0.01)
+
+
+def test_the_region_of_steep_incidence_ends_at_the_line_of_flight() -> None:
+    """Near the nadir a beam lights ground on both sides of the track; the default grid lies on one of them."""
+    collection = axis_collection(reference_range=np.full(400, 4060.0), beam_width=0.06, side_of_track="right")
+    geometry = Geometry(collection=collection)
+    region = plan_region(geometry, None)
+    assert -np.pi / 2 < region.yaw[0] and region.yaw[-1] < np.pi / 2  # the track leads along +y
+    assert default_grid(geometry, region).x0 > 0
