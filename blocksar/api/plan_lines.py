@@ -24,6 +24,7 @@ from blocksar.progress import Work
 TRACK_TOLD = 0.01  # rad: noise of the track that leaves less is not mentioned
 LOOKED_AT = 64  # points along a side of a grid at which lit pulses are counted
 PLANNING_TOLD = 1.0  # s to plan, which are counted in the time of a run
+EXACT_TOLD, EXACT_GAIN = 5.0, 1.5  # s of a run, and times less that back-projection takes, from which on it is told
 SHORT_DWELL = 12  # pulses, below which a coherence of up to 0.002 less than is predicted was measured
 
 
@@ -89,16 +90,35 @@ def time_line(work: Work, assumed: Resources, planning: float = 0.0) -> str:
 
     `planning` is what the plan took, s, which a run makes again: told where it is long.
     """
-    workers = min(assumed.workers, machine()[0])  # more than there are cores gain nothing
-    seconds = effort.seconds_of(work, workers=workers, threads=assumed.threads, pace=pace())
-    if not assumed.workers:
-        del seconds["start"]
-    if planning >= PLANNING_TOLD:
-        seconds = {"plan": planning, **seconds}
+    seconds = _stage_seconds(work, assumed, planning)
     return (
         f"a run takes about {time_text(sum(seconds.values()))} on this machine {workforce(assumed)} "
         f"({_shares(seconds)}), more where others use it, the disk is slow, or loops are not compiled"
     )
+
+
+def exact_line(plans: Sequence[Plan], assumed: Resources, planning: float) -> list[str]:
+    """A sentence if exact back-projection would take less time than a run of some plans, else none."""
+    if plans[0].refusal is not None:
+        return []
+    work = effort.together([effort.of_plan(plan, workers=assumed.workers) for plan in plans])
+    seconds = sum(_stage_seconds(work, assumed, planning).values())
+    if seconds < EXACT_TOLD:
+        return []
+    work = effort.together([effort.of_backprojection(plan.geometry, plan.grid) for plan in plans])
+    exact = sum(_stage_seconds(work, assumed, 0.0).values())
+    if exact > seconds / EXACT_GAIN:
+        return []
+    return [f"exact back-projection of this grid takes less, about {time_text(exact)}: --processor backprojection"]
+
+
+def _stage_seconds(work: Work, assumed: Resources, planning: float) -> dict[str, float]:
+    """Seconds of a run by stage, as in `time_line`."""
+    workers = min(assumed.workers, machine()[0])  # more than there are cores gain nothing
+    seconds = effort.seconds_of(work, workers=workers, threads=assumed.threads, pace=pace())
+    if not assumed.workers:
+        del seconds["start"]
+    return {"plan": planning, **seconds} if planning >= PLANNING_TOLD else seconds
 
 
 def workforce(assumed: Resources) -> str:

@@ -21,7 +21,7 @@ from blocksar.api.arguments import (
     sources_of,
 )
 from blocksar.api.ground import read_ground
-from blocksar.api.plan_lines import lit_pulses, outside_window, plan_lines, time_line, workforce
+from blocksar.api.plan_lines import exact_line, lit_pulses, outside_window, plan_lines, time_line, workforce
 from blocksar.api.plan_tables import block_table, contender_table, plan_details
 from blocksar.api.shown import PlanReport
 from blocksar.budget import FIDELITY
@@ -203,6 +203,7 @@ def _report_plan(plan: Plan, assumed: Resources, planning: float = 0.0) -> PlanR
             *plan_lines(plan),
             *outside_window([plan]),
             time_line(effort.of_plan(plan, workers=assumed.workers), assumed, planning),
+            *exact_line([plan], assumed, planning),
         ],
         refusal=plan.refusal,
         result=plan,
@@ -223,7 +224,7 @@ def _report_segments(segments: Sequence[PlannedSegment], assumed: Resources, pla
         lines += [f"  {line}" for line in plan_lines(segment.plan)]
     lines += outside_window(plans)
     work = effort.together([effort.of_plan(plan, workers=assumed.workers) for plan in plans])
-    lines.append(time_line(work, assumed, planning))
+    lines += [time_line(work, assumed, planning), *exact_line(plans, assumed, planning)]
     return PlanReport(
         tables=[block_table(plans)],
         details=plan_details(plans),

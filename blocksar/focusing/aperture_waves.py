@@ -14,7 +14,6 @@ h is a fraction of the Doppler resolution, and a and b change over the ground as
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from blocksar.focusing.ground_map import ApertureWaves, GroundMap
 
 
 def sum_waves(
-    correct: Callable[[GroundMap], ComplexArray],
+    correct: Callable[[float], ComplexArray],
     ground: GroundMap,
     waves: ApertureWaves,
     *,
@@ -35,13 +34,13 @@ def sum_waves(
     Parameters
     ----------
     correct : callable
-        Ground pixels by a ground map under equal weights.
+        Ground pixels under equal weights, taken from a block at Dopplers that lie higher by so much, Hz.
     ground : GroundMap
     waves : ApertureWaves
     x, y : (n_x,), (n_y,) float
         m.
     """
-    image = correct(ground)
+    image = correct(0.0)
     rows, columns = np.nonzero(np.isfinite(image.real))
     epoch_range = ground.geometry.epoch_range(x[columns], y[rows])
     yaw = ground.middle_yaw + ground.relative_yaw(x[columns], y[rows])
@@ -50,8 +49,7 @@ def sum_waves(
         share = (cosine(epoch_range, yaw) + 1j * sine(epoch_range, yaw)) / 2
         for sign, factor in ((1, share), (-1, share.conj())):
             shift = sign * k * waves.step
-            shifted = replace(ground.doppler, start=ground.doppler.start - shift)
-            part = correct(replace(ground, doppler=shifted))[rows, columns]
+            part = correct(shift)[rows, columns]
             total += factor * np.exp(2j * np.pi * shift * waves.middle) * part
     image[rows, columns] = total
     return image

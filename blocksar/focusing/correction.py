@@ -52,6 +52,7 @@ from blocksar.solvers import least_squares, product
 
 TILE_PIXELS = 128
 TILE_EXTENT = 150.0  # m: the largest tile over which its polynomials hold to a millicycle
+MANY_ABSENT = 64  # tiles of a window without owned pixels, from which on all of it is cleared
 TILE_GROUP = 16  # tiles per call of the compiled loop
 
 
@@ -74,6 +75,12 @@ class Tiles(NamedTuple):
     places: IntArray
     polynomials: FloatArray
     heights: FloatArray | None
+
+    def moved(self, cells: float) -> Tiles:
+        """The tiles of a block whose Doppler index is larger by some cells; not on a terrain."""
+        polynomials = self.polynomials.copy()
+        polynomials[:, 0, TILE_DEGREE + 1] += cells
+        return self._replace(polynomials=polynomials)
 
 
 def touched(ground: GroundMap, *, x: FloatArray, y: FloatArray, side: tuple[int, int]) -> IntArray:
@@ -120,11 +127,17 @@ def correct(
     """
     out = np.empty((y.size, x.size), np.complex64) if out is None else out
     if ground.waves is not None:
+        plain = replace(ground, waves=None)
+        found = tiles or tiles_of(plain, [(x, y)], [z])[0]
 
-        def weigh_equally(part: GroundMap) -> ComplexArray:
-            return correct(block, part, x=x, y=y, z=z, threads=threads)
+        def weigh_equally(shift: float) -> ComplexArray:
+            part = replace(plain, doppler=replace(plain.doppler, start=plain.doppler.start - shift))
+            moved = found if ground.relief is None else tiles_of(part, [(x, y)], [z])[0]
+            if ground.relief is None and shift:
+                moved = found.moved(shift / plain.doppler.step)
+            return correct(block, part, x=x, y=y, z=z, tiles=moved, threads=threads)
 
-        out[...] = sum_waves(weigh_equally, replace(ground, waves=None), ground.waves, x=x, y=y)
+        out[...] = sum_waves(weigh_equally, plain, ground.waves, x=x, y=y)
         return out
     tiles = tiles or tiles_of(ground, [(x, y)], [z])[0]
     side, places, polynomials, _ = tiles
@@ -168,6 +181,9 @@ def _blank_others(out: ComplexArray, places: IntArray, side: int) -> None:
     """Write NaN to the tiles that are not among `places`, (n, 3) as in `Tiles`."""
     n_row, n_column = -(-out.shape[0] // side), -(-out.shape[1] // side)
     if places.shape[0] == n_row * n_column:
+        return
+    if n_row * n_column - places.shape[0] > MANY_ABSENT:
+        out[...] = np.nan + 1j * np.nan
         return
     absent = np.ones((n_row, n_column), np.bool_)
     absent[places[:, 0] // side, places[:, 1] // side] = False

@@ -20,6 +20,7 @@ from blocksar.chunks import LAYER_CHUNKS, MOSAIC_CHUNKS, TILE
 from blocksar.collection.beam import dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
+from blocksar.planning.block import BlockPlan
 from blocksar.planning.plan import Plan
 from blocksar.planning.tiling import image_chunk, inspection_width, touched_chunks
 from blocksar.planning.work import block_work
@@ -86,7 +87,7 @@ def of_plan(plan: Plan, *, echo_samples: int = 0, workers: int = 1) -> Work:
         "recover": (RECOVER * plan.recovery.doppler.size * columns).tolist(),
         **_gating(plan),
         "focus": [
-            STEPS * block_work(block) + written * len(touched) * side[0] * side[1]
+            STEPS * block_work(block) + (written + CORRECT * _more_passes(block)) * len(touched) * side[0] * side[1]
             for block, touched in zip(plan.blocks, chunks, strict=True)
         ],
         "mosaic": [
@@ -100,6 +101,11 @@ def of_plan(plan: Plan, *, echo_samples: int = 0, workers: int = 1) -> Work:
         ],
     }
     return _by_pulse_group(collection.n_pulse, echo_samples) | stages | {"finish": [FINISH]}
+
+
+def _more_passes(block: BlockPlan) -> int:
+    """Times that pixels are corrected besides the first: twice for each wave of weights that differ over the ground."""
+    return 0 if block.ground.waves is None else 2 * len(block.ground.waves.pairs)
 
 
 def _completing(plan: Plan) -> float:

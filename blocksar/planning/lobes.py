@@ -14,7 +14,7 @@ def responses(time: FloatArray, *weights: FloatArray | ComplexArray) -> list[Flo
     """Magnitudes (SAMPLES,) of the sums of `weights` (n,) at times (n,), s, over frequencies about zero."""
     offsets = np.linspace(-LOBES, LOBES, SAMPLES) / _extent(time)
     waves = np.exp(-2j * np.pi * offsets[:, None] * time)
-    return [np.abs(waves @ weight) for weight in weights]
+    return [np.abs((waves * weight).sum(axis=1)) for weight in weights]
 
 
 def side_lobe(response: FloatArray) -> float:
