@@ -84,8 +84,6 @@ class GroundMap:
         Weighting over the dwells.
     stays : bool
         From `planning.staying`: whether all pulses are summed, lit or not.
-    lit : (n,) or (LIT_RANGES, n) float
-        From `sum_lit`: at each yaw, or at each range from near to far and each yaw.
     scale : float
         n_range_frequency / period of the range transform, times the mean weight over range frequency.
     range_taps, doppler_taps : (int, float)
@@ -96,6 +94,10 @@ class GroundMap:
         The same with the height as third coordinate, which a terrain needs in place of the five surfaces.
     waves : ApertureWaves or None
         Weights that the block's chain has not applied.
+    tapered : Geometry or None
+        With the beam that the taper follows, where that is a steadier one.
+    valid : (n_pulse,) float or None
+        The fraction of each pulse's samples that is there; None: all of them.
     """
 
     geometry: Geometry
@@ -117,13 +119,30 @@ class GroundMap:
     far_limit: FloatArray
     taper: Taper
     stays: bool
-    lit: FloatArray
     scale: float
     range_taps: tuple[int, float]
     doppler_taps: tuple[int, float]
     tap_error: float
     relief: ReliefMap | None = None
     waves: ApertureWaves | None = None
+    tapered: Geometry | None = None
+    valid: FloatArray | None = None
+
+    @cached_property
+    def lit(self) -> FloatArray:
+        """Number of lit pulses at each yaw (n,), missing ones left out: the sum of `valid` times the taper.
+
+        Where dwells depend on range, or the antenna has a pattern, which weighs the pulses besides: (LIT_RANGES, n), at
+        ranges from near to far. Where the beam `stays`, over all pulses. Only a block that is focused needs them, not
+        one that is planned.
+        """
+        geometry, taper = self.geometry, self.taper
+        valid = np.ones(geometry.collection.n_pulse) if self.valid is None else self.valid
+        if not by_range(geometry):
+            centre = None if self.tapered is None else self.tapered.collection.beam_azimuth
+            return weighted_pulses(geometry.collection, self.yaw_axis, valid, taper, centre=centre)
+        ranges = np.linspace(self.near, self.far, LIT_RANGES)
+        return lit_total(geometry, ranges, self.yaw_axis, valid, taper, stays=self.stays, tapered=self.tapered)
 
     @property
     def levels(self) -> tuple[float, float]:
@@ -181,11 +200,7 @@ class GroundMap:
         """The same with limits and sums over lit pulses known `room`, rad, beyond the block."""
         yaw = np.linspace(self.low - room, self.high + room, self.yaw_axis.size)
         near_limit, far_limit = region.at(yaw)
-        valid = np.ones(self.geometry.collection.n_pulse)
-        lit = sum_lit(
-            self.geometry, near=self.near, far=self.far, yaw=yaw, valid=valid, taper=self.taper, stays=self.stays
-        )  # fmt: skip
-        return replace(self, yaw_axis=yaw, near_limit=near_limit, far_limit=far_limit, lit=lit)
+        return replace(self, yaw_axis=yaw, near_limit=near_limit, far_limit=far_limit)
 
     def doppler_slope(self) -> FloatArray:
         """Doppler of the focus per yaw, Hz/rad, over the block's ranges and yaws (9, 33)."""
@@ -216,23 +231,6 @@ class GroundMap:
             turn,
             time * self.doppler.step,
         )
-
-
-def sum_lit(
-    geometry: Geometry, *, near: float, far: float, yaw: FloatArray, valid: FloatArray, taper: Taper, stays: bool,
-    tapered: Geometry | None = None,
-) -> FloatArray:  # fmt: skip
-    """Number of lit pulses at yaws (n,), rad, missing ones left out: sum of `valid` (n_pulse,) times the taper, (n,).
-
-    Where dwells depend on range, or the antenna has a pattern, which weighs the pulses besides: (LIT_RANGES, n), at
-    ranges from near to far, m. Where the beam `stays`, over all pulses. `tapered` has the beam that the taper follows,
-    if that is a steadier one.
-    """
-    if not by_range(geometry):
-        centre = None if tapered is None else tapered.collection.beam_azimuth
-        return weighted_pulses(geometry.collection, yaw, valid, taper, centre=centre)
-    ranges = np.linspace(near, far, LIT_RANGES)
-    return lit_total(geometry, ranges, yaw, valid, taper, stays=stays, tapered=tapered)
 
 
 def by_range(geometry: Geometry) -> bool:

@@ -26,7 +26,6 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.ownership import margins_over
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, ProcessingError
-from blocksar.focusing.ground_map import sum_lit
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.focusing.terrain_layers import Sight
@@ -266,12 +265,7 @@ def _submit_chain(
     unit = block_unit(block.name)
     tail = f"{run.token}-{unit}"
     submit = partial(client.submit, pure=False, priority=priority)
-    ground = block.ground
-    summed = sum_lit(
-        ground.geometry, near=ground.near, far=ground.far, yaw=ground.yaw_axis, valid=lit, taper=ground.taper,
-        stays=ground.stays, tapered=plan.gated.over(ground.geometry) if plan.gated.wobbles else None,
-    )  # fmt: skip
-    ground = replace(ground, lit=summed)
+    ground = replace(block.ground, valid=lit)
     first, branches = block.first_stage, block.branches
     slab = spectrum.within(block.first_bin, block.first_bin + block.n_bin)
     node = submit(read_slab, run, block, first, slab, key=f"read-slab+{first.name}-{tail}")

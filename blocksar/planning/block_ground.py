@@ -9,7 +9,7 @@ import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.geometry import Geometry
-from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, by_range, sum_lit, surfaces
+from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, by_range, surfaces
 from blocksar.focusing.lines import Focus
 from blocksar.focusing.relief_map import NodeHeights, straighten
 from blocksar.focusing.sampling import Sampling
@@ -40,18 +40,12 @@ def plan_ground(sector: Sector, azimuth: AzimuthPart, sampling: Sampling, lines:
 
 def _on_smooth_ground(sector: Sector, sampling: Sampling, lines: FineLines) -> GroundMap:
     collection = sector.geometry.collection
-    taper, valid, stays = sector.taper, np.ones(collection.n_pulse), sector.staying is not None
     offset, doppler_focus, phase, gain, dwell_time = _surfaces(sector, lines, lines.spots)
     yaw_axis = np.linspace(sector.low, sector.high, _yaw_steps(sector))
     near_limit, far_limit = sector.region.at(yaw_axis)
     # Of the sampling rate, what a target's response fills along Doppler without its own carrier.
     reach = np.abs(lines.line.time - _carrier_time(sector, lines, lines.spots)[..., None]).max()
     filled = float(min(2.2 * reach * sampling.image_doppler.step, 0.9))
-    tapered = None if sector.wobbling is None else sector.geometry
-    lit = sum_lit(
-        sector.lit, near=sector.near, far=sector.far, yaw=yaw_axis, valid=valid, taper=taper, stays=stays,
-        tapered=tapered,
-    )  # fmt: skip
     return GroundMap(
         geometry=sector.lit,
         low=sector.low,
@@ -70,13 +64,13 @@ def _on_smooth_ground(sector: Sector, sampling: Sampling, lines: FineLines) -> G
         yaw_axis=yaw_axis,
         near_limit=near_limit,
         far_limit=far_limit,
-        taper=taper,
-        stays=stays,
-        lit=lit,
+        taper=sector.taper,
+        stays=sector.staying is not None,
         scale=range_scale(collection, sampling.range_frequency, sampling.range_period, sector.weighting.range),
         range_taps=(taps_needed(sampling.range_occupancy, error=sector.tap_error), sampling.range_occupancy),
         doppler_taps=(taps_needed(filled, error=sector.tap_error), filled),
         tap_error=sector.tap_error,
+        tapered=None if sector.wobbling is None else sector.geometry,
     )
 
 
