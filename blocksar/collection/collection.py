@@ -217,7 +217,7 @@ class Collection:
         if speed < SPEEDS[0]:
             raise InputError(
                 f"antenna_position moves at {speed:.6g} m/s, but an aperture needs at least {SPEEDS[0]:g} m/s: correct "
-                "the unit of antenna_position (it looks like km) or of time (it looks like ms)"
+                "the unit of antenna_position (it looks like km) or of time (it looks like ms or us)"
             )
 
     def _check_cells(self) -> None:
