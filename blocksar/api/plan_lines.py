@@ -32,9 +32,11 @@ def plan_lines(plan: Plan) -> list[str]:
     """What there is to say of a plan besides its tables."""
     recovery, collection, grid = plan.recovery, plan.geometry.collection, plan.grid
     spectrum = recovery.doppler.size * collection.n_range_frequency * 8
-    divided = f" of {plan.parts} range sub-blocks{' each' if plan.n_blocks > 1 else ''}" if plan.parts > 1 else ""
+    blocks = f"{plan.n_blocks} block{'s' if plan.n_blocks > 1 else ''}"
+    if plan.parts > 1:
+        blocks += f" of {plan.parts} range sub-blocks{' each' if plan.n_blocks > 1 else ''}"
     lines = [
-        f"{plan.n_blocks} {'block' if plan.n_blocks == 1 else 'blocks'}{divided}, {plan.method.coefficients} coefficients; "
+        f"{blocks}, {plan.method.coefficients} coefficients; "
         f"track: {plan.geometry.track}, misfit {plan.geometry.track.max_misfit:.2g} m",
         f"derotated band {recovery.band[1] - recovery.band[0]:.0f} Hz at PRF {collection.prf:.0f} Hz; recovered "
         f"spectrum {recovery.doppler.size} x {collection.n_range_frequency} ({spectrum / MIB:.0f} MiB), "

@@ -38,6 +38,9 @@ class Planned(Protocol):
     @property
     def blocks(self) -> tuple[BlockPlan, ...]: ...
 
+    @property
+    def refusal(self) -> str | None: ...
+
     def excess(self, *, migration: bool = True) -> float: ...
 
 
@@ -109,7 +112,8 @@ def find_division(
             more = math.ceil(n_parts * max(math.sqrt((excess - rest) / MIGRATION_SHARE), 1.1))
             more = min(more, MOST_REFERENCES)
             divided = plan(failed, more, True).excess()
-            divisible = divided < USEFUL * excess and more < MOST_REFERENCES
+            if division.refusal is None:  # a refused one tells nothing of what a division by range would gain
+                divisible = divided < USEFUL * excess and more < MOST_REFERENCES
             by_angle = _worth(excess, plan(count, n_parts, True).excess(), count / failed)
             if more > n_parts and _worth(excess, divided, more / n_parts) > by_angle:
                 failed, count, n_parts = failed - 1, failed, more

@@ -22,6 +22,7 @@ class Division:
     migration: float
     rest: float
     blocks: tuple[BlockPlan, ...] = ()
+    refusal: str | None = None
 
     def excess(self, *, migration: bool = True) -> float:
         return self.rest + (self.migration if migration else 0.0)
@@ -34,6 +35,7 @@ def divide(
     workers: int = 2,
     parts: int | None = None,
     jointly: bool = False,
+    refused_below: int = 0,
 ) -> tuple[tuple[int, int], int]:
     """Blocks and sub-blocks that are taken, and how many divisions were planned as a whole."""
     whole = set()
@@ -42,7 +44,8 @@ def divide(
         if not probe:
             assert (count, n_parts) not in whole, "planned twice"
             whole.add((count, n_parts))
-        return Division(count, n_parts, migration(count, n_parts), rest(count))
+        refusal = "blurred" if count < refused_below else None
+        return Division(count, n_parts, migration(count, n_parts), rest(count), refusal=refusal)
 
     division = find_division(plan, workers=workers, parts=parts, jointly=jointly)
     return (division.count, division.parts), len(whole)
@@ -103,6 +106,16 @@ def test_migration_that_varies_with_range_takes_range_sub_blocks() -> None:
     taken, _ = divide(lambda count, parts: 20.0 / parts**2, lambda count: 0.6 / count)
     assert taken[0] == 2
     assert 5 <= taken[1] <= MOST_REFERENCES
+
+
+def test_refused_divisions_do_not_tell_that_range_sub_blocks_are_of_no_use() -> None:
+    """One block of a P band's wide beam was refused, whole and divided; 17 of 8 sub-blocks keep the fidelity."""
+
+    def migration(count: int, parts: int) -> float:
+        return 500.0 if count < 3 else 15.0 / parts**2 + 9.0 / count**1.5
+
+    (_, parts), _ = divide(migration, lambda count: 0.1, workers=1, refused_below=3)
+    assert parts > 1
 
 
 def test_migration_that_varies_with_angle_takes_blocks() -> None:
