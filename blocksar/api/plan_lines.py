@@ -101,8 +101,6 @@ def time_line(work: Work, assumed: Resources, planning: float = 0.0) -> str:
 
 def exact_line(plans: Sequence[Plan], assumed: Resources, planning: float) -> list[str]:
     """A sentence if exact back-projection would take less time than a run of some plans, else none."""
-    if plans[0].refusal is not None:
-        return []
     work = effort.together([effort.of_plan(plan, workers=assumed.workers) for plan in plans])
     seconds = sum(_stage_seconds(work, assumed, planning).values())
     if seconds < EXACT_TOLD:

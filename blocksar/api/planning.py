@@ -195,6 +195,11 @@ def _told_first(report: PlanReport, lines: Sequence[str]) -> PlanReport:
 
 
 def _report_plan(plan: Plan, assumed: Resources, planning: float = 0.0) -> PlanReport:
+    if plan.refusal is not None:  # the samples of what does not focus may have no bounds
+        return PlanReport(
+            tables=[block_table([plan])], details=plan_details([plan]), definitions=definitions.PLAN,
+            refusal=plan.refusal, result=plan, geometry=plan.geometry,
+        )  # fmt: skip
     return PlanReport(
         tables=[block_table([plan])],
         details=plan_details([plan]),
@@ -205,7 +210,6 @@ def _report_plan(plan: Plan, assumed: Resources, planning: float = 0.0) -> PlanR
             time_line(effort.of_plan(plan, workers=assumed.workers), assumed, planning),
             *exact_line([plan], assumed, planning),
         ],
-        refusal=plan.refusal,
         result=plan,
         geometry=plan.geometry,
     )
@@ -222,15 +226,16 @@ def _report_segments(segments: Sequence[PlannedSegment], assumed: Resources, pla
         blocks = f"blocks {segment.first_block} .. {segment.first_block + segment.plan.n_blocks - 1}"
         lines.append(f"segment {number} (collection {segment.collection}{pulses}, {blocks}):")
         lines += [f"  {line}" for line in plan_lines(segment.plan)]
-    lines += outside_window(plans)
-    work = effort.together([effort.of_plan(plan, workers=assumed.workers) for plan in plans])
-    lines += [time_line(work, assumed, planning), *exact_line(plans, assumed, planning)]
+    refusal = next((plan.refusal for plan in plans if plan.refusal is not None), None)
+    if refusal is None:
+        work = effort.together([effort.of_plan(plan, workers=assumed.workers) for plan in plans])
+        lines += [*outside_window(plans), time_line(work, assumed, planning), *exact_line(plans, assumed, planning)]
     return PlanReport(
         tables=[block_table(plans)],
         details=plan_details(plans),
         definitions=definitions.PLAN,
         summary=lines,
-        refusal=next((plan.refusal for plan in plans if plan.refusal is not None), None),
+        refusal=refusal,
         result=tuple(plans),
     )
 

@@ -81,7 +81,7 @@ def find_division(
     exceeds = exceeds or (lambda count, n_parts, limit: plan(count, n_parts, True).excess() > limit)
     tried: list[tuple[float, int, int]] = []
     failed, count, n_parts, stale = 0, min(max(workers, 1), MAX_BLOCKS), parts or 1, 0
-    divisible, fall = parts is None, 1 / SCATTER if scattered else FALL
+    divisible, fall, sound = parts is None, 1 / SCATTER if scattered else FALL, False
     while True:
         division = plan(count, n_parts, True)
         if division.excess() <= 1.0:
@@ -89,7 +89,8 @@ def find_division(
         excess, rest = division.excess(), division.excess(migration=False)
         if excess <= 1.0:
             return _fewest_between(plan, failed, count, n_parts)
-        if find_folding(division.blocks) is not None:
+        sound = sound or division.refusal is None
+        if not sound and find_folding(division.blocks) is not None:
             return plan(count, n_parts, False)
         stale = stale + 1 if tried and excess > fall * min(tried)[0] else 0
         tried.append((excess, count, n_parts))

@@ -90,7 +90,10 @@ def predict(
     worst = tuple(int(i) for i in np.unravel_index(int(np.argmax(judged)), residual.shape))
     some = [worst] if weights.uniform or not full.any() else [worst, *_corners(full)]
     changed = _at_ends(line, geometry, gate, weights.edge, rng, yaw) if gate is not None and gate.lift else None
-    lobes = max((_azimuth_lobes(line, spots, weights, target, changed) for target in some), key=_Lobes.change)
+    lobes = max(
+        (_azimuth_lobes(line, spots, weights, target, changed if full[target] else None) for target in some),
+        key=_Lobes.change,
+    )
     slope = np.gradient(spots.doppler, yaw, axis=1)
     dwell = (line.weight * line.stretch).sum(axis=-1)
     width = weights.taper.ideal.width

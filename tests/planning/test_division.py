@@ -118,6 +118,21 @@ def test_refused_divisions_do_not_tell_that_range_sub_blocks_are_of_no_use() -> 
     assert parts > 1
 
 
+def test_a_refused_division_does_not_end_a_search_that_has_sound_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One of many numbers of blocks may cut a sliver of unlit ground that folds."""
+    monkeypatch.setattr("blocksar.planning.division.find_folding", lambda blocks: "folds" if blocks else None)
+
+    def plan(count: int, n_parts: int, probe: bool) -> Division:
+        folds = count in (1, 4)
+        refusal = "folds" if folds else None
+        return Division(
+            count, n_parts, 0.0, 9.0 if folds else 6.0 / count, blocks=(None,) if folds else (), refusal=refusal
+        )  # type: ignore[arg-type]
+
+    assert find_division(plan, workers=2, parts=None).count == 6
+    assert find_division(plan, workers=1, parts=None).count == 1  # nothing sound comes before it
+
+
 def test_migration_that_varies_with_angle_takes_blocks() -> None:
     taken, _ = divide(lambda count, parts: 20.0 / count**1.7, partial(nothing))
     assert taken == (6, 1)
