@@ -25,7 +25,14 @@ from blocksar.api.arguments import (
 )
 from blocksar.api.jobs import Job, Request
 from blocksar.api.joint import focus_members, members_of
-from blocksar.api.plan_lines import outside_window, short_dwells, undersampling, wobbling_beam
+from blocksar.api.plan_lines import (
+    cut_dwells,
+    missed_fidelity,
+    outside_window,
+    short_dwells,
+    undersampling,
+    wobbling_beam,
+)
 from blocksar.api.rehearsing import rehearse
 from blocksar.api.run_stages import carry_out
 from blocksar.api.shown import RunReport, is_measurable
@@ -295,7 +302,7 @@ def _focus(
             raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
     found = [
         next((line for plan in job.plans if (line := doubt(plan))), None)
-        for doubt in (undersampling, short_dwells, wobbling_beam)
+        for doubt in (undersampling, short_dwells, cut_dwells, wobbling_beam, missed_fidelity)
     ]
     found += outside_window(job.plans) if job.plans else []
     if request.terrain is not None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from blocksar.api.plan_tables import digits
 from blocksar.api.shortfall import describe_shortfall
+from blocksar.collection.beam import has_full_dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution
 from blocksar.collection.lit_sums import most_lit_pulses
@@ -69,7 +70,8 @@ def plan_lines(plan: Plan) -> list[str]:
     lines.append(_disk_line(plan))
     if (doubt := doubted_time(plan.geometry.collection)) is not None:
         lines.append(doubt)
-    lines += [line for doubt in (undersampling, short_dwells, wobbling_beam) if (line := doubt(plan)) is not None]
+    doubts = undersampling, short_dwells, cut_dwells, wobbling_beam
+    lines += [line for doubt in doubts if (line := doubt(plan)) is not None]
     noise = max(block.prediction.track_phase for block in plan.blocks)
     if noise > TRACK_TOLD:
         lines.append(
@@ -78,6 +80,22 @@ def plan_lines(plan: Plan) -> list[str]:
     if not plan.faithful:
         lines.append(describe_shortfall(plan))
     return lines
+
+
+def missed_fidelity(plan: Plan) -> str | None:
+    """A sentence if the division that was searched for does not keep the fidelity, else None."""
+    return describe_shortfall(plan) if plan.searched and not plan.faithful and plan.refusal is None else None
+
+
+def cut_dwells(plan: Plan) -> str | None:
+    """A sentence if no point of the grid has a full dwell, for which the prediction holds, else None."""
+    x, y = (axis[:: math.ceil(axis.size / LOOKED_AT)] for axis in (plan.grid.x, plan.grid.y))
+    if not plan.geometry.collection.steered or bool(has_full_dwell(plan.geometry, x, y[:, None]).any()):
+        return None
+    return (
+        "no point of the grid is lit for a full dwell: the prediction holds for none, and cut dwells differ more from "
+        "back-projection"
+    )
 
 
 def _disk_line(plan: Plan) -> str:

@@ -21,6 +21,8 @@ from blocksar.kernels.fourier import Axis
 
 LIT_RANGES = 33  # of the sum over lit pulses, where that depends on range
 LEAST_LIT = 0.3  # pulses at the peak of the pattern: with a smaller sum a pixel counts as not lit
+LEAST_WEIGHT = 0.007  # of a whole dwell under a taper: a share of 8 % under hann, 5 % under hamming, 2 % under taylor
+WHOLE_DWELLS = 64  # directions in which the longest dwell is looked for
 YAW_STEPS = 4096  # of the range window's limits and the number of lit pulses along yaw
 
 
@@ -162,8 +164,17 @@ class GroundMap:
         if self.lit.ndim > 1:
             return self.lit * self.scale
         weight = (1.0 / np.maximum(self.lit, 1e-9) / self.scale)[None]
-        weight[:, self.lit <= 0] = np.nan
+        weight[:, self.lit <= self._least_weight] = np.nan
         return weight
+
+    @property
+    def _least_weight(self) -> float:
+        """The sum of a taper's weights up to which a pixel counts as not lit: it would divide what others leave."""
+        collection = self.geometry.collection
+        if self.taper.uniform or not collection.steered:
+            return 0.0
+        beam = collection.beam_azimuth[:: max(collection.n_pulse // WHOLE_DWELLS, 1)]
+        return LEAST_WEIGHT * float(weighted_pulses(collection, beam, np.ones(collection.n_pulse), self.taper).max())
 
     @property
     def middle_yaw(self) -> float:

@@ -35,6 +35,7 @@ CLEAR = 0.65  # concentration that only points in focus have: below it, alternat
 SHARP = 0.8  # of the concentration after a refocus: below it the track is doubted
 COVERED = 0.5  # of a dwell: with less, other places do not judge a place, and it judges itself if it is CLEAR
 POINTS = 1 / 3  # of the places: as many that become FOCUSED judge the track alone, without those that are clutter
+LIKE_DWELL = 0.5  # of the pulses of a dwell, without which only points tell of an alternative
 EXPLAINED = 0.8  # of a phase error: what is named as its cause
 # To be read: a part of the band, and of very many pulses those in the middle. Under a beam that is not steered less
 # depends on the sign and order of the samples.
@@ -52,6 +53,8 @@ class Trial:
     name : str
     concentration : tuple of float
         Of each place, the most prominent first.
+    pulses : float
+        Median number that light a place: chance concentrates few pulses more than many.
     significance : float
         Median of concentration over what chance gives.
     """
@@ -60,6 +63,7 @@ class Trial:
     remedy: str
     concentration: tuple[float, ...] = ()
     significance: float = 0.0
+    pulses: float = 0.0
 
     @property
     def places(self) -> int:
@@ -127,7 +131,8 @@ class Findings:
     @property
     def speaks(self) -> bool:
         """Whether prominent places allow a judgement."""
-        return max((trial.significance for trial in self.trials if trial.places >= FEWEST), default=0.0) > SIGNIFICANT
+        judged = [trial.significance for trial in self.trials if trial.places >= FEWEST]
+        return self.given.places >= FEWEST and max(judged, default=0.0) > SIGNIFICANT
 
     @property
     def better(self) -> Trial | None:
@@ -137,7 +142,9 @@ class Findings:
         if best is None or best.sharpness < max(self.sharper * self.given.sharpness, AS_REFOCUSED * self.refocused):
             return None
         if not self.given.places:
-            return best
+            return best if best.sharpness > FOCUSED else None
+        if best.pulses < LIKE_DWELL * self.given.pulses and best.sharpness < FOCUSED:
+            return None  # of a smaller part of the dwell, clutter is more concentrated by chance
         if not self.steered and self.given.sharpness > max(FOCUSED, SETTLED * self.refocused):
             return None
         if best.sharpness < FOCUSED and best.best < BEST_SHARPER * self.given.best:
@@ -333,5 +340,6 @@ def _trial(alternative: Alternative, lines: list[Line]) -> Trial:
         alternative.name,
         alternative.remedy,
         concentration=tuple(values.tolist()),
+        pulses=float(np.median([line.values.size for line in lines])),
         significance=float(np.median(values * [line.values.size for line in lines])),
     )

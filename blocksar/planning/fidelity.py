@@ -202,7 +202,8 @@ def _by_place(line: Line, spots: Focus, gate: DwellGate, weights: DwellWeights) 
         made *= np.where(share < 1, rise, 1.0)
     found, wanted = made * weights.nodes / weights.alone, weights.nodes
     power = (line.weight * wanted**2).sum(axis=-1) * (line.weight * found**2).sum(axis=-1)
-    return 1 - np.abs((line.weight * wanted * found).sum(axis=-1)) / np.sqrt(power)
+    # Under a taper to zero targets that are hardly lit weigh nothing at all.
+    return 1 - np.abs((line.weight * wanted * found).sum(axis=-1)) / np.sqrt(np.where(power > 0, power, np.inf))
 
 
 def _at_ends(
@@ -278,7 +279,7 @@ def smear_loss(line: Line, spots: Focus, rate: FloatArray, geometry: Geometry, f
     lit = np.broadcast_to(line.weight, line.time.shape).sum(axis=-1)
     inner = full.copy()
     inner[:, 1:-1] &= full[:, :-2] & full[:, 2:]  # both neighbours, for the differences
-    full = inner if inner.any() else full
+    full = inner if inner.any() else full if full.any() else np.ones_like(full)  # of a few of the ranges none may be
     spread = lit / 2 * collection.bandwidth / 2 / collection.carrier  # by the keystone, at the band's edges
     lost = np.zeros(lit.shape)
     *moves, apart = np.gradient(np.stack([*dwell_ends(line), spots.doppler]), axis=2)

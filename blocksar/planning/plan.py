@@ -55,6 +55,7 @@ from blocksar.planning.work import Transforms, block_work, fft_work
 
 MOST_BLOCKS = 1000  # that a caller may ask for
 MAX_PARTS = 64  # range sub-blocks of a block
+WHOLE_WINDOWS, PART_WINDOWS = 2.5, 0.97  # range windows that a whole block, and a range sub-block, may hold
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -450,8 +451,9 @@ class _Planner:
         """The range sub-blocks of one block; none where the grid has no point."""
         near, far = self.region.limits(low, high)
         near, far = max(near, self.extent.near), min(far, self.extent.far)
-        # Ranges are unambiguous within the range window only: a block cannot hold more.
-        excess = (far - near) - 0.97 * self.geometry.collection.range_window
+        # At each yaw ranges are those of the range window, which slants over a wide block: rows go on periodically.
+        windows = WHOLE_WINDOWS if n_parts == 1 else PART_WINDOWS * n_parts
+        excess = (far - near) - windows * self.geometry.collection.range_window
         if excess > 0:
             near, far = near + excess / 2, far - excess / 2
         if far < near:
