@@ -78,6 +78,8 @@ class Collection:
         Mean squared magnitude of the noise of a sample of the signal; of a raw echo, of a sample of the echo.
     side_of_track : {"left", "right"} or None
         On which side of the track the imaged ground lies, seen along the flight; None: unknown.
+    lit_width : float or None
+        Of a look of a steered beam: the width of the whole beam, whose echoes the samples hold, rad; None: beam_width.
 
     Raises
     ------
@@ -104,6 +106,7 @@ class Collection:
     elevation_pattern: FloatArray | None = None
     noise_power: float | None = None
     side_of_track: str | None = None
+    lit_width: float | None = None
 
     def __post_init__(self) -> None:
         given = [name for name in OPTIONAL if getattr(self, name) is not None]
@@ -455,6 +458,11 @@ class Collection:
         beam = ("beam_width", "beam_axis", "beam_steering", "beam_offset", "beam_pattern")
         nowhere = {"beam_azimuth": np.full(self.n_pulse, np.nan)}
         return Collection(**{**self.as_dict(), **dict.fromkeys(beam), **nowhere})
+
+    @property
+    def lit_widths(self) -> float:
+        """Widths of the beam over which the samples hold echoes: 1, and of a look those of the whole beam."""
+        return 1.0 if self.lit_width is None or self.beam_width is None else self.lit_width / self.beam_width
 
     def as_dict(self) -> dict[str, Any]:
         """The fields by name, usable as keyword arguments of `Collection`."""

@@ -43,7 +43,10 @@ def narrowed(collection: Collection, number: int, count: int, sign: float) -> Co
     assert collection.beam_width is not None
     centre = sign * (0.5 - (number + 0.5) / count) * collection.beam_width
     moved = "beam_steering" if collection.has_axis else "beam_azimuth"
-    changes = {moved: getattr(collection, moved) + centre, "beam_width": collection.beam_width / count}
+    changes = {
+        moved: getattr(collection, moved) + centre, "beam_width": collection.beam_width / count,
+        "lit_width": collection.beam_width,
+    }  # fmt: skip
     if collection.beam_offset is not None:
         changes["beam_offset"] = collection.beam_offset - centre
     return replace(collection, **changes)

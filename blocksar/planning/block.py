@@ -245,13 +245,15 @@ def _predict(
     Weights made of waves that err by e of themselves, root mean square, lose at most e^2 / 2.
     """
     geometry, line, spots, rate, reached = sector.geometry, lines.line, lines.spots, lines.ends.rate, None
+    near, far = sector.region.at(lines.yaw)
+    held = (lines.epoch_range[:, None] >= near) & (lines.epoch_range[:, None] <= far)
     if sector.relief is not None:
         layer, reached = usual_layer(sector, azimuth, lines)
         geometry, line, spots, rate = layer.geometry, layer.line, layer.spots, layer.rate
     predicted = predict(
         line, spots, lines.epoch_range, lines.yaw, geometry, rate=rate, gate=sampling.gate, parts=sector.gate_parts,
         scaled_about=lines.ends.scaled_about, moves=lines.ends.moves, weights=lines.weights, reached=reached,
-        band=sector.weighting.range,
+        held=held, band=sector.weighting.range,
     )  # fmt: skip
     return predicted.less(sector.taper_loss + (0.0 if ground.waves is None else ground.waves.error**2 / 2))
 

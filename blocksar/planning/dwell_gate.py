@@ -23,7 +23,9 @@ from blocksar.planning.relief import FINE_DEGREE
 from blocksar.planning.row_fit import RowFit
 from blocksar.planning.sector import Sector
 
-GATE_ROOM = 1.62  # dwells that the sampling in Doppler has room for
+# Dwells that the sampling in Doppler has room for; of a look it needs room for what the whole beam lights, which would
+# wrap into it.
+GATE_ROOM = 1.62
 FADE_ROOM = 9.0  # sqrt(e) on either side of a dwell for which it has room where edges fade out, at least
 GATE_DEGREES = 4, 5  # of the ends of dwells in range and in Doppler
 FIT_PRECISION = 0.02  # of the time in which an edge fades out, to which the ends of dwells are fitted
@@ -77,6 +79,8 @@ def plan_dwell_gate(
     if fade:
         steepest = max(float(np.abs(slope.series[0]).max()) for slope in (begin_slope, end_slope))
         room = max(room, faded_room(length, steepest))
+    if (whole := sector.lighting.collection.lit_widths) > 1:
+        room = max(room, length * (GATE_ROOM / 2 + whole))
     size = min(fourier.fast_length((room + 2 * apart) / sampling.long_time.step), sampling.long_time.size)
 
     full, uneven = lines.ends.full, UNEVEN_SHARE * (1 - sector.fidelity)

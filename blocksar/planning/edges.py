@@ -92,7 +92,7 @@ def plan_edges(
     dwell = float(np.median((last - first)[ended]))
     moved = dwell / 2 * collection.bandwidth / (2 * collection.carrier) if keystone else 0.0
     fade, planned_first = 0, collection.has_axis and geometry.terrain is not None
-    needed = edge_loss(collection, weighting, dwell, moved, band) > 1 - fidelity
+    needed = edge_loss(collection, weighting, dwell, moved, band * collection.lit_widths) > 1 - fidelity
     needed = needed or _move_side_lobes(collection, weighting, dwell, moved, fidelity=fidelity, slopes=False)
     if times or (not planned_first and needed):
         smeared = math.sqrt(dwell / max(band, 1 / dwell))

@@ -144,13 +144,13 @@ def worst_losses(
             scaled_about=scaled_about,
             moves=moves,
             weights=weights,
-            by_lit=_by_what_is_lit(gate, weights, reached),
+            by_lit=_by_what_is_lit(gate, weights, reached, geometry),
             band=band,
         )
         ends *= line.weight.sum(axis=-1)
         if gate.taper is not None and gate.taper.fade:
             ends *= weights.edge**2
-        if reached is not None and not _by_what_is_lit(gate, weights, reached):
+        if reached is not None and not _by_what_is_lit(gate, weights, reached, geometry):
             ends *= ONE_SIDE
         if parts == 1:
             ends += slope_loss(geometry.collection, band) * (line.weight * np.square(weights.change)).sum(axis=-1)
@@ -185,9 +185,12 @@ def _along_dwell(line: Line, spots: Focus, geometry: Geometry, band: Taper) -> t
     return phase, np.maximum(both - phase, 0.0)
 
 
-def _by_what_is_lit(gate: DwellGate, weights: DwellWeights, reached: BoolArray | None) -> bool:
-    """Whether whole ends are counted in what is lit there; heights without a pattern displace both to one side."""
-    whole = gate.taper is None or not gate.taper.fade
+def _by_what_is_lit(gate: DwellGate, weights: DwellWeights, reached: BoolArray | None, geometry: Geometry) -> bool:
+    """Whether whole ends are counted in what is lit there; heights without a pattern displace both to one side.
+
+    Not of looks: the whole beam, whose echoes the samples hold, lights what lies on both sides of their ends.
+    """
+    whole = (gate.taper is None or not gate.taper.fade) and geometry.collection.lit_widths == 1
     return whole and (reached is None or weights.pattern is not None)
 
 

@@ -68,6 +68,7 @@ def predict(
     moves: FloatArray | None = None,
     weights: DwellWeights,
     reached: BoolArray | None = None,
+    held: BoolArray | None = None,
     band: Taper = FLAT,
 ) -> Prediction:
     """The worst figures of traced lines (n_range, n_yaw) under a weighting `band` along range frequency.
@@ -78,15 +79,17 @@ def predict(
     time after all steps a linear function of the direction in which a target is seen, so that they are those of its
     weights at these times. They differ from the taper's where a beam does not turn evenly, an antenna has a pattern, or
     dwells are cut: on the curved track of `paper_b` by 0.5 dB under a taper. On a terrain `reached` (n_range, n_yaw)
-    tells which of the targets there are.
+    tells which of the targets there are, and `held` which lie in the range window, that slants over a wide block.
     """
     range_cell = SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
     residual = spots.residual
     # Cut dwells have other side lobes under weights: of those with full dwell, where there are any.
-    full = full_dwells(line, geometry, rng[:, None], yaw)
-    judged = residual if weights.uniform else np.where(full, residual, -1.0)
-    if reached is not None:
-        judged = np.where(reached, judged, -1.0)
+    full, there = full_dwells(line, geometry, rng[:, None], yaw), np.ones(residual.shape, np.bool_)
+    for known in (held, reached):
+        if known is not None and (there & known).any():
+            there &= known
+    full = full & there if (full & there).any() else full
+    judged = np.where(there if weights.uniform else full & there, residual, -1.0)
     worst = tuple(int(i) for i in np.unravel_index(int(np.argmax(judged)), residual.shape))
     some = [worst] if weights.uniform or not full.any() else [worst, *_corners(full)]
     changed = _at_ends(line, geometry, gate, weights.edge, rng, yaw) if gate is not None and gate.lift else None
@@ -108,8 +111,8 @@ def predict(
         moves=moves, track_phase=track_phase, weights=weights, full=full, reached=reached, band=band,
     )  # fmt: skip
     return Prediction(
-        residual_phase=float((residual if reached is None else residual[reached]).max()),
-        quadratic_phase=float((spots.quadratic if reached is None else spots.quadratic[reached]).max()),
+        residual_phase=float(residual[there].max()),
+        quadratic_phase=float(spots.quadratic[there].max()),
         pslr=lobes.side,
         width=lobes.width / lobes.ideal_width,
         migration=float(spots.migration.max() / range_cell),

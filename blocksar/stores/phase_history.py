@@ -454,7 +454,7 @@ def collection_from(
         title=str(attrs.get("title") or ""),
         noise_power=number(attrs, "noise_power", "the square of signal's", None),
         side_of_track=attrs.get("side_of_track"),
-        **{name: read(name) for name in OPTIONAL if present(name)},
+        **{name: read(name) for name in OPTIONAL if present(name)},  # type: ignore[arg-type]  # arrays, all of them
     )
 
 
