@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -20,6 +21,7 @@ from blocksar.progress import Listener
 from blocksar.runs.record import RunRecord
 from blocksar.runs.sources import CentroidError, SampleCounts
 
+MANY_MISSING = 0.02  # of the samples, from which on the image may be worse than predicted
 Check = tuple[str | None, str]  # of a collection's samples: a warning, or a sentence that all is well
 
 
@@ -60,6 +62,12 @@ def add_findings(
             raise InputError(without_samples(history, zeros=True))
         lines = [line for each in inspections for line in sentences.describe(each)]
         lines += [doubt] if (doubt := sentences.doubted_time(history.collection)) else []
+        absent, size = sum(inspections[-1].missing.values()), math.prod(history.shape)
+        if absent > MANY_MISSING * size and any(segment.plan is not None for segment in segments):
+            lines.append(
+                f"{100 * absent / size:.2g} % of the samples are missing, which the prediction does not know: beside "
+                "gaps images differ more from back-projection"
+            )
         for segment in segments:
             offset, disagreement = _compare_centroid(segment, by_number[id(segment)].inspection)
             offsets += [offset] if offset else []

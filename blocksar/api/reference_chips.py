@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +15,8 @@ from blocksar.api.reports import Table
 from blocksar.arrays import ComplexArray
 from blocksar.collection.beam import full_dwell_yaw, has_full_dwell
 from blocksar.collection.geometry import Geometry, over_terrain
+from blocksar.collection.grid import Grid
+from blocksar.collection.region import plan_region
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_chips
 from blocksar.graph.machine import machine
@@ -210,13 +212,23 @@ def reference_places(geometry: Geometry, plan: RunPlan) -> list[tuple[str, float
     yaws += [("first full dwell", low + inset), ("last full dwell", high - inset)]
     parts = [[b.range for b in predicted if b.block == index] for index in blocks]
     near, far = max(ranges[0][0] for ranges in parts), min(ranges[-1][1] for ranges in parts)
-    ranges = [(f"{where} range", near + share * (far - near)) for where, share in RANGES_COMPARED]
-    places = [(f"{name}, {where}", yaw, rng) for name, yaw in yaws for where, rng in ranges]
+    places = []
+    for (name, yaw), low, high in zip(yaws, *_window_at(geometry, plan, [yaw for _, yaw in yaws]), strict=True):
+        nearest, farthest = max(near, low), min(far, high)
+        for where, share in RANGES_COMPARED:
+            places.append((f"{name}, {where} range", yaw, nearest + share * (farthest - nearest)))
     for (name, yaw), of_block in zip(yaws, parts, strict=False):  # blocks come first
         inner = [b[1] for b in of_block[:-1]]
         places += [(f"{name}, range seam {k}|{k + 1}", yaw, rng) for k, rng in enumerate(inner) if near < rng < far]
     points = [geometry.ground_point(np.array(rng), np.array(yaw)) for _, yaw, rng in places]
     return [(name, float(p[0]), float(p[1])) for (name, _, _), p in zip(places, points, strict=True)]
+
+
+def _window_at(geometry: Geometry, plan: RunPlan, yaw: Sequence[float]) -> tuple[list[float], list[float]]:
+    """Nearest and farthest ranges, m, in the range window at each yaw, which slants over a wide block."""
+    region = plan_region(geometry, None if plan.grid is None else Grid(*plan.grid))
+    near, far = region.at(np.array(yaw))
+    return near.tolist(), far.tolist()
 
 
 def _table(chips: list[dict[str, Any]]) -> Table:

@@ -65,8 +65,10 @@ def telling_places(plan: Plan) -> dict[str, tuple[float, float]]:
     near, far = max(b.ground.near for b in plan.blocks), min(b.ground.far for b in plan.blocks)
     found = {}
     for name, yaw in yaws.items():
+        low, high = (float(limit) for limit in plan.region.at(np.array(yaw)))
         for where, share in (("near", 0.1), ("middle", 0.5), ("far", 0.9)):
-            x, y, _ = plan.geometry.ground_point(np.array(near + share * (far - near)), np.array(yaw))
+            rng = max(near, low) + share * (min(far, high) - max(near, low))
+            x, y, _ = plan.geometry.ground_point(np.array(rng), np.array(yaw))
             found[f"{name}, {where} range"] = (float(x), float(y))
     return found
 
