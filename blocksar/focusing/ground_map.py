@@ -21,7 +21,7 @@ from blocksar.kernels.fourier import Axis
 
 LIT_RANGES = 33  # of the sum over lit pulses, where that depends on range
 LEAST_LIT = 0.3  # pulses at the peak of the pattern: with a smaller sum a pixel counts as not lit
-LEAST_WEIGHT = 0.007  # of a whole dwell under a taper: a share of 8 % under hann, 5 % under hamming, 2 % under taylor
+LEAST_WEIGHT = 0.007  # of a whole dwell under a taper: a share of 10 % under hann, 4 % under hamming, 2 % under taylor
 WHOLE_DWELLS = 64  # directions in which the longest dwell is looked for
 YAW_STEPS = 4096  # of the range window's limits and the number of lit pulses along yaw
 

@@ -1,18 +1,27 @@
-"""Windows at the ends of whole dwells that a keystone spreads over a wide band."""
+"""Ends of dwells: windows over a wide band, looks, weights near zero, and ranges without a full dwell."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from axis_beams import axis_collection
 
 import blocksar
-from blocksar.collection.weighting import Taper
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
+from blocksar.collection.lit_sums import lit_pulses
+from blocksar.collection.sublooks import narrowed
+from blocksar.collection.weighting import Taper, Weighting
 from blocksar.focusing.dwell_gate import DwellGate
-from blocksar.focusing.lines import RowPolynomial
+from blocksar.focusing.lines import RowPolynomial, focus
 from blocksar.kernels import fourier
 from blocksar.planning.end_windows import end_lift
+from blocksar.planning.fidelity import smear_loss
+from blocksar.planning.plan import plan_collection
+from blocksar.planning.target_lines import find_dwells
 
 # A band of 3 %.
 SCENE = """
@@ -39,6 +48,7 @@ name = "P"
 x = 8332.0
 y = 6053.0
 """
+ONE = np.ones(900)  # all pulses are valid
 GRID = "8000:8660:3,5700:6400:3"
 
 
@@ -87,3 +97,40 @@ def test_edges_are_summed_where_windows_would_change_the_side_lobes(tmp_path: Pa
     prediction = plan.blocks[0].prediction
     assert prediction.pslr == pytest.approx(prediction.ideal_pslr, abs=0.1)
     assert prediction.ideal_pslr == pytest.approx(Taper.parse("hamming").ideal.pslr, abs=0.05)
+
+
+def test_looks_lose_at_their_ends_by_what_the_whole_beam_lights() -> None:
+    """The samples of a look hold its echoes on both sides of the ends; a real beam of that width has none beyond."""
+    collection = axis_collection("tops", n_pulse=800, beam_width=0.03)
+    look = narrowed(collection, 1, 3, 1.0)
+    assert look.lit_widths == pytest.approx(3)
+    grid = Grid(8970.0, 9030.0, 1.0, -20.0, 20.0, 1.0)
+    of_look, of_beam = (
+        plan_collection(each, blocks=1, grid=grid, fidelity=0.9, weighting=Weighting.parse("taylor:4:-35"))
+        for each in (look, replace(look, lit_width=None))
+    )
+    losses = [plan.blocks[0].prediction.dispersion_loss for plan in (of_look, of_beam)]
+    assert of_look.fade == of_beam.fade == 0
+    assert losses[0] > 1.5 * losses[1]
+
+
+def test_weights_near_zero_divide_nothing(tmp_path: Path) -> None:
+    """Under hann a pixel of a small part of a dwell came to 1e8, since its weights add up to nothing."""
+    (tmp_path / "scene.toml").write_text(SCENE)
+    for weighting, covered in (("hann", 0.11), ("hamming", 0.05), ("taylor:4:-35", 0.03)):
+        plan = blocksar.plan(tmp_path / "scene.toml", grid=GRID, weighting=weighting).result
+        grounds = [block.ground for block in plan.blocks]
+        weight, lit = (np.concatenate(each) for each in zip(*((g.weight[0], g.lit) for g in grounds), strict=True))
+        share = np.concatenate([lit_pulses(plan.geometry.collection, g.yaw_axis, ONE) for g in grounds])
+        dark = np.isnan(weight)
+        assert dark.any() and not dark[share > covered * share.max()].any()
+        assert lit[~dark].min() > 0.005 * lit.max()
+
+
+def test_a_rough_fit_without_a_full_dwell_is_judged_by_what_there_is() -> None:
+    """At three of a block's ranges none may be: it ended in a traceback on gentle terrain."""
+    collection = axis_collection()
+    geometry, yaw = Geometry(collection=collection), np.linspace(-0.01, 0.01, 5)
+    line = find_dwells(geometry, yaw=yaw, origin=9800.0, walk=0.0).lines(np.array([[9800.0], [9850.0]]))
+    none = np.zeros((2, 5), np.bool_)
+    assert np.isfinite(smear_loss(line, focus(line), line.rate, geometry, none))
