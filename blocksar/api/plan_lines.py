@@ -23,7 +23,7 @@ from blocksar.planning.plan import Plan
 from blocksar.progress import Work
 
 TRACK_TOLD = 0.01  # rad: noise of the track that leaves less is not mentioned
-LOOKED_AT = 64  # points along a side of a grid at which lit pulses are counted
+LOOKED_AT = 64  # points along a side of a grid at which lit pulses are counted, and full dwells looked for
 PLANNING_TOLD = 1.0  # s to plan, which are counted in the time of a run
 EXACT_TOLD, EXACT_GAIN = 5.0, 1.5  # s of a run, and times less that back-projection takes, from which on it is told
 SHORT_DWELL = 12  # pulses, below which a coherence of up to 0.002 less than is predicted was measured
@@ -117,14 +117,13 @@ def time_line(work: Work, assumed: Resources, planning: float = 0.0) -> str:
     )
 
 
-def exact_line(plans: Sequence[Plan], assumed: Resources, planning: float) -> list[str]:
-    """A sentence if exact back-projection would take less time than a run of some plans, else none."""
-    work = effort.together([effort.of_plan(plan, workers=assumed.workers) for plan in plans])
+def exact_line(plans: Sequence[Plan], work: Work, assumed: Resources, planning: float) -> list[str]:
+    """A sentence if exact back-projection would take less time than the `work` of some plans, else none."""
     seconds = sum(_stage_seconds(work, assumed, planning).values())
     if seconds < EXACT_TOLD:
         return []
-    work = effort.together([effort.of_backprojection(plan.geometry, plan.grid) for plan in plans])
-    exact = sum(_stage_seconds(work, assumed, 0.0).values())
+    summed = effort.together([effort.of_backprojection(plan.geometry, plan.grid) for plan in plans])
+    exact = sum(_stage_seconds(summed, assumed, 0.0).values())
     if exact > seconds / EXACT_GAIN:
         return []
     return [f"exact back-projection of this grid takes less, about {time_text(exact)}: --processor backprojection"]

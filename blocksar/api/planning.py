@@ -200,6 +200,7 @@ def _report_plan(plan: Plan, assumed: Resources, planning: float = 0.0) -> PlanR
             tables=[block_table([plan])], details=plan_details([plan]), definitions=definitions.PLAN,
             refusal=plan.refusal, result=plan, geometry=plan.geometry,
         )  # fmt: skip
+    work = effort.of_plan(plan, workers=assumed.workers)
     return PlanReport(
         tables=[block_table([plan])],
         details=plan_details([plan]),
@@ -207,8 +208,8 @@ def _report_plan(plan: Plan, assumed: Resources, planning: float = 0.0) -> PlanR
         summary=[
             *plan_lines(plan),
             *outside_window([plan]),
-            time_line(effort.of_plan(plan, workers=assumed.workers), assumed, planning),
-            *exact_line([plan], assumed, planning),
+            time_line(work, assumed, planning),
+            *exact_line([plan], work, assumed, planning),
         ],
         result=plan,
         geometry=plan.geometry,
@@ -229,7 +230,11 @@ def _report_segments(segments: Sequence[PlannedSegment], assumed: Resources, pla
     refusal = next((plan.refusal for plan in plans if plan.refusal is not None), None)
     if refusal is None:
         work = effort.together([effort.of_plan(plan, workers=assumed.workers) for plan in plans])
-        lines += [*outside_window(plans), time_line(work, assumed, planning), *exact_line(plans, assumed, planning)]
+        lines += [
+            *outside_window(plans),
+            time_line(work, assumed, planning),
+            *exact_line(plans, work, assumed, planning),
+        ]
     return PlanReport(
         tables=[block_table(plans)],
         details=plan_details(plans),

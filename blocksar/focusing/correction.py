@@ -128,13 +128,12 @@ def correct(
     out = np.empty((y.size, x.size), np.complex64) if out is None else out
     if ground.waves is not None:
         plain = replace(ground, waves=None)
-        found = tiles or tiles_of(plain, [(x, y)], [z])[0]
+        # On a terrain each shift has tiles of its own.
+        found = None if ground.relief is not None else tiles or tiles_of(plain, [(x, y)], [z])[0]
 
         def weigh_equally(shift: float) -> ComplexArray:
             part = replace(plain, doppler=replace(plain.doppler, start=plain.doppler.start - shift))
-            moved = found if ground.relief is None else tiles_of(part, [(x, y)], [z])[0]
-            if ground.relief is None and shift:
-                moved = found.moved(shift / plain.doppler.step)
+            moved = None if found is None else found.moved(shift / plain.doppler.step)
             return correct(block, part, x=x, y=y, z=z, tiles=moved, threads=threads)
 
         out[...] = sum_waves(weigh_equally, plain, ground.waves, x=x, y=y)

@@ -126,7 +126,7 @@ def edge_loss(collection: Collection, weighting: Weighting, dwell: float, moved:
     `band` is that of `plan_edges`.
     """
     interval, none = collection.pulse_interval, np.zeros(1)
-    blur = math.hypot(moved, interval / 2)
+    blur = gate_blur(collection, moved)
     energy = float(blurred_energy(none, none, np.array([moved]), blur, interval, weighting.range)[0])
     weights = _beam_weights(collection, weighting)
     beyond = max(weights.pulse * min(band * interval, 1.0) - weights.ends, 0.0)
