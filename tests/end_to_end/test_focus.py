@@ -97,13 +97,16 @@ def test_a_track_that_wobbles_is_coherent_with_back_projection(processor: Any, c
     grid = coarse_grid(store)
     blocksar.focus(store, tmp_path / "run", blocks=plan.n_blocks, processor=processor, grid=grid, client=client)
     chips = blocksar.quality(tmp_path / "run", reference=True).result["reference"]
-    # Its steps in Doppler smear the ends of dwells the most; single chips of sparse clutter lose up to twice the mean,
-    # and the far one at a seam has a tenth of the others' power.
-    least = 0.998 if processor == "high-order-phase" else 0.9988
+    # Its steps in Doppler smear the ends of dwells the most; single chips of sparse clutter lose up to twice the mean.
+    least, judged = 0.998 if processor == "high-order-phase" else 0.999, 0
     for chip in chips:
-        assert chip["coherence"] >= least, chip
+        # The range window is wider than the swath: beyond it is no clutter, only what its side lobes leave.
+        if 29500 < float(plan.geometry.epoch_range(np.array(chip["x"]), np.array(chip["y"]))) < 30500:
+            assert chip["coherence"] >= least, chip
+            judged += 1
         assert chip["gain"] == pytest.approx(1.0, abs=0.02), chip
         assert abs(chip["phase"]) <= 0.02, chip
+    assert judged >= 10
 
 
 @pytest.mark.parametrize("name", ["table1", "35 GHz, 100 MHz"])
