@@ -22,11 +22,11 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.weighting import Taper
 from blocksar.focusing.lines import RowPolynomial
 from blocksar.kernels.fourier import fast_length, fft_rows
-from blocksar.kernels.fresnel import smeared_step
 
 Step = Callable[[FloatArray, float], NDArray[np.complex128]]  # (times since an end, s; slope, s/Hz) -> its smeared step
-FADE_SAMPLES = 16  # at least, of the grid on which a faded window is made, over its fade
-SMEARS = 12.0  # sqrt(e) beyond which the smear of a faded window is small
+FADE_SAMPLES = 16  # at least, of the grid on which a faded window is smeared, over its fade
+RISE_SAMPLES = 256  # at least, of that of any other one over its half
+SMEARS = 12.0  # sqrt(e) beyond which the smear is small
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,25 +116,18 @@ class DwellTaper:
 def stepped_rise(
     taper: Taper, since: FloatArray, length: float, step: NDArray[np.complex128], *, slope: float
 ) -> NDArray[np.complex128]:
-    """A taper's first half over `length`, then 1, at times since the end: (n,).
+    """A taper's first half over `length`, then 1, at uniform times since the end: (n,).
 
-    `step` is the smeared step there, F. The taper begins by a step, of its weight at the end, and a ramp, which under
-    the Fresnel integral of the slope e becomes t F(t) + (1j e / 2 pi) F'(t). The rest is smooth, so that each of its
-    cosines, of rate k, is only multiplied by exp(-1j k^2 e / 4 pi).
+    `step` is the smeared step there, which the taper begins by. The rest is continuous, and is smeared by a transform.
+    Its curvature jumps at both ends of the half: where a half is not much longer than its smear, that counts.
     """
-    terms, frequency = taper.series
-    turns = np.pi * frequency * np.arange(terms.size)
-    edge, pace = (terms * np.cos(turns)).sum(), (terms * turns * np.sin(turns)).sum() / length
-    turned = terms * np.exp(-0.25j / np.pi * slope * (turns / length) ** 2)
-    inside = (since > 0) & (since < length)
-    rest = np.where(since > 0, terms.sum() - edge - pace * since, 0.0).astype(np.complex128)
-    rest[inside] = (turned[:, None] * np.cos(np.outer(turns, since[inside] / length - 1))).sum(axis=0)
-    rest[inside] -= edge + pace * since[inside]
-    total = edge * step + rest
-    if abs(pace) * length > 1e-9 * terms.sum():  # without blur, or the two terms would not cancel far from the end
-        ramp = since * smeared_step(since, slope=slope, blur=0.0)
-        total += pace * (ramp + np.sqrt(1j * slope) / (2 * np.pi) * np.exp(1j * np.pi / slope * since**2))
-    return np.asarray(total / terms.sum())
+    edge = float(taper(np.array(1.0)) / taper(np.array(0.0)))
+
+    def rest(time: FloatArray) -> FloatArray:
+        return np.where(time > 0, taper(np.clip(1 - time / length, 0, 1)) / taper(np.array(0.0)) - edge, 0.0)
+
+    finer = math.ceil(abs(float(since[1] - since[0])) * RISE_SAMPLES / length)
+    return edge * step + _smeared(rest, since, length, slope=slope, finer=finer)
 
 
 def faded_rise(
@@ -147,23 +140,31 @@ def faded_rise(
     slope: float,
     fade: int,
 ) -> NDArray[np.complex128]:
-    """The same for a taper that fades to zero over the first 1 / fade of a half, at uniform times (n,).
+    """The same for a taper that fades to zero over the first 1 / fade of a half."""
 
-    Convolved with the Fresnel kernel by a transform on a finer grid: a fade as narrow as this one is no short sum of
-    cosines. The grid goes on at both ends, where what the transform wraps around can fade out.
+    def profile(time: FloatArray) -> FloatArray:
+        rise = faded_taper(taper, half.place(time, fade, knots, length=length), fade) / taper(np.array(0.0))
+        return rise * half.levels(time / length) if half.level else rise
+
+    finer = math.ceil(abs(float(since[1] - since[0])) * fade / length * FADE_SAMPLES)
+    return _smeared(profile, since, length, slope=slope, finer=finer)
+
+
+def _smeared(
+    profile: Callable[[FloatArray], FloatArray], since: FloatArray, length: float, *, slope: float, finer: int
+) -> NDArray[np.complex128]:
+    """A profile of the times since an end, convolved with the Fresnel kernel of the area `slope`: (n,).
+
+    By a transform on a finer grid that goes on at both ends, where what the transform wraps around can fade out.
     """
     step, beyond = abs(float(since[1] - since[0])), max(length / 2, SMEARS * math.sqrt(slope))
-    finer = math.ceil(step * fade / length * FADE_SAMPLES)
     before = math.ceil(beyond / step)
     size = fast_length((since.size + 2 * before) * finer)
     fine = min(float(since[0]), float(since[-1])) + (np.arange(size) - before * finer) * step / finer
-    profile = faded_taper(taper, half.place(fine, fade, knots, length=length), fade) / taper(np.array(0.0))
-    profile = profile * np.clip(2 * (fine[-1] - fine) / beyond, 0, 1)
-    if half.level:
-        profile *= half.levels(fine / length)
+    values = profile(fine) * np.clip(2 * (fine[-1] - fine) / beyond, 0, 1)
     frequency = (np.arange(size) + size // 2) % size - size // 2
     kernel = np.exp(-1j * np.pi * slope * (frequency * finer / (size * step)) ** 2)
-    spectrum = fft_rows(profile[None].astype(np.complex128), inverse=False)
+    spectrum = fft_rows(values[None].astype(np.complex128), inverse=False)
     window = fft_rows(spectrum * kernel, inverse=True)[0, before * finer :: finer][: since.size]
     return window if since[1] > since[0] else window[::-1]
 
