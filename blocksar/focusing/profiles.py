@@ -11,11 +11,11 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.weighting import FLAT, Taper
 from blocksar.kernels.fourier import Axis, fast_length, fft_rows, unit_phasor
 from blocksar.kernels.groups import row_groups, run_groups
-from blocksar.kernels.lanes import FIXED_RANGE
+from blocksar.kernels.lanes import FEW, FIXED_RANGE
 from blocksar.kernels.operations import Transform
 
 UPSAMPLING = 6  # bins per range cell: the error of the quadratic spline is then -69 dB, see spline_error
-MARGIN = 2  # bins on either side of the window that the spline may use
+MARGIN = FEW + 1  # bins on either side of the range window that are loaded with those that the spline uses
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -16,6 +16,7 @@ from numba import extending, types
 
 LANES = 32  # samples processed at a time: two of the widest vector registers, to hide the latency of one
 FEW = 16  # lanes of `load_few`, for loops with so many values in use that LANES would not leave enough registers
+NEAR = -FEW + 1, FEW - 2  # offsets that `load_near` takes
 WEIGHED_ROWS = 12  # rows that `weigh_rows` sums: the taps along range of most windows
 
 _numba: Any = extending  # only partly annotated; Any, or every argument would need a type ignore
@@ -228,6 +229,33 @@ def remainder(typing_context: Any, cycles: Any) -> Any:
 
 
 @_numba.intrinsic
+def single(typing_context: Any, value: Any) -> Any:
+    """float64 lanes as float32."""
+    lanes = Lanes(types.float32, value.count)
+    return lanes(value), lambda context, builder, signature, values: builder.fptrunc(
+        values[0], context.get_value_type(lanes)
+    )
+
+
+@_numba.intrinsic
+def nearest(typing_context: Any, value: Any) -> Any:
+    """The whole number nearest to each of float32 lanes below 2^22, as int32, and what is left of the lane."""
+    numbers = Lanes(types.int32, value.count)
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        # The sum with this has no bits of a fraction, and in its low bits the whole number.
+        ones = ir.Constant(values[0].type, [1.5 * 2.0**23] * value.count)
+        raised = builder.fadd(values[0], ones)
+        kind = context.get_value_type(numbers)
+        number = builder.sub(builder.bitcast(raised, kind), builder.bitcast(ones, kind))
+        left = builder.fsub(values[0], builder.fsub(raised, ones))
+        return context.make_tuple(builder, signature.return_type, [number, left])
+
+    pair: Any = types.Tuple  # carries no types
+    return pair([numbers, value])(value), generate
+
+
+@_numba.intrinsic
 def prefetch(typing_context: Any, array: Any, row: Any, column: Any) -> Any:
     """Prefetch array[row, column] into the cache: only a hint, so any address is allowed."""
 
@@ -341,28 +369,73 @@ def whole(typing_context: Any, number: Any) -> Any:
 
 @_numba.intrinsic
 def load_triples(typing_context: Any, array: Any, origin: Any, indices: Any, first: Any) -> Any:
-    """array[m - 1], array[m] and array[m + 1] of float64, for FEW places m = origin + indices[first], ...
+    """array[m - 1], array[m] and array[m + 1] for FEW places m = origin + indices[first], ...
 
-    Complex64 samples are loaded by viewing them as float64. The elements m - 2 to m + 1 of each place are loaded as one
-    vector and the vectors transposed, since gathers take twice the time. The array's ends are not checked.
+    The array is of complex64 viewed as float64, so that samples are loaded whole; the real parts of the three are
+    returned, and then their imaginary parts. The array's ends are not checked.
     """
-    lanes = Lanes(array.dtype, FEW)
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        number, four = values[1].type, ir.VectorType(ir.DoubleType(), 4).as_pointer()
-        start = builder.sub(values[1], ir.Constant(number, 2))
-        data = _address(context, builder, ir.DoubleType(), signature.args[0], values[0], start)
-        places = context.make_array(signature.args[2])(context, builder, values[2]).data
-        rows = []
-        for lane in range(FEW):
-            index = builder.load(builder.gep(places, [builder.add(values[3], ir.Constant(number, lane))]))
-            address = builder.gep(data, [builder.sext(index, number)])
-            rows.append(builder.load(builder.bitcast(address, four), align=8))
-        eights = [_last_columns(builder, rows[lane : lane + 8]) for lane in range(0, FEW, 8)]
-        joined = [builder.shuffle_vector(*halves, _indices(range(FEW))) for halves in zip(*eights, strict=True)]
-        return context.make_tuple(builder, signature.return_type, joined)
+        samples, start, index, lane = values
+        places = builder.gep(context.make_array(signature.args[2])(context, builder, index).data, [lane])
+        each = [builder.load(builder.gep(places, [ir.Constant(start.type, k)])) for k in range(FEW)]
+        data = context.make_array(signature.args[0])(context, builder, samples).data
+        return context.make_tuple(builder, signature.return_type, _gathered(builder, data, start, each))
 
-    return _tuple(lanes, 3)(array, types.intp, indices, types.intp), generate
+    return _tuple(Lanes(types.float32, FEW), 6)(array, types.intp, indices, types.intp), generate
+
+
+@_numba.intrinsic
+def load_near(typing_context: Any, array: Any, origin: Any, offsets: Any) -> Any:
+    """The same for places origin + offsets, int32 lanes from NEAR[0] to NEAR[1].
+
+    All that is as near lies in four registers, which are permuted on CPUs that can; so all of it has to be there.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        samples, start, offset = values
+        data = context.make_array(signature.args[0])(context, builder, samples).data
+        if "+avx512f" in context.codegen().magic_tuple()[2]:
+            return context.make_tuple(builder, signature.return_type, _permuted(builder, data, start, offset))
+        each = [builder.extract_element(offset, ir.Constant(ir.IntType(32), k)) for k in range(FEW)]
+        return context.make_tuple(builder, signature.return_type, _gathered(builder, data, start, each))
+
+    return _tuple(Lanes(types.float32, FEW), 6)(array, types.intp, offsets), generate
+
+
+def _permuted(builder: Any, data: Any, start: Any, offset: Any) -> list[Any]:
+    """`load_near` from two registers for the real and two for the imaginary parts."""
+    number, vector = start.type, ir.VectorType(ir.FloatType(), FEW)
+    first = builder.gep(data, [builder.add(start, ir.Constant(number, NEAR[0] - 1))])
+    both = ir.VectorType(ir.FloatType(), 2 * FEW).as_pointer()
+    pairs = [
+        builder.load(builder.bitcast(builder.gep(first, [ir.Constant(number, k)]), both), align=8) for k in (0, FEW)
+    ]
+    kind = ir.FunctionType(vector, [vector, offset.type, vector])
+    permute = builder.module.declare_intrinsic("llvm.x86.avx512.vpermi2var.ps.512", fnty=kind)
+    found = []
+    for part in (0, 1):
+        low, high = (builder.shuffle_vector(pair, pair, _indices(range(part, 2 * FEW, 2))) for pair in pairs)
+        for k in (0, 1, 2):
+            at = builder.add(offset, ir.Constant(offset.type, [k - NEAR[0]] * FEW))
+            found.append(builder.call(permute, [low, at, high]))
+    return found
+
+
+def _gathered(builder: Any, data: Any, start: Any, each: list[Any]) -> list[Any]:
+    """`load_triples` for places start + each.
+
+    The elements m - 2 to m + 1 of each place are loaded as one vector and the vectors transposed, since gathers take
+    twice the time.
+    """
+    number, four = start.type, ir.VectorType(ir.DoubleType(), 4).as_pointer()
+    data = builder.gep(data, [builder.sub(start, ir.Constant(number, 2))])
+    addresses = [builder.gep(data, [builder.sext(index, number)]) for index in each]
+    rows = [builder.load(builder.bitcast(address, four), align=8) for address in addresses]
+    eights = [_last_columns(builder, rows[lane : lane + 8]) for lane in range(0, FEW, 8)]
+    joined = [builder.shuffle_vector(*halves, _indices(range(FEW))) for halves in zip(*eights, strict=True)]
+    vector = ir.VectorType(ir.FloatType(), FEW)
+    return [builder.bitcast(_words(builder, samples, half), vector) for half in (0, 1) for samples in joined]
 
 
 def _last_columns(builder: Any, rows: Any) -> Any:
@@ -374,18 +447,3 @@ def _last_columns(builder: Any, rows: Any) -> Any:
     )
     low, high = [0, 1, 4, 5, 8, 9, 12, 13], [2, 3, 6, 7, 10, 11, 14, 15]
     return [builder.shuffle_vector(*two, _indices(taken)) for two, taken in ((odd, low), (even, high), (odd, high))]
-
-
-def _part(half: int) -> Any:
-    """Make the intrinsic that returns the real (0) or imaginary (1) parts of lanes from `load_triples`."""
-
-    def part(typing_context: Any, samples: Any) -> Any:
-        lanes = Lanes(types.float32, samples.count)
-        return lanes(samples), lambda context, builder, signature, values: builder.bitcast(
-            _words(builder, values[0], half), context.get_value_type(lanes)
-        )
-
-    return _numba.intrinsic(part)
-
-
-real_part, imag_part = _part(0), _part(1)

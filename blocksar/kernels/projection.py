@@ -16,12 +16,18 @@ reach beyond the unambiguous window, the loop takes the square root instead. Eit
 1e-16 of R: 1e-10 m at 700 km. Phases are reduced to less than a cycle in fixed point, of 2^-32; sines and cosines, the
 weights of the quadratic spline and sums over pulses are float32.
 
+Pixels are summed in groups, squares where they can be. Where a group is so small that its pixels are less than
+MOST_CYCLES from its middle, only the middle's range is found as above, FEW pulses at a time, with the direction there;
+those of the pixels follow from it by the same series to 2 q^2, in float32, with 1e-4 rad at most of the phase lost.
+
 Under a taper over a steered beam a pulse's weight changes from pixel to pixel (`beam_weights`); tiles are divided until
 the polynomial of the place in the beam is precise.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,14 +41,16 @@ from blocksar.kernels.lanes import (
     FEW,
     FIXED_POINT,
     FIXED_RANGE,
+    NEAR,
     from_half,
     from_whole,
-    imag_part,
     larger,
     load_few,
+    load_near,
     load_triples,
-    real_part,
+    nearest,
     remainder,
+    single,
     smaller,
     spread_few,
     square_root,
@@ -57,6 +65,9 @@ from blocksar.kernels.trigonometry import cosine, cosine_and_sine
 
 SERIES_ERROR = 1e-9  # m
 CHUNK = 32  # pulses whose profiles, as far as neighbouring pixels read them, stay in the first-level cache
+SQUARE = 4  # pixels, of whose ranges those of a group are as close together as can be
+MOST_FILLED = 1.2  # times the pixels of a tile, to fill squares
+MOST_CYCLES = 256.0  # from the middle of a group, of which float32 has enough of the phase: 1e-4 rad
 SMALL = 4096  # pixels of a tile that is not divided
 NEAREST = 1.0  # m: nearer antennas are left to the square root
 PULSES = types.int32[::1]
@@ -140,55 +151,88 @@ def project(
     height : (n_row, n_column) float, optional
         Of the pixels, over the ground that `sights.antenna` is over, m; finite. None: they lie on it.
     """
-    size, n_bin = x.size, sights.values.shape[1]
-    padded = -(-size // FEW) * FEW  # whole groups: the last pixel is repeated
-    place, lit = np.empty((2, padded)), np.empty((2, padded), np.int32)
-    for row, axis in zip((*place, *lit), (x, y, first, last), strict=True):
-        row[:size].reshape(x.shape)[...] = axis
-        row[size:] = row[size - 1]
-    groups = lit.reshape(2, -1, FEW)
-    spans = np.stack([groups[0].min(axis=1), groups[1].max(axis=1)], axis=1, dtype=np.int64)
-    np.clip(spans, sights.start, sights.start + sights.reference_range.size, out=spans)
-    begin, end = int(spans[:, 0].min()), int(spans[:, 1].max())
+    size, n_bin, stop = x.size, sights.values.shape[1], sights.start + sights.reference_range.size
+    begin, end = max(int(first.min()), sights.start), min(int(last.max()), stop)
     if begin >= end:
         return
+    side = _group_side(x.shape)
+    place = np.stack([_in_groups(axis, side) for axis in (x, y)])
+    lit = np.stack([_in_groups(axis, side) for axis in (first, last)], dtype=np.int32)
+    spans = np.clip(np.stack([lit[0].min(axis=1), lit[1].max(axis=1)], axis=1, dtype=np.int64), begin, end)
     pulses = slice(begin - sights.start, end - sights.start)
-    low, high = place.min(axis=1), place.max(axis=1)
+    low, high = place.min(axis=(1, 2)), place.max(axis=(1, 2))
     centre = (low + high) / 2
-    reach, middle, relief = float(np.hypot(*(high - low)) / 2), 0.0, np.empty(0)
+    reach, middle, relief = float(np.hypot(*(high - low)) / 2), 0.0, np.empty((0, FEW))
     if height is not None:
-        relief = np.empty(padded)
-        relief[:size].reshape(x.shape)[...] = height
-        relief[size:] = relief[size - 1]
+        relief = _in_groups(height, side)
         middle = float(relief.min() + relief.max()) / 2
-        relief -= middle
+        relief = relief - middle
         reach = float(np.hypot(reach, relief.max()))
     series, roots = pulse_tables(sights, pulses, centre, reach=reach, height=middle)
     over = None if height is None else (middle, float(relief.max()))
     places, precise = place_tables(sights.taper, pulses, low, high, over)
-    if (size > SMALL and not series[:, 0].all()) or (size > 1 and not precise):
+    if (size > SMALL and not series[0, :-FEW].all()) or (size > 1 and not precise):
         for part in _halves(x.shape):
             of_part = None if height is None else height[part]
             project(
                 image[part], outside[part], sights, x[part], y[part], first[part], last[part], weight[part], of_part
             )
         return
-    sums, farthest = np.zeros((3, padded), np.float32), np.zeros(padded)
+    middles, close = _middles([*place, relief] if relief.size else [*place], sights)
+    close &= bool(series[0, :-FEW].all())
+    sums, farthest = np.zeros((3, place[0].size), np.float32), np.zeros(place[0].size)
     terms = np.zeros(0, np.float32) if sights.taper is None else sights.taper.series
     frequency, fade = (0.0, 0) if sights.taper is None else (sights.taper.frequency, sights.taper.fade)
     # A sample is loaded as one number of 64 bits, so that vectors of samples are transposed whole.
     samples, origins = sights.values.reshape(-1).view(np.float64), sights.rows[pulses] * n_bin + sights.middle
     add_pulses(
-        *sums, farthest, samples, origins, *place, *centre, *lit, spans, begin, series, roots,
-        sights.cycles_per_metre, sights.bins_per_metre, sights.half_window, places, terms, frequency / 2,
-        fade / 2, relief,
+        *sums, farthest, samples, origins, *(axis.ravel() for axis in place), *centre, *(axis.ravel() for axis in lit),
+        spans, close, middles, begin, series, roots, sights.cycles_per_metre, sights.bins_per_metre,
+        sights.half_window, places, terms, frequency / 2, fade / 2, relief.ravel(),
     )  # fmt: skip
     if sights.taper is not None:
-        weight += sums[2, :size].reshape(image.shape)
-    image.real += sums[0, :size].reshape(image.shape)
-    image.imag += sums[1, :size].reshape(image.shape)
-    if not series[:, 0].all():
-        outside |= (farthest[:size] > sights.half_window).reshape(image.shape)
+        weight += _from_groups(sums[2], side, image.shape)
+    image.real += _from_groups(sums[0], side, image.shape)
+    image.imag += _from_groups(sums[1], side, image.shape)
+    if not series[0, :-FEW].all():
+        outside |= _from_groups(farthest, side, image.shape) > sights.half_window
+
+
+def _group_side(shape: tuple[int, ...]) -> tuple[int, int]:
+    """Rows and columns of the pixels of a group: a square, or one after the other where squares would add many."""
+    filled = math.prod(-(-n // SQUARE) * SQUARE for n in shape)
+    return (SQUARE, SQUARE) if filled <= MOST_FILLED * math.prod(shape) else (1, FEW)
+
+
+def _in_groups(values: NDArray[Any], side: tuple[int, int]) -> NDArray[Any]:
+    """Pixels (n_row, n_column) as groups (n, FEW), the last pixels repeated to make them whole."""
+    values = values.reshape(1, -1) if side[0] == 1 else values
+    fill = [(0, -n % k) for n, k in zip(values.shape, side, strict=True)]
+    filled = np.pad(values, fill, mode="edge") if any(after for _, after in fill) else values
+    return filled.reshape(filled.shape[0] // side[0], side[0], -1, side[1]).swapaxes(1, 2).reshape(-1, FEW)
+
+
+def _from_groups(values: NDArray[Any], side: tuple[int, int], shape: tuple[int, ...]) -> NDArray[Any]:
+    """Values of the lanes of groups as the pixels (n_row, n_column) of a shape."""
+    if side[0] == 1:
+        return values[: math.prod(shape)].reshape(shape)
+    rows, columns = (-(-n // k) for n, k in zip(shape, side, strict=True))
+    pixels = values.reshape(rows, columns, *side).swapaxes(1, 2).reshape(rows * side[0], columns * side[1])
+    return pixels[: shape[0], : shape[1]]
+
+
+def _middles(axes: Sequence[FloatArray], sights: Sights) -> tuple[FloatArray, BoolArray]:
+    """The middles of groups whose pixels lie at coordinates (n, FEW), m, each: (3, n) float, the third 0 on a plane.
+
+    And whether their ranges differ by so little that those from the middle may be found in float32, and the samples
+    by `load_near`.
+    """
+    middles, squared = np.zeros((3, axes[0].shape[0])), 0.0
+    for middle, axis in zip(middles, axes, strict=False):
+        middle[:] = (axis.min(axis=1) + axis.max(axis=1)) / 2
+        squared = squared + np.square(axis - middle[:, None]).max(axis=1)
+    apart = np.sqrt(squared)
+    return middles, (apart * sights.bins_per_metre < NEAR[1] - 1) & (apart * sights.cycles_per_metre < MOST_CYCLES)
 
 
 def _halves(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
@@ -204,7 +248,8 @@ def pulse_tables(
 ) -> tuple[FloatArray, FloatArray]:
     """For each pulse, what the series needs, first whether it may be used; and what the square root needs.
 
-    The last column of each is for pixels that lie over or under the centre, which is at a height, m.
+    The last of each is for pixels that lie over or under the centre, which is at a height, m. Of the first table, (8,
+    n + FEW), each row is of one kind, and goes on with zeros; the second is (n, 5).
     """
     x, y = centre[:, None] - sights.antenna[:2, pulses]
     up = height - sights.antenna[2, pulses]
@@ -214,13 +259,14 @@ def pulse_tables(
     cycles, scale = per_metre * away, per_metre / distance
     precise = (series_error(reach, distance) < SERIES_ERROR) & (distance > NEAREST)
     inside = (np.abs(away) + 2 * reach < sights.half_window) & (2 * reach * per_metre < FIXED_RANGE / 2)
-    series = np.empty((distance.size, 8))
-    series[:, 0] = precise & inside
-    series[:, 1], series[:, 2], series[:, 3] = scale * x, scale * y, scale / 2
-    series[:, 4] = 0.5 / (distance * per_metre)
-    series[:, 5] = cycles - np.rint(cycles) + FIXED_POINT
-    series[:, 6] = away * sights.bins_per_metre + (FIXED_POINT + 0.5)
-    series[:, 7] = scale * up
+    series = np.zeros((8, distance.size + FEW))
+    of_pulses = series[:, : distance.size]
+    of_pulses[0] = precise & inside
+    of_pulses[1], of_pulses[2], of_pulses[3] = scale * x, scale * y, scale / 2
+    of_pulses[4] = 0.5 / (distance * per_metre)
+    of_pulses[5] = cycles - np.rint(cycles) + FIXED_POINT
+    of_pulses[6] = away * sights.bins_per_metre + (FIXED_POINT + 0.5)
+    of_pulses[7] = scale * up
     return series, np.stack([x, y, over, reference, up], axis=1)
 
 
@@ -230,10 +276,39 @@ def _by_series(series: Any, k: Any, slope: Any, dx: Any, dy: Any, bins_per_cycle
 
     `slope` is the part of z that does not depend on dx and dy to the first order.
     """
-    z = series[k, 1] * dx + (series[k, 2] * dy + slope)
-    q = series[k, 4] * z
-    away = z + z * (q * (((14.0 * q - 5.0) * q + 2.0) * q - 1.0))
-    return from_whole(away + series[k, 5]), away * bins_per_cycle + series[k, 6]
+    away = _series(series[1, k] * dx + (series[2, k] * dy + slope), series[4, k])
+    return from_whole(away + series[5, k]), away * bins_per_cycle + series[6, k]
+
+
+@njit(inline="always")
+def _series(z: Any, g: Any) -> Any:
+    """The range less that of the centre, by the series of z and q = g z."""
+    q = g * z
+    return z + z * (q * (((14.0 * q - 5.0) * q + 2.0) * q - 1.0))
+
+
+@njit(inline="always")
+def _see_middle(seen: Any, bins: Any, series: Any, k: Any, j: Any, dx: Any, dy: Any, dz: Any, per_cycle: Any) -> None:
+    """What the pixels about the middle of a group need of FEW pulses, in `seen` (7, n) and `bins` (n,) from j on.
+
+    The middle lies at (dx, dy, dz) from the tile's centre. In order: its phase, about a whole number of cycles; how far
+    it lies from its bin; g and the direction there, in cycles; and what q is of z. The latter follow from those of the
+    tile's centre, as the middle is farther away by the factor 1 + t, without t^5.
+    """
+    x, y, z, g = load_few(series[1], k), load_few(series[2], k), load_few(series[7], k), load_few(series[3], k)
+    per_range = load_few(series[4], k)
+    away = _series(x * dx + (y * dy + (z * dz + g * (dx * dx + dy * dy + dz * dz))), per_range)
+    position = away * per_cycle + load_few(series[6], k)
+    store(seen[0], j, from_whole(away + load_few(series[5], k)))
+    store(seen[1], j, from_half(position))
+    store(bins, j, whole(position))
+    t = per_range * (away + away)
+    nearer = 1.0 - t * (1.0 - t * (1.0 - t * (1.0 - t)))
+    store(seen[2], j, single(g * nearer))
+    store(seen[3], j, single((x + (g + g) * dx) * nearer))
+    store(seen[4], j, single((y + (g + g) * dy) * nearer))
+    store(seen[5], j, single((z + (g + g) * dz) * nearer))
+    store(seen[6], j, single(per_range * nearer))
 
 
 @njit(inline="always")
@@ -246,13 +321,12 @@ def _by_root(roots: Any, k: Any, dx: Any, dy: Any, up: Any) -> Any:
 @njit(inline="always")
 def _sample(triples: Any, right: Any) -> Any:
     """Real and imaginary part of the quadratic spline at `right` bins from the middle one of three."""
+    a, b, c, d, e, f = triples
     half, eighth, three_quarters = np.float32(0.5), np.float32(0.125), np.float32(0.75)
     odd, square = half * right, right * right
     even = half * square + eighth
     before, at, after = even - odd, three_quarters - square, even + odd
-    a, b, c = triples
-    real = before * real_part(a) + at * real_part(b) + after * real_part(c)
-    return real, before * imag_part(a) + at * imag_part(b) + after * imag_part(c)
+    return before * a + at * b + after * c, before * d + at * e + after * f
 
 
 @njit(inline="always")
@@ -291,9 +365,9 @@ def _faded(v: Any, terms: Any, half_fade: Any) -> Any:
 
 @loop(
     types.float32[::1], types.float32[::1], types.float32[::1], types.float64[::1], REAL_ROW, ORIGINS,
-    REAL_ROW, REAL_ROW, types.float64, types.float64, PULSES, PULSES, types.int64[:, ::1], types.int64,
-    REAL_ROWS, REAL_ROWS, types.float64, types.float64, types.float64, REAL_ROWS, WEIGHTS, types.float64,
-    types.float64, REAL_ROW, **COMPILED,
+    REAL_ROW, REAL_ROW, types.float64, types.float64, PULSES, PULSES, types.int64[:, ::1], types.boolean[::1],
+    REAL_ROWS, types.int64, REAL_ROWS, REAL_ROWS, types.float64, types.float64, types.float64, REAL_ROWS, WEIGHTS,
+    types.float64, types.float64, REAL_ROW, **COMPILED,
 )  # fmt: skip
 def add_pulses(
     real: NDArray[np.float32],
@@ -309,6 +383,8 @@ def add_pulses(
     first: NDArray[np.int32],
     last: NDArray[np.int32],
     spans: IntArray,
+    close: BoolArray,
+    middles: FloatArray,
     start: int,
     series: FloatArray,
     roots: FloatArray,
@@ -327,14 +403,16 @@ def add_pulses(
     polynomials and, last, the fraction of valid samples; `weight` rises by their sum.
 
     `spans` holds the pulses that light any pixel of a group of FEW; tables begin at the pulse `start`, also `origins`,
-    which has the sample of each profile at its pulse's reference range.
+    which has the sample of each profile at its pulse's reference range. Pixels of `close` groups are seen from their
+    middle: its range and direction are found in float64, for FEW pulses at a time, and theirs from that in float32.
     `farthest` rises to |range - reference_range| where a lit pulse needed the square root. `relief` has the heights of
     the pixels over the tile's centre; it is empty on a plane. Weights fade where `half_fade` is positive.
     """
     turns, rights = np.empty(CHUNK * FEW, np.float32), np.empty(CHUNK * FEW, np.float32)
     bins, shares = np.empty(CHUNK * FEW, np.int32), np.empty(CHUNK * FEW, np.float32)
+    seen, per_cycle = np.empty((7, CHUNK + FEW), np.float32), bins_per_metre / cycles_per_metre
     hilly, weighted = relief.size > 0, terms.size > 0
-    for begin in range(start, start + series.shape[0], CHUNK):
+    for begin in range(start, start + series.shape[1] - FEW, CHUNK):
         for group in range(spans.shape[0]):
             i = group * FEW
             dx, dy = load_few(x, i) - centre_x, load_few(y, i) - centre_y
@@ -344,27 +422,6 @@ def add_pulses(
                 dz = load_few(relief, i)
                 square = square + dz * dz
             low, high = max(spans[group, 0], begin), min(spans[group, 1], begin + CHUNK)
-            # Two loops, since the way from a pulse to its samples is long: the CPU then looks ahead over more pulses.
-            for p in range(low, high):
-                j, k = (p - low) * FEW, p - start
-                if series[k, 0] > 0:
-                    slope = series[k, 3] * square
-                    if hilly:
-                        slope = series[k, 7] * dz + slope
-                    cycles, position = _by_series(series, k, slope, dx, dy, bins_per_metre / cycles_per_metre)
-                else:
-                    up = spread_few(roots[k, 2])
-                    if hilly:
-                        up = (dz + roots[k, 4]) * (dz + roots[k, 4])
-                    away = _by_root(roots, k, dx, dy, up)
-                    reached = within(larger(away, 0.0 - away), lit, p, unlit)
-                    store(farthest, i, larger(reached, load_few(farthest, i)))
-                    cycles = remainder(away * cycles_per_metre)
-                    away = smaller(larger(away, -half_window), half_window)
-                    position = away * bins_per_metre + (FIXED_POINT + 0.5)
-                store(turns, j, cycles)
-                store(bins, j, whole(position))
-                store(rights, j, from_half(position))
             if weighted:
                 share = load_few(weight, i)
                 for p in range(low, high):
@@ -379,6 +436,54 @@ def add_pulses(
                     share = share + part * np.float32(places[k, 6])
                 store(weight, i, share)
             re, im = load_few(real, i), load_few(imag, i)
+            if close[group]:
+                mx, my, mz = middles[0, group] - centre_x, middles[1, group] - centre_y, middles[2, group]
+                for p in range(low, high, FEW):
+                    _see_middle(seen, bins, series, p - start, p - low, mx, my, mz, per_cycle)
+                ux, uy = single(dx - mx), single(dy - my)
+                uz, square_u = ux, ux * ux + uy * uy
+                if hilly:
+                    uz = single(dz - mz)
+                    square_u = square_u + uz * uz
+                for p in range(low, high):
+                    j = p - low
+                    z = seen[3, j] * ux + (seen[4, j] * uy + seen[2, j] * square_u)
+                    if hilly:
+                        z = z + seen[5, j] * uz
+                    q = seen[6, j] * z
+                    away = z + z * (q * (q + q - np.float32(1.0)))
+                    _, turn = nearest(away + seen[0, j])
+                    offset, right = nearest(away * np.float32(per_cycle) + seen[1, j])
+                    a, b = _sample(load_near(samples, origins[p - start] + bins[j], offset), right)
+                    a, b = within(a, lit, p, unlit), within(b, lit, p, unlit)
+                    cos, sin = cosine_and_sine(turn)
+                    if weighted:
+                        cos, sin = cos * load_few(shares, j * FEW), sin * load_few(shares, j * FEW)
+                    re, im = re + a * cos - b * sin, im + a * sin + b * cos
+                store(real, i, re)
+                store(imag, i, im)
+                continue
+            # Two loops, since the way from a pulse to its samples is long: the CPU then looks ahead over more pulses.
+            for p in range(low, high):
+                j, k = (p - low) * FEW, p - start
+                if series[0, k] > 0:
+                    slope = series[3, k] * square
+                    if hilly:
+                        slope = series[7, k] * dz + slope
+                    cycles, position = _by_series(series, k, slope, dx, dy, per_cycle)
+                else:
+                    up = spread_few(roots[k, 2])
+                    if hilly:
+                        up = (dz + roots[k, 4]) * (dz + roots[k, 4])
+                    away = _by_root(roots, k, dx, dy, up)
+                    reached = within(larger(away, 0.0 - away), lit, p, unlit)
+                    store(farthest, i, larger(reached, load_few(farthest, i)))
+                    cycles = remainder(away * cycles_per_metre)
+                    away = smaller(larger(away, -half_window), half_window)
+                    position = away * bins_per_metre + (FIXED_POINT + 0.5)
+                store(turns, j, cycles)
+                store(bins, j, whole(position))
+                store(rights, j, from_half(position))
             for p in range(low, high):
                 j = (p - low) * FEW
                 a, b = _sample(load_triples(samples, origins[p - start], bins, j), load_few(rights, j))

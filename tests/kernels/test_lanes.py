@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from blocksar.kernels import lanes
-from blocksar.kernels.lanes import FEW, FIXED_POINT, FIXED_RANGE, load_few, store
+from blocksar.kernels.lanes import FEW, FIXED_POINT, FIXED_RANGE, NEAR, load_few, store
 
 
 @njit
@@ -20,11 +20,24 @@ def fixed(values: Any, nearest: Any, middle: Any, below: Any) -> None:
 
 
 @njit
-def triples(samples: Any, origin: Any, index: Any, real: Any, imag: Any) -> None:
+def triples(samples: Any, origin: Any, index: Any, parts: Any) -> None:
     found = lanes.load_triples(samples, origin, index, FEW)
-    for k in range(3):
-        store(real[k], 0, lanes.real_part(found[k]))
-        store(imag[k], 0, lanes.imag_part(found[k]))
+    for k in range(6):
+        store(parts[k], 0, found[k])
+
+
+@njit
+def near(samples: Any, origin: Any, offset: Any, parts: Any) -> None:
+    found = lanes.load_near(samples, origin, load_few(offset, 0))
+    for k in range(6):
+        store(parts[k], 0, found[k])
+
+
+@njit
+def rounded(values: Any, number: Any, left: Any) -> None:
+    n, rest = lanes.nearest(lanes.single(load_few(values, 0)))
+    store(number, 0, n)
+    store(left, 0, rest)
 
 
 @njit
@@ -56,10 +69,31 @@ def test_three_samples_are_loaded_about_each_of_many_places() -> None:
     samples = rng.standard_normal(200, np.float32).view(np.complex64)
     index = rng.integers(-48, 48, 2 * FEW).astype(np.int32)
     index[FEW : FEW + 2] = -48, 48  # the first and the last that the four elements of each place allow
-    real, imag = np.empty((2, 3, FEW), np.float32)
-    triples(samples.view(np.float64), 50, index, real, imag)
+    parts = np.empty((6, FEW), np.float32)
+    triples(samples.view(np.float64), 50, index, parts)
     expected = samples[50 + index[FEW:] + np.array([[-1], [0], [1]])]
-    np.testing.assert_array_equal(real + 1j * imag, expected)
+    np.testing.assert_array_equal(parts[:3] + 1j * parts[3:], expected)
+
+
+def test_three_samples_are_loaded_about_each_of_near_places() -> None:
+    rng = np.random.default_rng(2)
+    samples = rng.standard_normal(4 * FEW, np.float32).view(np.complex64)
+    for _ in range(20):
+        offset = rng.integers(NEAR[0], NEAR[1] + 1, FEW).astype(np.int32)
+        offset[rng.permutation(FEW)[:2]] = NEAR
+        parts = np.empty((6, FEW), np.float32)
+        near(samples.view(np.float64), FEW, offset, parts)  # the samples are all that may be loaded
+        expected = samples[FEW + offset + np.array([[-1], [0], [1]])]
+        np.testing.assert_array_equal(parts[:3] + 1j * parts[3:], expected)
+
+
+def test_numbers_are_rounded_to_whole_ones() -> None:
+    values = np.random.default_rng(3).uniform(-1000, 1000, FEW)
+    values[:5] = 0.0, 0.4, -0.4, 4e6, -4e6
+    number, left = np.empty(FEW, np.int32), np.empty(FEW, np.float32)
+    rounded(values, number, left)
+    np.testing.assert_array_equal(number, np.rint(values.astype(np.float32)))
+    np.testing.assert_array_equal(left, values.astype(np.float32) - number)
 
 
 def test_choices_are_made_lane_by_lane() -> None:
