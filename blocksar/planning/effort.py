@@ -36,7 +36,7 @@ ON_TERRAIN = 1.3e-8  # more on a terrain: heights, and their part of the correct
 LAYERS = 1.1e-8  # per pixel of a chunk whose layers are added, on a terrain
 MERGE = 1.3e-8  # per merged pixel of a patch's chunk
 INSPECT = 2e-8  # per sample
-BACK_PROJECT = 2.4e-9  # per lit pulse and pixel: the sum, and range profiles of a chunk's pulses
+BACK_PROJECT = 1.9e-9  # per lit pulse and pixel: the sum, and range profiles of a chunk's pulses
 GAINS = 7e-9  # more under an antenna's pattern, whose sums it divides by
 FINISH = 0.4  # to end the cluster and flush files to the disk
 
