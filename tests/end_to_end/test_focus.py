@@ -93,16 +93,17 @@ def test_a_track_that_wobbles_is_coherent_with_back_projection(processor: Any, c
     store = write_store(tmp_path, swath=[29500.0, 30500.0], more=WOBBLE + CLUTTER)
     plan = planned(store, processor=processor)
     assert plan.geometry.track.wobble is not None
-    assert plan.faithful
+    # The steps in Doppler of the last smear the ends of dwells the most, which its plan says.
+    least = 0.998 if processor == "high-order-phase" else 0.999
+    assert plan.coherence >= least and (plan.faithful or processor == "high-order-phase")
     grid = coarse_grid(store)
     blocksar.focus(store, tmp_path / "run", blocks=plan.n_blocks, processor=processor, grid=grid, client=client)
-    chips = blocksar.quality(tmp_path / "run", reference=True).result["reference"]
-    # Its steps in Doppler smear the ends of dwells the most; single chips of sparse clutter lose up to twice the mean.
-    least, judged = 0.998 if processor == "high-order-phase" else 0.999, 0
-    for chip in chips:
+    measured, judged = blocksar.quality(tmp_path / "run", reference=True).result, 0
+    assert measured["joint_coherence"] >= least
+    for chip in measured["reference"]:
         # The range window is wider than the swath: beyond it is no clutter, only what its side lobes leave.
         if 29500 < float(plan.geometry.epoch_range(np.array(chip["x"]), np.array(chip["y"]))) < 30500:
-            assert chip["coherence"] >= least, chip
+            assert chip["coherence"] >= plan.coherence - 0.001, chip
             judged += 1
         assert chip["gain"] == pytest.approx(1.0, abs=0.02), chip
         assert abs(chip["phase"]) <= 0.02, chip

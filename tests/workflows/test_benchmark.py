@@ -82,7 +82,9 @@ def test_a_benchmark_measures_every_quantity(
     for name, ratio in every_number(found["ratios"]):
         assert math.isfinite(ratio) and ratio > 0, name
     seconds = found["seconds"]
-    assert set(seconds["stages"]) == {"plan", "recover", "focus", "mosaic", "stores and receipts", "finish"}
+    assert set(seconds["stages"]) == {
+        "plan", "recover", "check", "focus", "mosaic", "stores and receipts", "finish",
+    }  # fmt: skip
     plan = blocksar.plan(small, blocks=2).result
     steps = {part for name in seconds["steps_summed_over_workers"] for part in name.split("+")}
     chain = {step.name for block in plan.blocks for step in block.chain}
