@@ -155,7 +155,8 @@ def check_one_frame(histories: Sequence[stores.PhaseHistory]) -> None:
     Raises
     ------
     InputError
-        If neither their `georeference` nor their attribute `frame` is the same, or their ground has several heights.
+        If neither their `georeference` nor their attribute `frame` is the same, their ground has several heights, or
+        their carriers are farther apart than half of a band.
     """
     for first, other in pairwise(histories):
         georeferences = [history.attrs.get("georeference") for history in (first, other)]
@@ -174,6 +175,12 @@ def check_one_frame(histories: Sequence[stores.PhaseHistory]) -> None:
             raise InputError(
                 f"ground_height is {heights[0]:g} m in {first.path} and {heights[1]:g} m in {other.path}, but one "
                 "image has one ground; write them with the same"
+            )
+        bands = [history.collection.centred() for history in (first, other)]
+        if abs(bands[0].carrier - bands[1].carrier) > min(band.bandwidth for band in bands) / 2:
+            raise InputError(
+                f"carrier_frequency is {bands[0].carrier:.12g} Hz in {first.path} and {bands[1].carrier:.12g} Hz in "
+                f"{other.path}, but one image has one carrier; focus each alone"
             )
 
 

@@ -2,8 +2,8 @@
 
 RUN/channels/NAME is the run of a channel, as it would be alone: one geometry gives all of them one plan, and so pixels
 at the same places to the last bit. RUN/looks/NAME is that of a look, a part of each target's dwell (`collection.
-sublooks`). RUN/image.zarr has their images as (channel, y, x) or (look, y, x), in files that are shared with the
-members' own images where the file system has links. RUN/run.json is the record of the whole.
+sublooks`). RUN/image.zarr has their images, and the noise of these, as (channel, y, x) or (look, y, x), in files that
+are shared with the members' own images where the file system has links. RUN/run.json is the record of the whole.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from blocksar.runs.sources import RunInput
 from blocksar.version import __version__
 
 Focus = Callable[..., RunReport]
-# Of the image: those of the first channel or look.
-SAME = ("block", "collection", "noise_equivalent", *stores.ON_TERRAIN)
+OWN = ("image", "noise_equivalent")  # of each channel or look
+SAME = ("block", "collection", *stores.ON_TERRAIN)  # those of the first
 
 
 @dataclass(frozen=True)
@@ -166,6 +166,7 @@ def focus_members(focus: Focus, members: Members, arguments: Mapping[str, Any]) 
         records = {name: RunRecord.read(path) for name, path in folders.items()}
         if earlier is not None and earlier.identity == _identity(records):
             run_folder.check_finished(folder, earlier)
+            run_folder.check_unchanged(folder, earlier)
             done = f"{folder} is finished already with these settings and this input: nothing to do"
             return RunReport(summary=[done], result=earlier.as_json(), folder=folder, measurable=is_measurable(earlier))
         source = str(members.histories[names[0]][0].path)
@@ -249,23 +250,24 @@ def _join(
     started = time.perf_counter()
     first, image = next(iter(members.values())), folder / "image.zarr"
     x, y = (stores.read_region(first / "image.zarr", name, (slice(None),)) for name in ("x", "y"))
+    own = [name for name in OWN if all((path / "image.zarr" / name).exists() for path in members.values())]
     same = [name for name in SAME if (first / "image.zarr" / name).exists()]
     schema = {
         name: {**stores.IMAGE, **stores.COLLECTION_NUMBER, **stores.NOISE, **stores.ON_TERRAIN}[name]
-        for name in ("image", *same, "x", "y")
+        for name in (*own, *same, "x", "y")
     }
     side = stores.chunk_shape(first / "image.zarr", "image")
     written: dict[str, list[Written]] = {name: [] for name in members}
 
     def fill(made: Place) -> None:
         for number, (name, path) in enumerate(members.items()):
-            for variable in ("image", *(same if number == 0 else ())):
-                lead = (slice(number, number + 1),) if variable == "image" else ()
+            for variable in (*own, *(same if number == 0 else ())):
+                lead = (slice(number, number + 1),) if variable in own else ()
                 for part in _parts(records[name], variable):
                     written[name].append(share_chunk(path / "image.zarr", made, part, lead))
 
     stores.create(
-        image, stores.with_channels(schema, "image", dimension=dimension), sizes={},
+        image, stores.with_channels(schema, *own, dimension=dimension), sizes={},
         coords={"x": x, "y": y, dimension: np.asarray(list(members), "T")},
         attrs=_attributes(first), chunks={dimension: 1, "y": side[0], "x": side[1]}, overwrite=True, fill=fill,
     )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from blocksar.budget import side_lobe_budget
 from blocksar.planning.plan import Plan
 
 # What helps where no number of blocks does, by what takes most of the coherence.
@@ -32,14 +33,16 @@ def describe_shortfall(plan: Plan) -> str:
         remedy = "ask for more --blocks, or for --blocks auto"
     if plan.method.rival:
         remedy += ", or leave the alternative methods out"
-    figure = f"coherence {p.coherence:.6g}" if 1 - p.coherence > 1 - plan.fidelity else f"side lobes {p.pslr:.2f} dB"
+    if 1 - p.coherence > 1 - plan.fidelity:
+        kept, figure = f"fidelity {plan.fidelity:.12g} is", f"coherence {p.coherence:.6g}"
+    else:  # said apart, for it is no matter of coherence
+        allowed = side_lobe_budget(plan.fidelity, p.ideal_pslr)
+        kept = f"fidelity {plan.fidelity:.12g} is kept in coherence, but side lobes to {allowed:.2g} dB are"
+        figure = f"side lobes of {p.pslr:.2f} dB instead of {p.ideal_pslr:.2f}"
     if plan.searched:
         noun = "block" if plan.n_blocks == 1 else "blocks"
         return (
-            f"fidelity {plan.fidelity:.12g} is not kept by any division that was tried: {plan.n_blocks} {noun} come "
-            f"closest, with {figure} predicted in block {worst.name}, and most is lost by {cause}; {remedy}"
+            f"{kept} not kept by any division that was tried: {plan.n_blocks} {noun} come closest, with {figure} "
+            f"predicted in block {worst.name}, and most is lost by {cause}; {remedy}"
         )
-    return (
-        f"fidelity {plan.fidelity:.12g} is not kept: block {worst.name} predicts {figure}, and most is lost by "
-        f"{cause}; {remedy}"
-    )
+    return f"{kept} not kept: block {worst.name} predicts {figure}, and most is lost by {cause}; {remedy}"

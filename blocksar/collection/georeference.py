@@ -16,6 +16,7 @@ vectors) for readers without such a library.
 from __future__ import annotations
 
 import reprlib
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -194,6 +195,22 @@ class Georeference:
         geodetic = self.to_geodetic(points)
         to_map = Transformer.from_crs("EPSG:4326", crs, always_xy=True)
         return np.stack(to_map.transform(geodetic[..., 1], geodetic[..., 0]), axis=-1)
+
+
+def datum_tie(crs: CRS, longitude: float, latitude: float) -> tuple[float, str]:
+    """How well PROJ ties a CRS to WGS 84 at a place, degrees: m, 0 for the same datum, and NaN where it knows no tie.
+
+    And the grid that a better tie needs, which is not installed; or nothing.
+    """
+    from pyproj.transformer import AreaOfInterest, TransformerGroup
+
+    about = AreaOfInterest(longitude, latitude, longitude, latitude)
+    with warnings.catch_warnings():  # of what is returned
+        warnings.simplefilter("ignore")
+        ties = TransformerGroup("EPSG:4326", crs, always_xy=True, area_of_interest=about)
+    accuracy = float(ties.transformers[0].accuracy) if ties.transformers else -1.0
+    lacking = [grid.short_name for tie in ties.unavailable_operations[:1] for grid in tie.grids]
+    return (accuracy if accuracy >= 0 else np.nan), lacking[0] if lacking else ""
 
 
 def _mercator(latitude: float, longitude: float, height: float) -> dict[str, Any]:

@@ -31,7 +31,7 @@ TASKS = (
 TERRAIN = (
     "focusing.relief_correction", "kernels.occlusion", "kernels.terrain_rows", "focusing.surfaces:sum_layers",
 )  # fmt: skip
-PROJECTION = ("kernels.projection", "focusing.pattern_sums")
+PROJECTION = ("kernels.pulse_sums", "focusing.pattern_sums")
 WEIGHTS = ("kernels.blending",)
 TRACKS = ("autofocusing.range_lines", "autofocusing.forms", "autofocusing.sights", "autofocusing.phase_gradient")
 LOOPS = (

@@ -58,6 +58,11 @@ class LocalPlace(Place):
                 status = os.stat(file)
                 yield os.path.relpath(file, self.path), status.st_size, str(status.st_mtime_ns)
 
+    def written_after(self, file: Place) -> Iterator[str]:
+        if isinstance(file, LocalPlace):
+            time = os.stat(file.path).st_mtime_ns
+            yield from (name for name, _, written in self.files() if int(written) > time)
+
     def version(self) -> str:
         with suppress(FileNotFoundError, NotADirectoryError):
             return file_version(os.stat(self.path))

@@ -48,6 +48,10 @@ class Place(ABC):
     def files(self) -> Iterator[tuple[str, int, str]]:
         """Iterate over all files below: relative name, size in bytes, and a version that changes when it is written."""
 
+    def written_after(self, file: Place) -> Iterator[str]:
+        """Iterate over the names of files below that were written after another one; none where this is not known."""
+        return iter(())
+
     @abstractmethod
     def version(self) -> str:
         """Return size and version of a file, as `files` tells them; empty if there is none."""

@@ -15,6 +15,7 @@ the file.
 
 from __future__ import annotations
 
+import math
 import os
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -146,6 +147,10 @@ def _describe(pixels: Pixels, raster: Pixels | MapPixels, placement: Placement) 
         f"{what}, {placement.crs.name}; pixels lie at most {placement.error:.2g} m, {placement.pixels:.2g} pixels, off "
         "their exact places"
     )
+    if isinstance(raster, MapPixels) and (tied := raster.datum_tie)[0] != 0:
+        how = "to an unknown precision" if math.isnan(tied[0]) else f"to {tied[0]:g} m"
+        better = f", better with the grid {tied[1]}, which is not installed" if tied[1] else ""
+        line += f"; PROJ ties its datum to WGS 84 {how}{better}"
     if placement.pixels > NOTED:
         line += "; --crs EPSG:n makes a map without that error"
     return line

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.georeference import Georeference
+from blocksar.collection.georeference import Georeference, datum_tie
 from blocksar.errors import InputError, printable
 from blocksar.measurement.looks import power_of
 from blocksar.products.ground_image import GroundImage
@@ -163,6 +163,13 @@ class MapPixels:
             z = terrain(x, y)
             x, y = verticals.at(np.where(np.isfinite(z), z, level))
         return x, y
+
+    @cached_property
+    def datum_tie(self) -> tuple[float, str]:
+        """`georeference.datum_tie` of the CRS at the middle of the image."""
+        x, y = ((axis[0] + axis[-1]) / 2 for axis in (self.of.x, self.of.y))
+        latitude, longitude, _ = self.frame.to_geodetic(np.array([x, y, self.of.source.ground_height]))
+        return datum_tie(self.crs, float(longitude), float(latitude))
 
     @cached_property
     def error(self) -> float:

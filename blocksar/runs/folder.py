@@ -329,6 +329,34 @@ def check_finished(folder: Place, record: RunRecord) -> None:
         )
 
 
+def check_unchanged(folder: Place, record: RunRecord) -> None:
+    """Check the chunks of a finished run's image that were written after its record: all of them, where it was copied.
+
+    Raises
+    ------
+    FolderError
+        If some do not have the checksums of their receipts.
+    """
+    image = folder / "image.zarr"
+    later = set(image.written_after(folder / RECORD))
+    changed = []
+    for receipt in record.receipts if later else ():
+        for part in receipt.written:
+            if part.store == image.name and (chunk := _chunk(image, part)) in later:
+                try:
+                    values = stores.read_region(image, part.variable, tuple(slice(*span) for span in part.region))
+                    same = stores.checksum(values) == part.checksum
+                except (InputError, ProcessingError):  # compressed chunks have checksums of their own
+                    same = False
+                changed += [] if same else [chunk]
+    if changed:
+        raise FolderError(
+            f"{folder} was finished, but {len(set(changed))} files of its image have been changed since (first: "
+            f"{min(changed)}); use --overwrite to focus it anew",
+            replaceable=True,
+        )
+
+
 def _chunk(store: Place, part: Written) -> str:
     """Return the path of the chunk that a region begins in, relative to its store."""
     sides = stores.chunk_shape(store, part.variable)

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pyproj import Transformer
+from pyproj import CRS, Transformer
 
-from blocksar.collection.georeference import Georeference
+from blocksar.collection.georeference import Georeference, datum_tie
 from blocksar.errors import InputError
 
 # ---------------------------------------------------------------- georeference
@@ -76,3 +76,15 @@ def test_easting_and_northing_are_x_and_y(height: float) -> None:
     points[:, 2] = height
     found = frame.project(frame.projection(0.0, 0.0, height), points)
     assert np.abs(found - points[:, :2]).max() < 0.03  # d^3 / (3 R^2), and the ellipsoid's two radii at this height
+
+
+@pytest.mark.parametrize(
+    ("crs", "accuracy", "grid"),
+    [("EPSG:32632", 0.0, ""), ("EPSG:25832", 1.0, ""), ("EPSG:31468", 3.0, "BETA2007"), ("EPSG:4267", np.nan, "")],
+)
+def test_a_datum_is_tied_to_wgs_84_as_well_as_proj_says(crs: str, accuracy: float, grid: str) -> None:
+    """At Munich: the same datum, a continental one, a national one without its grid, and one of another continent."""
+    found, lacking = datum_tie(CRS(crs), 11.5, 48.1)
+    if grid and not lacking:
+        pytest.skip(f"the grid {grid} is installed")
+    assert found == pytest.approx(accuracy, nan_ok=True) and grid in lacking

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 from axis_beams import axis_scene
 from scenes import write_store
 
@@ -95,10 +96,17 @@ def test_looks_of_an_unsteered_collection_are_parts_of_its_pulses(tmp_path: Path
         signal += np.exp(-4j * np.pi / 299792458.0 * np.outer(distance, 9.6e9 + frequency))
     dataset = blocksar.collection(
         signal=signal, time=time, range_frequency=frequency, reference_range=reference, antenna_position=track,
-        carrier_frequency=9.6e9,
+        carrier_frequency=9.6e9, noise_power=0.01,
     )  # fmt: skip
     blocksar.write(dataset, tmp_path / "ph.zarr")
     check_sum(tmp_path / "ph.zarr", tmp_path, ((-30.0, 30.0, 0.5), (-30.0, 30.0, 0.5)), 3)
+    with blocksar.open(tmp_path / "looks") as joint:  # each has the noise of its own weights
+        assert joint.noise_equivalent.dims == ("look", "y", "x")
+        for number, name in enumerate(joint.look.values):
+            with xr.open_zarr(tmp_path / "looks" / "looks" / name / "image.zarr", consolidated=False) as alone:
+                np.testing.assert_array_equal(joint.noise_equivalent[number], alone.noise_equivalent)
+        level = joint.isel(look=1).sar.noise_db()
+        assert level.dims == ("y", "x") and np.isfinite(level).mean() > 0.9
     for count, words in ((1, "give 2 to 32 looks"), (30, "take fewer looks")):
         with pytest.raises(InputError, match=words):
             blocksar.focus(tmp_path / "ph.zarr", tmp_path / "wrong", looks=count, **SETTINGS)

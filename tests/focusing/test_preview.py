@@ -56,6 +56,8 @@ def test_points_of_a_beam_about_its_axis_stand_at_their_places(tmp_path: Path) -
     )
     (tmp_path / "scene.toml").write_text(axis_scene('mode = "stripmap"\nwidth_deg = 0.6\n', more=targets + CLUTTER))
     store = Path(blocksar.simulate(tmp_path / "scene.toml", tmp_path / "phase_history.zarr"))
+    pixel = blocksar.preview(store, grid=((9000.0, 9000.5, 1.0), (0.0, 0.5, 1.0)), out=tmp_path / "pixel.png")
+    assert pixel.result.shape == (1, 1) and imread(tmp_path / "pixel.png").ndim == 3
     found = blocksar.preview(store, grid=((8900.0, 9100.0, 1.0), (-70.0, 70.0, 1.0)), size=100)
     check_places(found.result, places_of(store))
 

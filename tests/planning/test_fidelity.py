@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from scenes import PAPERS, SMALL_SCAN, scene
 from scipy.special import fresnel
 
 import blocksar
+from blocksar.api.shortfall import describe_shortfall
 from blocksar.collection.weighting import Taper
 from blocksar.errors import InputError
 from blocksar.planning.fidelity import end_energy
@@ -76,6 +78,12 @@ def test_a_fidelity_that_no_division_keeps_is_told_with_what_is_reached(tmp_path
     assert told.startswith("fidelity 0.99999999 is not kept by any division that was tried: ")
     assert f"{plan.n_blocks} block" in told and f"coherence {plan.coherence:.6g} predicted" in told
     assert "--blocks" not in told and "--processor" in told
+    # A plan that keeps the coherence but changes the side lobes too much says so.
+    worst = plan.blocks[0].prediction
+    changed = worst._replace(coherence=1.0, pslr=worst.ideal_pslr + 1.0)
+    told = describe_shortfall(replace(plan, blocks=[replace(plan.blocks[0], prediction=changed)]))
+    assert told.startswith("fidelity 0.99999999 is kept in coherence, but side lobes to ")
+    assert f"side lobes of {changed.pslr:.2f} dB instead of {worst.ideal_pslr:.2f} predicted" in told
 
 
 def test_side_lobes_are_judged_by_those_of_back_projection() -> None:

@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +22,7 @@ from scenes import one_target
 import blocksar
 from blocksar import stores
 from blocksar.api import jobs
-from blocksar.errors import InputError, ProcessingError
+from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.graph import stages
 
 GRID = ((15900.0, 16300.0, 4.0), (19000.0, 19400.0, 4.0))
@@ -290,6 +291,26 @@ def test_a_foreign_scratch_is_in_nobodys_way(original: Path, right: str, unfinis
 
 
 # ---------------------------------------------------------------- unusual input
+
+
+def test_a_finished_image_that_is_changed_afterwards_is_not_taken_for_the_run_s(
+    original: Path, client: Client, tmp_path: Path
+) -> None:
+    settings: dict[str, Any] = {"blocks": 2, "grid": GRID, "client": client}
+    blocksar.focus(original, tmp_path / "run", **settings)
+    for file in (tmp_path / "run" / "image.zarr").rglob("*"):  # as a copy of the folder may have them
+        os.utime(file, ns=(time.time_ns() + 10**9,) * 2)
+    assert "nothing to do" in blocksar.focus(original, tmp_path / "run", **settings).summary[0]
+    for variable in ("image", "block"):
+        chunk = chunk_of(tmp_path / "run" / "image.zarr" / variable)
+        kept = chunk.read_bytes()
+        os.unlink(chunk)  # which may share storage with others
+        chunk.write_bytes(kept[:-8] + bytes([kept[-8] ^ 1]) + kept[-7:])
+        os.utime(chunk, ns=(time.time_ns() + 10**9,) * 2)
+        with pytest.raises(FolderError, match=rf"1 files of its image have been changed since \(first: {variable}/c/"):
+            blocksar.focus(original, tmp_path / "run", **settings)
+        chunk.write_bytes(kept)
+    assert "nothing to do" in blocksar.focus(original, tmp_path / "run", **settings).summary[0]
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1)])

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.georeference import Georeference
+from blocksar.collection.georeference import Georeference, datum_tie
 from blocksar.collection.terrain import LEAST, MARGIN, Terrain
 from blocksar.errors import InputError
 from blocksar.ingestion.reading import reading
@@ -17,6 +18,7 @@ from blocksar.ingestion.terrain.frame_grid import MOST_HEIGHTS
 from blocksar.ingestion.terrain.nodata import refuse_untagged
 from blocksar.ingestion.terrain.resampling import STEPS, lattice, resample
 from blocksar.places import Location, place
+from blocksar.places.place import Place
 
 if TYPE_CHECKING:
     from pyproj import CRS
@@ -67,6 +69,7 @@ def read_geotiff(
         if (unit := str(file.units[0] or "").lower()) not in METRES:
             raise InputError(f"{path} has heights in {unit}; convert them to m")
         crs = CRS.from_wkt(file.crs.to_wkt())
+        _refuse_untied(crs, georeference, path)
         undulation = datum_of(crs, vertical, str(path)).undulation()
         to_pixel = _pixels_of(file, crs)
         step = _spacing(georeference, to_pixel, x, y)
@@ -81,12 +84,33 @@ def read_geotiff(
     return resample(posts.heights, to_file, step, (x, y), refine=refine)
 
 
+def _refuse_untied(crs: CRS, georeference: Georeference, path: Place) -> None:
+    """Raise an InputError if PROJ knows no way from a file's datum to WGS 84 where the scene lies.
+
+    A datum without a name, as that of an ellipsoid alone, is taken for WGS 84.
+    """
+    flat = _flat(crs)
+    if flat.datum is None or flat.datum.name.lower().startswith("unknown"):
+        return
+    if math.isnan(datum_tie(flat, georeference.longitude, georeference.latitude)[0]):
+        raise InputError(
+            f"{path} is in {crs.name}, whose datum PROJ cannot tie to WGS 84 at longitude "
+            f"{georeference.longitude:.4g}, latitude {georeference.latitude:.4g}; transform it to WGS 84 first"
+        )
+
+
+def _flat(crs: CRS) -> CRS:
+    """The horizontal part of a CRS."""
+    from pyproj import CRS
+
+    return CRS(next((part for part in crs.sub_crs_list if not part.is_vertical), crs)).to_2d()
+
+
 def _pixels_of(file: DatasetReader, crs: CRS) -> Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
     """Return a function from longitude and latitude to column and row, of pixels' centres."""
-    from pyproj import CRS, Transformer
+    from pyproj import Transformer
 
-    flat = next((part for part in crs.sub_crs_list if not part.is_vertical), crs)
-    to_map = Transformer.from_crs("EPSG:4326", CRS(flat).to_2d(), always_xy=True)
+    to_map = Transformer.from_crs("EPSG:4326", _flat(crs), always_xy=True)
     a, b, west, d, e, north_edge = file.transform[:6]
     area = a * e - b * d
 

@@ -94,8 +94,8 @@ def _reduce(values: NDArray[np.float32] | NDArray[np.int16], factor: int, looks:
 
 
 def cell_edges(axis: FloatArray, cells: int, factor: int) -> FloatArray:
-    """Edges of `cells` cells, m."""
-    step = float(axis[-1] - axis[0]) / max(axis.size - 1, 1)
+    """Edges of `cells` cells, m; a single pixel, which extends nowhere, is drawn over 1 m."""
+    step = float(axis[-1] - axis[0]) / (axis.size - 1) if axis.size > 1 else 1.0
     return np.asarray(axis[0] - step / 2 + step * factor * np.arange(cells + 1))
 
 

@@ -1,0 +1,282 @@
+"""The loop of exact back-projection over the pulses that light groups of pixels, compiled: see `projection`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit, types
+from numpy.typing import NDArray
+
+from blocksar.arrays import BoolArray, FloatArray, IntArray
+from blocksar.kernels.lanes import (
+    FEW,
+    FIXED_POINT,
+    from_half,
+    from_whole,
+    larger,
+    load_few,
+    load_near,
+    load_triples,
+    nearest,
+    remainder,
+    single,
+    smaller,
+    spread_few,
+    square_root,
+    store,
+    whole,
+    within,
+)
+from blocksar.kernels.loops import loop
+from blocksar.kernels.signatures import COMPILED, REAL_ROW, REAL_ROWS
+from blocksar.kernels.trigonometry import cosine, cosine_and_sine
+
+CHUNK = 32  # pulses whose profiles, as far as neighbouring pixels read them, stay in the first-level cache
+PULSES = types.int32[::1]
+ORIGINS = types.Array(types.int64, 1, "C", readonly=True)
+WEIGHTS = types.Array(types.float32, 1, "C", readonly=True)
+
+
+@njit(inline="always")
+def _by_series(
+    series: Any, k: Any, square: Any, dx: Any, dy: Any, dz: Any, hilly: Any, bins_per_cycle: Any
+) -> tuple[Any, Any]:
+    """Phase, in cycles about a whole number, and position in the profile, in bins and fixed point."""
+    slope = series[3, k] * square
+    if hilly:
+        slope = series[7, k] * dz + slope
+    away = _series(series[1, k] * dx + (series[2, k] * dy + slope), series[4, k])
+    return from_whole(away + series[5, k]), away * bins_per_cycle + series[6, k]
+
+
+@njit(inline="always")
+def _series(z: Any, g: Any) -> Any:
+    """The range less that of the centre, by the series of z and q = g z."""
+    q = g * z
+    return z + z * (q * (((14.0 * q - 5.0) * q + 2.0) * q - 1.0))
+
+
+@njit(inline="always")
+def _see_middle(seen: Any, bins: Any, series: Any, k: Any, j: Any, dx: Any, dy: Any, dz: Any, per_cycle: Any) -> None:
+    """What the pixels about the middle of a group need of FEW pulses, in `seen` (7, n) and `bins` (n,) from j on.
+
+    The middle lies at (dx, dy, dz) from the tile's centre. In order: its phase, about a whole number of cycles; how far
+    it lies from its bin; g and the direction there, in cycles; and what q is of z. The latter follow from those of the
+    tile's centre, as the middle is farther away by the factor 1 + t, without t^5.
+    """
+    x, y, z, g = load_few(series[1], k), load_few(series[2], k), load_few(series[7], k), load_few(series[3], k)
+    per_range = load_few(series[4], k)
+    away = _series(x * dx + (y * dy + (z * dz + g * (dx * dx + dy * dy + dz * dz))), per_range)
+    position = away * per_cycle + load_few(series[6], k)
+    store(seen[0], j, from_whole(away + load_few(series[5], k)))
+    store(seen[1], j, from_half(position))
+    store(bins, j, whole(position))
+    t = per_range * (away + away)
+    nearer = 1.0 - t * (1.0 - t * (1.0 - t * (1.0 - t)))
+    store(seen[2], j, single(g * nearer))
+    store(seen[3], j, single((x + (g + g) * dx) * nearer))
+    store(seen[4], j, single((y + (g + g) * dy) * nearer))
+    store(seen[5], j, single((z + (g + g) * dz) * nearer))
+    store(seen[6], j, single(per_range * nearer))
+
+
+@njit(inline="always")
+def _about_middle(dx: Any, dy: Any, dz: Any, hilly: Any) -> Any:
+    """Offsets from the middle of a group in float32, and the square of the distance; without relief dz is of no use."""
+    ux, uy, uz = single(dx), single(dy), single(dz)
+    square = ux * ux + uy * uy
+    if hilly:
+        square = square + uz * uz
+    return ux, uy, uz, square
+
+
+@njit(inline="always")
+def _from_middle(
+    seen: Any, j: Any, ux: Any, uy: Any, uz: Any, square: Any, hilly: Any, per_cycle: Any
+) -> tuple[Any, Any, Any]:
+    """Phase, in cycles, bin from that of the middle, and position in it, of pixels at (ux, uy, uz) from the middle."""
+    z = seen[3, j] * ux + (seen[4, j] * uy + seen[2, j] * square)
+    if hilly:
+        z = z + seen[5, j] * uz
+    q = seen[6, j] * z
+    away = z + z * (q * (q + q - np.float32(1.0)))
+    _, turn = nearest(away + seen[0, j])
+    offset, right = nearest(away * per_cycle + seen[1, j])
+    return turn, offset, right
+
+
+@njit(inline="always")
+def _by_root(roots: Any, k: Any, dx: Any, dy: Any, dz: Any, hilly: Any) -> Any:
+    """Range - reference_range."""
+    x, y, up = dx + roots[k, 0], dy + roots[k, 1], spread_few(roots[k, 2])
+    if hilly:
+        up = (dz + roots[k, 4]) * (dz + roots[k, 4])
+    return square_root(x * x + (y * y + up)) - roots[k, 3]
+
+
+@njit(inline="always")
+def _sample(triples: Any, right: Any) -> Any:
+    """Real and imaginary part of the quadratic spline at `right` bins from the middle one of three."""
+    a, b, c, d, e, f = triples
+    half, eighth, three_quarters = np.float32(0.5), np.float32(0.125), np.float32(0.75)
+    odd, square = half * right, right * right
+    even = half * square + eighth
+    before, at, after = even - odd, three_quarters - square, even + odd
+    return before * a + at * b + after * c, before * d + at * e + after * f
+
+
+@njit(inline="always")
+def _place(places: Any, k: Any, dx: Any, dy: Any) -> Any:
+    """v in the beam."""
+    bend = places[k, 3] * dx + places[k, 4] * dy
+    return places[k, 0] + (places[k, 1] * dx + places[k, 2] * dy) + bend * dx + places[k, 5] * dy * dy
+
+
+@njit(inline="always")
+def _rise(places: Any, k: Any, dx: Any, dy: Any, dz: Any) -> Any:
+    """What heights dz over the centre's add to it."""
+    return (places[k, 7] + places[k, 8] * dx + places[k, 9] * dy + places[k, 10] * dz) * dz
+
+
+@njit(inline="always")
+def _weight(v: Any, terms: Any, half_frequency: Any, half_fade: Any) -> Any:
+    """The weight at a place v in the beam, or beyond it that at its edge."""
+    v = smaller(larger(v, -1.0), 1.0)
+    return _faded(v, terms, half_fade) if half_fade > 0 else _taper(v, terms, half_frequency)
+
+
+@njit(inline="always")
+def _taper(v: Any, terms: Any, half_frequency: Any) -> Any:
+    """sum_k terms_k cos(2 pi k half_frequency v), by Clenshaw's recurrence; at most |half_frequency v| = 1/2."""
+    turned = remainder(v * half_frequency)
+    cos = cosine(turned)
+    twice = cos + cos
+    last, total = cos - cos, cos - cos
+    for k in range(terms.size - 1):
+        last, total = total, terms[terms.size - 1 - k] + (twice * total - last)
+    return terms[0] + (cos * total - last)
+
+
+@njit(inline="always")
+def _faded(v: Any, terms: Any, half_fade: Any) -> Any:
+    """The same times what the fade takes, from the FADE_DEGREE + 1 power coefficients of both."""
+    half = remainder(smaller((1.0 - larger(v, 0.0 - v)) * half_fade, 0.5))
+    square = half * half
+    high = square * terms[6] + (half * terms[5] + terms[4])
+    return (half * terms[1] + terms[0]) + square * ((half * terms[3] + terms[2]) + square * high)
+
+
+@njit(inline="always")
+def _added(re: Any, im: Any, a: Any, b: Any, turn: Any, weighted: Any, shares: Any, j: Any) -> Any:
+    """The sums with a + 1j b, turned by a phase in cycles and times its weight."""
+    cos, sin = cosine_and_sine(turn)
+    if weighted:
+        cos, sin = cos * load_few(shares, j), sin * load_few(shares, j)
+    return re + a * cos - b * sin, im + a * sin + b * cos
+
+
+@loop(
+    types.float32[::1], types.float32[::1], types.float32[::1], types.float64[::1], REAL_ROW, ORIGINS,
+    REAL_ROW, REAL_ROW, types.float64, types.float64, PULSES, PULSES, types.int64[:, ::1], types.boolean[::1],
+    REAL_ROWS, types.int64, REAL_ROWS, REAL_ROWS, types.float64, types.float64, types.float64, REAL_ROWS, WEIGHTS,
+    types.float64, types.float64, REAL_ROW, **COMPILED,
+)  # fmt: skip
+def add_pulses(
+    real: NDArray[np.float32],
+    imag: NDArray[np.float32],
+    weight: NDArray[np.float32],
+    farthest: FloatArray,
+    samples: FloatArray,
+    origins: IntArray,
+    x: FloatArray,
+    y: FloatArray,
+    centre_x: float,
+    centre_y: float,
+    first: NDArray[np.int32],
+    last: NDArray[np.int32],
+    spans: IntArray,
+    close: BoolArray,
+    middles: FloatArray,
+    start: int,
+    series: FloatArray,
+    roots: FloatArray,
+    cycles_per_metre: float,
+    bins_per_metre: float,
+    half_window: float,
+    places: FloatArray,
+    terms: NDArray[np.float32],
+    half_frequency: float,
+    half_fade: float,
+    relief: FloatArray,
+) -> None:
+    """Sum the lit pulses, in ascending order, at pixels (n,).
+
+    With `terms`, each pulse has a weight that depends on the pixel's place in the beam, of which `places` has the
+    polynomials and, last, the fraction of valid samples; `weight` rises by their sum.
+
+    `spans` holds the pulses that light any pixel of a group of FEW; tables begin at the pulse `start`, also `origins`,
+    which has the sample of each profile at its pulse's reference range. Pixels of `close` groups are seen from their
+    middle: its range and direction are found in float64, for FEW pulses at a time, and theirs from that in float32.
+    `farthest` rises to |range - reference_range| where a lit pulse needed the square root. `relief` has the heights of
+    the pixels over the tile's centre; it is empty on a plane. Weights fade where `half_fade` is positive.
+    """
+    turns, rights = np.empty(CHUNK * FEW, np.float32), np.empty(CHUNK * FEW, np.float32)
+    bins, shares = np.empty(CHUNK * FEW, np.int32), np.empty(CHUNK * FEW, np.float32)
+    seen, per_cycle = np.empty((7, CHUNK + FEW), np.float32), bins_per_metre / cycles_per_metre
+    hilly, weighted = relief.size > 0, terms.size > 0
+    for begin in range(start, start + series.shape[1] - FEW, CHUNK):
+        for group in range(spans.shape[0]):
+            i = group * FEW
+            dx, dy = load_few(x, i) - centre_x, load_few(y, i) - centre_y
+            dz = dx
+            square, lit, unlit = dx * dx + dy * dy, load_few(first, i), load_few(last, i)
+            if hilly:
+                dz = load_few(relief, i)
+                square = square + dz * dz
+            low, high = max(spans[group, 0], begin), min(spans[group, 1], begin + CHUNK)
+            if weighted:
+                share = load_few(weight, i)
+                for p in range(low, high):
+                    v = _place(places, p - start, dx, dy)
+                    if hilly:
+                        v = v + _rise(places, p - start, dx, dy, dz)
+                    part = within(_weight(v, terms, half_frequency, half_fade), lit, p, unlit)
+                    store(shares, (p - low) * FEW, part)
+                    share = share + part * np.float32(places[p - start, 6])
+                store(weight, i, share)
+            re, im = load_few(real, i), load_few(imag, i)
+            if close[group]:
+                mx, my, mz = middles[0, group] - centre_x, middles[1, group] - centre_y, middles[2, group]
+                for p in range(low, high, FEW):
+                    _see_middle(seen, bins, series, p - start, p - low, mx, my, mz, per_cycle)
+                ux, uy, uz, square_u = _about_middle(dx - mx, dy - my, dz - mz, hilly)
+                for p in range(low, high):
+                    j = p - low
+                    turn, offset, right = _from_middle(seen, j, ux, uy, uz, square_u, hilly, np.float32(per_cycle))
+                    a, b = _sample(load_near(samples, origins[p - start] + bins[j], offset), right)
+                    a, b = within(a, lit, p, unlit), within(b, lit, p, unlit)
+                    re, im = _added(re, im, a, b, turn, weighted, shares, j * FEW)
+            else:
+                # Two loops: the way from a pulse to its samples is long, and the CPU then looks ahead over more pulses.
+                for p in range(low, high):
+                    j, k = (p - low) * FEW, p - start
+                    if series[0, k] > 0:
+                        cycles, position = _by_series(series, k, square, dx, dy, dz, hilly, per_cycle)
+                    else:
+                        away = _by_root(roots, k, dx, dy, dz, hilly)
+                        reached = within(larger(away, 0.0 - away), lit, p, unlit)
+                        store(farthest, i, larger(reached, load_few(farthest, i)))
+                        cycles = remainder(away * cycles_per_metre)
+                        away = smaller(larger(away, -half_window), half_window)
+                        position = away * bins_per_metre + (FIXED_POINT + 0.5)
+                    store(turns, j, cycles)
+                    store(bins, j, whole(position))
+                    store(rights, j, from_half(position))
+                for p in range(low, high):
+                    j = (p - low) * FEW
+                    a, b = _sample(load_triples(samples, origins[p - start], bins, j), load_few(rights, j))
+                    a, b = within(a, lit, p, unlit), within(b, lit, p, unlit)
+                    re, im = _added(re, im, a, b, load_few(turns, j), weighted, shares, j)
+            store(real, i, re)
+            store(imag, i, im)
