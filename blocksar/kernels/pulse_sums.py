@@ -82,28 +82,10 @@ def _see_middle(seen: Any, bins: Any, series: Any, k: Any, j: Any, dx: Any, dy: 
 
 
 @njit(inline="always")
-def _about_middle(dx: Any, dy: Any, dz: Any, hilly: Any) -> Any:
-    """Offsets from the middle of a group in float32, and the square of the distance; without relief dz is of no use."""
+def _about_middle(dx: Any, dy: Any, dz: Any) -> Any:
+    """Offsets from the middle of a group, in float32, and the squares of the distances."""
     ux, uy, uz = single(dx), single(dy), single(dz)
-    square = ux * ux + uy * uy
-    if hilly:
-        square = square + uz * uz
-    return ux, uy, uz, square
-
-
-@njit(inline="always")
-def _from_middle(
-    seen: Any, j: Any, ux: Any, uy: Any, uz: Any, square: Any, hilly: Any, per_cycle: Any
-) -> tuple[Any, Any, Any]:
-    """Phase, in cycles, bin from that of the middle, and position in it, of pixels at (ux, uy, uz) from the middle."""
-    z = seen[3, j] * ux + (seen[4, j] * uy + seen[2, j] * square)
-    if hilly:
-        z = z + seen[5, j] * uz
-    q = seen[6, j] * z
-    away = z + z * (q * (q + q - np.float32(1.0)))
-    _, turn = nearest(away + seen[0, j])
-    offset, right = nearest(away * per_cycle + seen[1, j])
-    return turn, offset, right
+    return ux, uy, uz, ux * ux + uy * uy + uz * uz
 
 
 @njit(inline="always")
@@ -168,11 +150,9 @@ def _faded(v: Any, terms: Any, half_fade: Any) -> Any:
 
 
 @njit(inline="always")
-def _added(re: Any, im: Any, a: Any, b: Any, turn: Any, weighted: Any, shares: Any, j: Any) -> Any:
-    """The sums with a + 1j b, turned by a phase in cycles and times its weight."""
+def _added(re: Any, im: Any, a: Any, b: Any, turn: Any) -> Any:
+    """The sums with a + 1j b, turned by a phase in cycles."""
     cos, sin = cosine_and_sine(turn)
-    if weighted:
-        cos, sin = cos * load_few(shares, j), sin * load_few(shares, j)
     return re + a * cos - b * sin, im + a * sin + b * cos
 
 
@@ -209,7 +189,7 @@ def add_pulses(
     half_frequency: float,
     half_fade: float,
     relief: FloatArray,
-) -> None:
+) -> None:  # longer than most: arrays that inlined functions take have their references counted for every pulse
     """Sum the lit pulses, in ascending order, at pixels (n,).
 
     With `terms`, each pulse has a weight that depends on the pixel's place in the beam, of which `places` has the
@@ -229,7 +209,7 @@ def add_pulses(
         for group in range(spans.shape[0]):
             i = group * FEW
             dx, dy = load_few(x, i) - centre_x, load_few(y, i) - centre_y
-            dz = dx
+            dz = dx - dx
             square, lit, unlit = dx * dx + dy * dy, load_few(first, i), load_few(last, i)
             if hilly:
                 dz = load_few(relief, i)
@@ -250,13 +230,19 @@ def add_pulses(
                 mx, my, mz = middles[0, group] - centre_x, middles[1, group] - centre_y, middles[2, group]
                 for p in range(low, high, FEW):
                     _see_middle(seen, bins, series, p - start, p - low, mx, my, mz, per_cycle)
-                ux, uy, uz, square_u = _about_middle(dx - mx, dy - my, dz - mz, hilly)
+                ux, uy, uz, square_u = _about_middle(dx - mx, dy - my, dz - mz)
                 for p in range(low, high):
                     j = p - low
-                    turn, offset, right = _from_middle(seen, j, ux, uy, uz, square_u, hilly, np.float32(per_cycle))
+                    z = seen[3, j] * ux + (seen[4, j] * uy + seen[2, j] * square_u) + seen[5, j] * uz
+                    q = seen[6, j] * z
+                    away = z + z * (q * (q + q - np.float32(1.0)))
+                    _, turn = nearest(away + seen[0, j])
+                    offset, right = nearest(away * np.float32(per_cycle) + seen[1, j])
                     a, b = _sample(load_near(samples, origins[p - start] + bins[j], offset), right)
                     a, b = within(a, lit, p, unlit), within(b, lit, p, unlit)
-                    re, im = _added(re, im, a, b, turn, weighted, shares, j * FEW)
+                    if weighted:
+                        a, b = a * load_few(shares, j * FEW), b * load_few(shares, j * FEW)
+                    re, im = _added(re, im, a, b, turn)
             else:
                 # Two loops: the way from a pulse to its samples is long, and the CPU then looks ahead over more pulses.
                 for p in range(low, high):
@@ -277,6 +263,8 @@ def add_pulses(
                     j = (p - low) * FEW
                     a, b = _sample(load_triples(samples, origins[p - start], bins, j), load_few(rights, j))
                     a, b = within(a, lit, p, unlit), within(b, lit, p, unlit)
-                    re, im = _added(re, im, a, b, load_few(turns, j), weighted, shares, j)
+                    if weighted:
+                        a, b = a * load_few(shares, j), b * load_few(shares, j)
+                    re, im = _added(re, im, a, b, load_few(turns, j))
             store(real, i, re)
             store(imag, i, im)
