@@ -29,7 +29,7 @@ from blocksar.kernels.lanes import (
     within,
 )
 from blocksar.kernels.loops import loop
-from blocksar.kernels.signatures import COMPILED, REAL_ROW, REAL_ROWS
+from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS
 from blocksar.kernels.trigonometry import cosine, cosine_and_sine
 
 CHUNK = 32  # pulses whose profiles, as far as neighbouring pixels read them, stay in the first-level cache
@@ -57,7 +57,7 @@ def _series(z: Any, g: Any) -> Any:
     return z + z * (q * (((14.0 * q - 5.0) * q + 2.0) * q - 1.0))
 
 
-@njit(inline="always")
+@njit(**PART, **COMPILED)
 def _see_middle(seen: Any, bins: Any, series: Any, k: Any, j: Any, dx: Any, dy: Any, dz: Any, per_cycle: Any) -> None:
     """What the pixels about the middle of a group need of FEW pulses, in `seen` (7, n) and `bins` (n,) from j on.
 
