@@ -143,8 +143,9 @@ class Findings:
 
     @property
     def mended(self) -> bool:
-        """Whether a refocus makes places sharp, so that the track is wrong and not the beam: it lights no pulses."""
-        return self.refocused >= FOCUSED and self.given.sharpness < SHARP * self.refocused
+        """Whether a common phase error makes places sharp: the track is wrong, as no phase lights pulses of a dwell."""
+        given, refocused, by_others = self.points or (self.given.sharpness, self.refocused, self.refocused)
+        return min(refocused, by_others) >= FOCUSED and given < SHARP * by_others
 
     @property
     def beam(self) -> Trial | None:
@@ -158,7 +159,8 @@ class Findings:
     def likely(self) -> Trial | None:
         """The alternative that is sharper than as given beyond chance, if any; by however little."""
         good = [t for t in self.trials[1:] if t.places >= FEWEST and t.significance > SIGNIFICANT]
-        good = [t for t in good if not (t.of_beam and self.mended)]
+        if self.mended:  # what sees a part of the dwell is less blurred
+            good = [t for t in good if not t.of_beam and t.pulses >= LIKE_DWELL * self.given.pulses]
         best = max(good, key=lambda trial: trial.sharpness, default=None)
         if best is None or best.sharpness < max(SHARPER * self.given.sharpness, AS_REFOCUSED * self.refocused):
             return None
