@@ -27,6 +27,7 @@ SIGNIFICANT = 30.0  # times 1 / n: concentration that chance does not give
 # backwards on a straight line an image is mirrored, and as sharp.
 SURE, SHARPER = 2.0, 1.02  # steered, not steered
 CLEARLY = 1.5  # times the same: an alternative that is named beside an error of the beam
+DOUBTED = 0.95  # of the concentration after a refocus: with less, an alternative that gains too little is remarked
 TIED = 0.75  # of the concentration of the sharpest alternative: simpler ones with more are not told from it
 # Under a beam that is not steered, conjugated, reversed or swapped data give a mirrored image, nearly as sharp.
 # Places with more than this share of the concentration after a refocus are blurred by nothing, and differ from others
@@ -273,14 +274,15 @@ class Findings:
             return ""
         if self.pointing is None or not self.pointing.told:
             return "; of the beam's angle they do not tell: too few are points"
-        return (
-            f"; the beam lights them when it should (errors up to {np.degrees(self.pointing.reach):.2g} degrees tried)"
-        )
+        if self.pointing.found is not None:  # and is not believed
+            return "; of the beam's angle they do not tell"
+        reach = np.degrees(self.pointing.reach)
+        return f"; the beam lights them when it should (errors up to {reach:.2g} degrees are tried)"
 
     def _doubt(self) -> str:
         """An alternative that gains too little to be believed."""
         likely = self.likely
-        if likely is None or likely.sharpness <= self.given.sharpness:
+        if likely is None or likely.sharpness <= self.given.sharpness or self.sharpness > DOUBTED:
             return ""
         return (
             f". They are sharper by {self._decibels(likely):.1f} dB if {likely.name}, which an error of the track by "
