@@ -39,7 +39,8 @@ def check(
     """Compare the sharpness of prominent places as given with what it would be if something were said wrongly.
 
     Tried are a conjugated signal, a reversed range axis, pulses or track in the opposite order, x and y swapped, a beam
-    that is reversed or offset, and errors of the track. Reads a part of the samples and writes nothing.
+    that is reversed, negated, offset or narrower than it is said to be, and errors of the track. Reads a part of the
+    samples and writes nothing.
 
     Parameters
     ----------
@@ -61,8 +62,10 @@ def check(
     Returns
     -------
     Report
-        `tables` has one row for everything that was tried; `result` is a dict of its figures and of the warning, which
-        is None if the samples fit.
+        `tables` has one row for everything that was tried but for errors of the beam that were not found; `result` is
+        a dict of its figures and of the warning, which is None if the samples fit. In it `beam_places` is the number of
+        points that judged the beam, and `beam_tried` the largest error of its angle that was tried, rad; None if they
+        are too few.
 
     Raises
     ------
@@ -75,10 +78,13 @@ def check(
     history, points = history_of(source), grid_of(grid)
     heights = read_ground(ground, history.collection.centred(), points, source)
     findings = check_samples(history, points, threads=count, thorough=True, terrain=heights)
+    pointing = findings.pointing
     result = {
         "warning": findings.warning(),
         "sharpness": findings.sharpness if findings.speaks else None,
         "track_phase": findings.track_phase,
+        "beam_places": pointing.places if pointing else 0,
+        "beam_tried": pointing.reach if pointing and pointing.told else None,
         "trials": [
             {"name": trial.name, "places": trial.places, "concentration": trial.sharpness} for trial in findings.trials
         ],

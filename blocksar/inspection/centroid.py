@@ -86,6 +86,8 @@ class Expectation:
         First and last (exclusive) of the segments in which every lit target has its whole dwell inside the collection.
     dwell : int
         Largest number of segments that one dwell may touch.
+    beam : str
+        The field that says where the beam points.
     """
 
     prf: float
@@ -94,6 +96,7 @@ class Expectation:
     real: float
     whole: tuple[int, int]
     dwell: int
+    beam: str = "beam_azimuth"
 
 
 def expect(
@@ -153,6 +156,7 @@ def expect(
         real=float(vector.real.min()),
         whole=(int(np.ceil(segments[0])), int(np.floor(segments[1]))),
         dwell=int(np.ceil(longest / (end - start) * SEGMENTS)) + 1,
+        beam="beam_steering" if collection.has_axis else "beam_azimuth",
     )
 
 
@@ -178,7 +182,7 @@ def disagreement(inspection: Inspection, expected: Expectation) -> str | None:
     total = sums.sum()
     doubt = cut + SIGNIFICANT * float(np.hypot.reduce(noise))
     tolerance = min(MAX_OFFSET * expected.prf, expected.sweep / 4)
-    check = "check antenna_position, beam_azimuth and the sign of the phase"
+    check = f"check antenna_position, {expected.beam} and the sign of the phase"
     angle = float(np.angle(total))
     low, high = ((expected.angle[k] + sign * tolerance) / expected.prf * TURN for k, sign in enumerate((-1, 1)))
     beyond = max(angle - high, low - angle)

@@ -11,18 +11,24 @@ from blocksar.arrays import ComplexArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
-from blocksar.collection.region import plan_region
+from blocksar.collection.region import Region, plan_region
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
 from blocksar.inspection.alternatives import Alternative, alternatives, as_given
+from blocksar.inspection.pointing import Pointing, point
 from blocksar.inspection.prominent import Line, Lines, Samples
 from blocksar.inspection.sharpness import Refocus, blurring_phase, concentration, explain, judged_by_others, refocus
 
 PLACES = 12  # that are compared
 FEWEST = 2  # places on which anything can be said
 SIGNIFICANT = 30.0  # times 1 / n: concentration that chance does not give
-SHARPER = 1.02  # times the concentration as given: an alternative that is believed
-MIRRORED = 1.2  # the same under a beam about its axis: flown backwards on a straight line, the image is mirrored
+# Times the concentration as given: an alternative that is believed. The true one gains 4 to 20 dB under a steered beam.
+# A wrong velocity gains up to 2 dB by a reversed range axis, as both change Doppler rates by a few per cent; and flown
+# backwards on a straight line an image is mirrored, and as sharp.
+SURE, SHARPER = 2.0, 1.02  # steered, not steered
+CLEARLY = 1.5  # times the same: an alternative that is named beside an error of the beam
+DOUBTED = 0.95  # of the concentration after a refocus: with less, an alternative that gains too little is remarked
+TIED = 0.75  # of the concentration of the sharpest alternative: simpler ones with more are not told from it
 # Under a beam that is not steered, conjugated, reversed or swapped data give a mirrored image, nearly as sharp.
 # Places with more than this share of the concentration after a refocus are blurred by nothing, and differ from others
 # by chance.
@@ -64,6 +70,8 @@ class Trial:
     concentration: tuple[float, ...] = ()
     significance: float = 0.0
     pulses: float = 0.0
+    changes: int = 1
+    of_beam: bool = False
 
     @property
     def places(self) -> int:
@@ -107,12 +115,12 @@ class Findings:
     cause : str
         What explains that error, empty if nothing simple does.
     remedy : str
-    sharper : float
-        Times the concentration as given, from which an alternative is believed.
     points : Points or None
         What judges the track.
     steered : bool
         Whether the beam is.
+    pointing : Pointing or None
+        What tells of the beam. If it found an error, one of the trials has its name.
     """
 
     trials: tuple[Trial, ...]
@@ -120,9 +128,9 @@ class Findings:
     track_phase: float
     cause: str
     remedy: str
-    sharper: float = SHARPER
     points: Points | None = None
     steered: bool = True
+    pointing: Pointing | None = None
 
     @property
     def given(self) -> Trial:
@@ -135,11 +143,27 @@ class Findings:
         return self.given.places >= FEWEST and max(judged, default=0.0) > SIGNIFICANT
 
     @property
-    def better(self) -> Trial | None:
-        """The alternative to be believed, if any."""
+    def mended(self) -> bool:
+        """Whether a common phase error makes places sharp: the track is wrong, as no phase lights pulses of a dwell."""
+        given, refocused, by_others = self.points or (self.given.sharpness, self.refocused, self.refocused)
+        return min(refocused, by_others) >= FOCUSED and given < SHARP * by_others
+
+    @property
+    def beam(self) -> Trial | None:
+        """The trial of a beam whose error was undone, if that is to be believed."""
+        found = self.pointing.found if self.pointing and not self.mended else None
+        trial = next((t for t in self.trials[1:] if found is not None and t.name == found.name), None)
+        least = TIED * self.given.sharpness
+        return trial if trial is not None and trial.places >= FEWEST and trial.sharpness >= least else None
+
+    @property
+    def likely(self) -> Trial | None:
+        """The alternative that is sharper than as given beyond chance, if any; by however little."""
         good = [t for t in self.trials[1:] if t.places >= FEWEST and t.significance > SIGNIFICANT]
+        if self.mended:  # what sees a part of the dwell is less blurred
+            good = [t for t in good if not t.of_beam and t.pulses >= LIKE_DWELL * self.given.pulses]
         best = max(good, key=lambda trial: trial.sharpness, default=None)
-        if best is None or best.sharpness < max(self.sharper * self.given.sharpness, AS_REFOCUSED * self.refocused):
+        if best is None or best.sharpness < max(SHARPER * self.given.sharpness, AS_REFOCUSED * self.refocused):
             return None
         if not self.given.places:
             return best if best.sharpness > FOCUSED else None
@@ -150,7 +174,30 @@ class Findings:
         if best.sharpness < FOCUSED and best.best < BEST_SHARPER * self.given.best:
             return None  # most places are clutter, whose concentration differs by chance
         gain = np.subtract.outer(best.concentration, self.given.concentration)
-        return best if np.mean((1 + np.sign(gain)) / 2) > CERTAIN else None
+        if np.mean((1 + np.sign(gain)) / 2) <= CERTAIN:
+            return None
+        return min((t for t in good if t.sharpness >= TIED * best.sharpness), key=lambda t: (t.changes, -t.sharpness))
+
+    @property
+    def better(self) -> Trial | None:
+        """The alternative to be believed, if any, but for an error of the beam."""
+        likely = self.likely
+        if likely is None or likely.sharpness < (SURE if self.steered else SHARPER) * self.given.sharpness:
+            return None
+        return likely if self.beam is None or likely.sharpness >= SURE * self.beam.sharpness else None
+
+    @property
+    def tied(self) -> list[Trial]:
+        """Alternatives that places do not tell from the one that is believed, the sharpest first."""
+        if (better := self.better) is not None:
+            least = TIED * better.sharpness
+        elif self.beam is not None:  # over a part of their dwell places are as sharp, so that only clear gains count
+            least = max(AS_REFOCUSED * self.beam.sharpness, CLEARLY * self.given.sharpness)
+        else:
+            return []
+        believed, rival = better or self.beam, self.pointing.rival if self.pointing else ""
+        known = {believed.name, rival} if believed else set()
+        return [t for t in self.trials[1:] if t.places >= FEWEST and t.sharpness >= least and t.name not in known]
 
     @property
     def sharpness(self) -> float:
@@ -161,7 +208,8 @@ class Findings:
     @property
     def blurred(self) -> bool:
         """Whether a refocus helps so much that the track must be wrong."""
-        return self.speaks and self.better is None and self.sharpness < SHARP and not self.spread
+        believed = self.better or self.beam
+        return self.speaks and believed is None and self.sharpness < SHARP and not self.spread
 
     @property
     def spread(self) -> bool:
@@ -171,10 +219,16 @@ class Findings:
     def warning(self) -> str | None:
         """What is wrong, with figures and the remedy; None if nothing is."""
         if (better := self.better) is not None:
-            gain = 10 * np.log10(better.sharpness / max(self.given.sharpness, 1e-30))
+            gain = self._decibels(better)
             return (
                 f"{better.name}, it seems: so {better.places} prominent places are sharper by {gain:.1f} dB over their "
-                f"whole dwell; {better.remedy}"
+                f"whole dwell; {better.remedy}{self._unsure(gain)}{self._ties()}"
+            )
+        if self.beam is not None and self.pointing is not None:
+            rival = f" (or {self.pointing.rival}: these places do not tell)" if self.pointing.rival else ""
+            return (
+                f"{self.beam.name}{rival}, it seems: so {self.pointing.places} prominent places are lit when they "
+                f"should be, with {self.pointing.gain:.1f} dB more power a pulse; {self.beam.remedy}{self._ties()}"
             )
         if self.blurred:
             cause = f", as by {self.cause}" if self.cause else ""
@@ -197,7 +251,42 @@ class Findings:
             )
         return (
             f"the samples fit what is said of them: {self.given.places} prominent places reach "
-            f"{min(self.sharpness, 1):.2f} of the sharpness that a refocus gives them"
+            f"{min(self.sharpness, 1):.2f} of the sharpness that a refocus gives them{self._of_the_beam()}"
+            f"{self._doubt()}"
+        )
+
+    def _decibels(self, trial: Trial) -> float:
+        return float(10 * np.log10(trial.sharpness / max(self.given.sharpness, 1e-30)))
+
+    def _unsure(self, gain: float) -> str:
+        """What else gives a small gain."""
+        cause = f", as by {self.cause}" if self.cause else ""
+        return "" if gain >= 10 * np.log10(SURE) else f"; an error of the track gives as much{cause}: check it first"
+
+    def _ties(self) -> str:
+        """What places do not tell from what is believed."""
+        others = " or ".join(f"{t.name} ({self._decibels(t):.1f} dB: {t.remedy})" for t in self.tied[:2])
+        return f". These places do not tell whether {others}: look whether the image is mirrored" if others else ""
+
+    def _of_the_beam(self) -> str:
+        """Whether the beam was tried."""
+        if not self.steered:
+            return ""
+        if self.pointing is None or not self.pointing.told:
+            return "; of the beam's angle they do not tell: too few are points"
+        if self.pointing.found is not None:  # and is not believed
+            return "; of the beam's angle they do not tell"
+        reach = np.degrees(self.pointing.reach)
+        return f"; the beam lights them when it should (errors up to {reach:.2g} degrees are tried)"
+
+    def _doubt(self) -> str:
+        """An alternative that gains too little to be believed."""
+        likely = self.likely
+        if likely is None or likely.sharpness <= self.given.sharpness or self.sharpness > DOUBTED:
+            return ""
+        return (
+            f". They are sharper by {self._decibels(likely):.1f} dB if {likely.name}, which an error of the track by "
+            "a per cent of the velocity gives as well"
         )
 
 
@@ -268,14 +357,18 @@ def check(
         cause = " or ".join(error.text for error in good)
         remedy = good[0].remedy if good else "mend the track from the data (autofocus)"
     findings = Findings(
-        (first,), refocused, left, cause, remedy, sharper=MIRRORED if collection.has_axis else SHARPER,
-        points=points, steered=collection.steered,
+        (first,), refocused, left, cause, remedy, points=points, steered=collection.steered,
+        pointing=point(samples, collection, ground.geometry, ground.region),
     )  # fmt: skip
-    if thorough or first.places >= FEWEST:
+    moved = findings.pointing.found if findings.pointing is not None else None
+    if thorough or moved is not None or first.places >= FEWEST:
         doubtful = first.sharpness < CLEAR or first.significance < SIGNIFICANT or findings.sharpness < SHARP
+        doubtful = doubtful or moved is not None
         tried = alternatives(collection)
         # Under a beam that is not steered a conjugated signal gives a mirrored image, nearly as sharp.
         tried = tried if thorough or doubtful else [] if collection.steered else tried[:1]
+        if moved is not None:
+            tried = [*(other for other in tried if other.name != moved.name), moved]
         others = [_tried(other, samples, ground) for other in tried]
         findings = replace(findings, trials=(first, *sorted(others, key=lambda trial: -trial.sharpness)))
     return findings
@@ -312,12 +405,15 @@ class _Ground:
     grid: Grid | None
     terrain: Terrain | None
 
+    def geometry(self, collection: Collection) -> Geometry:
+        return Geometry(collection=collection) if self.terrain is None else over_terrain(collection, self.terrain)
+
+    def region(self, geometry: Geometry) -> Region:
+        return plan_region(geometry, self.grid)
+
     def lines(self, collection: Collection, samples: Samples) -> list[Line]:
-        geometry = Geometry(collection=collection)
-        if self.terrain is not None:
-            geometry = over_terrain(collection, self.terrain)
-        source = Lines(samples, geometry)
-        places = source.places(plan_region(geometry, self.grid), PLACES)
+        source = Lines(samples, self.geometry(collection))
+        places = source.places(self.region(source.geometry), PLACES)
         return [line for line in map(source.line, places) if line is not None]
 
 
@@ -329,12 +425,12 @@ def _tried(other: Alternative, given: Samples, ground: _Ground) -> Trial:
     try:
         return _trial(other, ground.lines(other.collection, samples))
     except InputError:  # its track does not see the grid, for example
-        return Trial(other.name, other.remedy)
+        return Trial(other.name, other.remedy, changes=other.changes, of_beam=other.of_beam)
 
 
 def _trial(alternative: Alternative, lines: list[Line]) -> Trial:
     if not lines:
-        return Trial(alternative.name, alternative.remedy)
+        return Trial(alternative.name, alternative.remedy, changes=alternative.changes, of_beam=alternative.of_beam)
     values = np.array([concentration(line.values) for line in lines])
     return Trial(
         alternative.name,
@@ -342,4 +438,6 @@ def _trial(alternative: Alternative, lines: list[Line]) -> Trial:
         concentration=tuple(values.tolist()),
         pulses=float(np.median([line.values.size for line in lines])),
         significance=float(np.median(values * [line.values.size for line in lines])),
+        changes=alternative.changes,
+        of_beam=alternative.of_beam,
     )

@@ -33,14 +33,16 @@ APART = 12  # cells between prominent places of one map
 EACH = 4  # places taken from one map
 ROWS = np.arange(-8, 9) * 0.7  # range cells about a place at which lines are taken
 PULSES = 256  # whose range profiles are formed at a time
+NEWTON = 6  # steps to a place of another Doppler
 
 
 class Place(NamedTuple):
-    """A point on the ground, m, and its power over the median of its surroundings."""
+    """A point on the ground, m, its power over the median of its surroundings, and a pulse that saw it."""
 
     x: float
     y: float
     prominence: float
+    pulse: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +143,9 @@ class Lines:
             row, column = np.unravel_index(int(np.argmax(power)), power.shape)
             if power[row, column] < STANDS_OUT * typical:
                 break
-            places.append(Place(float(x[row, column]), float(y[row, column]), float(power[row, column] / typical)))
+            prominence = float(power[row, column] / typical)
+            middle = (pulses.start + pulses.stop) // 2
+            places.append(Place(float(x[row, column]), float(y[row, column]), prominence, middle))
             power[max(row - APART, 0) : row + APART + 1, max(column - APART, 0) : column + APART + 1] = 0.0
         return places
 
@@ -150,7 +154,10 @@ class Lines:
         first, last = (int(v) for v in lit_interval(self.geometry, np.array(place.x), np.array(place.y)))
         if last - first < SHORT:
             return None
-        middle = (first + last) // 2
+        return self.line_about(place, first, last, (first + last) // 2)
+
+    def line_about(self, place: Place, first: int, last: int, middle: int) -> Line:
+        """The line of a place over the pulses first .. last - 1, found by apertures that grow about `middle`."""
         size = SHORT
         while True:
             size = min(LONGER * size, last - first)
@@ -166,6 +173,16 @@ class Lines:
                 turn = np.exp(-2j * np.pi * shift / size * np.arange(size))
                 return Line(place, pulses, rows[:, row] * turn)
             place = self._moved(place, pulses, ROWS[row] * self.cell, shift / (size * self._interval))
+
+    def ambiguous(self, place: Place, turns: int) -> Place:
+        """The place at the same range whose Doppler is `turns` times the PRF higher, seen from the place's pulse."""
+        n = self.geometry.collection.n_pulse
+        pulses = slice(max(place.pulse - 1, 0), min(place.pulse + 1, n))
+        wanted = self._seen(place.x, place.y, pulses) + np.array([0.0, turns * self.geometry.collection.prf])
+        for _ in range(NEWTON):
+            further, doppler = wanted - self._seen(place.x, place.y, pulses)
+            place = self._moved(place, pulses, float(further), float(doppler))
+        return place
 
     @property
     def _interval(self) -> float:
@@ -202,16 +219,18 @@ class Lines:
         step = 1.0  # m
         middle = slice((pulses.start + pulses.stop) // 2 - 1, (pulses.start + pulses.stop) // 2 + 1)
 
-        def seen(x: float, y: float) -> FloatArray:
-            distance = self._distance(np.array(x), np.array(y), middle)
-            rate = (distance[1] - distance[0]) / self._interval
-            return np.array([distance.mean(), -2 / self.geometry.collection.wavelength * rate])
-
-        here = seen(place.x, place.y)
-        by_x, by_y = seen(place.x + step, place.y) - here, seen(place.x, place.y + step) - here
+        here = self._seen(place.x, place.y, middle)
+        by_x = self._seen(place.x + step, place.y, middle) - here
+        by_y = self._seen(place.x, place.y + step, middle) - here
         determinant = by_x[0] * by_y[1] - by_x[1] * by_y[0]
         if abs(determinant) < 1e-12:
             return place
         x = (further * by_y[1] - doppler * by_y[0]) / determinant
         y = (doppler * by_x[0] - further * by_x[1]) / determinant
         return place._replace(x=place.x + step * x, y=place.y + step * y)
+
+    def _seen(self, x: float, y: float, pulses: slice) -> FloatArray:
+        """Range (m) and Doppler (Hz) of a point, m, between two pulses."""
+        distance = self._distance(np.array(x), np.array(y), pulses)
+        rate = (distance[1] - distance[0]) / self._interval
+        return np.array([distance.mean(), -2 / self.geometry.collection.wavelength * rate])

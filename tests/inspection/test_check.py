@@ -104,7 +104,10 @@ def test_wrong_samples_are_found_and_named(name: str, kind: str, request: pytest
     signal, collection, grid = request.getfixturevalue(kind)
     warning = run(SAMPLES[name](signal), collection, grid).warning()
     assert warning is not None
-    assert warning.startswith(name)
+    if kind == "spotlight" and name == "the phase of the carrier has the other sign":  # by 0.2 dB only
+        assert f"do not tell whether {name}" in warning
+    else:
+        assert warning.startswith(name)
 
 
 METADATA: dict[str, Callable[[Collection], dict[str, Any]]] = {
@@ -285,10 +288,13 @@ def test_clutter_that_differs_by_chance_is_not_believed(
 
 
 @pytest.mark.parametrize(
-    ("steered", "refocused", "believed"), [(True, 0.65, True), (False, 0.65, False), (False, 0.7, True)]
+    ("steered", "refocused", "believed"), [(True, 0.65, False), (False, 0.65, False), (False, 0.7, True)]
 )
 def test_a_mirrored_image_is_believed_only_if_a_refocus_gains(steered: bool, refocused: float, believed: bool) -> None:
-    """True samples of a measured spotlight had 0.65, a refocus gained nothing, and with x and y swapped it was 0.83."""
+    """True samples of a measured spotlight had 0.65, a refocus gained nothing, and with x and y swapped it was 0.83.
+
+    Under a steered beam so small a gain is what a wrong velocity gives; where it is believed, it says so itself.
+    """
     trials = Trial("as given", "", (0.65,) * 12, 100.0), Trial("x and y are swapped", "swap them", (0.83,) * 12, 100.0)
     found = Findings(trials, refocused, 0.1, "", "", steered=steered)
     assert (found.warning() is not None) == believed

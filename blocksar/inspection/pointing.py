@@ -1,0 +1,261 @@
+"""Whether a steered beam points where it is said to: when prominent places are lit, against when they should be.
+
+The angle of a place about the antenna's axis, or its yaw, follows from its range and Doppler at any pulse, whatever is
+said of the beam. So places are looked for in all the angle that the PRF tells apart, and their lines are taken over
+several dwells. A hypothesis says from which pulses to which a place is lit; for echoes of constant amplitude in white
+noise the likeliest is the one with the largest |sum|^2 / n of the line over its n pulses, which falls by (1 - e)^2 for
+an error of e beam widths. The places, each over its own largest, judge together: what is wrong with a beam is common to
+them, and what is wrong with a place is not.
+
+The same echoes seen a PRF higher or lower lie at another angle, where range and Doppler drift a little otherwise. Each
+hypothesis is given the best of three.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from blocksar.arrays import BoolArray, FloatArray
+from blocksar.collection.beam import beam_offset, wrapped
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.region import Region
+from blocksar.errors import InputError
+from blocksar.inspection.alternatives import Alternative
+from blocksar.inspection.prominent import EDGE, SHORT, Line, Lines, Place, Samples
+
+CANDIDATES, FEWEST = 16, 3  # places that are looked at, and those in focus on which anything is said
+APART = 4.0  # range cells between places: less is the same one, seen in two apertures
+FURTHEST = 4.0  # beam widths: larger errors are not tried
+STEP = 0.02  # beam widths between errors that are tried
+NARROWER = (0.5, 0.42, 0.35, 0.3, 0.25)  # of the width said, that are tried; a pattern's nulls come to 1.7 dB at 0.5
+SPAN = 4.0  # dwells to either side of where a place was found, over which its line is taken
+FOCUSED = 0.5  # concentration of points
+OFF = 0.2  # beam widths: smaller errors cost little
+GAIN, GAIN_NARROWER = 1.0, 2.4  # dB over what is said, in the median of the places: 1.9 dB for an error of OFF
+SHARE = 0.75  # of the places, that gain
+AGREED = 0.7  # of its own best, that the median place has
+TOLD_APART = 0.4  # dB in the median, for which an angle is told from that a PRF away
+
+
+class Pointing(NamedTuple):
+    """What places tell of the beam.
+
+    Attributes
+    ----------
+    places : int
+        Number that judged, all in focus; nothing is told of the beam by fewer than FEWEST.
+    reach : float
+        Largest error of the beam's angle that was tried, rad.
+    found : Alternative or None
+        The beam with the error undone; None where it fits.
+    gain : float
+        By which places are brighter with it, dB in the median.
+    rival : str
+        Another error that these places do not tell from it, as one a PRF away; empty if there is none.
+    """
+
+    places: int
+    reach: float
+    found: Alternative | None = None
+    gain: float = 0.0
+    rival: str = ""
+
+    @property
+    def told(self) -> bool:
+        """Whether the places tell of the beam."""
+        return self.places >= FEWEST
+
+
+class _Hypotheses(NamedTuple):
+    """Beams that are tried: as said first. `law` (n,): index of the beam's angles; error (n,), rad; width (n,), rad."""
+
+    laws: list[FloatArray]
+    law: FloatArray
+    error: FloatArray
+    width: FloatArray
+
+
+def point(
+    samples: Samples,
+    collection: Collection,
+    geometry_of: Callable[[Collection], Geometry],
+    region_of: Callable[[Geometry], Region],
+) -> Pointing | None:
+    """Compare when places are lit with what is said of the beam.
+
+    Parameters
+    ----------
+    samples : Samples
+        Of this collection.
+    collection : Collection
+    geometry_of, region_of : callable
+        The geometry of a collection, and the ground to look at.
+
+    Returns
+    -------
+    Pointing or None
+        None if the beam is not steered, holds a part of what the samples hold (a look), or nothing is lit.
+    """
+    if collection.beam_width is None or collection.lit_width is not None or collection.n_pulse < SHORT:
+        return None
+    try:
+        geometry = geometry_of(collection)
+        period = _period(geometry, region_of(geometry))
+        furthest = min(period / 2, FURTHEST * collection.beam_width)
+        wide = replace(collection, beam_width=furthest / EDGE, beam_offset=None, beam_pattern=None)
+        source = Lines(samples, geometry_of(wide))
+        places = source.places(region_of(source.geometry), CANDIDATES)
+    except InputError:  # beams wider than the PRF, or than a half turn
+        return None
+    reach = min(1.5 * period, FURTHEST * collection.beam_width)
+    hypotheses = _hypotheses(collection, reach)
+    turns = [0] if period - furthest > reach else [0, -1, 1]
+    scores: list[FloatArray] = []
+    seen: list[Place] = []
+    for place in places:
+        lines = [line for k in turns if (line := _line(source, place, k, collection)) is not None]
+        if not lines or any(_apart(lines[0].place, other) < APART * source.cell for other in seen):
+            continue
+        seen.append(lines[0].place)
+        energy, focus = np.stack([_captured(source, line, collection, hypotheses) for line in lines]).max(axis=0)
+        if focus[energy.argmax()] >= FOCUSED:
+            scores.append(energy / energy.max())
+    if len(scores) < FEWEST:
+        return Pointing(len(scores), reach)
+    return _judged(collection, hypotheses, np.stack(scores), period, reach)
+
+
+def _apart(one: Place, other: Place) -> float:
+    return float(np.hypot(one.x - other.x, one.y - other.y))
+
+
+def _period(geometry: Geometry, region: Region) -> float:
+    """Angle of the beam over which Doppler changes by the PRF, rad, in the middle of the region."""
+    collection, p = geometry.collection, geometry.collection.n_pulse // 2
+    track, time = collection.antenna_position, collection.time
+    velocity = (track[p + 1] - track[p - 1]) / (time[p + 1] - time[p - 1])
+    yaw = (region.yaw[0] + region.yaw[-1]) / 2 + np.array([-1e-3, 1e-3])
+    near, far = region.at(yaw)
+    point = geometry.ground_point((near + far) / 2, yaw)
+    sight = point - track[p]
+    approach = sight @ velocity / np.linalg.norm(sight, axis=1)
+    angle = beam_offset(geometry, point[:, 0], point[:, 1], p)
+    slope = abs(float(np.diff(approach)[0] / wrapped(np.diff(angle))[0]))
+    return collection.wavelength * collection.prf / 2 / max(slope, 1e-12)
+
+
+def _beam(collection: Collection) -> FloatArray:
+    """Angle of the beam's centre, (n_pulse,) rad."""
+    return collection.beam_azimuth if collection.beam_steering is None else collection.beam_steering
+
+
+def _hypotheses(collection: Collection, reach: float) -> _Hypotheses:
+    beam, width = _beam(collection), collection.beam_width or 0.0
+    count = round(reach / (STEP * width))
+    errors = np.arange(-count, count + 1) * STEP * width
+    errors = errors[np.argsort(np.abs(errors), kind="stable")]  # as said first
+    narrower = [] if collection.has_pattern else NARROWER
+    return _Hypotheses(
+        laws=[beam, beam[::-1], -beam],
+        law=np.concatenate([np.zeros(errors.size + len(narrower)), [1, 2]]),
+        error=np.concatenate([errors, np.zeros(len(narrower) + 2)]),
+        width=width * np.concatenate([np.ones(errors.size), narrower, [1, 1]]),
+    )
+
+
+def _line(source: Lines, place: Place, turns: int, collection: Collection) -> Line | None:
+    """The line of a place, or of what a PRF turns it into, over several dwells about the pulse that saw it."""
+    geometry, n = source.geometry, collection.n_pulse
+    if turns:
+        place = source.ambiguous(place, turns)
+    pulses = np.array([max(place.pulse - SHORT // 2, 0), min(place.pulse + SHORT // 2, n - 1)])
+    ends = beam_offset(geometry, np.array(place.x), np.array(place.y), pulses)
+    if not np.isfinite(ends).all():
+        return None
+    slope = abs(float(wrapped(ends[1] - ends[0]))) / (pulses[1] - pulses[0])
+    half = max(SPAN * (collection.beam_width or 0.0) / max(slope, 1e-12), 4 * SHORT)
+    first, last = max(place.pulse - half, 0), min(place.pulse + half, n)
+    return source.line_about(place, int(first), int(last), place.pulse) if last - first >= SHORT else None
+
+
+def _captured(source: Lines, line: Line, collection: Collection, hypotheses: _Hypotheses) -> FloatArray:
+    """|sum|^2 / n of a line under each hypothesis, and its concentration there, (2, n_hypothesis)."""
+    geometry, said = source.geometry, _beam(collection)[line.pulses]
+    offset = beam_offset(geometry, np.array(line.place.x), np.array(line.place.y), line.pulses)
+    energy, focus = np.zeros((2, hypotheses.law.size))
+    for number, law in enumerate(hypotheses.laws):
+        which: BoolArray = hypotheses.law == number
+        away = wrapped(offset + said - law[line.pulses])
+        order = np.argsort(away)
+        away, values = away[order], line.values[order]
+        sums, powers = (np.concatenate([[0], np.cumsum(part)]) for part in (values, np.abs(values) ** 2))
+        centre, half = hypotheses.error[which], hypotheses.width[which] / 2
+        first, last = np.searchsorted(away, centre - half), np.searchsorted(away, centre + half, side="right")
+        squared = np.abs(sums[last] - sums[first]) ** 2
+        count = np.maximum(last - first, 1)
+        energy[which] = squared / np.maximum(count, SHORT)
+        focus[which] = squared / (count * np.maximum(powers[last] - powers[first], 1e-30))
+    return np.stack([energy, focus])
+
+
+def _judged(
+    collection: Collection, hypotheses: _Hypotheses, scores: FloatArray, period: float, reach: float
+) -> Pointing:
+    """What places with `scores` (n_place, n_hypothesis) of their best say together."""
+    width, decibels = collection.beam_width or 0.0, 10 * np.log10(np.maximum(scores, 1e-6))
+    together = scores.mean(axis=0)
+    best = int(together.argmax())
+    gain = decibels[:, best] - decibels[:, 0]
+    least = GAIN_NARROWER if hypotheses.width[best] < width else GAIN
+    plain = hypotheses.law[best] == 0 and hypotheses.width[best] == width
+    if (
+        (plain and abs(hypotheses.error[best]) < OFF * width)
+        or np.median(gain) < least
+        or np.mean(gain > 0) < SHARE
+        or np.median(scores[:, best]) < AGREED
+    ):
+        return Pointing(len(scores), reach)
+    try:
+        found = _alternative(collection, hypotheses, best)
+    except InputError:  # it would be refused
+        return Pointing(len(scores), reach)
+    if plain:
+        apart = np.abs(np.abs(hypotheses.error - hypotheses.error[best]) - period)
+        rivals = (hypotheses.law == 0) & (hypotheses.width == width) & (apart < OFF * width)
+    else:
+        rivals = (hypotheses.law > 0) & (hypotheses.law != hypotheses.law[best]) & (hypotheses.law[best] > 0)
+    rival = ""
+    if rivals.any():
+        other = int(np.where(rivals, together, -1.0).argmax())
+        lead = decibels[:, best] - decibels[:, other]
+        if np.median(lead) < TOLD_APART or np.mean(lead > 0) < SHARE:
+            rival = _names(collection, hypotheses, other)[0]
+    return Pointing(len(scores), reach, found, float(np.median(gain)), rival)
+
+
+def _names(collection: Collection, hypotheses: _Hypotheses, which: int) -> tuple[str, str]:
+    """What is wrong under a hypothesis, and what to change."""
+    field = "beam_azimuth" if collection.beam_steering is None else "beam_steering"
+    error, width, said = hypotheses.error[which], hypotheses.width[which], collection.beam_width or 1.0
+    if hypotheses.law[which] == 1:
+        return "the beam turns the other way", f"reverse {field} along pulse"
+    if hypotheses.law[which] == 2:
+        return "the beam looks to the other side", f"negate {field}"
+    if width < said:
+        name = f"the beam has about {width / said:.2g} of the {np.degrees(said):.3g} degrees of beam_width"
+        return name, f"give beam_width as {width:.3g} rad"
+    degrees = np.degrees(error)
+    return f"the beam is off by {-degrees:+.3g} degrees", f"add {degrees:+.3g} degrees to {field}"
+
+
+def _alternative(collection: Collection, hypotheses: _Hypotheses, which: int) -> Alternative:
+    """The collection as a hypothesis says it."""
+    field = "beam_azimuth" if collection.beam_steering is None else "beam_steering"
+    beam = hypotheses.laws[int(hypotheses.law[which])] + hypotheses.error[which]
+    changes: dict[str, Any] = {field: beam, "beam_width": float(hypotheses.width[which])}
+    return Alternative(*_names(collection, hypotheses, which), replace(collection, **changes), None, of_beam=True)

@@ -1,0 +1,169 @@
+"""The beam against when places are lit: errors of its angle, width and turn are measured, and true ones pass."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from axis_beams import axis_scene
+
+from blocksar.arrays import ComplexArray
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.region import plan_region
+from blocksar.inspection.check import Findings, Trial, check
+from blocksar.inspection.pointing import Pointing, point
+from blocksar.inspection.prominent import Samples
+from blocksar.simulation.phase_history import sampler
+from blocksar.simulation.scene import Scene
+
+# The beam, its yaw, PRF and pulses, the swath, and the middle of the targets along y (m). By angle and speed the PRF
+# tells 1.4 to 3.1 degrees apart.
+BEAMS = {
+    "strip": ('mode = "stripmap"\nwidth_deg = 0.8', {"time": "pulses = 601"}, -30.0),
+    "squint": (
+        'mode = "stripmap"\nwidth_deg = 0.8\nsquint_deg = 14.3',
+        {"yaw": 15.0, "swath": [10000.0, 10300.0]},
+        2350.0,
+    ),
+    "tops": ('mode = "tops"\nwidth_deg = 0.8\nrate_deg = 0.8', {"prf": 480, "time": "pulses = 901"}, -30.0),
+    "fast tops": ('mode = "tops"\nwidth_deg = 0.8\nrate_deg = -1.5', {"prf": 480, "time": "pulses = 901"}, -30.0),
+    "yaw": ("start_deg = -2.5\nstop_deg = 2.5\nwidth_deg = 1.2", {"prf": 640, "time": "pulses = 901"}, -20.0),
+}
+
+
+@cache
+def made(kind: str) -> tuple[ComplexArray, Collection]:
+    """Samples of 24 points under one of the BEAMS, and what is truly said of them."""
+    beam, shape, along = BEAMS[kind]
+    rng = np.random.default_rng(5)
+    rows = "".join(
+        f'[[targets]]\nname = "{i}"\nx = {9000 + dx:.2f}\ny = {along + dy:.2f}\nphase_deg = {phase:.0f}\n'
+        for i, (dx, dy, phase) in enumerate(
+            zip(rng.uniform(-100, 100, 24), rng.uniform(-80, 80, 24), rng.uniform(0, 360, 24), strict=True)
+        )
+    )
+    scene = Scene.parse(axis_scene(beam, more=rows, **shape))
+    collection = scene.collection()
+    signal = sampler(scene, collection)(slice(0, collection.n_pulse))
+    noise = np.random.default_rng(6).standard_normal((2, *signal.shape))
+    signal = (signal + 0.3 * (noise[0] + 1j * noise[1])).astype(np.complex64)
+    signal.flags.writeable = False
+    return signal, collection.centred()
+
+
+def found(signal: ComplexArray, collection: Collection, *, thorough: bool = False) -> Findings:
+    return check(signal, collection, grid=None, threads=2, thorough=thorough)
+
+
+def off(collection: Collection, degrees: float) -> Collection:
+    field = "beam_azimuth" if collection.beam_steering is None else "beam_steering"
+    return replace(collection, **{field: getattr(collection, field) + np.radians(degrees)})
+
+
+@pytest.mark.parametrize("kind", BEAMS)
+def test_true_beams_pass_and_what_was_tried_is_said(kind: str) -> None:
+    findings = found(*made(kind), thorough=True)
+    assert findings.warning() is None
+    assert findings.sentence().startswith("the samples fit what is said of them")
+    assert "the beam lights them when it should (errors up to " in findings.sentence()
+
+
+@pytest.mark.parametrize(
+    ("kind", "error"),
+    [  # a half and a whole width; nearly a PRF, where echoes look hardly displaced; towards the other end of the PRF
+        ("squint", 0.4), ("squint", 0.8), ("strip", -0.4), ("strip", 0.8), ("strip", 1.2), ("tops", 2.0),
+        ("tops", -2.0), ("yaw", 2.0), ("yaw", -0.6),
+    ],
+)  # fmt: skip
+def test_a_beam_that_is_off_is_named_with_its_error_and_field(kind: str, error: float) -> None:
+    signal, collection = made(kind)
+    warning = found(signal, off(collection, error)).warning() or ""
+    assert warning.startswith("the beam is off by ")
+    assert float(warning.split()[5]) == pytest.approx(error, abs=0.05)
+    field = "beam_azimuth" if kind == "yaw" else "beam_steering"
+    remedy = next(part for part in warning.split("; ") if part.startswith("add "))
+    assert float(remedy.split()[1]) == pytest.approx(-error, abs=0.05)
+    assert remedy.split()[4].rstrip(".") == field
+
+
+@pytest.mark.parametrize("kind", ["strip", "tops", "yaw"])
+def test_a_beam_of_half_the_width_is_found(kind: str) -> None:
+    signal, collection = made(kind)
+    width = collection.beam_width or 0.0
+    warning = found(signal, replace(collection, beam_width=2 * width)).warning() or ""
+    assert warning.startswith("the beam has about 0.5 of the ")
+    assert f"give beam_width as {width:.3g} rad" in warning
+
+
+def test_a_beam_about_its_axis_that_turns_the_other_way_is_found() -> None:
+    signal, collection = made("tops")
+    assert collection.beam_steering is not None
+    warning = found(signal, replace(collection, beam_steering=collection.beam_steering[::-1])).warning() or ""
+    assert warning.startswith("the beam turns the other way") and "reverse beam_steering along pulse" in warning
+
+
+def test_a_beam_that_looks_ahead_and_not_behind_is_found() -> None:
+    signal, collection = made("squint")
+    assert collection.beam_steering is not None
+    warning = found(signal, replace(collection, beam_steering=-collection.beam_steering)).warning() or ""
+    assert warning.startswith("the beam looks to the other side") and "negate beam_steering" in warning
+
+
+@pytest.mark.parametrize("kind", ["strip", "fast tops", "yaw"])
+@pytest.mark.parametrize("percent", [1.0, -2.0])
+def test_a_wrong_velocity_accuses_neither_the_beam_nor_the_samples(kind: str, percent: float) -> None:
+    signal, collection = made(kind)
+    wrong = replace(collection, antenna_position=collection.antenna_position * [1, 1 + percent / 100, 1])
+    warning = found(signal, wrong, thorough=True).warning()
+    assert warning is None or "the track is off by a phase" in warning
+    assert warning is not None or kind != "fast tops"
+
+
+@pytest.mark.parametrize("kind", ["strip", "tops", "yaw"])
+def test_of_a_conjugated_signal_the_simplest_cause_is_named_and_the_tie_said(kind: str) -> None:
+    signal, collection = made(kind)
+    warning = found(np.conj(signal), collection, thorough=True).warning() or ""
+    assert warning.startswith("the signal is conjugated")
+    assert "These places do not tell whether the phase of the carrier has the other sign" in warning
+
+
+def test_of_tied_alternatives_that_with_fewest_changes_is_believed() -> None:
+    trials = (
+        Trial("as given", "", (0.05,) * 12, 100.0),
+        Trial("two things are wrong", "mend both", (0.73,) * 12, 100.0, changes=2),
+        Trial("one thing is wrong", "mend it", (0.63,) * 12, 100.0),
+    )
+    warning = Findings(trials, 0.1, 0.1, "", "").warning() or ""
+    assert warning.startswith("one thing is wrong, it seems") and "mend it. " in warning
+    assert "do not tell whether two things are wrong" in warning
+
+
+def judged(signal: ComplexArray, collection: Collection) -> Pointing | None:
+    return point(
+        Samples(signal, collection, threads=2),
+        collection,
+        lambda c: Geometry(collection=c),
+        lambda geometry: plan_region(geometry, None),
+    )
+
+
+def test_noise_tells_nothing_of_the_beam() -> None:
+    signal, collection = made("strip")
+    rng = np.random.default_rng(1)
+    noise = (rng.standard_normal(signal.shape) + 1j * rng.standard_normal(signal.shape)).astype(np.complex64)
+    told = judged(noise, collection)
+    assert told is not None and not told.told and told.found is None
+
+
+def test_a_look_and_a_beam_that_is_not_steered_are_not_judged() -> None:
+    signal, collection = made("strip")
+    assert judged(signal, replace(collection, lit_width=2 * (collection.beam_width or 0.0))) is None
+    assert judged(signal, collection.unsteered()) is None
+
+
+def test_an_error_within_a_fifth_of_the_width_is_left_alone() -> None:
+    signal, collection = made("strip")
+    assert found(signal, off(collection, 0.12), thorough=True).warning() is None
