@@ -358,7 +358,7 @@ def check(
         remedy = good[0].remedy if good else "mend the track from the data (autofocus)"
     findings = Findings(
         (first,), refocused, left, cause, remedy, points=points, steered=collection.steered,
-        pointing=point(samples, collection, ground.geometry, ground.region),
+        pointing=point(samples, collection, ground.geometry, ground.region, thorough=thorough),
     )  # fmt: skip
     moved = findings.pointing.found if findings.pointing is not None else None
     if thorough or moved is not None or first.places >= FEWEST:

@@ -26,9 +26,10 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
 from blocksar.errors import InputError
 from blocksar.inspection.alternatives import Alternative
-from blocksar.inspection.prominent import EDGE, SHORT, Line, Lines, Place, Samples
+from blocksar.inspection.prominent import EDGE, FEW_ROWS, SHORT, Line, Lines, Place, Samples
 
-CANDIDATES, FEWEST = 16, 3  # places that are looked at, and those in focus on which anything is said
+CANDIDATES, FEW_CANDIDATES = 16, 6  # places that are looked at: at leisure, and beside a run
+FEWEST = 3  # of those in focus, on which anything is said
 APART = 4.0  # range cells between places: less is the same one, seen in two apertures
 FURTHEST = 4.0  # beam widths: larger errors are not tried
 STEP = 0.02  # beam widths between errors that are tried
@@ -85,6 +86,8 @@ def point(
     collection: Collection,
     geometry_of: Callable[[Collection], Geometry],
     region_of: Callable[[Geometry], Region],
+    *,
+    thorough: bool,
 ) -> Pointing | None:
     """Compare when places are lit with what is said of the beam.
 
@@ -95,6 +98,8 @@ def point(
     collection : Collection
     geometry_of, region_of : callable
         The geometry of a collection, and the ground to look at.
+    thorough : bool
+        Look at many places, which takes longer.
 
     Returns
     -------
@@ -109,7 +114,7 @@ def point(
         furthest = min(period / 2, FURTHEST * collection.beam_width)
         wide = replace(collection, beam_width=furthest / EDGE, beam_offset=None, beam_pattern=None)
         source = Lines(samples, geometry_of(wide))
-        places = source.places(region_of(source.geometry), CANDIDATES)
+        places = source.places(region_of(source.geometry), CANDIDATES if thorough else FEW_CANDIDATES)
     except InputError:  # beams wider than the PRF, or than a half turn
         return None
     reach = min(1.5 * period, FURTHEST * collection.beam_width)
@@ -180,7 +185,9 @@ def _line(source: Lines, place: Place, turns: int, collection: Collection) -> Li
     slope = abs(float(wrapped(ends[1] - ends[0]))) / (pulses[1] - pulses[0])
     half = max(SPAN * (collection.beam_width or 0.0) / max(slope, 1e-12), 4 * SHORT)
     first, last = max(place.pulse - half, 0), min(place.pulse + half, n)
-    return source.line_about(place, int(first), int(last), place.pulse) if last - first >= SHORT else None
+    if last - first < SHORT:
+        return None
+    return source.line_about(place, int(first), int(last), place.pulse, later=FEW_ROWS)
 
 
 def _captured(source: Lines, line: Line, collection: Collection, hypotheses: _Hypotheses) -> FloatArray:

@@ -31,7 +31,8 @@ EDGE = 0.42  # of the beam's width: angles to either side of its middle that are
 STANDS_OUT = 50.0  # times the median power: in clutter alone one cell of 1e15 does
 APART = 12  # cells between prominent places of one map
 EACH = 4  # places taken from one map
-ROWS = np.arange(-8, 9) * 0.7  # range cells about a place at which lines are taken
+ROWS: FloatArray = np.arange(-8.0, 9.0) * 0.7  # range cells about a place at which lines are taken
+FEW_ROWS = ROWS[5:12]  # about one that a shorter aperture has been moved to
 PULSES = 256  # whose range profiles are formed at a time
 NEWTON = 6  # steps to a place of another Doppler
 
@@ -156,23 +157,27 @@ class Lines:
             return None
         return self.line_about(place, first, last, (first + last) // 2)
 
-    def line_about(self, place: Place, first: int, last: int, middle: int) -> Line:
-        """The line of a place over the pulses first .. last - 1, found by apertures that grow about `middle`."""
-        size = SHORT
+    def line_about(self, place: Place, first: int, last: int, middle: int, *, later: FloatArray = ROWS) -> Line:
+        """The line of a place over the pulses first .. last - 1, found by apertures that grow about `middle`.
+
+        The first of them looks at all ROWS, and those after it at `later`.
+        """
+        size, offsets = SHORT, ROWS
         while True:
             size = min(LONGER * size, last - first)
             begin = min(max(middle - size // 2, first), last - size)
             pulses = slice(begin, begin + size)
-            rows = self._rows(place, pulses)
+            rows = self._rows(place, pulses, offsets)
             spectrum = fft_rows(np.ascontiguousarray(rows.T), inverse=False).T
             reach = min(3 * LONGER, size // 2 - 1)
             near = np.r_[0 : reach + 1, size - reach : size]
-            bin_, row = np.unravel_index(int(np.argmax(np.abs(spectrum[near]))), (near.size, ROWS.size))
+            bin_, row = np.unravel_index(int(np.argmax(np.abs(spectrum[near]))), (near.size, offsets.size))
             shift = near[bin_] if near[bin_] <= reach else near[bin_] - size
             if size == last - first:
                 turn = np.exp(-2j * np.pi * shift / size * np.arange(size))
                 return Line(place, pulses, rows[:, row] * turn)
-            place = self._moved(place, pulses, ROWS[row] * self.cell, shift / (size * self._interval))
+            place = self._moved(place, pulses, offsets[row] * self.cell, shift / (size * self._interval))
+            offsets = later
 
     def ambiguous(self, place: Place, turns: int) -> Place:
         """The place at the same range whose Doppler is `turns` times the PRF higher, seen from the place's pulse."""
@@ -193,19 +198,19 @@ class Lines:
         height = np.nan_to_num(self.geometry.height(x, y), nan=self.geometry.collection.ground_height)
         return np.sqrt((position[:, 0] - x) ** 2 + (position[:, 1] - y) ** 2 + (position[:, 2] - height) ** 2)
 
-    def _rows(self, place: Place, pulses: slice) -> Complex128Array:
-        """(n, ROWS.size): the samples about a place's range, with its phase removed."""
+    def _rows(self, place: Place, pulses: slice, offsets: FloatArray) -> Complex128Array:
+        """(n, n_row): the samples at offsets (n_row,) in range cells from a place, with its phase removed."""
         collection = self.geometry.collection
         offset = self._distance(np.array(place.x), np.array(place.y), pulses) - collection.reference_range[pulses]
-        rows = np.empty((offset.size, ROWS.size), np.complex128)
+        rows = np.empty((offset.size, offsets.size), np.complex128)
         for start in range(pulses.start // PULSES * PULSES, pulses.stop, PULSES):
             profiles = self.samples.profiles(start, min(start + PULSES, self.geometry.collection.n_pulse))
             part = slice(max(start, pulses.start), min(start + PULSES, pulses.stop))
             into = slice(part.start - pulses.start, part.stop - pulses.start)
-            at = (offset[into, None] + ROWS * self.cell) / profiles.spacing + profiles.centre
+            at = (offset[into, None] + offsets * self.cell) / profiles.spacing + profiles.centre
             at = np.clip(at, 1, profiles.values.shape[1] - 2)
             whole = np.floor(at + 0.5).astype(np.int64)
-            u, index = at - whole, np.arange(part.start - start, part.stop - start)[:, None]
+            u, index = (at - whole).astype(np.float32), np.arange(part.start - start, part.stop - start)[:, None]
             rows[into] = (  # the quadratic spline of `focusing.backprojection`
                 0.5 * (0.5 - u) ** 2 * profiles.values[index, whole - 1]
                 + (0.75 - u**2) * profiles.values[index, whole]

@@ -147,6 +147,7 @@ def judged(signal: ComplexArray, collection: Collection) -> Pointing | None:
         collection,
         lambda c: Geometry(collection=c),
         lambda geometry: plan_region(geometry, None),
+        thorough=True,
     )
 
 
