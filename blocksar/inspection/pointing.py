@@ -28,8 +28,8 @@ from blocksar.errors import InputError
 from blocksar.inspection.alternatives import Alternative
 from blocksar.inspection.prominent import EDGE, FEW_ROWS, SHORT, Line, Lines, Place, Samples
 
-CANDIDATES, FEW_CANDIDATES = 16, 6  # places that are looked at: at leisure, and beside a run
-FEWEST = 3  # of those in focus, on which anything is said
+CANDIDATES = 16  # places that are looked at
+FEWEST, ENOUGH = 3, 5  # of those in focus: on which anything is said, and that are enough beside a run
 APART = 4.0  # range cells between places: less is the same one, seen in two apertures
 FURTHEST = 4.0  # beam widths: larger errors are not tried
 STEP = 0.02  # beam widths between errors that are tried
@@ -99,7 +99,7 @@ def point(
     geometry_of, region_of : callable
         The geometry of a collection, and the ground to look at.
     thorough : bool
-        Look at many places, which takes longer.
+        Look at all places, which takes longer.
 
     Returns
     -------
@@ -114,7 +114,7 @@ def point(
         furthest = min(period / 2, FURTHEST * collection.beam_width)
         wide = replace(collection, beam_width=furthest / EDGE, beam_offset=None, beam_pattern=None)
         source = Lines(samples, geometry_of(wide))
-        places = source.places(region_of(source.geometry), CANDIDATES if thorough else FEW_CANDIDATES)
+        places = source.places(region_of(source.geometry), CANDIDATES)
     except InputError:  # beams wider than the PRF, or than a half turn
         return None
     reach = min(1.5 * period, FURTHEST * collection.beam_width)
@@ -123,6 +123,8 @@ def point(
     scores: list[FloatArray] = []
     seen: list[Place] = []
     for place in places:
+        if len(scores) == ENOUGH and not thorough:
+            break
         lines = [line for k in turns if (line := _line(source, place, k, collection)) is not None]
         if not lines or any(_apart(lines[0].place, other) < APART * source.cell for other in seen):
             continue
