@@ -9,6 +9,7 @@ points do not tell stays as it is: of all solutions the smallest is taken.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -33,6 +34,8 @@ BEND_ERROR = 0.1  # rad: of the bend of its phase
 MOST_BEND = 6.0  # rad: that is looked for
 STANDS_OUT = 20.0  # times the median power of its chip: of a point that is found
 TURNS = 4  # by which the phases of all points may be off together, on either side of the coarse solution
+MOST_MISFIT, MOST_MOVED = 2.0, 10.0  # times their errors, and m of the track, by which points that agree may be off
+MOST_LEFT_OUT, LEAST_KEPT = 0.25, 3  # share of the points that may be left out, and how many have to remain
 PADDING = 8  # of the dwell, so that the Doppler of a peak is read between cells
 
 
@@ -114,7 +117,7 @@ def anchor(work: Work, result: Result, control: Control, parts: Sequence[ChipPar
     Raises
     ------
     InputError
-        If a point is not seen.
+        If a point is not seen, or the points do not agree.
     """
     chips = join_chips(work, control.points(work), parts, correction.displacement)
     time = work.geometry.collection.time
@@ -124,9 +127,10 @@ def anchor(work: Work, result: Result, control: Control, parts: Sequence[ChipPar
         count, first = int(chips.count[i]), int(chips.first[i])
         values = chips.values[i, :, :count] * np.exp(-1j * control.phase[i])
         seen.append(_see(work, name, values, (chips.time[first : first + count] - middle) / half, chips.sight[i]))
-    left, phases = _solve(work, seen)
+    kept, left, phases = _agreeing(work, control.names, seen)
     figures = {
-        "points": len(seen),
+        "points": len(kept),
+        "left_out": [name for i, name in enumerate(control.names) if i not in kept],
         "offset": left[:3].tolist(),
         "velocity": (left[3:] / half).tolist(),
         "phase_left": float(np.sqrt(np.mean(phases * phases))),
@@ -141,6 +145,42 @@ def anchor(work: Work, result: Result, control: Control, parts: Sequence[ChipPar
         track_error=result.track_error + at(result.time),
         figures={**result.figures, "control": figures},
     )
+
+
+def _agreeing(work: Work, names: Sequence[str], seen: Sequence[Seen]) -> tuple[list[int], FloatArray, FloatArray]:
+    """The points that agree with each other and with FREE, a and b (6,), m, and the phases that are left, rad.
+
+    Others, a few of them, are left out one by one: each time the one without which the rest agrees best.
+
+    Raises
+    ------
+    InputError
+        If too many do not agree.
+    """
+    kept = list(range(len(seen)))
+    left, phases, misfit = _solve(work, seen)
+    while not (agree := misfit <= MOST_MISFIT and _moved(left) <= MOST_MOVED):
+        if len(kept) - 1 < math.ceil((1 - MOST_LEFT_OUT) * len(seen)) or len(kept) - 1 < LEAST_KEPT:
+            break
+        without = [_solve(work, [seen[j] for j in kept if j != i]) for i in kept]
+        out = min(range(len(kept)), key=lambda k: without[k][2])
+        left, phases, misfit = without[out]
+        del kept[out]
+    if not agree:
+        listed = ", ".join(names[:4]) + (", ..." if len(names) > 4 else "")
+        raise InputError(
+            f"control: the {len(seen)} points ({listed}) do not agree: "
+            f"to see them at their places the track would have to move by {_moved(left):.3g} m, and what they measure "
+            f"would still be off by {misfit:.3g} times its error ({MOST_MOVED:g} m and {MOST_MISFIT:g} times are "
+            "believed); correct their x, y, z and reflectivities, take points that stand apart from their neighbours, "
+            "or leave control out"
+        )
+    return kept, left, phases
+
+
+def _moved(left: FloatArray) -> float:
+    """The farthest that a + b s comes from 0, m."""
+    return float(max(np.linalg.norm(left[:3] + left[3:]), np.linalg.norm(left[:3] - left[3:])))
 
 
 def _see(work: Work, name: str, values: ComplexArray, s: FloatArray, sight: FloatArray) -> Seen:
@@ -191,8 +231,11 @@ def _vertex(values: FloatArray) -> float:
     return float(0.5 * (values[0] - values[2]) / bend) if bend else 0.0
 
 
-def _solve(work: Work, seen: Sequence[Seen]) -> tuple[FloatArray, FloatArray]:
-    """Return a and b (6,), m, and the phases of the points that they leave, rad."""
+def _solve(work: Work, seen: Sequence[Seen]) -> tuple[FloatArray, FloatArray, float]:
+    """Return a and b (6,), m, the phases of the points that they leave, rad, and the misfit.
+
+    The misfit is the root mean square of what is left of all measurements, and of a and b, over their errors.
+    """
     k = work.wavenumber
     terms, values = [], []
     for one in seen:
@@ -216,8 +259,9 @@ def _solve(work: Work, seen: Sequence[Seen]) -> tuple[FloatArray, FloatArray]:
         fine = _least(terms, [*values, *told])
         misfit = (np.array(terms) * fine).sum(axis=1) - np.array([*values, *told])
         tried.append((float((misfit * misfit).sum() + (fine * fine).sum() / FREE**2), turns, fine))
-    fine = min(tried, key=lambda one: one[:2])[2]
-    return fine, np.angle(np.exp(1j * (phases + k * (sights * fine).sum(axis=1))))
+    cost, _, fine = min(tried, key=lambda one: one[:2])
+    misfit = math.sqrt(cost / len(terms))
+    return fine, np.angle(np.exp(1j * (phases + k * (sights * fine).sum(axis=1)))), misfit
 
 
 def _least(terms: Sequence[FloatArray], values: Sequence[float]) -> FloatArray:

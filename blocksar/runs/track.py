@@ -127,8 +127,17 @@ class TrackCorrection:
             f"{f['entropy_before']:.3f} before and {f['entropy_after']:.3f} after",
             f"phase error left over a dwell: {f['predicted_error']:.3f} rad r.m.s. predicted; two estimates from "
             f"disjoint halves of the points differ by {f['halves_apart']:.3f} rad",
-            *([] if f.get("control") else [UNTOLD]),
+            *([_anchored(f["control"])] if f.get("control") else [UNTOLD]),
         ]
+
+
+def _anchored(control: Mapping[str, Any]) -> str:
+    """What control points did, with figures."""
+    out = ", ".join(control.get("left_out") or [])
+    return (
+        f"{control['points']} control points anchor it; {control['phase_left']:.2g} rad r.m.s. of their phases are left"
+        + (f"; left out, as they do not agree with the others: {out}" if out else "")
+    )
 
 
 def levels(before: FloatArray, after: FloatArray) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:

@@ -23,14 +23,20 @@ PHASES = np.array([0.3, -1.0, 2.0, 0.0])
 GRID = Grid(*wrong_tracks.GRID[0], *wrong_tracks.GRID[1])
 
 
-def anchored(offset: list[float], velocity: list[float], count: int = 4) -> tuple[Work, Result, np.ndarray]:
-    """A track that is wrong by a constant and a line, corrected by control points; the true positions."""
+def anchored(
+    offset: list[float], velocity: list[float], count: int = 4, said: np.ndarray | None = None
+) -> tuple[Work, Result, np.ndarray]:
+    """A track that is wrong by a constant and a line, corrected by control points; the true positions.
+
+    The points are `said` (4, 3) to lie at other places, m.
+    """
+    places = np.column_stack([PLACES, np.zeros(4)]) if said is None else said
     true = Scene.parse(wrong_tracks.SCENE).collection()
     signal = simulate_pulses(true, PLACES[:, 0], PLACES[:, 1], np.exp(1j * PHASES))
     wrong = true.antenna_position + np.array(offset) + true.time[:, None] * np.array(velocity)
     work = begin(Geometry(collection=Collection(**{**true.as_dict(), "antenna_position": wrong}).centred()), GRID)
     control = Control(
-        names=tuple("ABCD"[:count]), x=PLACES[:count, 0], y=PLACES[:count, 1], z=np.zeros(count), phase=PHASES[:count]
+        names=tuple("ABCD"[:count]), x=places[:count, 0], y=places[:count, 1], z=places[:count, 2], phase=PHASES[:count]
     )
     nothing, points = Correction.none(work), control.points(work)
     parts = [take_chips(signal[pulses], work, points, nothing.displacement, pulses) for pulses in work.blocks]
@@ -65,6 +71,21 @@ def test_range_and_phase_of_places_are_those_of_the_true_track(offset: list[floa
         turns = 2 * np.pi * np.round(left.mean() / (2 * np.pi))
         assert abs(turns) <= 2 * 2 * np.pi  # from the range of the points: within 3 cm
         assert np.abs(left - turns).max() < 0.35
+
+
+def test_a_point_at_a_wrong_place_is_left_out() -> None:
+    said = np.column_stack([PLACES, np.zeros(4)])
+    said[2, :2] += 0.5, -0.7
+    _, result, true = anchored([0.06, 0.0, 0.05], [0.0, 0.03, 0.0], said=said)
+    assert result.figures["control"]["left_out"] == ["C"] and result.figures["control"]["points"] == 3
+    assert np.abs(result.antenna_position - true).max() < 0.1
+
+
+@pytest.mark.parametrize("off", [[[0, 0, 20.0]] * 4, [[0.4, 0, 0], [0, 0.5, 0], [-0.4, 0, 0], [0, 0, 1]]])
+def test_points_that_do_not_agree_are_refused(off: list[list[float]]) -> None:
+    places = np.column_stack([PLACES, np.zeros(4)]) + np.array(off)
+    with pytest.raises(InputError, match=r"control: the 4 points \(A, B, C, D\) do not agree: .* times are believed"):
+        anchored([0.06, 0.0, 0.05], [0.0, 0.0, 0.0], said=places)
 
 
 def test_one_point_anchors_its_own_line_of_sight() -> None:
