@@ -38,7 +38,7 @@ from blocksar.version import __version__
 if TYPE_CHECKING:
     from distributed import Client
 
-FORMAT = 2  # of the folder of an estimate
+FORMAT = 3  # of the folder of an estimate
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,8 +3,11 @@
 Let e(t) = a + b s(t) be what is left of the track's error, s from -1 at the first pulse to 1 at the last. A point whose
 place is known then lies off by u . e in range, and its deramped phase is arg(sigma) - k u . e. Range, Doppler and the
 bend of the phase over a dwell give a coarse solution, the phases, known up to turns, a fine one: of some numbers of
-turns, the likeliest. A line of e bends the phases where the line of sight turns: what is in focus stays so. What the
-points do not tell stays as it is: of all solutions the smallest is taken.
+turns, the likeliest. A line of e bends the phases where the line of sight turns. What the points do not tell
+stays as it is: of all solutions the smallest is taken.
+
+Which response in a chip is the point's, and not a neighbour's, the coarse solution decides: one e puts all points at
+their places. Points that lie elsewhere are left out.
 """
 
 from __future__ import annotations
@@ -15,28 +18,29 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.arrays import FloatArray
 from blocksar.autofocusing.chips import ChipPart, join_chips
 from blocksar.autofocusing.correction import Correction
 from blocksar.autofocusing.finishing import Result
+from blocksar.autofocusing.responses import Seen, find_responses
 from blocksar.autofocusing.selection import Points
 from blocksar.autofocusing.work import Work
 from blocksar.collection.beam import lit_interval
 from blocksar.errors import InputError
-from blocksar.kernels.fourier import fast_length, fft_rows
 from blocksar.solvers import least_squares
 
 FREE = 1.0  # m: standard deviation of each component of a and b before the points are looked at
-RANGE_ERROR = 0.02  # range cells: of the measured range of a point
-RATE_ERROR = 0.05  # turns over a dwell: of its measured Doppler
-PHASE_ERROR = 0.1  # rad: of its measured phase
-BEND_ERROR = 0.1  # rad: of the bend of its phase
-MOST_BEND = 6.0  # rad: that is looked for
-STANDS_OUT = 20.0  # times the median power of its chip: of a point that is found
+RANGE_ERROR = 0.02, 0.3  # range cells: of the measured range of a point, and for noise of its own amplitude
+RATE_ERROR = 0.05, 0.5  # turns over a dwell: likewise of its measured Doppler
+BEND_ERROR = 0.05, 3.6  # rad: of the bend of its phase
+PHASE_ERROR = 0.1, 0.8  # rad: of its phase in the middle of its dwell
 TURNS = 4  # by which the phases of all points may be off together, on either side of the coarse solution
-MOST_MISFIT, MOST_MOVED = 2.0, 10.0  # times their errors, and m of the track, by which points that agree may be off
+BELONGS = 5.0  # times the errors of range, Doppler and bend, r.s.s.: within which a response may be the point's
+ROUNDS = 4  # in which responses are chosen by e, and e is solved for from them
+MOST_MISFIT = 2.0  # times their errors, r.m.s., by which points that agree may be off
+MOST_MOVED = 5 * FREE  # m: of the track
 MOST_LEFT_OUT, LEAST_KEPT = 0.25, 3  # share of the points that may be left out, and how many have to remain
-PADDING = 8  # of the dwell, so that the Doppler of a peak is read between cells
+BEND_TO_RMS = math.sqrt(4 / 45)  # r.m.s. over a dwell of a parabola that bends by 1 from its middle to its ends
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,39 +77,6 @@ class Control:
         return Points(x=self.x, y=self.y, z=self.z, first=first, last=last)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Seen:
-    """Where a control point is seen, relative to its known place along the corrected track.
-
-    Attributes
-    ----------
-    range : float
-        m, away from the antenna.
-    rate : float
-        Of its phase over s, rad.
-    phase : float
-        In the middle of its dwell, rad.
-    bend : float
-        Of its phase: from the middle of the dwell to its ends, rad.
-    sight : (3, 3) float
-        Unit vectors to it where its dwell begins, in its middle, and where it ends.
-    at : (3,) float
-        s there.
-    """
-
-    range: float
-    rate: float
-    phase: float
-    bend: float
-    sight: FloatArray
-    at: FloatArray
-
-    @property
-    def terms(self) -> FloatArray:
-        """Factors (3, 6) of a and b in u . e where the dwell begins, in its middle, and where it ends."""
-        return np.concatenate([self.sight, self.sight * self.at[:, None]], axis=1)
-
-
 def anchor(work: Work, result: Result, control: Control, parts: Sequence[ChipPart], correction: Correction) -> Result:
     """Take off the constant and linear error that control points tell.
 
@@ -122,19 +93,24 @@ def anchor(work: Work, result: Result, control: Control, parts: Sequence[ChipPar
     chips = join_chips(work, control.points(work), parts, correction.displacement)
     time = work.geometry.collection.time
     middle, half = float(time[0] + time[-1]) / 2, float(time[-1] - time[0]) / 2
-    seen = []
+    found = []
     for i, name in enumerate(control.names):
         count, first = int(chips.count[i]), int(chips.first[i])
         values = chips.values[i, :, :count] * np.exp(-1j * control.phase[i])
-        seen.append(_see(work, name, values, (chips.time[first : first + count] - middle) / half, chips.sight[i]))
-    kept, left, phases = _agreeing(work, control.names, seen)
+        s = (chips.time[first : first + count] - middle) / half
+        found.append(find_responses(work, name, values, s, chips.sight[i]))
+    fit = _agreeing(work, control.names, found)
+    left, bent = fit.left, BEND_TO_RMS * fit.bend
     figures = {
-        "points": len(kept),
-        "left_out": [name for i, name in enumerate(control.names) if i not in kept],
+        "points": len(fit.kept),
+        "left_out": [name for i, name in enumerate(control.names) if i not in fit.kept],
         "offset": left[:3].tolist(),
         "velocity": (left[3:] / half).tolist(),
-        "phase_left": float(np.sqrt(np.mean(phases * phases))),
+        "moved": fit.moved,
+        "phase_left": fit.phase,
+        "bend_left": bent,
     }
+    predicted = math.hypot(result.figures["predicted_error"], bent)
 
     def at(when: FloatArray) -> FloatArray:
         return np.asarray(left[:3] + ((when - middle) / half)[:, None] * left[3:])
@@ -143,126 +119,178 @@ def anchor(work: Work, result: Result, control: Control, parts: Sequence[ChipPar
         result,
         antenna_position=result.antenna_position - at(time),
         track_error=result.track_error + at(result.time),
-        figures={**result.figures, "control": figures},
+        figures={**result.figures, "predicted_error": predicted, "control": figures},
     )
 
 
-def _agreeing(work: Work, names: Sequence[str], seen: Sequence[Seen]) -> tuple[list[int], FloatArray, FloatArray]:
-    """The points that agree with each other and with FREE, a and b (6,), m, and the phases that are left, rad.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Fit:
+    """What some control points tell of the track.
 
-    Others, a few of them, are left out one by one: each time the one without which the rest agrees best.
+    Attributes
+    ----------
+    kept : list of int
+        Which points.
+    left : (6,) float
+        a and b, m.
+    range, phase : float
+        What they leave of the points' ranges, m, and phases, rad, rms.
+    bend : float
+        Bend of the phases over a dwell that they leave, rad rms.
+    misfit : float
+        What is left of all measurements, and of a and b, over their errors, rms.
+    """
+
+    kept: list[int]
+    left: FloatArray
+    range: float
+    phase: float
+    bend: float
+    misfit: float
+
+    @property
+    def moved(self) -> float:
+        """The farthest that a + b s comes from 0, m."""
+        a, b = self.left[:3], self.left[3:]
+        return float(max(np.linalg.norm(a + b), np.linalg.norm(a - b)))
+
+
+def _agreeing(work: Work, names: Sequence[str], found: Sequence[Sequence[Seen]]) -> _Fit:
+    """The fit of the points that agree with each other and with FREE; `found` has the responses of each point.
+
+    A few others are left out: those at whose place no response is, then one by one that without which the rest agrees
+    best.
 
     Raises
     ------
     InputError
         If too many do not agree.
     """
-    kept = list(range(len(seen)))
-    left, phases, misfit = _solve(work, seen)
-    while not (agree := misfit <= MOST_MISFIT and _moved(left) <= MOST_MOVED):
-        if len(kept) - 1 < math.ceil((1 - MOST_LEFT_OUT) * len(seen)) or len(kept) - 1 < LEAST_KEPT:
-            break
-        without = [_solve(work, [seen[j] for j in kept if j != i]) for i in kept]
-        out = min(range(len(kept)), key=lambda k: without[k][2])
-        left, phases, misfit = without[out]
-        del kept[out]
-    if not agree:
-        listed = ", ".join(names[:4]) + (", ..." if len(names) > 4 else "")
+    seen, at_place = _associated(work, found)
+    n, least = len(seen), max(math.ceil((1 - MOST_LEFT_OUT) * len(seen)), min(LEAST_KEPT, len(seen)))
+    off = [name for name, there in zip(names, at_place, strict=True) if not there]
+    advice = "take points that stand apart from their neighbours, or leave control out"
+    if len(off) > n - least:
+        reach = (work.settings.lines - 1) / 2 * work.settings.line_spacing * work.cell
         raise InputError(
-            f"control: the {len(seen)} points ({listed}) do not agree: "
-            f"to see them at their places the track would have to move by {_moved(left):.3g} m, and what they measure "
-            f"would still be off by {misfit:.3g} times its error ({MOST_MOVED:g} m and {MOST_MISFIT:g} times are "
-            "believed); correct their x, y, z and reflectivities, take points that stand apart from their neighbours, "
-            "or leave control out"
+            f"control: {len(off)} of {n} points ({_listed(off)}) are not seen where the same error of the track puts "
+            f"the others, and {n - least} may be left out (points are looked for within {reach:.2g} m of range of "
+            f"their places); correct their x, y, z (datum, height above the ellipsoid), {advice}"
         )
-    return kept, left, phases
+    fit = _solved(work, seen, [i for i in range(n) if at_place[i]])
+    while fit.misfit > MOST_MISFIT and len(fit.kept) > least:
+        without = [_solved(work, seen, [j for j in fit.kept if j != i]) for i in fit.kept]
+        fit = min(without, key=lambda one: one.misfit)
+    if fit.misfit > MOST_MISFIT:
+        raise InputError(
+            f"control: the {n} points ({_listed(names)}) do not agree: of the track that suits them best, which moves "
+            f"by {fit.moved:.2g} m, their ranges are {fit.range:.2g} m rms off, and their phases {fit.phase:.2g} rad: "
+            f"{fit.misfit:.2g} times their errors, and {MOST_MISFIT:g} times are believed; correct their x, y, z and "
+            f"reflectivities, {advice}"
+        )
+    if fit.moved > MOST_MOVED:
+        raise InputError(
+            f"control: to see the {n} points ({_listed(names)}) at their places the track would have to move by "
+            f"{fit.moved:.3g} m, and {MOST_MOVED:g} m are believed; correct their x, y, z (datum, height above the "
+            "ellipsoid), or leave control out"
+        )
+    return fit
 
 
-def _moved(left: FloatArray) -> float:
-    """The farthest that a + b s comes from 0, m."""
-    return float(max(np.linalg.norm(left[:3] + left[3:]), np.linalg.norm(left[:3] - left[3:])))
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:4]) + (", ..." if len(names) > 4 else "")
 
 
-def _see(work: Work, name: str, values: ComplexArray, s: FloatArray, sight: FloatArray) -> Seen:
-    """Find a control point in its chip (n_line, n) at times s (n,), with unit vectors to it (at least n, 3).
+def _associated(work: Work, found: Sequence[Sequence[Seen]]) -> tuple[list[Seen], list[bool]]:
+    """The response of each point that one e explains best, and whether it lies within `BELONGS` of its errors.
 
-    Raises
-    ------
-    InputError
-        If nothing stands out.
+    e is tried from none, and from each response; all points then choose the responses next to their places, and e is
+    solved for from those that belong. A response that does not belong costs `BELONGS`, however far off it is.
     """
-    n_line, n = values.shape
-    padded = np.zeros((n_line, fast_length(PADDING * n)), np.complex64)
-    padded[:, :n] = values
-    power = np.abs(fft_rows(padded, inverse=False)).astype(np.float64) ** 2
-    line, column = np.unravel_index(int(power.argmax()), power.shape)
-    above = float(power[line, column] / max(float(np.median(power)), 1e-300))
-    if not above > STANDS_OUT:
-        raise InputError(
-            f"control point {name} is not seen: its surroundings have {above:.2g} times their median power at most, "
-            f"and {STANDS_OUT:g} times are needed; leave it out, or correct its place"
-        )
-    near = power[line, [column - 1, column, (column + 1) % power.shape[1]]]
-    cycles = np.arange(power.shape[1])[column] + _vertex(near)
-    cycles = (cycles / power.shape[1] + 0.5) % 1 - 0.5  # a sample
-    samples = (n - 1) / float(s[-1] - s[0])  # for each unit of s
-    rate, centre = 2 * np.pi * cycles * samples, float(s[0] + s[-1]) / 2
-    w = 2 * (s - centre) / float(s[-1] - s[0])
-    level = (values * np.exp(-1j * rate * (s - centre))).astype(np.complex128)
-    bends = np.linspace(-MOST_BEND, MOST_BEND, 121)
-    sharp = [float(np.abs((level * np.exp(-1j * q * w * w)).sum(axis=1)).max()) for q in bends]
-    bend = float(bends[int(np.argmax(sharp))])
-    lines = (level * np.exp(-1j * bend * w * w)).sum(axis=1)
-    offset = (np.arange(n_line) - (n_line - 1) / 2) * work.settings.line_spacing  # range cells
-    tried = np.linspace(offset[0], offset[-1], 100 * n_line)
-    sums = (np.sinc(offset - tried[:, None]) * lines).sum(axis=1)
-    best = int(np.abs(sums[1:-1]).argmax()) + 1
-    step = float(tried[1] - tried[0])
-    away = float(tried[best]) + step * _vertex(np.abs(sums[best - 1 : best + 2]))
-    return Seen(
-        range=away * work.cell, rate=float(rate), phase=float(np.angle(sums[best])), bend=bend,
-        sight=sight[[0, n // 2, n - 1]], at=np.array([s[0], s[n // 2], s[-1]]),
+    points, most = np.arange(len(found)), max(map(len, found))
+    terms, told = np.zeros((points.size, most, 3, 6)), np.full((points.size, most, 3), np.inf)
+    for i, responses in enumerate(found):
+        for j, one in enumerate(responses):
+            terms[i, j], told[i, j] = _measured(work, one)
+    given = np.isfinite(told[:, :, 0])
+    best, chosen, near = np.inf, np.zeros(points.size, np.intp), np.zeros(points.size, bool)
+    for start in [np.zeros(6), *(_least(terms[i, j], told[i, j]) for i, j in zip(*np.nonzero(given), strict=True))]:
+        left = start
+        for _ in range(ROUNDS):
+            cost = ((told - (terms * left).sum(axis=3)) ** 2).sum(axis=2)
+            nearest = cost.argmin(axis=1)
+            belong = cost[points, nearest] <= BELONGS**2
+            total = np.minimum(cost.min(axis=1), BELONGS**2).sum() + (left * left).sum() / FREE**2
+            if total < best:
+                best, chosen, near = float(total), nearest, belong
+            if not belong.any():
+                break
+            these = points[belong], nearest[belong]
+            left = _least(terms[these].reshape(-1, 6), told[these].ravel())
+    return [responses[k] for responses, k in zip(found, chosen.tolist(), strict=True)], near.tolist()
+
+
+def _measured(work: Work, one: Seen) -> tuple[FloatArray, FloatArray]:
+    """Factors (3, 6) of a and b in the range, the bend and the Doppler of a response, and these (3,), over errors."""
+    k, (begin, middle, end) = work.wavenumber, one.terms
+    errors = np.array([
+        _error(RANGE_ERROR, one) * work.cell, _error(BEND_ERROR, one), 2 * np.pi * _error(RATE_ERROR, one),
+    ])  # fmt: skip
+    terms = np.stack([middle, -k * (begin - 2 * middle + end) / 2, -k * (end - begin)])
+    values = np.array([one.range, one.bend, one.rate * float(one.at[2] - one.at[0])])
+    return terms / errors[:, None], values / errors
+
+
+def _error(kind: tuple[float, float], one: Seen) -> float:
+    """Standard deviation of what is measured of a response."""
+    return math.hypot(kind[0], kind[1] * one.noise)
+
+
+def _solved(work: Work, seen: Sequence[Seen], kept: Sequence[int]) -> _Fit:
+    """The fit of the points `kept`."""
+    k, some = work.wavenumber, [seen[i] for i in kept]
+    rows = [_measured(work, one) for one in some]
+    terms, told = (np.concatenate(list(part)) for part in zip(*rows, strict=True))
+    middle = np.array([one.terms[1] for one in some])
+    phases, errors = (np.array(part) for part in zip(*((o.phase, _error(PHASE_ERROR, o)) for o in some), strict=True))
+    coarse = k * (middle * _least(terms, told)).sum(axis=1)
+    shared = np.exp(1j * (phases + coarse)).sum()
+    # of the turns, those nearest to each other
+    turned = np.angle(shared) + np.angle(np.exp(1j * (phases + coarse)) * np.conj(shared)) - coarse
+    terms = np.concatenate([terms, -k * middle / errors[:, None]])
+    tried = []
+    for turns in range(-TURNS, TURNS + 1):
+        whole = np.concatenate([told, (turned + 2 * np.pi * turns) / errors])
+        fine = _least(terms, whole)
+        misfit = whole - (terms * fine).sum(axis=1)
+        tried.append((float((misfit * misfit).sum() + (fine * fine).sum() / FREE**2), turns, fine))
+    cost, _, fine = min(tried, key=lambda one: one[:2])
+    return _Fit(
+        kept=list(kept), left=fine, misfit=math.sqrt(cost / terms.shape[0]), bend=_bend_left(work, some, terms, fine),
+        range=_rms(np.array([one.range for one in some]) - (middle * fine).sum(axis=1)),
+        phase=_rms(np.angle(np.exp(1j * (phases + k * (middle * fine).sum(axis=1))))),
     )  # fmt: skip
 
 
-def _vertex(values: FloatArray) -> float:
-    """Where the parabola through three values at -1, 0 and 1 has its vertex."""
-    bend = values[0] - 2 * values[1] + values[2]
-    return float(0.5 * (values[0] - values[2]) / bend) if bend else 0.0
+def _bend_left(work: Work, some: Sequence[Seen], terms: FloatArray, left: FloatArray) -> float:
+    """Bend, rad rms, that a and b (6,) leave: of what is measured, less its noise, and by their own errors.
 
-
-def _solve(work: Work, seen: Sequence[Seen]) -> tuple[FloatArray, FloatArray, float]:
-    """Return a and b (6,), m, the phases of the points that they leave, rad, and the misfit.
-
-    The misfit is the root mean square of what is left of all measurements, and of a and b, over their errors.
+    `terms` (n, 6) are the factors of a and b in all measurements, over errors.
     """
-    k = work.wavenumber
-    terms, values = [], []
-    for one in seen:
-        begin, middle, end = one.terms
-        terms.append(middle / (RANGE_ERROR * work.cell))
-        values.append(one.range / (RANGE_ERROR * work.cell))
-        terms.append(-k * (begin - 2 * middle + end) / 2 / BEND_ERROR)
-        values.append(one.bend / BEND_ERROR)
-        terms.append(-k * (end - begin) / (2 * np.pi * RATE_ERROR))
-        values.append(one.rate * float(one.at[2] - one.at[0]) / (2 * np.pi * RATE_ERROR))
-    coarse = _least(terms, values)
-    sights = np.array([one.terms[1] for one in seen])
-    phases = np.array([one.phase for one in seen])
-    off = phases + k * (sights * coarse).sum(axis=1)
-    shared = np.exp(1j * off).sum()
-    turned = np.angle(shared) + np.angle(np.exp(1j * off) * np.conj(shared))  # turns: those nearest to each other
-    terms += list(-k * sights / PHASE_ERROR)
-    tried = []
-    for turns in range(-TURNS, TURNS + 1):
-        told = (turned + 2 * np.pi * turns - k * (sights * coarse).sum(axis=1)) / PHASE_ERROR
-        fine = _least(terms, [*values, *told])
-        misfit = (np.array(terms) * fine).sum(axis=1) - np.array([*values, *told])
-        tried.append((float((misfit * misfit).sum() + (fine * fine).sum() / FREE**2), turns, fine))
-    cost, _, fine = min(tried, key=lambda one: one[:2])
-    misfit = math.sqrt(cost / len(terms))
-    return fine, np.angle(np.exp(1j * (phases + k * (sights * fine).sum(axis=1)))), misfit
+    turning = np.array([-work.wavenumber * (one.terms[0] - 2 * one.terms[1] + one.terms[2]) / 2 for one in some])
+    noise, weights = np.array([(BEND_ERROR[1] * one.noise, _error(BEND_ERROR, one) ** -2) for one in some]).T
+    rest = np.array([one.bend for one in some]) - (turning * left).sum(axis=1)
+    measured = float((weights * (rest * rest - noise * noise)).sum() / weights.sum())
+    known = np.concatenate([terms, np.eye(6) / FREE])  # errors of these are independent, of unit variance
+    solutions = least_squares(known.T.copy(), np.eye(known.shape[0]))  # of a and b for each of them, (6, n + 6)
+    doubt = (turning[:, :, None] * solutions).sum(axis=1)
+    return math.sqrt(max(measured, 0.0) + float((doubt * doubt).sum(axis=1).mean()))
 
 
-def _least(terms: Sequence[FloatArray], values: Sequence[float]) -> FloatArray:
-    return least_squares(np.array(terms).T.copy(), np.array(values), damping=1 / FREE**2)
+def _least(terms: FloatArray, values: FloatArray) -> FloatArray:
+    """a and b (6,), m, from factors (n, 6) and values (n,), both over errors."""
+    return least_squares(terms.T.copy(), values, damping=1 / FREE**2)
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values * values)))
