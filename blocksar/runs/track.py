@@ -121,11 +121,12 @@ class TrackCorrection:
         f = self.figures
         size = np.sqrt((self.error * self.error).sum(axis=1))
         loops = len(f.get("history") or [])
+        on = "" if "surface" in self.settings else ", if the ground is the plane on which points were taken"
         return [
             f"track corrected by up to {1e3 * size.max():.3g} mm ({1e3 * np.sqrt((size * size).mean()):.3g} mm r.m.s.) "
             f"from {f['points']} points in {loops} loop{'s' if loops != 1 else ''}; entropy of their chips "
             f"{f['entropy_before']:.3f} before and {f['entropy_after']:.3f} after",
-            f"phase error left over a dwell: {f['predicted_error']:.3f} rad r.m.s. predicted; two estimates from "
+            f"phase error left over a dwell: {f['predicted_error']:.3f} rad r.m.s. predicted{on}; two estimates from "
             f"disjoint halves of the points differ by {f['halves_apart']:.3f} rad",
             *([_anchored(f["control"])] if f.get("control") else [UNTOLD]),
         ]
@@ -134,9 +135,10 @@ class TrackCorrection:
 def _anchored(control: Mapping[str, Any]) -> str:
     """What control points did, with figures."""
     out = ", ".join(control.get("left_out") or [])
+    by = f", and move it by up to {control['moved']:.3g} m" if "moved" in control else ""
     return (
-        f"{control['points']} control points anchor it; {control['phase_left']:.2g} rad r.m.s. of their phases are left"
-        + (f"; left out, as they do not agree with the others: {out}" if out else "")
+        f"{control['points']} control points anchor it{by}; {control['phase_left']:.2g} rad r.m.s. of their phases are "
+        "left" + (f"; left out, as they do not agree with the others: {out}" if out else "")
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,19 @@ def test_a_correction_is_read_as_it_was_written() -> None:
     first, second, third = read.sentences()
     assert third.startswith("not told by the samples")
     assert first.startswith("track corrected by up to 100 mm") and "from 42 points in 2 loops" in first
-    assert "6.500 before and 4.250 after" in first and "0.030 rad r.m.s. predicted" in second
+    assert (
+        "6.500 before and 4.250 after" in first and "0.030 rad r.m.s. predicted, if the ground is the plane" in second
+    )
+
+
+def test_control_points_and_the_ground_are_in_the_sentences() -> None:
+    control = {"points": 5, "left_out": ["T12"], "moved": 2.064, "phase_left": 0.21}
+    made = correction()
+    made = replace(made, figures={**made.figures, "control": control}, settings={"grid": None, "surface": "plane"})
+    _, second, third = made.sentences()
+    assert "0.030 rad r.m.s. predicted; " in second  # a terrain is given
+    assert third.startswith("5 control points anchor it, and move it by up to 2.06 m; 0.21 rad r.m.s.")
+    assert third.endswith("left out, as they do not agree with the others: T12")
 
 
 @pytest.mark.parametrize(
