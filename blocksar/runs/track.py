@@ -135,10 +135,11 @@ class TrackCorrection:
 def _anchored(control: Mapping[str, Any]) -> str:
     """What control points did, with figures."""
     out = ", ".join(control.get("left_out") or [])
-    by = f", and move it by up to {control['moved']:.3g} m" if "moved" in control else ""
-    return (
-        f"{control['points']} control points anchor it{by}; {control['phase_left']:.2g} rad r.m.s. of their phases are "
-        "left" + (f"; left out, as they do not agree with the others: {out}" if out else "")
+    n = control["points"]
+    points, move = ("control points anchor", "move") if n != 1 else ("control point anchors", "moves")
+    by = f", and {move} it by up to {control['moved']:.3g} m" if "moved" in control else ""
+    return f"{n} {points} it{by}; {control['phase_left']:.2g} rad r.m.s. of their phases are left" + (
+        f"; left out, as they do not agree with the others: {out}" if out else ""
     )
 
 
