@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
+from blocksar.autofocusing.chips import vertex
 from blocksar.autofocusing.work import Work
 from blocksar.errors import InputError
 from blocksar.kernels.fourier import fast_length, fft_rows
@@ -126,7 +127,7 @@ def _measure(
     """
     n_line, n = values.shape
     near = power[line, [column - 1, column, (column + 1) % power.shape[1]]]
-    cycles = ((column + _vertex(near)) / power.shape[1] + 0.5) % 1 - 0.5  # a sample
+    cycles = ((column + vertex(near)) / power.shape[1] + 0.5) % 1 - 0.5  # a sample
     samples = (n - 1) / float(s[-1] - s[0])  # for each unit of s
     rate, centre = 2 * np.pi * cycles * samples, float(s[0] + s[-1]) / 2
     level = (values * np.exp(-1j * rate * (s - centre))).astype(np.complex128)
@@ -150,10 +151,4 @@ def _at_vertex(at: FloatArray, values: FloatArray) -> float:
     best = int(values.argmax())
     if not 0 < best < values.size - 1:
         return float(at[best])
-    return float(at[best] + (at[1] - at[0]) * _vertex(values[best - 1 : best + 2]))
-
-
-def _vertex(values: FloatArray) -> float:
-    """Where the parabola through three values at -1, 0 and 1 has its vertex."""
-    bend = values[0] - 2 * values[1] + values[2]
-    return float(0.5 * (values[0] - values[2]) / bend) if bend else 0.0
+    return float(at[best] + (at[1] - at[0]) * vertex(values[best - 1 : best + 2]))
