@@ -21,6 +21,7 @@ from numba.core.dispatcher import Dispatcher
 import blocksar
 from blocksar import loop_cache
 from blocksar.errors import InputError
+from blocksar.graph import compiling
 from blocksar.kernels import loops as kernel_loops
 from blocksar.kernels import phase
 from blocksar.kernels.loops import Loop, dispatchers
@@ -69,6 +70,12 @@ def test_the_second_compilation_finds_all_loops_in_the_cache() -> None:
     )
     assert int(second[0]) == 0 and int(first[1]) == int(second[1]) > 15
     assert second[2].startswith(f"all {second[1]} loops are compiled already, in ")
+
+
+def test_all_loops_are_compiled_ahead() -> None:
+    """In a container whose cache cannot be written, every process would compile one that is not named."""
+    named = [loop.dispatcher for name in compiling.LOOPS for loop in compiling.loops_named(name)]
+    assert {name for name, loop in loops() if not _is_part(loop) and loop not in named} == set()
 
 
 def test_loops_are_loaded_without_all_that_numba_can_compile() -> None:

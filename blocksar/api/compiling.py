@@ -34,7 +34,7 @@ def compile(*, progress: Progress | None = None) -> Report:
     """
     update, started = only_stage(progress, "compile"), time.perf_counter()
     update(0, 1)
-    count, compiled, folder = compile_modules(LOOPS, apart=True)
+    count, compiled, folder = compile_modules(LOOPS, by="all")
     update(1, 1)
     chosen = os.environ.get("NUMBA_CACHE_DIR", "")
     folder = chosen if chosen and folder.startswith(chosen) else folder

@@ -53,8 +53,9 @@ def carry_out(
         projected = job.exact or any(plan.completed for plan in job.plans)
         on_terrain = job.request.terrain is not None
         blends = any(plan.blends for plan in job.plans)
-        optional = (compiling.PROJECTION, projected), (compiling.TERRAIN, on_terrain), (compiling.WEIGHTS, blends)
-        compiling.compile_missing(name for names, used in optional if used for name in names)
+        optional = (compiling.PATTERNS, projected), (compiling.TERRAIN, on_terrain), (compiling.WEIGHTS, blends)
+        needed = (name for names, used in optional if used for name in names)
+        compiling.compile_missing(needed, by="others" if cluster.is_here(client) else "all")
         if client is None:
             scratch = run_folder.scratch(run.folder)
             client = cluster.Starting(**job.machine._asdict(), scratch=scratch, listener=listener)

@@ -28,7 +28,7 @@ from distributed import Client, LocalCluster
 
 from blocksar.errors import InputError, ProcessingError
 from blocksar.graph.admission import NO_WORKER, workers_of
-from blocksar.graph.compiling import compile_kernels, kernels_cached
+from blocksar.graph.compiling import By, compile_kernels, kernels_cached
 from blocksar.graph.forking import start_fork_server, worker_environment
 from blocksar.graph.here import Here
 from blocksar.graph.machine import machine
@@ -69,8 +69,8 @@ def prepare_workers(threads: int, listener: Listener) -> None:
 
 
 def open_here(listener: Listener) -> Client:
-    """Return what runs the tasks of a run in this process, after the loops are compiled."""
-    _compile_once(listener)
+    """Return what runs the tasks of a run in this process, after the loops are compiled by others."""
+    _compile_once(listener, by="others")
     return cast(Client, Here())
 
 
@@ -79,14 +79,14 @@ def is_here(client: object) -> bool:
     return isinstance(client, Here)
 
 
-def _compile_once(listener: Listener) -> None:
+def _compile_once(listener: Listener, by: By = "all") -> None:
     """Compile the loops, unless numba's cache has them.
 
     Compilation takes more memory than a worker may use: the process that workers are forked from finds them compiled.
     """
     listener.update("compile", 0, 1)
     if not kernels_cached():
-        compile_kernels()
+        compile_kernels(by)
     listener.update("compile", 1, 1)
 
 

@@ -15,7 +15,7 @@ from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from blocksar.garbage import uncollected
 from blocksar.graph.machine import machine
@@ -23,20 +23,22 @@ from blocksar.graph.machine import machine
 if TYPE_CHECKING:
     from blocksar.kernels.loops import Loop, Tally
 
+By = Literal["this", "all", "others"]  # the processes that compile loops
+
 # Those that take longest come first, so that processes end together.
 TASKS = (
-    "focusing.correction", "kernels.levelling", "kernels.interpolation", "inspection.scan", "kernels.phase",
-    "focusing.surfaces:sum_series",
+    "kernels.levelling", "kernels.interpolation", "inspection.scan", "kernels.pulse_sums", "kernels.phase",
+    "focusing.correction", "focusing.surfaces:sum_series",
 )  # fmt: skip
 TERRAIN = (
     "focusing.relief_correction", "kernels.occlusion", "kernels.terrain_rows", "focusing.surfaces:sum_layers",
 )  # fmt: skip
-PROJECTION = ("kernels.pulse_sums", "focusing.pattern_sums")
+PATTERNS = ("focusing.pattern_sums",)
 WEIGHTS = ("kernels.blending",)
 TRACKS = ("autofocusing.range_lines", "autofocusing.forms", "autofocusing.sights", "autofocusing.phase_gradient")
 LOOPS = (
-    *TERRAIN[:1], *TASKS, *PROJECTION, *TERRAIN[1:], "simulation.scatterers", *WEIGHTS, *TRACKS, "kernels.sampling",
-    "kernels.posts",
+    *TERRAIN[:1], *TASKS, *PATTERNS, "kernels.beam_passes", *TERRAIN[1:], "simulation.scatterers", *WEIGHTS, *TRACKS,
+    "kernels.sampling", "kernels.posts",
 )  # fmt: skip
 HELP = "import sys; from blocksar.graph import compiling; print(compiling.help_to_compile(sys.argv[1:]))"
 
@@ -71,33 +73,36 @@ def kernels_cached() -> bool:
     return not missing(TASKS)
 
 
-def compile_kernels(*, apart: bool = True) -> None:
-    """Compile the loops that planning and the tasks of all chains of steps run, or load them from numba's cache.
-
-    `apart`: other processes help to compile them, so that there is one for each core.
-    """
-    compile_modules(TASKS, apart=apart)
+def compile_kernels(by: By = "all") -> None:
+    """Compile the loops that planning and the tasks of all chains of steps run, or load them from numba's cache."""
+    compile_modules(TASKS, by)
 
 
-def compile_missing(names: Iterable[str]) -> None:
+def compile_missing(names: Iterable[str], by: By = "all") -> None:
     """Compile the loops that the cache of numba does not have: by a process a core, or each worker would have to."""
     if lacking := missing(names):
-        compile_modules(lacking, apart=True)
+        compile_modules(lacking, by)
 
 
-def compile_modules(names: Sequence[str], *, apart: bool = False) -> Tally:
-    """Compile these loops, or load them from numba's cache; `apart`: other processes help, so that a core has one.
+def compile_modules(names: Sequence[str], by: By = "this") -> Tally:
+    """Compile these loops, or load them from numba's cache.
+
+    `by` this process, by all (this one and its helpers, a process a core), or by others: one that is to run tasks has
+    no memory for a compiler.
 
     Returns the loops of this process, and how many of them it and its helpers had to compile.
     """
     from blocksar.kernels.loops import tally
 
-    helpers = _start_helpers(names) if apart and (lacking := missing(names)) and len(lacking) > 1 else []
+    lacking = [] if by == "this" else missing(names)
+    # What is little to compile is not worth the start of another process, unless this one must not.
+    helpers = _start_helpers(lacking, machine()[0] - (by == "all")) if len(lacking) > (by == "all") else []
     try:
+        printed = [helper.communicate()[0].strip() for helper in helpers] if by == "others" else []
         with uncollected():
             for loop in _compile_free(names):
                 loop.compile()
-        printed = [helper.communicate()[0].strip() for helper in helpers]
+        printed = printed or [helper.communicate()[0].strip() for helper in helpers]
     finally:
         for helper in helpers:
             helper.kill()
@@ -116,10 +121,10 @@ def help_to_compile(names: Iterable[str]) -> int:
 
 def _compile_free(names: Iterable[str]) -> list[Loop]:
     """Compile, or load, those of the loops that no other process is compiling; the others are returned."""
-    return [loop for name in names for loop in _loops(name) if not loop.compile(wait=False)]
+    return [loop for name in names for loop in loops_named(name) if not loop.compile(wait=False)]
 
 
-def _loops(name: str) -> list[Loop]:
+def loops_named(name: str) -> list[Loop]:
     """The loops of this name."""
     from blocksar.kernels.loops import loops_of
 
@@ -127,15 +132,12 @@ def _loops(name: str) -> list[Loop]:
     return [loop for loop in loops_of(import_module(f"blocksar.{module}")) if only in ("", loop.__name__)]
 
 
-def _start_helpers(names: Sequence[str]) -> list[subprocess.Popen[str]]:
-    """Let so many processes compile these loops that there is one for each core, this one included.
-
-    This one compiles what they fail to do.
-    """
+def _start_helpers(names: Sequence[str], most: int) -> list[subprocess.Popen[str]]:
+    """Let so many processes compile these loops; this one compiles what they fail to do."""
     paths = [str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])]
     start = partial(
         subprocess.Popen, [sys.executable, "-c", HELP, *names],
         env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
     )  # fmt: skip
-    return [start() for _ in range(min(machine()[0], len(names)) - 1)]
+    return [start() for _ in range(min(most, len(names)))]

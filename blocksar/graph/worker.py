@@ -15,7 +15,7 @@ from blocksar.kernels.fourier import fft_rows  # noqa: E402
 from blocksar.kernels.fresnel import fresnel_integral  # noqa: E402
 from blocksar.stores.chunk_files import zstd  # noqa: E402
 
-compile_kernels(apart=False)
+compile_kernels(by="this")
 fft_rows(np.zeros((1, 2), np.complex64), inverse=False)  # imports, on the first call
 fresnel_integral(np.zeros(1))
 zstd()
