@@ -266,7 +266,6 @@ def _report_finished(folder: Place, record: RunRecord, *, discard: bool, claimed
     FolderError
         If the image is damaged, or another process holds the folder.
     """
-    run_folder.check_finished(folder, record)
     run_folder.check_unchanged(folder, record)
     if discard or not run_folder.is_tidy(folder):
         with nullcontext() if claimed else run_folder.claim(folder):

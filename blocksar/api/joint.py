@@ -165,7 +165,6 @@ def focus_members(focus: Focus, members: Members, arguments: Mapping[str, Any]) 
         folders = {name: members.folder(folder, name) for name in names}
         records = {name: RunRecord.read(path) for name, path in folders.items()}
         if earlier is not None and earlier.identity == _identity(records):
-            run_folder.check_finished(folder, earlier)
             run_folder.check_unchanged(folder, earlier)
             done = f"{folder} is finished already with these settings and this input: nothing to do"
             return RunReport(summary=[done], result=earlier.as_json(), folder=folder, measurable=is_measurable(earlier))

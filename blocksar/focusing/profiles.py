@@ -47,6 +47,25 @@ class Profiles:
     centre: int
     spacing: float
 
+    def at(self, rows: IntArray, offset: FloatArray) -> ComplexArray:
+        """The quadratic spline through profiles at a few places; those beyond the bins are taken for the outermost.
+
+        Parameters
+        ----------
+        rows : (n,) int
+        offset : (n, m) float
+            R - reference_range, m.
+
+        Returns
+        -------
+        (n, m) complex64
+        """
+        place = np.clip(offset / self.spacing + self.centre, 1, self.values.shape[1] - 2)
+        nearest = np.floor(place + 0.5).astype(np.int64)
+        u, row = (place - nearest).astype(np.float32), rows[:, None]
+        before, here, after = (self.values[row, nearest + shift] for shift in (-1, 0, 1))
+        return np.asarray(0.5 * (0.5 - u) ** 2 * before + (0.75 - u**2) * here + 0.5 * (0.5 + u) ** 2 * after)
+
 
 def range_profiles(
     signal: ComplexArray,

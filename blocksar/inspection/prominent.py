@@ -207,14 +207,8 @@ class Lines:
             profiles = self.samples.profiles(start, min(start + PULSES, self.geometry.collection.n_pulse))
             part = slice(max(start, pulses.start), min(start + PULSES, pulses.stop))
             into = slice(part.start - pulses.start, part.stop - pulses.start)
-            at = (offset[into, None] + offsets * self.cell) / profiles.spacing + profiles.centre
-            at = np.clip(at, 1, profiles.values.shape[1] - 2)
-            whole = np.floor(at + 0.5).astype(np.int64)
-            u, index = (at - whole).astype(np.float32), np.arange(part.start - start, part.stop - start)[:, None]
-            rows[into] = (  # the quadratic spline of `focusing.backprojection`
-                0.5 * (0.5 - u) ** 2 * profiles.values[index, whole - 1]
-                + (0.75 - u**2) * profiles.values[index, whole]
-                + 0.5 * (0.5 + u) ** 2 * profiles.values[index, whole + 1]
+            rows[into] = profiles.at(
+                np.arange(part.start - start, part.stop - start), offset[into, None] + offsets * self.cell
             )
         cycles = self.turns * offset
         return np.asarray(rows * np.exp(2j * np.pi * (cycles - np.rint(cycles)))[:, None])

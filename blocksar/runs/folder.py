@@ -330,13 +330,14 @@ def check_finished(folder: Place, record: RunRecord) -> None:
 
 
 def check_unchanged(folder: Place, record: RunRecord) -> None:
-    """Check the chunks of a finished run's image that were written after its record: all of them, where it was copied.
+    """Check as `check_finished`, and read the chunks that were written after the record: all, where the run was copied.
 
     Raises
     ------
     FolderError
-        If some do not have the checksums of their receipts.
+        If some are missing, or do not have the checksums of their receipts.
     """
+    check_finished(folder, record)
     image = folder / "image.zarr"
     later = set(image.written_after(folder / RECORD))
     changed = []

@@ -286,6 +286,9 @@ def test_the_interpolation_error_is_below_60_db() -> None:
     predicted = spline_error(upsampling=UPSAMPLING)
     assert predicted < 1e-3
     assert 0.8 * predicted < error < 1.2 * predicted
+    carried = np.exp(4j * np.pi / SPEED_OF_LIGHT * (c.carrier + c.range_frequency[c.n_range_frequency // 2]) * distance)
+    few = formed.at(np.zeros(1, np.int64), distance[None])[0] * carried
+    assert np.abs(few - image[0]).max() < 1e-4 * np.abs(expected).max()
 
 
 @pytest.mark.parametrize("steering", [26.23, -26.23, 0.0])
