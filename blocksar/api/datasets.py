@@ -50,6 +50,7 @@ def collection(
     targets: Sequence[Target | Mapping[str, Any]] | None = None,
     georeference: Mapping[str, Any] | None = None,
     earth_centred: bool = False,
+    channel: Sequence[str] | None = None,
 ) -> xr.Dataset:
     """Build a phase history from arrays, and check it against the contract of its store.
 
@@ -102,14 +103,17 @@ def collection(
     title : str
         Shown above pictures. Default: none.
     targets : sequence of Target or of mappings, optional
-        Known point targets, which `quality` measures: {"name", "x", "y"} with x and y in m in the scene frame, and
-        "reflectivity" if it is not 1. Default: none are known.
+        Known point targets, which `quality` measures: {"name", "x", "y"} with x and y in m in the scene frame,
+        "reflectivity" if it is not 1, and "z" in m if they are not on the ground. Default: none are known.
     georeference : mapping, optional
         Place of the scene frame on the Earth: {"kind": "ENU", "latitude", "longitude", "height"}, in degrees, and in m
         above WGS 84. Default: unknown.
     earth_centred : bool
         `antenna_position` and `beam_axis` are Earth-centred, Earth-fixed (WGS 84), and are carried into the frame of
         `georeference`. Default: False.
+    channel : (n_channel,) str, optional
+        Names of channels, such as polarisations, where `signal` or `echo` is (n_channel, n_pulse, ...). Default: one
+        without a name.
 
     Returns
     -------
@@ -134,6 +138,7 @@ def collection(
         "reference_range": reference_range, "antenna_position": antenna_position, "beam_azimuth": beam_azimuth,
         "beam_axis": beam_axis, "beam_steering": beam_steering, "beam_offset": beam_offset,
         "beam_pattern": beam_pattern, "elevation": elevation, "elevation_pattern": elevation_pattern,
+        "channel": channel,
     }  # fmt: skip
     attrs: dict[str, Any] = {
         "carrier_frequency": carrier_frequency, "beam_width": beam_width, "ground_height": ground_height,
@@ -195,8 +200,8 @@ def _check_reference(reference_range: Any) -> None:
 
 def _target_record(target: Target | Mapping[str, Any]) -> dict[str, Any]:
     known = target if isinstance(target, Target) else Target.from_record(target)
-    sigma = complex(known.reflectivity)
-    return {"name": known.name, "x": known.x, "y": known.y, "reflectivity": [sigma.real, sigma.imag]}
+    channels = {} if isinstance(target, Target) or "channels" not in target else {"channels": target["channels"]}
+    return {**known.as_record(), **channels}
 
 
 def write(source: xr.Dataset, out: Location, *, overwrite: bool = False) -> Path | Place:

@@ -49,3 +49,9 @@ class Target(NamedTuple):
         if farthest > FARTHEST or not 1e-15 < abs(target.reflectivity) < 1e15:
             raise InputError(f"target {record!r} is far outside any scene; give metres, and a reflectivity about 1")
         return target
+
+    def as_record(self) -> dict[str, Any]:
+        """The entry that `from_record` reads."""
+        sigma = complex(self.reflectivity)
+        known = {"name": self.name, "x": self.x, "y": self.y, "reflectivity": [sigma.real, sigma.imag]}
+        return known if self.z is None else {**known, "z": self.z}

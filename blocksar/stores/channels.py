@@ -56,7 +56,7 @@ def read_channels(place: Place, count: int) -> tuple[str, ...]:
         If there are not `count` of them along `channel`, or they are no names.
     """
     if not metadata_file(place / "channel"):
-        raise InputError(f"variable channel (channel) is missing, and the samples have {count} channels; {REMEDY}")
+        raise unnamed_channels(count)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # zarr's, about text of fixed length, which xarray writes
         array = open_variable(place, "channel")
@@ -67,6 +67,11 @@ def read_channels(place: Place, count: int) -> tuple[str, ...]:
             )
         names = read_array(array, (slice(None),), place, "channel", label="channel")
         return check_channels([text(name) for name in names])
+
+
+def unnamed_channels(count: int) -> InputError:
+    """The error of samples whose channels have no names."""
+    return InputError(f"variable channel (channel) is missing, and the samples have {count} channels; {REMEDY}")
 
 
 def text(value: Any) -> str:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
 
@@ -17,7 +17,8 @@ from blocksar.errors import InputError
 from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.stores.arrays import metadata_file
-from blocksar.stores.contract import check_type, check_units, missing
+from blocksar.stores.channels import attrs_of_channel, check_channels, number_of, text, unnamed_channels, with_channels
+from blocksar.stores.contract import SAMPLES, check_type, check_units, missing
 from blocksar.stores.history_creation import create_phase_history, history_line
 from blocksar.stores.phase_history import (
     PhaseHistory,
@@ -29,7 +30,7 @@ from blocksar.stores.phase_history import (
 )
 from blocksar.stores.records import json_checksum, plain_value
 from blocksar.stores.regions import write_region
-from blocksar.stores.schema import OPTIONAL, PHASE_HISTORY, RAW_ECHO
+from blocksar.stores.schema import OPTIONAL, PHASE_HISTORY, RAW_ECHO, Variable
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -48,25 +49,45 @@ class DatasetHistory(PhaseHistory):
     Attributes
     ----------
     samples : xarray.Variable
-        (n_pulse, n_column) complex.
+        ([n_channel,] n_pulse, n_column) complex.
+    given : dict
+        Attributes as the dataset has them: of all channels.
     """
 
     samples: Any
+    given: dict[str, Any]
+
+    def of_channel(self, name: str | None) -> DatasetHistory:
+        """A channel alone, without the others; the first for None.
+
+        Raises
+        ------
+        InputError
+            If there is none of that name.
+        """
+        number = number_of(self.channels, name, str(self.path))
+        attrs = attrs_of_channel(self.given, self.channels, number)
+        samples = self.samples[number] if self.channels else self.samples
+        return replace(self, samples=samples, channels=(), channel=0, attrs=attrs, given=attrs)
 
     def read(self, pulses: slice, columns: slice) -> ComplexArray:
+        return self._read((self.channel, pulses, columns) if self.channels else (pulses, columns))
+
+    def _read(self, region: tuple[int | slice, ...]) -> ComplexArray:
         with np.errstate(over="ignore"):
-            lead = (self.channel,) if self.channels else ()
-            return np.asarray(self.samples[*lead, pulses, columns].values).astype(np.complex64, copy=False)
+            return np.asarray(self.samples[region].values).astype(np.complex64, copy=False)
 
     def pinned(self) -> Self:
         return self  # a dataset has no versions
 
-    def parts(self) -> Iterator[tuple[slice, ComplexArray]]:
-        """Iterate over the samples by groups of pulses, in whole chunks of a store."""
+    def parts(self) -> Iterator[tuple[tuple[slice, ...], ComplexArray]]:
+        """Iterate over the samples of all channels by groups of pulses, in whole chunks of a store: regions, values."""
         n_pulse, n_column = self.shape
-        for first in range(0, n_pulse, TILE[0]):
-            pulses = slice(first, min(first + TILE[0], n_pulse))
-            yield pulses, self.read(pulses, slice(0, n_column))
+        leads: list[tuple[slice, ...]] = [(slice(k, k + 1),) for k in range(len(self.channels))]
+        for lead in leads or [()]:
+            for first in range(0, n_pulse, TILE[0]):
+                region = (*lead, slice(first, min(first + TILE[0], n_pulse)), slice(0, n_column))
+                yield region, self._read(region)
 
     @cached_property
     def _content(self) -> str:
@@ -75,7 +96,7 @@ class DatasetHistory(PhaseHistory):
         for name, value in sorted(values.items()):
             digest.update(f"{name} {np.shape(value)} ".encode())
             digest.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
-        digest.update(json_checksum(_lasting(self.attrs)).encode())
+        digest.update(json_checksum(_lasting(self.given)).encode())
         for _, part in self.parts():
             digest.update(np.ascontiguousarray(part).view(np.uint8).data)
             finite = np.isfinite(part)
@@ -107,12 +128,14 @@ class DatasetHistory(PhaseHistory):
         """
 
         def fill(store: Place) -> None:
-            for pulses, part in self.parts():
-                write_region(store, self.variable, (pulses, slice(0, part.shape[1])), part)
+            for region, part in self.parts():
+                write_region(store, self.variable, region, part)
 
-        lines = history_line("written from a dataset in memory by blocksar", self.attrs.get("history"))
-        attrs = {**self.attrs, "history": lines, CONTENT: self.fingerprint()}
-        create_phase_history(path, self.collection, raw=self.raw, attrs=attrs, overwrite=overwrite, fill=fill)
+        lines = history_line("written from a dataset in memory by blocksar", self.given.get("history"))
+        attrs = {**self.given, "history": lines, CONTENT: self.fingerprint()}
+        create_phase_history(
+            path, self.collection, raw=self.raw, channels=self.channels, attrs=attrs, overwrite=overwrite, fill=fill
+        )
         return open_phase_history(path)
 
     def stored(self, path: Place) -> PhaseHistory:
@@ -147,7 +170,8 @@ def history_of(dataset: xr.Dataset) -> PhaseHistory:
         return history_in_memory(dataset)
     history, own = open_phase_history(source), history_in_memory(dataset)
     same_raw = history.raw is None or own.raw is None or np.array_equal(history.raw.fast_time, own.raw.fast_time)
-    return history if same_raw and own.shape == history.shape and own.same(history) else own
+    same_samples = own.shape == history.shape and own.channels == history.channels
+    return history if same_raw and same_samples and own.same(history) else own
 
 
 def _is_as_opened(variable: xr.Variable) -> bool:
@@ -192,12 +216,24 @@ def _checked(dataset: xr.Dataset) -> DatasetHistory:
 
     samples = dataset.variables[names[0]]
     check_type(names[0], SCHEMA[names[0]], tuple(samples.dims), samples.dtype)
+    channels = _channels(dataset, samples.shape[0]) if samples.ndim > len(SCHEMA[names[0]].dims) else ()
     raw = raw_echo_from(read("fast_time"), attrs) if names == ["echo"] else None
     present = dataset.variables.__contains__
     collection = collection_from(read, present, attrs, None if raw is None else raw.range_frequency)
+    given = other_attrs(attrs, raw)
+    if not channels and "channel" in dataset.variables and not dataset.variables["channel"].ndim:  # one taken out
+        given = attrs_of_channel(given, check_channels([text(dataset.variables["channel"].values.item())]), 0)
     return DatasetHistory(
-        path=place(IN_MEMORY), collection=collection, raw=raw, attrs=other_attrs(attrs, raw), samples=samples
-    )
+        path=place(IN_MEMORY), collection=collection, raw=raw, attrs=attrs_of_channel(given, channels, 0), given=given,
+        channels=channels, samples=samples,
+    )  # fmt: skip
+
+
+def _channels(dataset: xr.Dataset, count: int) -> tuple[str, ...]:
+    """Names of the channels along the samples' leading dimension."""
+    if "channel" not in dataset.variables:
+        raise unnamed_channels(count)
+    return check_channels([text(name) for name in np.atleast_1d(dataset.variables["channel"].values)])
 
 
 def dataset_of(variables: Mapping[str, Any], attrs: Mapping[str, Any]) -> xr.Dataset:
@@ -206,7 +242,7 @@ def dataset_of(variables: Mapping[str, Any], attrs: Mapping[str, Any]) -> xr.Dat
     Parameters
     ----------
     variables : mapping of str to array
-        By name; those that are None are left out.
+        By name; those that are None are left out. With `channel`, the names of channels, samples lie along these first.
     attrs : mapping of str to object
         Likewise.
 
@@ -219,6 +255,13 @@ def dataset_of(variables: Mapping[str, Any], attrs: Mapping[str, Any]) -> xr.Dat
 
     given = {name: value for name, value in variables.items() if value is not None}
     lengths: dict[str, tuple[int, str]] = {"axis": (3, "x, y, z")}
+    schema: Mapping[str, Variable] = SCHEMA
+    if "channel" in given:
+        if isinstance(given["channel"], str) or not np.iterable(given["channel"]):
+            raise InputError(f"channel is {given['channel']!r}; give a list of names")
+        names = check_channels([text(name) for name in given["channel"]])
+        given["channel"], lengths["channel"] = names, (len(names), "channel")
+        schema = with_channels(SCHEMA, *SAMPLES)
     for name in AXES:
         if name in given:
             given[name] = _array(name, given[name])
@@ -229,12 +272,12 @@ def dataset_of(variables: Mapping[str, Any], attrs: Mapping[str, Any]) -> xr.Dat
             lengths[SCHEMA[name].dims[0]] = (given[name].size, name)
     made = {}
     for name, value in given.items():
-        array = _array(name, value)
-        _check_shape(name, array, lengths)
-        made[name] = (SCHEMA[name].dims, array, {"units": SCHEMA[name].units, "long_name": SCHEMA[name].long_name})
+        array = np.array(value) if name == "channel" else _array(name, value)
+        _check_shape(name, array, schema[name].dims, lengths)
+        made[name] = (schema[name].dims, array, {"units": schema[name].units, "long_name": schema[name].long_name})
     dataset = xr.Dataset(
-        {name: value for name, value in made.items() if name not in AXES},
-        coords={name: value for name, value in made.items() if name in AXES},
+        {name: value for name, value in made.items() if name not in (*AXES, "channel")},
+        coords={name: value for name, value in made.items() if name in (*AXES, "channel")},
         attrs={name: copy.deepcopy(value) for name, value in attrs.items() if value is not None},
     )
     _checked(dataset).fingerprint()  # which reads all samples
@@ -257,8 +300,7 @@ def _array(name: str, value: Any) -> Any:
     return array.astype(dtype, copy=False)
 
 
-def _check_shape(name: str, array: Any, lengths: Mapping[str, tuple[int, str]]) -> None:
-    dims = SCHEMA[name].dims
+def _check_shape(name: str, array: Any, dims: Sequence[str], lengths: Mapping[str, tuple[int, str]]) -> None:
     expected = tuple(lengths[dim][0] for dim in dims)
     if array.shape == expected:
         return

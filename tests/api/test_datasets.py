@@ -195,6 +195,63 @@ def test_wrong_settings_leave_nothing(settings: dict[str, Any], dataset: xr.Data
     assert not (tmp_path / "run").exists()
 
 
+# ---------------------------------------------------------------- channels
+
+
+@pytest.fixture(scope="module")
+def channels() -> xr.Dataset:
+    """Two channels, the second of which is half as strong."""
+    given = arrays()
+    return blocksar.collection(
+        **{**given, "signal": np.stack([given["signal"], given["signal"] / 2])}, channel=["HH", "VV"]
+    )
+
+
+def test_channels_in_memory_are_written_and_taken_out(channels: xr.Dataset, tmp_path: Path) -> None:
+    blocksar.write(channels, tmp_path / "ph.zarr")
+    history, own = stores.open_phase_history(tmp_path / "ph.zarr"), stores.history_of(channels)
+    assert history.channels == own.channels == ("HH", "VV")
+    every = slice(None), slice(None)
+    for number, name in enumerate(history.channels):
+        expected = channels["signal"].values[number]
+        np.testing.assert_array_equal(history.of_channel(name).read(*every), expected)
+        np.testing.assert_array_equal(own.of_channel(name).read(*every), expected)
+        taken = stores.history_of(xr.open_zarr(tmp_path / "ph.zarr", chunks=None).isel(channel=number))
+        assert taken.channels == () and taken.attrs["channel"] == name
+        np.testing.assert_array_equal(taken.read(*every), expected)
+        assert taken.fingerprint() == own.of_channel(name).fingerprint()
+
+
+def test_channels_in_memory_are_focused(channels: xr.Dataset, tmp_path: Path) -> None:
+    focus(channels, tmp_path / "run", grid=CORNER)
+    image = pixels(tmp_path / "run")
+    assert image.shape[0] == 2
+    np.testing.assert_allclose(image[1], image[0] / 2, atol=1e-5)
+    assert "nothing to do" in focus(channels, tmp_path / "run", grid=CORNER).summary[0]
+    assert blocksar.quality(tmp_path / "run").result["targets"]
+
+
+@pytest.mark.parametrize(
+    ("channel", "words"),
+    [
+        (["HH"], r"signal has shape \(2, 400, 96\), but must have \(1, 400, 96\)"),
+        (["HH", "../x"], "is no name of a channel"),
+        ("HH", "give a list of names"),
+        (None, r"signal has shape .* but must have \(400, 96\)"),
+    ],
+)
+def test_wrong_channels_are_refused(channel: Any, words: str, channels: xr.Dataset) -> None:
+    with pytest.raises(InputError, match=words):
+        blocksar.collection(**{**arrays(), "signal": channels["signal"].values}, channel=channel)
+    with pytest.raises(InputError, match="variable channel .* is missing"):
+        blocksar.write(channels.drop_vars("channel"), "nowhere.zarr")
+
+
+def test_a_raised_target_keeps_its_height() -> None:
+    raised = [{"name": "T", "x": 0.0, "y": 0.0, "z": 30.0}]
+    assert blocksar.collection(**{**arrays(), "targets": raised}).attrs["targets"][0]["z"] == 30.0
+
+
 # ---------------------------------------------------------------- what a dataset is
 
 
