@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 from blocksar import stores
-from blocksar.api.parsing import parse_blocks, parse_grid, parse_memory_limit, quoted, read_grid
+from blocksar.api.parsing import LEAST_MEMORY, parse_blocks, parse_grid, parse_memory, quoted, read_grid
 from blocksar.budget import FIDELITY, LEAST_FIDELITY
 from blocksar.collection.collection import Collection
+from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError
-from blocksar.places import Location, place
-from blocksar.places.local import LocalPlace
+from blocksar.places import Location, lies_at, place
 from blocksar.places.place import Place
 
 if TYPE_CHECKING:
@@ -54,15 +54,19 @@ def memory_of(limit: Any) -> int | None:
     Raises
     ------
     InputError
-        If it is neither.
+        If it is neither, or below 1 MiB.
     """
     if isinstance(limit, str):
-        return parse_memory_limit(limit)
+        return parse_memory(limit)
     if limit is None:
         return None
+    whole = None
     with suppress(TypeError, ValueError, OverflowError):
-        if (whole := int(limit)) == limit:
-            return whole
+        whole = int(limit) if int(limit) == limit else None
+    if whole is not None and whole >= LEAST_MEMORY:
+        return whole
+    if whole is not None:
+        raise InputError(f"memory_limit is {whole} bytes; give what a worker may use, such as {2 << 30}")
     raise InputError(f'memory_limit is {quoted(limit)}; give a whole number of bytes, or a text such as "2GiB"')
 
 
@@ -113,20 +117,11 @@ def collection_of(source: One) -> Collection:
 
 def scene_of(source: One) -> Scene | None:
     """Return the scene that a source is (a TOML file or the name of a shipped one); None if it is none."""
-    text = str(source) if isinstance(source, str | Path) else ""
-    if text.endswith(".toml") or (text and not os.path.exists(text)):
-        from blocksar.simulation.scene import Scene
-        from blocksar.simulation.shipped import shipped_scenes
+    if not is_scene(source):
+        return None
+    from blocksar.simulation.scene import Scene  # slow to load
 
-        if text.endswith(".toml") or text in shipped_scenes():
-            return Scene.read(text)
-    return None
-
-
-def _path_of(source: str | os.PathLike[str] | Place) -> str:
-    """Where a store lies, however it is spelt."""
-    lies = place(source)
-    return os.path.realpath(lies.path) if isinstance(lies, LocalPlace) else str(lies)
+    return Scene.read(str(source))
 
 
 def sources_of(source: Source) -> list[One]:
@@ -142,7 +137,8 @@ def sources_of(source: Source) -> list[One]:
     if not source:
         raise InputError("source is empty: give at least one phase history")
     paths = [
-        _path_of(each) if isinstance(each, str | os.PathLike | Place) else f"dataset {id(each)}" for each in source
+        lies_at(place(each)) if isinstance(each, str | os.PathLike | Place) else f"dataset {id(each)}"
+        for each in source
     ]
     if twice := [path for number, path in enumerate(paths) if path in paths[:number]]:
         raise InputError(f"{twice[0]} is given twice; give each collection once")
@@ -189,15 +185,19 @@ def collections_of(source: Source) -> list[Collection]:
     sources = sources_of(source)
     collections = [collection_of(each) for each in sources]
     if len(sources) > 1:
-        stored = [each for each in sources if not _is_scene(each)]
+        stored = [each for each in sources if not is_scene(each)]
         check_one_frame([history_of(each) for each in stored])
     return collections
 
 
-def _is_scene(source: One) -> bool:
-    """Whether a source is a scene: a TOML file or the name of a shipped one."""
+def is_scene(source: One) -> bool:
+    """Whether a source is a scene: a TOML file, or the name of a shipped one if nothing lies there."""
     text = str(source) if isinstance(source, str | Path) else ""
-    return text.endswith(".toml") or bool(text and not os.path.exists(text))
+    if text.endswith(".toml") or not text or os.path.exists(text):
+        return text.endswith(".toml")
+    from blocksar.simulation.shipped import shipped_scenes
+
+    return text in shipped_scenes()
 
 
 def history_of(source: One) -> stores.PhaseHistory:
@@ -229,17 +229,19 @@ def history_of(source: One) -> stores.PhaseHistory:
 
 
 def channels_of(source: Source) -> tuple[str, ...]:
-    """Names of the channels of phase histories that are paths; none of others."""
+    """Names of the channels of phase histories that are paths or datasets; none of others."""
     first = sources_of(source)[0]
-    if not isinstance(first, str | os.PathLike | Place) or _is_scene(first):
+    if isinstance(first, stores.PhaseHistory) or is_scene(first):
         return ()
-    if not (place(first) / "channel").exists():  # sooner known than by opening the store
+    if not is_dataset(first) and not (place(first) / "channel").exists():  # sooner known than by opening the store
         return ()
     return history_of(first).channels
 
 
-def control_points(control: Location | Sequence[Target] | None, *, used: bool = True) -> tuple[Target, ...]:
-    """Read control points, as targets of `quality` are read; none by default.
+def control_points(
+    control: Location | Sequence[Target] | None, source: Source, *, used: bool = True
+) -> tuple[Target, ...]:
+    """Read control points in the frame of a phase history, as targets of `quality` are read; none by default.
 
     Raises
     ------
@@ -250,9 +252,12 @@ def control_points(control: Location | Sequence[Target] | None, *, used: bool = 
         return ()
     if not used:
         raise InputError("control is given without autofocus, which alone uses it; give both, or leave it out")
-    from blocksar.api.target_files import targets_of  # with SciPy, slow to load
+    from blocksar.api.target_files import Frame, targets_of  # with SciPy, slow to load
 
-    found = tuple(targets_of(control, {}))
+    history = history_of(sources_of(source)[0])
+    attribute = history.attrs.get("georeference")
+    georeference = None if attribute is None else Georeference.from_attribute(attribute)
+    found = tuple(targets_of(control, {}, Frame(georeference, history.collection.ground_height)))
     if not found:
         raise InputError(f"control {control} names no points; give some, or leave it out")
     return found

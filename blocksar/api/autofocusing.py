@@ -24,7 +24,7 @@ from blocksar.graph.machine import resources
 from blocksar.graph.track_stages import copy_store
 from blocksar.ingestion.terrain.reading import Ground
 from blocksar.measurement.targets import Target
-from blocksar.places import Location, place
+from blocksar.places import Location, lies_in, place
 from blocksar.places.place import Place
 from blocksar.progress import Listener, as_listener
 from blocksar.progress import Wanted as Progress
@@ -109,12 +109,13 @@ def autofocus(
     """
     listener, target = as_listener(progress), place(out)
     history = history_of(source).pinned()
-    if not isinstance(history, stores.DatasetHistory):
-        _refuse_overlap(history.path, target)
+    stored = not isinstance(history, stores.DatasetHistory)
+    if stored and (lies_in(history.path, target) or lies_in(target, history.path)):
+        raise InputError(f"--out {target} and the input {history.path} lie in each other; choose another place")
     ground, within = Ground(terrain=terrain, surface=surface, vertical=vertical), grid_of(grid)
     estimate = TrackEstimate(
         history=history, folder=place(f"{target}.autofocus"), fingerprint=history.fingerprint(), grid=within,
-        control=control_points(control), ground=ground,
+        control=control_points(control, source), ground=ground,
         terrain=read_ground(ground, history.collection.centred(), within, dict(history.attrs)),
     )  # fmt: skip
     if (attribute := _finished(target, estimate)) is not None:
@@ -151,12 +152,6 @@ def autofocus(
         return Report(
             summary=[*summary, f"{target} is finished in {time.perf_counter() - clock:.1f} s"], result=attribute
         )
-
-
-def _refuse_overlap(source: Place, target: Place) -> None:
-    for inside, outside in ((source, target), (target, source)):
-        if f"{inside}/".startswith(f"{outside}/"):
-            raise InputError(f"--out {target} and the input {source} lie in each other; choose another place")
 
 
 def _finished(target: Place, estimate: TrackEstimate) -> dict[str, Any] | None:

@@ -15,7 +15,7 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
 from blocksar.measurement.targets import Target
-from blocksar.places import Location, place
+from blocksar.places import Location, lies_at, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 
@@ -230,7 +230,7 @@ def write(source: xr.Dataset, out: Location, *, overwrite: bool = False) -> Path
         raise InputError(f"source is a {type(source).__name__}; give a dataset, which blocksar.collection builds")
     history, target = stores.history_in_memory(source), place(out)
     opened = source.encoding.get("source")
-    if opened is not None and str(place(opened)) == str(target):
+    if opened is not None and lies_at(place(opened)) == lies_at(target):
         raise InputError(f"{target} is what the dataset was opened from; write it to another place")
     history.write(target, overwrite=overwrite)
     return target.path if isinstance(target, LocalPlace) else target

@@ -28,7 +28,10 @@ if TYPE_CHECKING:
     import xarray as xr
 
 Following = list[list[str]]  # command lines that come next, as words after `blocksar`
-PARTS = {"spectrum": "the recovered spectrum of a run", "patch": "one block's part of a run's image"}
+PARTS = {
+    "spectrum": "the recovered spectrum of a run", "height": "the terrain of a run",
+    "antenna_position": "the track as flown, beside a simulated phase history",
+}  # fmt: skip
 MADE = ("quality.json", "report.html", "mosaic.png", "contours.png")  # in a run folder, by other commands
 MOST_READ = 16  # files of the Gotcha set that are read; of more, the first and the last
 
@@ -109,7 +112,8 @@ def _store(where: Place, names: list[str]) -> Report:
     if "signal" in names or "echo" in names:
         return _phase_history(stores.open_phase_history(where), where)
     if "image" in names:
-        return _report("image", str(where), *_image(where))
+        kind = "image" if "block" in names else "one block's part of a run's image"
+        return _report(kind, str(where), *_image(where))
     if "reference_range" in names:
         collection, attrs = stores.read_collection(where)
         rows = [*facts.general_rows(attrs), *facts.collection_rows(collection), *facts.history_rows(attrs)]

@@ -213,7 +213,7 @@ def focus(
         discard=discard,
         ground=Ground(terrain=terrain, surface=surface, vertical=vertical),
         autofocus=autofocus,
-        control=control_points(control, used=autofocus),
+        control=control_points(control, source, used=autofocus),
     )
     if profile is not None:
         recording.check_recordable(profile, client)

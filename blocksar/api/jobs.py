@@ -460,8 +460,10 @@ def _divided(earlier: RunRecord | None) -> tuple[Divided, ...] | None:
 
 
 def records_of(control: Sequence[Target]) -> list[list[str | float]]:
-    """Control points as settings hold them: name, x, y, real and imaginary part of the reflectivity."""
-    return [[t.name, t.x, t.y, t.reflectivity.real, t.reflectivity.imag] for t in control]
+    """Control points as settings hold them: name, x, y, real and imaginary part of the reflectivity, z if given."""
+    return [
+        [t.name, t.x, t.y, t.reflectivity.real, t.reflectivity.imag, *([] if t.z is None else [t.z])] for t in control
+    ]
 
 
 def predicted_blocks(plan: Plan) -> tuple[PredictedBlock, ...]:

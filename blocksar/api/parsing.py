@@ -11,6 +11,7 @@ from typing import Any, Literal
 from blocksar.errors import InputError
 
 EXAMPLE = "give --grid x0:x1:dx,y0:y1:dy in metres, such as --grid -2500:2500:1,18000:23000:1"
+LEAST_MEMORY = 1 << 20  # bytes of a worker; fewer are a number whose unit was forgotten
 Axis = tuple[float, float, float]  # first point, end (exclusive) and spacing
 
 
@@ -87,12 +88,12 @@ def _parse_axis(name: str, numbers: Sequence[Any], shown: object) -> Axis:
 
 
 def parse_memory(text: str) -> int:
-    """Read an amount of memory, such as `2GiB`, `500 MB` or `1e9`, as bytes.
+    """Read the memory of a worker, such as `2GiB`, `500 MB` or `1e9`, as bytes.
 
     Raises
     ------
     InputError
-        If the text is not a positive number with a unit of bytes.
+        If the text is not a positive number with a unit of bytes, or below 1 MiB: the unit was forgotten.
 
     Examples
     --------
@@ -111,26 +112,9 @@ def parse_memory(text: str) -> int:
         raise InputError(
             f"--memory-limit {quoted(text)} is not an amount of memory that a machine has; give one such as 2GiB"
         )
+    if size < LEAST_MEMORY:
+        raise InputError(f"--memory-limit {quoted(text)} is {int(size)} bytes; give it with a unit, such as 2GiB")
     return int(size)
-
-
-def parse_memory_limit(text: str) -> int:
-    """Read the memory of a worker, bytes; a number without its unit is refused.
-
-    Raises
-    ------
-    InputError
-        As `parse_memory`, and below 1 MiB.
-
-    Examples
-    --------
-    >>> parse_memory_limit("2GiB")
-    2147483648
-    """
-    size = parse_memory(text)
-    if size < 1 << 20:
-        raise InputError(f"--memory-limit {quoted(text)} is {size} bytes; give it with a unit, such as 2GiB")
-    return size
 
 
 def parse_origin(text: str) -> tuple[float, float, float]:

@@ -30,6 +30,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import Owned
 from blocksar.collection.surface import Surface
+from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
 from blocksar.errors import InputError
@@ -47,7 +48,7 @@ from blocksar.ingestion.terrain.reading import Ground, coverage_note
 from blocksar.places import Location
 from blocksar.planning import choice, effort
 from blocksar.planning.choice import Contender
-from blocksar.planning.disk import SAMPLE
+from blocksar.planning.disk import exact_bytes
 from blocksar.planning.memory import checked_back_projection_memory
 from blocksar.planning.plan import Plan, plan_collection
 from blocksar.planning.segments import Divided, PlannedSegment, joint_grid, plan_segments
@@ -161,7 +162,7 @@ def plan(
         if heights is not None and (gaps := coverage_note(heights, points)) is not None:
             of_each.append(gaps)
     if method is None:
-        return _told_first(_plan_backprojection(collections, points, assumed), of_each)
+        return _told_first(_plan_backprojection(collections, points, heights, assumed), of_each)
 
     def plan_by(
         collection: Collection, *, grid: Grid | None, like: Divided | None = None, owned: Owned | None = None,
@@ -259,7 +260,9 @@ def _report_contenders(contenders: list[Contender], assumed: Resources) -> PlanR
     )
 
 
-def _plan_backprojection(collections: Sequence[Collection], grid: Grid | None, assumed: Resources) -> PlanReport:
+def _plan_backprojection(
+    collections: Sequence[Collection], grid: Grid | None, terrain: Terrain | None, assumed: Resources
+) -> PlanReport:
     geometries = [Geometry(collection=collection) for collection in collections]
     grid = grid or joint_grid(geometries)
     pixels = grid.shape[0] * grid.shape[1]
@@ -268,11 +271,12 @@ def _plan_backprojection(collections: Sequence[Collection], grid: Grid | None, a
         checked_back_projection_memory(collection, grid, assumed.threads, assumed.memory_limit)
         for collection in collections
     )
+    written = exact_bytes(grid, terrain, noise=any(each.noise_power for each in collections))
     lines = [
         f"exact back-projection of {grid.shape[1]} x {grid.shape[0]} pixels, {lit} lit pulses each: "
         f"{pixels * lit / 1e9:.3g} G updates at most, {workforce(assumed)}",
         f"peak memory of a worker {memory / MIB:.0f} MiB",
-        f"a run writes at most {pixels * SAMPLE / MIB:.0f} MiB",
+        f"a run writes at most {sum(written.values()) / MIB:.0f} MiB",
         time_line(effort.together([effort.of_backprojection(each, grid) for each in geometries]), assumed),
     ]
     return PlanReport(summary=lines, result=grid, geometry=geometries[0])

@@ -13,7 +13,7 @@ from blocksar.api.shown import RunReport
 from blocksar.graph.machine import Resources
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
-from blocksar.planning.disk import run_bytes
+from blocksar.planning.disk import exact_bytes, run_bytes
 from blocksar.runs.record import RunRecord
 
 
@@ -39,7 +39,8 @@ def rehearse(request: Request, earlier: RunRecord | None, machine: Resources) ->
         f"{size_text(machine.memory_limit)} that it may take"
     )
     written = sum(size for plan in plans for size in run_bytes(plan).values())
-    size = written if plans else 8 * job.grid.shape[0] * job.grid.shape[1]
+    noise = any(history.collection.noise_power for history in request.histories)
+    size = written if plans else sum(exact_bytes(job.grid, request.terrain, noise=noise).values())
     return RunReport(
         tables=[block_table(plans)] if plans else [],
         details=plan_details(plans) if plans else [],

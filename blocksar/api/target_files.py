@@ -8,18 +8,18 @@ import json
 import os
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from blocksar import stores
+from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
 from blocksar.measurement.figures import PointResponse
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
-from blocksar.runs.finished import FinishedRun
 
 CSV_FORM = "a first line with name, x, y, and maybe z and reflectivity (such as 1 or 0.5+0.2j)"
 GROUND_STEPS = 4  # to the height above the ellipsoid at which a place lies on the ground's plane
@@ -28,12 +28,29 @@ FORM = '[{"name": "A1", "x": 120.5, "y": -40.0}, ...], x and y in m in the scene
 KNOWN = {*Target._fields, *PointResponse._fields}
 
 
+class Placed(Protocol):
+    """What has a scene frame: a finished run, or a `Frame`."""
+
+    @property
+    def georeference(self) -> Georeference | None: ...
+
+    @property
+    def ground_height(self) -> float: ...
+
+
+class Frame(NamedTuple):
+    """A scene frame: its place on the Earth, if that is known, and the height of its ground, m."""
+
+    georeference: Georeference | None
+    ground_height: float
+
+
 def targets_of(
     targets: Location | Sequence[Target | Mapping[str, Any]] | None,
     attrs: Mapping[str, Any],
-    run: FinishedRun | None = None,
+    frame: Placed | None = None,
 ) -> list[Target]:
-    """Read targets from a file; by default, from the attributes of a collection. GeoJSON needs the run.
+    """Read targets from a file; by default, from the attributes of a collection. GeoJSON needs the scene's frame.
 
     Raises
     ------
@@ -52,14 +69,14 @@ def targets_of(
         from blocksar.simulation.scene import Scene  # slow to load
 
         return [Target(*t) for t in Scene.read(str(path)).point_targets()]
-    return read_targets(path, run)
+    return read_targets(path, frame)
 
 
-def read_targets(path: Place, run: FinishedRun | None = None) -> list[Target]:
+def read_targets(path: Place, frame: Placed | None = None) -> list[Target]:
     """Read the targets of a JSON file: a list of records, or a dict with that list as `targets`.
 
     A CSV file has the names of the fields in its first line. A GeoJSON file (FeatureCollection) has points in degrees,
-    which the georeference of the run takes to the scene frame, and their names in `properties` or `id`.
+    which a georeference takes to the scene frame, and their names in `properties` or `id`.
 
     Raises
     ------
@@ -68,7 +85,7 @@ def read_targets(path: Place, run: FinishedRun | None = None) -> list[Target]:
     """
     records = _records(path)
     if isinstance(records, dict) and records.get("type") in ("FeatureCollection", "Feature"):
-        records = _of_geojson(path, records, run)
+        records = _of_geojson(path, records, frame)
     if isinstance(records, dict):
         records = records.get("targets")
     if not isinstance(records, list) or not records:
@@ -135,7 +152,7 @@ def _of_csv(path: Place) -> list[dict[str, Any]]:
     return records
 
 
-def _of_geojson(path: Place, content: Mapping[str, Any], run: FinishedRun | None) -> list[dict[str, Any]]:
+def _of_geojson(path: Place, content: Mapping[str, Any], frame: Placed | None) -> list[dict[str, Any]]:
     """The records of GeoJSON points: longitude and latitude in degrees, and height above the ellipsoid in m if given.
 
     Without a height a point lies on the plane of the ground.
@@ -143,11 +160,11 @@ def _of_geojson(path: Place, content: Mapping[str, Any], run: FinishedRun | None
     Raises
     ------
     InputError
-        If a feature is no point, or the run has no georeference.
+        If a feature is no point, or there is no georeference.
     """
-    if run is None or run.georeference is None:
+    if frame is None or frame.georeference is None:
         raise InputError(
-            f"{path} is GeoJSON, whose points are in degrees, but the run has no georeference; give x and y instead: "
+            f"{path} is GeoJSON, whose points are in degrees, but there is no georeference; give x and y instead: "
             f"{FORM}"
         )
     features = content.get("features") if content.get("type") == "FeatureCollection" else [content]
@@ -169,20 +186,20 @@ def _of_geojson(path: Place, content: Mapping[str, Any], run: FinishedRun | None
                 f"{path}: feature {number} lies at longitude {longitude:g}, latitude {latitude:g}; give longitude "
                 "first, in degrees"
             )
-        x, y, z = _in_scene(run, latitude, longitude, height[0] if height else None)
+        x, y, z = _in_scene(frame.georeference, frame.ground_height, latitude, longitude, height[0] if height else None)
         extra = {key: own[key] for key in ("reflectivity",) if key in own}
         records.append({"name": str(name), "x": x, "y": y, **({"z": z} if height else {}), **extra})
     return records
 
 
-def _in_scene(run: FinishedRun, latitude: float, longitude: float, height: float | None) -> tuple[float, float, float]:
+def _in_scene(
+    frame: Georeference, ground_height: float, latitude: float, longitude: float, height: float | None
+) -> tuple[float, float, float]:
     """x, y, z (m) of a place in the scene frame; without a height, where it meets the plane of the ground."""
-    frame = run.georeference
-    assert frame is not None
-    above = frame.height + run.ground_height if height is None else height
+    above = frame.height + ground_height if height is None else height
     for _ in range(1 if height is not None else GROUND_STEPS):
         x, y, z = (float(value) for value in frame.from_geodetic(np.array([latitude, longitude, above])))
-        above -= z - run.ground_height
+        above -= z - ground_height
     return x, y, z
 
 

@@ -78,4 +78,4 @@ def autofocus(
             progress=progress,
         )
     show(report, context)
-    hint(context, "focus", out, "--out", "RUN", *given(context, "out", "overwrite", "json_log"))
+    hint(context, "focus", out, "--out", "RUN", *given(context, "out", "overwrite", "json_log", "control"))

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from blocksar.api.parsing import parse_memory_limit
+from blocksar.api.parsing import parse_memory
 from blocksar.cli.autofocusing import autofocus
 from blocksar.cli.display import hint, show
 from blocksar.cli.endings import Commands, catch_signals, open_streams
@@ -72,7 +72,7 @@ def demo(
 
     Example: [bold]blocksar demo --out demo-run[/bold]
     """
-    memory = None if memory_limit is None else parse_memory_limit(memory_limit)
+    memory = None if memory_limit is None else parse_memory(memory_limit)
 
     from blocksar import api
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -98,9 +97,10 @@ OF_PLAN = ("everything", "explain")  # its options that `focus` has not
 
 def _hint_after_plan(context: typer.Context, sources: list[str], proposal: Any) -> None:
     """Simulate a scene, or focus phase histories with the same options."""
+    from blocksar.api.arguments import is_scene
+
     for source in sources:
-        shipped = "://" not in source and not os.path.exists(source)
-        if shipped or source.endswith(".toml"):
+        if is_scene(source):
             hint(context, "simulate", source, "--out", f"{Path(source).stem}.zarr")
             return
     proposed = ["--processor", proposal.result.method.processor] if context.params["processor"] == "auto" else []

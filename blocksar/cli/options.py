@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, TypedDict, get_args, get_type_hints
 
 import typer
 
-from blocksar.api.parsing import Axis, parse_blocks, parse_grid, parse_memory_limit
+from blocksar.api.parsing import Axis, parse_blocks, parse_grid, parse_memory
 from blocksar.collection.surface import Surface
 from blocksar.focusing.method import Coefficients, Method, Processor
 
@@ -162,7 +162,7 @@ def parse_settings(
         "weighting_azimuth": weighting[2],
         "grid": None if grid is None else parse_grid(grid),
         "workers": workers,
-        "memory_limit": None if memory_limit is None else parse_memory_limit(memory_limit),
+        "memory_limit": None if memory_limit is None else parse_memory(memory_limit),
     }
 
 

@@ -59,6 +59,16 @@ def place(path: Location) -> Place:
     return ObjectPlace(bucket, key)
 
 
+def lies_at(place: Place) -> str:
+    """Where a place lies, however it is spelt: links of a local file system are followed."""
+    return os.path.realpath(place.path) if isinstance(place, LocalPlace) else str(place)
+
+
+def lies_in(inner: Place, outer: Place) -> bool:
+    """Whether a place is another one, or lies in it."""
+    return f"{lies_at(inner)}/".startswith(f"{lies_at(outer)}/")
+
+
 def _check_endpoint(endpoint: str) -> None:
     """Check the address of the object store; it may hold a password, so that no message repeats it."""
     try:

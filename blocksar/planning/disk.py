@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from blocksar.collection.grid import Grid
+from blocksar.collection.terrain import Terrain
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.planning.plan import Plan
 from blocksar.planning.tiling import image_chunk, touched_chunks
@@ -43,6 +44,13 @@ def run_bytes(plan: Plan) -> dict[str, int]:
         **_on_terrain(plan, touched=len(touching), covered=covered),
         **({"noise": NOISE_SAMPLE * covered} if plan.geometry.collection.noise_power else {}),
     }
+
+
+def exact_bytes(grid: Grid, terrain: Terrain | None, *, noise: bool) -> dict[str, int]:
+    """Bytes that exact back-projection writes at most, by store: what lies in a grid, all of it covered."""
+    pixels = math.prod(grid.shape)
+    layers = {} if terrain is None else {"terrain": terrain.heights.nbytes, "layers": 2 * LAYER_SAMPLE * pixels}
+    return {"image": SAMPLE * pixels, **layers, **({"noise": NOISE_SAMPLE * pixels} if noise else {})}
 
 
 def _on_terrain(plan: Plan, *, touched: int, covered: int) -> dict[str, int]:

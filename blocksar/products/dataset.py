@@ -58,9 +58,9 @@ def prepare(dataset: xr.Dataset) -> xr.Dataset:
     dataset = dataset.assign_coords({GRID_MAPPING: xr.Variable((), np.int32(0), mapping)})
     for axis in "xy":
         dataset[axis].attrs["standard_name"] = f"projection_{axis}_coordinate"
-    for name in ("image", "block", "collection", "noise_equivalent"):
-        if name in dataset:
-            dataset[name].attrs["grid_mapping"] = GRID_MAPPING
+    for variable in dataset.data_vars.values():
+        if variable.dims[-2:] == ("y", "x"):
+            variable.attrs["grid_mapping"] = GRID_MAPPING
     return dataset
 
 

@@ -17,6 +17,7 @@ from typing import Any
 
 from blocksar import stores
 from blocksar.errors import FolderError, InputError, ProcessingError
+from blocksar.places import lies_in
 from blocksar.places.local import LocalPlace, is_temporary
 from blocksar.places.place import Held, Place
 from blocksar.runs.demonstration import HISTORY
@@ -193,10 +194,9 @@ def refuse_overlap(source: Place, folder: Place) -> None:
     FolderError
         If it does.
     """
-    inside, outside = (os.path.realpath(p) if isinstance(p, LocalPlace) else str(p) for p in (source, folder))
-    if f"{outside}/".startswith(f"{inside}/"):
+    if lies_in(folder, source):
         raise FolderError(f"--out {folder} lies in the input {source}; choose another place")
-    if any(f"{inside}/".startswith(f"{outside}/{name}/") for name in OWN):
+    if any(lies_in(source, folder / name) for name in OWN):
         raise FolderError(f"the input {source} lies among what a run in {folder} writes; choose another --out")
 
 

@@ -153,8 +153,12 @@ def _frame(scene: Scene, origin: tuple[float, float, float] | None) -> Georefere
         If the origin is wrong, or the scene has a georeference and its centre is not the origin of that.
     """
     if scene.georeference is None:
-        latitude, longitude, height = origin or ORIGIN
-        if not (abs(latitude) <= 89.9 and abs(longitude) <= 180 and abs(height) < 1e5):
+        try:
+            latitude, longitude, height = map(float, origin or ORIGIN)
+            possible = abs(latitude) <= 89.9 and abs(longitude) <= 180 and abs(height) < 1e5
+        except (TypeError, ValueError):
+            possible = False
+        if not possible:
             raise InputError(
                 f"origin is {origin}: give a latitude within 89.9 degrees, a longitude within 180, and a height in m"
             )

@@ -243,7 +243,7 @@ def test_channels_in_memory_are_focused(channels: xr.Dataset, tmp_path: Path) ->
 def test_wrong_channels_are_refused(channel: Any, words: str, channels: xr.Dataset) -> None:
     with pytest.raises(InputError, match=words):
         blocksar.collection(**{**arrays(), "signal": channels["signal"].values}, channel=channel)
-    with pytest.raises(InputError, match="variable channel .* is missing"):
+    with pytest.raises(InputError, match=r"variable channel .* is missing"):
         blocksar.write(channels.drop_vars("channel"), "nowhere.zarr")
 
 

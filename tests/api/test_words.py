@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,11 +13,13 @@ from arrays import arrays
 from typer.testing import CliRunner
 
 import blocksar
-from blocksar.api.arguments import blocks_of, grid_of, memory_of
+from blocksar.api.arguments import blocks_of, control_points, grid_of, is_scene, memory_of
+from blocksar.api.jobs import records_of
 from blocksar.cli import commands
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError, in_python
 from blocksar.ingestion.timeline import stated_times
+from blocksar.measurement.targets import Target
 from blocksar.products.pictures.quicklook import checked_colour_map, checked_size
 
 
@@ -69,6 +72,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "an empty grid": ({"grid": ((5, 5, 1), (0, 1, 1))}, r"^grid is empty: x runs from 5 to 5 m; give an end above"),
     "half a block": ({"blocks": 2.5}, r"^blocks 2\.5 is neither 'auto' nor a whole number"),
     "half a byte": ({"memory_limit": 0.5}, r'^memory_limit is 0\.5; give a whole number of bytes, or a text'),
+    "no memory": ({"memory_limit": 0}, r"^memory_limit is 0 bytes; give what a worker may use, such as 2147483648"),
     "a list of memory": ({"memory_limit": [1]}, r"^memory_limit is \[1\]; give"),
     "a fidelity in words": ({"fidelity": "high"}, r"^fidelity is 'high'; give a number below 1, such as 0\.999$"),
     "a fidelity above 1": ({"fidelity": 1.5}, r"^fidelity = 1\.5: ask for a coherence from 0\.5 to below 1, such as"),
@@ -90,6 +94,11 @@ def test_values_of_the_wrong_kind_are_refused(case: str, dataset: xr.Dataset, tm
     [
         (lambda source: blocksar.check(source, threads="two"), "^threads is 'two'; give a whole number"),
         (lambda source: blocksar.preview(source, threads=1.5), "^threads is 1.5; give a whole number"),
+        (
+            lambda _: blocksar.simulate("table1", "none.cphd", cphd=True, origin=(1, 2)),  # type: ignore[arg-type]
+            r"^origin is \(1, 2\): give",
+        ),
+        (lambda _: blocksar.ingest("gotcha", None, "none.zarr"), "^source is None; give the path"),  # type: ignore[arg-type]
         (lambda _: checked_colour_map(3), "^colour map 3 is none that matplotlib knows; did you mean"),
         (lambda _: checked_size("large"), "^size = 'large': give 200 to"),
         (lambda _: stated_times(3, None), "^collection-start '3' is not a date"),
@@ -102,6 +111,26 @@ def test_other_values_of_the_wrong_kind_are_refused(
 ) -> None:
     with pytest.raises(InputError, match=message):
         call(dataset)
+
+
+def test_an_address_is_no_scene() -> None:
+    assert is_scene("table1") and is_scene("own.toml") and not is_scene("s3://bucket/ph.zarr") and not is_scene("none")
+
+
+def test_control_points_of_another_height_are_others() -> None:
+    low, high, ground = (records_of([Target("P", 1.0, 2.0, 1.0, z)]) for z in (5.0, 50.0, None))
+    assert low != high != ground and len(ground[0]) == 5  # as runs of earlier versions have it
+
+
+def test_control_points_may_lie_on_the_earth(tmp_path: Path) -> None:
+    frame = {"kind": "ENU", "latitude": 39.78, "longitude": -84.1, "height": 300.0}
+    feature = {"type": "Feature", "id": "P", "geometry": {"type": "Point", "coordinates": [-84.1, 39.78, 312.0]}}
+    (tmp_path / "points.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    placed = blocksar.collection(**arrays(), georeference=frame)
+    (point,) = control_points(tmp_path / "points.geojson", placed)
+    assert point.name == "P" and point[1:3] == pytest.approx((0, 0), abs=1e-6) and point.z == pytest.approx(12.0)
+    with pytest.raises(InputError, match="there is no georeference"):
+        control_points(tmp_path / "points.geojson", blocksar.collection(**arrays()))
 
 
 def test_an_error_speaks_of_parameters(dataset: xr.Dataset, tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ class Calls(ModuleType):
         self.seen: dict[str, tuple[tuple[object, ...], dict[str, object]]] = {}
         self.answer: object = REPORT
         self.updates: list[tuple[str, int, int]] = []
-        for name in COMMANDS:
+        for name in (*COMMANDS, "autofocus"):
             setattr(self, name, lambda *args, _name=name, **kwargs: self._called(_name, args, kwargs))
 
     def _called(self, name: str, args: tuple[object, ...], kwargs: dict[str, object]) -> object:
@@ -228,8 +228,8 @@ def test_an_invalid_grid_is_refused_with_the_reason(text: str, message: str) -> 
 
 @pytest.mark.parametrize(
     ("text", "size"),
-    [("1GiB", 2**30), ("1.5 gib", 3 * 2**29), ("500MB", 500_000_000), ("4k", 4000), ("4Ki", 4096), ("1e9", 10**9),
-     (".5GB", 500_000_000), ("123", 123), ("7B", 7)],
+    [("1GiB", 2**30), ("1.5 gib", 3 * 2**29), ("500MB", 500_000_000), ("4000k", 4_000_000), ("4096Ki", 1 << 22),
+     ("1e9", 10**9), (".5GB", 500_000_000), ("1234567", 1234567), ("7000000B", 7_000_000)],
 )  # fmt: skip
 def test_memory_sizes_are_parsed(text: str, size: int) -> None:
     assert parsing.parse_memory(text) == size
@@ -517,6 +517,9 @@ NEXT = {
     ),
     "check ph.zarr --grid 0:1:1,0:1:1": "plan ph.zarr --grid 0:1:1,0:1:1",
     "focus ph.zarr --out run": "quality run",
+    "autofocus ph.zarr --out c.zarr --grid 0:1:1,0:1:1 --control points.json": (
+        "focus c.zarr --out RUN --grid 0:1:1,0:1:1"
+    ),
     "quality run": "report run",
     "report a/run": "export png a/run --out run.png",
     "compile": "demo --out demo-run",

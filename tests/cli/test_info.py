@@ -20,8 +20,10 @@ from blocksar import stores
 from blocksar.cli import commands
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import default_grid, plan_region
+from blocksar.collection.terrain import Terrain
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
+from blocksar.places import place
 
 
 def facts_of(path: Path | str) -> tuple[str, dict[str, str], list[list[str]]]:
@@ -123,6 +125,18 @@ def test_an_image_and_a_collection_are_described(run: Path) -> None:
     assert kind == "image" and facts["grid"] == "-30:30:0.4,-26:26:0.4 (150 x 130 pixels)"
     kind, facts, _ = facts_of(run / "collection.zarr")
     assert kind.startswith("collection") and facts["pulses"].startswith("160 in")
+
+
+def test_stores_beside_an_image_are_told_apart(run: Path, tmp_path: Path) -> None:
+    stores.create(
+        tmp_path / "patch.zarr", stores.PATCH, sizes={}, attrs={}, chunks={"y": 4, "x": 4},
+        coords={"y": np.arange(4.0), "x": np.arange(4.0)},
+    )  # fmt: skip
+    assert facts_of(tmp_path / "patch.zarr")[0] == "one block's part of a run's image"
+    stores.write_truth(tmp_path / "truth.zarr", np.arange(3.0), np.zeros((3, 3)))
+    assert facts_of(tmp_path / "truth.zarr")[0].startswith("the track as flown")
+    stores.write_terrain(place(tmp_path / "terrain.zarr"), Terrain.flat(1.0, (0.0, 9.0), (0.0, 9.0)))
+    assert facts_of(tmp_path / "terrain.zarr")[0] == "the terrain of a run"
 
 
 def test_a_scene_file_and_a_shipped_scene_are_described(scene: Path, tmp_path: Path, monkeypatch: Any) -> None:

@@ -144,7 +144,7 @@ def test_geojson_needs_a_georeference(tmp_path: Path) -> None:
     unplaced = small_run.make(tmp_path / "run", frame=None, size=(60, 50)).folder
     feature = '{"type": "Feature", "geometry": {"type": "Point", "coordinates": [-84.09, 39.78]}}'
     (tmp_path / "targets.geojson").write_text(feature)
-    with pytest.raises(InputError, match="is GeoJSON, whose points are in degrees, but the run has no georeference"):
+    with pytest.raises(InputError, match="is GeoJSON, whose points are in degrees, but there is no georeference"):
         blocksar.quality(unplaced, targets=tmp_path / "targets.geojson")
 
 

@@ -90,7 +90,8 @@ def test_the_same_command_again_does_nothing_and_another_is_refused(corrected: C
     assert again.summary == [f"{store} is finished already with these settings and this input: nothing to do"]
     with pytest.raises(InputError, match="exists; choose another name"):
         blocksar.autofocus(source, store, grid=wrong_tracks.GRID, client=client)
-    for out in (source, source / "inside.zarr", source.parent):
+    (link := source.with_name("link.zarr")).symlink_to(source)
+    for out in (source, source / "inside.zarr", source.parent, link / "inside.zarr"):
         with pytest.raises(InputError, match="lie in each other"):
             blocksar.autofocus(source, out, grid=wrong_tracks.GRID, client=client)
     with pytest.raises(InputError, match="grid is missing"):

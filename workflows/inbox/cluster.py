@@ -47,29 +47,25 @@ class Cluster:
         """Remove temporary files of the workers, including those of an earlier, killed sweep."""
         shutil.rmtree(self.scratch, ignore_errors=True)
 
-    def client(self) -> Client:
-        """A client whose cluster has workers.
+    def client(self) -> Client | None:
+        """A client whose cluster has workers; None if this process is to do the work.
 
         Raises
         ------
         NoClusterError
             If no cluster can be started or reached.
         """
+        workers, threads, memory_limit = (self.settings[name] for name in ("workers", "threads", "memory_limit"))
+        if workers == 0 and self.scheduler is None:
+            return None
         # Heavy, and not needed by a sweep without new collections.
         from blocksar.graph.cluster import cluster_size, open_client
-        from blocksar.graph.machine import machine
+        from blocksar.graph.machine import resources
 
         try:
             if self._client is None:
-                cores, memory = machine()
-                workers = self.settings["workers"] or min(cores, 4)
-                opened = open_client(
-                    scheduler=self.scheduler,
-                    workers=workers,
-                    threads=self.settings["threads"] or max(cores // workers, 1),
-                    memory_limit=self.settings["memory_limit"] or memory // workers,
-                    scratch=str(self.scratch),
-                )
+                own = resources(workers, threads, memory_limit)
+                opened = open_client(scheduler=self.scheduler, **own._asdict(), scratch=str(self.scratch))
                 self._client = self._stack.enter_context(opened)
             cluster_size(self._client)
         except (InputError, OSError) as error:

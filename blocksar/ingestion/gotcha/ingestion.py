@@ -13,7 +13,7 @@ the four decisions below, with figures from the measured scene.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -76,6 +76,8 @@ def ingest(
         If a file is damaged or not a Gotcha file, if files do not belong together, or if `out` exists and overwrite is
         False.
     """
+    if not isinstance(source, str | os.PathLike | Place | Iterable):
+        raise InputError(f"source is {source!r}; give the path of a MATLAB file, or a list of paths")
     sources = [source] if isinstance(source, str | os.PathLike | Place) else list(source)
     if not sources:
         raise InputError("source is empty; give at least one MATLAB file")
