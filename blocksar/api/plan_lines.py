@@ -11,10 +11,10 @@ from blocksar.api.plan_tables import digits
 from blocksar.api.shortfall import describe_shortfall
 from blocksar.collection.beam import has_full_dwell
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.grid import Grid, ground_resolution
+from blocksar.collection.grid import Grid, folds, ground_spectrum
 from blocksar.collection.lit_sums import most_lit_pulses
 from blocksar.collection.region import default_grid, share_outside
-from blocksar.constants import MIB, SINC_WIDTH
+from blocksar.constants import MIB
 from blocksar.graph.machine import Resources, machine, pace
 from blocksar.inspection.sentences import doubted_time
 from blocksar.planning import effort
@@ -175,18 +175,16 @@ def time_text(seconds: float) -> str:
 
 
 def undersampling(plan: Plan) -> str | None:
-    """A sentence if the grid is coarser than the resolution of any block, else None."""
-    step = max(plan.grid.dx, plan.grid.dy)
-    widths = [
-        min(ground_resolution(plan.geometry, (b.ground.near + b.ground.far) / 2, (b.low + b.high) / 2))
-        for b in plan.blocks
-    ]
-    finest = min(widths)
-    if step <= finest / SINC_WIDTH:
+    """A sentence if spectra fold on the grid in the middle of any block, else None."""
+    grid, places = plan.grid, [((b.ground.near + b.ground.far) / 2, (b.low + b.high) / 2) for b in plan.blocks]
+    spectra = [ground_spectrum(plan.geometry, *place) for place in places]
+    if not any(folds(sides, grid.dx, grid.dy) for sides in spectra):
         return None
+    # Steps that suit the box about a spectrum suit the spectrum.
+    dx, dy = (0.99 / max(float(abs(a[axis]) + abs(b[axis])) for a, b in spectra) for axis in (0, 1))
     return (
-        f"the grid's step of {step:g} m undersamples the image, whose resolution is {finest:.3g} m: targets between "
-        f"its points are lost, and spectra fold; a step of {finest / 2:.2g} m shows everything"
+        f"the grid's steps of {grid.dx:g} x {grid.dy:g} m undersample the image: spectra fold, and targets between its "
+        f"points are lost; steps of {dx:.2g} m in x and {dy:.2g} m in y show everything"
     )
 
 

@@ -440,6 +440,14 @@ class Collection:
         return Collection(**{**self.as_dict(), "beam_azimuth": azimuth})
 
     @cached_property
+    def unevenness(self) -> float:
+        """The most by which the beam's yaw departs from an even scan, rad; infinite for a beam about its axis."""
+        if not self.steered:
+            return 0.0
+        azimuth = self.beam_azimuth[:, None]
+        return math.inf if self.has_axis else float(np.abs(azimuth - smoothed(self.time, azimuth, 0)).max())
+
+    @cached_property
     def steady(self) -> Collection:
         """For a beam about its axis, one that is smooth over a part 1 / STEADY_PARTS of the collection.
 

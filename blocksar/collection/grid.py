@@ -14,6 +14,8 @@ from blocksar.constants import SINC_WIDTH, SPEED_OF_LIGHT
 from blocksar.errors import InputError
 
 MAX_POINTS = 1 << 21  # of one axis of a grid; more are taken for a typing error
+FOLDS = 8  # images of a spectrum to either side that are looked at
+NEARLY = 0.999  # of a side, from which on two spectra lie side by side
 
 
 @dataclass(frozen=True)
@@ -71,15 +73,39 @@ def outline(grid: Grid) -> tuple[FloatArray, FloatArray]:
     return x, y
 
 
-def ground_resolution(geometry: Geometry, epoch_range: float, yaw: float) -> tuple[float, float]:
-    """-3 dB widths of a target's response on the ground over its own dwell, across and along iso-range lines, m."""
+def ground_spectrum(geometry: Geometry, epoch_range: float, yaw: float) -> tuple[FloatArray, FloatArray]:
+    """Sides (2,) of a target's spectrum on the ground, cycles/m along x and y: by its band, and over its own dwell.
+
+    The spectrum is the parallelogram that they span about 2 / wavelength times the mean gradient of range.
+    """
     collection = geometry.collection
     point = geometry.ground_point(np.array(epoch_range), np.array(yaw))
     ends = np.array(dwell_at(geometry, np.array(yaw), np.array(epoch_range)))
     sight = point - geometry.track.position(ends)
     gradient = (sight / np.linalg.norm(sight, axis=1, keepdims=True))[:, :2]
-    mean = gradient.mean(axis=0)
-    along = np.array([-mean[1], mean[0]]) / np.hypot(*mean)
-    turned = abs(float(((gradient[1] - gradient[0]) * along).sum()))
-    azimuth = SINC_WIDTH * collection.wavelength / 2 / max(turned, 1e-12)
-    return SINC_WIDTH * SPEED_OF_LIGHT / (2 * collection.bandwidth) / float(np.hypot(*mean)), azimuth
+    by_band = 2 * collection.bandwidth / SPEED_OF_LIGHT * gradient.mean(axis=0)
+    return by_band, 2 / collection.wavelength * (gradient[1] - gradient[0])
+
+
+def ground_resolution(geometry: Geometry, epoch_range: float, yaw: float) -> tuple[float, float]:
+    """-3 dB widths of a target's response on the ground over its own dwell, across and along iso-range lines, m."""
+    by_band, by_dwell = ground_spectrum(geometry, epoch_range, yaw)
+    length = float(np.hypot(*by_band))
+    turned = abs(float(by_band[0] * by_dwell[1] - by_band[1] * by_dwell[0])) / length
+    return SINC_WIDTH / length, SINC_WIDTH / max(turned, 1e-12)
+
+
+def folds(sides: tuple[FloatArray, FloatArray], dx: float, dy: float) -> bool:
+    """Whether a spectrum of these sides (`ground_spectrum`) overlaps one of its images on a grid of steps dx, dy, m.
+
+    Images lie whole numbers of 1 / dx and 1 / dy apart. Two parallelograms overlap where the way from one to the other
+    is less than a side along either.
+    """
+    first, second = sides
+    area = float(first[0] * second[1] - first[1] * second[0])
+    if area == 0:
+        return False
+    by_x, by_y = (each.ravel() for each in np.meshgrid(np.arange(-FOLDS, FOLDS + 1) / dx, np.arange(FOLDS + 1) / dy))
+    along_first, along_second = (by_x * second[1] - by_y * second[0]) / area, (by_y * first[0] - by_x * first[1]) / area
+    within = (np.abs(along_first) < NEARLY) & (np.abs(along_second) < NEARLY)
+    return bool((within & ((by_x != 0) | (by_y != 0))).any())

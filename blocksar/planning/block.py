@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from itertools import chain
 
+import numpy as np
+
 from blocksar.chunks import DOPPLER_GROUP
 from blocksar.collection.weighting import FLAT, AxisTaper
 from blocksar.focusing.azimuth_steps import DopplerResampling
@@ -23,6 +25,7 @@ from blocksar.planning.block_lines import CoarseLines, FineLines, follow_terrain
 from blocksar.planning.block_sampling import plan_sampling, plan_slab
 from blocksar.planning.coefficients import Choice, choose
 from blocksar.planning.dwell_gate import plan_dwell_gate, plan_over_band
+from blocksar.planning.fidelity import Edges
 from blocksar.planning.fitting import RESAMPLING_ORDERS
 from blocksar.planning.memory import RELIEF_MEMORY, block_memory
 from blocksar.planning.motion import plan_motion
@@ -210,7 +213,11 @@ def _plan_azimuth(
     """The steps after range compression, with coefficients for targets that share an apparent range."""
     recovery, dwells = sector.recovery, coarse.dwells
     ranges, epoch_range = common_ranges(
-        lambda at: range_part.trace(dwells.lines(at)), straight, coarse.nodes, origin=recovery.origin
+        lambda at: range_part.trace(dwells.lines(at)),
+        straight,
+        coarse.nodes,
+        origin=recovery.origin,
+        least=(coarse.nodes[0] + sector.geometry.epoch_position[2] - sector.geometry.collection.ground_height) / 2,
     )
     shared = range_part.trace(dwells.lines(epoch_range))
     polynomials, choice = choose(
@@ -245,17 +252,24 @@ def _predict(
     Weights made of waves that err by e of themselves, root mean square, lose at most e^2 / 2.
     """
     geometry, line, spots, rate, reached = sector.geometry, lines.line, lines.spots, lines.ends.rate, None
-    near, far = sector.region.at(lines.yaw)
-    held = (lines.epoch_range[:, None] >= near) & (lines.epoch_range[:, None] <= far)
     if sector.relief is not None:
         layer, reached = usual_layer(sector, azimuth, lines)
         geometry, line, spots, rate = layer.geometry, layer.line, layer.spots, layer.rate
     predicted = predict(
         line, spots, lines.epoch_range, lines.yaw, geometry, rate=rate, gate=sampling.gate, parts=sector.gate_parts,
         scaled_about=lines.ends.scaled_about, moves=lines.ends.moves, weights=lines.weights, reached=reached,
-        held=held, band=sector.weighting.range,
+        imaged=_imaged(sector, lines), band=sector.weighting.range,
     )  # fmt: skip
     return predicted.less(sector.taper_loss + (0.0 if ground.waves is None else ground.waves.error**2 / 2))
+
+
+def _imaged(sector: Sector, lines: FineLines) -> tuple[Edges, Edges]:
+    """Where the image begins and ends along yaw and range among the targets of the lines."""
+    low, high = (np.full(lines.epoch_range.size, yaw) for yaw in sector.imaged)
+    return (
+        Edges.between(lines.yaw, low, high, axis=1),
+        Edges.between(lines.epoch_range, *sector.region.at(lines.yaw), axis=0),
+    )
 
 
 def _plan_memory(sector: Sector, range_gate: RangeGate | None, range_part: RangePart, sampling: Sampling) -> int:

@@ -16,6 +16,7 @@ from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import Geometry
 from blocksar.focusing.lines import Line
 from blocksar.planning.band_parts import Scaling
+from blocksar.planning.dwell_weights import beam_moves
 
 GUARD = 0.05  # of a dwell, kept beyond the ends of lines in time
 SMEAR_ROOM = 100.0  # see `smear_room`
@@ -98,11 +99,12 @@ def dwell_ends(line: Line) -> tuple[FloatArray, FloatArray]:
 def full_dwells(line: Line, geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray) -> BoolArray:
     """Which lines (..., n) of targets at epoch ranges (m) and yaws (rad), broadcast, are lit over a full dwell.
 
-    That is the longest of them, or nearly. Under a beam about its axis, whose dwells depend on range, it is the
-    target's own dwell as if the ends of the collection did not cut it, where there is any such target.
+    It is the target's own dwell as if the ends of the collection did not cut it: dwells depend on range under a beam
+    about its axis, and on yaw under one that does not turn evenly. Where there is no such target, or the beam stays, it
+    is the longest of them, or nearly.
     """
     lit = np.broadcast_to(line.weight, line.time.shape).sum(axis=-1)
-    if geometry.collection.has_axis:
+    if beam_moves(geometry.collection):
         first, last = dwell_at(geometry, yaw, epoch_range, uncut=True)
         full = lit >= FULL * (last - first)
         if full.any():

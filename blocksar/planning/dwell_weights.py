@@ -13,6 +13,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, Taper, Weighting
 from blocksar.focusing.lines import Line
+from blocksar.planning.steadiness import scans_evenly
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,7 +93,7 @@ def dwell_weights(
         (n_range, n_yaw, n), before all steps.
     uncut : pair of (n_yaw,) or (n_range, n_yaw) float
         Slow time, s from the epoch, at which the dwells would begin and end if the collection did not cut them. The
-        place in a beam that is described by its yaw, or not steered, is taken as linear in between.
+        place in a beam that scans evenly, or is not steered, is taken as linear in between.
     stays : bool
         From `planning.staying`: each target then has a part of the taper of its own.
     moves : (n_range, n_yaw, n) float, optional
@@ -109,7 +110,7 @@ def dwell_weights(
         nodes = np.ones(lit.time.shape)
     else:
         dwell = (uncut[1] - uncut[0])[..., None]
-        if collection.has_axis and collection.beam_width is not None:
+        if collection.beam_width is not None and not scans_evenly(collection):
             place = 2 * at_times(geometry, x, y, time, beam_offset, z) / collection.beam_width
         else:
             place = (2 * lit.time - (uncut[0] + uncut[1])[..., None]) / dwell

@@ -44,6 +44,7 @@ for each echo where this is in the beam. Means over the band have the square of 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from typing import NamedTuple
 
@@ -64,6 +65,7 @@ from blocksar.planning.dwell_ends import dwell_ends, end_smear
 from blocksar.planning.dwell_weights import DwellWeights
 from blocksar.planning.end_windows import lift_energy
 from blocksar.planning.lit_ends import lit_energy
+from blocksar.planning.steadiness import scans_evenly
 
 ONE_SIDE = 0.5  # of the energy of both ends of a dwell that are displaced to the same side
 BAND_NODES = 4  # of the means over range frequency
@@ -83,6 +85,47 @@ class Losses(NamedTuple):
     track: float
 
 
+class Edges(NamedTuple):
+    """Where what is imaged begins and ends between places at which targets are traced: (n_range, n_yaw) each.
+
+    Targets next beyond stand for targets at the edge: what those lose is interpolated between them and the next ones.
+    """
+
+    held: BoolArray  # the targets inside; where none lies inside, those on either side of it
+    before: BoolArray  # those next beyond the beginning
+    behind: BoolArray  # those next beyond the end
+    share: FloatArray  # of the way to them at which the edge lies, from the ones next to them
+    axis: int
+
+    @classmethod
+    def between(cls, places: FloatArray, first: FloatArray, last: FloatArray, *, axis: int) -> Edges:
+        """Of places (n,) along an axis and, at each place (m,) along the other, the first and the last imaged."""
+        at, step = places[:, None], np.diff(places)[:, None]
+        held = (at >= first) & (at <= last)
+        before, behind, share = np.zeros_like(held), np.zeros_like(held), np.zeros(held.shape)
+        before[:-1], behind[1:] = (at[:-1] < first) & (at[1:] >= first), (at[1:] > last) & (at[:-1] <= last)
+        share[:-1] = np.where(before[:-1], (at[1:] - first) / step, 0.0)
+        share[1:] += np.where(behind[1:], (last - at[:-1]) / step, 0.0)
+        held = held if held.any() else before | behind
+        held, before, behind = (np.moveaxis(each, 0, axis) for each in (held, before, behind))
+        return cls(held, before, behind, np.moveaxis(share, 0, axis), axis)
+
+    def of_dwells(self, full: BoolArray) -> Edges:
+        """Those where the targets on either side have full dwell."""
+        before, behind, around = self.before & full, self.behind & full, np.moveaxis(full, self.axis, 0)
+        np.moveaxis(before, self.axis, 0)[:-1] &= around[1:]
+        np.moveaxis(behind, self.axis, 0)[1:] &= around[:-1]
+        return self._replace(before=before, behind=behind)
+
+    def at(self, lost: FloatArray) -> FloatArray:
+        """Losses (n_range, n_yaw), with those at the edges in place of those beyond."""
+        inner = lost.copy()
+        into, own, behind = (np.moveaxis(each, self.axis, 0) for each in (inner, lost, self.behind))
+        into[:-1] = own[1:]
+        into[1:] = np.where(behind[1:], own[:-1], into[1:])
+        return np.where(self.before | self.behind, inner + self.share * (lost - inner), lost)
+
+
 def worst_losses(
     line: Line,
     spots: Focus,
@@ -100,6 +143,7 @@ def worst_losses(
     full: BoolArray,
     reached: BoolArray | None = None,
     band: Taper = FLAT,
+    edges: Sequence[Edges] = (),
 ) -> Losses:
     """Losses of the target that loses most, of those with full dwell where there are any.
 
@@ -127,6 +171,8 @@ def worst_losses(
         On a terrain, which of the targets there are; default: all.
     band : Taper
         Weighting along range frequency.
+    edges : sequence of Edges
+        Of what is imaged.
     """
     squared = line.weighed(weights.nodes**2)
     phase, migration = _along_dwell(squared, spots, geometry, band)
@@ -155,8 +201,11 @@ def worst_losses(
         if parts == 1:
             ends += slope_loss(geometry.collection, band) * (line.weight * np.square(weights.change)).sum(axis=-1)
         ends /= squared.weight.sum(axis=-1)
-        if geometry.collection.has_axis and gate.taper is not None and not gate.taper.taper.uniform:
+        if gate.taper is not None and not gate.taper.taper.uniform and not scans_evenly(geometry.collection):
             ends += _by_place(line, spots, gate, weights)
+    for edge in edges:
+        phase, migration, ends = (edge.at(each) for each in (phase, migration, ends))
+        full = full | edge.before | edge.behind
     lost = phase + migration + ends
     total = np.where(full, lost, -1.0)
     if reached is not None:

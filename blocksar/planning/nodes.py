@@ -21,7 +21,7 @@ def nodes_between(low: float, high: float, count: int) -> FloatArray:
 
 
 def common_ranges(
-    trace: Callable[[FloatArray], Line], line: Line, nodes: FloatArray, *, origin: float
+    trace: Callable[[FloatArray], Line], line: Line, nodes: FloatArray, *, origin: float, least: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
     """Apparent ranges that span those of lines (n_range, n_yaw), and the epoch range of each yaw's target there.
 
@@ -41,4 +41,6 @@ def common_ranges(
     for _ in range(RANGE_STEPS):
         u = np.clip((2 * epoch_range - nodes[0] - nodes[-1]) / (nodes[-1] - nodes[0]), -MOST_BEYOND, MOST_BEYOND)
         epoch_range = origin + ranges[:, None] - chebyshev.chebval(u, moved[:, None], tensor=False)
-    return ranges, epoch_range + ranges[:, None] - trace(epoch_range).range.mean(axis=-1)
+        epoch_range = np.maximum(epoch_range, least)
+    epoch_range = epoch_range + ranges[:, None] - trace(epoch_range).range.mean(axis=-1)
+    return ranges, np.maximum(epoch_range, least)

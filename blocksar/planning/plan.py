@@ -33,7 +33,7 @@ from blocksar.collection.region import Extent, Owned, Region, block_seams, defau
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import UNIFORM, Weighting
 from blocksar.constants import MIB, SPEED_OF_LIGHT
-from blocksar.errors import InputError
+from blocksar.errors import InputError, PrfTooLow
 from blocksar.focusing.chains import steps_of
 from blocksar.focusing.method import DEFAULT, Method
 from blocksar.focusing.range_gate import RangeGate
@@ -315,6 +315,8 @@ def plan_collection(
     def excess(gated: Gated) -> float:
         try:
             probe = follow(gated)(0.0).plan(PROBED, 1, True)
+        except PrfTooLow:
+            return math.inf
         except InputError:  # no block of so many holds a point of the grid
             return 0.0
         return probe.excess() if probe.refusal is None else math.inf
@@ -476,6 +478,7 @@ class _Planner:
                 relief=relief, fade=self.edges.fade, gate_parts=self.edges.parts,
                 staying=self.geometry if self.stays else None,
                 wobbling=lit if self.gated.wobbles else None, taper_loss=self.gated.taper_loss,
+                imaged=(self.extent.low, self.extent.high),
             )  # fmt: skip
             like = parts[-1].choice if parts else neighbour
             number = part if n_parts > 1 else None

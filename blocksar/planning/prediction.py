@@ -17,7 +17,7 @@ from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line
 from blocksar.planning.dwell_ends import dwell_ends, full_dwells
 from blocksar.planning.dwell_weights import DwellWeights
 from blocksar.planning.end_windows import at_ends
-from blocksar.planning.fidelity import worst_losses
+from blocksar.planning.fidelity import Edges, worst_losses
 from blocksar.planning.lobes import lobe_width, responses, side_lobe
 
 
@@ -68,7 +68,7 @@ def predict(
     moves: FloatArray | None = None,
     weights: DwellWeights,
     reached: BoolArray | None = None,
-    held: BoolArray | None = None,
+    imaged: tuple[Edges, Edges] | None = None,
     band: Taper = FLAT,
 ) -> Prediction:
     """The worst figures of traced lines (n_range, n_yaw) under a weighting `band` along range frequency.
@@ -79,16 +79,21 @@ def predict(
     time after all steps a linear function of the direction in which a target is seen, so that they are those of its
     weights at these times. They differ from the taper's where a beam does not turn evenly, an antenna has a pattern, or
     dwells are cut: on the curved track of `paper_b` by 0.5 dB under a taper. On a terrain `reached` (n_range, n_yaw)
-    tells which of the targets there are, and `held` which lie in the range window, that slants over a wide block.
+    tells which of the targets there are, and `imaged` where the image begins and ends along yaw and along range: a
+    block may be wider than the grid, and the range window slants over a wide one.
     """
     range_cell = SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
     residual = spots.residual
     # Cut dwells have other side lobes under weights: of those with full dwell, where there are any.
-    full, there = full_dwells(line, geometry, rng[:, None], yaw), np.ones(residual.shape, np.bool_)
-    for known in (held, reached):
+    uncut, there = full_dwells(line, geometry, rng[:, None], yaw), np.ones(residual.shape, np.bool_)
+    edges, beyond = [], uncut
+    for known in (*(each.held for each in imaged or ()), reached):
         if known is not None and (there & known).any():
             there &= known
-    full = full & there if (full & there).any() else full
+    full = uncut & there if (uncut & there).any() else uncut
+    for each in imaged or ():
+        edges.append(each.of_dwells(beyond))
+        beyond = beyond & each.held | edges[-1].before | edges[-1].behind
     judged = np.where(there if weights.uniform else full & there, residual, -1.0)
     worst = tuple(int(i) for i in np.unravel_index(int(np.argmax(judged)), residual.shape))
     some = [worst] if weights.uniform or not full.any() else [worst, *_corners(full)]
@@ -109,6 +114,7 @@ def predict(
     lost = worst_losses(
         line, spots, rng, yaw, geometry, rate=rate, gate=gate, parts=parts, scaled_about=scaled_about,
         moves=moves, track_phase=track_phase, weights=weights, full=full, reached=reached, band=band,
+        edges=edges,
     )  # fmt: skip
     return Prediction(
         residual_phase=float(residual[there].max()),

@@ -21,6 +21,7 @@ from blocksar.focusing.recovery import Recovery
 from blocksar.planning.dwell_ends import Passing
 from blocksar.planning.dwell_weights import DwellWeights, dwell_weights, taper_over_dwells
 from blocksar.planning.relief import Relief, stacked
+from blocksar.planning.steadiness import scans_evenly
 from blocksar.planning.target_lines import Dwells, find_dwells
 
 REFERENCE_ORDER = 8  # of the range series of a block's centre
@@ -35,7 +36,8 @@ class Sector:
     block may have, the `fade`, and the number of the gate's parts over the band. On a terrain the geometry is over the
     smooth part of it, and `relief` has the rest. Where the beam stays on its ground, the geometry is that of a beam
     that lights everything, and `staying` has the beam (`planning.staying`). Where gates follow a steadier beam, it has
-    that, `wobbling` the true one, and a taper loses `taper_loss` of coherence (`planning.steadiness`).
+    that, `wobbling` the true one, and a taper loses `taper_loss` of coherence (`planning.steadiness`). The grid spans
+    the yaws `imaged`.
     """
 
     geometry: Geometry
@@ -54,6 +56,7 @@ class Sector:
     staying: Geometry | None = None
     wobbling: Geometry | None = None
     taper_loss: float = 0.0
+    imaged: tuple[float, float] = (-np.inf, np.inf)
 
     @property
     def lighting(self) -> Geometry:
@@ -112,11 +115,11 @@ class Sector:
         def at(v: float) -> FloatArray:
             return np.asarray(passing_at(self.geometry, yaw, epoch_range, v) - self.geometry.epoch)
 
-        has_axis = self.geometry.collection.has_axis
+        uneven = not scans_evenly(self.geometry.collection)
         if not self.fade:
-            return Passing(centre=at(0.0) if has_axis and not self.taper.uniform else None)
+            return Passing(centre=at(0.0) if uneven and not self.taper.uniform else None)
         edge = 1 - 1 / self.fade
-        by_halves = has_axis and self.fade >= HALFWAY_FADE  # the place in the beam is not linear in time
+        by_halves = uneven and self.fade >= HALFWAY_FADE  # the place in the beam is not linear in time
         return Passing(at(0.0), (at(-edge), at(edge)), (at(-0.5), at(0.5)) if by_halves else None)
 
     @property

@@ -25,7 +25,6 @@ from blocksar.collection.beam import aperture, beam_offset, dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
-from blocksar.collection.spline import smoothed
 from blocksar.collection.weighting import Taper
 
 PER_DWELL = 1.0, 0.5, 0.25, 0.0  # intervals of splines that a beam may follow in a dwell; 0: a straight line
@@ -75,7 +74,7 @@ def gated_beams(geometry: Geometry, region: Region, fidelity: float, taper: Tape
     turns unevenly.
     """
     collection = geometry.collection
-    if collection.beam_width is None or _scans_evenly(collection, LEAST * collection.beam_width):
+    if collection.beam_width is None or scans_evenly(collection):
         return [Gated()]
     yaw = np.linspace(region.yaw[0], region.yaw[-1], PLACES)
     near, far = region.at(yaw)
@@ -107,10 +106,9 @@ def gated_beams(geometry: Geometry, region: Region, fidelity: float, taper: Tape
     return [Gated()] * (not wobbles) + [each for each in others if each.away > least]
 
 
-def _scans_evenly(collection: Collection, most: float) -> bool:
-    """Whether a beam that is described by its yaw departs from an even scan by at most so much, rad."""
-    azimuth = collection.beam_azimuth[:, None]
-    return not collection.has_axis and float(np.abs(azimuth - smoothed(collection.time, azimuth, 0)).max()) <= most
+def scans_evenly(collection: Collection) -> bool:
+    """Whether the yaw of a beam, and so a target's place in it, grows evenly with time; not about an axis."""
+    return collection.unevenness <= LEAST * (collection.beam_width or 0.0)
 
 
 def first_that(gates: Sequence[Gated], excess: Callable[[Gated], float]) -> Gated:

@@ -11,7 +11,7 @@ from axis_beams import axis_collection
 from blocksar.collection.beam import dwell
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.grid import Grid
+from blocksar.collection.grid import Grid, folds, ground_spectrum
 from blocksar.collection.region import WINDOW_GUARD, default_grid, plan_region, share_outside
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
@@ -93,3 +93,26 @@ def test_the_region_of_steep_incidence_ends_at_the_line_of_flight() -> None:
     region = plan_region(geometry, None)
     assert -np.pi / 2 < region.yaw[0] and region.yaw[-1] < np.pi / 2  # the track leads along +y
     assert default_grid(geometry, region).x0 > 0
+
+
+def test_a_spectrum_folds_where_two_of_its_images_overlap() -> None:
+    """Against points of the plane: some lie in two parallelograms of the lattice, or none does."""
+    rng = np.random.default_rng(0)
+    shifts = np.stack(np.meshgrid(np.arange(-12, 13), np.arange(-12, 13)), axis=-1).reshape(-1, 1, 2)
+    found = []
+    for _ in range(30):
+        sides, steps = rng.normal(size=(2, 2)), rng.uniform(0.1, 1.0, 2)
+        points = (rng.uniform(size=(600, 2)) + shifts) / steps
+        inside = (np.abs(points @ np.linalg.inv(sides)) < 0.5).all(axis=-1).sum(axis=0)
+        found.append(folds((sides[0], sides[1]), *steps))
+        assert found[-1] == (inside.max() > 1)
+    assert 3 < sum(found) < 27
+
+
+def test_a_grid_that_suits_each_axis_is_not_said_to_undersample() -> None:
+    """1.4 m in range, where 0.5 m are needed in azimuth alone, were called too coarse."""
+    collection = axis_collection()  # 0.9 m in azimuth, 4.3 m in range
+    by_band, by_dwell = ground_spectrum(Geometry(collection=collection), float(np.hypot(9000, 4000)), 0.0)
+    coarse, fine = 0.9 / np.hypot(*by_band), 0.9 / np.hypot(*by_dwell)
+    assert coarse > 1.5 * fine
+    assert not folds((by_band, by_dwell), coarse, fine) and folds((by_band, by_dwell), coarse, coarse)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,9 +13,12 @@ from scipy.special import fresnel
 
 import blocksar
 from blocksar.api.shortfall import describe_shortfall
+from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Taper
 from blocksar.errors import InputError
-from blocksar.planning.fidelity import end_energy
+from blocksar.planning.fidelity import Edges, end_energy
+from blocksar.planning.plan import plan_collection
+from blocksar.simulation.scene import Scene
 
 
 @pytest.mark.parametrize("displaced", [0.0, 0.3e-3, -1e-3, 4e-3])  # s
@@ -132,3 +136,58 @@ def test_a_weighting_is_planned_and_predicted() -> None:
     assert any("ideal side lobes -35.17 dB in range" in line for line in report.summary)
     with pytest.raises(InputError, match="weighting 'cosine' is unknown"):
         blocksar.plan("table1", weighting="cosine")
+
+
+def test_losses_at_edges_are_interpolated_between_targets_on_either_side() -> None:
+    """Along yaw: what is imaged may end within a block, or lie between two targets."""
+    yaw, lost = np.array([0.0, 1.0, 3.0, 4.0]), np.array([[0.0, 1.0, 3.0, 8.0], [0.0, 2.0, 6.0, 16.0]])
+    full = np.ones((2, 4), np.bool_)
+
+    def between(first: float, last: float, full: Any = full) -> Edges:
+        return Edges.between(yaw, np.full(2, first), np.full(2, last), axis=1).of_dwells(full)
+
+    some = between(0.5, 3.25)
+    np.testing.assert_array_equal(some.held, [[False, True, True, False]] * 2)
+    np.testing.assert_allclose(some.at(lost), [[0.5, 1.0, 3.0, 4.25], [1.0, 2.0, 6.0, 8.5]])
+    narrow = between(1.5, 2.0)
+    np.testing.assert_array_equal(narrow.held, [[False, True, True, False]] * 2)
+    np.testing.assert_allclose(narrow.at(lost)[0], [0.0, 1.5, 2.0, 8.0])
+    assert between(-1.0, 5.0).held.all() and not between(-1.0, 5.0).before.any()
+    cut = between(0.5, 3.25, full & (np.arange(4) < 3))
+    assert cut.before[:, 0].all() and not cut.behind.any()
+
+
+def test_a_window_of_few_cells_is_judged_at_its_edges() -> None:
+    """Targets are traced over 64 cells at least; migration in a narrower one was judged at the outermost inside."""
+    rng, near, far = np.array([0.0, 10.0, 20.0]), np.full(1, 4.0), np.full(1, 17.0)
+    edges = Edges.between(rng, near, far, axis=0)
+    np.testing.assert_allclose(edges.at(np.array([[10.0], [0.0], [20.0]]))[:, 0], [6.0, 0.0, 14.0])
+
+
+NADIR = """
+[radar]
+carrier = 9.6e9
+bandwidth = 200e6
+range_sampling = 240e6
+prf = 600.0
+pulse_width = 1e-6
+[track]
+position = [0.0, 0.0, 3000.0]
+velocity = [0.0, 120.0, 0.0]
+[time]
+duration = 4.0
+[beam]
+mode = "stripmap"
+width_deg = 2.0
+[scene]
+swath = [3002.0, 3140.0]
+centre_yaw_deg = 0.0
+reference_range = "scene_centre"
+"""
+
+
+def test_ranges_close_to_the_nadir_stay_above_the_ground() -> None:
+    """Targets of one apparent range are sought beyond the swath: nearer than the platform's height there are none."""
+    grid = Grid(200.0, 800.0, 2.3, -60.0, 60.0, 0.3)
+    plan = plan_collection(Scene.parse(NADIR).collection(), grid=grid, blocks=7, parts=3)
+    assert plan.coherence > 0.998
