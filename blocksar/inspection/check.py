@@ -36,6 +36,8 @@ SETTLED = 0.98
 FOCUSED = 0.5  # median concentration of points: an alternative with less is believed only if its best places gain
 BEST, BEST_SHARPER = 2, 1.25  # number of these, and times the concentration of the best as given
 AS_REFOCUSED = 0.95  # of the concentration after a refocus, that it reaches as well
+SEEN_TOO = 0.5  # of the places of an alternative, as many that are prominent as given
+REFOCUSED = 0.15  # concentration that a refocus reaches where the track is doubted: what stays below is no point
 CERTAIN = 0.65  # share of pairs of a place each of which its own is the sharper: by chance 0.5, with 12 of each +- 0.12
 CLEAR = 0.65  # concentration that only points in focus have: below it, alternatives are tried
 SHARP = 0.8  # of the concentration after a refocus: below it the track is doubted
@@ -171,7 +173,8 @@ class Findings:
             return None  # of a smaller part of the dwell, clutter is more concentrated by chance
         if not self.steered and self.given.sharpness > max(FOCUSED, SETTLED * self.refocused):
             return None
-        if best.sharpness < FOCUSED and best.best < BEST_SHARPER * self.given.best:
+        few = self.given.places < SEEN_TOO * best.places  # as given, that the best of more were sharper by chance
+        if best.sharpness < FOCUSED and (few or best.best < BEST_SHARPER * self.given.best):
             return None  # most places are clutter, whose concentration differs by chance
         gain = np.subtract.outer(best.concentration, self.given.concentration)
         if np.mean((1 + np.sign(gain)) / 2) <= CERTAIN:
@@ -208,8 +211,9 @@ class Findings:
     @property
     def blurred(self) -> bool:
         """Whether a refocus helps so much that the track must be wrong."""
-        believed = self.better or self.beam
-        return self.speaks and believed is None and self.sharpness < SHARP and not self.spread
+        believed, refocused = self.better or self.beam, self.points[1] if self.points else self.refocused
+        said = self.speaks and believed is None and self.sharpness < SHARP
+        return said and refocused >= REFOCUSED and not self.spread
 
     @property
     def spread(self) -> bool:

@@ -300,6 +300,13 @@ def test_a_mirrored_image_is_believed_only_if_a_refocus_gains(steered: bool, ref
     assert (found.warning() is not None) == believed
 
 
+@pytest.mark.parametrize(("refocused", "doubted"), [(0.08, False), (0.3, True)])
+def test_a_track_is_doubted_only_where_a_refocus_makes_points(refocused: float, doubted: bool) -> None:
+    """At 20 % of bandwidth points of an exact track reached 0.046 as given, and 0.08: the track was called 5 rad off."""
+    given = Trial("as given", "", (0.5 * refocused,) * 9, 300.0, pulses=6000)
+    assert (Findings((given,), refocused, 5.0, "", "").warning() is not None) == doubted
+
+
 def test_an_alternative_that_sees_a_part_of_the_dwell_is_believed_of_points_only() -> None:
     """Clutter of few pulses is more concentrated by chance; with no places as given, it was named by 289 dB."""
     given = Trial("as given", "", (0.05,) * 9, 300.0, pulses=6000)
@@ -307,6 +314,8 @@ def test_an_alternative_that_sees_a_part_of_the_dwell_is_believed_of_points_only
     assert Findings((given, part), 0.05, 0.1, "", "").better is None
     assert Findings((given, replace(part, pulses=6000)), 0.05, 0.1, "", "").better is not None
     assert Findings((given, replace(part, concentration=(0.9,) * 9)), 0.05, 0.1, "", "").better is not None
+    few = replace(given, concentration=(0.05,) * 2)  # of two places; the other trial had the best of twelve
+    assert Findings((few, replace(part, pulses=6000, concentration=(0.07,) * 12)), 0.05, 0.1, "", "").better is None
     none = Findings((Trial("as given", ""), part), 0.0, 0.1, "", "")
     assert none.better is None and not none.speaks
     assert none.sentence().startswith("no prominent places")
