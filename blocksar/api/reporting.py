@@ -11,7 +11,7 @@ from blocksar import stores
 from blocksar.api.measuring import measure_targets
 from blocksar.api.reports import Report, only_stage
 from blocksar.api.target_files import targets_of
-from blocksar.errors import InputError, ProcessingError
+from blocksar.errors import InputError, ProcessingError, in_the_way, library_for
 from blocksar.measurement.figures import as_json
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
@@ -103,11 +103,8 @@ def _common(folder: Place, whole: RunRecord, progress: Progress | None) -> _Comm
 
 def _pages() -> ModuleType:
     """Import the module of pages: optional, and slow to load."""
-    try:
+    with library_for("reports need", "plots"):
         from blocksar.products.page import page
-    except ModuleNotFoundError as error:
-        library = str(error.name).partition(".")[0]
-        raise InputError(f"{library} is not installed, which reports need; install blocksar[plots]") from None
     return page
 
 
@@ -125,7 +122,7 @@ def _write(
     folder = folder_of(run, channel)
     target = folder / "report.html" if out is None else place(out)
     if out is not None and target.exists() and not overwrite:
-        raise InputError(f"{target} exists; choose another name, or have it overwritten (--overwrite)")
+        raise in_the_way(target)
     if isinstance(target, LocalPlace) and target.path.is_dir():
         raise InputError(f"{target} is a folder; give --out the name of a file")
     if isinstance(target, LocalPlace):
