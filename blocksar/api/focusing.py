@@ -40,7 +40,7 @@ from blocksar.budget import FIDELITY
 from blocksar.collection.surface import Surface
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
-from blocksar.errors import InputError, ProcessingError
+from blocksar.errors import InputError
 from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Processor, RangeModel, method_of
 from blocksar.graph import cluster, recording
 from blocksar.graph.machine import Resources, resources
@@ -296,10 +296,8 @@ def _focus(
         listener.update("plan", 1, 1)
         record = job.record()
         run = Run(folder=request.folder, identity=record.identity, threads=machine.threads)
-        try:
+        with run_folder.resumable():
             finished = carry_out(job, run, record, workers, listener, profile, resumed=earlier is not None)
-        except ProcessingError as error:
-            raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
     found = [
         next((line for plan in job.plans if (line := doubt(plan))), None)
         for doubt in (undersampling, short_dwells, cut_dwells, wobbling_beam, missed_fidelity)

@@ -260,6 +260,15 @@ def _move_own(source: Place, target: Place) -> None:
         ) from error
 
 
+@contextmanager
+def resumable() -> Iterator[None]:
+    """Add to a ProcessingError in the block that the same command goes on with what was finished."""
+    try:
+        yield
+    except ProcessingError as error:
+        raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
+
+
 def finish(folder: Place, record: RunRecord) -> None:
     """Write the record of a finished run, once all its data are on the disk, and remove temporary files.
 
