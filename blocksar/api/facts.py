@@ -32,6 +32,7 @@ USUAL = {
     "blocks": "auto", "fidelity": FIDELITY, "weighting_range": FLAT.text, "weighting_azimuth": FLAT.text,
     "surface": "plane",
 }  # fmt: skip
+NOT_STEERED = "not steered: it lights everything all the time, so that a grid is needed"
 HISTORY_LINES = 3  # the newest ones are shown
 
 
@@ -106,7 +107,7 @@ def _track(geometry: Geometry) -> Rows:
 
 def _beam(collection: Collection) -> str:
     if collection.beam_width is None:
-        return "not steered: it lights everything all the time, so that a grid is needed"
+        return NOT_STEERED
     width = math.degrees(collection.beam_width)
     if collection.beam_steering is not None:
         first, last = np.degrees(collection.beam_steering[[0, -1]])
