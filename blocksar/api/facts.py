@@ -17,7 +17,7 @@ from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid, ground_resolution
 from blocksar.collection.region import default_grid, plan_region
 from blocksar.collection.weighting import FLAT
-from blocksar.constants import MIB, SPEED_OF_LIGHT
+from blocksar.constants import GIB, MIB, SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.focusing.method import Method
 from blocksar.places.local import LocalPlace
@@ -25,7 +25,6 @@ from blocksar.places.place import Place
 from blocksar.runs.record import RunRecord
 
 Rows = list[tuple[str, str]]
-GIB = 1024 * MIB
 # Settings of a run that go without saying; the processor is always named.
 USUAL = {
     **{name: value for name, value in Method().as_settings().items() if name != "processor"},

@@ -14,13 +14,13 @@ import numpy as np
 import xarray as xr
 
 from blocksar import stores
-from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.arrays import Complex128Array, ComplexArray, FloatArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, library_for
 from blocksar.measurement.looks import checked_looks, power_of
-from blocksar.measurement.response import MIN_HALF_TAPS, Complex128Array, interpolate
+from blocksar.measurement.response import MIN_HALF_TAPS, interpolate
 from blocksar.products.options import parse_looks
 
 if TYPE_CHECKING:
