@@ -113,7 +113,6 @@ class TrackEstimate:
             yield client
             return
         compiling.compile_missing(compiling.TRACKS)
-        cluster.prepare_workers(machine.threads, listener)
         scratch = run_folder.scratch(self.folder)
         with cluster.open_client(**machine._asdict(), scratch=scratch, listener=listener) as own:
             yield own
