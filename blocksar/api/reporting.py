@@ -152,7 +152,7 @@ def _read_or_measure(folder: Place, source: FinishedRun) -> tuple[dict[str, Any]
         return stores.read_json(folder / "quality.json"), ""
     targets = targets_of(None, source.attrs)
     try:
-        responses = measure_targets(source, targets)
+        responses = measure_targets(source, targets).responses
     except InputError as error:  # the page can still show an image that is too coarse for measurements
         return None, f"Nothing was measured: {error}."
     return as_json(responses, source.weighting), ""
