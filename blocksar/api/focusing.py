@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import replace
-from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -187,11 +186,11 @@ def focus(
     ProcessingError
         If processing fails; finished work stays, and the same call resumes.
     """
+    arguments = dict(locals())  # before any other name is bound: the parameters, as they were given
     listener, memory_limit = as_listener(progress), memory_of(memory_limit)
     resources(workers, threads, memory_limit)  # refuses wrong numbers before anything is read
-    arguments = dict(locals())
     if (members := members_of(source, looks, grid)) is not None:
-        return focus_members(focus, members, {name: arguments[name] for name in signature(focus).parameters})
+        return focus_members(focus, members, arguments | {"memory_limit": memory_limit})
     profile = None if performance_report is None else Path(performance_report)
     method = method_of(
         processor,
