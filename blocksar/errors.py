@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 FLAGS = ("overwrite", "reference", "dry-run", "raw", "cphd")  # options without a value
@@ -75,6 +77,29 @@ class FolderError(InputError):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (str(self), self.replaceable)
+
+
+def in_the_way(path: object, state: str = "exists") -> InputError:
+    """The error about a file or store that is there, and is replaced only if that is asked for."""
+    return InputError(f"{path} {state}; choose another name, or have it overwritten (--overwrite)")
+
+
+@contextmanager
+def library_for(use: str, extra: str) -> Iterator[None]:
+    """Turn the error about a missing library, which is imported in the block, into an InputError.
+
+    Examples
+    --------
+    >>> with library_for("pictures need", "plots"):
+    ...     import no_such_library
+    Traceback (most recent call last):
+    blocksar.errors.InputError: no_such_library is not installed, which pictures need; install blocksar[plots]
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        library = str(error.name).partition(".")[0]
+        raise InputError(f"{library} is not installed, which {use}; install blocksar[{extra}]") from None
 
 
 class ProcessingError(RuntimeError):

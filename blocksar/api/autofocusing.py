@@ -18,7 +18,7 @@ from blocksar.api.reports import Report
 from blocksar.api.tracks import TrackEstimate
 from blocksar.autofocusing.finishing import Result
 from blocksar.collection.surface import Surface
-from blocksar.errors import InputError, ProcessingError
+from blocksar.errors import InputError
 from blocksar.graph import cluster
 from blocksar.graph.machine import resources
 from blocksar.graph.track_stages import copy_store
@@ -138,15 +138,13 @@ def autofocus(
         stores.refuse_existing(target, overwrite=overwrite)  # again: another process may have written it meanwhile
         clock = time.perf_counter()
         try:
-            with estimate.connected(machine, connected, listener) as client_:
+            with run_folder.resumable(), estimate.connected(machine, connected, listener) as client_:
                 receipts, result = estimate.carry_out(client_, machine, listener, local=connected is None)
                 run = estimate.run(machine.threads)
                 copied, attribute = _write(estimate, result, run, target, client_, listener, overwrite=overwrite)
         except InputError:
             estimate.folder.remove()
             raise
-        except ProcessingError as error:
-            raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
         estimate.folder.remove()
         summary = estimate.summary([*receipts, *copied], attribute, memory)
         return Report(

@@ -13,7 +13,7 @@ from blocksar.api.reporting import report
 from blocksar.api.reports import Report
 from blocksar.api.sources import simulate
 from blocksar.api.target_files import targets_of
-from blocksar.errors import InputError
+from blocksar.errors import InputError, library_for
 from blocksar.graph import compiling, recording
 from blocksar.measurement.response import Response
 from blocksar.measurement.table3 import TABLE3
@@ -111,11 +111,9 @@ def demo(
 
 def _draw(folder: Place, responses: Sequence[Response]) -> list[Place]:
     """Draw the mosaic and the contours of responses into a run folder; return the pictures."""
-    try:
+    with library_for("pictures need", "plots"):
         from blocksar.products.pictures.mosaic import plot_mosaic  # optional, and slow to load
         from blocksar.products.pictures.responses import plot_contours
-    except ModuleNotFoundError as error:
-        raise InputError(f"{error.name} is not installed, which pictures need; install blocksar[plots]") from None
     run = FinishedRun.open(folder)
     with tempfile.TemporaryDirectory() as scratch:
         pictures = [Path(scratch, "mosaic.png"), Path(scratch, "contours.png")]

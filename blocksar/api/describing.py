@@ -268,7 +268,7 @@ def _gotcha(files: list[Place], pattern: str) -> tuple[Rows, Following]:
                  f"{frequency.size} frequencies"),
         ("track", f"{np.linalg.norm(position, axis=1).mean():.5g} m from the scene's centre, "
                   f"{position[:, 2].mean():.5g} m above it"),
-        ("beam", "not steered: it lights everything all the time, so that a grid is needed"),
+        ("beam", facts.NOT_STEERED),
     ]  # fmt: skip
     return rows, [["ingest", "gotcha", pattern, "--out", "gotcha.zarr"]]
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from blocksar import stores
 from blocksar.api.reports import Report, only_stage
-from blocksar.errors import InputError
+from blocksar.errors import InputError, library_for
 from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.products import geotiff
@@ -180,7 +180,5 @@ def _composed(run: Place, composite: str, crop: Any, others: dict[str, Any]) -> 
 
 def _pictures(name: str) -> Any:
     """Import a module of pictures: optional, and slow to load."""
-    try:
+    with library_for("PNG needs", "plots"):
         return import_module(f"blocksar.products.pictures.{name}")
-    except ModuleNotFoundError as error:
-        raise InputError(f"{error.name} is not installed, which PNG needs; install blocksar[plots]") from None

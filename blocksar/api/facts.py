@@ -17,7 +17,7 @@ from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid, ground_resolution
 from blocksar.collection.region import default_grid, plan_region
 from blocksar.collection.weighting import FLAT
-from blocksar.constants import MIB, SPEED_OF_LIGHT
+from blocksar.constants import GIB, MIB, SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.focusing.method import Method
 from blocksar.places.local import LocalPlace
@@ -25,13 +25,13 @@ from blocksar.places.place import Place
 from blocksar.runs.record import RunRecord
 
 Rows = list[tuple[str, str]]
-GIB = 1024 * MIB
 # Settings of a run that go without saying; the processor is always named.
 USUAL = {
     **{name: value for name, value in Method().as_settings().items() if name != "processor"},
     "blocks": "auto", "fidelity": FIDELITY, "weighting_range": FLAT.text, "weighting_azimuth": FLAT.text,
     "surface": "plane",
 }  # fmt: skip
+NOT_STEERED = "not steered: it lights everything all the time, so that a grid is needed"
 HISTORY_LINES = 3  # the newest ones are shown
 
 
@@ -106,7 +106,7 @@ def _track(geometry: Geometry) -> Rows:
 
 def _beam(collection: Collection) -> str:
     if collection.beam_width is None:
-        return "not steered: it lights everything all the time, so that a grid is needed"
+        return NOT_STEERED
     width = math.degrees(collection.beam_width)
     if collection.beam_steering is not None:
         first, last = np.degrees(collection.beam_steering[[0, -1]])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from blocksar.api.reports import Table
+from blocksar.api.reports import Table, finite, rounded
 from blocksar.errors import InputError
 from blocksar.measurement import scenery
 from blocksar.measurement.figures import measure
@@ -53,7 +53,7 @@ def _record(run: FinishedRun, point: Bright, number: int) -> dict[str, Any]:
         names = (
             f"{axis}_{figure}" for axis in ("range", "azimuth") for figure in ("pslr", "islr", "irw", "irw_theory")
         )
-        record |= {name: _finite(getattr(figures, name)) for name in names}
+        record |= {name: finite(getattr(figures, name)) for name in names}
         record["full_dwell"] = bool(figures.full_dwell)
         if (power := _decibels(abs(figures.value) ** 2)) is not None:  # the image may end before the peak's place
             record["power"] = power
@@ -94,7 +94,7 @@ def describe_area(run: FinishedRun, area: Any) -> dict[str, Any]:
     cells = None if axes is None else found.pixels * dx * dy / axes.area
     return {
         "x": list(x), "y": list(y), "pixels": found.pixels, "cells": cells, "mean": _decibels(found.mean),
-        "per_m2": None if axes is None else _decibels(found.mean / axes.area), "looks": _finite(found.looks),
+        "per_m2": None if axes is None else _decibels(found.mean / axes.area), "looks": finite(found.looks),
     }  # fmt: skip
 
 
@@ -108,14 +108,13 @@ def area_sentence(area: dict[str, Any]) -> str:
     looks = "unknown" if area["looks"] is None else f"{area['looks']:.2f}"
     per_area = "" if area["per_m2"] is None else f" ({area['per_m2']:.1f} dB per m2)"
     cells = "" if area["cells"] is None else f", {area['cells']:.0f} resolution cells"
-    return (
-        f"area: {area['pixels']} pixels{cells}; mean power {_text(area['mean'])} dB{per_area}, {looks} equivalent looks"
-    )
+    mean = rounded(area["mean"], 1)
+    return f"area: {area['pixels']} pixels{cells}; mean power {mean} dB{per_area}, {looks} equivalent looks"
 
 
 def floor_sentence(floor: float | None) -> str:
     """The floor in words."""
-    return f"noise floor {_text(floor)} dB: a hundredth of the cells of 16 x 16 pixels has less power"
+    return f"noise floor {rounded(floor, 1)} dB: a hundredth of the cells of 16 x 16 pixels has less power"
 
 
 def found_table(points: list[dict[str, Any]]) -> Table:
@@ -132,20 +131,12 @@ def found_table(points: list[dict[str, Any]]) -> Table:
             for axis in ("range", "azimuth")
         ]
         rows.append([
-            point["name"], f"{point['x']:.2f}", f"{point['y']:.2f}", _text(point["power"]),
-            _text(point.get("range_pslr"), 2), _text(point.get("azimuth_pslr"), 2), _text(widths[0], 3),
-            _text(widths[1], 3), _text(max(levels, default=None)),
+            point["name"], f"{point['x']:.2f}", f"{point['y']:.2f}", rounded(point["power"], 1),
+            rounded(point.get("range_pslr"), 2), rounded(point.get("azimuth_pslr"), 2), rounded(widths[0], 3),
+            rounded(widths[1], 3), rounded(max(levels, default=None), 1),
         ])  # fmt: skip
     return header, rows
 
 
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
-
-
 def _decibels(power: float) -> float | None:
     return 10 * math.log10(power) if power > 0 else None
-
-
-def _text(value: float | None, places: int = 1) -> str:
-    return "-" if value is None else f"{value:.{places}f}"

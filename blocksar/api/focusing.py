@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import replace
-from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -40,7 +39,7 @@ from blocksar.budget import FIDELITY
 from blocksar.collection.surface import Surface
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
-from blocksar.errors import InputError, ProcessingError
+from blocksar.errors import InputError
 from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Processor, RangeModel, method_of
 from blocksar.graph import cluster, recording
 from blocksar.graph.machine import Resources, resources
@@ -187,11 +186,11 @@ def focus(
     ProcessingError
         If processing fails; finished work stays, and the same call resumes.
     """
+    arguments = dict(locals())  # before any other name is bound: the parameters, as they were given
     listener, memory_limit = as_listener(progress), memory_of(memory_limit)
     resources(workers, threads, memory_limit)  # refuses wrong numbers before anything is read
-    arguments = dict(locals())
     if (members := members_of(source, looks, grid)) is not None:
-        return focus_members(focus, members, {name: arguments[name] for name in signature(focus).parameters})
+        return focus_members(focus, members, arguments | {"memory_limit": memory_limit})
     profile = None if performance_report is None else Path(performance_report)
     method = method_of(
         processor,
@@ -296,10 +295,8 @@ def _focus(
         listener.update("plan", 1, 1)
         record = job.record()
         run = Run(folder=request.folder, identity=record.identity, threads=machine.threads)
-        try:
+        with run_folder.resumable():
             finished = carry_out(job, run, record, workers, listener, profile, resumed=earlier is not None)
-        except ProcessingError as error:
-            raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
     found = [
         next((line for plan in job.plans if (line := doubt(plan))), None)
         for doubt in (undersampling, short_dwells, cut_dwells, wobbling_beam, missed_fidelity)

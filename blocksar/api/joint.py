@@ -220,8 +220,8 @@ def _earlier(folder: Place, dimension: str, *, overwrite: bool) -> RunRecord | N
     names = folder.names() if folder.exists() else []
     run_folder.refuse_links(folder)
     if RECORD not in names:
-        known = (*run_folder.OWN, *run_folder.LEFT_ALONE, run_folder.LOCK, run_folder.ASIDE)
-        if foreign := [name for name in names if name not in known]:
+        known = set(run_folder.OWN) - {run_folder.SCRATCH}
+        if foreign := [name for name in run_folder.foreign_names(folder, names) if name not in known]:
             raise FolderError(f"{folder} exists and holds no run of blocksar (but {foreign[0]}); choose another --out")
         return None
     record = RunRecord.read(folder)

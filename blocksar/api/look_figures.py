@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from blocksar.api.reports import Table
+from blocksar.api.reports import Table, finite, rounded
 from blocksar.measurement.scenery import measure_area
 from blocksar.products.look_spectra import measure_looks
 from blocksar.products.options import parse_crop
@@ -29,8 +29,8 @@ def describe_looks(looks: Sequence[FinishedRun], area: Any) -> dict[str, Any]:
     if area is not None:
         parts = [look.cropped(*parse_crop(area, "area")) for look in looks]
         for record, part in zip(records, parts, strict=True):
-            record["looks"] = _finite(measure_area(part.read, part.strips(0)).looks)
-        result["mean_looks"] = _finite(_of_mean(parts))
+            record["looks"] = finite(measure_area(part.read, part.strips(0)).looks)
+        result["mean_looks"] = finite(_of_mean(parts))
     return result
 
 
@@ -56,14 +56,6 @@ def looks_table(described: dict[str, Any]) -> Table:
     if "mean_looks" in described:
         header.append("equivalent looks")
         for row, record in zip(rows, records, strict=True):
-            row.append(_text(record["looks"]))
-        rows.append(["mean of all", "", "", _text(described["mean_looks"])])
+            row.append(rounded(record["looks"], 2))
+        rows.append(["mean of all", "", "", rounded(described["mean_looks"], 2)])
     return tuple(header), rows
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def _text(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"

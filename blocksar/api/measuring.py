@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -112,58 +112,36 @@ def measure(
     `looks` are the folders of all looks, if the run is one of several; `against` is that of another run.
     """
     run = FinishedRun.open(folder)
-    listed, weighting = targets_of(targets, run.attrs, run), run.weighting
-    responses = measure_targets(run, listed)
-    dark = [target.name for target, hidden in zip(listed, in_shadow(run, listed), strict=True) if hidden]
-    result = as_json(responses, weighting)
-    others: list[Table] = []
-    lines = (
-        [*_weighting_lines(weighting, run.collection.has_pattern), *_count_line(responses), *_seam_line(run, responses)]
-        if responses
-        else []
-    ) + raised_line(listed, seen_places(run, listed))
-    if not responses:
-        lines.append("the collection names no targets: give --targets FILE to measure some, or --found N to find some")
-    if dark:
-        named = f"{', '.join(dark[:5])}{', ...' if len(dark) > 5 else ''}"
-        lines.append(f"in shadow of the terrain, and not judged: {len(dark)} of {len(listed)} targets ({named})")
-    if run.track is not None:
-        result["autofocus"] = dict(run.track.figures)
-        others.append(_track_table(run.track))
-        lines += run.track.sentences()
-    if run.attrs.get("scene") == "table1" and responses:
-        result["table3"] = {name: row._asdict() for name, row in TABLE3.items()}
-        others.append(_table3(responses))
-        lines.append(
-            "paper: Table 3 of the angular-division paper; its ISLR follows another, unstated definition, and its "
-            "azimuth IRW hardly changes over the scene, as if one factor had turned Doppler into metres"
-        )
-    if run.noise is not None:
-        result["noise"] = run.noise.as_json()
-        lines.append(run.noise.sentence())
-    others += _add_scenery(run, result, lines, found, area)
-    if looks:
-        result["looks"] = describe_looks([FinishedRun.open(look) for look in looks], area)
-        others.append(looks_table(result["looks"]))
+    listed = targets_of(targets, run.attrs, run)
+    measured = measure_targets(run, listed)
+    responses = measured.responses
+    parts = [
+        _about_targets(run, listed, measured), _about_track(run), _beside_table3(run, responses), _about_noise(run),
+        _about_area(run, area), _about_found(run, found), _about_looks(looks, area), _beside_exact(run, reference),
+        _beside_another(run, against),
+    ]  # fmt: skip
     drawn = [response for target in listed if target.name in TABLE3 and (response := read_target(run, target))]
-    if reference:
-        table, said = compare_with_exact(run, result)
-        others.append(table)
-        lines += said
-    if against is not None:
-        other = FinishedRun.open(against)
-        result["against"] = compare_with(run, other)
-        others.append(alignment_table(result["against"]))
-        lines += alignment_lines(result["against"], run, other)
+    result = {name: value for part in parts for name, value in part.result.items()}
     stores.write_json(folder / "quality.json", result)
-    worst, full = ([_summary_table(responses), _worst_table(responses)], [_response_table(responses)])
-    if not responses:
-        worst, full = [], []
+    tables = [table for part in parts for table in part.tables]
+    worst = [_summary_table(responses), _worst_table(responses)] if responses else []
+    full = [_response_table(responses)] if responses else []
     report = Report(
-        tables=[*worst, *others], details=[*worst[:1], *full, *others], definitions=definitions.quality(),
-        summary=lines, result=result,
+        tables=[*worst, *tables], details=[*worst[:1], *full, *tables], definitions=definitions.quality(),
+        summary=[line for part in parts for line in part.lines], result=result,
     )  # fmt: skip
     return report, drawn
+
+
+class Part(NamedTuple):
+    """What a report has on one subject: entries of its result, sentences and tables."""
+
+    result: Mapping[str, Any]
+    lines: Sequence[str] = ()
+    tables: Sequence[Table] = ()
+
+
+NOTHING = Part({})
 
 
 def read_target(run: FinishedRun, target: Target) -> Response | None:
@@ -172,36 +150,120 @@ def read_target(run: FinishedRun, target: Target) -> Response | None:
     return read_response(read, run.x, run.y, geometry, target, run.weighting)
 
 
-def measure_targets(run: FinishedRun, targets: Sequence[Target]) -> list[PointResponse]:
-    """Measure targets, in a mosaic each in the pixels of one collection; those in shadow of the terrain are not lit.
+class Measured(NamedTuple):
+    """Targets as an image shows them, in the order of the list that they are measured from.
 
-    Those off the ground are measured where it has their range and Doppler.
+    Attributes
+    ----------
+    responses : list of PointResponse
+        Those of targets in shadow of the terrain are not lit.
+    seen : list of Target
+        The targets where they are measured: those off the ground where it has their range and Doppler.
+    dark : list of bool
+        Whether each lies in shadow.
     """
+
+    responses: list[PointResponse]
+    seen: list[Target]
+    dark: list[bool]
+
+
+def measure_targets(run: FinishedRun, targets: Sequence[Target]) -> Measured:
+    """Measure targets, in a mosaic each in the pixels of one collection."""
+    seen, dark = seen_places(run, targets), in_shadow(run, targets)
     responses = [
         measure_target(
             run.reader_at(target.x, target.y), run.x, run.y, run.geometry_at(target.x, target.y), target, run.weighting
         )
-        for target in seen_places(run, targets)
+        for target in seen
     ]
-    hidden = in_shadow(run, targets)
-    return [r._replace(full_dwell=False) if dark else r for r, dark in zip(responses, hidden, strict=True)]
+    lit = [r._replace(full_dwell=False) if hidden else r for r, hidden in zip(responses, dark, strict=True)]
+    return Measured(lit, seen, dark)
 
 
-def _add_scenery(run: FinishedRun, result: dict[str, Any], lines: list[str], found: int, area: Any) -> list[Table]:
-    """Add points that are found, the floor, and the figures of an area, as far as they are asked for."""
-    if area is not None:
-        result["area"] = finding.describe_area(run, area)
-        lines.append(finding.area_sentence(result["area"]))
-    if not found:
-        return []
-    result["found"], result["floor"] = finding.find_points(run, found), finding.floor_of(run)
-    lines.append(finding.floor_sentence(result["floor"]))
-    if not result["found"]:
-        lines.append("no point stands out by 20 dB, 10 widths from its like")
-        return []
-    if len(result["found"]) < found:
-        lines.append(f"{len(result['found'])} of {found} points: no other stands out by 20 dB, 10 widths from its like")
-    return [finding.found_table(result["found"])]
+def _about_targets(run: FinishedRun, listed: Sequence[Target], measured: Measured) -> Part:
+    """The responses, and which targets are measured elsewhere, or not judged."""
+    responses, lines = measured.responses, []
+    if responses:
+        lines += _weighting_lines(run.weighting, run.collection.has_pattern)
+        lines += [*_count_line(responses), *_seam_line(run, responses)]
+    lines += raised_line(listed, measured.seen)
+    if not responses:
+        lines.append("the collection names no targets: give --targets FILE to measure some, or --found N to find some")
+    if dark := [target.name for target, hidden in zip(listed, measured.dark, strict=True) if hidden]:
+        named = f"{', '.join(dark[:5])}{', ...' if len(dark) > 5 else ''}"
+        lines.append(f"in shadow of the terrain, and not judged: {len(dark)} of {len(listed)} targets ({named})")
+    return Part(as_json(responses, run.weighting), lines)
+
+
+def _about_track(run: FinishedRun) -> Part:
+    """How the track was corrected, if it was."""
+    if run.track is None:
+        return NOTHING
+    return Part({"autofocus": dict(run.track.figures)}, run.track.sentences(), [_track_table(run.track)])
+
+
+def _beside_table3(run: FinishedRun, responses: Sequence[PointResponse]) -> Part:
+    """The paper's figures of the shipped scene."""
+    if run.attrs.get("scene") != "table1" or not responses:
+        return NOTHING
+    line = (
+        "paper: Table 3 of the angular-division paper; its ISLR follows another, unstated definition, and its "
+        "azimuth IRW hardly changes over the scene, as if one factor had turned Doppler into metres"
+    )
+    return Part({"table3": {name: row._asdict() for name, row in TABLE3.items()}}, [line], [_table3(responses)])
+
+
+def _about_noise(run: FinishedRun) -> Part:
+    """The noise of the image, if that of the samples is known."""
+    return NOTHING if run.noise is None else Part({"noise": run.noise.as_json()}, [run.noise.sentence()])
+
+
+def _about_area(run: FinishedRun, area: Any) -> Part:
+    """Figures of an area, if they are asked for."""
+    if area is None:
+        return NOTHING
+    described = finding.describe_area(run, area)
+    return Part({"area": described}, [finding.area_sentence(described)])
+
+
+def _about_found(run: FinishedRun, count: int) -> Part:
+    """Bright points and the floor, if they are asked for."""
+    if not count:
+        return NOTHING
+    points, floor = finding.find_points(run, count), finding.floor_of(run)
+    result, lines = {"found": points, "floor": floor}, [finding.floor_sentence(floor)]
+    if not points:
+        return Part(result, [*lines, "no point stands out by 20 dB, 10 widths from its like"])
+    if len(points) < count:
+        lines.append(f"{len(points)} of {count} points: no other stands out by 20 dB, 10 widths from its like")
+    return Part(result, lines, [finding.found_table(points)])
+
+
+def _about_looks(looks: Sequence[Place], area: Any) -> Part:
+    """Spectra of the looks of a run, and figures of an area in each."""
+    if not looks:
+        return NOTHING
+    described = describe_looks([FinishedRun.open(look) for look in looks], area)
+    return Part({"looks": described}, tables=[looks_table(described)])
+
+
+def _beside_exact(run: FinishedRun, wanted: bool) -> Part:
+    """Chips beside exact back-projection, if that is asked for."""
+    if not wanted:
+        return NOTHING
+    result: dict[str, Any] = {}
+    table, lines = compare_with_exact(run, result)
+    return Part(result, lines, [table])
+
+
+def _beside_another(run: FinishedRun, folder: Place | None) -> Part:
+    """Chips beside those of another run, if one is given."""
+    if folder is None:
+        return NOTHING
+    other = FinishedRun.open(folder)
+    compared = compare_with(run, other)
+    return Part({"against": compared}, alignment_lines(compared, run, other), [alignment_table(compared)])
 
 
 def _response_table(responses: Sequence[PointResponse]) -> Table:

@@ -17,7 +17,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import default_grid, facing_grid, plan_region
-from blocksar.errors import InputError
+from blocksar.errors import InputError, library_for
 from blocksar.focusing import preview as coarse
 from blocksar.graph.machine import resources
 from blocksar.kernels.phase import Float32Array
@@ -154,10 +154,8 @@ def _draw(
     limits: tuple[float, float] | None,
     colour_map: str | None,
 ) -> None:
-    try:
+    with library_for("pictures need", "plots"):
         from blocksar.products.pictures import quicklook  # optional, and slow to load
-    except ModuleNotFoundError as error:
-        raise InputError(f"{error.name} is not installed, which pictures need; install blocksar[plots]") from None
     grid = planned.grid
     reduced = Overview(power, None, cell_edges(grid.x, grid.x.size, 1), cell_edges(grid.y, grid.y.size, 1))
     attribute = history.attrs.get("georeference")

@@ -153,7 +153,7 @@ def _chips(
     """
     half, chips = 32, []
     for name, x, y in _places_of(run, path):
-        column, row = (round((at - axis[0]) / (axis[1] - axis[0])) for at, axis in ((x, run.x), (y, run.y)))
+        row, column = run.pixel_at(x, y)
         rows, columns = slice(max(row - half, 0), row + half), slice(max(column - half, 0), column + half)
         if row < 0 or column < 0 or run.y[rows].size < half or run.x[columns].size < half:
             continue

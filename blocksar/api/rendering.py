@@ -45,9 +45,10 @@ def html_report(
     parts += map(html_table, tables)
     if summary:
         parts.append(_list(summary))
-    for name, content in (("all figures", "".join(map(html_table, details))), ("definitions", _list(definitions))):
-        if details if name == "all figures" else definitions:
-            parts.append(f"<details><summary>{name}</summary>{content}</details>")
+    if details:
+        parts.append(_unfolding("all figures", "".join(map(html_table, details))))
+    if definitions:
+        parts.append(_unfolding("definitions", _list(definitions)))
     return f"<div>{''.join(parts)}</div>"
 
 
@@ -69,6 +70,10 @@ def html_table(table: Table) -> str:
 
 def _is_numeric(cells: Sequence[str]) -> bool:
     return bool(cells) and all(NUMBER.fullmatch(cell) for cell in cells)
+
+
+def _unfolding(name: str, content: str) -> str:
+    return f"<details><summary>{name}</summary>{content}</details>"
 
 
 def _list(sentences: Sequence[str]) -> str:

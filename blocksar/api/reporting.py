@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -11,7 +12,7 @@ from blocksar import stores
 from blocksar.api.measuring import measure_targets
 from blocksar.api.reports import Report, only_stage
 from blocksar.api.target_files import targets_of
-from blocksar.errors import InputError, ProcessingError
+from blocksar.errors import InputError, ProcessingError, in_the_way, library_for
 from blocksar.measurement.figures import as_json
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
@@ -67,11 +68,14 @@ def report(
     whole = finished_record(folder)
     linked = whole.channels if out is None else ()
     names = [channel] if channel is not None or not linked else list(linked)
-    page = _pages()
-    common = _common(folder, whole, progress)
+    page = _page_module()
+    writer = _Writer(
+        run=folder, out=out, linked=linked, common=_common(folder, whole, progress), overwrite=overwrite,
+        progress=progress, page=page,
+    )  # fmt: skip
     lines, first = [], None
     for name in names:
-        target, said = _write(folder, name, out, linked, common, overwrite, progress, page)
+        target, said = writer.write(name)
         lines += [line if len(names) == 1 else f"{name}: {line}" for line in said]
         first = first or target
     return Report(summary=lines, result=first)
@@ -101,52 +105,52 @@ def _common(folder: Place, whole: RunRecord, progress: Progress | None) -> _Comm
     return _Common(composite.draw(sources, progress=only_stage(progress, "composite")), None, None)
 
 
-def _pages() -> ModuleType:
+def _page_module() -> ModuleType:
     """Import the module of pages: optional, and slow to load."""
-    try:
+    with library_for("reports need", "plots"):
         from blocksar.products.page import page
-    except ModuleNotFoundError as error:
-        library = str(error.name).partition(".")[0]
-        raise InputError(f"{library} is not installed, which reports need; install blocksar[plots]") from None
     return page
 
 
-def _write(
-    run: Place,
-    channel: str | None,
-    out: Location | None,
-    linked: Sequence[str],
-    common: _Common,
-    overwrite: bool,
-    progress: Progress | None,
-    page: Any,
-) -> tuple[Place, list[str]]:
-    """Write one page; return its path and lines for the user."""
-    folder = folder_of(run, channel)
-    target = folder / "report.html" if out is None else place(out)
-    if out is not None and target.exists() and not overwrite:
-        raise InputError(f"{target} exists; choose another name, or have it overwritten (--overwrite)")
-    if isinstance(target, LocalPlace) and target.path.is_dir():
-        raise InputError(f"{target} is a folder; give --out the name of a file")
-    if isinstance(target, LocalPlace):
-        refuse_parts(target)
-    source = FinishedRun.open(folder)
-    figures, reason = _read_or_measure(folder, source)
-    history = str(stores.open_dataset(source.image).attrs.get("history", ""))
-    listener = as_listener(progress)
-    siblings = [page.Sibling(name, f"../{name}/report.html", name == folder.name) for name in linked]
-    content, verdict = page.make(
-        source, figures, folder=str(run), siblings=siblings, looks=common.n_looks, spectra=common.looks,
-        composite=common.composite, history=history, why=reason,
-        progress=only_stage(listener, "report"), drawn=partial(listener.update, "responses"),
-    )  # fmt: skip
-    try:
-        target.write_bytes(content)
-    except (PermissionError, NotADirectoryError, FileExistsError) as error:
-        raise InputError(f"{target} cannot be written ({error.strerror}); choose another --out") from error
-    except OSError as error:
-        raise ProcessingError(f"{target} cannot be written ({error.strerror or error})") from error
-    return target, ["; ".join(verdict), f"wrote {target}"]
+@dataclass(frozen=True, kw_only=True)
+class _Writer:
+    """What the pages of all channels or looks of a run are written with."""
+
+    run: Place
+    out: Location | None
+    linked: Sequence[str]
+    common: _Common
+    overwrite: bool
+    progress: Progress | None
+    page: Any  # the module
+
+    def write(self, channel: str | None) -> tuple[Place, list[str]]:
+        """Write one page; return its path and lines for the user."""
+        folder = folder_of(self.run, channel)
+        target = folder / "report.html" if self.out is None else place(self.out)
+        if self.out is not None and target.exists() and not self.overwrite:
+            raise in_the_way(target)
+        if isinstance(target, LocalPlace) and target.path.is_dir():
+            raise InputError(f"{target} is a folder; give --out the name of a file")
+        if isinstance(target, LocalPlace):
+            refuse_parts(target)
+        source = FinishedRun.open(folder)
+        figures, reason = _read_or_measure(folder, source)
+        history = str(stores.open_dataset(source.image).attrs.get("history", ""))
+        listener = as_listener(self.progress)
+        siblings = [self.page.Sibling(name, f"../{name}/report.html", name == folder.name) for name in self.linked]
+        content, verdict = self.page.make(
+            source, figures, folder=str(self.run), siblings=siblings, looks=self.common.n_looks,
+            spectra=self.common.looks, composite=self.common.composite, history=history, why=reason,
+            progress=only_stage(listener, "report"), drawn=partial(listener.update, "responses"),
+        )  # fmt: skip
+        try:
+            target.write_bytes(content)
+        except (PermissionError, NotADirectoryError, FileExistsError) as error:
+            raise InputError(f"{target} cannot be written ({error.strerror}); choose another --out") from error
+        except OSError as error:
+            raise ProcessingError(f"{target} cannot be written ({error.strerror or error})") from error
+        return target, ["; ".join(verdict), f"wrote {target}"]
 
 
 def _read_or_measure(folder: Place, source: FinishedRun) -> tuple[dict[str, Any] | None, str]:
@@ -155,7 +159,7 @@ def _read_or_measure(folder: Place, source: FinishedRun) -> tuple[dict[str, Any]
         return stores.read_json(folder / "quality.json"), ""
     targets = targets_of(None, source.attrs)
     try:
-        responses = measure_targets(source, targets)
+        responses = measure_targets(source, targets).responses
     except InputError as error:  # the page can still show an image that is too coarse for measurements
         return None, f"Nothing was measured: {error}."
     return as_json(responses, source.weighting), ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -12,7 +13,7 @@ from blocksar.errors import in_python
 from blocksar.progress import Wanted as Progress
 from blocksar.progress import as_listener
 
-__all__ = ["Report", "Table", "only_stage"]
+__all__ = ["Report", "Table", "finite", "only_stage", "rounded"]
 
 
 def only_stage(progress: Progress | None, stage: str) -> Callable[[int, int], None]:
@@ -20,6 +21,16 @@ def only_stage(progress: Progress | None, stage: str) -> Callable[[int, int], No
     listener = as_listener(progress)
     listener.begin(stage)
     return partial(listener.update, stage)
+
+
+def finite(value: float) -> float | None:
+    """A number for a result; None unless it is finite."""
+    return float(value) if math.isfinite(value) else None
+
+
+def rounded(value: float | None, places: int) -> str:
+    """A number for a table."""
+    return "-" if value is None else f"{value:.{places}f}"
 
 
 LONGEST = 300  # characters of a report's repr

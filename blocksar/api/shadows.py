@@ -20,13 +20,9 @@ def in_shadow(run: FinishedRun, targets: Sequence[Target]) -> list[bool]:
         return [False] * len(targets)
     hidden = []
     for target in targets:
-        row, column = (
-            round((at - axis[0]) / step)
-            for at, axis, step in ((target.y, run.y, run.spacing[1]), (target.x, run.x, run.spacing[0]))
-        )
-        inside = 0 <= row < run.y.size and 0 <= column < run.x.size
+        row, column = run.pixel_at(target.x, target.y)
         ground = float(terrain(np.array(target.x), np.array(target.y)))
-        if inside and (target.z is None or target.z < ground + RAISED):
+        if run.inside(row, column) and (target.z is None or target.z < ground + RAISED):
             seen = run.read_layer("visibility", slice(row, row + 1), slice(column, column + 1))
             hidden.append(int(seen[0, 0]) == SHADOW)
         else:

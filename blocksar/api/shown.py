@@ -9,7 +9,7 @@ from blocksar.api.reports import Report
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.constants import MIB
-from blocksar.errors import InputError
+from blocksar.errors import InputError, library_for
 from blocksar.places.place import Place
 from blocksar.planning.disk import run_bytes
 from blocksar.planning.plan import Plan
@@ -58,10 +58,8 @@ class PlanReport(Report):
         plan = self.result
         if self.geometry is None or not isinstance(plan, Plan | Grid):
             raise InputError(f"there is no plan to draw ({self.headline()}); plan with other settings")
-        try:
+        with library_for("pictures need", "plots"):
             from blocksar.products.pictures.planned import draw_plan  # optional, and slow to load
-        except ModuleNotFoundError as error:
-            raise InputError(f"{error.name} is not installed, which pictures need; install blocksar[plots]") from None
         if isinstance(plan, Grid):
             return draw_plan(self.geometry, plan, axes=ax)
         return draw_plan(self.geometry, plan.grid, blocks=plan.blocks, region=plan.region, axes=ax)

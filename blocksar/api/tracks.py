@@ -113,7 +113,6 @@ class TrackEstimate:
             yield client
             return
         compiling.compile_missing(compiling.TRACKS)
-        cluster.prepare_workers(machine.threads, listener)
         scratch = run_folder.scratch(self.folder)
         with cluster.open_client(**machine._asdict(), scratch=scratch, listener=listener) as own:
             yield own
@@ -224,13 +223,9 @@ def track_corrected(
             said: list[str] = []
             for estimate in _estimates(request, folder):
                 memory = estimate.checked_memory(machine)
-                try:
+                with run_folder.resumable():
                     client = stack.enter_context(estimate.connected(machine, client, listener))
                     receipts, result = estimate.carry_out(client, machine, listener, local=local)
-                except ProcessingError as error:
-                    raise ProcessingError(
-                        f"{error}; what was finished stays, the same command goes on from there"
-                    ) from error
                 made = estimate.corrected(result)
                 history = request.histories[len(corrected)]
                 attrs = {**history.attrs, ATTRIBUTE: made.attrs[ATTRIBUTE]}

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from blocksar.api.parsing import quoted
-from blocksar.cli.endings import UsageError
+from blocksar.cli.endings import UsageError, plain
 from blocksar.errors import InputError
 from blocksar.version import __version__
 
@@ -102,7 +102,7 @@ def _shown(value: Any) -> str:
 
 def _problem(error: Any) -> str:
     """What is wrong with a value, without the name of the option."""
-    message = str(error.message).rstrip(".").replace("Value error, ", "").replace("Input should be", "must be")
+    message = plain(str(error.message))
     return message[:1].lower() + message[1:]
 
 

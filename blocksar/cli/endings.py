@@ -88,9 +88,7 @@ def _report(error: BaseException) -> NoReturn:
 
 def _report_usage(error: Any) -> NoReturn:
     """Report a wrong command line in one sentence, like any other wrong input."""
-    message = (
-        error.format_message().removesuffix(".").replace("Value error, ", "").replace("Input should be", "must be")
-    )
+    message = plain(error.format_message())
     if not message:  # no command was given: typer has printed the help
         raise typer.Exit(WRONG_INPUT)
     for problem in getattr(error.__cause__, "errors", list)():  # pydantic's messages lack the value
@@ -99,6 +97,11 @@ def _report_usage(error: Any) -> NoReturn:
     command = "blocksar" if error.ctx is None else error.ctx.command_path
     reference = " See" if message.endswith("?") else "; see"
     complain(f"{message[0].lower()}{message[1:]}{reference} {command} --help", WRONG_INPUT)
+
+
+def plain(message: str) -> str:
+    """A message of typer or pydantic in the form of our own, which have no full stop and say "must be"."""
+    return message.removesuffix(".").replace("Value error, ", "").replace("Input should be", "must be")
 
 
 def ending(error: BaseException) -> tuple[int, str]:

@@ -41,14 +41,14 @@ from blocksar.focusing.pixel_rows import (
     turn_windows,
     write_row,
 )
-from blocksar.focusing.relief_correction import bent_taps_of, resample_on_relief, tile_polynomials
+from blocksar.focusing.relief_correction import bent_taps_of, nodes_of, resample_on_relief, tile_polynomials
 from blocksar.kernels import interpolation
 from blocksar.kernels.groups import run_groups
 from blocksar.kernels.lanes import FEW
 from blocksar.kernels.loops import loop
 from blocksar.kernels.phase import Float32Array
 from blocksar.kernels.signatures import COMPILED, FLOATS_IN, PAIR, POWERS, REAL_ROW, REAL_ROWS, SAMPLES_OUT, TILES
-from blocksar.solvers import least_squares, product
+from blocksar.solvers import product
 
 TILE_PIXELS = 128
 TILE_EXTENT = 150.0  # m: the largest tile over which its polynomials hold to a millicycle
@@ -287,7 +287,7 @@ def _plane_polynomials(
     owner: IntArray,
 ) -> FloatArray:  # fmt: skip
     """Polynomials of tiles, as in `Tiles`: of sides `side` (n,), at `places` (n, 3) of the windows `owner` (n,)."""
-    nodes, to_power = _tile_nodes()
+    nodes, to_power = nodes_of(TILE_DEGREE)
     origin = np.array([(x[0], spacing(x), y[0], spacing(y)) for x, y in windows])[owner, :, None, None]
     half = (side[:, None, None] - 1) / 2
     px = origin[:, 0] + origin[:, 1] * (places[:, 1, None, None] + half * (1 + nodes[None, None, :]))
@@ -296,14 +296,6 @@ def _plane_polynomials(
     values = np.stack(ground.locate(px, py), axis=1)
     coefficients = np.moveaxis(product(product(to_power, values), to_power.T), 1, 2)
     return np.ascontiguousarray(coefficients).reshape(places.shape[0], nodes.size, values.shape[1] * nodes.size)
-
-
-@lru_cache(maxsize=1)
-def _tile_nodes() -> tuple[FloatArray, FloatArray]:
-    """Chebyshev nodes (degree + 1,) in [-1, 1] and the matrix from values there to power coefficients."""
-    n = TILE_DEGREE + 1
-    nodes = np.cos(np.pi * (np.arange(n) + 0.5) / n)[::-1]
-    return nodes, least_squares(np.vander(nodes, n, increasing=True).T, np.eye(n))
 
 
 def _window(n_tap: int, occupancy: float, unit: int) -> Float32Array:

@@ -16,8 +16,7 @@ import numpy as np
 
 from blocksar import stores
 from blocksar.errors import ProcessingError
-from blocksar.runs.receipts import Run
-from blocksar.runs.record import RECORD
+from blocksar.runs.receipts import Run, refuse_replaced
 
 Files = Mapping[str, str]  # checksums by name, as receipts have them
 T = TypeVar("T")
@@ -32,8 +31,7 @@ def keep(run: Run, name: str, values: Sequence[Any]) -> dict[str, str]:
     ProcessingError
         If it cannot be written, or another run has taken the folder.
     """
-    if run.identity.encode() not in (run.folder / RECORD).read_bytes():
-        raise ProcessingError(f"{run.folder} has been taken by another run")
+    refuse_replaced(run)
     arrays: dict[str, Any] = {}
     for index, value in enumerate(values):
         for field in fields(value):

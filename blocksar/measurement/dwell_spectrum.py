@@ -70,7 +70,7 @@ def dwell_spectrum(
     k_x, k_y = np.meshgrid(
         *(k + _frequencies(n, axis) for k, n, axis in zip(carrier, power.shape[::-1], (x, y), strict=True))
     )
-    return _by_share(k_x, k_y, power, time, sight, geometry.collection.carrier + np.array([-half, half]))
+    return _by_share(k_x, k_y, power, sight, geometry.collection.carrier + np.array([-half, half]))
 
 
 def _frequencies(n: int, axis: FloatArray) -> FloatArray:
@@ -78,9 +78,7 @@ def _frequencies(n: int, axis: FloatArray) -> FloatArray:
     return (np.arange(n) + n // 2) % n / (n * (axis[1] - axis[0])) - n // 2 / (n * (axis[1] - axis[0]))
 
 
-def _by_share(
-    k_x: FloatArray, k_y: FloatArray, power: FloatArray, time: FloatArray, sight: FloatArray, band: FloatArray
-) -> FloatArray:
+def _by_share(k_x: FloatArray, k_y: FloatArray, power: FloatArray, sight: FloatArray, band: FloatArray) -> FloatArray:
     """Mean power of wave vectors within the band, Hz, by the share of the dwell that their directions belong to."""
     direction = np.unwrap(np.arctan2(sight[:, 1], sight[:, 0]))
     order = np.argsort(direction)

@@ -18,12 +18,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from blocksar.arrays import FloatArray
+from blocksar.arrays import Complex128Array, FloatArray
 from blocksar.collection.beam import has_full_dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import UNIFORM, IdealResponse, Weighting
 from blocksar.constants import SINC_ISLR, SINC_PSLR, SINC_WIDTH
-from blocksar.measurement.response import CUT_WIDTHS, Complex128Array, ReadChip, Response, read_response, response_axes
+from blocksar.measurement.response import CUT_WIDTHS, ReadChip, Response, read_response, response_axes
 from blocksar.measurement.targets import Target
 
 SAMPLES_PER_WIDTH = 64  # of a cut: resolves the height of a side lobe to 0.001 dB

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import i0
 
 from blocksar import solvers
-from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.arrays import Complex128Array, ComplexArray, FloatArray
 from blocksar.collection.beam import dwell, dwell_weight, has_full_dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import NODES, UNIFORM, DwellShape, IdealResponse, Taper, Weighting
@@ -20,7 +20,6 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.measurement.targets import Target
 
-Complex128Array = NDArray[np.complex128]
 ReadChip = Callable[[slice, slice], ComplexArray]  # (slice of y, slice of x) -> pixels
 CUT_WIDTHS = 10.0  # widths measured on either side of the peak
 SEARCH_WIDTHS = 2.0  # widths searched for the peak on either side of the true position

@@ -14,13 +14,13 @@ import numpy as np
 import xarray as xr
 
 from blocksar import stores
-from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.arrays import Complex128Array, ComplexArray, FloatArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.errors import InputError
+from blocksar.errors import InputError, library_for
 from blocksar.measurement.looks import checked_looks, power_of
-from blocksar.measurement.response import MIN_HALF_TAPS, Complex128Array, interpolate
+from blocksar.measurement.response import MIN_HALF_TAPS, interpolate
 from blocksar.products.options import parse_looks
 
 if TYPE_CHECKING:
@@ -261,12 +261,10 @@ class SarAccessor:
         InputError
             If matplotlib is not installed, or `ax` is none of its axes.
         """
-        try:
+        with library_for("pictures need", "plots"):
             from matplotlib.axes import Axes  # optional, and slow to load, as the next line
 
             from blocksar.products.pictures import quicklook
-        except ModuleNotFoundError as error:
-            raise InputError(f"{error.name} is not installed, which pictures need; install blocksar[plots]") from None
         if not isinstance(ax, Axes | None):
             raise InputError(f"ax is {ax!r}, but must be matplotlib Axes; leave it out for a new figure")
         image = self._upright()

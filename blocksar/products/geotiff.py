@@ -23,7 +23,7 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.collection.georeference import Georeference
-from blocksar.errors import InputError, printable
+from blocksar.errors import library_for, printable
 from blocksar.places import Location
 from blocksar.places.local import temporary_name
 from blocksar.products.map_pixels import MapPixels, parse_crs
@@ -99,12 +99,10 @@ def write(
     ProcessingError
         If writing fails.
     """
-    try:
+    with library_for("GeoTIFF needs", "geotiff"):
         import rasterio
         from rasterio._err import CPLE_BaseError  # GDAL's own errors, which rasterio passes on unconverted in places
         from rasterio.errors import RasterioError
-    except ModuleNotFoundError as error:
-        raise InputError(f"{error.name} is not installed, which GeoTIFF needs; install blocksar[geotiff]") from None
     source = pixels.source
     raster, placement = _placed(pixels, source.placed("a GeoTIFF"), crs)
     listener = progress or (lambda done, total: None)

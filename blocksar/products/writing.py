@@ -11,7 +11,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from blocksar.errors import InputError, ProcessingError
+from blocksar.errors import InputError, ProcessingError, in_the_way
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace, replacing_file
 from blocksar.runs.record import RECORD
@@ -50,7 +50,7 @@ def replacing(out: Location, *, overwrite: bool) -> Iterator[str]:
     if target.exists() and not os.path.isfile(target.path):
         raise InputError(f"{target} is no regular file, and is not replaced; choose another name")
     if target.exists() and not overwrite:
-        raise InputError(f"{target} exists; choose another name, or have it overwritten (--overwrite)")
+        raise in_the_way(target)
     try:
         os.makedirs(target.path.parent, exist_ok=True)
         with replacing_file(target.path) as part:

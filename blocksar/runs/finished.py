@@ -178,10 +178,7 @@ class FinishedRun:
         """
         if not self.segments:
             return 0
-        column, row = (
-            min(max(round((at - axis[0]) / (axis[1] - axis[0])), 0), axis.size - 1)
-            for at, axis in ((x, self.x), (y, self.y))
-        )
+        row, column = self._nearest_pixel(x, y)
         block = int(self.read_block(slice(row, row + 1), slice(column, column + 1))[0, 0])
         if block >= 0:
             return self.segment_of(block)
@@ -249,6 +246,19 @@ class FinishedRun:
     def spacing(self) -> tuple[float, float]:
         """Distance between pixels in x and in y, m."""
         return tuple(float(axis[-1] - axis[0]) / (axis.size - 1) for axis in (self.x, self.y))  # type: ignore[return-value]
+
+    def pixel_at(self, x: float, y: float) -> tuple[int, int]:
+        """Row and column of a ground point, m, rounded; not `inside` where the point lies beyond the image."""
+        return round((y - self.y[0]) / self.spacing[1]), round((x - self.x[0]) / self.spacing[0])
+
+    def inside(self, row: int, column: int) -> bool:
+        """Whether the image has a pixel at this row and column."""
+        return 0 <= row < self.y.size and 0 <= column < self.x.size
+
+    def _nearest_pixel(self, x: float, y: float) -> tuple[int, int]:
+        """Row and column of the image's pixel that is nearest to a ground point, m."""
+        row, column = self.pixel_at(x, y)
+        return min(max(row, 0), self.y.size - 1), min(max(column, 0), self.x.size - 1)
 
     @cached_property
     def georeference(self) -> Georeference | None:
@@ -374,10 +384,7 @@ class FinishedRun:
         """
         if len(self.record.inputs) < 2:
             return self.read
-        column, row = (
-            min(max(round((at - axis[0]) / step), 0), axis.size - 1)
-            for at, axis, step in zip((x, y), (self.x, self.y), self.spacing, strict=True)
-        )
+        row, column = self._nearest_pixel(x, y)
         own = self.read_input(slice(row, row + 1), slice(column, column + 1))[0, 0]
 
         def read(rows: slice, columns: slice) -> ComplexArray:

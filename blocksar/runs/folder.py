@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -112,9 +112,7 @@ def find_run(folder: Place, settings: Mapping[str, Any], fingerprint: str, *, ov
     names = _names(folder)
     refuse_links(folder)
     if RECORD not in names:
-        foreign = [name for name in names if name not in (*LEFT_ALONE, LOCK, ASIDE) and not is_temporary(name)]
-        if SCRATCH in foreign and _is_of_workers(folder / SCRATCH):  # killed while it was planned
-            foreign.remove(SCRATCH)
+        foreign = foreign_names(folder, names)
         if "receipts" in foreign and set(foreign) <= set(OWN):
             if overwrite:
                 return None
@@ -143,6 +141,14 @@ def find_run(folder: Place, settings: Mapping[str, Any], fingerprint: str, *, ov
             replaceable=True,
         )
     return record
+
+
+def foreign_names(folder: Place, names: Sequence[str]) -> list[str]:
+    """Names in a folder without a record of what neither `demo` nor a run that was killed early has left there."""
+    foreign = [name for name in names if name not in (*LEFT_ALONE, LOCK, ASIDE) and not is_temporary(name)]
+    if SCRATCH in foreign and _is_of_workers(folder / SCRATCH):  # killed while it was planned
+        foreign.remove(SCRATCH)
+    return foreign
 
 
 def refuse_links(folder: Place) -> None:
@@ -252,6 +258,15 @@ def _move_own(source: Place, target: Place) -> None:
         raise FolderError(
             f"{source / name} cannot be moved ({error.strerror or error}); make it writable, or choose another --out"
         ) from error
+
+
+@contextmanager
+def resumable() -> Iterator[None]:
+    """Add to a ProcessingError in the block that the same command goes on with what was finished."""
+    try:
+        yield
+    except ProcessingError as error:
+        raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
 
 
 def finish(folder: Place, record: RunRecord) -> None:

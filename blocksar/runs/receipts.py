@@ -186,6 +186,15 @@ class Run:
         return "-".join(["store", *([] if inner and folder in ("patches", "gated") else [folder]), *inner])
 
 
+def refuse_replaced(run: Run) -> None:
+    """Raise a ProcessingError if another run has taken the folder.
+
+    A shared cluster may still run tasks of a process that was killed, whose run has been overwritten since.
+    """
+    if not _has(record := run.folder / RECORD, record.version(), run.identity):
+        raise ProcessingError(f"{run.folder} has been taken by another run")
+
+
 @lru_cache(maxsize=64)
 def _has(record: Place, version: str, identity: str) -> bool:
     """Whether a version of a run's record has this identity."""
@@ -202,9 +211,7 @@ def write(
     ProcessingError
         If it cannot be written, or another run has taken the folder.
     """
-    # A shared cluster may still run tasks of a process that was killed, whose run has been overwritten since.
-    if not _has(record := run.folder / RECORD, record.version(), run.identity):
-        raise ProcessingError(f"{run.folder} has been taken by another run")
+    refuse_replaced(run)
     stores.write_region(store, variable, region, values, cached=cached)
     span = tuple((part.start, part.stop) for part in region)
     return Written(run.name_of(store), variable, span, stores.checksum(values))

@@ -17,7 +17,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.errors import InputError
+from blocksar.errors import InputError, in_the_way
 from blocksar.ingestion.cphd import NAMESPACE, library
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace, replacing_file
@@ -132,7 +132,7 @@ def _free_file(out: Location, *, overwrite: bool) -> Path:
     path = where.path
     if os.path.lexists(path):
         if not overwrite:
-            raise InputError(f"{path} exists; choose another name, or have it overwritten (--overwrite)")
+            raise in_the_way(path)
         is_cphd = path.is_file()
         if is_cphd:
             with open(path, "rb") as file:

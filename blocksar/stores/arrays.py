@@ -17,6 +17,7 @@ from blocksar.places.objects import ObjectPlace, os_errors
 from blocksar.places.place import Place
 from blocksar.stores.chunk_files import ChunkFiles, chunk_files_of, chunk_name, refuse_odd_file
 from blocksar.stores.faults import cause_of, unreachable
+from blocksar.stores.layout import NODE_METADATA
 
 if TYPE_CHECKING:
     import zarr
@@ -26,7 +27,6 @@ CODECS = {  # the only ones accepted: other codecs could run code while decoding
     *("gzip", "lz4", "lzma", "packbits", "sharding_indexed", "shuffle", "transpose", "vlen-bytes", "vlen-utf8"),
     *("zlib", "zstd"),
 }
-METADATA = ("zarr.json", ".zgroup", ".zarray")
 CHUNK_NAME = re.compile(r"c|(c\.)?\d+(\.\d+)*")  # name of a chunk's file, or of a folder of chunks
 
 
@@ -107,13 +107,13 @@ def _codec_names(codecs: Any) -> Iterator[str]:
 def metadata_file(path: Place) -> str:
     """Return the name of the zarr metadata file in a folder, version 3 or 2; empty if there is none."""
     if not isinstance(path, LocalPlace):
-        for name in METADATA:
+        for name in NODE_METADATA:
             with suppress(FileNotFoundError):
                 (path / name).read_bytes()
                 return name
         return ""
     first = ""
-    for name in (*METADATA, ".zattrs"):  # all are checked, as zarr reads whichever exist
+    for name in (*NODE_METADATA, ".zattrs"):  # all are checked, as zarr reads whichever exist
         # Not os.path.isfile: it takes a folder without permission for an empty one.
         with suppress(FileNotFoundError, NotADirectoryError):
             refuse_odd_file(os.path.join(path.path, name))

@@ -24,12 +24,12 @@ from blocksar.places.place import Place
 from blocksar.stores.chunk_files import refuse_odd_file
 from blocksar.stores.creation import refuse_existing, replacing
 from blocksar.stores.faults import unreachable
+from blocksar.stores.layout import METADATA
 from blocksar.stores.records import checksum_bytes, nan_to_null, plain_value
 from blocksar.stores.schema import TRACK_AND_BEAM, Variable
 
 POSITION = "antenna_position"
 ORIGINAL = "antenna_position_original"
-METADATA = ("zarr.json", ".zarray", ".zattrs", ".zgroup", ".zmetadata")
 PIECE = 1 << 24  # bytes of a file in memory at a time
 _VARIABLES = {
     POSITION: TRACK_AND_BEAM[POSITION],

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from blocksar.errors import InputError, ProcessingError
+from blocksar.errors import InputError, ProcessingError, in_the_way
 from blocksar.places import Location
 from blocksar.places import place as place_of
 from blocksar.places.local import LocalPlace, temporary_name
@@ -205,7 +205,7 @@ def _refuse_existing(path: Path, *, overwrite: bool) -> None:
     if not os.path.lexists(path):
         return
     if not overwrite:
-        raise InputError(f"{path} exists; choose another name, or have it overwritten (--overwrite)")
+        raise in_the_way(path)
     try:
         folder = not path.is_symlink() and path.is_dir()
         foreign = not folder or (any(path.iterdir()) and not metadata_file(LocalPlace(path)))
@@ -213,9 +213,13 @@ def _refuse_existing(path: Path, *, overwrite: bool) -> None:
         return  # another process is replacing it
     # A folder that another process has just moved away would look foreign too.
     if foreign and os.path.lexists(path):
-        raise InputError(
-            f"{path} exists and is not a zarr store, so it is not overwritten; remove it, or choose another name"
-        )
+        raise _not_a_store(path)
+
+
+def _not_a_store(path: object) -> InputError:
+    return InputError(
+        f"{path} exists and is not a zarr store, so it is not overwritten; remove it, or choose another name"
+    )
 
 
 def _create_objects(
@@ -263,11 +267,9 @@ def _refuse_objects(place: ObjectPlace, *, overwrite: bool) -> None:
         return
     if not overwrite:
         state = "exists" if UNFINISHED not in names else "is being written, or was left unfinished"
-        raise InputError(f"{place} {state}; choose another name, or have it overwritten (--overwrite)")
+        raise in_the_way(place, state)
     if UNFINISHED not in names and not metadata_file(place):
-        raise InputError(
-            f"{place} exists and is not a zarr store, so it is not overwritten; remove it, or choose another name"
-        )
+        raise _not_a_store(place)
 
 
 def _clear(place: ObjectPlace) -> None:

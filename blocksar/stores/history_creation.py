@@ -16,7 +16,7 @@ from blocksar.places.place import Place
 from blocksar.stores.channels import check_channels, with_channels
 from blocksar.stores.contract import stated
 from blocksar.stores.creation import create
-from blocksar.stores.schema import COLLECTION, CONVENTIONS, PHASE_HISTORY, RAW_ECHO
+from blocksar.stores.schema import COLLECTION, COLLECTION_ATTRS, CONVENTIONS, PHASE_HISTORY, RAW_ATTRS, RAW_ECHO
 
 
 def create_phase_history(
@@ -92,15 +92,9 @@ def write_collection(path: Location, collection: Collection, attrs: Mapping[str,
 
 
 def _collection_attrs(collection: Collection, raw: RawEcho | None, attrs: Mapping[str, Any] | None) -> dict[str, Any]:
-    own: dict[str, Any] = {
-        "carrier_frequency": collection.carrier,
-        "beam_width": collection.beam_width,
-        "ground_height": collection.ground_height,
-        "noise_power": collection.noise_power,
-        "side_of_track": collection.side_of_track,
-    }
+    own = {name: getattr(collection, field) for name, field in COLLECTION_ATTRS.items()}
     if raw is not None:
-        own |= {"chirp_rate": raw.chirp_rate, "pulse_width": raw.pulse_width}
+        own |= {name: getattr(raw, name) for name in RAW_ATTRS}
     general = {
         "Conventions": CONVENTIONS,
         "title": collection.title,

@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+METADATA = (".zarray", ".zattrs", ".zgroup", ".zmetadata", "zarr.json")  # all names of files of metadata
+NODE_METADATA = ("zarr.json", ".zgroup", ".zarray")  # one of which each group and array has
 # Images: noise does not compress, and passes at the speed of memory; what is not covered takes no room. The checksum
 # lets every reader notice an altered chunk.
 COMPRESSION: dict[str, Any] = {"name": "zstd", "configuration": {"level": -5, "checksum": True}}

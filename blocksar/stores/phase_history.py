@@ -31,7 +31,7 @@ from blocksar.stores.chunk_files import refuse_odd_file
 from blocksar.stores.contract import checked, number, read_real
 from blocksar.stores.creation import UNFINISHED
 from blocksar.stores.faults import cause_of, unreachable
-from blocksar.stores.layout import group_attrs
+from blocksar.stores.layout import METADATA, group_attrs
 from blocksar.stores.records import json_checksum
 from blocksar.stores.regions import chunk_names, read_array
 from blocksar.stores.schema import (
@@ -45,8 +45,6 @@ from blocksar.stores.schema import (
 if TYPE_CHECKING:
     import xarray as xr
     import zarr
-
-GROUP_METADATA = (".zattrs", ".zgroup", ".zmetadata", "zarr.json")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -244,12 +242,12 @@ class PhaseHistory:
     def _files(self) -> Iterator[tuple[str, str, Place]]:
         """Iterate over all files: name, size and version if it is a chunk of samples (else empty), and place."""
         present = self.path.names()
-        yield from ((name, "", self.path / name) for name in GROUP_METADATA if name in present)
+        yield from ((name, "", self.path / name) for name in METADATA if name in present)
         for variable in sorted({**(PHASE_HISTORY if self.raw is None else RAW_ECHO), **OPTIONAL}):
             files = sorted((self.path / variable).files(), key=lambda file: file[0].split("/"))
             mine = self._mine() if variable == self.variable and self.channels else None
             for name, size, version in files:
-                chunk = variable == self.variable and name not in ("zarr.json", ".zarray", ".zattrs")
+                chunk = variable == self.variable and name not in METADATA
                 if chunk and mine is not None and name not in mine:
                     continue
                 known = (self.versions or {}).get(name, f"{size} {version}")

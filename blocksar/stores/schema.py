@@ -115,7 +115,11 @@ COLLECTION_NUMBER = {
     )
 }
 CONVENTIONS = "CF-1.11"
-COLLECTION_ATTRS = ("carrier_frequency", "beam_width", "ground_height", "noise_power", "side_of_track")
+# Attributes of a collection with their fields of `Collection`; those of a raw echo, which are fields of `RawEcho`.
+COLLECTION_ATTRS = {
+    "carrier_frequency": "carrier",
+    **{name: name for name in ("beam_width", "ground_height", "noise_power", "side_of_track")},
+}
 RAW_ATTRS = ("chirp_rate", "pulse_width")
 UNITS = {  # accepted spellings of the contract's units
     "s": ("s", "sec", "second", "seconds"),

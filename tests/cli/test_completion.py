@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import pytest
-import typer
+from every_command import every_command
 from typer.testing import CliRunner
 
 from blocksar.cli import commands
@@ -38,20 +38,11 @@ def test_the_script_of_a_shell_is_printed(shell: str) -> None:
     assert done.exit_code == 0 and "_BLOCKSAR_COMPLETE=complete_" in done.stdout and "blocksar" in done.stdout
 
 
-def every_command() -> list[tuple[tuple[str, ...], object]]:
-    group = typer.main.get_command(commands.app)
-    found: list[tuple[tuple[str, ...], object]] = []
-    for name, command in group.commands.items():  # type: ignore[attr-defined]
-        below = getattr(command, "commands", None)
-        found += [((name, sub), entry) for sub, entry in below.items()] if below else [((name,), command)]
-    return found
-
-
-@pytest.mark.parametrize("names", [names for names, _ in every_command()], ids=" ".join)
+@pytest.mark.parametrize("names", every_command(), ids=" ".join)
 def test_every_command_has_short_help_and_can_be_quiet(names: tuple[str, ...]) -> None:
     short, long = (CliRunner().invoke(commands.app, [*names, option]) for option in ("-h", "--help"))
     assert short.exit_code == 0 and short.stdout == long.stdout
-    options = {option for parameter in dict(every_command())[names].params for option in parameter.opts}  # type: ignore[attr-defined]
+    options = {option for parameter in every_command()[names].params for option in parameter.opts}
     assert {"-q", "--quiet"} <= options
 
 

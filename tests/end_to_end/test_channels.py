@@ -148,6 +148,21 @@ def test_other_runs_are_not_replaced_unasked(store: Path, run: Path, tmp_path: P
     assert "2 channels (HH, HV)" in rehearsed.summary[0] and not (tmp_path / "other").exists()
 
 
+def test_leftovers_of_a_killed_run_refuse_no_run_and_foreign_files_do(store: Path, tmp_path: Path) -> None:
+    """As for a run of one image."""
+    folder = tmp_path / "run"
+    (folder / "scratch" / "dask-scratch-space" / "worker-1").mkdir(parents=True)
+    (folder / ".run.json.0123abcd.part").write_text("{")
+    blocksar.focus(store, folder, **SETTINGS)
+    assert blocksar.open(folder).image.shape[0] == 2
+    foreign = tmp_path / "foreign" / "scratch" / "notes.txt"
+    foreign.parent.mkdir(parents=True)
+    foreign.write_text("mine")
+    with pytest.raises(FolderError, match=r"holds no run of blocksar \(but scratch\)"):
+        blocksar.focus(store, tmp_path / "foreign", **SETTINGS)
+    assert foreign.read_text() == "mine"
+
+
 def test_previews_and_plans_say_the_channels(store: Path) -> None:
     powers = {}
     for name in ("HH", "HV"):

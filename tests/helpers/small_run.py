@@ -79,6 +79,13 @@ def hilly(centre: tuple[float, float]) -> Terrain:
     return Terrain(x0=centre[0] - 60, dx=2.0, y0=centre[1] - 60, dy=2.0, heights=heights)
 
 
+def ridge(*, base: float = 0.0) -> Terrain:
+    """A ridge across range, with layover before it and shadow behind it, on a slope of 1 in 50 about z = base, m."""
+    x, y = np.meshgrid(np.arange(-60.0, 61.0, 1.5), np.arange(-60.0, 61.0, 1.5))
+    heights = 14 * np.exp(-(((0.6 * x + 0.8 * y + 4) / 6) ** 2)) + 0.02 * x + base
+    return Terrain(x0=-60.0, dx=1.5, y0=-60.0, dy=1.5, heights=heights)
+
+
 def axis_beam(track: Any, centre: Any, time: Any, rate: float) -> dict[str, Any]:
     """A beam about an axis along the velocity, raised by 0.1, that passes the centre at t = 0.5 s."""
     axis = np.gradient(track, time, axis=0)

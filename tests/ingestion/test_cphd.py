@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from cphd_files import failures
 from lxml import etree
 from numpy.typing import NDArray
 from sarkit import cphd as skcphd
-from sarkit.verification import CphdConsistency
 from scenes import scene as scene_text
 from typer.testing import CliRunner
 
@@ -186,14 +186,6 @@ def ingested(path: Path, **options: Any) -> tuple[Collection, Array, list[str], 
     made = cphd.ingest(path, out, overwrite=True, **options)
     history = stores.open_phase_history(out)
     return history.collection, history.read(slice(None), slice(None)), made.messages, history.attrs
-
-
-def failures(path: Path) -> list[str]:
-    with open(path, "rb") as file:
-        checker = CphdConsistency.from_file(file, thorough=True)
-        checker.check()
-    assert len(checker.passes()) > 50
-    return [f"{name}: {found}" for name, found in checker.failures().items()]
 
 
 # ---------------------------------------------------------------- Files from a scene

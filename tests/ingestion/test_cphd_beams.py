@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from axis_beams import axis_scene
+from cphd_files import failures
 from lxml import etree
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 from sarkit import cphd as skcphd
-from sarkit.verification import CphdConsistency
 
 import blocksar
 from blocksar import api, stores
@@ -178,14 +178,6 @@ def gain_error(made: Made, collection: Collection) -> float:
         for geometry in (direct, Geometry(collection=collection))
     )
     return float(np.abs(ours - theirs)[is_lit(direct, x, y)].max())
-
-
-def failures(path: Path) -> list[str]:
-    with open(path, "rb") as file:
-        checker = CphdConsistency.from_file(file, thorough=True)
-        checker.check()
-    assert len(checker.passes()) > 50
-    return [f"{name}: {found}" for name, found in checker.failures().items()]
 
 
 # ---------------------------------------------------------------- from a scene and back

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from samples import noise
 from steps import explicit_transform
 
 from blocksar.arrays import ComplexArray
@@ -20,13 +21,6 @@ from blocksar.kernels.phase import Phase
 from blocksar.kernels.rows import Layout, Program
 
 ROUNDING = 5e-7  # of complex64 through a transform, relative to the scale of the largest sample
-
-
-def noise(*shape: int, seed: int = 0) -> ComplexArray:
-    rng = np.random.default_rng(seed)
-    values = (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)).astype(np.complex64)
-    values.flags.writeable = False
-    return values
 
 
 def error(found: ComplexArray, wanted: np.ndarray) -> float:

@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from axis_beams import axis_collection, with_patterns
+from ideal import ideal_response
 from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import diric
 
-from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.arrays import Complex128Array, ComplexArray, FloatArray
 from blocksar.collection.beam import dwell, has_full_dwell
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
@@ -34,8 +35,7 @@ from blocksar.measurement.figures import (
     response_grid,
     summary,
 )
-from blocksar.measurement.ideal import ideal_response
-from blocksar.measurement.response import Complex128Array, ReadChip, carrier_phase, read_response, response_axes
+from blocksar.measurement.response import ReadChip, carrier_phase, read_response, response_axes
 from blocksar.measurement.table3 import TABLE3
 from blocksar.measurement.targets import Target
 from blocksar.simulation.scatterers import simulate_pulses

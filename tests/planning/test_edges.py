@@ -55,6 +55,11 @@ yaw_deg = [-34.5, -30.0]
 """
 
 
+def rise(at: np.ndarray, duration: float) -> np.ndarray:
+    """Weights of an end that fades in from 0, over a duration, s."""
+    return np.asarray(np.sin(np.pi / 2 * np.clip(at / duration, 0, 1)) ** 2)
+
+
 @pytest.mark.parametrize(("area", "displaced"), [(0.0, 1e-4), (2e-7, 0.0), (-6e-7, 2e-4), (5e-6, -1e-3)])
 def test_the_energy_of_a_faded_end_is_that_of_its_integral(area: float, displaced: float) -> None:
     """Integrate |F(t) - H(t - d)|^2, F smeared by a fine transform, and the mean of both signs of the displacement."""
@@ -62,13 +67,10 @@ def test_the_energy_of_a_faded_end_is_that_of_its_integral(area: float, displace
     t = (np.arange(n) - n // 2) * step
     fall = np.clip((t - 0.1) / 0.02, 0, 1)
 
-    def rise(at: np.ndarray) -> np.ndarray:
-        return np.asarray(np.sin(np.pi / 2 * np.clip(at / duration, 0, 1)) ** 2)
-
     frequency = np.fft.fftfreq(n, step)
-    turned = np.fft.fft(rise(t) * np.cos(np.pi / 2 * fall) ** 2) * np.exp(-1j * np.pi * area * frequency**2)
+    turned = np.fft.fft(rise(t, duration) * np.cos(np.pi / 2 * fall) ** 2) * np.exp(-1j * np.pi * area * frequency**2)
     smeared, near = np.fft.ifft(turned), np.abs(t) < 0.05
-    totals = [np.sum(np.abs(smeared - rise(t - d))[near] ** 2) * step for d in (displaced, -displaced)]
+    totals = [np.sum(np.abs(smeared - rise(t - d, duration))[near] ** 2) * step for d in (displaced, -displaced)]
     found = faded_energy(np.array(area), np.array(displaced), np.array(0.0), duration)
     assert found == pytest.approx(np.mean(totals), rel=0.01)
 
@@ -104,9 +106,9 @@ def test_a_step_in_doppler_smears_a_faded_end_in_the_time_after_it(stretch: floa
     step, n, rate, duration = 4e-6, 2**16, 1e5, 1e-3
     t, curvature = (np.arange(n) - n // 2) * step, (1 - stretch) / rate
 
-    def rise(at: np.ndarray) -> np.ndarray:
+    def end(at: np.ndarray) -> np.ndarray:
         fall = np.cos(np.pi / 2 * np.clip((at - 0.02) / 0.03, 0, 1)) ** 2
-        return np.asarray(np.sin(np.pi / 2 * np.clip((at + 0.02) / duration, 0, 1)) ** 2 * fall)
+        return rise(at + 0.02, duration) * fall
 
     def turned(y: np.ndarray, area: float) -> np.ndarray:
         return np.asarray(np.fft.ifft(np.fft.fft(y) * np.exp(1j * np.pi * area * np.fft.fftfreq(n, step) ** 2)))
@@ -117,12 +119,12 @@ def test_a_step_in_doppler_smears_a_faded_end_in_the_time_after_it(stretch: floa
     )
     after = line.multiply_doppler(0 * one, 0 * one, curvature * one)
     assert after.stretch == pytest.approx(stretch)
-    delayed = turned(rise(t) * np.exp(1j * np.pi * rate * t**2), curvature)
+    delayed = turned(end(t) * np.exp(1j * np.pi * rate * t**2), curvature)
     found = delayed * np.exp(-1j * np.pi * rate / stretch * t**2) * np.sqrt(stretch)
     errors = []
     for faded in (True, False):
         (area,) = end_smear(after, line.rate, faded=faded)[:1]
-        errors.append(np.abs(found - turned(rise(t / stretch), area))[np.abs(t + 0.02) < 0.01].max())
+        errors.append(np.abs(found - turned(end(t / stretch), area))[np.abs(t + 0.02) < 0.01].max())
     assert errors[0] < 1e-6 and errors[1] > 0.01
 
 
@@ -140,9 +142,6 @@ def test_parts_of_the_gate_follow_an_end_over_the_band(parts: int) -> None:
     duration, spread, displaced = 1e-3, 3e-4, 5e-5
     t = np.linspace(-1e-3, 2e-3, 30001)
 
-    def rise(at: np.ndarray) -> np.ndarray:
-        return np.asarray(np.sin(np.pi / 2 * np.clip(at / duration, 0, 1)) ** 2)
-
     places = gate_parts(parts)
     nodes, weights = np.polynomial.legendre.leggauss(4)
     energy = 0.0
@@ -150,8 +149,8 @@ def test_parts_of_the_gate_follow_an_end_over_the_band(parts: int) -> None:
         others = [np.delete(places.nodes, k) for k in range(parts)]
         shares = [np.prod((node - rest) / (at - rest)) for at, rest in zip(places.nodes, others, strict=True)]
         np.testing.assert_allclose(places.at(node), shares, atol=1e-12)
-        made = sum(share * rise(t - at * spread) for at, share in zip(places.nodes, shares, strict=True))
-        energy += weight * np.sum(np.abs(made - rise(t - node * spread + displaced)) ** 2) * (t[1] - t[0])
+        made = sum(share * rise(t - at * spread, duration) for at, share in zip(places.nodes, shares, strict=True))
+        energy += weight * np.sum(np.abs(made - rise(t - node * spread + displaced, duration)) ** 2) * (t[1] - t[0])
     found = faded_energy(np.array(0.0), np.array(displaced), np.array(spread), duration, parts=parts)
     assert found == pytest.approx(energy, rel=0.01)
 

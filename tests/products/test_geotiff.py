@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 import rasterio.warp
 from rio_cogeo import cog_validate
-from small_run import DAYTON, TARGETS, make
+from small_run import DAYTON, TARGETS, make, ridge
 
 import blocksar
 from blocksar.collection.georeference import Georeference
-from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
 from blocksar.measurement.targets import Target
 
@@ -126,13 +125,6 @@ def test_wrong_options_are_refused_in_a_sentence(
     with pytest.raises(blocksar.InputError, match=words):
         blocksar.export(kind, made.folder, tmp_path / name, **options)
     assert not list(tmp_path.iterdir())
-
-
-def ridge() -> Terrain:
-    """A ridge across range, with layover before it and shadow behind it, in small_run's scene."""
-    x, y = np.meshgrid(np.arange(-60.0, 61.0, 1.5), np.arange(-60.0, 61.0, 1.5))
-    along = 0.6 * x + 0.8 * y
-    return Terrain(x0=-60.0, dx=1.5, y0=-60.0, dy=1.5, heights=14 * np.exp(-(((along + 4) / 6) ** 2)) + 0.02 * x)
 
 
 def test_layers_of_a_terrain_are_those_of_the_image_where_it_is_covered(tmp_path: Path) -> None:

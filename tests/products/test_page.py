@@ -445,10 +445,6 @@ def test_an_existing_page_is_kept_unless_overwrite_is_given(run: Path, tmp_path:
     assert target.read_text(encoding="utf-8").startswith("\n<!DOCTYPE html>".strip())
 
 
-def test_help_shows_an_example() -> None:
-    assert "Example: blocksar report run" in CliRunner().invoke(commands.app, ["report", "--help"]).stdout
-
-
 @pytest.mark.parametrize("what", ["folder", "file above"])
 def test_invalid_destinations_are_refused(what: str, run: Path, tmp_path: Path, quick: None) -> None:
     if what == "folder":

@@ -13,25 +13,17 @@ import pytest
 from matplotlib.image import imread
 from report_page import read
 from scipy.optimize import fsolve
-from small_run import TARGETS, hilly, make
+from small_run import TARGETS, hilly, make, ridge
 
 import blocksar
-from blocksar.collection.terrain import Terrain
 from blocksar.places import place
 from blocksar.products.pictures.relief import read_relief
 from blocksar.runs.finished import FinishedRun
 
 
-def ridge() -> Terrain:
-    """A ridge across range, with layover before it and shadow behind it, on a slope of 1 in 50."""
-    x, y = np.meshgrid(np.arange(-60.0, 61.0, 1.5), np.arange(-60.0, 61.0, 1.5))
-    heights = 14 * np.exp(-(((0.6 * x + 0.8 * y + 4) / 6) ** 2)) + 0.02 * x - 5
-    return Terrain(x0=-60.0, dx=1.5, y0=-60.0, dy=1.5, heights=heights)
-
-
 @pytest.mark.usefixtures("quick")
 def test_the_page_shows_the_terrain_and_the_heights_of_targets(tmp_path: Path) -> None:
-    run = make(tmp_path / "run", terrain=ridge(), formed_on_it=True, step=0.35)
+    run = make(tmp_path / "run", terrain=ridge(base=-5.0), formed_on_it=True, step=0.35)
     found = read(blocksar.report(run.folder).result)
     said = found.text()
     image = blocksar.open(run.folder)
@@ -52,12 +44,12 @@ def test_the_page_shows_the_terrain_and_the_heights_of_targets(tmp_path: Path) -
     assert all(0.01 < part.mean() < 0.9 for part in (grey, orange, blue))
     cells = np.array([float(a["data-sort"]) for a in found.all("td") if re.fullmatch(r"-?[\d.e+-]+", a["data-sort"])])
     for target in TARGETS[:2]:
-        assert np.abs(cells - float(ridge()(np.array(target.x), np.array(target.y)))).min() < 1e-6
+        assert np.abs(cells - float(ridge(base=-5.0)(np.array(target.x), np.array(target.y)))).min() < 1e-6
     assert "ground" in said
 
 
 def test_slopes_and_shares_are_those_of_the_terrain(tmp_path: Path) -> None:
-    run, terrain = make(tmp_path / "run", terrain=ridge()), ridge()
+    run, terrain = make(tmp_path / "run", terrain=ridge(base=-5.0)), ridge(base=-5.0)
     relief = read_relief(FinishedRun.open(place(run.folder)), terrain)
     x, y = np.meshgrid(relief.x, relief.y)
     h = 1e-3
@@ -69,7 +61,7 @@ def test_slopes_and_shares_are_those_of_the_terrain(tmp_path: Path) -> None:
 
 def test_targets_in_shadow_are_not_judged(tmp_path: Path) -> None:
     """Of targets in the scene's quality, one behind the ridge has no echo to be measured."""
-    run = make(tmp_path / "run", terrain=ridge(), formed_on_it=True, step=0.35)
+    run = make(tmp_path / "run", terrain=ridge(base=-5.0), formed_on_it=True, step=0.35)
     flags = blocksar.open(run.folder).visibility
     row, column = np.argwhere(flags.values == 2)[len(np.argwhere(flags.values == 2)) // 2]
     dark = {"name": "dark", "x": float(flags.x[column]), "y": float(flags.y[row])}

@@ -12,6 +12,7 @@ import sarkit.sicd as sksicd
 import sarkit.verification as skver
 import shapely
 from axis_beams import axis_collection, with_patterns
+from ideal import ideal_response
 from lxml import etree
 from numpy.polynomial import polynomial
 from sicd_files import Sicd, errors, read_sicd
@@ -23,7 +24,6 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.measurement.ideal import ideal_response
 from blocksar.measurement.targets import Target
 from blocksar.products.sicd.aperture import cut_width, find_support
 from blocksar.products.sicd.layout import Layout, lay_out, valid_data

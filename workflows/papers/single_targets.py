@@ -10,14 +10,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import resample
 
-from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.arrays import Complex128Array, ComplexArray, FloatArray
 from blocksar.constants import SINC_WIDTH, SPEED_OF_LIGHT
 from blocksar.focusing.lines import Line, focus
 from blocksar.focusing.range_steps import Compression, RangeCompression, ResidualRangeWalk
 from blocksar.focusing.recovery import recover_columns
 from blocksar.focusing.step import stages
 from blocksar.kernels.fourier import Axis
-from blocksar.measurement.response import Complex128Array
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.plan import Plan
 from blocksar.planning.target_lines import find_dwells

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
-from blocksar.errors import InputError
+from blocksar.errors import InputError, library_for
 from blocksar.ingestion.reading import reading
 from blocksar.places.place import Place
 
@@ -42,10 +42,8 @@ def library() -> ModuleType:
     InputError
         If it is not installed.
     """
-    try:
+    with library_for("CPHD files need", "formats"):
         import sarkit.cphd
-    except ModuleNotFoundError as error:
-        raise InputError(f"{error.name} is not installed, which CPHD files need; install blocksar[formats]") from None
     return sarkit.cphd
 
 

@@ -189,7 +189,7 @@ def prepare(file: CphdFile) -> _Prepared:
         )
     except InputError as error:
         raise InputError(f"PVP TxPos, RcvPos, SRPPos, TOA1 and TOA2 make no phase history: {error}") from None
-    bistatic = _bistatic_error(file, pulses, frame, collection.wavelength)
+    bistatic = _bistatic_error(file, pulses, collection.wavelength)
     attributes = {
         **_collected(file),
         "georeference": frame.as_attribute(),
@@ -260,7 +260,7 @@ def _corners(file: CphdFile) -> FloatArray:
     return np.asarray(library().iac_to_ecf(file.tree, np.array([[x, y] for x in (x1, x2) for y in (y1, y2)])))
 
 
-def _bistatic_error(file: CphdFile, pulses: Pulses, frame: Georeference, wavelength: float) -> float:
+def _bistatic_error(file: CphdFile, pulses: Pulses, wavelength: float) -> float:
     """Largest difference of bistatic and monostatic range at the image area's corners, relative to the SRP, m."""
     ground = _corners(file)
     worst = 0.0

@@ -15,12 +15,12 @@ import numpy as np
 from matplotlib.image import imsave
 from numpy.typing import NDArray
 
-from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.arrays import FloatArray
 from blocksar.collection.beam import dwell
 from blocksar.measurement.figures import PointResponse
 from blocksar.measurement.targets import Target
 from blocksar.products.page.facts import MOST_ROWS
-from blocksar.products.pictures.overview import overview, stretch
+from blocksar.products.pictures.overview import overview, reader_of, stretch
 from blocksar.progress.listening import Callback
 from blocksar.runs.finished import FinishedRun
 from blocksar.runs.record import PredictedBlock
@@ -113,13 +113,7 @@ class Arrow(NamedTuple):
 
 def draw(source: FinishedRun, *, looks: Literal["max", "mean"], progress: Callback | None = None) -> Picture:
     """Decimate the image to grey levels, reading it strip by strip."""
-
-    def read(rows: slice, columns: slice) -> ComplexArray:
-        if progress is not None:
-            progress(min(rows.stop, source.y.size), source.y.size)
-        return source.read(rows, columns)
-
-    reduced = overview(read, source.x, source.y, max_pixels=PIXELS, looks=looks)
+    reduced = overview(reader_of(source, progress), source.x, source.y, max_pixels=PIXELS, looks=looks)
     with np.errstate(divide="ignore"):
         decibel = 10 * np.log10(reduced.power)
     finite = decibel[np.isfinite(decibel)]

@@ -9,11 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.progress.listening import Callback
+from blocksar.runs.finished import FinishedRun
 
 ReadImage = Callable[[slice, slice], ComplexArray]
 ReadBlock = Callable[[slice, slice], NDArray[np.int16]]
 LEAST_SHOWN = 0.005  # of the cells, whose power should lie within the range in dB
 NOT_COVERED = "#39506b"  # slate blue: cannot be mistaken for dark ground
+
+
+def reader_of(source: FinishedRun, progress: Callback | None) -> ReadImage:
+    """Read an image, and tell how many of its rows are done."""
+
+    def read(rows: slice, columns: slice) -> ComplexArray:
+        if progress is not None:
+            progress(min(rows.stop, source.y.size), source.y.size)
+        return source.read(rows, columns)
+
+    return read
 
 
 class Overview(NamedTuple):

@@ -22,14 +22,22 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.text import OffsetFrom
 from matplotlib.ticker import FuncFormatter
 
-from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.arrays import FloatArray
 from blocksar.collection.beam import dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
 from blocksar.places import Location
 from blocksar.products.pictures.figures import DPI, MARK
-from blocksar.products.pictures.overview import NOT_COVERED, Overview, ReadImage, overview, range_notes, stretch
+from blocksar.products.pictures.overview import (
+    NOT_COVERED,
+    Overview,
+    ReadImage,
+    overview,
+    range_notes,
+    reader_of,
+    stretch,
+)
 from blocksar.products.writing import replacing
 from blocksar.progress.listening import Callback
 from blocksar.runs.finished import FinishedRun
@@ -87,15 +95,12 @@ def write(
     colour_map = checked_colour_map(colour_map)
     size = checked_size(size)
     caption = caption_of(source)
-
-    def read(rows: slice, columns: slice) -> ComplexArray:
-        if progress is not None:
-            progress(min(rows.stop, source.y.size), source.y.size)
-        return source.read(rows, columns)
-
     source.coverage()  # raises if no pixel is covered
     with replacing(out, overwrite=overwrite) as part:
-        reduced = overview(read, source.x, source.y, max_pixels=max(PIXELS, size or 0), looks="mean", strip=STRIP)
+        reduced = overview(
+            reader_of(source, progress), source.x, source.y, max_pixels=max(PIXELS, size or 0), looks="mean",
+            strip=STRIP,
+        )  # fmt: skip
         arrows = scene_arrows(reduced, source.geometry, source.georeference)
         low, high = save(
             part, reduced, title=source.title, caption=caption, arrows=arrows, limits=limits, colour_map=colour_map,

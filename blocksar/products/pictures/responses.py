@@ -13,11 +13,11 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 from scipy.ndimage import zoom
 
-from blocksar.arrays import FloatArray
+from blocksar.arrays import Complex128Array, FloatArray
 from blocksar.collection.weighting import DwellShape, Taper
 from blocksar.constants import SINC_PSLR
 from blocksar.measurement.figures import ResponseGrid, cuts, measure, response_grid
-from blocksar.measurement.response import CUT_WIDTHS, Complex128Array, Response
+from blocksar.measurement.response import CUT_WIDTHS, Response
 from blocksar.products.pictures.figures import (
     LEVEL_COLOURS,
     Curve,

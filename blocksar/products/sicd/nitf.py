@@ -6,7 +6,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from blocksar.errors import InputError
+from blocksar.errors import InputError, library_for
 from blocksar.places import Location
 from blocksar.products.sicd.layout import Layout
 from blocksar.products.sicd.metadata import ascii_text, build_metadata, classification
@@ -38,10 +38,8 @@ def write(
     ProcessingError
         If writing fails.
     """
-    try:
+    with library_for("SICD needs", "formats"):
         from sarkit import sicd as sksicd
-    except ModuleNotFoundError as error:
-        raise InputError(f"{error.name} is not installed, which SICD needs; install blocksar[formats]") from None
     frame, notes = source.placed("a SICD"), []
     if source.geometry.terrain is not None:
         source = PlaneImage.of(source)

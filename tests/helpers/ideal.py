@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import diric
 
-from blocksar.arrays import FloatArray
+from blocksar.arrays import Complex128Array, FloatArray
 from blocksar.collection.beam import is_lit, pattern_gain, pulse_weights
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import UNIFORM, Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.measurement.response import Complex128Array
 from blocksar.measurement.targets import Target
 
 
