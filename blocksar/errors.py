@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-FLAGS = ("overwrite", "reference", "dry-run", "raw", "cphd")  # options without a value
+FLAGS = ("overwrite", "reference", "dry-run", "raw", "cphd", "autofocus", "discard")  # options without a value
 LONG_WORD, SHORT = re.compile(r"\S{300,}"), 60  # in a message, of which as many characters at either end are shown
-OPTION = re.compile(r"(?<![^\s(\[\"'`>])--([a-z]+(?:-[a-z]+)*)")
+OPTION = re.compile(r"`blocksar [^`]*`|(?<![^\s(\[\"'`>])--([a-z]+(?:-[a-z]+)*)")  # those of a whole command stay
 
 
 def printable(text: str) -> str:
@@ -24,9 +24,13 @@ def in_python(text: str) -> str:
     --------
     >>> in_python("use --overwrite to replace it, or another --out; --memory-limit 2GiB would do")
     'use overwrite=True to replace it, or another out; memory_limit 2GiB would do'
+    >>> in_python("`blocksar focus --out` left it")
+    '`blocksar focus --out` left it'
     """
 
     def parameter(match: re.Match[str]) -> str:
+        if match[1] is None:
+            return match[0]
         return match[1].replace("-", "_") + ("=True" if match[1] in FLAGS else "")
 
     return OPTION.sub(parameter, text)

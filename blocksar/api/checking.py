@@ -70,8 +70,7 @@ def check(
     Raises
     ------
     InputError
-        If the source is no phase history, its samples are constant, a grid is missing or lies outside the swath, or the
-        terrain cannot be taken.
+        If the source is no phase history, a grid is missing or lies outside the swath, or the terrain cannot be taken.
     """
     ground = Ground(terrain=terrain, surface=surface, vertical=vertical)
     count = resources(1, threads, None).threads

@@ -147,7 +147,7 @@ def grid_text(grid: Grid) -> str:
 
 
 def general_rows(attrs: Mapping[str, Any]) -> Rows:
-    """Title, place on the Earth, time, targets and history, as far as the attributes of a store have them."""
+    """Title, place on the Earth, time, source and targets, as far as the attributes of a store have them."""
     rows: Rows = []
     if title := attrs.get("title"):
         rows.append(("title", str(title)))

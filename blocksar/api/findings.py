@@ -29,8 +29,7 @@ Check = tuple[str | None, str]  # of a collection's samples: a warning, or a sen
 def checking(job: Job, *, beside: bool) -> Iterator[Callable[[], list[Check]]]:
     """Check the samples of all collections, in a thread if `beside`: a function that waits for what was found.
 
-    Otherwise they are checked when that function is called first. It raises an InputError if the samples of a
-    collection are constant.
+    Otherwise they are checked when that function is called first.
     """
     if not beside:
         yield cache(partial(_check_collections, job))
@@ -47,7 +46,7 @@ def add_findings(
     Raises
     ------
     InputError
-        If no sample of a collection is valid, or the samples are constant.
+        If no sample of a collection is valid.
     """
     warnings: list[str] = []
     offsets: list[CentroidError] = []
@@ -137,11 +136,6 @@ def _check_samples(job: Job, segments: Sequence[Segment]) -> Check:
     """Compare prominent places with what is said of the samples.
 
     Of several segments of a collection, in the middle one. Nothing of a look: its samples saw the whole beam.
-
-    Raises
-    ------
-    InputError
-        If the samples are constant.
     """
     if segments[0].source.part_of_a_beam:
         return None, ""

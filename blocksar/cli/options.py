@@ -82,6 +82,9 @@ Workers = Annotated[
 Threads = Annotated[
     int | None, typer.Option(metavar="N", min=1, help="Threads per worker; default: by the machine's cores.")
 ]
+OwnThreads = Annotated[
+    int | None, typer.Option(metavar="N", min=1, help="Number of threads; default: by the machine's cores.")
+]
 MemoryLimit = Annotated[
     str | None, typer.Option(metavar="SIZE", help="Memory per worker, such as 2GiB; default: its share.")
 ]

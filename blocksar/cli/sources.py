@@ -18,11 +18,10 @@ from blocksar.cli.options import (
     GridOption,
     JsonLog,
     Overwrite,
+    OwnThreads,
     Quiet,
-    StoreOut,
     SurfaceOption,
     TerrainOption,
-    Threads,
     VerticalOption,
     given,
 )
@@ -31,15 +30,13 @@ from blocksar.cli.options import (
 def simulate(
     context: typer.Context,
     scene: Annotated[str, typer.Argument(metavar="SCENE.toml", help="Scene file, or the name of a shipped scene.")],
-    out: StoreOut,
+    out: Annotated[str, typer.Option(metavar="OUT", help="Phase-history store to write; with --cphd, file.")],
     raw: Annotated[bool, typer.Option("--raw", help="Write the raw chirped echo over fast time instead.")] = False,
     cphd: Annotated[bool, typer.Option("--cphd", help="Write a CPHD 1.1.0 file instead of a store.")] = False,
     origin: Annotated[
         str | None, typer.Option(metavar="LAT,LON,HEIGHT", help="Scene centre for --cphd, in degrees and m.")
     ] = None,
-    threads: Annotated[
-        int | None, typer.Option(metavar="N", min=1, help="Number of threads; default: by the machine's cores.")
-    ] = None,
+    threads: OwnThreads = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
@@ -90,7 +87,7 @@ def check(
     terrain: TerrainOption = None,
     surface: SurfaceOption = "plane",
     vertical: VerticalOption = None,
-    threads: Threads = None,
+    threads: OwnThreads = None,
     explain: Explain = False,
     quiet: Quiet = False,
 ) -> None:
@@ -119,7 +116,7 @@ def preview(
     range: ColourRange = None,
     colour_map: ColourMap = None,
     channel: Channel = None,
-    threads: Threads = None,
+    threads: OwnThreads = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,

@@ -41,14 +41,15 @@ def stated_times(start: str | None, zero: float | None) -> dict[str, Any]:
             moment = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).astimezone(UTC)
         except (ValueError, OverflowError):
             raise InputError(
-                f"collection-start {start!r} is not a date with a time; give UTC in ISO 8601, such as "
+                f"--collection-start {start!r} is not a date with a time; give UTC in ISO 8601, such as "
                 "2008-08-19T14:03:21.5Z"
             ) from None
         times["collection_start"] = f"{moment:%Y-%m-%dT%H:%M:%S.%f}Z"
     if zero is not None:
         if not isinstance(zero, Real) or not abs(zero) <= LONGEST:
             raise InputError(
-                f"time-zero is {zero!r} s; give the seconds from collection-start to slow time 0, at most {LONGEST:g}"
+                f"--time-zero is {zero!r} s; give the seconds from --collection-start to slow time 0, "
+                f"{LONGEST:g} at most"
             )
         times["time_zero"] = float(zero)
     return times

@@ -59,12 +59,18 @@ class Trial:
     Attributes
     ----------
     name : str
+    remedy : str
+        What to change where it is right.
     concentration : tuple of float
         Of each place, the most prominent first.
     pulses : float
         Median number that light a place: chance concentrates few pulses more than many.
     significance : float
         Median of concentration over what chance gives.
+    changes : int
+        Number of changes to the samples that it makes: of those that tie, the fewest are believed.
+    of_beam : bool
+        Whether it changes what is lit.
     """
 
     name: str

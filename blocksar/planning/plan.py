@@ -64,6 +64,8 @@ class Plan:
 
     Attributes
     ----------
+    geometry, grid, region, recovery, method : Geometry, Grid, Region, Recovery, Method
+        Track and beam; of the image; what can be imaged; from samples to the spectrum; the chain of steps.
     seams : (n_blocks + 1,) float
         Yaws between which the blocks lie, rad; only blocks that the grid touches are planned.
     parts : int

@@ -177,9 +177,9 @@ def _stage_of(unit: str, *, back_projection: bool) -> str:
     return (_BACK_PROJECTION_STAGES if back_projection else _STAGES).get(unit.partition("-")[0], "")
 
 
-# Figures of a block that records of earlier versions lack.
 _BEFORE = {"weighting_range": "uniform", "weighting_azimuth": "uniform", "surface": "plane"}  # of older runs
 _IF_USED = ("autofocus", "control")  # settings that only runs with them have
+# Figures of a block that records of earlier versions lack.
 _ADDED = (
     "bias", "quadratic_phase", "resolution", "track_phase", "coherence", "phase_loss", "range_loss",
     "dispersion_loss", "track_loss", "ideal_pslr",

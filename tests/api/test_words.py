@@ -101,9 +101,9 @@ def test_values_of_the_wrong_kind_are_refused(case: str, dataset: xr.Dataset, tm
         (lambda _: blocksar.ingest("gotcha", None, "none.zarr"), "^source is None; give the path"),  # type: ignore[arg-type]
         (lambda _: checked_colour_map(3), "^colour map 3 is none that matplotlib knows; did you mean"),
         (lambda _: checked_size("large"), "^size = 'large': give 200 to"),
-        (lambda _: stated_times(3, None), "^collection-start '3' is not a date"),
-        (lambda _: stated_times(None, 1e300), "^time-zero is 1e.300 s; give the seconds"),
-        (lambda _: stated_times(None, "noon"), "^time-zero is 'noon' s; give the seconds"),
+        (lambda _: stated_times(3, None), "^--collection-start '3' is not a date"),
+        (lambda _: stated_times(None, 1e300), "^--time-zero is 1e.300 s; give the seconds"),
+        (lambda _: stated_times(None, "noon"), "^--time-zero is 'noon' s; give the seconds"),
     ],
 )
 def test_other_values_of_the_wrong_kind_are_refused(

@@ -303,7 +303,7 @@ def test_a_mirrored_image_is_believed_only_if_a_refocus_gains(steered: bool, ref
 
 @pytest.mark.parametrize(("refocused", "doubted"), [(0.08, False), (0.3, True)])
 def test_a_track_is_doubted_only_where_a_refocus_makes_points(refocused: float, doubted: bool) -> None:
-    """At 20 % of bandwidth points of an exact track reached 0.046 as given, and 0.08: the track was called 5 rad off."""
+    """At 20 % of bandwidth points of an exact track reached 0.046 as given, and 0.08: 5 rad were said."""
     given = Trial("as given", "", (0.5 * refocused,) * 9, 300.0, pulses=6000)
     assert (Findings((given,), refocused, 5.0, "", "").warning() is not None) == doubted
 
