@@ -107,20 +107,20 @@ class Edges(NamedTuple):
         share[:-1] = np.where(before[:-1], (at[1:] - first) / step, 0.0)
         share[1:] += np.where(behind[1:], (last - at[:-1]) / step, 0.0)
         held = held if held.any() else before | behind
-        held, before, behind = (np.moveaxis(each, 0, axis) for each in (held, before, behind))
-        return cls(held, before, behind, np.moveaxis(share, 0, axis), axis)
+        return cls(held.T, before.T, behind.T, share.T, axis) if axis else cls(held, before, behind, share, axis)
 
     def of_dwells(self, full: BoolArray) -> Edges:
         """Those where the targets on either side have full dwell."""
-        before, behind, around = self.before & full, self.behind & full, np.moveaxis(full, self.axis, 0)
-        np.moveaxis(before, self.axis, 0)[:-1] &= around[1:]
-        np.moveaxis(behind, self.axis, 0)[1:] &= around[:-1]
+        before, behind = self.before & full, self.behind & full
+        along = (before.T, behind.T, full.T) if self.axis else (before, behind, full)
+        along[0][:-1] &= along[2][1:]
+        along[1][1:] &= along[2][:-1]
         return self._replace(before=before, behind=behind)
 
     def at(self, lost: FloatArray) -> FloatArray:
         """Losses (n_range, n_yaw), with those at the edges in place of those beyond."""
         inner = lost.copy()
-        into, own, behind = (np.moveaxis(each, self.axis, 0) for each in (inner, lost, self.behind))
+        into, own, behind = (inner.T, lost.T, self.behind.T) if self.axis else (inner, lost, self.behind)
         into[:-1] = own[1:]
         into[1:] = np.where(behind[1:], own[:-1], into[1:])
         return np.where(self.before | self.behind, inner + self.share * (lost - inner), lost)

@@ -114,7 +114,7 @@ def predict(
     lost = worst_losses(
         line, spots, rng, yaw, geometry, rate=rate, gate=gate, parts=parts, scaled_about=scaled_about,
         moves=moves, track_phase=track_phase, weights=weights, full=full, reached=reached, band=band,
-        edges=edges,
+        edges=[each for each in edges if each.before.any() or each.behind.any()],
     )  # fmt: skip
     return Prediction(
         residual_phase=float(residual[there].max()),
