@@ -62,12 +62,12 @@ def memory_of(limit: Any) -> int | None:
         return None
     whole = None
     with suppress(TypeError, ValueError, OverflowError):
-        whole = int(limit) if int(limit) == limit else None
-    if whole is not None and whole >= LEAST_MEMORY:
-        return whole
-    if whole is not None:
+        whole = int(limit)
+    if whole is None or whole != limit:
+        raise InputError(f'memory_limit is {quoted(limit)}; give a whole number of bytes, or a text such as "2GiB"')
+    if whole < LEAST_MEMORY:
         raise InputError(f"memory_limit is {whole} bytes; give what a worker may use, such as {2 << 30}")
-    raise InputError(f'memory_limit is {quoted(limit)}; give a whole number of bytes, or a text such as "2GiB"')
+    return whole
 
 
 def in_this_process(workers: int | None, collections: Sequence[Collection]) -> bool:
@@ -255,9 +255,8 @@ def control_points(
     from blocksar.api.target_files import Frame, targets_of  # with SciPy, slow to load
 
     history = history_of(sources_of(source)[0])
-    attribute = history.attrs.get("georeference")
-    georeference = None if attribute is None else Georeference.from_attribute(attribute)
-    found = tuple(targets_of(control, {}, Frame(georeference, history.collection.ground_height)))
+    frame = Frame(Georeference.among(history.attrs), history.collection.ground_height)
+    found = tuple(targets_of(control, {}, frame))
     if not found:
         raise InputError(f"control {control} names no points; give some, or leave it out")
     return found

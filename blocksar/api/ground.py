@@ -34,13 +34,7 @@ def read_ground(
     if ground.plane:
         return None
     attrs = source if isinstance(source, dict) else _attributes(source)
-    return ground.read(georeference_in(attrs), collection.ground_height, image_grid(collection, grid))
-
-
-def georeference_in(attrs: Mapping[str, Any]) -> Georeference | None:
-    """The georeference among the attributes of a phase history."""
-    found = attrs.get("georeference")
-    return None if found is None else Georeference.from_attribute(found)
+    return ground.read(Georeference.among(attrs), collection.ground_height, image_grid(collection, grid))
 
 
 def _attributes(source: One) -> Mapping[str, Any]:

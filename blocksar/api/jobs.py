@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from blocksar import stores
 from blocksar.api.arguments import One, Source, check_one_frame, history_of, sources_of
-from blocksar.api.ground import PLANE, check_ground, geometry_over, georeference_in, ground_settings, read_ground
+from blocksar.api.ground import PLANE, check_ground, geometry_over, ground_settings, read_ground
 from blocksar.api.surroundings import read_surroundings
 from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
@@ -141,7 +141,7 @@ class Request:
             ]
             terrain = read[0]
             if terrain is not None:
-                around = read_surroundings(ground, terrain, centred, under, georeference_in(histories[0].attrs))
+                around = read_surroundings(ground, terrain, centred, under, Georeference.among(histories[0].attrs))
         return cls(
             histories=histories, folder=folder, method=method, blocks=blocks, fidelity=fidelity, weighting=weighting,
             grid=grid, fingerprints=tuple(fingerprint for _, fingerprint in opened), overwrite=overwrite,

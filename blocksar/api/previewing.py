@@ -158,8 +158,7 @@ def _draw(
         from blocksar.products.pictures import quicklook  # optional, and slow to load
     grid = planned.grid
     reduced = Overview(power, None, cell_edges(grid.x, grid.x.size, 1), cell_edges(grid.y, grid.y.size, 1))
-    attribute = history.attrs.get("georeference")
-    frame = None if attribute is None else Georeference.from_attribute(attribute)
+    frame = Georeference.among(history.attrs)
     across, along = planned.resolution
     quicklook.save(
         path, reduced, title=f"{history.attrs.get('title') or 'phase history'} (preview)",

@@ -79,6 +79,18 @@ class Georeference:
                 )
 
     @classmethod
+    def among(cls, attrs: Mapping[str, Any]) -> Georeference | None:
+        """The georeference among the attributes of a store; None where they have none.
+
+        Raises
+        ------
+        InputError
+            As `from_attribute`.
+        """
+        attribute = attrs.get("georeference")
+        return None if attribute is None else cls.from_attribute(attribute)
+
+    @classmethod
     def from_attribute(cls, attribute: Any) -> Georeference:
         """Read the attribute `georeference` of a store.
 

@@ -98,11 +98,12 @@ def compile_modules(names: Sequence[str], by: By = "this") -> Tally:
     # What is little to compile is not worth the start of another process, unless this one must not.
     helpers = _start_helpers(lacking, machine()[0] - (by == "all")) if len(lacking) > (by == "all") else []
     try:
-        printed = [helper.communicate()[0].strip() for helper in helpers] if by == "others" else []
+        for helper in helpers if by == "others" else ():
+            helper.wait()  # it prints a number only
         with uncollected():
             for loop in _compile_free(names):
                 loop.compile()
-        printed = printed or [helper.communicate()[0].strip() for helper in helpers]
+        printed = [helper.communicate()[0].strip() for helper in helpers]
     finally:
         for helper in helpers:
             helper.kill()

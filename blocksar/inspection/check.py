@@ -145,6 +145,11 @@ class Findings:
         return self.trials[0]
 
     @property
+    def judged(self) -> Points:
+        """What judges the track: the points, or else the median of all places."""
+        return self.points or Points(self.given.sharpness, self.refocused, self.refocused)
+
+    @property
     def speaks(self) -> bool:
         """Whether prominent places allow a judgement."""
         judged = [trial.significance for trial in self.trials if trial.places >= FEWEST]
@@ -153,7 +158,7 @@ class Findings:
     @property
     def mended(self) -> bool:
         """Whether a common phase error makes places sharp: the track is wrong, as no phase lights pulses of a dwell."""
-        given, refocused, by_others = self.points or (self.given.sharpness, self.refocused, self.refocused)
+        given, refocused, by_others = self.judged
         return min(refocused, by_others) >= FOCUSED and given < SHARP * by_others
 
     @property
@@ -211,15 +216,13 @@ class Findings:
     @property
     def sharpness(self) -> float:
         """Concentration as given over that after a refocus."""
-        given, refocused, _ = self.points or (self.given.sharpness, self.refocused, 0.0)
-        return given / max(refocused, 1e-30)
+        return self.judged.given / max(self.judged.refocused, 1e-30)
 
     @property
     def blurred(self) -> bool:
         """Whether a refocus helps so much that the track must be wrong."""
-        believed, refocused = self.better or self.beam, self.points[1] if self.points else self.refocused
-        said = self.speaks and believed is None and self.sharpness < SHARP
-        return said and refocused >= REFOCUSED and not self.spread
+        said = self.speaks and (self.better or self.beam) is None and self.sharpness < SHARP
+        return said and self.judged.refocused >= REFOCUSED and not self.spread
 
     @property
     def spread(self) -> bool:

@@ -30,7 +30,8 @@ def run_bytes(plan: Plan) -> dict[str, int]:
     grounds = [block.ground for block in plan.blocks]
     touching = Counter(cell for ground in grounds for cell in touched_chunks(ground, plan.grid))
     covered = covered_pixels(grounds, plan.grid)
-    merged = sum(count > 1 for count in touching.values()) * math.prod(image_chunk(plan.grid))
+    chunk = math.prod(image_chunk(plan.grid))
+    merged = sum(count > 1 for count in touching.values()) * chunk
     gated = 0
     for block in plan.blocks:
         if block.range_gate is not None:
@@ -41,25 +42,27 @@ def run_bytes(plan: Plan) -> dict[str, int]:
         **({"gated": gated} if gated else {}),
         "patches": SAMPLE * covered,
         "image": SAMPLE * min(merged, covered),
-        **_on_terrain(plan, touched=len(touching), covered=covered),
-        **({"noise": NOISE_SAMPLE * covered} if plan.geometry.collection.noise_power else {}),
+        **_beside(
+            plan.geometry.terrain,
+            heights=min(len(touching) * chunk, math.prod(plan.grid.shape)),
+            covered=covered,
+            noise=bool(plan.geometry.collection.noise_power),
+        ),
     }
 
 
 def exact_bytes(grid: Grid, terrain: Terrain | None, *, noise: bool) -> dict[str, int]:
     """Bytes that exact back-projection writes at most, by store: what lies in a grid, all of it covered."""
     pixels = math.prod(grid.shape)
-    layers = {} if terrain is None else {"terrain": terrain.heights.nbytes, "layers": 2 * LAYER_SAMPLE * pixels}
-    return {"image": SAMPLE * pixels, **layers, **({"noise": NOISE_SAMPLE * pixels} if noise else {})}
+    return {"image": SAMPLE * pixels, **_beside(terrain, heights=pixels, covered=pixels, noise=noise)}
 
 
-def _on_terrain(plan: Plan, *, touched: int, covered: int) -> dict[str, int]:
-    """Bytes of the terrain's samples and of the layers of an image on it; nothing on the plane."""
-    terrain = plan.geometry.terrain
-    if terrain is None:
-        return {}
-    heights = min(touched * math.prod(image_chunk(plan.grid)), math.prod(plan.grid.shape))
-    return {"terrain": terrain.heights.nbytes, "layers": LAYER_SAMPLE * (heights + covered)}
+def _beside(terrain: Terrain | None, *, heights: int, covered: int, noise: bool) -> dict[str, int]:
+    """Bytes of what lies beside an image: the terrain's samples and the layers of pixels on it, and the noise."""
+    layers = (
+        {} if terrain is None else {"terrain": terrain.heights.nbytes, "layers": LAYER_SAMPLE * (heights + covered)}
+    )
+    return {**layers, **({"noise": NOISE_SAMPLE * covered} if noise else {})}
 
 
 def covered_pixels(grounds: Sequence[GroundMap], grid: Grid) -> int:

@@ -269,8 +269,7 @@ class FinishedRun:
         InputError
             If the attribute is wrong.
         """
-        attribute = self.attrs.get("georeference")
-        return None if attribute is None else Georeference.from_attribute(attribute)
+        return Georeference.among(self.attrs)
 
     def placed(self, product: str) -> Georeference:
         """Return the georeference for a product that needs one.

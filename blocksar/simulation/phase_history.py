@@ -27,6 +27,7 @@ from blocksar.chunks import TILE
 from blocksar.collection.collection import Collection
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.errors import InputError
+from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
@@ -248,10 +249,7 @@ def _attributes(scene: Scene) -> dict[str, Any]:
     attrs["seed"] = {name: table.seed for name, table in named if table is not None and table.seed is not None}
     targets = scene.point_targets()
     if len(targets) <= MAX_NAMED_TARGETS:
-        attrs["targets"] = [
-            {"name": name, "x": x, "y": y, "reflectivity": [sigma.real, sigma.imag]} | ({} if z is None else {"z": z})
-            for name, x, y, sigma, z in targets
-        ]
+        attrs["targets"] = [Target(*target).as_record() for target in targets]
         for entry, target in zip(attrs["targets"], scene.targets, strict=False):
             if target.scattering:
                 seen = {name: target.reflectivity * factor(target, name) for name in scene.channels}

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from axis_beams import axis_scene
 from scenes import PAPERS, SMALL_SCAN, scene
 from scipy.special import fresnel
 
@@ -164,30 +165,13 @@ def test_a_window_of_few_cells_is_judged_at_its_edges() -> None:
     np.testing.assert_allclose(edges.at(np.array([[10.0], [0.0], [20.0]]))[:, 0], [6.0, 0.0, 14.0])
 
 
-NADIR = """
-[radar]
-carrier = 9.6e9
-bandwidth = 200e6
-range_sampling = 240e6
-prf = 600.0
-pulse_width = 1e-6
-[track]
-position = [0.0, 0.0, 3000.0]
-velocity = [0.0, 120.0, 0.0]
-[time]
-duration = 4.0
-[beam]
-mode = "stripmap"
-width_deg = 2.0
-[scene]
-swath = [3002.0, 3140.0]
-centre_yaw_deg = 0.0
-reference_range = "scene_centre"
-"""
-
-
 def test_ranges_close_to_the_nadir_stay_above_the_ground() -> None:
     """Targets of one apparent range are sought beyond the swath: nearer than the platform's height there are none."""
+    text = axis_scene(
+        'mode = "stripmap"\nwidth_deg = 2.0', bandwidth=200e6, range_sampling=240e6, prf=600, pulse_width=1e-6,
+        height=3000.0, velocity=[0.0, 120.0, 0.0], acceleration=[0.0, 0.0, 0.0], time="duration = 4.0",
+        swath=[3002.0, 3140.0], more='reference_range = "scene_centre"',
+    )  # fmt: skip
     grid = Grid(200.0, 800.0, 2.3, -60.0, 60.0, 0.3)
-    plan = plan_collection(Scene.parse(NADIR).collection(), grid=grid, blocks=7, parts=3)
+    plan = plan_collection(Scene.parse(text).collection(), grid=grid, blocks=7, parts=3)
     assert plan.coherence > 0.998
