@@ -26,7 +26,8 @@ def common_ranges(
     """Apparent ranges that span those of lines (n_range, n_yaw), and the epoch range of each yaw's target there.
 
     Targets of one output row share its coefficients but not always the range at the epoch: correcting range curvature
-    at a target's own Doppler moves the target by that curvature (paper C, below (5)). No epoch range is below `least`, m.
+    at a target's own Doppler moves the target by that curvature (paper C, below (5)). No epoch range is below
+    `least`, m.
 
     Returns
     -------
