@@ -8,8 +8,9 @@ from typing import Any
 from blocksar.api.reports import Table, finite, rounded
 from blocksar.errors import InputError
 from blocksar.measurement import scenery
+from blocksar.measurement.axes import response_axes
 from blocksar.measurement.figures import measure
-from blocksar.measurement.response import read_response, response_axes
+from blocksar.measurement.response import read_response
 from blocksar.measurement.scenery import Bright
 from blocksar.measurement.targets import Target
 from blocksar.products.options import parse_crop

@@ -21,23 +21,28 @@ import numpy as np
 from blocksar.arrays import Complex128Array, FloatArray
 from blocksar.collection.beam import has_full_dwell
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.weighting import UNIFORM, IdealResponse, Weighting
+from blocksar.collection.weighting import CUT_WIDTHS, UNIFORM, Weighting
 from blocksar.constants import SINC_ISLR, SINC_PSLR, SINC_WIDTH
-from blocksar.measurement.response import CUT_WIDTHS, ReadChip, Response, read_response, response_axes
+from blocksar.measurement.axes import ResponseAxes, response_axes
+from blocksar.measurement.ideal import ideal_response
+from blocksar.measurement.response import ReadChip, Response, read_response
 from blocksar.measurement.targets import Target
 
 SAMPLES_PER_WIDTH = 64  # of a cut: resolves the height of a side lobe to 0.001 dB
 
 DEFINITIONS = f"""\
 Range cut: along constant Doppler, in slant range. Azimuth cut: along constant range, on the ground.
-Both are straight, pass through the peak and are in general not at right angles.
-IRW: width of the main lobe at half power (-3 dB). Theory: {SINC_WIDTH:.4f} / bandwidth along the cut,
-in range c / (2 B), in azimuth from the line-of-sight rotation over the target's own dwell; of a weighted image, the
-width that its tapers have over that bandwidth, and in azimuth with a known antenna pattern.
-PSLR: highest side lobe outside the first minima on either side of the peak and within {CUT_WIDTHS:g} theoretical
-IRW of it, relative to the peak, power in dB (unweighted ideal {SINC_PSLR:.2f} dB).
-ISLR: energy outside the first minima and within {CUT_WIDTHS:g} theoretical IRW on either side of the peak, over the
-energy between the first minima, along the cut, in dB (unweighted ideal {SINC_ISLR:.1f} dB).
+Both are straight, pass through the peak and are in general not at right angles. A nominal width is that of a
+rectangle of wavenumbers: {SINC_WIDTH:.4f} / bandwidth along the cut, in range c / (2 B), in azimuth from the
+line-of-sight rotation over the target's own dwell; of a weighted image, the width that its tapers have over that
+bandwidth, and in azimuth with a known antenna pattern.
+IRW: width of the main lobe at half power (-3 dB).
+PSLR: highest side lobe outside the first minima on either side of the peak and within {CUT_WIDTHS:g} nominal widths
+of it, relative to the peak, power in dB.
+ISLR: energy outside the first minima and within {CUT_WIDTHS:g} nominal widths on either side of the peak, over the
+energy between the first minima, along the cut, in dB.
+Theory: the same figures of the exact back-projection of the target's echo alone, with its own track, beam, band and
+weights. On a small band and rotation, unweighted: the nominal width, {SINC_PSLR:.2f} dB and {SINC_ISLR:.1f} dB.
 Position error: peak of the magnitude minus the true position, in x and y. Value: complex image interpolated at
 the true position, divided by the target's reflectivity (ideal 1 + 0j). Full dwell: the beam swept wholly over
 the target. Covered: no pixel is missing in what was measured; figures that touch missing pixels are NaN."""
@@ -100,14 +105,12 @@ class Cuts(NamedTuple):
 def cuts(response: Response) -> Cuts:
     """Sample the range cut (offsets in slant range, growing away from the radar) and the azimuth cut.
 
-    Both reach half a width beyond the measured part, with 64 samples per theoretical width.
+    Both reach half a width beyond the measured part, with 64 samples per nominal width.
     """
     axes, peak = response.axes, response.peak
-    n = int((CUT_WIDTHS + 0.5) * SAMPLES_PER_WIDTH)
-    widths = np.arange(-n, n + 1) / SAMPLES_PER_WIDTH
-    along_range, along_azimuth = widths * axes.range_width, widths * axes.azimuth_width
+    along_range, along_azimuth = _offsets(axes)
     if not np.isfinite(peak).all():
-        missing = np.full(widths.shape, np.nan + 0j)
+        missing = np.full(along_range.shape, np.nan + 0j)
         return Cuts(along_range, missing, along_azimuth, missing.copy())
     zero = np.zeros(1)
     return Cuts(
@@ -116,6 +119,24 @@ def cuts(response: Response) -> Cuts:
         azimuth_offset=along_azimuth,
         azimuth_profile=response.at_own(peak, zero, along_azimuth),
     )
+
+
+def ideal_cuts(geometry: Geometry, target: Target, axes: ResponseAxes) -> Cuts:
+    """The cuts through the ideal response of a target, sampled as those of `cuts`."""
+    along_range, along_azimuth = _offsets(axes)
+    zero, origin = np.zeros(along_range.shape), (target.x, target.y)
+    profiles = [
+        ideal_response(geometry, origin, target.x + dx, target.y + dy, axes.weighting)
+        for dx, dy in (axes.ground_offset(along_range, zero), axes.ground_offset(zero, along_azimuth))
+    ]
+    return Cuts(along_range, profiles[0], along_azimuth, profiles[1])
+
+
+def _offsets(axes: ResponseAxes) -> tuple[FloatArray, FloatArray]:
+    """Offsets of the samples of both cuts, m."""
+    n = int((CUT_WIDTHS + 0.5) * SAMPLES_PER_WIDTH)
+    widths = np.arange(-n, n + 1) / SAMPLES_PER_WIDTH
+    return widths * axes.range_width, widths * axes.azimuth_width
 
 
 class ResponseGrid(NamedTuple):
@@ -127,7 +148,7 @@ class ResponseGrid(NamedTuple):
 
 
 def response_grid(response: Response, *, widths: float = 5.0, samples_per_width: int = 12) -> ResponseGrid:
-    """Resample a response on its own axes, `widths` theoretical widths on either side of the peak (for contours)."""
+    """Resample a response on its own axes, `widths` nominal widths on either side of the peak (for contours)."""
     axes = response.axes
     n = int(widths * samples_per_width)
     u = np.arange(-n, n + 1) / samples_per_width
@@ -157,7 +178,7 @@ def profile_quality(offset: FloatArray, profile: Complex128Array, *, width: floa
     profile : (n,) complex
         NaN = missing.
     width : float
-        Theoretical IRW, unit of `offset`.
+        Nominal one, unit of `offset`.
 
     Returns
     -------
@@ -210,8 +231,7 @@ def measure(response: Response) -> PointResponse:
     """Measure a response that has been read; see `DEFINITIONS`."""
     axes, target = response.axes, response.target
     profiles = cuts(response)
-    along_range = profile_quality(profiles.range_offset, profiles.range_profile, width=axes.range_width)
-    along_azimuth = profile_quality(profiles.azimuth_offset, profiles.azimuth_profile, width=axes.azimuth_width)
+    along_range, along_azimuth = _qualities(profiles, axes)
     value = complex(response.at(np.array(target.x), np.array(target.y)))
     x, y = response.peak
     within = [
@@ -229,28 +249,32 @@ def measure(response: Response) -> PointResponse:
         range_pslr=along_range.pslr,
         range_islr=along_range.islr,
         range_irw=along_range.irw,
-        range_irw_theory=axes.range_width,
         azimuth_pslr=along_azimuth.pslr,
         azimuth_islr=along_azimuth.islr,
         azimuth_irw=along_azimuth.irw,
-        azimuth_irw_theory=axes.azimuth_width,
         error_x=float(x - target.x),
         error_y=float(y - target.y),
         value=value,
         full_dwell=response.full_dwell,
         covered=covered,
-        **_ideal_side_lobes(axes.weighting, axes.azimuth_ideal),
+        **_theory(*_qualities(ideal_cuts(response.geometry, target, axes), axes)),
     )
 
 
-def _ideal_side_lobes(weighting: Weighting, along_azimuth: IdealResponse) -> dict[str, float]:
-    """The side-lobe ratios of the ideal response, by their fields of `PointResponse`."""
-    along_range = weighting.range.ideal
+def _qualities(cuts: Cuts, axes: ResponseAxes) -> tuple[ProfileQuality, ProfileQuality]:
+    """The figures of both cuts."""
+    return (
+        profile_quality(cuts.range_offset, cuts.range_profile, width=axes.range_width),
+        profile_quality(cuts.azimuth_offset, cuts.azimuth_profile, width=axes.azimuth_width),
+    )
+
+
+def _theory(along_range: ProfileQuality, along_azimuth: ProfileQuality) -> dict[str, float]:
+    """The figures of an ideal response, by their fields of `PointResponse`."""
     return {
-        "range_pslr_theory": along_range.pslr,
-        "range_islr_theory": along_range.islr,
-        "azimuth_pslr_theory": along_azimuth.pslr,
-        "azimuth_islr_theory": along_azimuth.islr,
+        f"{axis}_{figure}_theory": value
+        for axis, ideal in (("range", along_range), ("azimuth", along_azimuth))
+        for figure, value in ideal._asdict().items()
     }
 
 
@@ -267,6 +291,9 @@ def measure_target(
     if response is not None:
         return measure(response)
     axes, nan = response_axes(geometry, target.x, target.y, weighting), float("nan")
+    ideal = _theory(*[ProfileQuality(nan, *taper.ideal[1:]) for taper in (weighting.range, weighting.azimuth)])
+    if axes is not None:
+        ideal = _theory(*_qualities(ideal_cuts(geometry, target, axes), axes))
     return PointResponse(
         name=target.name,
         x=float(target.x),
@@ -274,17 +301,15 @@ def measure_target(
         range_pslr=nan,
         range_islr=nan,
         range_irw=nan,
-        range_irw_theory=axes.range_width if axes else nan,
         azimuth_pslr=nan,
         azimuth_islr=nan,
         azimuth_irw=nan,
-        azimuth_irw_theory=axes.azimuth_width if axes else nan,
         error_x=nan,
         error_y=nan,
         value=complex(nan, nan),
         full_dwell=axes is not None and bool(has_full_dwell(geometry, target.x, target.y)),
         covered=False,
-        **_ideal_side_lobes(weighting, axes.azimuth_ideal if axes else weighting.azimuth.ideal),
+        **ideal,
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from blocksar.arrays import FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import UNIFORM, Weighting
-from blocksar.measurement.response import response_axes
+from blocksar.measurement.axes import response_axes
 
 SHARES = (0.05, 0.5, 0.95)  # of the pixels: least, median and greatest noise
 

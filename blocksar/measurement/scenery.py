@@ -13,11 +13,12 @@ from scipy.ndimage import maximum_filter
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import dwell
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.weighting import Weighting
+from blocksar.collection.weighting import CUT_WIDTHS, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.kernels.phase import Float32Array
+from blocksar.measurement.axes import ResponseAxes, response_axes
 from blocksar.measurement.looks import power_of
-from blocksar.measurement.response import CUT_WIDTHS, ReadChip, ResponseAxes, response_axes
+from blocksar.measurement.response import ReadChip
 
 PROMINENT = 100.0  # times the median power about it: in clutter alone one cell of 1e30 is
 APART = 0.1  # of a point's power: what else lies within its cuts stays below, beyond the main lobe

@@ -11,8 +11,9 @@ from blocksar.collection.beam import dwell
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.measurement.axes import response_axes
 from blocksar.measurement.looks import multilook, power_of
-from blocksar.measurement.response import ReadChip, response_axes
+from blocksar.measurement.response import ReadChip
 from blocksar.measurement.scenery import ambiguity_place, measure_area, noise_floor, strongest_about
 
 STRIPS = [slice(0, 100), slice(100, 256)]

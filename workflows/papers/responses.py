@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from blocksar.collection.weighting import CUT_WIDTHS
 from blocksar.constants import SINC_WIDTH
 from blocksar.measurement.figures import PointResponse
-from blocksar.measurement.response import CUT_WIDTHS
 from blocksar.measurement.table3 import TABLE3, PaperResponse
 from blocksar.products.pictures import responses
 from papers.bench import Bench, Run, targets

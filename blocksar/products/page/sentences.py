@@ -18,8 +18,8 @@ EDGE = 16  # pixels at the edge of an image in which a response may not be measu
 def bar_text(response: PointResponse) -> str:
     """The limits of a response's figures."""
     lobes = [
-        f"{axis} side lobes within {limit(response, f'{axis}_pslr')[1]} of "
-        f"{number(getattr(response, f'{axis}_pslr_theory'))} dB"
+        f"{axis} side lobes within {limit(response, f'{axis}_pslr')[1]} of theory, "
+        f"{number(getattr(response, f'{axis}_pslr_theory'))} dB at {response.name}"
         for axis in ("range", "azimuth")
     ]
     return (
@@ -120,7 +120,8 @@ def quality_sentences(run: Facts) -> list[str]:
     sentences = [
         f"{count(len(run.responses), 'target')}, {full} of them lit over their full dwell. The image covers "
         f"{len(run.judged)} of these; only covered ones are judged.",
-        f"The limits: {bar_text(run.responses[0])}. Figures outside them are marked with an exclamation mark.",
+        f"The limits: {bar_text([*run.judged, *run.responses][0])}. "
+        "Figures outside them are marked with an exclamation mark.",
     ]
     if run.judged:
         worst = min(run.judged, key=rank)

@@ -14,10 +14,9 @@ from matplotlib.ticker import MaxNLocator
 from scipy.ndimage import zoom
 
 from blocksar.arrays import Complex128Array, FloatArray
-from blocksar.collection.weighting import DwellShape, Taper
-from blocksar.constants import SINC_PSLR
-from blocksar.measurement.figures import ResponseGrid, cuts, measure, response_grid
-from blocksar.measurement.response import CUT_WIDTHS, Response
+from blocksar.collection.weighting import CUT_WIDTHS
+from blocksar.measurement.figures import ResponseGrid, cuts, ideal_cuts, measure, response_grid
+from blocksar.measurement.response import Response
 from blocksar.products.pictures.figures import (
     LEVEL_COLOURS,
     Curve,
@@ -95,12 +94,13 @@ def plot_cuts(responses: Sequence[Response], path: str | Path, *, title: str = "
     figure, panels = new_panels(2 * len(responses), columns=columns, size=size, title=title)
     for (left, right), response in zip(zip(panels[::2], panels[1::2], strict=True), responses, strict=True):
         sampled, figures, name = cuts(response), measure(response), response.target.name
+        ideal = ideal_cuts(response.geometry, response.target, response.axes)
         left.set_title(_caption(f"{name} range", figures.range_pslr, figures.range_irw), fontsize=text)
-        shape, offset, profile = response.axes.weighting.range, sampled.range_offset, sampled.range_profile
-        _draw_cut(left, offset, profile, figures.range_irw_theory, shape, "#2f6db3")
+        offset, profile = sampled.range_offset, sampled.range_profile
+        _draw_cut(left, offset, profile, ideal.range_profile, figures.range_pslr_theory, "#2f6db3")
         right.set_title(_caption(f"{name} azimuth", figures.azimuth_pslr, figures.azimuth_irw), fontsize=text)
         offset, profile = sampled.azimuth_offset, sampled.azimuth_profile
-        _draw_cut(right, offset, profile, figures.azimuth_irw_theory, response.axes.azimuth_shape, "#b3202c")
+        _draw_cut(right, offset, profile, ideal.azimuth_profile, figures.azimuth_pslr_theory, "#b3202c")
     label_outer_axes(panels, columns, "offset (m)", "power (dB)")
     draw_legend(
         figure,
@@ -114,17 +114,18 @@ def plot_cuts(responses: Sequence[Response], path: str | Path, *, title: str = "
 
 
 def _draw_cut(
-    axes: Axes, offset: FloatArray, profile: Complex128Array, width: float, shape: Taper | DwellShape, colour: str
+    axes: Axes, offset: FloatArray, profile: Complex128Array, ideal: Complex128Array, lobes: float, colour: str
 ) -> None:
-    """Draw a cut in dB over offsets, m, with the ideal response to weights, of a theoretical width, m."""
+    """Draw a cut in dB over offsets, m, with the ideal response, whose side lobes lie at `lobes`, dB."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        ideal = 20 * np.log10(np.abs(shape.response(offset / width * shape.ideal.width)))
         measured = 20 * np.log10(np.abs(profile / profile[profile.size // 2]))
+        expected = 20 * np.log10(np.abs(ideal))
     axes.plot(offset, measured, color=colour, linewidth=1.1)
     # Drawn last: a dotted line over the measured curve leaves both visible where they agree.
-    axes.plot(offset, ideal, color="#1d242d", linestyle=":", linewidth=0.8)
-    axes.set_xlim(-CUT_WIDTHS * width, CUT_WIDTHS * width)
-    axes.set_ylim(min(-45, shape.ideal.pslr - 20 if shape.ideal.pslr < SINC_PSLR else 0), 2)
+    axes.plot(offset, expected, color="#1d242d", linestyle=":", linewidth=0.8)
+    end = CUT_WIDTHS / (CUT_WIDTHS + 0.5) * offset[-1]
+    axes.set_xlim(-end, end)
+    axes.set_ylim(min(-45, lobes - 20), 2)
     axes.grid(color="#e4e7ec", linewidth=0.5)
 
 
