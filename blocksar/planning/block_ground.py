@@ -130,5 +130,6 @@ def usual_layer(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> tuple
 def _layer(sector: Sector, azimuth: AzimuthPart, lines: FineLines, geometry: Geometry) -> Layer:
     """The lines of targets on another ground, straightened, with the weights of their dwells."""
     line, rate = retrace(replace(sector, geometry=geometry), azimuth, lines)
-    straight, bend, spots = straighten(lines.weights.weigh(line), lambda spots: _carrier_time(sector, lines, spots))
+    summed = lines.weights.weigh_chain(line)
+    straight, bend, spots = straighten(summed, lambda spots: _carrier_time(sector, lines, spots))
     return Layer(geometry, replace(straight, weight=line.weight), bend, spots, rate)

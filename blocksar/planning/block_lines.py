@@ -70,7 +70,7 @@ class FineLines(NamedTuple):
         levels = gate.levels(self.spots.range, self.spots.doppler, self.line.time)
         if isinstance(levels, float):
             return self
-        return self._replace(spots=focus(self.weights.weigh(self.line), levels))
+        return self._replace(spots=focus(self.weights.weigh_chain(self.line), levels))
 
 
 class _Traced(NamedTuple):
@@ -135,5 +135,5 @@ def _with_ends(
     )
     moves = ends.moves if about is None else traced.lit.time - about
     weights = sector.weights(traced.lit, uncut=ends.uncut, epoch_range=rng, yaw=yaw, moves=moves)
-    spots = focus(weights.weigh(traced.line))
+    spots = focus(weights.weigh_chain(traced.line))
     return FineLines(traced.lit, traced.compressed, traced.line, spots, rng, yaw, weights, ends, in_time)

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from blocksar import solvers
-from blocksar.arrays import FloatArray
+from blocksar.arrays import Complex128Array, FloatArray
 from blocksar.collection.beam import STILL, at_times, beam_offset, pattern_gain
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, Taper, Weighting
+from blocksar.focusing.dwell_taper import faded_taper
 from blocksar.focusing.lines import Line
 from blocksar.planning.steadiness import scans_evenly
+
+Sums = TypeVar("Sums", FloatArray, Complex128Array)
+
+LEAST_SHARE = 1e-4  # that a chain is taken to sum: the collection may cut a dwell to what is back-projected
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,6 +44,8 @@ class DwellWeights:
         The antenna's pattern g at the nodes of lines.
     lit_band : (...) float
         Band of Doppler that is lit at a time where the target is, Hz.
+    share : (..., n) float or None
+        What the chain sums of each node, where it fades the edges of dwells out: the rest is back-projected.
     """
 
     taper: Taper
@@ -48,6 +56,7 @@ class DwellWeights:
     change: FloatArray | float = 0.0
     pattern: FloatArray | None = None
     lit_band: FloatArray | float = 1.0
+    share: FloatArray | None = None
 
     @property
     def uniform(self) -> bool:
@@ -72,6 +81,16 @@ class DwellWeights:
         """The lines with these weights; as they are where all weights are 1."""
         return line if self.uniform else line.weighed(self.nodes)
 
+    def weigh_chain(self, line: Line) -> Line:
+        """The lines with the weights that the chain gives them: without what is back-projected."""
+        if self.share is None:
+            return self.weigh(line)
+        return line.weighed(self.nodes * np.maximum(self.share, LEAST_SHARE))
+
+    def with_edges(self, summed: Sums, gain: FloatArray | float = 1.0) -> Sums:
+        """Add what is back-projected to what a chain makes (..., n), over its gain, of echoes that are 1."""
+        return summed if self.share is None else self.share * (summed / gain) + (1 - self.share)
+
 
 def dwell_weights(
     geometry: Geometry,
@@ -84,6 +103,7 @@ def dwell_weights(
     stays: bool = False,
     moves: FloatArray | None = None,
     lit_band: FloatArray | float = 1.0,
+    fade: int = 0,
 ) -> DwellWeights:
     """The weights of targets at epoch ranges (n_range,), m, and yaws (n_yaw,), rad.
 
@@ -100,34 +120,44 @@ def dwell_weights(
         Time, s, by which relative range frequency moves the echoes at the nodes of the lines.
     lit_band : (n_range, n_yaw) float
         Band of Doppler that is lit at a time where the targets are, Hz.
+    fade : int
+        Of the edges of dwells, see `focusing.dwell_edges`.
     """
     collection = geometry.collection
     at = epoch_range[:, None], yaw
     x, y, z = (np.asarray(axis)[..., None] for axis in (*geometry.ground_axes(*at), geometry.level(*at)))
     time, edge = lit.time + geometry.epoch, float(taper(np.array(1.0)))
     change: FloatArray | float = 0.0
-    if taper.uniform:
-        nodes = np.ones(lit.time.shape)
-    else:
+    share: FloatArray | None = None
+    nodes = np.ones(lit.time.shape)
+    if fade or not taper.uniform:
         dwell = (uncut[1] - uncut[0])[..., None]
         if collection.beam_width is not None and not scans_evenly(collection):
             place = 2 * at_times(geometry, x, y, time, beam_offset, z) / collection.beam_width
         else:
             place = (2 * lit.time - (uncut[0] + uncut[1])[..., None]) / dwell
         nodes = taper(place)
-        if collection.steered and not stays and moves is not None:
+        share = faded_taper(FLAT, place, fade) if fade else None
+        if collection.steered and not (stays or taper.uniform) and moves is not None:
             change = taper.slope(place) * 2 / dwell * moves
     if not collection.has_pattern:
         patterned = stays and not taper.uniform
         return DwellWeights(
-            taper=taper, nodes=nodes, edge=edge, patterned=patterned, alone=nodes, change=change, lit_band=lit_band
+            taper=taper,
+            nodes=nodes,
+            edge=edge,
+            patterned=patterned,
+            alone=nodes,
+            change=change,
+            lit_band=lit_band,
+            share=share,
         )
     gain = at_times(geometry, x, y, time, pattern_gain, z)
     # The outer nodes lie close to the ends: by half a hundredth of the dwell.
     at_ends = np.sqrt((gain[..., 0] ** 2 + gain[..., -1] ** 2) / 2)
     return DwellWeights(
         taper=taper, nodes=nodes * gain, edge=edge * at_ends, patterned=True, alone=nodes, change=change * gain,
-        pattern=gain, lit_band=lit_band,
+        pattern=gain, lit_band=lit_band, share=share,
     )  # fmt: skip
 
 

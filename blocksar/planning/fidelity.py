@@ -22,8 +22,9 @@ from |F - H|^2 integrated at d = 0 in frequency, sqrt(a / 2) / pi, and d/dd = 2 
 would be lost at each end if every pulse held all Dopplers: whether edges are needed is found by it. A plan predicts
 what is lost in the echoes that are there (`lit_ends`), times CHIPS, by which single chips lose more than their mean.
 
-Where the edges of dwells are back-projected (`focusing.dwell_edges`), the chain's ends fade over a time T, and differ
-by less. With P(u) = cos(pi u) / (1 - 4 u^2), the spectrum of the fade's slope at u = f T,
+Where the edges of dwells are back-projected (`focusing.dwell_edges`), phase and range err in what the chain sums of a
+pulse only. The chain's ends fade over a time T, and differ by less. With P(u) = cos(pi u) / (1 - 4 u^2), the spectrum
+of the fade's slope at u = f T,
 
     integral of |F(t) - H(t - d)|^2 dt = T / pi^2 integral of P^2 (1 - cos(pi a u^2 / T^2) cos(2 pi u d / T)) / u^2 du.
 
@@ -175,7 +176,7 @@ def worst_losses(
         Of what is imaged.
     """
     squared = line.weighed(weights.nodes**2)
-    phase, migration = _along_dwell(squared, spots, geometry, band)
+    phase, migration = _along_dwell(squared, spots, geometry, band, weights)
     ends = np.zeros_like(phase)
     if gate is not None:
         ends = _at_ends(
@@ -216,7 +217,9 @@ def worst_losses(
     )
 
 
-def _along_dwell(line: Line, spots: Focus, geometry: Geometry, band: Taper) -> tuple[FloatArray, FloatArray]:
+def _along_dwell(
+    line: Line, spots: Focus, geometry: Geometry, band: Taper, weights: DwellWeights
+) -> tuple[FloatArray, FloatArray]:
     """Loss by residual phase, and what range migration takes besides."""
     stretch = np.maximum(line.stretch, LEAST_STRETCH)
     level = line.phase - spots.doppler[..., None] * line.time - spots.phase[..., None]
@@ -227,10 +230,12 @@ def _along_dwell(line: Line, spots: Focus, geometry: Geometry, band: Taper) -> t
     else:
         nodes, shares = band_nodes(band, MIGRATION_NODES)
         response = sum(share * np.cos(np.pi * node * turns) for node, share in zip(nodes, shares, strict=True))
-    norm = np.sqrt(line.weight.sum(axis=-1) * (line.weight * stretch * np.square(spots.levels)).sum(axis=-1))
-    turned = line.weight * np.sqrt(stretch) * spots.levels * np.exp(2j * np.pi * level)
-    phase = 1 - np.abs(turned.sum(axis=-1)) / norm
-    both = 1 - np.abs((turned * response).sum(axis=-1)) / norm
+    turned = np.sqrt(stretch) * spots.levels * np.exp(2j * np.pi * level)
+    turned, response = weights.with_edges(turned, spots.gain[..., None]), weights.with_edges(response)
+    whole = line.weight.sum(axis=-1)
+    norm = np.sqrt(whole * (line.weight * np.abs(turned) ** 2).sum(axis=-1))
+    phase = 1 - np.abs((line.weight * turned).sum(axis=-1)) / norm
+    both = 1 - np.abs((line.weight * turned * response).sum(axis=-1)) / norm
     return phase, np.maximum(both - phase, 0.0)
 
 

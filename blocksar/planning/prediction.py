@@ -159,8 +159,9 @@ def _azimuth_lobes(
 ) -> _Lobes:  # fmt: skip
     """Those of one target, with what windows have `changed` (`_at_ends`)."""
     weight = weights.weigh(line).weight[target]
-    made = weight * (np.sqrt(np.maximum(line.stretch, LEAST_STRETCH)) * spots.levels)[target]
-    made = made * np.exp(2j * np.pi * (line.phase[target] - spots.doppler[target] * line.time[target]))
+    level = line.phase - spots.doppler[..., None] * line.time - spots.phase[..., None]
+    turned = np.sqrt(np.maximum(line.stretch, LEAST_STRETCH)) * spots.levels * np.exp(2j * np.pi * level)
+    made = weight * weights.with_edges(turned, spots.gain[..., None])[target]
     time = line.time[target] - spots.time[target]
     if changed is not None:
         at, change = (each[target] for each in changed)

@@ -86,7 +86,7 @@ class Sector:
         return dwell_weights(
             self.lighting, self.taper, lit, uncut=uncut, epoch_range=epoch_range, yaw=yaw,
             stays=self.staying is not None, moves=moves,
-            lit_band=self._lit_band(lit, uncut),
+            lit_band=self._lit_band(lit, uncut), fade=self.fade,
         )  # fmt: skip
 
     def _lit_band(self, lit: Line, uncut: tuple[FloatArray, FloatArray]) -> FloatArray:

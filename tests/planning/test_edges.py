@@ -311,3 +311,51 @@ def test_tapers_move_over_the_band_where_the_doppler_rate_is_small(tmp_path: Pat
     predicted = 1 - blocksar.plan(store, **asked, **chain).result.coherence
     assert predicted == pytest.approx(measured, rel=0.3)
     assert predicted > 2e-3
+
+
+OFF_AXIS = """
+[radar]
+carrier = 9.6e9
+bandwidth = 100e6
+range_sampling = 120e6
+prf = 800
+[track]
+position = [0.0, 0.0, 3000.0]
+velocity = [0.0, 150.0, -60.0]
+acceleration = [3.0, 1.0, -2.0]
+[time]
+duration = 5.0
+[beam]
+mode = "stripmap"
+width_deg = 1.5
+axis_yaw_deg = 95.0
+axis_pitch_deg = -12.0
+squint_deg = 8.0
+[scene]
+swath = [5800.0, 6200.0]
+centre_yaw_deg = 10.0
+reference_range = "scene_centre"
+[clutter]
+scatterers = 8000
+seed = 3
+x = [4997.0, 5237.0]
+y = [782.0, 1022.0]
+"""
+
+
+def test_migration_at_ends_that_are_back_projected_is_not_counted(tmp_path: Path) -> None:
+    """One block loses 0.008 by range migration, most of it towards the ends; 0.0104 was said, and more blocks taken."""
+    (tmp_path / "scene.toml").write_text(OFF_AXIS)
+    store, grid = tmp_path / "ph.zarr", ((5037.2, 5197.2, 0.7), (822.3, 982.3, 0.47))
+    blocksar.simulate(tmp_path / "scene.toml", store, threads=2, progress=False)
+    plan = blocksar.plan(store, grid=grid, blocks=1, workers=1).result
+    assert plan.fade and plan.blocks[0].prediction.range_loss > 0.005
+    images = []
+    for settings in ({"blocks": 1}, {"processor": "backprojection"}):
+        folder = tmp_path / f"run{len(images)}"
+        blocksar.focus(store, folder, grid=grid, workers=0, threads=2, progress=False, **settings)
+        images.append(blocksar.open(folder).image.values)
+    made, exact = images
+    chips = [np.s_[i : i + 32, j : j + 32] for i in range(0, 321, 32) for j in range(0, 201, 32)]
+    found = [coherence(made[chip], exact[chip]) for chip in chips if np.isfinite(made[chip]).all()]
+    assert plan.coherence == pytest.approx(min(abs(chip.coherence) for chip in found), abs=1e-3)
