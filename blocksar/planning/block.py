@@ -20,7 +20,7 @@ from blocksar.focusing.sampling import Sampling
 from blocksar.focusing.step import Constants, Stage, Step, stages
 from blocksar.kernels.fourier import Axis
 from blocksar.planning.binding import AzimuthPart, RangePart, Slab
-from blocksar.planning.block_ground import plan_ground, usual_layer
+from blocksar.planning.block_ground import map_loss, plan_ground, usual_layer
 from blocksar.planning.block_lines import CoarseLines, FineLines, follow_terrain, trace_finely
 from blocksar.planning.block_sampling import plan_sampling, plan_slab
 from blocksar.planning.coefficients import Choice, choose
@@ -255,12 +255,15 @@ def _predict(
     if sector.relief is not None:
         layer, reached = usual_layer(sector, azimuth, lines)
         geometry, line, spots, rate = layer.geometry, layer.line, layer.spots, layer.rate
+    imaged = _imaged(sector, lines)
     predicted = predict(
         line, spots, lines.epoch_range, lines.yaw, geometry, rate=rate, gate=sampling.gate, parts=sector.gate_parts,
         scaled_about=lines.ends.scaled_about, moves=lines.ends.moves, weights=lines.weights, reached=reached,
-        imaged=_imaged(sector, lines), band=sector.weighting.range,
+        imaged=imaged, band=sector.weighting.range,
     )  # fmt: skip
-    return predicted.less(sector.taper_loss + (0.0 if ground.waves is None else ground.waves.error**2 / 2))
+    seen = np.logical_and(*(each.held | each.before | each.behind for each in imaged))
+    of_dwells = sector.taper_loss + (0.0 if ground.waves is None else ground.waves.error**2 / 2)
+    return predicted.less(of_dwells, map_loss(ground, lines, geometry.collection.bandwidth, seen))
 
 
 def _imaged(sector: Sector, lines: FineLines) -> tuple[Edges, Edges]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.geometry import Geometry
+from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, by_range, surfaces
 from blocksar.focusing.lines import Focus
 from blocksar.focusing.relief_map import NodeHeights, straighten
@@ -80,6 +81,24 @@ def _surfaces(sector: Sector, lines: FineLines, spots: Focus) -> tuple[Surface, 
         spots, time=_carrier_time(sector, lines, spots), epoch_range=lines.epoch_range, yaw=lines.yaw,
         origin=sector.recovery.origin, carrier=sector.geometry.collection.carrier, degree=SURFACE_DEGREE,
     )  # fmt: skip
+
+
+def map_loss(ground: GroundMap, lines: FineLines, bandwidth: float, seen: BoolArray) -> float:
+    """Loss of coherence where the map's series miss where lines focus, at the worst of the targets `seen`.
+
+    Close to the nadir the ground under a range R is sqrt(R^2 - h^2) away, and no polynomial of R follows that. A pixel
+    that is displaced by f in Doppler and r in range, in an image with the phase p too much, has the coherence
+    sinc(f T) sinc(2 B r / c) cos(p) over a dwell T with the one meant.
+    """
+    spots, at = lines.spots, (lines.epoch_range[:, None], lines.yaw)
+    offset = at[0] - ground.origin
+    doppler = spots.doppler - ground.doppler_focus(*at)
+    displaced = spots.range - offset - ground.range_offset(*at)
+    carrier = ground.geometry.collection.carrier
+    phase = spots.phase + 2 * carrier / SPEED_OF_LIGHT * offset - ground.phase(*at)
+    dwell = (lines.line.weight * lines.line.stretch).sum(axis=-1)
+    turns = (np.pi * doppler * dwell) ** 2 + (2 * np.pi * bandwidth / SPEED_OF_LIGHT * displaced) ** 2
+    return float(np.where(seen, turns / 6 + (2 * np.pi * phase) ** 2 / 2, 0.0).max())
 
 
 def _carrier_time(sector: Sector, lines: FineLines, spots: Focus) -> FloatArray:

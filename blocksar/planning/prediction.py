@@ -38,11 +38,15 @@ class Prediction(NamedTuple):
     track_loss: float
     ideal_pslr: float  # dB, in exact back-projection
 
-    def less(self, loss: float) -> Prediction:
-        """The same where dwells lose some more coherence."""
-        if not loss:
+    def less(self, of_dwells: float, of_range: float) -> Prediction:
+        """The same where dwells lose some more coherence, and what a division by range mends."""
+        if not of_dwells + of_range:
             return self
-        return self._replace(coherence=max(self.coherence - loss, 0.0), dispersion_loss=self.dispersion_loss + loss)
+        return self._replace(
+            coherence=max(self.coherence - of_dwells - of_range, 0.0),
+            dispersion_loss=self.dispersion_loss + of_dwells,
+            range_loss=self.range_loss + of_range,
+        )
 
     def excess(self, fidelity: float, *, migration: bool = True) -> float:
         """Loss of coherence and change of the side lobes over what `fidelity` allows: the worse of the two.
