@@ -84,6 +84,11 @@ class PhaseHistory:
     look: tuple[int, int, float] | None = None
 
     @property
+    def label(self) -> str:
+        """What messages call it."""
+        return str(self.path)
+
+    @property
     def variable(self) -> str:
         """Name of the samples: `signal` or `echo`."""
         return "signal" if self.raw is None else "echo"
