@@ -142,6 +142,13 @@ def test_control_points_may_lie_on_the_earth(tmp_path: Path) -> None:
         control_points(tmp_path / "points.geojson", blocksar.collection(**arrays()))
 
 
+@pytest.mark.parametrize("command", ["focus", "autofocus"])
+def test_a_client_that_is_none_is_refused(command: str, store: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"^client is a str; give a distributed.Client, or the address"):
+        getattr(blocksar, command)(store, tmp_path / "out", grid="-10:10:1,-10:10:1", client="tcp://127.0.0.1:8786")
+    assert not list(tmp_path.iterdir())
+
+
 def test_georeferences_are_the_same_however_they_are_written() -> None:
     frame = {"kind": "ENU", "latitude": 45.0, "longitude": 9.5, "height": 100.0}
 
