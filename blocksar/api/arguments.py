@@ -155,28 +155,30 @@ def check_one_frame(histories: Sequence[stores.PhaseHistory]) -> None:
         their carriers are farther apart than half of a band.
     """
     for first, other in pairwise(histories):
-        georeferences = [history.attrs.get("georeference") for history in (first, other)]
+        georeferences = [Georeference.among(history.attrs) for history in (first, other)]
         frames = [history.attrs.get("frame") for history in (first, other)]
         if None not in georeferences:
-            same = len({stores.json_checksum(each) for each in georeferences}) == 1
-        else:
-            same = frames[0] is not None and frames[0] == frames[1]
-        if not same:
+            if georeferences[0] != georeferences[1]:
+                raise InputError(
+                    f"{first.label} and {other.label} have different georeferences ({georeferences[0]} and "
+                    f"{georeferences[1]}); write both in one frame"
+                )
+        elif frames[0] is None or frames[0] != frames[1]:
             raise InputError(
-                f"{first.path} and {other.path} are not known to be in one frame (frame {frames[0]!r} and "
+                f"{first.label} and {other.label} are not known to be in one frame (frame {frames[0]!r} and "
                 f"{frames[1]!r}); give both the same georeference, or an attribute frame of equal text"
             )
         heights = [history.collection.ground_height for history in (first, other)]
         if heights[0] != heights[1]:
             raise InputError(
-                f"ground_height is {heights[0]:g} m in {first.path} and {heights[1]:g} m in {other.path}, but one "
+                f"ground_height is {heights[0]:g} m in {first.label} and {heights[1]:g} m in {other.label}, but one "
                 "image has one ground; write them with the same"
             )
         bands = [history.collection.centred() for history in (first, other)]
         if abs(bands[0].carrier - bands[1].carrier) > min(band.bandwidth for band in bands) / 2:
             raise InputError(
-                f"carrier_frequency is {bands[0].carrier:.12g} Hz in {first.path} and {bands[1].carrier:.12g} Hz in "
-                f"{other.path}, but one image has one carrier; focus each alone"
+                f"carrier_frequency is {bands[0].carrier:.12g} Hz in {first.label} and {bands[1].carrier:.12g} Hz in "
+                f"{other.label}, but one image has one carrier; focus each alone"
             )
 
 

@@ -92,7 +92,7 @@ def without_samples(history: stores.PhaseHistory, *, zeros: bool) -> str:
     wrong = (
         "holds zeros only; write it again from its source" if zeros else "holds no valid sample; is it the right store?"
     )
-    return f"{history.variable} in {history.path} {wrong}"
+    return f"{history.variable} in {history.label} {wrong}"
 
 
 def _inspections(segments: Sequence[Segment], read: Sequence[Recovered]) -> list[Inspection]:

@@ -218,8 +218,6 @@ def _open(source: One, folder: Place, number: int | None) -> tuple[stores.PhaseH
     One in memory gets the place in the run folder where its samples will be written; `number` is that of several.
     """
     history = history_of(source).pinned()
-    if "georeference" in history.attrs:
-        Georeference.from_attribute(history.attrs["georeference"])  # refuse a wrong one before the work starts
     fingerprint = history.fingerprint()
     if isinstance(history, stores.DatasetHistory):
         if (opened := getattr(source, "encoding", {}).get("source")) is not None:

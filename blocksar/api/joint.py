@@ -76,7 +76,8 @@ def members_of(source: Source, looks: int | None, grid: GridLike | None) -> Memb
         if other.channels != first.channels:
             have = (", ".join(history.channels) or "none" for history in (first, other))
             raise InputError(
-                f"{first.path} and {other.path} do not have the same channels ({' and '.join(have)}); focus each alone"
+                f"{first.label} and {other.label} do not have the same channels ({' and '.join(have)}); "
+                "focus each alone"
             )
     if not first.channels:
         return None
@@ -89,7 +90,7 @@ def _looks_of(source: Source, count: int, grid: GridLike | None) -> Members:
         raise InputError(f"looks = {count}: looks are formed of one collection, and here are {len(sources)}")
     history = history_of(sources[0])
     if history.channels and not isinstance(sources[0], stores.PhaseHistory):
-        raise InputError(f"looks = {count}: {history.path} has several channels; looks are formed of a single one")
+        raise InputError(f"looks = {count}: {history.label} has several channels; looks are formed of a single one")
     if isinstance(history, stores.DatasetHistory):
         raise InputError(f"looks = {count}: looks are formed of a phase history in a store; write it (blocksar.write)")
     collection = history.collection.centred()

@@ -13,6 +13,7 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.autofocusing.range_lines import range_profiles, take_lines, taps
@@ -27,6 +28,8 @@ RANGE_STEP = 0.75  # range cells between lines
 DOPPLER_SHARE = 0.8  # of the PRF that lines about one yaw may fill
 CELLS = (6, 8)  # parts of a coarse image along range and Doppler; its brightest sample in each may become a point
 SIDELOBES = 1e-4  # of the brightest sample's power: what may be a sidelobe of it does not stand out
+RANGE_SIDELOBES = 2.0  # times those of a band without a taper: what is weaker may be one of a brighter sample
+MAIN_LOBE = 2.0  # Doppler cells of a short aperture: within them a sample has its sidelobes in range
 STEPS = 3  # of Newton's method, from the plane to a place on it
 UNEVEN_STEPS = 12  # to one on a terrain, whose slopes change
 YAWS = 65  # at which the beam's edges are looked for
@@ -38,7 +41,26 @@ ACROSS = 12  # points that see both sides of a gap, if there are so many: they a
 BESIDE = 1 / 16  # of a dwell: that they see on either side, at least
 
 
-Places = tuple[FloatArray, FloatArray, FloatArray]  # x, y and prominence of `Candidates`
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Bright:
+    """Bright samples of a coarse image.
+
+    Attributes
+    ----------
+    x, y, prominence : (n,) float
+        As of `Candidates`; NaN where a terrain has no such place.
+    power : (n,) float
+        Of the sample.
+    distance, rate : (n,) float
+        Range, m, and phase rate of it, rad/s, in the middle of the aperture.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    prominence: FloatArray
+    power: FloatArray
+    distance: FloatArray
+    rate: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -122,8 +144,9 @@ def find_candidates(signal: ComplexArray, work: Work, pulses: slice, threads: in
         ground = work.plane.ground_point(ranges, np.full(ranges.size, yaw))
         power = _coarse_image(work, pulses, profiles.values, profiles.spacing, ground, threads)
         found.append(_brightest(work, pulses, power, ground, span / count))
-    x, y, prominence = (np.concatenate(values) for values in zip(*found, strict=True))
-    return Candidates(x=x, y=y, prominence=prominence, middle=middle, seen=seen)
+    bright = Bright(**{name: np.concatenate([getattr(b, name) for b in found]) for name in vars(found[0])})
+    good = np.isfinite(bright.x) & ~_range_sidelobes(bright, work, pulses)
+    return Candidates(x=bright.x[good], y=bright.y[good], prominence=bright.prominence[good], middle=middle, seen=seen)
 
 
 def _lit_yaws(work: Work, pulses: slice) -> tuple[float, float] | None:
@@ -179,14 +202,30 @@ def _coarse_image(
     return power
 
 
-def _brightest(work: Work, pulses: slice, power: FloatArray, ground: FloatArray, span: float) -> Places:
+def _range_sidelobes(bright: Bright, work: Work, pulses: slice) -> NDArray[np.bool_]:
+    """Which of bright samples (n,) may be sidelobes in range of others, which have their Doppler and are brighter."""
+    n = work.geometry.collection.n_range_frequency
+    cells = np.abs(bright.distance[:, None] - bright.distance) / work.cell
+    apart = np.abs(bright.rate[:, None] - bright.rate) / (2 * np.pi) / _doppler_cell(work, pulses)
+    with np.errstate(divide="ignore"):
+        level = RANGE_SIDELOBES / (n * np.sin(np.pi * cells / n)) ** 2
+    level[(cells < 1) | (apart > MAIN_LOBE)] = 0
+    return np.asarray((bright.power[:, None] < level * bright.power).any(axis=1))
+
+
+def _doppler_cell(work: Work, pulses: slice) -> float:
+    """Doppler between samples of a coarse image, Hz."""
+    return work.geometry.collection.prf / (pulses.stop - pulses.start)
+
+
+def _brightest(work: Work, pulses: slice, power: FloatArray, ground: FloatArray, span: float) -> Bright:
     """The brightest sample in each part of a coarse image whose Doppler spans +- span / 2, Hz."""
     n = power.shape[1]
-    step = work.geometry.collection.prf / n
+    step = _doppler_cell(work, pulses)
     reach = min(int(span / 2 / step) + 1, (n - 1) // 2)
     shifts = np.arange(-reach, reach + 1)
     power = power[:, shifts % n]
-    rows, columns, prominence = [], [], []
+    rows, columns, prominence, brightest = [], [], [], []
     floor = SIDELOBES * float(power.max())
     for part in np.array_split(np.arange(power.shape[0]), min(CELLS[0], power.shape[0])):
         for cut in np.array_split(np.arange(shifts.size), min(CELLS[1], shifts.size)):
@@ -197,20 +236,22 @@ def _brightest(work: Work, pulses: slice, power: FloatArray, ground: FloatArray,
                 rows.append(part[0] + row)
                 columns.append(shifts[cut[0] + column])
                 prominence.append(float(values[row, column]) / typical)
-    index = np.array(rows, np.int64)
-    x, y = _located(work, pulses, ground[index], np.array(columns) * step * 2 * np.pi)
-    good = np.isfinite(x)
-    return x[good], y[good], np.array(prominence)[good]
+                brightest.append(float(values[row, column]))
+    x, y = ground[np.array(rows, np.int64), :2].T
+    distance, there = _seen(work, x, y, (pulses.start + pulses.stop) // 2)
+    rate = there - np.array(columns) * step * 2 * np.pi
+    x, y = _located(work, pulses, x, y, distance, rate)
+    return Bright(x=x, y=y, prominence=np.array(prominence), power=np.array(brightest), distance=distance, rate=rate)
 
 
-def _located(work: Work, pulses: slice, ground: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Points at the range of points `ground` (n, 3), with a phase rate (n,) less than theirs by `rate`, rad/s.
+def _located(
+    work: Work, pulses: slice, x: FloatArray, y: FloatArray, wanted: FloatArray, goal: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Points (n,) that have the ranges `wanted`, m, and the phase rates `goal`, rad/s; others nearby are known.
 
     On a terrain they stand on it, and are NaN where it has none such.
     """
     middle = (pulses.start + pulses.stop) // 2
-    wanted, there = _seen(work, ground[:, 0], ground[:, 1], middle)
-    x, y, goal = ground[:, 0].copy(), ground[:, 1].copy(), there - rate
     uneven = work.geometry.terrain is not None
     seen = partial(_seen, work, pulse=middle, ground=work.geometry if uneven else None)
     for _ in range(UNEVEN_STEPS if uneven else STEPS):

@@ -121,11 +121,16 @@ def open_client(
     Raises
     ------
     InputError
-        If the scheduler does not answer, or its workers do not have the same version of blocksar.
+        If `client` is none, the scheduler does not answer, or its workers do not have the same version of blocksar.
     ProcessingError
         If the workers of a local cluster do not start.
     """
     if client is not None:
+        if not isinstance(client, Client | Here):
+            raise InputError(
+                f"client is a {type(client).__name__}; give a distributed.Client, or the address of a scheduler as "
+                "scheduler"
+            )
         yield client
         return
     if scheduler is None:

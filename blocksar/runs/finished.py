@@ -43,11 +43,11 @@ def finished_record(folder: Place) -> RunRecord:
         If there is no run, or it is not finished, or its record is damaged.
     """
     try:
-        there = (folder / RECORD).exists()
+        wrong = None if (folder / RECORD).exists() else "holds no run.json" if folder.exists() else "does not exist"
     except OSError as error:
         raise unreachable(folder, error) from error
-    if not there:
-        raise InputError(f"{folder} holds no run.json; give the folder that `blocksar focus --out` left")
+    if wrong is not None:
+        raise InputError(f"{folder} {wrong}; give the folder that `blocksar focus --out` left")
     record = RunRecord.read(folder)
     if not record.finished:
         raise InputError(f"{folder} is not finished; run `blocksar focus` again with the same settings")

@@ -57,6 +57,10 @@ class DatasetHistory(PhaseHistory):
     samples: Any
     given: dict[str, Any]
 
+    @property
+    def label(self) -> str:
+        return IN_MEMORY
+
     def of_channel(self, name: str | None) -> DatasetHistory:
         """A channel alone, without the others; the first for None.
 
@@ -65,7 +69,7 @@ class DatasetHistory(PhaseHistory):
         InputError
             If there is none of that name.
         """
-        number = number_of(self.channels, name, str(self.path))
+        number = number_of(self.channels, name, self.label)
         attrs = attrs_of_channel(self.given, self.channels, number)
         samples = self.samples[number] if self.channels else self.samples
         return replace(self, samples=samples, channels=(), channel=0, attrs=attrs, given=attrs)

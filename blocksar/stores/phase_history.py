@@ -18,6 +18,7 @@ import xxhash
 from blocksar.arrays import ComplexArray, FloatArray, check_axis
 from blocksar.collection import sublooks
 from blocksar.collection.collection import Collection
+from blocksar.collection.georeference import Georeference
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.errors import InputError
 from blocksar.places import Location
@@ -82,6 +83,11 @@ class PhaseHistory:
     channels: tuple[str, ...] = ()
     channel: int = 0
     look: tuple[int, int, float] | None = None
+
+    @property
+    def label(self) -> str:
+        """What messages call it."""
+        return str(self.path)
 
     @property
     def variable(self) -> str:
@@ -431,7 +437,13 @@ def collection_from(
         All attributes of the store.
     range_frequency : (n_range_frequency,) float or None
         Hz, of a raw echo; None to read it.
+
+    Raises
+    ------
+    InputError
+        If they depart from the contract, or the attribute `georeference` is none.
     """
+    Georeference.among(attrs)  # whatever is done with the collection: a wrong one is refused before the work starts
     time = read("time")
     beam_azimuth = read("beam_azimuth") if present("beam_azimuth") else np.full(time.shape, np.nan)
     beam_width = number(attrs, "beam_width", "rad", None)

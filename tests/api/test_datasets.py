@@ -123,6 +123,13 @@ def test_wrong_arrays_are_refused_in_one_sentence(case: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_a_channel_of_zeros_is_named(tmp_path: Path) -> None:
+    given = arrays()
+    channels = {"signal": np.stack([given["signal"], 0 * given["signal"]]), "channel": ["HH", "HV"]}
+    with pytest.raises(InputError, match=r"^channel HV: signal in the dataset holds zeros only"):
+        focus(blocksar.collection(**{**given, **channels}), tmp_path / "run")
+
+
 # ---------------------------------------------------------------- focusing
 
 

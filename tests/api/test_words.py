@@ -13,9 +13,18 @@ from arrays import arrays
 from typer.testing import CliRunner
 
 import blocksar
-from blocksar.api.arguments import blocks_of, control_points, grid_of, is_scene, memory_of
+from blocksar.api.arguments import (
+    blocks_of,
+    check_one_frame,
+    control_points,
+    grid_of,
+    history_of,
+    is_scene,
+    memory_of,
+)
 from blocksar.api.jobs import records_of
 from blocksar.cli import commands
+from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError, in_python
 from blocksar.ingestion.timeline import stated_times
@@ -131,6 +140,29 @@ def test_control_points_may_lie_on_the_earth(tmp_path: Path) -> None:
     assert point.name == "P" and point[1:3] == pytest.approx((0, 0), abs=1e-6) and point.z == pytest.approx(12.0)
     with pytest.raises(InputError, match="there is no georeference"):
         control_points(tmp_path / "points.geojson", blocksar.collection(**arrays()))
+
+
+@pytest.mark.parametrize("command", ["focus", "autofocus"])
+def test_a_client_that_is_none_is_refused(command: str, store: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"^client is a str; give a distributed.Client, or the address"):
+        getattr(blocksar, command)(store, tmp_path / "out", grid="-10:10:1,-10:10:1", client="tcp://127.0.0.1:8786")
+    assert not list(tmp_path.iterdir())
+
+
+def test_georeferences_are_the_same_however_they_are_written() -> None:
+    frame = {"kind": "ENU", "latitude": 45.0, "longitude": 9.5, "height": 100.0}
+
+    def check(other: dict[str, Any]) -> None:
+        check_one_frame(
+            [history_of(blocksar.collection(**arrays()).assign_attrs(georeference=g)) for g in (frame, other)]
+        )
+
+    check({**frame, "latitude": 45, "rotation_deg": 0.0})
+    check(Georeference.from_attribute(frame).as_attribute())
+    with pytest.raises(
+        InputError, match=r"^the dataset and the dataset have different georeferences .*height=100.*105"
+    ):
+        check({**frame, "height": 105.0})
 
 
 def test_an_error_speaks_of_parameters(dataset: xr.Dataset, tmp_path: Path) -> None:

@@ -105,11 +105,12 @@ def test_noise_is_refused() -> None:
         found(noise(stated.n_pulse, stated.n_range_frequency), settings=Settings(loops=2))
 
 
-@pytest.mark.parametrize("amplitude", [0.0, 1.0])
-def test_too_few_points_are_refused(amplitude: float) -> None:
+@pytest.mark.parametrize(("amplitude", "points"), [(0.0, 1), (1.0, 1), (1.0, 18)])
+def test_too_few_points_are_refused(amplitude: float, points: int) -> None:
+    """Sidelobes of points are no points."""
     stated = spotlight()
     with pytest.raises(Refused, match="points stand out in the scene"):
-        found((amplitude * echoes(stated, np.zeros((stated.n_pulse, 3)), points=1)).astype(np.complex64))
+        found((amplitude * echoes(stated, np.zeros((stated.n_pulse, 3)), points=points)).astype(np.complex64))
 
 
 def test_a_collection_too_short() -> None:

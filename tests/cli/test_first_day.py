@@ -44,6 +44,7 @@ MISTAKES = {
         "quality ph.zarr",
         "holds no run.json; give the folder that `blocksar focus --out` left",
     ),
+    "a misspelt run": ("report rnu", "rnu does not exist; give the folder that `blocksar focus --out` left"),
     "a misspelt path": ("plan ph.zar", "ph.zar does not exist; did you mean ph.zarr?"),
     "a path that is too long": (f"plan {'ph' * 200}.zarr", "File name too long"),
     "a link that leads nowhere": ("plan linked.zarr", "is a symbolic link to gone.zarr, which does not exist; correct"),

@@ -631,6 +631,8 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "beam width alone": ({"beam_azimuth": None}, "beam_width"),
     "beam azimuth NaN here and there": ({"beam_azimuth": ("pulse", np.r_[np.nan, np.ones(255)])}, "azimuth is NaN"),
     "ground above the antenna": ({"ground_height": 6000.0}, "ground_height"),
+    "georeference in words": ({"georeference": "EPSG:4326"}, "georeference is str instead of a mapping"),
+    "origin beyond the pole": ({"georeference": {"kind": "ENU", "latitude": 91, "longitude": 9, "height": 0}}, "is 91"),
     "infinite ground": ({"ground_height": np.inf}, "ground_height"),
     "real samples": ({"signal": (("pulse", "range_frequency"), np.zeros((256, 128)))}, "signal is float64"),
     "integer samples": ({"signal": (("pulse", "range_frequency"), np.zeros((256, 128), "i2"))}, "signal is int16"),
@@ -655,7 +657,8 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
 @pytest.mark.parametrize("name", WRONG)
 def test_departures_from_the_contract_are_refused(name: str, small_collection: Collection, tmp_path: Path) -> None:
     change, words = WRONG[name]
-    attrs = {k: v for k, v in change.items() if k in ("carrier_frequency", "beam_width", "ground_height")}
+    names = ("carrier_frequency", "beam_width", "ground_height", "georeference")
+    attrs = {k: v for k, v in change.items() if k in names}
     ds = dataset(small_collection, **{k: v for k, v in change.items() if k not in attrs})
     ds = ds.rename(extra="echo") if "extra" in ds else ds
     path = written(ds, tmp_path / "ph.zarr")
