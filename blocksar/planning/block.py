@@ -261,7 +261,7 @@ def _predict(
         scaled_about=lines.ends.scaled_about, moves=lines.ends.moves, weights=lines.weights, reached=reached,
         imaged=imaged, band=sector.weighting.range,
     )  # fmt: skip
-    seen = np.logical_and(*(each.held | each.before | each.behind for each in imaged))
+    seen = np.logical_and.reduce([lines.ends.full, *(each.held for each in imaged)])
     of_dwells = sector.taper_loss + (0.0 if ground.waves is None else ground.waves.error**2 / 2)
     return predicted.less(of_dwells, map_loss(ground, lines, geometry.collection.bandwidth, seen))
 

@@ -114,7 +114,7 @@ def find_division(
             more = min(more, MOST_REFERENCES)
             divided = plan(failed, more, True).excess()
             if division.refusal is None:  # a refused one tells nothing of what a division by range would gain
-                divisible = divided < USEFUL * excess and more < MOST_REFERENCES
+                divisible = divided < USEFUL * excess
             by_angle = _worth(excess, plan(count, n_parts, True).excess(), count / failed)
             if more > n_parts and _worth(excess, divided, more / n_parts) > by_angle:
                 failed, count, n_parts = failed - 1, failed, more

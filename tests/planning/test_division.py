@@ -159,7 +159,8 @@ def test_blocks_and_sub_blocks_reduce_migration_together_where_neither_does_alon
     assert migration(*taken) + rest <= 1
     assert fewest <= taken[0] * taken[1] <= 1.15 * fewest
     assert whole == 1
-    assert divide(migration, lambda count: rest, jointly=True, parts=1)[0] == divide(migration, lambda count: rest)[0]
+    alone = divide(migration, lambda count: rest, parts=1)[0]
+    assert divide(migration, lambda count: rest, jointly=True, parts=1)[0] == alone
 
 
 @pytest.mark.parametrize("rest", [0.2, 1.2])
