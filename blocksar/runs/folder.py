@@ -207,8 +207,8 @@ def refuse_overlap(source: Place, folder: Place) -> None:
 
 
 def clear(folder: Place) -> None:
-    """Remove all files of a run, and nothing else."""
-    for name in OWN:
+    """Remove all files of a run, and nothing else; the record last, which tells that the others are a run's."""
+    for name in reversed(OWN):
         (folder / name).remove()
 
 
@@ -224,20 +224,20 @@ def begin(folder: Place) -> Iterator[Callable[[], None]]:
     if not isinstance(folder, LocalPlace):
         clear(folder)
     elif (folder / RECORD).exists():
-        _move_own(folder, aside)
+        _move_own(folder, aside, reversed(OWN))  # the record last: a folder without it is taken for another's
     try:
         yield aside.remove
     except InputError:
         clear(folder)
         if aside.exists():
-            _move_own(aside, folder)
+            _move_own(aside, folder, OWN)
         raise
     finally:
         aside.remove()
 
 
-def _move_own(source: Place, target: Place) -> None:
-    """Move all files of a run to another folder of the same file system, or none.
+def _move_own(source: Place, target: Place, names: Iterable[str]) -> None:
+    """Move all files of a run, in this order, to another folder of the same file system, or none.
 
     Raises
     ------
@@ -247,12 +247,12 @@ def _move_own(source: Place, target: Place) -> None:
     os.makedirs(str(target), exist_ok=True)
     moved: list[str] = []
     try:
-        for name in OWN:
+        for name in names:
             if os.path.lexists(str(source / name)):
                 os.rename(str(source / name), str(target / name))
                 moved.append(name)
     except OSError as error:
-        for done in moved:
+        for done in reversed(moved):
             os.rename(str(target / done), str(source / done))
         target.remove()
         raise FolderError(
