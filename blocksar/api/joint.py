@@ -149,6 +149,7 @@ def focus_members(focus: Focus, members: Members, arguments: Mapping[str, Any]) 
         if fresh:
             stack.enter_context(_nothing_left(folder, there=there))
         stack.enter_context(run_folder.claim(folder))
+        input_read = stack.enter_context(run_folder.begin(folder)) if arguments["overwrite"] else lambda: None
         if earlier is None:
             unfinished = RunRecord(
                 status=UNFINISHED, format=FORMAT, channels=names, dimension=members.dimension,
@@ -158,10 +159,12 @@ def focus_members(focus: Focus, members: Members, arguments: Mapping[str, Any]) 
             if arguments["client"] is None and arguments["scheduler"] is None and arguments["workers"] != 0:
                 machine = resources(arguments["workers"], arguments["threads"], arguments["memory_limit"])
                 scratch = run_folder.scratch(folder)
+                stack.callback((folder / run_folder.SCRATCH).remove)
                 client = cluster.open_client(**machine._asdict(), scratch=scratch, listener=listener)
                 shared |= {"client": stack.enter_context(client), "workers": None, "threads": machine.threads}
                 shared["memory_limit"] = None
         reports = {name: focus_one(name) for name in names}
+        input_read()
         folders = {name: members.folder(folder, name) for name in names}
         records = {name: RunRecord.read(path) for name, path in folders.items()}
         if earlier is not None and earlier.identity == _identity(records):
@@ -210,7 +213,7 @@ def _nothing_left(folder: Place, *, there: bool) -> Iterator[None]:
 
 
 def _earlier(folder: Place, dimension: str, *, overwrite: bool) -> RunRecord | None:
-    """Return the record of a finished run of channels or looks that stays; remove another if it may be overwritten.
+    """Return the record of a finished run of channels or looks that stays; None if there is none.
 
     Raises
     ------
@@ -224,17 +227,15 @@ def _earlier(folder: Place, dimension: str, *, overwrite: bool) -> RunRecord | N
         if foreign := [name for name in run_folder.foreign_names(folder, names) if name not in known]:
             raise FolderError(f"{folder} exists and holds no run of blocksar (but {foreign[0]}); choose another --out")
         return None
+    if overwrite:
+        return None
     record = RunRecord.read(folder)
     if record.channels and record.dimension == dimension:
-        return record if record.finished and not overwrite else None
-    if not overwrite:
-        raise FolderError(
-            f"{folder} holds a run without {dimension}s; use --overwrite to replace it, or another --out",
-            replaceable=True,
-        )
-    with run_folder.claim(folder):
-        run_folder.clear(folder)
-    return None
+        return record if record.finished else None
+    raise FolderError(
+        f"{folder} holds a run without {dimension}s; use --overwrite to replace it, or another --out",
+        replaceable=True,
+    )
 
 
 def _identity(records: Mapping[str, RunRecord]) -> str:

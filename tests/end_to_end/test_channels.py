@@ -148,6 +148,34 @@ def test_other_runs_are_not_replaced_unasked(store: Path, run: Path, tmp_path: P
     assert "2 channels (HH, HV)" in rehearsed.summary[0] and not (tmp_path / "other").exists()
 
 
+@pytest.mark.parametrize("wrong", [{"memory_limit": "20MiB"}, {"grid": "0:10:1,0:10:1"}])
+def test_wrong_input_replaces_no_earlier_run(wrong: dict[str, Any], store: Path, run: Path, tmp_path: Path) -> None:
+    """Neither a run of channels, nor one without."""
+    alone = run / "channels" / "HV"
+    for earlier in (run, alone):
+        shutil.copytree(earlier, tmp_path / "run")
+        before = digests(tmp_path / "run")
+        with pytest.raises(InputError, match=r"memory limit|outside the swath"):
+            blocksar.focus(store, tmp_path / "run", overwrite=True, **SETTINGS | wrong)
+        assert digests(tmp_path / "run") == before
+        assert blocksar.info(tmp_path / "run").result["facts"]["state"].startswith("finished")
+        assert sorted(path.name for path in (tmp_path / "run").iterdir()) == sorted(p.name for p in earlier.iterdir())
+        shutil.rmtree(tmp_path / "run")
+
+
+def test_a_run_that_fails_leaves_no_temporary_files(store: Path, tmp_path: Path) -> None:
+    """Of workers of its own, which all channels share."""
+    with pytest.raises(InputError, match="memory limit"):
+        blocksar.focus(store, tmp_path / "run", **SETTINGS | {"workers": 1, "memory_limit": "20MiB"})
+    assert not (tmp_path / "run").exists()
+    blocksar.focus(store, tmp_path / "run", **SETTINGS)
+    before = sorted(path.name for path in (tmp_path / "run").iterdir())
+    settings = SETTINGS | {"workers": 1, "memory_limit": "20MiB"}
+    with pytest.raises(InputError, match="memory limit"):
+        blocksar.focus(store, tmp_path / "run", overwrite=True, **settings)
+    assert sorted(path.name for path in (tmp_path / "run").iterdir()) == before
+
+
 def test_leftovers_of_a_killed_run_refuse_no_run_and_foreign_files_do(store: Path, tmp_path: Path) -> None:
     """As for a run of one image."""
     folder = tmp_path / "run"
