@@ -149,6 +149,7 @@ def focus_members(focus: Focus, members: Members, arguments: Mapping[str, Any]) 
         if fresh:
             stack.enter_context(_nothing_left(folder, there=there))
         stack.enter_context(run_folder.claim(folder))
+        stack.enter_context(run_folder.resumable())
         input_read = stack.enter_context(run_folder.begin(folder)) if arguments["overwrite"] else lambda: None
         if earlier is None:
             unfinished = RunRecord(

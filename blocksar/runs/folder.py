@@ -8,7 +8,6 @@ There is no other state: a resumed run depends neither on a scheduler nor on an 
 
 from __future__ import annotations
 
-import errno
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -16,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from blocksar import stores
-from blocksar.errors import FolderError, InputError, ProcessingError
+from blocksar.errors import FolderError, InputError, ProcessingError, is_full, no_room
 from blocksar.places import lies_in
 from blocksar.places.local import LocalPlace, is_temporary
 from blocksar.places.place import Held, Place
@@ -54,6 +53,7 @@ TEMPORARY = ("receipts", "compressed.zarr", "gated", SCRATCH, TRACK)  # what a f
 INTERMEDIATE = ("spectrum.zarr", "patches")  # those of OWN that nothing reads once a run is finished
 LEFT_ALONE = (HISTORY, TRACK)  # may lie in the folder of a new run: `demo` puts its input there
 LOCK, ASIDE = "run.lock", ".replaced"
+RESUMABLE = "what was finished stays, the same command goes on from there"
 
 
 def member(folder: Place, name: str, dimension: str = "channel") -> Place:
@@ -83,8 +83,8 @@ def claim(folder: Place) -> Iterator[None]:
                 f"{folder} is being written by {owner}; wait until that run has ended, or choose another --out"
             ) from None
         except OSError as error:
-            if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
-                raise ProcessingError(f"{folder} cannot be written ({error.strerror})") from error
+            if is_full(error):
+                raise no_room(folder, error) from error
             raise FolderError(
                 f"{folder} cannot be written ({error.strerror or error}); choose another --out, or make it writable"
             ) from error
@@ -266,7 +266,9 @@ def resumable() -> Iterator[None]:
     try:
         yield
     except ProcessingError as error:
-        raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
+        if str(error).endswith(RESUMABLE):
+            raise
+        raise ProcessingError(f"{error}; {RESUMABLE}") from error
 
 
 def finish(folder: Place, record: RunRecord) -> None:

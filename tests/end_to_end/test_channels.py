@@ -17,7 +17,7 @@ from scenes import scene
 import blocksar
 from blocksar import stores
 from blocksar.api import joint
-from blocksar.errors import FolderError, InputError
+from blocksar.errors import FolderError, InputError, ProcessingError
 
 TARGETS = """
 [[targets]]
@@ -133,6 +133,17 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(
     before = (tmp_path / "run" / "run.json").stat().st_mtime_ns
     assert "nothing to do" in blocksar.focus(store, tmp_path / "run", **SETTINGS).summary[0]
     assert (tmp_path / "run" / "run.json").stat().st_mtime_ns == before
+
+
+def test_a_run_that_fails_as_channels_are_joined_says_how_to_go_on(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: Any) -> Any:
+        raise ProcessingError("no room") from OSError(28, "No space left on device")
+
+    monkeypatch.setattr(joint, "share_chunk", full)
+    with pytest.raises(ProcessingError, match=r"No space left on device.*; what was finished stays, the same command"):
+        blocksar.focus(store, tmp_path / "run", **SETTINGS)
 
 
 def test_other_runs_are_not_replaced_unasked(store: Path, run: Path, tmp_path: Path) -> None:
