@@ -20,6 +20,7 @@ import numpy as np
 from blocksar import stores
 from blocksar.api.arguments import GridLike, Source, grid_of, history_of, sources_of
 from blocksar.api.findings import without_samples
+from blocksar.api.fingerprints import joint_fingerprint
 from blocksar.api.ground import image_grid
 from blocksar.api.shown import RunReport, is_measurable
 from blocksar.chunks import TILE
@@ -55,6 +56,18 @@ class Members:
 
     def folder(self, run: Place, name: str) -> Place:
         return run_folder.member(run, name, self.dimension)
+
+    def input(self) -> RunInput:
+        """The input, as the record of the whole names it from the beginning; empty where it lies in memory."""
+        if any(isinstance(each, stores.DatasetHistory) for some in self.histories.values() for each in some):
+            return RunInput()
+        fingerprints = [joint_fingerprint([each.fingerprint() for each in some]) for some in self.histories.values()]
+        return RunInput(self.path, joint_fingerprint(fingerprints))
+
+    @property
+    def path(self) -> str:
+        """That of the first phase history."""
+        return str(next(iter(self.histories.values()))[0].path)
 
 
 def members_of(source: Source, looks: int | None, grid: GridLike | None) -> Members | None:
@@ -153,7 +166,7 @@ def focus_members(focus: Focus, members: Members, arguments: Mapping[str, Any]) 
         input_read = stack.enter_context(run_folder.begin(folder)) if arguments["overwrite"] else lambda: None
         if earlier is None:
             unfinished = RunRecord(
-                status=UNFINISHED, format=FORMAT, channels=names, dimension=members.dimension,
+                status=UNFINISHED, format=FORMAT, channels=names, dimension=members.dimension, input=members.input(),
                 versions={"blocksar": __version__},
             )  # fmt: skip
             unfinished.write(folder)
@@ -172,8 +185,7 @@ def focus_members(focus: Focus, members: Members, arguments: Mapping[str, Any]) 
             run_folder.check_unchanged(folder, earlier)
             done = f"{folder} is finished already with these settings and this input: nothing to do"
             return RunReport(summary=[done], result=earlier.as_json(), folder=folder, measurable=is_measurable(earlier))
-        source = str(members.histories[names[0]][0].path)
-        record = _join(folder, members.dimension, source, folders, records)
+        record = _join(folder, members.dimension, members.path, folders, records)
         run_folder.finish(folder, record)
     lines = [f"{name}: {line}" for name, report in reports.items() for line in report.summary]
     whole = f"{folder / 'image.zarr'} has the images of {len(names)} {kinds} ({', '.join(names)})"
@@ -281,7 +293,7 @@ def _join(
     stages = {stage: sum(r.timings.get(stage, 0.0) for r in records.values()) for stage in base.timings}
     return replace(
         base, status=FINISHED, channels=tuple(members), dimension=dimension, identity=identity, receipts=receipts,
-        input=RunInput(source, stores.checksum_bytes(repr([r.input for r in records.values()]).encode())),
+        input=RunInput(source, joint_fingerprint([r.input.fingerprint for r in records.values()])),
         warnings=tuple(f"{name}: {line}" for name, record in records.items() for line in record.warnings),
         timings={**stages, "join": time.perf_counter() - started},
         peak_memory=max(record.peak_memory or 0 for record in records.values()),
