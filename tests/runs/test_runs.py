@@ -440,6 +440,26 @@ def test_a_run_that_was_killed_while_its_files_were_removed_can_be_replaced(
     blocksar.focus(store, tmp_path / "run", overwrite=True, **settings)
 
 
+@pytest.mark.parametrize("name", ["collection.zarr", "spectrum.zarr", "patches/0", "image.zarr"])
+def test_a_store_that_lost_its_metadata_is_made_anew(
+    name: str, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a process leaves it that was killed while it removed the store."""
+
+    def interrupted(*_: Any, **__: Any) -> Any:
+        raise KeyboardInterrupt
+
+    settings: dict[str, Any] = {"blocks": 1, "coefficients": "closed-form", "grid": GRID, "workers": 0}
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(stages, "mosaic", interrupted)
+        blocksar.focus(store, tmp_path / "run", **settings)
+    shutil.copytree(tmp_path / "run", tmp_path / "whole")
+    (tmp_path / "run" / name / "zarr.json").unlink()
+    for run in ("run", "whole"):
+        blocksar.focus(store, tmp_path / run, **settings)
+    assert checksum(tmp_path / "run") == checksum(tmp_path / "whole")
+
+
 def test_an_image_without_a_covered_pixel_is_told_apart() -> None:
     """All of its chunks are the fill value, and none is written; patches are another store."""
     patch, pixels, block = (
