@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -63,6 +63,13 @@ class Members:
             return RunInput()
         fingerprints = [joint_fingerprint([each.fingerprint() for each in some]) for some in self.histories.values()]
         return RunInput(self.path, joint_fingerprint(fingerprints))
+
+    def unfinished(self) -> RunRecord:
+        """The record of the whole as long as it is not finished."""
+        return RunRecord(
+            status=UNFINISHED, format=FORMAT, channels=self.names, dimension=self.dimension, input=self.input(),
+            versions={"blocksar": __version__},
+        )  # fmt: skip
 
     @property
     def path(self) -> str:
@@ -165,11 +172,7 @@ def focus_members(focus: Focus, members: Members, arguments: Mapping[str, Any]) 
         stack.enter_context(run_folder.resumable())
         input_read = stack.enter_context(run_folder.begin(folder)) if arguments["overwrite"] else lambda: None
         if earlier is None:
-            unfinished = RunRecord(
-                status=UNFINISHED, format=FORMAT, channels=names, dimension=members.dimension, input=members.input(),
-                versions={"blocksar": __version__},
-            )  # fmt: skip
-            unfinished.write(folder)
+            members.unfinished().write(folder)
             if arguments["client"] is None and arguments["scheduler"] is None and arguments["workers"] != 0:
                 machine = resources(arguments["workers"], arguments["threads"], arguments["memory_limit"])
                 scratch = run_folder.scratch(folder)
@@ -177,6 +180,7 @@ def focus_members(focus: Focus, members: Members, arguments: Mapping[str, Any]) 
                 client = cluster.open_client(**machine._asdict(), scratch=scratch, listener=listener)
                 shared |= {"client": stack.enter_context(client), "workers": None, "threads": machine.threads}
                 shared["memory_limit"] = None
+        before = [name for name in names if earlier is None and _is_finished(members.folder(folder, name))]
         reports = {name: focus_one(name) for name in names}
         input_read()
         folders = {name: members.folder(folder, name) for name in names}
@@ -185,6 +189,8 @@ def focus_members(focus: Focus, members: Members, arguments: Mapping[str, Any]) 
             run_folder.check_unchanged(folder, earlier)
             done = f"{folder} is finished already with these settings and this input: nothing to do"
             return RunReport(summary=[done], result=earlier.as_json(), folder=folder, measurable=is_measurable(earlier))
+        for name in before:  # whose image becomes a part of the whole one without being read
+            run_folder.check_unchanged(folders[name], records[name], every=True)
         record = _join(folder, members.dimension, members.path, folders, records)
         run_folder.finish(folder, record)
     lines = [f"{name}: {line}" for name, report in reports.items() for line in report.summary]
@@ -249,6 +255,13 @@ def _earlier(folder: Place, dimension: str, *, overwrite: bool) -> RunRecord | N
         f"{folder} holds a run without {dimension}s; use --overwrite to replace it, or another --out",
         replaceable=True,
     )
+
+
+def _is_finished(folder: Place) -> bool:
+    """Whether a folder holds the record of a finished run."""
+    with suppress(InputError):
+        return RunRecord.read(folder).finished
+    return False
 
 
 def _identity(records: Mapping[str, RunRecord]) -> str:

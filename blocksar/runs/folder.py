@@ -346,8 +346,10 @@ def check_finished(folder: Place, record: RunRecord) -> None:
         )
 
 
-def check_unchanged(folder: Place, record: RunRecord) -> None:
+def check_unchanged(folder: Place, record: RunRecord, *, every: bool = False) -> None:
     """Check as `check_finished`, and read the chunks that were written after the record: all, where the run was copied.
+
+    With `every`, read all of them in any case.
 
     Raises
     ------
@@ -356,7 +358,7 @@ def check_unchanged(folder: Place, record: RunRecord) -> None:
     """
     check_finished(folder, record)
     image = folder / "image.zarr"
-    later = set(image.written_after(folder / RECORD))
+    later = {name for name, _, _ in image.files()} if every else set(image.written_after(folder / RECORD))
     changed = []
     for receipt in record.receipts if later else ():
         for part in receipt.written:

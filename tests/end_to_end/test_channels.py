@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -133,6 +134,27 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(
     before = (tmp_path / "run" / "run.json").stat().st_mtime_ns
     assert "nothing to do" in blocksar.focus(store, tmp_path / "run", **SETTINGS).summary[0]
     assert (tmp_path / "run" / "run.json").stat().st_mtime_ns == before
+
+
+def test_a_channel_that_was_damaged_before_the_run_went_on_is_noticed(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also if its time of modification does not tell."""
+
+    def fail(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(joint, "share_chunk", fail)
+        blocksar.focus(store, tmp_path / "run", **SETTINGS)
+    chunk = tmp_path / "run" / "channels" / "HH" / "image.zarr" / "image" / "c" / "0" / "0"
+    data, written = bytearray(chunk.read_bytes()), chunk.stat().st_mtime_ns
+    data[len(data) // 2] ^= 1
+    chunk.write_bytes(data)
+    os.utime(chunk, ns=(written, written))
+    with pytest.raises(FolderError, match=r"HH was finished, but 1 .* \(first: image/c/0/0\); use overwrite=True"):
+        blocksar.focus(store, tmp_path / "run", **SETTINGS)
+    blocksar.focus(store, tmp_path / "run", overwrite=True, **SETTINGS)
 
 
 def test_a_run_that_fails_as_channels_are_joined_says_how_to_go_on(
