@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -111,6 +112,17 @@ class ProcessingError(RuntimeError):
 
     def __init__(self, message: str) -> None:
         super().__init__(printable(message))
+
+
+def is_full(error: BaseException | None) -> bool:
+    """Whether an error says that a disk is full or broken: the same command may succeed once it is not."""
+    return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO)
+
+
+def no_room(what: object, error: OSError) -> ProcessingError:
+    """The error about a file or store for which a disk has no room."""
+    remedy = "see to the disk" if error.errno == errno.EIO else "make room"
+    return ProcessingError(f"{what} cannot be written ({error.strerror}); {remedy}, and give the same command again")
 
 
 class UnsupportedSystem(ImportError):

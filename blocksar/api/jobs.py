@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from blocksar import stores
 from blocksar.api.arguments import One, Source, check_one_frame, history_of, sources_of
+from blocksar.api.fingerprints import joint_fingerprint
 from blocksar.api.ground import PLANE, check_ground, geometry_over, ground_settings, read_ground
 from blocksar.api.surroundings import read_surroundings
 from blocksar.arrays import FloatArray
@@ -39,11 +40,6 @@ from blocksar.runs import folder as run_folder
 from blocksar.runs.record import FORMAT, UNFINISHED, PredictedBlock, RunPlan, RunRecord
 from blocksar.runs.sources import RunInput, RunSegment
 from blocksar.version import __version__
-
-
-def joint_fingerprint(fingerprints: Sequence[str]) -> str:
-    """The fingerprint of a run's input, by those of its collections: its own if there is one only."""
-    return fingerprints[0] if len(fingerprints) == 1 else stores.checksum_bytes("\n".join(fingerprints).encode())
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,6 +20,7 @@ import numpy as np
 from blocksar import stores
 from blocksar.api.arguments import GridLike, Source, grid_of, history_of, sources_of
 from blocksar.api.findings import without_samples
+from blocksar.api.fingerprints import joint_fingerprint
 from blocksar.api.ground import image_grid
 from blocksar.api.shown import RunReport, is_measurable
 from blocksar.chunks import TILE
@@ -55,6 +56,25 @@ class Members:
 
     def folder(self, run: Place, name: str) -> Place:
         return run_folder.member(run, name, self.dimension)
+
+    def input(self) -> RunInput:
+        """The input, as the record of the whole names it from the beginning; empty where it lies in memory."""
+        if any(isinstance(each, stores.DatasetHistory) for some in self.histories.values() for each in some):
+            return RunInput()
+        fingerprints = [joint_fingerprint([each.fingerprint() for each in some]) for some in self.histories.values()]
+        return RunInput(self.path, joint_fingerprint(fingerprints))
+
+    def unfinished(self) -> RunRecord:
+        """The record of the whole as long as it is not finished."""
+        return RunRecord(
+            status=UNFINISHED, format=FORMAT, channels=self.names, dimension=self.dimension, input=self.input(),
+            versions={"blocksar": __version__},
+        )  # fmt: skip
+
+    @property
+    def path(self) -> str:
+        """That of the first phase history."""
+        return str(next(iter(self.histories.values()))[0].path)
 
 
 def members_of(source: Source, looks: int | None, grid: GridLike | None) -> Members | None:
@@ -150,27 +170,29 @@ def focus_members(focus: Focus, members: Members, arguments: Mapping[str, Any]) 
         if fresh:
             stack.enter_context(_nothing_left(folder, there=there))
         stack.enter_context(run_folder.claim(folder))
+        stack.enter_context(run_folder.resumable())
+        input_read = stack.enter_context(run_folder.begin(folder)) if arguments["overwrite"] else lambda: None
         if earlier is None:
-            unfinished = RunRecord(
-                status=UNFINISHED, format=FORMAT, channels=names, dimension=members.dimension,
-                versions={"blocksar": __version__},
-            )  # fmt: skip
-            unfinished.write(folder)
+            members.unfinished().write(folder)
             if arguments["client"] is None and arguments["scheduler"] is None and arguments["workers"] != 0:
                 machine = resources(arguments["workers"], arguments["threads"], arguments["memory_limit"])
                 scratch = run_folder.scratch(folder)
+                stack.callback((folder / run_folder.SCRATCH).remove)
                 client = cluster.open_client(**machine._asdict(), scratch=scratch, listener=listener)
                 shared |= {"client": stack.enter_context(client), "workers": None, "threads": machine.threads}
                 shared["memory_limit"] = None
+        before = [name for name in names if earlier is None and _is_finished(members.folder(folder, name))]
         reports = {name: focus_one(name) for name in names}
+        input_read()
         folders = {name: members.folder(folder, name) for name in names}
         records = {name: RunRecord.read(path) for name, path in folders.items()}
         if earlier is not None and earlier.identity == _identity(records):
             run_folder.check_unchanged(folder, earlier)
             done = f"{folder} is finished already with these settings and this input: nothing to do"
             return RunReport(summary=[done], result=earlier.as_json(), folder=folder, measurable=is_measurable(earlier))
-        source = str(members.histories[names[0]][0].path)
-        record = _join(folder, members.dimension, source, folders, records)
+        for name in before:  # whose image becomes a part of the whole one without being read
+            run_folder.check_unchanged(folders[name], records[name], every=True)
+        record = _join(folder, members.dimension, members.path, folders, records)
         run_folder.finish(folder, record)
     lines = [f"{name}: {line}" for name, report in reports.items() for line in report.summary]
     whole = f"{folder / 'image.zarr'} has the images of {len(names)} {kinds} ({', '.join(names)})"
@@ -211,7 +233,7 @@ def _nothing_left(folder: Place, *, there: bool) -> Iterator[None]:
 
 
 def _earlier(folder: Place, dimension: str, *, overwrite: bool) -> RunRecord | None:
-    """Return the record of a finished run of channels or looks that stays; remove another if it may be overwritten.
+    """Return the record of a finished run of channels or looks that stays; None if there is none.
 
     Raises
     ------
@@ -225,17 +247,22 @@ def _earlier(folder: Place, dimension: str, *, overwrite: bool) -> RunRecord | N
         if foreign := [name for name in run_folder.foreign_names(folder, names) if name not in known]:
             raise FolderError(f"{folder} exists and holds no run of blocksar (but {foreign[0]}); choose another --out")
         return None
+    if overwrite:
+        return None
     record = RunRecord.read(folder)
     if record.channels and record.dimension == dimension:
-        return record if record.finished and not overwrite else None
-    if not overwrite:
-        raise FolderError(
-            f"{folder} holds a run without {dimension}s; use --overwrite to replace it, or another --out",
-            replaceable=True,
-        )
-    with run_folder.claim(folder):
-        run_folder.clear(folder)
-    return None
+        return record if record.finished else None
+    raise FolderError(
+        f"{folder} holds a run without {dimension}s; use --overwrite to replace it, or another --out",
+        replaceable=True,
+    )
+
+
+def _is_finished(folder: Place) -> bool:
+    """Whether a folder holds the record of a finished run."""
+    with suppress(InputError):
+        return RunRecord.read(folder).finished
+    return False
 
 
 def _identity(records: Mapping[str, RunRecord]) -> str:
@@ -280,7 +307,7 @@ def _join(
     stages = {stage: sum(r.timings.get(stage, 0.0) for r in records.values()) for stage in base.timings}
     return replace(
         base, status=FINISHED, channels=tuple(members), dimension=dimension, identity=identity, receipts=receipts,
-        input=RunInput(source, stores.checksum_bytes(repr([r.input for r in records.values()]).encode())),
+        input=RunInput(source, joint_fingerprint([r.input.fingerprint for r in records.values()])),
         warnings=tuple(f"{name}: {line}" for name, record in records.items() for line in record.warnings),
         timings={**stages, "join": time.perf_counter() - started},
         peak_memory=max(record.peak_memory or 0 for record in records.values()),

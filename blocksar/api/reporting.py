@@ -12,7 +12,7 @@ from blocksar import stores
 from blocksar.api.measuring import measure_targets
 from blocksar.api.reports import Report, only_stage
 from blocksar.api.target_files import targets_of
-from blocksar.errors import InputError, ProcessingError, in_the_way, library_for
+from blocksar.errors import InputError, ProcessingError, in_the_way, is_full, library_for, no_room
 from blocksar.measurement.figures import as_json
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
@@ -149,6 +149,8 @@ class _Writer:
         except (PermissionError, NotADirectoryError, FileExistsError) as error:
             raise InputError(f"{target} cannot be written ({error.strerror}); choose another --out") from error
         except OSError as error:
+            if is_full(error):
+                raise no_room(target, error) from error
             raise ProcessingError(f"{target} cannot be written ({error.strerror or error})") from error
         return target, ["; ".join(verdict), f"wrote {target}"]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -162,8 +162,9 @@ class TrackEstimate:
 
     def _begin(self) -> None:
         """Leave in the folder what belongs to this estimate only."""
-        with_record = (self.folder / RECORD).exists()
-        record = stores.read_json(self.folder / RECORD) if with_record else None
+        record = None
+        with suppress(InputError):  # there is none, or it is damaged
+            record = stores.read_json(self.folder / RECORD)
         if isinstance(record, Mapping) and record.get("identity") == self.identity:
             return
         for name in self.folder.names():

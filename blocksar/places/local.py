@@ -9,7 +9,7 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -151,6 +151,76 @@ def file_version(status: os.stat_result) -> str:
 
 
 @contextmanager
+def held_part(path: str | os.PathLike[str], make: Callable[[str], object]) -> Iterator[str]:
+    """Make a file or folder under a temporary name beside `path`, removed at the end if it still has that name.
+
+    It is locked meanwhile, so that `sweep_beside` tells it from what killed processes have left, which goes first.
+    """
+    sweep_beside(path)
+    while True:
+        part = temporary_name(path, "part")
+        make(part)
+        descriptor = _hold(part)
+        if descriptor is not None:
+            break
+    try:
+        yield part
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+        with suppress(OSError):
+            os.unlink(part)
+        os.close(descriptor)
+
+
+def _hold(part: str) -> int | None:
+    """Lock a new file or folder, and return its descriptor; None if another process has taken it for abandoned."""
+    try:
+        descriptor = os.open(part, os.O_RDONLY | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        held = os.path.samestat(os.fstat(descriptor), os.stat(part))
+    except (BlockingIOError, FileNotFoundError):
+        held = False
+    except OSError:  # a file system without locks, where nothing is swept
+        held = True
+    if held:
+        return descriptor
+    os.close(descriptor)
+    return None
+
+
+def sweep_beside(path: str | os.PathLike[str]) -> None:
+    """Remove what killed processes have left beside `path` under its temporary names.
+
+    What was moved out of the way of `path` stays while nothing has its name.
+    """
+    folder, name = os.path.split(os.path.abspath(path))
+    with suppress(OSError):
+        names = [other for other in os.listdir(folder) if is_temporary(other)]
+        for other in names:
+            if _whole(other) == _shortened(name) and (other.endswith(".part") or os.path.lexists(path)):
+                _remove_abandoned(os.path.join(folder, other))
+        for other in names:  # parts of parts
+            part = _whole(other)
+            ours = is_temporary(part) and _whole(part) == _shortened(name)
+            if ours and not os.path.lexists(os.path.join(folder, part)):
+                _remove_abandoned(os.path.join(folder, other))
+
+
+def _remove_abandoned(part: str) -> None:
+    """Remove a file or folder unless a living process holds it."""
+    with suppress(OSError):
+        descriptor = os.open(part, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            LocalPlace(Path(part)).remove()
+        finally:
+            os.close(descriptor)
+
+
+@contextmanager
 def replacing_file(path: str | os.PathLike[str]) -> Iterator[str]:
     """Yield a temporary name beside `path`: renamed to `path` if the block succeeds, removed if it fails."""
     part = temporary_name(path, "part")
@@ -165,9 +235,17 @@ def replacing_file(path: str | os.PathLike[str]) -> Iterator[str]:
 def temporary_name(path: str | os.PathLike[str], kind: Literal["part", "old"]) -> str:
     """Return an unused name beside `path`, of the form that `Place.sweep` removes."""
     folder, name = os.path.split(path)
-    # The file's own name is included for people; it is cut because file systems limit the length of names.
-    short = os.fsdecode(os.fsencode(name)[:200])
-    return os.path.join(folder, f".{short}.{secrets.token_hex(4)}.{kind}")
+    return os.path.join(folder, f".{_shortened(name)}.{secrets.token_hex(4)}.{kind}")
+
+
+def _shortened(name: str) -> str:
+    """The part of a name, for people, that its temporary names have: file systems limit the length of names."""
+    return os.fsdecode(os.fsencode(name)[:200])
+
+
+def _whole(temporary: str) -> str:
+    """The name, shortened, of which this is a temporary one."""
+    return temporary[1:].rsplit(".", 2)[0]
 
 
 def is_temporary(name: str) -> bool:

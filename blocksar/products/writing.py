@@ -11,9 +11,9 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from blocksar.errors import InputError, ProcessingError, in_the_way
+from blocksar.errors import InputError, ProcessingError, in_the_way, is_full, no_room
 from blocksar.places import Location, place
-from blocksar.places.local import LocalPlace, replacing_file
+from blocksar.places.local import LocalPlace, held_part
 from blocksar.runs.record import RECORD
 
 
@@ -53,18 +53,20 @@ def replacing(out: Location, *, overwrite: bool) -> Iterator[str]:
         raise in_the_way(target)
     try:
         os.makedirs(target.path.parent, exist_ok=True)
-        with replacing_file(target.path) as part:
-            with open(part, "xb"):
-                pass  # fail now if it cannot be written, with the same message whichever library writes
+        # It fails now if it cannot be written, with the same message whichever library writes.
+        with held_part(target.path, lambda part: open(part, "xb").close()) as part:
             yield part
             descriptor = os.open(part, os.O_RDONLY)
             try:
                 os.fsync(descriptor)
             finally:
                 os.close(descriptor)
+            os.replace(part, target.path)
     except (PermissionError, NotADirectoryError, FileExistsError) as error:
         raise InputError(f"{target} cannot be written ({error.strerror}); choose another name") from error
     except OSError as error:
         if error.errno == errno.ENAMETOOLONG:
             raise InputError(f"{target} cannot be written ({error.strerror}); choose a shorter name") from error
+        if is_full(error):
+            raise no_room(target, error) from error
         raise ProcessingError(f"{target} cannot be written ({error.strerror or error})") from error

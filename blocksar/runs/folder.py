@@ -8,7 +8,6 @@ There is no other state: a resumed run depends neither on a scheduler nor on an 
 
 from __future__ import annotations
 
-import errno
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -16,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from blocksar import stores
-from blocksar.errors import FolderError, InputError, ProcessingError
+from blocksar.errors import FolderError, InputError, ProcessingError, is_full, no_room
 from blocksar.places import lies_in
 from blocksar.places.local import LocalPlace, is_temporary
 from blocksar.places.place import Held, Place
@@ -54,6 +53,7 @@ TEMPORARY = ("receipts", "compressed.zarr", "gated", SCRATCH, TRACK)  # what a f
 INTERMEDIATE = ("spectrum.zarr", "patches")  # those of OWN that nothing reads once a run is finished
 LEFT_ALONE = (HISTORY, TRACK)  # may lie in the folder of a new run: `demo` puts its input there
 LOCK, ASIDE = "run.lock", ".replaced"
+RESUMABLE = "what was finished stays, the same command goes on from there"
 
 
 def member(folder: Place, name: str, dimension: str = "channel") -> Place:
@@ -83,8 +83,8 @@ def claim(folder: Place) -> Iterator[None]:
                 f"{folder} is being written by {owner}; wait until that run has ended, or choose another --out"
             ) from None
         except OSError as error:
-            if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
-                raise ProcessingError(f"{folder} cannot be written ({error.strerror})") from error
+            if is_full(error):
+                raise no_room(folder, error) from error
             raise FolderError(
                 f"{folder} cannot be written ({error.strerror or error}); choose another --out, or make it writable"
             ) from error
@@ -207,8 +207,8 @@ def refuse_overlap(source: Place, folder: Place) -> None:
 
 
 def clear(folder: Place) -> None:
-    """Remove all files of a run, and nothing else."""
-    for name in OWN:
+    """Remove all files of a run, and nothing else; the record last, which tells that the others are a run's."""
+    for name in reversed(OWN):
         (folder / name).remove()
 
 
@@ -224,20 +224,20 @@ def begin(folder: Place) -> Iterator[Callable[[], None]]:
     if not isinstance(folder, LocalPlace):
         clear(folder)
     elif (folder / RECORD).exists():
-        _move_own(folder, aside)
+        _move_own(folder, aside, reversed(OWN))  # the record last: a folder without it is taken for another's
     try:
         yield aside.remove
     except InputError:
         clear(folder)
         if aside.exists():
-            _move_own(aside, folder)
+            _move_own(aside, folder, OWN)
         raise
     finally:
         aside.remove()
 
 
-def _move_own(source: Place, target: Place) -> None:
-    """Move all files of a run to another folder of the same file system, or none.
+def _move_own(source: Place, target: Place, names: Iterable[str]) -> None:
+    """Move all files of a run, in this order, to another folder of the same file system, or none.
 
     Raises
     ------
@@ -247,12 +247,12 @@ def _move_own(source: Place, target: Place) -> None:
     os.makedirs(str(target), exist_ok=True)
     moved: list[str] = []
     try:
-        for name in OWN:
+        for name in names:
             if os.path.lexists(str(source / name)):
                 os.rename(str(source / name), str(target / name))
                 moved.append(name)
     except OSError as error:
-        for done in moved:
+        for done in reversed(moved):
             os.rename(str(target / done), str(source / done))
         target.remove()
         raise FolderError(
@@ -266,7 +266,9 @@ def resumable() -> Iterator[None]:
     try:
         yield
     except ProcessingError as error:
-        raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
+        if str(error).endswith(RESUMABLE):
+            raise
+        raise ProcessingError(f"{error}; {RESUMABLE}") from error
 
 
 def finish(folder: Place, record: RunRecord) -> None:
@@ -344,8 +346,10 @@ def check_finished(folder: Place, record: RunRecord) -> None:
         )
 
 
-def check_unchanged(folder: Place, record: RunRecord) -> None:
+def check_unchanged(folder: Place, record: RunRecord, *, every: bool = False) -> None:
     """Check as `check_finished`, and read the chunks that were written after the record: all, where the run was copied.
+
+    With `every`, read all of them in any case.
 
     Raises
     ------
@@ -354,7 +358,7 @@ def check_unchanged(folder: Place, record: RunRecord) -> None:
     """
     check_finished(folder, record)
     image = folder / "image.zarr"
-    later = set(image.written_after(folder / RECORD))
+    later = {name for name, _, _ in image.files()} if every else set(image.written_after(folder / RECORD))
     changed = []
     for receipt in record.receipts if later else ():
         for part in receipt.written:

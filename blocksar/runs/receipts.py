@@ -163,9 +163,13 @@ class Run:
         receipt = self.receipt(unit)
         if receipt is None or not self.intact(receipt):
             try:
+                if store.exists() and not (store / "zarr.json").exists():  # killed while it was removed
+                    store.remove()
                 create()
             except InputError as error:  # about the run's own store, not about the input
                 raise ProcessingError(str(error)) from error
+            except OSError as error:
+                raise ProcessingError(f"{store} cannot be written ({error.strerror or error})") from error
             files = self.file_checksums(store, volatile=volatile)
             self.sign(Receipt(unit=unit, stage="create", files=files), time.perf_counter())
 

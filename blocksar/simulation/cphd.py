@@ -17,10 +17,10 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.errors import InputError, in_the_way
+from blocksar.errors import InputError, in_the_way, is_full, no_room
 from blocksar.ingestion.cphd import NAMESPACE, library
 from blocksar.places import Location, place
-from blocksar.places.local import LocalPlace, replacing_file
+from blocksar.places.local import LocalPlace, held_part
 from blocksar.progress.listening import Callback
 from blocksar.simulation.cphd_beam import antenna_content, antenna_frame, gain_table, lit_area
 from blocksar.simulation.lengths import next_smooth_even
@@ -104,7 +104,7 @@ def simulate(
     samples = sampler(scene, collection, threads=threads)
     try:
         where.parent.mkdir(parents=True, exist_ok=True)
-        with replacing_file(where) as part, open(part, "w+b") as file:
+        with held_part(where, lambda part: open(part, "xb").close()) as part, open(part, "w+b") as file:
             sarkit.Writer(file, sarkit.Metadata(xmltree=tree)).write_pvp("1", vectors)
             file.seek(0)
             file.seek(int(sarkit.read_file_header(file)[1]["SIGNAL_BLOCK_BYTE_OFFSET"]))
@@ -117,9 +117,13 @@ def simulate(
                     progress(pulses.stop, collection.n_pulse)
             unturned = replace(frame, rotation=0.0)  # as a store has it that is ingested
             write_truth(scene, where, lambda p: unturned.from_ecef(frame.to_ecef(p - scene.centre)))
+            file.flush()
+            os.replace(part, where)
     except OSError as error:
+        if is_full(error):
+            raise no_room(where, error) from error
         raise InputError(
-            f"{where} cannot be written ({error.strerror or error}); choose another place, or make room or permission"
+            f"{where} cannot be written ({error.strerror or error}); choose another place, or make it writable"
         ) from error
     return where
 

@@ -185,6 +185,7 @@ def publish(made: Place, out: Place, *, overwrite: bool) -> None:
         If `out` exists and `overwrite` is False, or cannot be written.
     """
     if isinstance(made, LocalPlace) and isinstance(out, LocalPlace):
+        made.sweep()  # of what killed processes have left in it
         with replacing(out.path, overwrite=overwrite) as part:
             os.rename(made, part)
         return

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from blocksar.errors import InputError, ProcessingError, in_the_way
+from blocksar.errors import InputError, ProcessingError, in_the_way, is_full, no_room
 from blocksar.places import Location
 from blocksar.places import place as place_of
-from blocksar.places.local import LocalPlace, temporary_name
+from blocksar.places.local import LocalPlace, held_part, sweep_beside, temporary_name
 from blocksar.places.objects import ObjectPlace
 from blocksar.places.place import Place
 from blocksar.stores.arrays import metadata_file
@@ -71,7 +71,8 @@ def create(
     InputError
         If `path` exists and `overwrite` is False, or is not a zarr store, or cannot be written.
     ProcessingError
-        If an object store does not answer, or another process has begun to write the same store.
+        If the disk is full or broken, an object store does not answer, or another process has begun to write the same
+        store.
     ValueError
         If names, dimensions or shapes do not fit the schema, or JSON cannot hold an attribute.
     """
@@ -161,12 +162,34 @@ def _variable_attrs(
 
 @contextmanager
 def replacing(path: Path, *, overwrite: bool) -> Iterator[LocalPlace]:
-    """Yield a temporary name beside a folder: it replaces the folder if the block succeeds, else it is removed."""
-    part, old = temporary_name(path, "part"), temporary_name(path, "old")
+    """Yield an empty folder of a temporary name beside another: it replaces that if the block succeeds, else it goes.
+
+    What killed processes have left of such a folder goes first.
+    """
     try:
         _refuse_existing(path, overwrite=overwrite)
         path.parent.mkdir(parents=True, exist_ok=True)
-        yield LocalPlace(Path(part))
+        with held_part(path, os.mkdir) as part:
+            yield LocalPlace(Path(part))
+            _put_in_place(part, path, overwrite=overwrite)
+        sweep_beside(path)
+    except ProcessingError as error:  # of a part that cannot be written, by the name that the user gave
+        cause = error.__cause__
+        if isinstance(cause, OSError) and is_full(cause):
+            raise no_room(path, cause) from error
+        raise
+    except OSError as error:
+        if is_full(error):
+            raise no_room(path, error) from error
+        raise InputError(
+            f"{path} cannot be written ({error.strerror or error}); choose another place, or make it writable"
+        ) from error
+
+
+def _put_in_place(part: str, path: Path, *, overwrite: bool) -> None:
+    """Rename a folder, and remove what it replaces; if that fails, what was there stays."""
+    old = temporary_name(path, "old")
+    try:
         for attempt in range(RENAMES):
             if overwrite:
                 shutil.rmtree(old, ignore_errors=True)
@@ -180,12 +203,7 @@ def replacing(path: Path, *, overwrite: bool) -> Iterator[LocalPlace]:
                 _refuse_existing(path, overwrite=overwrite)
                 if attempt == RENAMES - 1 or not os.path.lexists(part):
                     raise
-    except OSError as error:
-        raise InputError(
-            f"{path} cannot be written ({error.strerror or error}); choose another place, or make room or permission"
-        ) from error
     finally:
-        shutil.rmtree(part, ignore_errors=True)
         if os.path.lexists(old):
             if not os.path.lexists(path):
                 os.rename(old, path)

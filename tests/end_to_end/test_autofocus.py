@@ -125,6 +125,16 @@ def test_a_killed_command_goes_on_to_the_same_bytes(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["again.zarr"]
 
 
+def test_a_damaged_record_of_an_estimate_is_no_wrong_input(
+    corrected: Corrected, client: Client, tmp_path: Path
+) -> None:
+    out = tmp_path / "again.zarr"
+    place(f"{out}.autofocus/run.json").write_bytes(b'{"identity":')
+    blocksar.autofocus(corrected.source, out, grid=wrong_tracks.GRID, control=corrected.control, client=client)
+    assert files(out) == files(corrected.store)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["again.zarr"]
+
+
 NOISE = "[noise]\npower = 1.0\nseed = 4\n"
 REFUSED = {
     "noise alone": NOISE,

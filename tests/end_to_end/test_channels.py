@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from scenes import scene
 import blocksar
 from blocksar import stores
 from blocksar.api import joint
-from blocksar.errors import FolderError, InputError
+from blocksar.errors import FolderError, InputError, ProcessingError
 
 TARGETS = """
 [[targets]]
@@ -135,6 +136,38 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(
     assert (tmp_path / "run" / "run.json").stat().st_mtime_ns == before
 
 
+def test_a_channel_that_was_damaged_before_the_run_went_on_is_noticed(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also if its time of modification does not tell."""
+
+    def fail(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(joint, "share_chunk", fail)
+        blocksar.focus(store, tmp_path / "run", **SETTINGS)
+    chunk = tmp_path / "run" / "channels" / "HH" / "image.zarr" / "image" / "c" / "0" / "0"
+    data, written = bytearray(chunk.read_bytes()), chunk.stat().st_mtime_ns
+    data[len(data) // 2] ^= 1
+    chunk.write_bytes(data)
+    os.utime(chunk, ns=(written, written))
+    with pytest.raises(FolderError, match=r"HH was finished, but 1 .* \(first: image/c/0/0\); use overwrite=True"):
+        blocksar.focus(store, tmp_path / "run", **SETTINGS)
+    blocksar.focus(store, tmp_path / "run", overwrite=True, **SETTINGS)
+
+
+def test_a_run_that_fails_as_channels_are_joined_says_how_to_go_on(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: Any) -> Any:
+        raise ProcessingError("no room") from OSError(28, "No space left on device")
+
+    monkeypatch.setattr(joint, "share_chunk", full)
+    with pytest.raises(ProcessingError, match=r"No space left on device.*; what was finished stays, the same command"):
+        blocksar.focus(store, tmp_path / "run", **SETTINGS)
+
+
 def test_other_runs_are_not_replaced_unasked(store: Path, run: Path, tmp_path: Path) -> None:
     with pytest.raises(FolderError, match="holds a run with blocks 1"):
         blocksar.focus(store, run, **{**SETTINGS, "blocks": 2})
@@ -146,6 +179,34 @@ def test_other_runs_are_not_replaced_unasked(store: Path, run: Path, tmp_path: P
     assert blocksar.open(tmp_path / "run").image.shape[0] == 2
     rehearsed = blocksar.focus(store, tmp_path / "other", dry_run=True, **SETTINGS)
     assert "2 channels (HH, HV)" in rehearsed.summary[0] and not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize("wrong", [{"memory_limit": "20MiB"}, {"grid": "0:10:1,0:10:1"}])
+def test_wrong_input_replaces_no_earlier_run(wrong: dict[str, Any], store: Path, run: Path, tmp_path: Path) -> None:
+    """Neither a run of channels, nor one without."""
+    alone = run / "channels" / "HV"
+    for earlier in (run, alone):
+        shutil.copytree(earlier, tmp_path / "run")
+        before = digests(tmp_path / "run")
+        with pytest.raises(InputError, match=r"memory limit|outside the swath"):
+            blocksar.focus(store, tmp_path / "run", overwrite=True, **SETTINGS | wrong)
+        assert digests(tmp_path / "run") == before
+        assert blocksar.info(tmp_path / "run").result["facts"]["state"].startswith("finished")
+        assert sorted(path.name for path in (tmp_path / "run").iterdir()) == sorted(p.name for p in earlier.iterdir())
+        shutil.rmtree(tmp_path / "run")
+
+
+def test_a_run_that_fails_leaves_no_temporary_files(store: Path, tmp_path: Path) -> None:
+    """Of workers of its own, which all channels share."""
+    with pytest.raises(InputError, match="memory limit"):
+        blocksar.focus(store, tmp_path / "run", **SETTINGS | {"workers": 1, "memory_limit": "20MiB"})
+    assert not (tmp_path / "run").exists()
+    blocksar.focus(store, tmp_path / "run", **SETTINGS)
+    before = sorted(path.name for path in (tmp_path / "run").iterdir())
+    settings = SETTINGS | {"workers": 1, "memory_limit": "20MiB"}
+    with pytest.raises(InputError, match="memory limit"):
+        blocksar.focus(store, tmp_path / "run", overwrite=True, **settings)
+    assert sorted(path.name for path in (tmp_path / "run").iterdir()) == before
 
 
 def test_leftovers_of_a_killed_run_refuse_no_run_and_foreign_files_do(store: Path, tmp_path: Path) -> None:

@@ -50,6 +50,14 @@ def test_products_do_not_depend_on_the_strip_size(
         assert (tmp_path / "whole").read_bytes() == (tmp_path / "strips").read_bytes()
 
 
+@pytest.mark.parametrize("kind", ["geotiff", "png"])
+def test_what_a_killed_process_has_left_of_a_product_goes(kind: Any, made: Made, tmp_path: Path) -> None:
+    for name in (".whole.0123abcd.part", "..whole.0123abcd.part.0123abce.part"):
+        (tmp_path / name).write_text("half")
+    blocksar.export(kind, made.folder, tmp_path / "whole")
+    assert os.listdir(tmp_path) == ["whole"]
+
+
 def test_coverage_matches_the_finite_pixels(made: Made) -> None:
     found, covered = made.source.coverage(), np.isfinite(made.image)
     for first, last, along in ((*found[:2], covered), (*found[2:], covered.T)):

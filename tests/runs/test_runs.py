@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -26,6 +27,7 @@ from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.focusing import step
 from blocksar.graph import stages, tasks
 from blocksar.places import place
+from blocksar.places.local import LocalPlace
 from blocksar.planning import memory
 from blocksar.runs import folder
 from blocksar.runs.receipts import Run, write
@@ -387,6 +389,75 @@ def test_a_run_that_was_killed_while_it_was_planned_begins_again(tmp_path: Path,
     for foreign in (run, file):
         with pytest.raises(FolderError, match=r"holds no run of blocksar \(but scratch\)"):
             folder.find_run(place(foreign), {}, "", overwrite=False)
+
+
+class Killed(BaseException):
+    """Ends a process where it is, as far as what it leaves on the disk is concerned."""
+
+
+@pytest.mark.parametrize("moves", [1, 3])
+def test_an_overwrite_that_was_killed_while_it_moved_the_earlier_run_can_be_given_again(
+    moves: int, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings: dict[str, Any] = {"coefficients": "closed-form", "grid": GRID, "workers": 0}
+    run, rename, done = tmp_path / "run", os.rename, []
+
+    def rename_some(source: str, target: str) -> None:
+        if ".replaced" in str(target):
+            if len(done) == moves:
+                raise Killed
+            done.append(source)
+        rename(source, target)
+
+    blocksar.focus(store, run, blocks=1, **settings)
+    monkeypatch.setattr(os, "rename", rename_some)
+    with pytest.raises(Killed):
+        blocksar.focus(store, run, blocks=2, overwrite=True, **settings)
+    monkeypatch.setattr(os, "rename", rename)
+    blocksar.focus(store, run, blocks=2, overwrite=True, **settings)
+    assert blocksar.info(run).result["facts"]["state"].startswith("finished")
+    assert not (run / ".replaced").exists()
+
+
+def test_a_run_that_was_killed_while_its_files_were_removed_can_be_replaced(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings: dict[str, Any] = {"blocks": 1, "coefficients": "closed-form", "grid": GRID, "workers": 0}
+    blocksar.focus(store, tmp_path / "run", **settings)
+    remove = LocalPlace.remove
+
+    def remove_some(self: LocalPlace) -> None:
+        remove(self)
+        if self.name == "spectrum.zarr":
+            raise Killed
+
+    monkeypatch.setattr(LocalPlace, "remove", remove_some)
+    with pytest.raises(Killed):
+        folder.clear(place(tmp_path / "run"))
+    monkeypatch.setattr(LocalPlace, "remove", remove)
+    with pytest.raises(FolderError, match="use overwrite=True"):
+        blocksar.focus(store, tmp_path / "run", **settings)
+    blocksar.focus(store, tmp_path / "run", overwrite=True, **settings)
+
+
+@pytest.mark.parametrize("name", ["collection.zarr", "spectrum.zarr", "patches/0", "image.zarr"])
+def test_a_store_that_lost_its_metadata_is_made_anew(
+    name: str, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a process leaves it that was killed while it removed the store."""
+
+    def interrupted(*_: Any, **__: Any) -> Any:
+        raise KeyboardInterrupt
+
+    settings: dict[str, Any] = {"blocks": 1, "coefficients": "closed-form", "grid": GRID, "workers": 0}
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(stages, "mosaic", interrupted)
+        blocksar.focus(store, tmp_path / "run", **settings)
+    shutil.copytree(tmp_path / "run", tmp_path / "whole")
+    (tmp_path / "run" / name / "zarr.json").unlink()
+    for run in ("run", "whole"):
+        blocksar.focus(store, tmp_path / run, **settings)
+    assert checksum(tmp_path / "run") == checksum(tmp_path / "whole")
 
 
 def test_an_image_without_a_covered_pixel_is_told_apart() -> None:

@@ -110,8 +110,10 @@ def test_a_published_copy_replaces_only_what_it_may(small_collection: Collection
     made, out = place(tmp_path / "made.zarr"), place(tmp_path / "ph.zarr")
     with pytest.raises(InputError, match="exists; choose another name"):
         stores.publish(made, out, overwrite=False)
+    (tmp_path / "made.zarr" / ".zarr.json.0123abcd.part").write_text("{")  # of a process that was killed
     (tmp_path / "made.zarr" / "mark").touch()
     stores.publish(made, out, overwrite=True)
     assert sorted(os.listdir(tmp_path)) == ["ph.zarr"]
     assert (tmp_path / "ph.zarr" / "mark").exists()
+    assert not list((tmp_path / "ph.zarr").glob(".*"))
     assert json.loads((tmp_path / "ph.zarr" / "zarr.json").read_text())["attributes"]["scene"] == "noise"

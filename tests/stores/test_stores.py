@@ -26,7 +26,7 @@ from blocksar import stores
 from blocksar.collection.collection import Collection
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.errors import InputError, ProcessingError
-from blocksar.places import place
+from blocksar.places import local, place
 from blocksar.places.local import LocalPlace
 from blocksar.stores import chunk_files, creation
 
@@ -485,6 +485,48 @@ def test_overwrite_spares_what_is_not_a_store(small_collection: Collection, tmp_
     with pytest.raises(InputError, match="cannot be written"):
         stores.create_phase_history(precious / "chapter1.tex" / "ph.zarr", small_collection)
     assert (precious / "chapter1.tex").read_text() == "..."
+
+
+def test_what_killed_processes_left_beside_a_store_goes_and_what_living_ones_write_stays(
+    small_collection: Collection, tmp_path: Path
+) -> None:
+    path = tmp_path / "ph.zarr"
+    left = [".ph.zarr.0123abcd.part", ".ph.zarr.0123abce.old"]
+    for name in [*left, ".ph.zarr.2.0123abcd.part", "..ph.zarr.0123abcd.part.0123abcd.part"]:
+        (tmp_path / name / "signal").mkdir(parents=True)
+    with local.held_part(path, os.mkdir) as part:
+        stores.create_phase_history(path, small_collection)
+        assert sorted(os.listdir(tmp_path)) == sorted([".ph.zarr.2.0123abcd.part", os.path.basename(part), "ph.zarr"])
+    assert sorted(os.listdir(tmp_path)) == [".ph.zarr.2.0123abcd.part", "ph.zarr"]
+
+
+def test_a_store_that_was_moved_away_stays_until_another_has_its_name(tmp_path: Path) -> None:
+    (tmp_path / ".ph.zarr.0123abce.old").mkdir()
+    local.sweep_beside(tmp_path / "ph.zarr")
+    assert os.listdir(tmp_path) == [".ph.zarr.0123abce.old"]
+
+
+def test_a_full_disk_is_no_wrong_input(
+    small_collection: Collection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    def fill(part: Any) -> None:
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "replace", full)
+            stores.write_region(part, "signal", np.s_[:, :], np.zeros((256, 128), np.complex64))
+
+    path = tmp_path / "ph.zarr"
+    said = f"{path} cannot be written (No space left on device); make room, and give the same command again"
+    with pytest.raises(ProcessingError) as found:
+        stores.create_phase_history(path, small_collection, fill=fill)
+    assert str(found.value) == said
+    monkeypatch.setattr(os, "mkdir", full)
+    with pytest.raises(ProcessingError) as found:
+        stores.create_phase_history(path, small_collection)
+    assert str(found.value) == said
+    assert os.listdir(tmp_path) == []
 
 
 def test_a_failed_creation_leaves_nothing(tmp_path: Path, own: Path, monkeypatch: Any) -> None:

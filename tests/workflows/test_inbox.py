@@ -25,13 +25,15 @@ import zarr
 from distributed import Client
 from faults import digests, members, until
 from repository import WORKFLOWS
-from scenes import write_store
+from scenes import scene, write_store
 
 import blocksar
 from blocksar import stores
+from blocksar.api import joint
 from blocksar.errors import InputError
 from blocksar.graph import cluster, stages
 from blocksar.places import place
+from blocksar.places.local import LocalPlace
 from blocksar.runs import folder
 
 SCRIPT = WORKFLOWS / "process_inbox.py"
@@ -286,6 +288,36 @@ def test_an_interrupted_collection_is_resumed(
     assert post.images() == {"a": image, "b": image}
     receipts = json.loads((post.outbox / "runs" / "a" / "run.json").read_text())["receipts"]
     assert [r["unit"] for r in receipts if r.get("reused")] == ["columns-0", "block-0"]
+
+
+@pytest.mark.parametrize("ended", ["before its end", "before its record"])
+def test_an_interrupted_collection_of_several_channels_is_resumed(
+    ended: str, post: Post, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: Any, **__: Any) -> Any:
+        raise KeyboardInterrupt
+
+    (tmp_path / "scene.toml").write_text(f'channels = ["HH", "HV"]\n{scene(**SCENE)}')
+    blocksar.simulate(tmp_path / "scene.toml", post.inbox / "a.zarr")
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        if ended == "before its end":
+            patch.setattr(joint, "share_chunk", interrupted)
+        else:
+            patch.setattr(LocalPlace, "write_bytes", _unless(f"{post.outbox}/done", interrupted))
+        post.sweep()
+    assert post.sweep() == post.module.DONE
+    assert post.names("resumed" if ended == "before its end" else "found finished") == ["a"]
+    assert [path.name for path in (post.outbox / "runs").iterdir()] == ["a"]
+
+
+def _unless(folder: str, instead: Callable[..., Any]) -> Callable[..., None]:
+    """Writes files, but does something else with those of a folder."""
+    write = LocalPlace.write_bytes
+
+    def chosen(self: LocalPlace, data: bytes) -> None:
+        (instead if str(self).startswith(folder) else write)(self, data)
+
+    return chosen
 
 
 @pytest.mark.parametrize("change", ["options", "bytes", "version"])

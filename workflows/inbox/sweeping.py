@@ -12,7 +12,7 @@ from typing import Any
 
 import blocksar
 from blocksar import stores
-from blocksar.api.jobs import joint_fingerprint
+from blocksar.api.fingerprints import input_fingerprint
 from blocksar.cli import endings
 from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.places.place import Place
@@ -166,8 +166,8 @@ class Sweep:
         return event
 
     def _find_run(self, arrival: Arrival) -> tuple[Path, Standing]:
-        fingerprints = [stores.open_phase_history(str(store)).fingerprint() for store in arrival.stores]
-        return self.outbox.run_of(arrival.name, arrival.stores[0], joint_fingerprint(fingerprints))
+        histories = [stores.open_phase_history(str(store)) for store in arrival.stores]
+        return self.outbox.run_of(arrival.name, arrival.stores[0], input_fingerprint(histories))
 
     def _focus(self, arrival: Arrival, run: Path, standing: Standing) -> list[str]:
         """Focus into a run and return its summary; an unfinished run of other options or bytes is replaced."""
