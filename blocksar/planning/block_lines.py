@@ -43,7 +43,7 @@ class CoarseLines(NamedTuple):
         nodes, yaw = nodes_between(sector.near, sector.far, n_range), np.linspace(sector.low, sector.high, n_yaw)
         dwells = sector.dwells(yaw, coarsely=True)
         line = dwells.lines(nodes[:, None])
-        everywhere = sector.with_relief(line, lambda part: part.dwells(yaw, coarsely=True).lines(nodes[:, None]))
+        everywhere = sector.with_relief(line, lambda part: part.dwells(yaw, like=line).lines(nodes[:, None]))
         return cls(line, everywhere, nodes, dwells)
 
     @property
@@ -82,8 +82,10 @@ class _Traced(NamedTuple):
     line: Line  # after all steps
 
 
-def _trace(sector: Sector, azimuth: AzimuthPart, epoch_range: FloatArray, yaw: FloatArray) -> _Traced:
-    lit = sector.dwells(yaw).lines(epoch_range[:, None])
+def _trace(
+    sector: Sector, azimuth: AzimuthPart, epoch_range: FloatArray, yaw: FloatArray, *, like: Line | None = None
+) -> _Traced:
+    lit = sector.dwells(yaw, like=like).lines(epoch_range[:, None])
     compressed = azimuth.range_part.trace(lit)
     biased, _, line = azimuth.trace(compressed)
     return _Traced(lit, compressed, biased, line)
@@ -109,8 +111,11 @@ def follow_terrain(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> Fi
 
 
 def retrace(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> tuple[Line, FloatArray]:
-    """Lines after all steps of the targets at the same ranges and yaws of another ground, and `DwellEnds.rate`."""
-    traced = _levelled(_trace(sector, azimuth, lines.epoch_range, lines.yaw), lines.in_time)
+    """Lines after all steps of the targets at the same ranges and yaws of another ground, and `DwellEnds.rate`.
+
+    With as many nodes, for the weights of their dwells are those of the lines: the longest dwell depends on the ground.
+    """
+    traced = _levelled(_trace(sector, azimuth, lines.epoch_range, lines.yaw, like=lines.lit), lines.in_time)
     return traced.line, traced.biased.rate
 
 

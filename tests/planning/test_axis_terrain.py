@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from axis_beams import spotlight, with_patterns
+from axis_beams import axis_collection, spotlight, with_patterns
 
+from blocksar.collection.collection import Collection
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
@@ -31,3 +32,14 @@ def test_spotlights_that_stay_are_focused_over_a_hill_as_on_the_plane(patterns: 
     )
     assert plane.stays and over.stays
     assert over.refusal is None and over.coherence > plane.coherence - 5e-4
+
+
+def test_lines_over_a_terrain_have_as_many_nodes_at_all_heights() -> None:
+    """Along a spline these follow the longest dwell, which heights change: here from 69.0 to 69.2 above the least."""
+    still = with_patterns(axis_collection("squinted", n_pulse=1200, beam_width=0.0099975))
+    wave = np.sin(2 * np.pi * 14 * still.time)[:, None] * [0.004, 0.004, 0.004]
+    shaken = Collection(**{**still.as_dict(), "antenna_position": still.antenna_position + wave})
+    y = float(np.hypot(9000, 4000) * np.tan(0.25))
+    grid, over = Grid(GRID.x0, GRID.x1, 2.0, y - 60, y + 60, 1.5), hill(250.0)
+    terrain = Terrain(x0=over.x0, dx=over.dx, y0=over.y0 + y, dy=over.dy, heights=over.heights)
+    assert plan_collection(shaken, grid=grid, blocks=1, terrain=terrain).coherence > 0.9995
