@@ -11,6 +11,7 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.planning.plan import plan_collection
+from blocksar.planning.strips import owned_by
 
 GRID = Grid(8880.0, 9120.0, 1.5, -80.0, 80.0, 0.9)
 
@@ -43,3 +44,12 @@ def test_lines_over_a_terrain_have_as_many_nodes_at_all_heights() -> None:
     grid, over = Grid(GRID.x0, GRID.x1, 2.0, y - 60, y + 60, 1.5), hill(250.0)
     terrain = Terrain(x0=over.x0, dx=over.dx, y0=over.y0 + y, dy=over.dy, heights=over.heights)
     assert plan_collection(shaken, grid=grid, blocks=1, terrain=terrain).coherence > 0.9995
+
+
+def test_a_strip_of_which_a_grid_needs_one_segment_is_planned() -> None:
+    """The others see none of it, so that nothing bounds what the one images."""
+    collection = axis_collection("tops", n_pulse=1200)
+    spans = [(300, 900)]
+    owned = owned_by(collection, spans, 0)
+    x, y = np.meshgrid(GRID.x, GRID.y)
+    assert owned(x, y).any()
