@@ -262,6 +262,20 @@ def test_unit_targets_under_a_sinc2_pattern_are_one_over_the_swath(mode: str) ->
     assert np.abs(np.angle(image[rows, columns])).max() < 0.01
 
 
+def test_unit_targets_under_the_lobes_of_a_pattern_in_elevation_are_one() -> None:
+    """Four zeros within the swath, between which sums over lit pulses are no straight lines over a thirtieth of it."""
+    elevation = np.linspace(0.40, 0.44, 801)
+    pattern = np.sinc((elevation - 0.4182) / 0.0022) ** 2
+    collection = axis_collection(n_pulse=900, elevation=elevation, elevation_pattern=pattern)
+    grid = Grid(8880.0, 9120.0, STEP_X, -27.0, 27.0, STEP_Y)
+    columns, rows = np.array([26, 30, 80, 132]), np.array([30, 10, 40, 20])
+    x, y = grid.x[columns], grid.y[rows]
+    gain = np.interp(np.arctan2(4000.0, x), elevation, pattern)
+    assert (gain > 0.03).all() and (gain[[0, 1, 3]] < 0.05).all()
+    image = focus(plan_collection(collection, grid=grid), simulate_pulses(collection, x, y, 0.2 / gain))
+    assert np.abs(image[rows, columns] * gain / 0.2 - 1).max() < 0.015
+
+
 @pytest.mark.parametrize(("patterns", "text"), [(False, "uniform"), (True, "taylor:4:-35")])
 def test_all_pulses_are_summed_where_the_beam_stays_on_a_spot(patterns: bool, text: str) -> None:
     """Also near the edges of the beam, which not all pulses light; and those that none does are not covered."""
