@@ -53,3 +53,13 @@ def test_a_strip_of_which_a_grid_needs_one_segment_is_planned() -> None:
     owned = owned_by(collection, spans, 0)
     x, y = np.meshgrid(GRID.x, GRID.y)
     assert owned(x, y).any()
+
+
+def test_blocks_at_the_rim_of_what_is_lit_cost_over_a_hill_what_they_cost_on_the_plane() -> None:
+    """Where none of a block's targets has a full dwell, those with the longest are judged, not all that are there."""
+    collection, y = axis_collection("squinted", n_pulse=1200), float(np.hypot(9000, 4000) * np.tan(0.25))
+    x, along = np.arange(8300.0, 9700.0, 10.0), np.arange(y - 700, y + 700, 10.0)
+    heights = 100 * np.exp(-((x - 9000) ** 2 + (along[:, None] - y) ** 2) / 150**2)
+    terrain = Terrain(x0=x[0], dx=10.0, y0=along[0], dy=10.0, heights=heights)
+    grid = Grid(8500.0, 9500.0, 4.0, y - 500, y + 500, 4.0)
+    assert plan_collection(collection, grid=grid, blocks=4, terrain=terrain).coherence > 0.999
