@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 from axis_beams import axis_collection, spotlight, with_patterns
@@ -10,7 +13,11 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
+from blocksar.errors import OutsideSwath
+from blocksar.focusing.method import Method
+from blocksar.planning.block import BlockPlan, plan_block
 from blocksar.planning.plan import plan_collection
+from blocksar.planning.sector import Sector
 from blocksar.planning.strips import owned_by
 
 GRID = Grid(8880.0, 9120.0, 1.5, -80.0, 80.0, 0.9)
@@ -63,3 +70,17 @@ def test_blocks_at_the_rim_of_what_is_lit_cost_over_a_hill_what_they_cost_on_the
     terrain = Terrain(x0=x[0], dx=10.0, y0=along[0], dy=10.0, heights=heights)
     grid = Grid(8500.0, 9500.0, 4.0, y - 500, y + 500, 4.0)
     assert plan_collection(collection, grid=grid, blocks=4, terrain=terrain).coherence > 0.999
+
+
+def test_a_block_of_which_nothing_is_lit_lies_outside_the_swath(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept: list[tuple[Sector, Method]] = []
+
+    def keep(sector: Sector, method: Method, **rest: Any) -> BlockPlan:
+        kept.append((sector, method))
+        return plan_block(sector, method, **rest)
+
+    monkeypatch.setattr("blocksar.planning.plan.plan_block", keep)
+    plan_collection(axis_collection("squinted"), grid=Grid(8880.0, 9120.0, 3.0, 2450.0, 2500.0, 2.0), blocks=1)
+    sector, method = kept[0]
+    with pytest.raises(OutsideSwath, match="lights none of its ground"):
+        plan_block(replace(sector, low=sector.high + 0.1, high=sector.high + 0.12), method, index=0)
