@@ -30,7 +30,10 @@ FULL_DWELL_YAWS = 257  # at which full dwells are looked for under a beam about 
 RANGES_COMPARED = (("near", 0.1), ("middle", 0.5), ("far", 0.9))  # name, share of the swath
 DARK = 20.0  # dB below the brightest chip
 
+SPREAD = 1 / 6, 1 / 2, 5 / 6  # of an image's sides, where no place of the plan lies in it
+
 Compared = list[tuple[str, float, float, ChipComparison]]
+Chips = list[tuple[str, float, float, ComplexArray, slice, slice]]
 
 
 def compare_with_exact(run: FinishedRun, result: dict[str, Any]) -> tuple[Table, list[str]]:
@@ -55,6 +58,8 @@ def compare_with_exact(run: FinishedRun, result: dict[str, Any]) -> tuple[Table,
     if changed := [path for path, history in inputs.items() if _has_changed(run, path, history)]:
         lines[0] = f"{', '.join(changed)} has changed since the run: the reference is of other samples than the image"
         result["changed_input"] = changed
+    if not chips:
+        lines.append("nothing was compared: the image is too small, or hardly covered")
     predicted = min((block.coherence for block in run.record.plan.predicted), default=math.nan)
     bright, dark = full_dwell_coherence(chips)
     if bright and not math.isnan(predicted):
@@ -144,15 +149,25 @@ def whole_geometry(run: FinishedRun, history: stores.PhaseHistory) -> Geometry:
     return Geometry(collection=collection) if terrain is None else over_terrain(collection, terrain)
 
 
-def _chips(
-    run: FinishedRun, path: str, geometry: Geometry
-) -> list[tuple[str, float, float, ComplexArray, slice, slice]]:
+def _chips(run: FinishedRun, path: str, geometry: Geometry) -> Chips:
     """Name, x and y (m), pixels, rows and columns of the chips to compare; pixels of other collections are NaN.
 
-    `geometry` is that of the whole collection at `path`.
+    `geometry` is that of the whole collection at `path`. Where none of the plan's places lies in the image, which may
+    be a small part of what the blocks own, they are spread over the image.
     """
+    return _chips_at(_places_of(run, path), run, path, geometry) or _chips_at(_spread(run), run, path, geometry)
+
+
+def _spread(run: FinishedRun) -> list[tuple[str, float, float]]:
+    """Name, x and y (m) of places over an image: its centre, and at a sixth of its sides from the edges."""
+    x, y = (low + (high - low) * np.array(SPREAD) for low, high in ((run.x[0], run.x[-1]), (run.y[0], run.y[-1])))
+    return [(f"image, column {i + 1}, row {j + 1} of 3", float(x[i]), float(y[j])) for j in range(3) for i in range(3)]
+
+
+def _chips_at(places: Sequence[tuple[str, float, float]], run: FinishedRun, path: str, geometry: Geometry) -> Chips:
+    """The chips about some places; see `_chips`."""
     half, chips = 32, []
-    for name, x, y in _places_of(run, path):
+    for name, x, y in places:
         row, column = run.pixel_at(x, y)
         rows, columns = slice(max(row - half, 0), row + half), slice(max(column - half, 0), column + half)
         if row < 0 or column < 0 or run.y[rows].size < half or run.x[columns].size < half:

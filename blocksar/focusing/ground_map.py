@@ -19,7 +19,8 @@ from blocksar.focusing.relief_map import ReliefMap
 from blocksar.focusing.surfaces import Surface, fit_surface
 from blocksar.kernels.fourier import Axis
 
-LIT_RANGES = 33  # of the sum over lit pulses, where that depends on range
+LIT_RANGES, MOST_LIT_RANGES = 33, 513  # of the sum over lit pulses, where that depends on range
+LIT_ERROR = 0.01  # of the pattern in elevation between two of them, where it is at least as large a part of its peak
 LEAST_LIT = 0.3  # pulses at the peak of the pattern: with a smaller sum a pixel counts as not lit
 LEAST_WEIGHT = 0.007  # of a whole dwell under a taper: a share of 10 % under hann, 4 % under hamming, 2 % under taylor
 WHOLE_DWELLS = 64  # directions in which the longest dwell is looked for
@@ -134,16 +135,16 @@ class GroundMap:
     def lit(self) -> FloatArray:
         """Number of lit pulses at each yaw (n,), missing ones left out: the sum of `valid` times the taper.
 
-        Where dwells depend on range, or the antenna has a pattern, which weighs the pulses besides: (LIT_RANGES, n), at
-        ranges from near to far. Where the beam `stays`, over all pulses. Only a block that is focused needs them, not
-        one that is planned.
+        Where dwells depend on range, or the antenna has a pattern, which weighs the pulses besides: (n_range, n), at
+        `lit_ranges` from near to far. Where the beam `stays`, over all pulses. Only a block that is focused needs
+        them, not one that is planned.
         """
         geometry, taper = self.geometry, self.taper
         valid = np.ones(geometry.collection.n_pulse) if self.valid is None else self.valid
         if not by_range(geometry):
             centre = None if self.tapered is None else self.tapered.collection.beam_azimuth
             return weighted_pulses(geometry.collection, self.yaw_axis, valid, taper, centre=centre)
-        ranges = np.linspace(self.near, self.far, LIT_RANGES)
+        ranges = np.linspace(self.near, self.far, lit_ranges(geometry, self.near, self.far))
         return lit_total(geometry, ranges, self.yaw_axis, valid, taper, stays=self.stays, tapered=self.tapered)
 
     @property
@@ -247,6 +248,24 @@ class GroundMap:
 def by_range(geometry: Geometry) -> bool:
     """Whether the sum over lit pulses depends on range."""
     return geometry.collection.has_axis or geometry.collection.has_pattern
+
+
+def lit_ranges(geometry: Geometry, near: float, far: float) -> int:
+    """Number of ranges from near to far, m, between which the sum over lit pulses is linear: see `LIT_ERROR`."""
+    collection = geometry.collection
+    if collection.elevation is None or collection.elevation_pattern is None:
+        return LIT_RANGES
+    height = geometry.epoch_position[2] - collection.ground_height
+    ranges = np.linspace(near, far, MOST_LIT_RANGES)
+    gain = np.interp(np.arcsin(np.minimum(height / ranges, 1.0)), collection.elevation, collection.elevation_pattern)
+    large, count = gain >= LIT_ERROR * gain.max(), LIT_RANGES
+    while count < MOST_LIT_RANGES:
+        part = slice(None, None, (MOST_LIT_RANGES - 1) // (count - 1))
+        between = np.interp(ranges, ranges[part], gain[part])
+        if (np.abs(between - gain)[large] <= LIT_ERROR * gain[large]).all():
+            break
+        count = 2 * count - 1
+    return count
 
 
 def surfaces(

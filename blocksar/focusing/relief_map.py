@@ -124,9 +124,11 @@ def straighten(line: Line, about: Callable[[Focus], FloatArray]) -> tuple[Line, 
     """Lines without the phase that is quadratic in time, (...) cycles/s^2, and their focus.
 
     The interpolation along Doppler takes this phase out; it is `about` the time (...), s, about which it interpolates.
+    That may lie off the middle of weights that tilt; the quadratic is found about their middle, where it is orthogonal
+    to a constant and a slope.
     """
     spots = focus(line)
-    offset = line.time - about(spots)[..., None]
+    offset = line.time - spots.time[..., None]
     weight = line.weight * np.sqrt(np.maximum(line.stretch, 1e-3))
     total = weight.sum(axis=-1)
 
@@ -140,6 +142,6 @@ def straighten(line: Line, about: Callable[[Focus], FloatArray]) -> tuple[Line, 
     # A dwell that is cut short has no bend worth the name.
     power = mean(square**2)
     bend = mean(level * square) / np.maximum(power, SHORT * power.max())
-    bent = bend[..., None]
+    bent, offset = bend[..., None], line.time - about(spots)[..., None]
     straight = line.multiply_time(-bent * offset**2, -2 * bent * offset, np.broadcast_to(-2 * bent, offset.shape))
     return straight, bend, focus(straight)

@@ -9,6 +9,7 @@ import numpy as np
 
 from blocksar.chunks import DOPPLER_GROUP
 from blocksar.collection.weighting import FLAT, AxisTaper
+from blocksar.errors import OutsideSwath
 from blocksar.focusing.azimuth_steps import DopplerResampling
 from blocksar.focusing.chains import steps_of
 from blocksar.focusing.ground_map import GroundMap
@@ -131,6 +132,11 @@ def plan_block(
 
     A Doppler resampling is fitted on the lines of the block, and applied to all Doppler bins: of a narrow block these
     reach many times as far, where its highest orders may fold Doppler. It then has fewer of them.
+
+    Raises
+    ------
+    OutsideSwath
+        If none of its targets are lit; on a terrain, of those on the smooth part.
     """
     for resampling in range(len(RESAMPLING_ORDERS), -1, -1):
         block = _plan_block(sector, method, index=index, part=part, neighbour=neighbour, resampling=resampling)
@@ -148,6 +154,11 @@ def _plan_block(
 
     # Coarse lines, as far as range compression: the slab, and the steps with their coefficients.
     coarse = CoarseLines.of(sector)
+    if coarse.duration <= 0:
+        raise OutsideSwath(
+            f"block {index} lies outside the swath: the beam lights none of its ground, yaw "
+            f"{np.degrees(sector.low):.2f} .. {np.degrees(sector.high):.2f} degrees; move the grid"
+        )
     margin = tail_margin(coarse.duration, stays=sector.staying is not None)
     slab = plan_slab(collection, sector.recovery.doppler, coarse.everywhere, margin=margin)
     range_gate = None if part is None else plan_range_gate(band, slab.doppler, coarse.everywhere, collection.carrier)

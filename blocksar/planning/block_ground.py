@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
@@ -24,6 +25,7 @@ from blocksar.planning.row_sampling import range_scale
 from blocksar.planning.sector import Sector
 
 SURFACE_DEGREE = 9, 16  # of what the map knows, along range and yaw
+SWING = 2e-3  # cycles by which a series of that degree along yaw may miss the phase on a track that wobbles
 REGION_STEPS, LEAST_STEPS = 64 * YAW_STEPS, 128  # of yaw over the region, in which a block has its share; at least
 STEPS_BY_RANGE = 512  # of yaw, where the sum over lit pulses is a table over range and yaw
 
@@ -79,7 +81,7 @@ def _surfaces(sector: Sector, lines: FineLines, spots: Focus) -> tuple[Surface, 
     """What the map knows of a focus, over range and yaw."""
     return surfaces(
         spots, time=_carrier_time(sector, lines, spots), epoch_range=lines.epoch_range, yaw=lines.yaw,
-        origin=sector.recovery.origin, carrier=sector.geometry.collection.carrier, degree=SURFACE_DEGREE,
+        origin=sector.recovery.origin, carrier=sector.geometry.collection.carrier, degree=_degree(sector, lines),
     )  # fmt: skip
 
 
@@ -99,6 +101,19 @@ def map_loss(ground: GroundMap, lines: FineLines, bandwidth: float, seen: BoolAr
     dwell = (lines.line.weight * lines.line.stretch).sum(axis=-1)
     turns = (np.pi * doppler * dwell) ** 2 + (2 * np.pi * bandwidth / SPEED_OF_LIGHT * displaced) ** 2
     return float(np.where(seen, turns / 6 + (2 * np.pi * phase) ** 2 / 2, 0.0).max())
+
+
+def _degree(sector: Sector, lines: FineLines) -> tuple[int, int]:
+    """Degrees of the surfaces along range and yaw: as many terms as yaws where a wobble swings the phase over these.
+
+    A turning beam lights one yaw after the other. What is left of the waves of the track then runs along yaw.
+    """
+    if sector.geometry.track.wobble is None:
+        return SURFACE_DEGREE
+    phase = lines.spots.phase.T
+    series = solvers.node_series(phase, SURFACE_DEGREE[1])
+    missed = np.polynomial.chebyshev.chebval(solvers.end_nodes(lines.yaw.size), series).T - phase
+    return SURFACE_DEGREE if np.abs(missed).max() <= SWING else (SURFACE_DEGREE[0], lines.yaw.size - 1)
 
 
 def _carrier_time(sector: Sector, lines: FineLines, spots: Focus) -> FloatArray:
@@ -132,8 +147,8 @@ def _raise(sector: Sector, azimuth: AzimuthPart, ground: GroundMap, lines: FineL
         turns = [turns_of(layer.geometry, sector.geometry, rng, yaw) for layer in layers]
         ground = ground.widened(sector.region, float(np.abs(turns).max()))
     by_height = map_relief(
-        relief, layers, lambda spots: _surfaces(sector, lines, spots), epoch_range=rng, yaw=yaw, degree=SURFACE_DEGREE,
-        turns=turns,
+        relief, layers, lambda spots: _surfaces(sector, lines, spots), epoch_range=rng, yaw=yaw,
+        degree=_degree(sector, lines), turns=turns,
     )  # fmt: skip
     return replace(ground, relief=by_height)
 

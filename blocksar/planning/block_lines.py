@@ -6,6 +6,7 @@ and how its samples are spaced. Fine lines tell the dwell gate, where each targe
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +26,7 @@ from blocksar.planning.target_lines import Dwells
 
 COARSE_NODES = 9, 15  # along range and yaw
 FINE_NODES = 13, 33
+YAWS_PER_INTERVAL, MOST_YAWS = 0.6, 129  # of fine lines, where a spline's intervals pass from yaw to yaw
 GATE_RANGES = 25  # of the lines that a dwell gate on a terrain follows
 
 
@@ -43,7 +45,7 @@ class CoarseLines(NamedTuple):
         nodes, yaw = nodes_between(sector.near, sector.far, n_range), np.linspace(sector.low, sector.high, n_yaw)
         dwells = sector.dwells(yaw, coarsely=True)
         line = dwells.lines(nodes[:, None])
-        everywhere = sector.with_relief(line, lambda part: part.dwells(yaw, coarsely=True).lines(nodes[:, None]))
+        everywhere = sector.with_relief(line, lambda part: part.dwells(yaw, like=line).lines(nodes[:, None]))
         return cls(line, everywhere, nodes, dwells)
 
     @property
@@ -82,8 +84,10 @@ class _Traced(NamedTuple):
     line: Line  # after all steps
 
 
-def _trace(sector: Sector, azimuth: AzimuthPart, epoch_range: FloatArray, yaw: FloatArray) -> _Traced:
-    lit = sector.dwells(yaw).lines(epoch_range[:, None])
+def _trace(
+    sector: Sector, azimuth: AzimuthPart, epoch_range: FloatArray, yaw: FloatArray, *, like: Line | None = None
+) -> _Traced:
+    lit = sector.dwells(yaw, like=like).lines(epoch_range[:, None])
     compressed = azimuth.range_part.trace(lit)
     biased, _, line = azimuth.trace(compressed)
     return _Traced(lit, compressed, biased, line)
@@ -91,14 +95,24 @@ def _trace(sector: Sector, azimuth: AzimuthPart, epoch_range: FloatArray, yaw: F
 
 def trace_finely(sector: Sector, azimuth: AzimuthPart) -> tuple[AzimuthPart, FineLines]:
     """The fine lines of a sector, and the steps; without steering under the taper that levels the aperture."""
-    n_range, n_yaw = FINE_NODES
-    rng, yaw = nodes_between(sector.near, sector.far, n_range), nodes_between(sector.low, sector.high, n_yaw)
+    rng = nodes_between(sector.near, sector.far, FINE_NODES[0])
+    yaw = nodes_between(sector.low, sector.high, _fine_yaws(sector))
     traced = _trace(sector, azimuth, rng, yaw)
     in_time = azimuth.range_part.constants.in_time
     if in_time is not None:
         in_time, line = level_aperture(traced.line, in_time)
         azimuth, traced = azimuth.weighed(in_time), traced._replace(line=line)
     return azimuth, _with_ends(sector, azimuth, traced, rng, yaw, in_time)
+
+
+def _fine_yaws(sector: Sector) -> int:
+    """Number of yaws of the fine lines: on a track that wobbles, so many that they follow it as the beam turns."""
+    geometry = sector.geometry
+    if geometry.track.wobble is None or not geometry.collection.steered:
+        return FINE_NODES[1]
+    first, last = dwell_at(geometry, np.array([sector.low, sector.high]), np.array((sector.near + sector.far) / 2))
+    passed = float(np.ptp(first + last)) / 2 / geometry.track.wobble.step
+    return max(FINE_NODES[1], math.ceil(min(YAWS_PER_INTERVAL * passed, MOST_YAWS)))
 
 
 def follow_terrain(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> FineLines:
@@ -109,8 +123,11 @@ def follow_terrain(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> Fi
 
 
 def retrace(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> tuple[Line, FloatArray]:
-    """Lines after all steps of the targets at the same ranges and yaws of another ground, and `DwellEnds.rate`."""
-    traced = _levelled(_trace(sector, azimuth, lines.epoch_range, lines.yaw), lines.in_time)
+    """Lines after all steps of the targets at the same ranges and yaws of another ground, and `DwellEnds.rate`.
+
+    With as many nodes, for the weights of their dwells are those of the lines: the longest dwell depends on the ground.
+    """
+    traced = _levelled(_trace(sector, azimuth, lines.epoch_range, lines.yaw, like=lines.lit), lines.in_time)
     return traced.line, traced.biased.rate
 
 

@@ -146,7 +146,7 @@ def worst_losses(
     band: Taper = FLAT,
     edges: Sequence[Edges] = (),
 ) -> Losses:
-    """Losses of the target that loses most, of those with full dwell where there are any.
+    """Losses of the target that loses most, of those with full dwell; of those there are, if any of these is there.
 
     Parameters
     ----------
@@ -208,9 +208,7 @@ def worst_losses(
         phase, migration, ends = (edge.at(each) for each in (phase, migration, ends))
         full = full | edge.before | edge.behind
     lost = phase + migration + ends
-    total = np.where(full, lost, -1.0)
-    if reached is not None:
-        total = np.where(full & reached if (full & reached).any() else reached, lost, -1.0)
+    total = np.where(full if reached is None or not (full & reached).any() else full & reached, lost, -1.0)
     worst = np.unravel_index(int(np.argmax(total)), total.shape)
     return Losses(
         float(phase[worst]), float(migration[worst]), float(ends[worst]), 1 - float(np.exp(-(track_phase**2) / 2))

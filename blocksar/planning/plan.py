@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
 from itertools import chain, pairwise
@@ -33,7 +34,7 @@ from blocksar.collection.region import Extent, Owned, Region, block_seams, defau
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import UNIFORM, Weighting
 from blocksar.constants import MIB, SPEED_OF_LIGHT
-from blocksar.errors import InputError, PrfTooLow
+from blocksar.errors import InputError, OutsideSwath, PrfTooLow
 from blocksar.focusing.chains import steps_of
 from blocksar.focusing.method import DEFAULT, Method
 from blocksar.focusing.range_gate import RangeGate
@@ -413,8 +414,10 @@ class _Planner:
             # Narrow blocks are of one kind: each takes what the one before it chose, if that serves.
             like = planned[-1].choice if planned and count > MAX_BLOCKS else None
             planned += self._plan_index(seams, index, n_parts, like)
+        if not planned and probe:  # what it would tell of is not lit
+            return self.plan(count, n_parts, False)
         if not planned:
-            raise InputError(f"none of {count} blocks holds a point of the grid; give it a finer step, or move it")
+            raise OutsideSwath(f"none of {count} blocks has a lit point of the grid; give it a finer step, or move it")
         return Plan(
             geometry=self.geometry, grid=self.grid, region=self.region, recovery=self.recovery, seams=seams,
             parts=n_parts, blocks=tuple(planned), method=self.method, fidelity=self.fidelity,
@@ -452,14 +455,13 @@ class _Planner:
     def _plan_angle(
         self, index: int, low: float, high: float, n_parts: int, neighbour: Choice | None
     ) -> list[BlockPlan]:
-        """The range sub-blocks of one block; none where the grid has no point."""
+        """The range sub-blocks of one block; none where the grid has no point, or nothing is lit."""
         near, far = self.region.limits(low, high)
         near, far = max(near, self.extent.near), min(far, self.extent.far)
         # At each yaw ranges are those of the range window, which slants over a wide block: rows go on periodically.
         windows = WHOLE_WINDOWS if n_parts == 1 else PART_WINDOWS * n_parts
-        excess = (far - near) - windows * self.geometry.collection.range_window
-        if excess > 0:
-            near, far = near + excess / 2, far - excess / 2
+        excess = max((far - near) - windows * self.geometry.collection.range_window, 0.0)
+        near, far = near + excess / 2, far - excess / 2
         if far < near:
             return []
         # The nine ranges of the fit need some distance between them for meaningful polynomials.
@@ -474,17 +476,16 @@ class _Planner:
             if relief is not None:
                 summed, lit = (each.over(None, relief.smooth) for each in (summed, lit))
             sector = Sector(
-                geometry=summed,
-                recovery=self.recovery, region=self.region, low=low, high=high, near=nearest, far=farthest,
-                weighting=self.weighting, fidelity=self.fidelity, tap_error=image_tap_error(self.fidelity),
-                relief=relief, fade=self.edges.fade, gate_parts=self.edges.parts,
-                staying=self.geometry if self.stays else None,
-                wobbling=lit if self.gated.wobbles else None, taper_loss=self.gated.taper_loss,
-                imaged=(self.extent.low, self.extent.high),
+                geometry=summed, recovery=self.recovery, region=self.region, low=low, high=high, near=nearest,
+                far=farthest, weighting=self.weighting, fidelity=self.fidelity, relief=relief,
+                tap_error=image_tap_error(self.fidelity), fade=self.edges.fade, gate_parts=self.edges.parts,
+                staying=self.geometry if self.stays else None, taper_loss=self.gated.taper_loss,
+                wobbling=lit if self.gated.wobbles else None, imaged=(self.extent.low, self.extent.high),
             )  # fmt: skip
             like = parts[-1].choice if parts else neighbour
             number = part if n_parts > 1 else None
-            parts.append(plan_block(sector, self.method, index=index, part=number, neighbour=like))
+            with suppress(OutsideSwath):
+                parts.append(plan_block(sector, self.method, index=index, part=number, neighbour=like))
         return parts
 
     def _relief(self, low: float, high: float, near: float, far: float) -> Relief | None:
@@ -496,5 +497,4 @@ class _Planner:
 
     @cached_property
     def _samples(self) -> Samples:
-        x, y = self.grid.x, self.grid.y
-        return sample_terrain(self.geometry, (float(x[0]), float(x[-1])), (float(y[0]), float(y[-1])))
+        return sample_terrain(self.geometry, *((float(at[0]), float(at[-1])) for at in (self.grid.x, self.grid.y)))

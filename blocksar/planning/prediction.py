@@ -125,7 +125,7 @@ def predict(
         quadratic_phase=float(spots.quadratic[there].max()),
         pslr=lobes.side,
         width=lobes.width / lobes.ideal_width,
-        migration=float(spots.migration.max() / range_cell),
+        migration=float(spots.migration[there].max() / range_cell),
         resolution=float(widths[rng.size // 2, middle] * ground[rng.size // 2]),
         track_phase=track_phase,
         coherence=max(1 - sum(lost), 0.0),

@@ -101,12 +101,12 @@ class Sector:
         band = np.abs(passed[..., 1] - passed[..., 0]) * dwell / np.maximum(over, 1e-12)
         return np.clip(band, 1 / dwell, 1 / recovery.pulses.step)
 
-    def dwells(self, yaw: FloatArray, *, coarsely: bool = False) -> Dwells:
-        """Dwells of targets at yaws (...), rad, for their lines in the recovered signal."""
+    def dwells(self, yaw: FloatArray, *, coarsely: bool = False, like: Line | None = None) -> Dwells:
+        """Dwells of targets at yaws (...), rad, for lines in the recovered signal, with as many nodes as `like` has."""
         recovery = self.recovery
         return find_dwells(
             self.geometry, yaw=yaw, origin=recovery.origin, walk=recovery.walk, common=recovery.common,
-            coarsely=coarsely,
+            coarsely=coarsely, as_many=None if like is None else like.time.shape[-1],
         )  # fmt: skip
 
     def passing(self, epoch_range: FloatArray, yaw: FloatArray) -> Passing:

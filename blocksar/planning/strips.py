@@ -73,6 +73,6 @@ def owned_by(collection: Collection, spans: Sequence[Span], number: int) -> Owne
         margin = dwell_margin(own, x, y)
         beyond = [dwell_margin(other, x, y) for other in others]
         with np.errstate(invalid="ignore"):
-            return (margin > -1.0) & (margin >= np.max(beyond, axis=0) - SLACK)
+            return (margin > -1.0) & (margin >= np.max(beyond, axis=0, initial=-np.inf) - SLACK)
 
     return owned

@@ -60,6 +60,8 @@ class Dwells:
         Trace a spline's waves with nodes enough to see them, not to integrate them.
     least_nodes : int
         Along a line.
+    as_many : int or None
+        Nodes along a line, as those of other lines have; None: as many as the track needs over these dwells.
     """
 
     geometry: Geometry
@@ -69,6 +71,7 @@ class Dwells:
     common: CommonRange
     coarsely: bool
     least_nodes: int
+    as_many: int | None = None
 
     def lines(self, epoch_range: FloatArray) -> Line:
         """Lines of targets in the recovered signal; `epoch_range` and the yaws are broadcast."""
@@ -99,7 +102,7 @@ class Dwells:
         collection = geometry.collection
         first, last = dwell_at(geometry, yaw if collection.steered else np.zeros((1,) * np.ndim(yaw)), epoch_range)
         longest = float(np.max(last - first))
-        n_node = max(_line_nodes(geometry, longest, coarsely=self.coarsely), self.least_nodes)
+        n_node = self.as_many or max(_line_nodes(geometry, longest, coarsely=self.coarsely), self.least_nodes)
         nodes, weights = solvers.gauss_legendre(n_node)
         shortest = 0.05 * longest
         middle = np.clip((first + last) / 2, collection.time[0] + shortest / 2, collection.time[-1] - shortest / 2)
@@ -123,17 +126,19 @@ def find_dwells(
     common: CommonRange = NO_COMMON_RANGE,
     coarsely: bool = False,
     least_nodes: int = LINE_NODES,
+    as_many: int | None = None,
 ) -> Dwells:
     """The dwells at yaws (...), rad.
 
-    Along a spline, lines have nodes enough to integrate its waves; `coarsely`, to see them.
+    Along a spline, lines have nodes enough to integrate its waves; `coarsely`, to see them. Or `as_many` as others.
 
     Dwells cut by the ends of the collection are traced as cut. Targets lit for less than a twentieth of the longest
     dwell are traced over that much, inside the collection.
     """
     return Dwells(
-        geometry=geometry, yaw=yaw, origin=origin, walk=walk, common=common, coarsely=coarsely, least_nodes=least_nodes
-    )
+        geometry=geometry, yaw=yaw, origin=origin, walk=walk, common=common, coarsely=coarsely, least_nodes=least_nodes,
+        as_many=as_many,
+    )  # fmt: skip
 
 
 def _line_nodes(geometry: Geometry, longest: float, *, coarsely: bool) -> int:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from axis_beams import axis_collection
+from axis_beams import axis_collection, axis_scene
 
+import blocksar
 from blocksar.api.reference_chips import DARK, full_dwell_coherence, whole_geometry
 from blocksar.collection.geometry import over_terrain
 from blocksar.collection.terrain import Terrain
@@ -42,3 +44,18 @@ def test_segments_on_a_terrain_are_compared_there() -> None:
     found = whole_geometry(run, SimpleNamespace(collection=collection))  # type: ignore[arg-type]
     assert found.terrain is terrain
     assert found.collection.ground_height == 120.0
+
+
+@pytest.mark.parametrize(("rows", "compared"), [(48, 9), (12, 0)])
+def test_a_small_part_of_what_a_block_owns_is_compared(tmp_path: Path, rows: int, compared: int) -> None:
+    """The centre of the block and its seams lie beyond the image: nothing was compared, without a word."""
+    clutter = "[clutter]\nscatterers = 300\nseed = 3\nx = [8600.0, 8750.0]\ny = [20.0, 90.0]"
+    (tmp_path / "scene.toml").write_text(axis_scene('mode = "stripmap"\nwidth_deg = 0.7', more=clutter))
+    store = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "store.zarr", progress=False)
+    grid = (8640.0, 8700.0, 1.2), (40.0, 40.0 + 0.6 * rows, 0.6)
+    blocksar.focus(store, tmp_path / "run", grid=grid, blocks=1, workers=0, progress=False)
+    report = blocksar.quality(tmp_path / "run", reference=True)
+    assert len(report.result["reference"]) == compared
+    assert any("nothing was compared" in line for line in report.summary) == (compared == 0)
+    if compared:
+        assert report.result["least_coherence"]["measured"] > 0.99

@@ -19,7 +19,7 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.region import plan_region
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import PrfTooLow
-from blocksar.focusing.backprojection import form_image
+from blocksar.focusing.backprojection import form_image, form_points
 from blocksar.focusing.correction import correct
 from blocksar.focusing.dwell_edges import add_edges, edge_profiles, take_unlit
 from blocksar.focusing.recovery import recover_columns
@@ -260,6 +260,35 @@ def test_unit_targets_under_a_sinc2_pattern_are_one_over_the_swath(mode: str) ->
     image = focus(plan_collection(collection, grid=grid), simulate_pulses(collection, x, y, np.ones(5)))
     assert np.abs(np.abs(image[rows, columns]) - 1).max() < 0.01
     assert np.abs(np.angle(image[rows, columns])).max() < 0.01
+
+
+def test_phases_follow_a_wobble_from_yaw_to_yaw() -> None:
+    """Seven waves of the track over the turn of a beam, in one block: phases were off by 0.076 rad."""
+    still = axis_collection(n_pulse=1800)
+    wave = 0.02 * np.sin(2 * np.pi * 6 * still.time)[:, None] * np.ones(3)
+    changes = {"antenna_position": still.antenna_position + wave, "beam_steering": 0.08 * still.time}
+    collection = Collection(**{**still.as_dict(), **changes})
+    grid = Grid(8985.0, 9015.0, STEP_X, -480.0, 480.0, 3.0)
+    rows = np.arange(20, 301, 13)
+    x, y = np.full(rows.size, grid.x[10]), grid.y[rows]
+    plan, signal = plan_collection(collection, grid=grid, blocks=1), simulate_pulses(collection, x, y, np.ones(x.size))
+    exact = form_points(lambda pulses: signal[pulses], Geometry(collection=collection), x, y, threads=2)
+    turned = np.angle(focus(plan, signal)[rows, 10] / exact)
+    assert np.abs(turned[has_full_dwell(plan.geometry, x, y)]).max() < 0.02
+
+
+def test_unit_targets_under_the_lobes_of_a_pattern_in_elevation_are_one() -> None:
+    """Four zeros within the swath, between which sums over lit pulses are no straight lines over a thirtieth of it."""
+    elevation = np.linspace(0.40, 0.44, 801)
+    pattern = np.sinc((elevation - 0.4182) / 0.0022) ** 2
+    collection = axis_collection(n_pulse=900, elevation=elevation, elevation_pattern=pattern)
+    grid = Grid(8880.0, 9120.0, STEP_X, -27.0, 27.0, STEP_Y)
+    columns, rows = np.array([26, 30, 80, 132]), np.array([30, 10, 40, 20])
+    x, y = grid.x[columns], grid.y[rows]
+    gain = np.interp(np.arctan2(4000.0, x), elevation, pattern)
+    assert (gain > 0.03).all() and (gain[[0, 1, 3]] < 0.05).all()
+    image = focus(plan_collection(collection, grid=grid), simulate_pulses(collection, x, y, 0.2 / gain))
+    assert np.abs(image[rows, columns] * gain / 0.2 - 1).max() < 0.015
 
 
 @pytest.mark.parametrize(("patterns", "text"), [(False, "uniform"), (True, "taylor:4:-35")])

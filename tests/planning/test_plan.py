@@ -17,6 +17,7 @@ import blocksar
 from blocksar.api import plan_lines
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
 from blocksar.collection.region import plan_region
 from blocksar.errors import InputError
 from blocksar.focusing.method import Method
@@ -207,3 +208,18 @@ def test_a_part_of_the_grid_beyond_the_range_window_is_told(tmp_path: Path) -> N
     told = [" ".join(blocksar.plan(tmp_path / "scene.toml", grid=grid).summary) for grid in (inside, beyond)]
     assert "range window" not in told[0]
     assert "% of the grid's pixels lie outside the range window (" in told[1]
+
+
+def test_targets_that_no_pixel_shows_do_not_refuse_a_plan() -> None:
+    """A scan of 39 degrees at 10 % of bandwidth: at its ends targets migrate by 1.4 cells, on the grid by 0.1."""
+    text = scene(
+        carrier=3e9, bandwidth=300e6, range_sampling=360e6, prf=4000, velocity=[0.0, 250.0, -20.0],
+        acceleration=[3.0, 2.0, -3.0], duration=3.0, steering=(20.0, 50.0), dwell=0.9, swath=[11800.0, 12200.0],
+        centre=35.0, reference_range='"scene_centre"',
+    )  # fmt: skip
+    made = Scene.parse(text.replace("16500.0", "6000.0"))  # m: height
+    x, y = (float(v) for v in made.centre[:2])
+    grid = Grid(x - 60, x + 60, 0.4, y - 60, y + 60, 0.4)
+    plan = plan_collection(made.collection().centred(), grid=grid, blocks=1)
+    assert plan.refusal is None and plan.coherence > 0.9995
+    assert plan.blocks[0].prediction.migration < 0.2

@@ -1,0 +1,86 @@
+"""Plans of beams about the antenna's own axis over a terrain."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from axis_beams import axis_collection, spotlight, with_patterns
+
+from blocksar.collection.collection import Collection
+from blocksar.collection.grid import Grid
+from blocksar.collection.terrain import Terrain
+from blocksar.collection.weighting import Weighting
+from blocksar.errors import OutsideSwath
+from blocksar.focusing.method import Method
+from blocksar.planning.block import BlockPlan, plan_block
+from blocksar.planning.plan import plan_collection
+from blocksar.planning.sector import Sector
+from blocksar.planning.strips import owned_by
+
+GRID = Grid(8880.0, 9120.0, 1.5, -80.0, 80.0, 0.9)
+
+
+def hill(height: float = 60.0) -> Terrain:
+    x, y = np.arange(8700.0, 9300.0, 10.0), np.arange(-300.0, 300.0, 10.0)[:, None]
+    heights = height * np.exp(-((x - 8960) ** 2 + (y - 30) ** 2) / 100**2)
+    return Terrain(x0=x[0], dx=10.0, y0=float(y[0, 0]), dy=10.0, heights=heights)
+
+
+@pytest.mark.parametrize(("patterns", "weighting"), [(True, "uniform"), (False, "taylor:4:-35")])
+def test_spotlights_that_stay_are_focused_over_a_hill_as_on_the_plane(patterns: bool, weighting: str) -> None:
+    """Where all pulses are summed, their weights tilt: the bend of their phase is found about the middle of these."""
+    collection = spotlight()
+    collection = with_patterns(collection) if patterns else collection
+    plane, over = (
+        plan_collection(collection, grid=GRID, weighting=Weighting.parse(weighting), terrain=terrain)
+        for terrain in (None, hill())
+    )
+    assert plane.stays and over.stays
+    assert over.refusal is None and over.coherence > plane.coherence - 5e-4
+
+
+def test_lines_over_a_terrain_have_as_many_nodes_at_all_heights() -> None:
+    """Along a spline these follow the longest dwell, which heights change: here from 69.0 to 69.2 above the least."""
+    still = with_patterns(axis_collection("squinted", n_pulse=1200, beam_width=0.0099975))
+    wave = np.sin(2 * np.pi * 14 * still.time)[:, None] * [0.004, 0.004, 0.004]
+    shaken = Collection(**{**still.as_dict(), "antenna_position": still.antenna_position + wave})
+    y = float(np.hypot(9000, 4000) * np.tan(0.25))
+    grid, over = Grid(GRID.x0, GRID.x1, 2.0, y - 60, y + 60, 1.5), hill(250.0)
+    terrain = Terrain(x0=over.x0, dx=over.dx, y0=over.y0 + y, dy=over.dy, heights=over.heights)
+    assert plan_collection(shaken, grid=grid, blocks=1, terrain=terrain).coherence > 0.9995
+
+
+def test_a_strip_of_which_a_grid_needs_one_segment_is_planned() -> None:
+    """The others see none of it, so that nothing bounds what the one images."""
+    collection = axis_collection("tops", n_pulse=1200)
+    spans = [(300, 900)]
+    owned = owned_by(collection, spans, 0)
+    x, y = np.meshgrid(GRID.x, GRID.y)
+    assert owned(x, y).any()
+
+
+def test_blocks_at_the_rim_of_what_is_lit_cost_over_a_hill_what_they_cost_on_the_plane() -> None:
+    """Where none of a block's targets has a full dwell, those with the longest are judged, not all that are there."""
+    collection, y = axis_collection("squinted", n_pulse=1200), float(np.hypot(9000, 4000) * np.tan(0.25))
+    x, along = np.arange(8300.0, 9700.0, 10.0), np.arange(y - 700, y + 700, 10.0)
+    heights = 100 * np.exp(-((x - 9000) ** 2 + (along[:, None] - y) ** 2) / 150**2)
+    terrain = Terrain(x0=x[0], dx=10.0, y0=along[0], dy=10.0, heights=heights)
+    grid = Grid(8500.0, 9500.0, 4.0, y - 500, y + 500, 4.0)
+    assert plan_collection(collection, grid=grid, blocks=4, terrain=terrain).coherence > 0.999
+
+
+def test_a_block_of_which_nothing_is_lit_lies_outside_the_swath(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept: list[tuple[Sector, Method]] = []
+
+    def keep(sector: Sector, method: Method, **rest: Any) -> BlockPlan:
+        kept.append((sector, method))
+        return plan_block(sector, method, **rest)
+
+    monkeypatch.setattr("blocksar.planning.plan.plan_block", keep)
+    plan_collection(axis_collection("squinted"), grid=Grid(8880.0, 9120.0, 3.0, 2450.0, 2500.0, 2.0), blocks=1)
+    sector, method = kept[0]
+    with pytest.raises(OutsideSwath, match="lights none of its ground"):
+        plan_block(replace(sector, low=sector.high + 0.1, high=sector.high + 0.12), method, index=0)
