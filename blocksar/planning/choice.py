@@ -98,7 +98,7 @@ def _figures(contender: Contender) -> str:
     worst = contender.worst.prediction
     allowed = side_lobe_budget(plan.fidelity, worst.ideal_pslr)
     return (
-        f"predicted coherence {plan.coherence:.6g} of {plan.fidelity:.6g} in {plan.n_blocks} blocks, side lobes "
+        f"predicted coherence {plan.coherence:.6g} of {plan.fidelity:.6g} with --blocks {plan.n_blocks}, side lobes "
         f"{worst.pslr:.2f} dB, allowed {worst.ideal_pslr:.2f} +- {allowed:.2g}"
     )
 
