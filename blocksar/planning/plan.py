@@ -367,9 +367,9 @@ def _fewest_parts(plan: Callable[[int], Plan], first: Plan, memory_limit: int, *
             break
     if divided.memory > room:
         raise InputError(
-            f"memory limit {memory_limit / MIB:.0f} MiB a worker is too low: {divided.n_blocks} x {divided.parts} blocks by "
-            f"angle and range need about {math.ceil(min(needed) / MEMORY_SHARE / MIB)} MiB; raise --memory-limit, ask "
-            "for more --blocks, or image a smaller grid"
+            f"memory limit {memory_limit / MIB:.0f} MiB a worker is too low: {divided.n_blocks} x {divided.parts} "
+            f"blocks by angle and range need about {math.ceil(min(needed) / MEMORY_SHARE / MIB)} MiB; raise "
+            "--memory-limit, ask for more --blocks, or image a smaller grid"
         )
     return divided
 
