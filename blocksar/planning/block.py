@@ -272,7 +272,7 @@ def _predict(
     )
     seen = np.logical_and.reduce([lines.ends.full, *(each.held for each in imaged)])
     of_dwells = sector.taper_loss + (0.0 if ground.waves is None else ground.waves.error**2 / 2)
-    return predicted.less(of_dwells, map_loss(ground, lines, sector.geometry.collection.bandwidth, seen))
+    return predicted.less(of_dwells, map_loss(ground, lines, seen))
 
 
 def _imaged(sector: Sector, lines: FineLines) -> tuple[ImageEdges, ImageEdges]:
