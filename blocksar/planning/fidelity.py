@@ -3,7 +3,7 @@
 On clutter every pulse holds the echoes of all that is lit, so a pixel of back-projection and of a processor's image are
 two weighted sums over the same uncorrelated samples: their coherence is the normalised inner product of the weights.
 Back-projection's weights are those of the pixel's echo over its lit pulses. A processor's differ in four ways, each of
-which takes its loss, 1 - coherence:
+which takes its loss, 1 - coherence (what the map from the ground misses is `block_ground.map_loss`):
 
     phase        the residual phase of the line over the dwell
     range        its range migration, as a phase across the band: sinc(2 B dr / c)
@@ -98,7 +98,7 @@ def worst_losses(
     band: Taper = FLAT,
     edges: Sequence[ImageEdges] = (),
 ) -> Losses:
-    """Losses of the target that loses most, of those with full dwell; of those there are, if any of these is there.
+    """Losses of the target with full dwell that loses most; on a terrain, of those that are there, if any of them is.
 
     Parameters
     ----------
