@@ -108,10 +108,17 @@ def library_for(use: str, extra: str) -> Iterator[None]:
 
 
 class ProcessingError(RuntimeError):
-    """Processing failed although the input was right (exit status 1)."""
+    """Processing failed although the input was right (exit status 1).
 
-    def __init__(self, message: str) -> None:
+    Attributes
+    ----------
+    resumable : bool
+        Whether the message says that the same command goes on with what was finished.
+    """
+
+    def __init__(self, message: str, resumable: bool = False) -> None:
         super().__init__(printable(message))
+        self.resumable = resumable
 
 
 def is_full(error: BaseException | None) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from blocksar import stores
 
@@ -16,7 +16,10 @@ def input_fingerprint(histories: Sequence[stores.PhaseHistory]) -> str:
     """The fingerprint of the input of a run, which run.json holds: of all channels, where there are some."""
     channels = histories[0].channels
     if not channels or any(history.channels != channels for history in histories):
-        return joint_fingerprint([history.fingerprint() for history in histories])
-    return joint_fingerprint([
-        joint_fingerprint([history.of_channel(name).fingerprint() for history in histories]) for name in channels
-    ])  # fmt: skip
+        return fingerprint_of_members([histories])
+    return fingerprint_of_members([[history.of_channel(name) for history in histories] for name in channels])
+
+
+def fingerprint_of_members(members: Iterable[Sequence[stores.PhaseHistory]]) -> str:
+    """The fingerprint of the input of a run of several images, by the phase histories of each."""
+    return joint_fingerprint([joint_fingerprint([each.fingerprint() for each in some]) for some in members])

@@ -20,7 +20,7 @@ import numpy as np
 from blocksar import stores
 from blocksar.api.arguments import GridLike, Source, grid_of, history_of, sources_of
 from blocksar.api.findings import without_samples
-from blocksar.api.fingerprints import joint_fingerprint
+from blocksar.api.fingerprints import fingerprint_of_members, joint_fingerprint
 from blocksar.api.ground import image_grid
 from blocksar.api.shown import RunReport, is_measurable
 from blocksar.chunks import TILE
@@ -61,8 +61,7 @@ class Members:
         """The input, as the record of the whole names it from the beginning; empty where it lies in memory."""
         if any(isinstance(each, stores.DatasetHistory) for some in self.histories.values() for each in some):
             return RunInput()
-        fingerprints = [joint_fingerprint([each.fingerprint() for each in some]) for some in self.histories.values()]
-        return RunInput(self.path, joint_fingerprint(fingerprints))
+        return RunInput(self.path, fingerprint_of_members(self.histories.values()))
 
     def unfinished(self) -> RunRecord:
         """The record of the whole as long as it is not finished."""

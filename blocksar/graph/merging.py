@@ -69,7 +69,16 @@ def merge_chunks(
         coming = _read_ahead(pool, run, cells, grid)
         for cell, patches in cells.items():
             behind.turn()
-            _merge(run, cell, patches, coming, grid, margins[cell], noises or {}, layers, alike, behind)
+            window = chunk_window(cell, grid)
+            image, owner = _merge(patches, coming, margins[cell])
+            alone = patches[0] if len(patches) == 1 else None
+            source = None if alone is None else (run.patch(alone.name), shifted(window, alone.origin))
+            collections = {part.block: part.collection for part in patches if part.collection is not None}
+            of_blocks = {part.block: noises[part.segment] for part in patches} if noises else {}
+            height = layers.heights.over(window) if of_blocks else None
+            behind.submit(write_image, run, window, image, owner, collections, source, patches[0].checksum, alike)
+            behind.submit(write_noise, run, window, owner, grid, of_blocks, height)
+            behind.submit(write_layers, alike, window, layers.over(window, owner))
     return sign(run, Receipt(unit=unit, stage="mosaic", written=behind.written), started)
 
 
@@ -96,22 +105,12 @@ def _read(run: Run, window: Window, part: PatchChunk) -> ComplexArray:
 
 
 def _merge(
-    run: Run,
-    cell: tuple[int, int],
-    parts: Sequence[PatchChunk],
-    coming: Iterator[ComplexArray],
-    grid: Grid,
-    margins: Margins,
-    noises: Mapping[int, NoiseMap],
-    layers: TerrainLayers,
-    alike: AlikeChunks,
-    behind: WritesBehind,
-) -> None:
-    """Have the image of one output chunk written, its layers, and the block that each pixel comes from.
+    parts: Sequence[PatchChunk], coming: Iterator[ComplexArray], margins: Margins
+) -> tuple[ComplexArray, NDArray[np.int16]]:
+    """The pixels of one output chunk, and the block that each comes from.
 
     The pixels of its parts are the next that are `coming`.
     """
-    window = chunk_window(cell, grid)
     by_segment = [list(some) for _, some in groupby(parts, key=lambda part: part.segment)]
     image, owner = _lay(by_segment[0], coming)
     if len(by_segment) > 1:
@@ -124,14 +123,7 @@ def _merge(
             better = merged.choose(number, blocks >= 0, margins[number])
             np.copyto(image, other, where=better)
             np.copyto(owner, blocks, where=better)
-    alone = parts[0] if len(parts) == 1 else None
-    source = None if alone is None else (run.patch(alone.name), shifted(window, alone.origin))
-    collections = {part.block: part.collection for part in parts if part.collection is not None}
-    of_blocks = {part.block: noises[part.segment] for part in parts if noises}
-    height = layers.heights.over(window) if of_blocks else None
-    behind.submit(write_image, run, window, image, owner, collections, source, parts[0].checksum, alike)
-    behind.submit(write_noise, run, window, owner, grid, of_blocks, height)
-    behind.submit(write_layers, alike, window, layers.over(window, owner))
+    return image, owner
 
 
 def _lay(parts: Sequence[PatchChunk], coming: Iterator[ComplexArray]) -> tuple[ComplexArray, NDArray[np.int16]]:

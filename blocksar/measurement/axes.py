@@ -1,4 +1,4 @@
-"""Directions and theoretical widths of a point target's response: of the rectangle of wavenumbers that it fills."""
+"""Directions and nominal widths of a point target's response: of a rectangle of wavenumbers (`figures.DEFINITIONS`)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from blocksar.constants import SPEED_OF_LIGHT
 
 @dataclass(frozen=True, kw_only=True)
 class ResponseAxes:
-    """Directions and theoretical widths of one target's response.
+    """Directions and nominal widths of one target's response.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class ResponseAxes:
         Ground step (dx, dy) in m for 1 m of slant range along constant Doppler, and for 1 m along constant
         range. The second is a unit vector; the first is longer than one.
     range_width, azimuth_width : float
-        Theoretical IRW, m of slant range and m along the cut.
+        Nominal widths, m of slant range and m along the cut.
     band : (2,) float
         Largest |wavenumber| in x and y, cycles/m, of the response once its carrier is removed.
     azimuth_shape : Taper or DwellShape

@@ -29,6 +29,7 @@ from blocksar.measurement.response import ReadChip, Response, read_response
 from blocksar.measurement.targets import Target
 
 SAMPLES_PER_WIDTH = 64  # of a cut: resolves the height of a side lobe to 0.001 dB
+BEYOND = 0.5  # widths that a cut reaches beyond what is measured
 
 DEFINITIONS = f"""\
 Range cut: along constant Doppler, in slant range. Azimuth cut: along constant range, on the ground.
@@ -105,7 +106,7 @@ class Cuts(NamedTuple):
 def cuts(response: Response) -> Cuts:
     """Sample the range cut (offsets in slant range, growing away from the radar) and the azimuth cut.
 
-    Both reach half a width beyond the measured part, with 64 samples per nominal width.
+    Both reach half a nominal width beyond the measured part (`BEYOND`), with 64 samples per width.
     """
     axes, peak = response.axes, response.peak
     along_range, along_azimuth = _offsets(axes)
@@ -134,7 +135,7 @@ def ideal_cuts(geometry: Geometry, target: Target, axes: ResponseAxes) -> Cuts:
 
 def _offsets(axes: ResponseAxes) -> tuple[FloatArray, FloatArray]:
     """Offsets of the samples of both cuts, m."""
-    n = int((CUT_WIDTHS + 0.5) * SAMPLES_PER_WIDTH)
+    n = int((CUT_WIDTHS + BEYOND) * SAMPLES_PER_WIDTH)
     widths = np.arange(-n, n + 1) / SAMPLES_PER_WIDTH
     return widths * axes.range_width, widths * axes.azimuth_width
 

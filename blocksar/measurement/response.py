@@ -166,7 +166,7 @@ class Response:
         return self._climb(float(x[best]), float(y[best]))
 
     def _climb(self, x: float, y: float) -> tuple[float, float]:
-        """Find the maximum of |response|^2 by Newton's method, in units of the theoretical widths."""
+        """Find the maximum of |response|^2 by Newton's method, in units of the nominal widths."""
         axes = self.axes
         unit = np.array([axes.range_width, axes.azimuth_width])
         h = 0.02  # widths: small compared with the main lobe, large compared with the rounding of the samples

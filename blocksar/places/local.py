@@ -172,6 +172,12 @@ def held_part(path: str | os.PathLike[str], make: Callable[[str], object]) -> It
         os.close(descriptor)
 
 
+def new_file(path: str) -> None:
+    """Make an empty file that must not be there yet."""
+    with open(path, "xb"):
+        pass
+
+
 def _hold(part: str) -> int | None:
     """Lock a new file or folder, and return its descriptor; None if another process has taken it for abandoned."""
     try:

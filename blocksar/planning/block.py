@@ -26,8 +26,8 @@ from blocksar.planning.block_lines import CoarseLines, FineLines, follow_terrain
 from blocksar.planning.block_sampling import plan_sampling, plan_slab
 from blocksar.planning.coefficients import Choice, choose
 from blocksar.planning.dwell_gate import plan_dwell_gate, plan_over_band
-from blocksar.planning.fidelity import Edges
 from blocksar.planning.fitting import RESAMPLING_ORDERS
+from blocksar.planning.image_edges import ImageEdges
 from blocksar.planning.memory import RELIEF_MEMORY, block_memory
 from blocksar.planning.motion import plan_motion
 from blocksar.planning.nodes import common_ranges
@@ -262,27 +262,25 @@ def _predict(
 
     Weights made of waves that err by e of themselves, root mean square, lose at most e^2 / 2.
     """
-    geometry, line, spots, rate, reached = sector.geometry, lines.line, lines.spots, lines.ends.rate, None
+    targets, reached = lines.targets(sector.geometry), None
     if sector.relief is not None:
         layer, reached = usual_layer(sector, azimuth, lines)
-        geometry, line, spots, rate = layer.geometry, layer.line, layer.spots, layer.rate
+        targets = replace(targets, geometry=layer.geometry, line=layer.line, spots=layer.spots, rate=layer.rate)
     imaged = _imaged(sector, lines)
     predicted = predict(
-        line, spots, lines.epoch_range, lines.yaw, geometry, rate=rate, gate=sampling.gate, parts=sector.gate_parts,
-        scaled_about=lines.ends.scaled_about, moves=lines.ends.moves, weights=lines.weights, reached=reached,
-        imaged=imaged, band=sector.weighting.range,
-    )  # fmt: skip
+        targets, sampling.gate, parts=sector.gate_parts, reached=reached, imaged=imaged, band=sector.weighting.range
+    )
     seen = np.logical_and.reduce([lines.ends.full, *(each.held for each in imaged)])
     of_dwells = sector.taper_loss + (0.0 if ground.waves is None else ground.waves.error**2 / 2)
-    return predicted.less(of_dwells, map_loss(ground, lines, geometry.collection.bandwidth, seen))
+    return predicted.less(of_dwells, map_loss(ground, lines, seen))
 
 
-def _imaged(sector: Sector, lines: FineLines) -> tuple[Edges, Edges]:
+def _imaged(sector: Sector, lines: FineLines) -> tuple[ImageEdges, ImageEdges]:
     """Where the image begins and ends along yaw and range among the targets of the lines."""
     low, high = (np.full(lines.epoch_range.size, yaw) for yaw in sector.imaged)
     return (
-        Edges.between(lines.yaw, low, high, axis=1),
-        Edges.between(lines.epoch_range, *sector.region.at(lines.yaw), axis=0),
+        ImageEdges.between(lines.yaw, low, high, axis=1),
+        ImageEdges.between(lines.epoch_range, *sector.region.at(lines.yaw), axis=0),
     )
 
 

@@ -85,7 +85,7 @@ def _surfaces(sector: Sector, lines: FineLines, spots: Focus) -> tuple[Surface, 
     )  # fmt: skip
 
 
-def map_loss(ground: GroundMap, lines: FineLines, bandwidth: float, seen: BoolArray) -> float:
+def map_loss(ground: GroundMap, lines: FineLines, seen: BoolArray) -> float:
     """Loss of coherence where the map's series miss where lines focus, at the worst of the targets `seen`.
 
     Close to the nadir the ground under a range R is sqrt(R^2 - h^2) away, and no polynomial of R follows that. A pixel
@@ -96,10 +96,10 @@ def map_loss(ground: GroundMap, lines: FineLines, bandwidth: float, seen: BoolAr
     offset = at[0] - ground.origin
     doppler = spots.doppler - ground.doppler_focus(*at)
     displaced = spots.range - offset - ground.range_offset(*at)
-    carrier = ground.geometry.collection.carrier
-    phase = spots.phase + 2 * carrier / SPEED_OF_LIGHT * offset - ground.phase(*at)
+    collection = ground.geometry.collection
+    phase = spots.phase + 2 * collection.carrier / SPEED_OF_LIGHT * offset - ground.phase(*at)
     dwell = (lines.line.weight * lines.line.stretch).sum(axis=-1)
-    turns = (np.pi * doppler * dwell) ** 2 + (2 * np.pi * bandwidth / SPEED_OF_LIGHT * displaced) ** 2
+    turns = (np.pi * doppler * dwell) ** 2 + (2 * np.pi * collection.bandwidth / SPEED_OF_LIGHT * displaced) ** 2
     return float(np.where(seen, turns / 6 + (2 * np.pi * phase) ** 2 / 2, 0.0).max())
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import dwell_at
+from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import AxisTaper
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import Focus, Line, focus
@@ -23,6 +24,7 @@ from blocksar.planning.dwell_weights import DwellWeights
 from blocksar.planning.nodes import nodes_between
 from blocksar.planning.sector import Sector
 from blocksar.planning.target_lines import Dwells
+from blocksar.planning.traced_targets import TracedTargets
 
 COARSE_NODES = 9, 15  # along range and yaw
 FINE_NODES = 13, 33
@@ -73,6 +75,13 @@ class FineLines(NamedTuple):
         if isinstance(levels, float):
             return self
         return self._replace(spots=focus(self.weights.weigh_chain(self.line), levels))
+
+    def targets(self, geometry: Geometry) -> TracedTargets:
+        """Their targets on the ground of a geometry, as the chain leaves them."""
+        return TracedTargets(
+            geometry=geometry, epoch_range=self.epoch_range, yaw=self.yaw, line=self.line, spots=self.spots,
+            weights=self.weights, rate=self.ends.rate, scaled_about=self.ends.scaled_about, moves=self.ends.moves,
+        )  # fmt: skip
 
 
 class _Traced(NamedTuple):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -140,25 +140,16 @@ def dwell_weights(
         share = faded_taper(FLAT, place, fade) if fade else None
         if collection.steered and not (stays or taper.uniform) and moves is not None:
             change = taper.slope(place) * 2 / dwell * moves
+    weights = DwellWeights(
+        taper=taper, nodes=nodes, edge=edge, patterned=stays and not taper.uniform, alone=nodes, change=change,
+        lit_band=lit_band, share=share,
+    )  # fmt: skip
     if not collection.has_pattern:
-        patterned = stays and not taper.uniform
-        return DwellWeights(
-            taper=taper,
-            nodes=nodes,
-            edge=edge,
-            patterned=patterned,
-            alone=nodes,
-            change=change,
-            lit_band=lit_band,
-            share=share,
-        )
+        return weights
     gain = at_times(geometry, x, y, time, pattern_gain, z)
     # The outer nodes lie close to the ends: by half a hundredth of the dwell.
     at_ends = np.sqrt((gain[..., 0] ** 2 + gain[..., -1] ** 2) / 2)
-    return DwellWeights(
-        taper=taper, nodes=nodes * gain, edge=edge * at_ends, patterned=True, alone=nodes, change=change * gain,
-        pattern=gain, lit_band=lit_band, share=share,
-    )  # fmt: skip
+    return replace(weights, nodes=nodes * gain, edge=edge * at_ends, patterned=True, change=change * gain, pattern=gain)
 
 
 def taper_over_dwells(collection: Collection, weighting: Weighting) -> Taper:

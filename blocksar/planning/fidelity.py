@@ -3,7 +3,7 @@
 On clutter every pulse holds the echoes of all that is lit, so a pixel of back-projection and of a processor's image are
 two weighted sums over the same uncorrelated samples: their coherence is the normalised inner product of the weights.
 Back-projection's weights are those of the pixel's echo over its lit pulses. A processor's differ in four ways, each of
-which takes its loss, 1 - coherence:
+which takes its loss, 1 - coherence (what the map from the ground misses is `block_ground.map_loss`):
 
     phase        the residual phase of the line over the dwell
     range        its range migration, as a phase across the band: sinc(2 B dr / c)
@@ -53,7 +53,6 @@ import numpy as np
 
 from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray
-from blocksar.collection.beam import dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, Taper
@@ -65,8 +64,10 @@ from blocksar.planning.band_parts import gate_parts
 from blocksar.planning.dwell_ends import dwell_ends, end_smear
 from blocksar.planning.dwell_weights import DwellWeights
 from blocksar.planning.end_windows import lift_energy
+from blocksar.planning.image_edges import ImageEdges
 from blocksar.planning.lit_ends import lit_energy
 from blocksar.planning.steadiness import scans_evenly
+from blocksar.planning.traced_targets import TracedTargets
 
 ONE_SIDE = 0.5  # of the energy of both ends of a dwell that are displaced to the same side
 BAND_NODES = 4  # of the means over range frequency
@@ -86,124 +87,38 @@ class Losses(NamedTuple):
     track: float
 
 
-class Edges(NamedTuple):
-    """Where what is imaged begins and ends between places at which targets are traced: (n_range, n_yaw) each.
-
-    Targets next beyond stand for targets at the edge: what those lose is interpolated between them and the next ones.
-    """
-
-    held: BoolArray  # the targets inside; where none lies inside, those on either side of it
-    before: BoolArray  # those next beyond the beginning
-    behind: BoolArray  # those next beyond the end
-    share: FloatArray  # of the way to them at which the edge lies, from the ones next to them
-    axis: int
-
-    @classmethod
-    def between(cls, places: FloatArray, first: FloatArray, last: FloatArray, *, axis: int) -> Edges:
-        """Of places (n,) along an axis and, at each place (m,) along the other, the first and the last imaged."""
-        at, step = places[:, None], np.diff(places)[:, None]
-        held = (at >= first) & (at <= last)
-        before, behind, share = np.zeros_like(held), np.zeros_like(held), np.zeros(held.shape)
-        before[:-1], behind[1:] = (at[:-1] < first) & (at[1:] >= first), (at[1:] > last) & (at[:-1] <= last)
-        share[:-1] = np.where(before[:-1], (at[1:] - first) / step, 0.0)
-        share[1:] += np.where(behind[1:], (last - at[:-1]) / step, 0.0)
-        held = held if held.any() else before | behind
-        return cls(held.T, before.T, behind.T, share.T, axis) if axis else cls(held, before, behind, share, axis)
-
-    def of_dwells(self, full: BoolArray) -> Edges:
-        """Those where the targets on either side have full dwell."""
-        before, behind = self.before & full, self.behind & full
-        along = (before.T, behind.T, full.T) if self.axis else (before, behind, full)
-        along[0][:-1] &= along[2][1:]
-        along[1][1:] &= along[2][:-1]
-        return self._replace(before=before, behind=behind)
-
-    def at(self, lost: FloatArray) -> FloatArray:
-        """Losses (n_range, n_yaw), with those at the edges in place of those beyond."""
-        inner = lost.copy()
-        into, own, behind = (inner.T, lost.T, self.behind.T) if self.axis else (inner, lost, self.behind)
-        into[:-1] = own[1:]
-        into[1:] = np.where(behind[1:], own[:-1], into[1:])
-        return np.where(self.before | self.behind, inner + self.share * (lost - inner), lost)
-
-
 def worst_losses(
-    line: Line,
-    spots: Focus,
-    rng: FloatArray,
-    yaw: FloatArray,
-    geometry: Geometry,
-    *,
-    rate: FloatArray,
+    targets: TracedTargets,
     gate: DwellGate | None,
+    *,
     parts: int,
-    scaled_about: float | None,
-    moves: FloatArray | None = None,
     track_phase: float,
-    weights: DwellWeights,
     full: BoolArray,
     reached: BoolArray | None = None,
     band: Taper = FLAT,
-    edges: Sequence[Edges] = (),
+    edges: Sequence[ImageEdges] = (),
 ) -> Losses:
-    """Losses of the target that loses most, of those with full dwell; of those there are, if any of these is there.
+    """Losses of the target with full dwell that loses most; on a terrain, of those that are there, if any of them is.
 
     Parameters
     ----------
-    line : Line
-        (n_range, n_yaw, n), after all steps.
-    rng, yaw : (n_range,), (n_yaw,) float
-        Epoch ranges, m, and yaws, rad.
-    rate : (n_range, n_yaw, n) float
-        The lines' Doppler rate before the steps in Doppler, Hz/s.
-    scaled_about : float or None
-        Time, s from the epoch, about which a keystone scales time with range frequency; None without one.
-    moves : (n_range, n_yaw, n) float, optional
-        From `dwell_ends.band_moves`, without one.
-    track_phase : float
-        Root mean square phase that the noise of the track leaves, rad.
-    weights : DwellWeights
-        At the nodes of the lines.
+    targets : TracedTargets
+    gate : DwellGate or None
+        None where the sum over time is that over the pulses.
     parts : int
         Of the gate over the band; 1 for one gate.
+    track_phase : float
+        Root mean square phase that the noise of the track leaves, rad.
     full : (n_range, n_yaw) bool
         From `full_dwells`.
     reached : (n_range, n_yaw) bool, optional
         On a terrain, which of the targets there are; default: all.
     band : Taper
         Weighting along range frequency.
-    edges : sequence of Edges
-        Of what is imaged.
+    edges : sequence of ImageEdges
     """
-    squared = line.weighed(weights.nodes**2)
-    phase, migration = _along_dwell(squared, spots, geometry, band, weights)
-    ends = np.zeros_like(phase)
-    if gate is not None:
-        ends = _at_ends(
-            line,
-            spots,
-            rng,
-            yaw,
-            geometry,
-            rate=rate,
-            gate=gate,
-            parts=parts,
-            scaled_about=scaled_about,
-            moves=moves,
-            weights=weights,
-            by_lit=_by_what_is_lit(gate, weights, reached, geometry),
-            band=band,
-        )
-        ends *= line.weight.sum(axis=-1)
-        if gate.taper is not None and gate.taper.fade:
-            ends *= weights.edge**2
-        if reached is not None and not _by_what_is_lit(gate, weights, reached, geometry):
-            ends *= ONE_SIDE
-        if parts == 1:
-            ends += slope_loss(geometry.collection, band) * (line.weight * np.square(weights.change)).sum(axis=-1)
-        ends /= squared.weight.sum(axis=-1)
-        if gate.taper is not None and not gate.taper.taper.uniform and not scans_evenly(geometry.collection):
-            ends += _by_place(line, spots, gate, weights)
+    phase, migration = _along_dwell(targets, band)
+    ends = np.zeros_like(phase) if gate is None else _gated(targets, gate, parts=parts, reached=reached, band=band)
     for edge in edges:
         phase, migration, ends = (edge.at(each) for each in (phase, migration, ends))
         full = full | edge.before | edge.behind
@@ -215,14 +130,14 @@ def worst_losses(
     )
 
 
-def _along_dwell(
-    line: Line, spots: Focus, geometry: Geometry, band: Taper, weights: DwellWeights
-) -> tuple[FloatArray, FloatArray]:
+def _along_dwell(targets: TracedTargets, band: Taper) -> tuple[FloatArray, FloatArray]:
     """Loss by residual phase, and what range migration takes besides."""
+    spots, weights = targets.spots, targets.weights
+    line = targets.line.weighed(weights.nodes**2)
     stretch = np.maximum(line.stretch, LEAST_STRETCH)
     level = line.phase - spots.doppler[..., None] * line.time - spots.phase[..., None]
     offset = line.range - spots.range[..., None]
-    turns = 2 * geometry.collection.bandwidth / SPEED_OF_LIGHT * offset
+    turns = 2 * targets.geometry.collection.bandwidth / SPEED_OF_LIGHT * offset
     if band.uniform:
         response = np.sinc(turns)
     else:
@@ -237,12 +152,32 @@ def _along_dwell(
     return phase, np.maximum(both - phase, 0.0)
 
 
-def _by_what_is_lit(gate: DwellGate, weights: DwellWeights, reached: BoolArray | None, geometry: Geometry) -> bool:
+def _gated(
+    targets: TracedTargets, gate: DwellGate, *, parts: int, reached: BoolArray | None, band: Taper
+) -> FloatArray:
+    """Loss by the gate: ends of dwells, and slopes of weights that it does not follow."""
+    line, weights, collection = targets.line, targets.weights, targets.geometry.collection
+    by_lit = _by_what_is_lit(gate, weights, reached, collection)
+    lost = _at_ends(targets, gate, parts=parts, by_lit=by_lit, band=band)
+    lost *= line.weight.sum(axis=-1)
+    if gate.taper is not None and gate.taper.fade:
+        lost *= weights.edge**2
+    if reached is not None and not by_lit:
+        lost *= ONE_SIDE
+    if parts == 1:
+        lost += slope_loss(collection, band) * (line.weight * np.square(weights.change)).sum(axis=-1)
+    lost /= line.weighed(weights.nodes**2).weight.sum(axis=-1)
+    if gate.taper is not None and not gate.taper.taper.uniform and not scans_evenly(collection):
+        lost += _by_place(line, targets.spots, gate, weights)
+    return lost
+
+
+def _by_what_is_lit(gate: DwellGate, weights: DwellWeights, reached: BoolArray | None, collection: Collection) -> bool:
     """Whether whole ends are counted in what is lit there; heights without a pattern displace both to one side.
 
     Not of looks: the whole beam, whose echoes the samples hold, lights what lies on both sides of their ends.
     """
-    whole = (gate.taper is None or not gate.taper.fade) and geometry.collection.lit_widths == 1
+    whole = (gate.taper is None or not gate.taper.fade) and collection.lit_widths == 1
     return whole and (reached is None or weights.pattern is not None)
 
 
@@ -261,60 +196,36 @@ def _by_place(line: Line, spots: Focus, gate: DwellGate, weights: DwellWeights) 
     return 1 - np.abs((line.weight * wanted * found).sum(axis=-1)) / np.sqrt(np.where(power > 0, power, np.inf))
 
 
-def _at_ends(
-    line: Line,
-    spots: Focus,
-    rng: FloatArray,
-    yaw: FloatArray,
-    geometry: Geometry,
-    *,
-    rate: FloatArray,
-    gate: DwellGate,
-    parts: int,
-    scaled_about: float | None,
-    moves: FloatArray | None,
-    weights: DwellWeights,
-    by_lit: bool,
-    band: Taper,
-) -> FloatArray:
+def _at_ends(targets: TracedTargets, gate: DwellGate, *, parts: int, by_lit: bool, band: Taper) -> FloatArray:
     """Loss by ends of the dwell that are smeared or displaced; none at an end that the collection's end cuts.
 
     That of faded ends is yet to be weighed by their weight.
     """
-    collection = geometry.collection
+    line, spots, weights, collection = targets.line, targets.spots, targets.weights, targets.geometry.collection
     lit = line.weight.sum(axis=-1)
     lost = np.zeros(lit.shape)
     edge_of_band = collection.bandwidth / 2 / collection.carrier
     fade = 0 if gate.taper is None else gate.taper.fade
-    smear = end_smear(line, rate, faded=fade > 0)
-    for end, placed, moment, phase, slope in zip(
-        (0, -1),
-        dwell_ends(line),
-        dwell_at(geometry, yaw, rng[:, None]),
-        (gate.begin, gate.end),
-        (gate.begin_slope, gate.end_slope),
-        strict=True,
-    ):
+    smear = end_smear(line, targets.rate, faded=fade > 0)
+    for end, phase, slope in ((0, gate.begin, gate.begin_slope), (-1, gate.end, gate.end_slope)):
         side = -1 if end == 0 else 1
         _, at, pace = (v[..., 0] for v in phase.evaluate(spots.range, spots.doppler[..., None]))
         left = smear[..., end] - (slope.coefficients(spots.range)[..., 0] - pace)
-        displaced = (at + side * gate.length / 2 - placed) / line.stretch[..., end]
-        scaled = np.zeros(yaw.shape) if scaled_about is None else moment - geometry.epoch - scaled_about
-        scaled = scaled if moves is None else moves[..., end]
+        displaced = (at + side * gate.length / 2 - targets.ends[end]) / line.stretch[..., end]
+        spread = targets.moved(end) * edge_of_band
         if fade:
             area = left / line.stretch[..., end] ** 2
-            total = faded_energy(area, displaced, scaled * edge_of_band, lit / (2 * fade), band, parts=parts)
+            total = faded_energy(area, displaced, spread, lit / (2 * fade), band, parts=parts)
         elif by_lit:
             total = lit_energy(
-                left, displaced, scaled * edge_of_band, blur=gate.blur, pulse_interval=collection.pulse_interval,
+                left, displaced, spread, blur=gate.blur, pulse_interval=collection.pulse_interval,
                 lit_band=weights.lit_band, band=band_nodes(band, BAND_NODES), gain=weights.gains(side),
             )  # fmt: skip
             total = (total + lift_energy(gate.blur, gate.lift)) * CHIPS * weights.end**2
         else:
-            total = blurred_energy(left, displaced, scaled * edge_of_band, gate.blur, collection.pulse_interval, band)
+            total = blurred_energy(left, displaced, spread, gate.blur, collection.pulse_interval, band)
             total = (total + lift_energy(gate.blur, gate.lift)) * np.square(weights.edge)
-        cut = np.abs(moment - collection.time[end]) < collection.pulse_interval
-        lost += np.where(cut, 0.0, total)
+        lost += np.where(targets.cut[..., end], 0.0, total)
     return lost / (2 * lit)
 
 

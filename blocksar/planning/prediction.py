@@ -13,12 +13,13 @@ from blocksar.collection.geometry import TRACK_ACCURACY, Geometry
 from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
-from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line
-from blocksar.planning.dwell_ends import dwell_ends, full_dwells
-from blocksar.planning.dwell_weights import DwellWeights
+from blocksar.focusing.lines import LEAST_STRETCH
+from blocksar.planning.dwell_ends import full_dwells
 from blocksar.planning.end_windows import at_ends
-from blocksar.planning.fidelity import Edges, worst_losses
+from blocksar.planning.fidelity import worst_losses
+from blocksar.planning.image_edges import ImageEdges
 from blocksar.planning.lobes import lobe_width, responses, side_lobe
+from blocksar.planning.traced_targets import TracedTargets
 
 
 class Prediction(NamedTuple):
@@ -59,25 +60,15 @@ class Prediction(NamedTuple):
 
 
 def predict(
-    line: Line,
-    spots: Focus,
-    rng: FloatArray,
-    yaw: FloatArray,
-    geometry: Geometry,
-    *,
-    rate: FloatArray,
+    targets: TracedTargets,
     gate: DwellGate | None,
+    *,
     parts: int = 1,
-    scaled_about: float | None,
-    moves: FloatArray | None = None,
-    weights: DwellWeights,
     reached: BoolArray | None = None,
-    imaged: tuple[Edges, Edges] | None = None,
+    imaged: tuple[ImageEdges, ImageEdges] | None = None,
     band: Taper = FLAT,
 ) -> Prediction:
-    """The worst figures of traced lines (n_range, n_yaw) under a weighting `band` along range frequency.
-
-    `rate` is the lines' Doppler rate before the steps in Doppler.
+    """The worst figures of traced targets under a gate of `parts` over the band, and a weighting `band` along it.
 
     The ideal side lobes are those that exact back-projection gives the target with the worst phase. Level lines make
     time after all steps a linear function of the direction in which a target is seen, so that they are those of its
@@ -86,6 +77,8 @@ def predict(
     tells which of the targets there are, and `imaged` where the image begins and ends along yaw and along range: a
     block may be wider than the grid, and the range window slants over a wide one.
     """
+    line, spots, weights, geometry = targets.line, targets.spots, targets.weights, targets.geometry
+    rng, yaw = targets.epoch_range, targets.yaw
     range_cell = SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
     residual = spots.residual
     # Cut dwells have other side lobes under weights: of those with full dwell, where there are any.
@@ -101,9 +94,9 @@ def predict(
     judged = np.where(there if weights.uniform else full & there, residual, -1.0)
     worst = tuple(int(i) for i in np.unravel_index(int(np.argmax(judged)), residual.shape))
     some = [worst] if weights.uniform or not full.any() else [worst, *_corners(full)]
-    changed = _at_ends(line, geometry, gate, weights.edge, rng, yaw) if gate is not None and gate.lift else None
+    changed = _at_ends(targets, gate) if gate is not None and gate.lift else None
     lobes = max(
-        (_azimuth_lobes(line, spots, weights, target, changed if full[target] else None) for target in some),
+        (_azimuth_lobes(targets, target, changed if full[target] else None) for target in some),
         key=_Lobes.change,
     )
     slope = np.gradient(spots.doppler, yaw, axis=1)
@@ -116,8 +109,7 @@ def predict(
     middle = yaw.size // 2
     track_phase = _track_phase(geometry, rng, yaw)
     lost = worst_losses(
-        line, spots, rng, yaw, geometry, rate=rate, gate=gate, parts=parts, scaled_about=scaled_about,
-        moves=moves, track_phase=track_phase, weights=weights, full=full, reached=reached, band=band,
+        targets, gate, parts=parts, track_phase=track_phase, full=full, reached=reached, band=band,
         edges=[each for each in edges if each.before.any() or each.behind.any()],
     )  # fmt: skip
     return Prediction(
@@ -158,10 +150,10 @@ def _corners(full: BoolArray) -> list[tuple[int, ...]]:
 
 
 def _azimuth_lobes(
-    line: Line, spots: Focus, weights: DwellWeights, target: tuple[int, ...],
-    changed: tuple[FloatArray, FloatArray] | None,
-) -> _Lobes:  # fmt: skip
+    targets: TracedTargets, target: tuple[int, ...], changed: tuple[FloatArray, FloatArray] | None
+) -> _Lobes:
     """Those of one target, with what windows have `changed` (`_at_ends`)."""
+    line, spots, weights = targets.line, targets.spots, targets.weights
     weight = weights.weigh(line).weight[target]
     level = line.phase - spots.doppler[..., None] * line.time - spots.phase[..., None]
     turned = np.sqrt(np.maximum(line.stretch, LEAST_STRETCH)) * spots.levels * np.exp(2j * np.pi * level)
@@ -176,19 +168,12 @@ def _azimuth_lobes(
     return _Lobes(target, side_lobe(response), lobe_width(response, time), side_lobe(ideal), lobe_width(ideal, time))
 
 
-def _at_ends(
-    line: Line, geometry: Geometry, gate: DwellGate, edge: FloatArray | float, rng: FloatArray, yaw: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Times and weights (..., 4) by which windows at ends of dwells change sums; none at ends that no window makes.
-
-    `edge` (...) are the weights of targets at their ends.
-    """
-    collection = geometry.collection
-    moments = np.stack(dwell_at(geometry, yaw, rng[:, None]), axis=-1)
-    cut = np.abs(moments - collection.time[[0, -1]]) < collection.pulse_interval
+def _at_ends(targets: TracedTargets, gate: DwellGate) -> tuple[FloatArray, FloatArray]:
+    """Times and weights (..., 4) by which windows at ends of dwells change sums; none at ends that no window makes."""
+    line, edge = targets.line, targets.weights.edge
     stretch = np.sqrt(np.maximum(line.stretch[..., [0, -1]], LEAST_STRETCH))
-    weight = np.where(cut, 0.0, np.broadcast_to(edge, line.time.shape[:-1])[..., None] * stretch)
-    return at_ends(gate.blur, gate.lift, np.stack(dwell_ends(line), axis=-1), weight)
+    weight = np.where(targets.cut, 0.0, np.broadcast_to(edge, line.time.shape[:-1])[..., None] * stretch)
+    return at_ends(gate.blur, gate.lift, np.stack(targets.ends, axis=-1), weight)
 
 
 def _track_phase(geometry: Geometry, rng: FloatArray, yaw: FloatArray) -> float:

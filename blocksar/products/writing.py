@@ -13,7 +13,7 @@ from contextlib import contextmanager
 
 from blocksar.errors import InputError, ProcessingError, in_the_way, is_full, no_room
 from blocksar.places import Location, place
-from blocksar.places.local import LocalPlace, held_part
+from blocksar.places.local import LocalPlace, held_part, new_file
 from blocksar.runs.record import RECORD
 
 
@@ -54,7 +54,7 @@ def replacing(out: Location, *, overwrite: bool) -> Iterator[str]:
     try:
         os.makedirs(target.path.parent, exist_ok=True)
         # It fails now if it cannot be written, with the same message whichever library writes.
-        with held_part(target.path, lambda part: open(part, "xb").close()) as part:
+        with held_part(target.path, new_file) as part:
             yield part
             descriptor = os.open(part, os.O_RDONLY)
             try:

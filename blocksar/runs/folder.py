@@ -53,7 +53,6 @@ TEMPORARY = ("receipts", "compressed.zarr", "gated", SCRATCH, TRACK)  # what a f
 INTERMEDIATE = ("spectrum.zarr", "patches")  # those of OWN that nothing reads once a run is finished
 LEFT_ALONE = (HISTORY, TRACK)  # may lie in the folder of a new run: `demo` puts its input there
 LOCK, ASIDE = "run.lock", ".replaced"
-RESUMABLE = "what was finished stays, the same command goes on from there"
 
 
 def member(folder: Place, name: str, dimension: str = "channel") -> Place:
@@ -266,9 +265,10 @@ def resumable() -> Iterator[None]:
     try:
         yield
     except ProcessingError as error:
-        if str(error).endswith(RESUMABLE):
+        if error.resumable:
             raise
-        raise ProcessingError(f"{error}; {RESUMABLE}") from error
+        message = f"{error}; what was finished stays, the same command goes on from there"
+        raise ProcessingError(message, resumable=True) from error
 
 
 def finish(folder: Place, record: RunRecord) -> None:

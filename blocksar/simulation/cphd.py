@@ -20,7 +20,7 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, in_the_way, is_full, no_room
 from blocksar.ingestion.cphd import NAMESPACE, library
 from blocksar.places import Location, place
-from blocksar.places.local import LocalPlace, held_part
+from blocksar.places.local import LocalPlace, held_part, new_file
 from blocksar.progress.listening import Callback
 from blocksar.simulation.cphd_beam import antenna_content, antenna_frame, gain_table, lit_area
 from blocksar.simulation.lengths import next_smooth_even
@@ -104,7 +104,7 @@ def simulate(
     samples = sampler(scene, collection, threads=threads)
     try:
         where.parent.mkdir(parents=True, exist_ok=True)
-        with held_part(where, lambda part: open(part, "xb").close()) as part, open(part, "w+b") as file:
+        with held_part(where, new_file) as part, open(part, "w+b") as file:
             sarkit.Writer(file, sarkit.Metadata(xmltree=tree)).write_pvp("1", vectors)
             file.seek(0)
             file.seek(int(sarkit.read_file_header(file)[1]["SIGNAL_BLOCK_BYTE_OFFSET"]))

@@ -17,7 +17,8 @@ from blocksar.api.shortfall import describe_shortfall
 from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Taper
 from blocksar.errors import InputError
-from blocksar.planning.fidelity import Edges, end_energy
+from blocksar.planning.fidelity import end_energy
+from blocksar.planning.image_edges import ImageEdges
 from blocksar.planning.plan import plan_collection
 from blocksar.simulation.scene import Scene
 
@@ -144,8 +145,8 @@ def test_losses_at_edges_are_interpolated_between_targets_on_either_side() -> No
     yaw, lost = np.array([0.0, 1.0, 3.0, 4.0]), np.array([[0.0, 1.0, 3.0, 8.0], [0.0, 2.0, 6.0, 16.0]])
     full = np.ones((2, 4), np.bool_)
 
-    def between(first: float, last: float, full: Any = full) -> Edges:
-        return Edges.between(yaw, np.full(2, first), np.full(2, last), axis=1).of_dwells(full)
+    def between(first: float, last: float, full: Any = full) -> ImageEdges:
+        return ImageEdges.between(yaw, np.full(2, first), np.full(2, last), axis=1).of_dwells(full)
 
     some = between(0.5, 3.25)
     np.testing.assert_array_equal(some.held, [[False, True, True, False]] * 2)
@@ -161,7 +162,7 @@ def test_losses_at_edges_are_interpolated_between_targets_on_either_side() -> No
 def test_a_window_of_few_cells_is_judged_at_its_edges() -> None:
     """Targets are traced over 64 cells at least; migration in a narrower one was judged at the outermost inside."""
     rng, near, far = np.array([0.0, 10.0, 20.0]), np.full(1, 4.0), np.full(1, 17.0)
-    edges = Edges.between(rng, near, far, axis=0)
+    edges = ImageEdges.between(rng, near, far, axis=0)
     np.testing.assert_allclose(edges.at(np.array([[10.0], [0.0], [20.0]]))[:, 0], [6.0, 0.0, 14.0])
 
 

@@ -162,7 +162,7 @@ def test_a_folder_without_write_permission_is_wrong_input_for_every_format(
     def refused(*_: Any, **__: Any) -> Any:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(writing, "open", refused, raising=False)
+    monkeypatch.setattr(writing, "new_file", refused)
     with pytest.raises(InputError, match=r"cannot be written \(Permission denied\)"):
         blocksar.export(kind, made.folder, tmp_path / "file")
     assert list(tmp_path.iterdir()) == []

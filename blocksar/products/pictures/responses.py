@@ -15,7 +15,7 @@ from scipy.ndimage import zoom
 
 from blocksar.arrays import Complex128Array, FloatArray
 from blocksar.collection.weighting import CUT_WIDTHS
-from blocksar.measurement.figures import ResponseGrid, cuts, ideal_cuts, measure, response_grid
+from blocksar.measurement.figures import BEYOND, ResponseGrid, cuts, ideal_cuts, measure, response_grid
 from blocksar.measurement.response import Response
 from blocksar.products.pictures.figures import (
     LEVEL_COLOURS,
@@ -28,7 +28,7 @@ from blocksar.products.pictures.figures import (
 )
 
 SINGLE = 2.5  # inches, width of a panel of a lone target: its texts are read at the width of a phone
-PANEL_WIDTHS = 4.5  # half the side of a contour panel, in median theoretical widths
+PANEL_WIDTHS = 4.5  # half the side of a contour panel, in median nominal widths
 CONTOUR_ZOOM = 4  # contours are drawn through this many times as many points
 CONTOUR_LEVELS = (-30.0, -15.0, -3.0)  # dB, as in the paper's Figure 15
 
@@ -123,7 +123,7 @@ def _draw_cut(
     axes.plot(offset, measured, color=colour, linewidth=1.1)
     # Drawn last: a dotted line over the measured curve leaves both visible where they agree.
     axes.plot(offset, expected, color="#1d242d", linestyle=":", linewidth=0.8)
-    end = CUT_WIDTHS / (CUT_WIDTHS + 0.5) * offset[-1]
+    end = CUT_WIDTHS / (CUT_WIDTHS + BEYOND) * offset[-1]
     axes.set_xlim(-end, end)
     axes.set_ylim(min(-45, lobes - 20), 2)
     axes.grid(color="#e4e7ec", linewidth=0.5)
