@@ -21,7 +21,7 @@ from blocksar.focusing.sampling import Sampling
 from blocksar.focusing.step import Constants, Stage, Step, stages
 from blocksar.kernels.fourier import Axis
 from blocksar.planning.binding import AzimuthPart, RangePart, Slab
-from blocksar.planning.block_ground import map_loss, plan_ground, usual_layer
+from blocksar.planning.block_ground import end_layers, map_loss, plan_ground, usual_layer
 from blocksar.planning.block_lines import CoarseLines, FineLines, follow_terrain, trace_finely
 from blocksar.planning.block_sampling import plan_sampling, plan_slab
 from blocksar.planning.coefficients import Choice, choose
@@ -31,7 +31,7 @@ from blocksar.planning.fitting import RESAMPLING_ORDERS
 from blocksar.planning.memory import RELIEF_MEMORY, block_memory
 from blocksar.planning.motion import plan_motion
 from blocksar.planning.nodes import common_ranges
-from blocksar.planning.prediction import Prediction, predict
+from blocksar.planning.prediction import Prediction, predict, worst_lobes
 from blocksar.planning.range_gate import plan_range_gate
 from blocksar.planning.sector import Sector
 from blocksar.planning.target_lines import tail_margin
@@ -260,6 +260,8 @@ def _predict(
 ) -> Prediction:
     """The prediction from the block's lines; on a terrain from those of targets at usual heights.
 
+    Side lobes also from those of targets that lie low, and of such that lie high.
+
     Weights made of waves that err by e of themselves, root mean square, lose at most e^2 / 2.
     """
     geometry, line, spots, rate, reached = sector.geometry, lines.line, lines.spots, lines.ends.rate, None
@@ -272,6 +274,13 @@ def _predict(
         scaled_about=lines.ends.scaled_about, moves=lines.ends.moves, weights=lines.weights, reached=reached,
         imaged=imaged, band=sector.weighting.range,
     )  # fmt: skip
+    for layer in [] if sector.relief is None else end_layers(sector, azimuth, lines):
+        predicted = predicted.or_lobes(
+            worst_lobes(
+                layer.line, layer.spots, lines.epoch_range, lines.yaw, layer.geometry, gate=sampling.gate,
+                weights=lines.weights, reached=reached, imaged=imaged,
+            )
+        )  # fmt: skip
     seen = np.logical_and.reduce([lines.ends.full, *(each.held for each in imaged)])
     of_dwells = sector.taper_loss + (0.0 if ground.waves is None else ground.waves.error**2 / 2)
     return predicted.less(of_dwells, map_loss(ground, lines, geometry.collection.bandwidth, seen))
