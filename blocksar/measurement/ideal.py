@@ -34,15 +34,17 @@ def ideal_response(
 ) -> Complex128Array:
     """The response h (n,) of a target of reflectivity 1 on the ground at `origin`, at ground points x, y (n,), m.
 
-    0 where target and point are never lit together, and all NaN where the target is never lit.
+    0 where target and point are never lit together, NaN where the terrain has no height, and all NaN where it has none
+    at the target, or the target is never lit.
     """
     collection, taper = geometry.collection, weighting.azimuth
     of_x, of_y = np.array([origin[0]]), np.array([origin[1]])
     begin, end = (float(edge[0]) for edge in dwell(geometry, of_x, of_y))
-    if not begin < end:
+    if not (begin < end and np.isfinite(geometry.on_ground(of_x, of_y)).all()):
         return np.full(x.shape, np.nan + 0j)
     own_begin, own_end = dwell(geometry, x, y)
-    both = np.minimum(own_end, end) > np.maximum(own_begin, begin)
+    known = np.isfinite(geometry.on_ground(x, y)).all(axis=-1)
+    both = known & (np.minimum(own_end, end) > np.maximum(own_begin, begin))
     x, y, own_begin, own_end = x[both], y[both], own_begin[both], own_end[both]
     first, last = np.maximum(own_begin, begin), np.minimum(own_end, end)
 
@@ -67,7 +69,7 @@ def ideal_response(
         counted = dwell_weight(geometry, x[:, None], y[:, None], over(own_begin, own_end), taper)
         whole = whole * (counted @ weights) / 2
     turned = (made * np.exp(4j * np.pi * collection.carrier / SPEED_OF_LIGHT * offset)) @ weights / 2
-    response = np.zeros(both.shape, np.complex128)
+    response = np.where(known, 0j, np.nan + 0j)
     response[both] = turned * (last - first) / np.where(whole > 0, whole, np.inf)
     return response
 
@@ -85,7 +87,7 @@ def _swing(geometry: Geometry, origin: tuple[float, float], x: FloatArray, y: Fl
     """Largest turn of phase (cycles, at the top of the band) by which dR of points (n,) changes over times (m,)."""
     collection = geometry.collection
     top = collection.carrier + collection.bandwidth / 2
-    return float(2 * top / SPEED_OF_LIGHT * np.ptp(_offset(geometry, origin, x, y, time), axis=1).max())
+    return float(2 * top / SPEED_OF_LIGHT * np.ptp(_offset(geometry, origin, x, y, time), axis=1).max(initial=0.0))
 
 
 def _over_band(taper: Taper, bandwidth: float, offset: FloatArray) -> FloatArray:
@@ -93,5 +95,5 @@ def _over_band(taper: Taper, bandwidth: float, offset: FloatArray) -> FloatArray
     u = 2 * bandwidth / SPEED_OF_LIGHT * offset
     if taper.uniform:
         return np.asarray(np.sinc(u))
-    known = np.arange(int(np.abs(u).max() * STEPS) + 2) / STEPS
+    known = np.arange(int(np.abs(u).max(initial=0.0) * STEPS) + 2) / STEPS
     return np.interp(np.abs(u), known, taper.response(known))

@@ -21,7 +21,7 @@ from blocksar.focusing.sampling import Sampling
 from blocksar.focusing.step import Constants, Stage, Step, stages
 from blocksar.kernels.fourier import Axis
 from blocksar.planning.binding import AzimuthPart, RangePart, Slab
-from blocksar.planning.block_ground import map_loss, plan_ground, usual_layer
+from blocksar.planning.block_ground import end_layers, map_loss, plan_ground, usual_layer
 from blocksar.planning.block_lines import CoarseLines, FineLines, follow_terrain, trace_finely
 from blocksar.planning.block_sampling import plan_sampling, plan_slab
 from blocksar.planning.coefficients import Choice, choose
@@ -31,10 +31,12 @@ from blocksar.planning.image_edges import ImageEdges
 from blocksar.planning.memory import RELIEF_MEMORY, block_memory
 from blocksar.planning.motion import plan_motion
 from blocksar.planning.nodes import common_ranges
-from blocksar.planning.prediction import Prediction, predict
+from blocksar.planning.prediction import Prediction, predict, worst_lobes
 from blocksar.planning.range_gate import plan_range_gate
+from blocksar.planning.relief import Layer
 from blocksar.planning.sector import Sector
 from blocksar.planning.target_lines import tail_margin
+from blocksar.planning.traced_targets import TracedTargets
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -260,19 +262,28 @@ def _predict(
 ) -> Prediction:
     """The prediction from the block's lines; on a terrain from those of targets at usual heights.
 
+    Side lobes also from those of targets that lie low, and of such that lie high.
+
     Weights made of waves that err by e of themselves, root mean square, lose at most e^2 / 2.
     """
     targets, reached = lines.targets(sector.geometry), None
     if sector.relief is not None:
         layer, reached = usual_layer(sector, azimuth, lines)
-        targets = replace(targets, geometry=layer.geometry, line=layer.line, spots=layer.spots, rate=layer.rate)
+        targets = _on(targets, layer)
     imaged = _imaged(sector, lines)
     predicted = predict(
         targets, sampling.gate, parts=sector.gate_parts, reached=reached, imaged=imaged, band=sector.weighting.range
     )
+    for layer in [] if sector.relief is None else end_layers(sector, azimuth, lines):
+        predicted = predicted.or_lobes(worst_lobes(_on(targets, layer), sampling.gate, reached=reached, imaged=imaged))
     seen = np.logical_and.reduce([lines.ends.full, *(each.held for each in imaged)])
     of_dwells = sector.taper_loss + (0.0 if ground.waves is None else ground.waves.error**2 / 2)
     return predicted.less(of_dwells, map_loss(ground, lines, seen))
+
+
+def _on(targets: TracedTargets, layer: Layer) -> TracedTargets:
+    """The targets on another ground."""
+    return replace(targets, geometry=layer.geometry, line=layer.line, spots=layer.spots, rate=layer.rate)
 
 
 def _imaged(sector: Sector, lines: FineLines) -> tuple[ImageEdges, ImageEdges]:

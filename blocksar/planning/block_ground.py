@@ -157,8 +157,20 @@ def usual_layer(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> tuple
     """Lines of targets at usual heights of a terrain, and which (n_range, n_yaw) of them there are."""
     assert sector.relief is not None
     usual, known = sector.relief.usual(lines.epoch_range.size, lines.yaw.size)
-    geometry = sector.geometry.over(None, NodeHeights(smooth=sector.relief.fine, over=usual))
-    return _layer(sector, azimuth, lines, geometry), known if known.any() else np.ones_like(known)
+    return _at_heights(sector, azimuth, lines, usual), known if known.any() else np.ones_like(known)
+
+
+def end_layers(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> list[Layer]:
+    """Lines of targets that lie low and of such that lie high on a terrain."""
+    assert sector.relief is not None
+    ends = sector.relief.usual_ends(lines.epoch_range.size, lines.yaw.size)
+    return [_at_heights(sector, azimuth, lines, heights) for heights in ends]
+
+
+def _at_heights(sector: Sector, azimuth: AzimuthPart, lines: FineLines, over: FloatArray) -> Layer:
+    """Lines of targets at heights (n_range, n_yaw), m, over the finer smooth ground."""
+    assert sector.relief is not None
+    return _layer(sector, azimuth, lines, sector.geometry.over(None, NodeHeights(smooth=sector.relief.fine, over=over)))
 
 
 def _layer(sector: Sector, azimuth: AzimuthPart, lines: FineLines, geometry: Geometry) -> Layer:

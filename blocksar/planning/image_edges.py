@@ -41,6 +41,17 @@ class ImageEdges(NamedTuple):
         along[1][1:] &= along[2][:-1]
         return self._replace(before=before, behind=behind)
 
+    def beside(self, target: tuple[int, ...]) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
+        """Pairs of targets, beyond an edge and next to it inside, at a target's place along the other axis."""
+        row, column = target
+        pairs: list[tuple[tuple[int, ...], tuple[int, ...]]] = []
+        for beyond, step in ((self.before, 1), (self.behind, -1)):
+            if self.axis:
+                pairs += [((row, at), (row, at + step)) for at in np.flatnonzero(beyond[row]).tolist()]
+            else:
+                pairs += [((at, column), (at + step, column)) for at in np.flatnonzero(beyond[:, column]).tolist()]
+        return pairs
+
     def at(self, lost: FloatArray) -> FloatArray:
         """Losses (n_range, n_yaw), with those at the edges in place of those beyond."""
         inner = lost.copy()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -49,6 +50,12 @@ class Prediction(NamedTuple):
             range_loss=self.range_loss + of_range,
         )
 
+    def or_lobes(self, lobes: Lobes) -> Prediction:
+        """The same with other side lobes and their width, if these are changed by more."""
+        if lobes.change() <= abs(self.pslr - self.ideal_pslr):
+            return self
+        return self._replace(pslr=lobes.side, width=lobes.widened, ideal_pslr=lobes.ideal_side)
+
     def excess(self, fidelity: float, *, migration: bool = True) -> float:
         """Loss of coherence and change of the side lobes over what `fidelity` allows: the worse of the two.
 
@@ -81,24 +88,8 @@ def predict(
     rng, yaw = targets.epoch_range, targets.yaw
     range_cell = SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
     residual = spots.residual
-    # Cut dwells have other side lobes under weights: of those with full dwell, where there are any.
-    uncut, there = full_dwells(line, geometry, rng[:, None], yaw), np.ones(residual.shape, np.bool_)
-    edges, beyond = [], uncut
-    for known in (*(each.held for each in imaged or ()), reached):
-        if known is not None and (there & known).any():
-            there &= known
-    full = uncut & there if (uncut & there).any() else uncut
-    for each in imaged or ():
-        edges.append(each.of_dwells(beyond))
-        beyond = beyond & each.held | edges[-1].before | edges[-1].behind
-    judged = np.where(there if weights.uniform else full & there, residual, -1.0)
-    worst = tuple(int(i) for i in np.unravel_index(int(np.argmax(judged)), residual.shape))
-    some = [worst] if weights.uniform or not full.any() else [worst, *_corners(full)]
-    changed = _at_ends(targets, gate) if gate is not None and gate.lift else None
-    lobes = max(
-        (_azimuth_lobes(targets, target, changed if full[target] else None) for target in some),
-        key=_Lobes.change,
-    )
+    there, full, edges = _judged(targets, reached, imaged or ())
+    lobes = worst_lobes(targets, gate, reached=reached, imaged=imaged or ())
     slope = np.gradient(spots.doppler, yaw, axis=1)
     dwell = (line.weight * line.stretch).sum(axis=-1)
     width = weights.taper.ideal.width
@@ -109,14 +100,13 @@ def predict(
     middle = yaw.size // 2
     track_phase = _track_phase(geometry, rng, yaw)
     lost = worst_losses(
-        targets, gate, parts=parts, track_phase=track_phase, full=full, reached=reached, band=band,
-        edges=[each for each in edges if each.before.any() or each.behind.any()],
-    )  # fmt: skip
+        targets, gate, parts=parts, track_phase=track_phase, full=full, reached=reached, band=band, edges=edges
+    )
     return Prediction(
         residual_phase=float(residual[there].max()),
         quadratic_phase=float(spots.quadratic[there].max()),
         pslr=lobes.side,
-        width=lobes.width / lobes.ideal_width,
+        width=lobes.widened,
         migration=float(spots.migration[there].max() / range_cell),
         resolution=float(widths[rng.size // 2, middle] * ground[rng.size // 2]),
         track_phase=track_phase,
@@ -129,7 +119,7 @@ def predict(
     )
 
 
-class _Lobes(NamedTuple):
+class Lobes(NamedTuple):
     """Highest side lobes, dB, and widths, Hz, of a target's response along azimuth, and those in back-projection."""
 
     target: tuple[int, ...]
@@ -138,8 +128,59 @@ class _Lobes(NamedTuple):
     ideal_side: float
     ideal_width: float
 
+    @property
+    def widened(self) -> float:
+        """Width over that in back-projection."""
+        return self.width / self.ideal_width
+
     def change(self) -> float:
+        """What the side lobes differ by from those in back-projection, dB."""
         return abs(self.side - self.ideal_side)
+
+    def towards(self, other: Lobes, share: float) -> Lobes:
+        """Those a share of the way to another target."""
+        return Lobes(self.target, *(a + share * (b - a) for a, b in zip(self[1:], other[1:], strict=True)))
+
+
+def worst_lobes(
+    targets: TracedTargets,
+    gate: DwellGate | None,
+    *,
+    reached: BoolArray | None = None,
+    imaged: Sequence[ImageEdges] = (),
+) -> Lobes:
+    """Of the target with the worst phase, and of those at the edges of the image beside it; see `predict`."""
+    there, full, edges = _judged(targets, reached, imaged)
+    uniform = targets.weights.uniform
+    judged = np.where(there if uniform else full & there, targets.spots.residual, -1.0)
+    worst = tuple(int(i) for i in np.unravel_index(int(np.argmax(judged)), judged.shape))
+    some = [worst] if uniform or not full.any() else [worst, *_corners(full)]
+    changed = _at_ends(targets, gate) if gate is not None and gate.lift else None
+    found = [_azimuth_lobes(targets, target, changed if full[target] else None) for target in some]
+    for edge in edges:
+        for outer, inner in edge.beside(worst):
+            beyond = _azimuth_lobes(targets, outer, changed)
+            inside = _azimuth_lobes(targets, inner, changed if full[inner] else None)
+            found.append(inside.towards(beyond, float(edge.share[outer])))
+    return max(found, key=Lobes.change)
+
+
+def _judged(
+    targets: TracedTargets, reached: BoolArray | None, imaged: Sequence[ImageEdges]
+) -> tuple[BoolArray, BoolArray, list[ImageEdges]]:
+    """Which targets there are, which of them have full dwell (of all, if none has), and edges between such."""
+    # Cut dwells have other side lobes under weights: of those with full dwell, where there are any.
+    line = targets.line
+    uncut = full_dwells(line, targets.geometry, targets.epoch_range[:, None], targets.yaw)
+    there, beyond, edges = np.ones(line.time.shape[:-1], np.bool_), uncut, []
+    for known in (*(each.held for each in imaged), reached):
+        if known is not None and (there & known).any():
+            there &= known
+    for each in imaged:
+        edges.append(each.of_dwells(beyond))
+        beyond = beyond & each.held | edges[-1].before | edges[-1].behind
+    full = uncut & there if (uncut & there).any() else uncut
+    return there, full, [each for each in edges if each.before.any() or each.behind.any()]
 
 
 def _corners(full: BoolArray) -> list[tuple[int, ...]]:
@@ -151,7 +192,7 @@ def _corners(full: BoolArray) -> list[tuple[int, ...]]:
 
 def _azimuth_lobes(
     targets: TracedTargets, target: tuple[int, ...], changed: tuple[FloatArray, FloatArray] | None
-) -> _Lobes:
+) -> Lobes:
     """Those of one target, with what windows have `changed` (`_at_ends`)."""
     line, spots, weights = targets.line, targets.spots, targets.weights
     weight = weights.weigh(line).weight[target]
@@ -165,7 +206,7 @@ def _azimuth_lobes(
         made = np.append(made, change)
     # The ends of the dwell lie slightly outside the outermost nodes. The quadrature over the nodes is still exact.
     response, ideal = responses(time, made, weight)
-    return _Lobes(target, side_lobe(response), lobe_width(response, time), side_lobe(ideal), lobe_width(ideal, time))
+    return Lobes(target, side_lobe(response), lobe_width(response, time), side_lobe(ideal), lobe_width(ideal, time))
 
 
 def _at_ends(targets: TracedTargets, gate: DwellGate) -> tuple[FloatArray, FloatArray]:

@@ -77,6 +77,19 @@ class Relief:
         That is of heights that are normally distributed, and has the sign of their mean. About a node are places nearer
         to it than to others, and those as near as in a chip.
         """
+        middle, spread, known = self._about(n_range, n_yaw)
+        return np.copysign(np.sqrt(middle**2 + 2 / np.pi * spread), middle), known
+
+    def usual_ends(self, n_range: int, n_yaw: int) -> tuple[FloatArray, FloatArray]:
+        """Heights (n_range, n_yaw), m, as `usual`, of places that lie low and of such that lie high: mean -+ deviation.
+
+        Side lobes are those of each target: what is at one height is not made up for by what is at another.
+        """
+        middle, spread, _ = self._about(n_range, n_yaw)
+        return middle - np.sqrt(spread), middle + np.sqrt(spread)
+
+    def _about(self, n_range: int, n_yaw: int) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Mean and variance of heights over the finer smooth ground about each end node, and whether any is known."""
         u, v, over = self.points
         cell = [np.clip(((at + 1) / 2 * BINS).astype(np.int64), 0, BINS - 1) for at in (u, v)]
         which = cell[0] * BINS + cell[1]
@@ -93,8 +106,7 @@ class Relief:
         number = total(None)
         known = number > 0.5
         middle, square = (total(values) / np.maximum(number, 1) for values in (over, over**2))
-        spread = np.maximum(square - middle**2, 0.0)
-        return np.copysign(np.sqrt(middle**2 + 2 / np.pi * spread), middle), known
+        return middle, np.maximum(square - middle**2, 0.0), known
 
 
 def _bins_about(n: int) -> tuple[IntArray, IntArray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,7 +19,8 @@ from scipy.special import diric
 from blocksar.arrays import Complex128Array, ComplexArray, FloatArray
 from blocksar.collection.beam import dwell, has_full_dwell
 from blocksar.collection.collection import Collection
-from blocksar.collection.geometry import Geometry
+from blocksar.collection.geometry import Geometry, over_terrain
+from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import SINC_ISLR, SINC_PSLR, SINC_WIDTH, SPEED_OF_LIGHT
 from blocksar.errors import InputError
@@ -336,6 +338,21 @@ def test_a_target_near_the_image_edge_or_outside_is_not_covered(scene: Scene) ->
     assert not outside.covered
     assert outside.full_dwell
     assert np.isfinite(outside.azimuth_irw_theory)
+
+
+@pytest.mark.parametrize("beyond", [2.0, 100.0])
+def test_a_target_outside_near_the_end_of_the_terrain_has_no_figures(beyond: float) -> None:
+    target, step, heights = target_at(), 20.0, np.zeros((101, 101))
+    heights[:, 51:] = np.nan
+    terrain = Terrain(x0=target.x - 50 * step, dx=step, y0=target.y - 50 * step, dy=step, heights=heights)
+    along = np.linspace(target.x - 3 * step, target.x + 3 * step, 601)
+    end = along[np.isfinite(terrain(along, np.full(along.size, target.y)))].max()
+    geometry = over_terrain(UNSTEERED.collection, replace(terrain, x0=terrain.x0 + target.x + beyond - end))
+    image_x, image_y = grid_about(target)
+    found = measure_target(reader(np.ones((112, 112), np.complex64)), image_x - 500, image_y, geometry, target)
+    assert not found.covered
+    assert np.isnan(found.range_pslr)
+    assert np.isnan(found.range_pslr_theory) == (beyond < 10)
 
 
 def test_only_the_chip_needed_is_read() -> None:

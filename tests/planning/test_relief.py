@@ -144,3 +144,24 @@ def test_edges_of_dwells_are_back_projected_on_a_terrain() -> None:
     plan = planned(hilly(60.0), **asked)
     assert plan.fade > 0 and plan.coherence > 0.999995
     assert planned(hilly(60.0), **(asked | {"fidelity": 0.999})).coherence < 0.99999
+
+
+def test_side_lobes_are_those_of_targets_between_the_lines_and_low_on_a_terrain() -> None:
+    """A wobble changes them from line to line. The grid shows one line of a block; back-projected, a target beside it
+    and 24 m below the smooth ground had 0.40 dB more than it should, where the line had 0.19.
+    """
+    waves = [([0.02, 0.02, 0.03], 2.3), ([0.03, 0.02, 0.02], 4.2)]
+    text = scene(swath=[29500.0, 30500.0], prf=8000, duration=0.5) + "".join(
+        f"[[track.wobble]]\namplitude = {amplitude}\nfrequency = {frequency}\n" for amplitude, frequency in waves
+    )
+    (x0, x1), (y0, y1) = BOX
+    x, y = np.arange(x0, x1, 8.0), np.arange(y0, y1, 8.0)[:, None]
+    heights = np.zeros((y.size, x.size))
+    for at_x, at_y, height, width in ((15980.0, 19270.0, 60.0, 320.0), (16280.0, 19050.0, -35.0, 220.0)):
+        heights += height * np.exp(-4 * np.log(2) / width**2 * ((x - at_x) ** 2 + (y - at_y) ** 2))
+    plan = plan_collection(
+        Scene.parse(text).collection().centred(), blocks=1, grid=Grid(15895.0, 16313.6, 1.4, 18983.2, 19401.8, 1.4),
+        terrain=Terrain(x0=x0, dx=8.0, y0=y0, dy=8.0, heights=heights),
+    )  # fmt: skip
+    found = plan.blocks[0].prediction
+    assert 0.38 < found.pslr - found.ideal_pslr < 0.6
