@@ -192,14 +192,52 @@ def add_pulses(
 ) -> None:  # longer than most: arrays that inlined functions take have their references counted for every pulse
     """Sum the lit pulses, in ascending order, at pixels (n,).
 
-    With `terms`, each pulse has a weight that depends on the pixel's place in the beam, of which `places` has the
-    polynomials and, last, the fraction of valid samples; `weight` rises by their sum.
+    Pixels n are those of n_group groups of FEW, one after the other. Tables are of n_pulse pulses from `start` on, made
+    by `projection.pulse_tables` and `beam_weights.place_tables`.
 
-    `spans` holds the pulses that light any pixel of a group of FEW; tables begin at the pulse `start`, also `origins`,
-    which has the sample of each profile at its pulse's reference range. Pixels of `close` groups are seen from their
-    middle: its range and direction are found in float64, for FEW pulses at a time, and theirs from that in float32.
-    `farthest` rises to |range - reference_range| where a lit pulse needed the square root. `relief` has the heights of
-    the pixels over the tile's centre; it is empty on a plane. Weights fade where `half_fade` is positive.
+    Parameters
+    ----------
+    real, imag : (n,) float32
+        The sums, added to in place.
+    weight : (n,) float32
+        Rises by the sum of the pulses' weights; unchanged where `terms` is empty.
+    farthest : (n,) float
+        Rises to |range - reference_range|, m, where a lit pulse needed the square root.
+    samples : (n_sample,) float64
+        Spline coefficients of the profiles, each a complex64 as 64 bits.
+    origins : (n_pulse,) int64
+        The sample of each pulse at its reference range.
+    x, y : (n,) float
+        m
+    centre_x, centre_y : float
+        Of the tile, m.
+    first, last : (n,) int32
+        Pulses first <= p < last light a pixel.
+    spans : (n_group, 2) int64
+        Those that light any pixel of a group.
+    close : (n_group,) bool
+        Groups that are seen from their middle: its range and direction are found in float64, for FEW pulses at a time,
+        and those of its pixels from there in float32.
+    middles : (3, n_group) float
+        m; the third over the height of the tile's centre.
+    start : int
+        Pulse at which tables begin.
+    series, roots : (8, n_pulse + FEW), (n_pulse, 5) float
+        For ranges by the series about the tile's centre, and by the square root.
+    cycles_per_metre, bins_per_metre : float
+        How fast phases and bins go by with range.
+    half_window : float
+        Largest unambiguous |range - reference_range|, m.
+    places : (n_pulse, 7) or (n_pulse, 11) float
+        Polynomials of the pixel's place v in the beam, with the fraction of valid samples in column 6.
+    terms : (n_term,) float32
+        Of the weight as a function of v; empty without weights.
+    half_frequency : float
+        Cosines of the weight have k half_frequency v turns.
+    half_fade : float
+        Weights fade at the edges of the beam where this is positive: `terms` are then power coefficients.
+    relief : (n,) float
+        Heights of the pixels over the tile's centre, m; empty on a plane.
     """
     turns, rights = np.empty(CHUNK * FEW, np.float32), np.empty(CHUNK * FEW, np.float32)
     bins, shares = np.empty(CHUNK * FEW, np.int32), np.empty(CHUNK * FEW, np.float32)
