@@ -33,10 +33,10 @@ BEYOND = 0.5  # widths that a cut reaches beyond what is measured
 
 DEFINITIONS = f"""\
 Range cut: along constant Doppler, in slant range. Azimuth cut: along constant range, on the ground.
-Both are straight, pass through the peak and are in general not at right angles. A nominal width is that of a
-rectangle of wavenumbers: {SINC_WIDTH:.4f} / bandwidth along the cut, in range c / (2 B), in azimuth from the
-line-of-sight rotation over the target's own dwell; of a weighted image, the width that its tapers have over that
-bandwidth, and in azimuth with a known antenna pattern.
+Both are straight, pass through the peak and are in general not at right angles.
+Nominal width: that of a rectangle of wavenumbers, {SINC_WIDTH:.4f} / bandwidth along the cut, in range c / (2 B), in
+azimuth from the line-of-sight rotation over the target's own dwell; of a weighted image, the width that its tapers
+have over that bandwidth, and in azimuth with a known antenna pattern.
 IRW: width of the main lobe at half power (-3 dB).
 PSLR: highest side lobe outside the first minima on either side of the peak and within {CUT_WIDTHS:g} nominal widths
 of it, relative to the peak, power in dB.
