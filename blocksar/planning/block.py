@@ -31,7 +31,7 @@ from blocksar.planning.image_edges import ImageEdges
 from blocksar.planning.memory import RELIEF_MEMORY, block_memory
 from blocksar.planning.motion import plan_motion
 from blocksar.planning.nodes import common_ranges
-from blocksar.planning.prediction import Prediction, predict, worst_lobes
+from blocksar.planning.prediction import Judged, Prediction, predict, worst_lobes
 from blocksar.planning.range_gate import plan_range_gate
 from blocksar.planning.relief import Layer
 from blocksar.planning.sector import Sector
@@ -275,7 +275,8 @@ def _predict(
         targets, sampling.gate, parts=sector.gate_parts, reached=reached, imaged=imaged, band=sector.weighting.range
     )
     for layer in [] if sector.relief is None else end_layers(sector, azimuth, lines):
-        predicted = predicted.or_lobes(worst_lobes(_on(targets, layer), sampling.gate, reached=reached, imaged=imaged))
+        others = _on(targets, layer)
+        predicted = predicted.or_lobes(worst_lobes(others, sampling.gate, Judged.of(others, reached, imaged)))
     seen = np.logical_and.reduce([lines.ends.full, *(each.held for each in imaged)])
     of_dwells = sector.taper_loss + (0.0 if ground.waves is None else ground.waves.error**2 / 2)
     return predicted.less(of_dwells, map_loss(ground, lines, seen))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from types import EllipsisType
 from typing import TypeVar
 
 import numpy as np
@@ -87,9 +88,17 @@ class DwellWeights:
             return self.weigh(line)
         return line.weighed(self.nodes * np.maximum(self.share, LEAST_SHARE))
 
-    def with_edges(self, summed: Sums, gain: FloatArray | float = 1.0) -> Sums:
-        """Add what is back-projected to what a chain makes (..., n), over its gain, of echoes that are 1."""
-        return summed if self.share is None else self.share * (summed / gain) + (1 - self.share)
+    def with_edges(
+        self, summed: Sums, gain: FloatArray | float = 1.0, *, at: tuple[int, ...] | EllipsisType = ...
+    ) -> Sums:
+        """Add what is back-projected to what a chain makes, over its gain, of echoes that are 1.
+
+        Of all targets (..., n), or of the one `at` (n,).
+        """
+        if self.share is None:
+            return summed
+        share = self.share[at]
+        return share * (summed / gain) + (1 - share)
 
 
 def dwell_weights(

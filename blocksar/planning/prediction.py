@@ -88,8 +88,8 @@ def predict(
     rng, yaw = targets.epoch_range, targets.yaw
     range_cell = SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
     residual = spots.residual
-    there, full, edges = _judged(targets, reached, imaged or ())
-    lobes = worst_lobes(targets, gate, reached=reached, imaged=imaged or ())
+    judged = Judged.of(targets, reached, imaged or ())
+    lobes = worst_lobes(targets, gate, judged)
     slope = np.gradient(spots.doppler, yaw, axis=1)
     dwell = (line.weight * line.stretch).sum(axis=-1)
     width = weights.taper.ideal.width
@@ -100,14 +100,21 @@ def predict(
     middle = yaw.size // 2
     track_phase = _track_phase(geometry, rng, yaw)
     lost = worst_losses(
-        targets, gate, parts=parts, track_phase=track_phase, full=full, reached=reached, band=band, edges=edges
+        targets,
+        gate,
+        parts=parts,
+        track_phase=track_phase,
+        full=judged.full,
+        reached=reached,
+        band=band,
+        edges=judged.edges,
     )
     return Prediction(
-        residual_phase=float(residual[there].max()),
-        quadratic_phase=float(spots.quadratic[there].max()),
+        residual_phase=float(residual[judged.there].max()),
+        quadratic_phase=float(spots.quadratic[judged.there].max()),
         pslr=lobes.side,
         width=lobes.widened,
-        migration=float(spots.migration[there].max() / range_cell),
+        migration=float(spots.migration[judged.there].max() / range_cell),
         resolution=float(widths[rng.size // 2, middle] * ground[rng.size // 2]),
         track_phase=track_phase,
         coherence=max(1 - sum(lost), 0.0),
@@ -142,45 +149,44 @@ class Lobes(NamedTuple):
         return Lobes(self.target, *(a + share * (b - a) for a, b in zip(self[1:], other[1:], strict=True)))
 
 
-def worst_lobes(
-    targets: TracedTargets,
-    gate: DwellGate | None,
-    *,
-    reached: BoolArray | None = None,
-    imaged: Sequence[ImageEdges] = (),
-) -> Lobes:
+class Judged(NamedTuple):
+    """Which targets are judged."""
+
+    there: BoolArray  # (n_range, n_yaw): those that there are
+    full: BoolArray  # (n_range, n_yaw): those of them with full dwell; of all, if none of them has
+    edges: list[ImageEdges]  # of the image between targets with full dwell
+
+    @classmethod
+    def of(cls, targets: TracedTargets, reached: BoolArray | None, imaged: Sequence[ImageEdges]) -> Judged:
+        """Those that an image shows; on a terrain, that are `reached`."""
+        # Cut dwells have other side lobes under weights: of those with full dwell, where there are any.
+        line = targets.line
+        uncut = full_dwells(line, targets.geometry, targets.epoch_range[:, None], targets.yaw)
+        there, beyond, edges = np.ones(line.time.shape[:-1], np.bool_), uncut, []
+        for known in (*(each.held for each in imaged), reached):
+            if known is not None and (there & known).any():
+                there &= known
+        for each in imaged:
+            edges.append(each.of_dwells(beyond))
+            beyond = beyond & each.held | edges[-1].before | edges[-1].behind
+        full = uncut & there if (uncut & there).any() else uncut
+        return cls(there, full, [each for each in edges if each.before.any() or each.behind.any()])
+
+
+def worst_lobes(targets: TracedTargets, gate: DwellGate | None, judged: Judged) -> Lobes:
     """Of the target with the worst phase, and of those at the edges of the image beside it; see `predict`."""
-    there, full, edges = _judged(targets, reached, imaged)
-    uniform = targets.weights.uniform
-    judged = np.where(there if uniform else full & there, targets.spots.residual, -1.0)
-    worst = tuple(int(i) for i in np.unravel_index(int(np.argmax(judged)), judged.shape))
+    full, uniform = judged.full, targets.weights.uniform
+    residual = np.where(judged.there if uniform else full & judged.there, targets.spots.residual, -1.0)
+    worst = tuple(int(i) for i in np.unravel_index(int(np.argmax(residual)), residual.shape))
     some = [worst] if uniform or not full.any() else [worst, *_corners(full)]
     changed = _at_ends(targets, gate) if gate is not None and gate.lift else None
     found = [_azimuth_lobes(targets, target, changed if full[target] else None) for target in some]
-    for edge in edges:
+    for edge in judged.edges:
         for outer, inner in edge.beside(worst):
             beyond = _azimuth_lobes(targets, outer, changed)
             inside = _azimuth_lobes(targets, inner, changed if full[inner] else None)
             found.append(inside.towards(beyond, float(edge.share[outer])))
     return max(found, key=Lobes.change)
-
-
-def _judged(
-    targets: TracedTargets, reached: BoolArray | None, imaged: Sequence[ImageEdges]
-) -> tuple[BoolArray, BoolArray, list[ImageEdges]]:
-    """Which targets there are, which of them have full dwell (of all, if none has), and edges between such."""
-    # Cut dwells have other side lobes under weights: of those with full dwell, where there are any.
-    line = targets.line
-    uncut = full_dwells(line, targets.geometry, targets.epoch_range[:, None], targets.yaw)
-    there, beyond, edges = np.ones(line.time.shape[:-1], np.bool_), uncut, []
-    for known in (*(each.held for each in imaged), reached):
-        if known is not None and (there & known).any():
-            there &= known
-    for each in imaged:
-        edges.append(each.of_dwells(beyond))
-        beyond = beyond & each.held | edges[-1].before | edges[-1].behind
-    full = uncut & there if (uncut & there).any() else uncut
-    return there, full, [each for each in edges if each.before.any() or each.behind.any()]
 
 
 def _corners(full: BoolArray) -> list[tuple[int, ...]]:
@@ -196,9 +202,10 @@ def _azimuth_lobes(
     """Those of one target, with what windows have `changed` (`_at_ends`)."""
     line, spots, weights = targets.line, targets.spots, targets.weights
     weight = weights.weigh(line).weight[target]
-    level = line.phase - spots.doppler[..., None] * line.time - spots.phase[..., None]
-    turned = np.sqrt(np.maximum(line.stretch, LEAST_STRETCH)) * spots.levels * np.exp(2j * np.pi * level)
-    made = weight * weights.with_edges(turned, spots.gain[..., None])[target]
+    level = line.phase[target] - spots.doppler[target] * line.time[target] - spots.phase[target]
+    raised = np.broadcast_to(spots.levels, line.time.shape)[target]
+    turned = np.sqrt(np.maximum(line.stretch[target], LEAST_STRETCH)) * raised * np.exp(2j * np.pi * level)
+    made = weight * weights.with_edges(turned, spots.gain[target], at=target)
     time = line.time[target] - spots.time[target]
     if changed is not None:
         at, change = (each[target] for each in changed)
