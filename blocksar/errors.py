@@ -132,5 +132,13 @@ def no_room(what: object, error: OSError) -> ProcessingError:
     return ProcessingError(f"{what} cannot be written ({error.strerror}); {remedy}, and give the same command again")
 
 
+def unwritable(what: object, error: OSError) -> InputError | ProcessingError:
+    """The error about a file or store that cannot be written: where it lies is wrong, unless the disk is full."""
+    if is_full(error):
+        return no_room(what, error)
+    why = error.strerror or error
+    return InputError(f"{what} cannot be written ({why}); choose another place, or make it writable")
+
+
 class UnsupportedSystem(ImportError):
     """The operating system lacks what blocksar needs (exit status 2)."""

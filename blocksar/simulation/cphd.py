@@ -17,7 +17,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.errors import InputError, in_the_way, is_full, no_room
+from blocksar.errors import InputError, in_the_way, unwritable
 from blocksar.ingestion.cphd import NAMESPACE, library
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace, held_part, new_file
@@ -120,11 +120,7 @@ def simulate(
             file.flush()
             os.replace(part, where)
     except OSError as error:
-        if is_full(error):
-            raise no_room(where, error) from error
-        raise InputError(
-            f"{where} cannot be written ({error.strerror or error}); choose another place, or make it writable"
-        ) from error
+        raise unwritable(where, error) from error
     return where
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from blocksar.errors import InputError, ProcessingError, in_the_way, is_full, no_room
+from blocksar.errors import InputError, ProcessingError, in_the_way, is_full, no_room, unwritable
 from blocksar.places import Location
 from blocksar.places import place as place_of
 from blocksar.places.local import LocalPlace, held_part, sweep_beside, temporary_name
@@ -179,11 +179,7 @@ def replacing(path: Path, *, overwrite: bool) -> Iterator[LocalPlace]:
             raise no_room(path, cause) from error
         raise
     except OSError as error:
-        if is_full(error):
-            raise no_room(path, error) from error
-        raise InputError(
-            f"{path} cannot be written ({error.strerror or error}); choose another place, or make it writable"
-        ) from error
+        raise unwritable(path, error) from error
 
 
 def _put_in_place(part: str, path: Path, *, overwrite: bool) -> None:
