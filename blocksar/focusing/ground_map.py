@@ -16,7 +16,7 @@ from blocksar.collection.weighting import Taper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Focus, RowPolynomial
 from blocksar.focusing.relief_map import ReliefMap
-from blocksar.focusing.surfaces import Surface, fit_surface
+from blocksar.focusing.surfaces import GroundRange, Surface, fit_surface
 from blocksar.kernels.fourier import Axis
 
 LIT_RANGES, MOST_LIT_RANGES = 33, 513  # of the sum over lit pulses, where that depends on range
@@ -269,16 +269,16 @@ def lit_ranges(geometry: Geometry, near: float, far: float) -> int:
 
 
 def surfaces(
-    focus: Focus, *, time: FloatArray, epoch_range: FloatArray, yaw: FloatArray, origin: float, carrier: float,
-    degree: tuple[int, int],
+    focus: Focus, *, time: FloatArray, along: GroundRange, epoch_range: FloatArray, yaw: FloatArray, origin: float,
+    carrier: float, degree: tuple[int, int],
 ) -> tuple[Surface, Surface, Surface, Surface, Surface]:  # fmt: skip
-    """Range offset, Doppler, phase, gain and time over (epoch range, yaw) from traced and focused lines.
+    """Range offset, Doppler, phase, gain and time over the ground from lines at the nodes `along` it, and their focus.
 
     `time` (n_range, n_yaw), s, is that about which responses are interpolated along Doppler.
     """
     offset = (epoch_range - origin)[:, None]
     carrier_cycles = -2 * carrier / SPEED_OF_LIGHT * offset
-    grid = {"epoch_range": epoch_range, "yaw": yaw, "degree": degree}
+    grid = {"along": along, "yaw": yaw, "degree": degree}
     return (
         fit_surface(focus.range - offset, **grid),  # type: ignore[arg-type]
         fit_surface(focus.doppler, **grid),  # type: ignore[arg-type]

@@ -19,7 +19,7 @@ QUANTITIES, GAIN = 6, 3  # range offset, Doppler, phase, gain, time and bend; wh
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SmoothGround:
-    """A smooth ground that stands for a block's terrain: height, m, over epoch range and yaw, and an offset, m.
+    """A smooth ground that stands for a block's terrain: height, m, over ground range and yaw, and an offset, m.
 
     It goes on level beyond `ends`, half extents of its domain from its middle.
     """
@@ -29,12 +29,8 @@ class SmoothGround:
     ends: float = BEYOND
 
     def __call__(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
-        s = self.surface
-        held = []
-        for values, low, high in ((epoch_range, s.near, s.far), (yaw, s.low, s.high)):
-            middle, half = (low + high) / 2, self.ends * (high - low) / 2
-            held.append(np.clip(values, middle - half, middle + half))
-        return s(*held) + self.offset
+        places = self.surface.along.place(epoch_range), self.surface.across(yaw)
+        return self.surface.at(*(np.clip(place, -self.ends, self.ends) for place in places)) + self.offset
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,8 +104,8 @@ class ReliefMap:
         """Range, yaw and height over the smooth ground, each from -1 to 1 over the domain of all surfaces."""
         first = self.layers[0][0]
         return (
-            (2 * epoch_range - first.near - first.far) / (first.far - first.near),
-            (2 * yaw - first.low - first.high) / (first.high - first.low),
+            first.along.place(epoch_range),
+            first.across(yaw),
             (2 * (z - self.smooth(epoch_range, yaw)) - self.low - self.high) / (self.high - self.low),
         )
 

@@ -1,4 +1,4 @@
-"""Surfaces over the ground: smooth functions of epoch range and yaw, as tensor Chebyshev series."""
+"""Surfaces over the ground: smooth functions of ground range and yaw, as tensor Chebyshev series."""
 
 from __future__ import annotations
 
@@ -15,31 +15,66 @@ from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS
 SERIES = types.Array(types.float64, 4, "C", readonly=True)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Surface:
-    """A smooth function of (epoch range, yaw): a tensor Chebyshev series."""
+@dataclass(frozen=True, kw_only=True)
+class GroundRange:
+    """Epoch ranges R from `near` to `far`, m, by ground range G = sqrt(R^2 - h^2) of an antenna at a `height` h, m.
 
-    series: FloatArray
+    Where a target lies on the ground, thus its Doppler and its whole history, is smooth in G. In R it is not where the
+    ground comes close to the nadir: dG/dR = R / G grows without bound there, and a series in R of degree n leaves an
+    error of about (x - sqrt(x^2 - 1))^n with x = (far + near - 2 h) / (far - near), 2^-n where the nadir is a quarter
+    of half a swath away.
+    """
+
     near: float
     far: float
+    height: float
+
+    def place(self, epoch_range: FloatArray) -> FloatArray:
+        """From -1, at `near`, to 1, at `far`, linear in ground range."""
+        near, far = (float(self._ground(np.array(end))) for end in (self.near, self.far))
+        return (2 * self._ground(epoch_range) - near - far) / (far - near)
+
+    def nodes(self, count: int) -> FloatArray:
+        """Epoch ranges (count,), m, whose places are `solvers.end_nodes`."""
+        near, far = (float(self._ground(np.array(end))) for end in (self.near, self.far))
+        nodes = np.hypot(self.height, near + (far - near) * (1 + solvers.end_nodes(count)) / 2)
+        nodes[[0, -1]] = self.near, self.far
+        return nodes
+
+    def _ground(self, epoch_range: FloatArray) -> FloatArray:
+        return np.sqrt(np.maximum(epoch_range**2 - self.height**2, 0.0))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Surface:
+    """A smooth function of ground range and yaw from `low` to `high`, rad: a tensor Chebyshev series."""
+
+    series: FloatArray
+    along: GroundRange
     low: float
     high: float
 
     def __call__(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
-        epoch_range, yaw = np.broadcast_arrays(epoch_range, yaw)
-        u = (2 * epoch_range - self.near - self.far) / (self.far - self.near)
-        v = (2 * yaw - self.low - self.high) / (self.high - self.low)
+        """At epoch ranges, m, and yaws, rad, broadcast."""
+        return self.at(self.along.place(epoch_range), self.across(yaw))
+
+    def across(self, yaw: FloatArray) -> FloatArray:
+        """From -1, at `low`, to 1, at `high`."""
+        return (2 * yaw - self.low - self.high) / (self.high - self.low)
+
+    def at(self, u: FloatArray, v: FloatArray) -> FloatArray:
+        """At places -1 .. 1 in ground range and yaw, broadcast."""
+        u, v = np.broadcast_arrays(u, v)
         values = np.empty(u.size)
         sum_series(np.array(self.series, order="C"), u.ravel(), v.ravel(), values)
         return values.reshape(u.shape)
 
 
-def fit_surface(values: FloatArray, *, epoch_range: FloatArray, yaw: FloatArray, degree: tuple[int, int]) -> Surface:
-    """The tensor series of values (n_range, n_yaw), at ranges and yaws that lie as `solvers.end_nodes` do."""
-    in_range = solvers.node_series(values, min(degree[0], epoch_range.size - 1))
+def fit_surface(values: FloatArray, *, along: GroundRange, yaw: FloatArray, degree: tuple[int, int]) -> Surface:
+    """The tensor series of values (n_range, n_yaw) at `along.nodes` and at yaws that lie as `solvers.end_nodes` do."""
+    in_range = solvers.node_series(values, min(degree[0], values.shape[0] - 1))
     series = solvers.node_series(in_range.T, min(degree[1], yaw.size - 1)).T
-    near, far, low, high = map(float, (epoch_range[0], epoch_range[-1], yaw[0], yaw[-1]))
-    return Surface(series=series, near=near, far=far, low=low, high=high)
+    return Surface(series=series, along=along, low=float(yaw[0]), high=float(yaw[-1]))
 
 
 @loop(REAL_ROWS, REAL_ROW, REAL_ROW, types.float64[::1], **COMPILED)

@@ -11,7 +11,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Taper
 from blocksar.focusing.ground_map import ApertureWaves
 from blocksar.focusing.lines import Line
-from blocksar.focusing.surfaces import fit_surface
+from blocksar.focusing.surfaces import GroundRange, fit_surface
 
 MOST_WAVES = 3
 WAVE_ERROR = 5e-4  # of the weights, root mean square, that too few waves may leave
@@ -19,9 +19,10 @@ TURN_SHARE = 0.25  # of a turn, over which the first wave goes in the time of th
 
 
 def plan_waves(
-    geometry: Geometry, taper: Taper, lit: Line, line: Line, *, epoch_range: FloatArray, yaw: FloatArray
-) -> ApertureWaves:
-    """The fewest waves that make the weights of targets at epoch ranges (n_range,), m, and yaws (n_yaw,), rad.
+    geometry: Geometry, taper: Taper, lit: Line, line: Line, *, along: GroundRange, epoch_range: FloatArray,
+    yaw: FloatArray,
+) -> ApertureWaves:  # fmt: skip
+    """The fewest waves that make the weights of targets at the nodes `along` the ground and at yaws (n_yaw,), rad.
 
     Those that are never lit may have others.
 
@@ -51,7 +52,7 @@ def plan_waves(
         worst = float(error[seen].max(initial=0.0))
         if worst <= WAVE_ERROR:
             break
-    surfaces = [fit_surface(fitted[..., k], epoch_range=epoch_range, yaw=yaw, degree=(9, 16)) for k in range(2 * n + 1)]
+    surfaces = [fit_surface(fitted[..., k], along=along, yaw=yaw, degree=(9, 16)) for k in range(2 * n + 1)]
     return ApertureWaves(
         step=step, middle=middle, constant=surfaces[0],
         pairs=tuple(zip(surfaces[1 : n + 1], surfaces[n + 1 :], strict=True)), error=worst,

@@ -21,8 +21,8 @@ from blocksar.focusing.sampling import Sampling
 from blocksar.focusing.step import Constants, Stage, Step, stages
 from blocksar.kernels.fourier import Axis
 from blocksar.planning.binding import AzimuthPart, RangePart, Slab
-from blocksar.planning.block_ground import end_layers, map_loss, plan_ground, usual_layer
-from blocksar.planning.block_lines import CoarseLines, FineLines, follow_terrain, trace_finely
+from blocksar.planning.block_ground import end_layers, map_loss, plan_ground, trace_for_map, usual_layer
+from blocksar.planning.block_lines import CoarseLines, FineLines, follow_terrain
 from blocksar.planning.block_sampling import plan_sampling, plan_slab
 from blocksar.planning.coefficients import Choice, choose
 from blocksar.planning.dwell_gate import plan_dwell_gate, plan_over_band
@@ -172,7 +172,7 @@ def _plan_block(
     )
 
     # Fine lines, through the whole chain: the sampling, the gate, the ground map and the prediction.
-    azimuth, lines = trace_finely(sector, azimuth)
+    azimuth, lines = trace_for_map(sector, azimuth)
     sampling = plan_sampling(
         sector, slab, azimuth, straight if sector.relief is None else range_part.trace(coarse.everywhere), lines,
         range_frequency=band if range_gate is None else range_gate.range_frequency, duration=coarse.duration,

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray
+from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, by_range, surfaces
@@ -19,12 +21,13 @@ from blocksar.focusing.surfaces import Surface
 from blocksar.kernels.interpolation import taps_needed
 from blocksar.planning.aperture_waves import plan_waves
 from blocksar.planning.binding import AzimuthPart
-from blocksar.planning.block_lines import FineLines, retrace
+from blocksar.planning.block_lines import MORE_RANGES, FineLines, retrace, trace_finely
 from blocksar.planning.relief import Layer, elevation_ratio, map_relief, turns_of
 from blocksar.planning.row_sampling import range_scale
 from blocksar.planning.sector import Sector
 
-SURFACE_DEGREE = 9, 16  # of what the map knows, along range and yaw
+RANGE_DEGREE, YAW_DEGREE = 0.75, 16  # of what the map knows, along range for each node, and along yaw
+MISS_SHARE = 0.1  # of the coherence that may be lost, which the map may miss before lines at more ranges are traced
 SWING = 2e-3  # cycles by which a series of that degree along yaw may miss the phase on a track that wobbles
 REGION_STEPS, LEAST_STEPS = 64 * YAW_STEPS, 128  # of yaw over the region, in which a block has its share; at least
 STEPS_BY_RANGE = 512  # of yaw, where the sum over lit pulses is a table over range and yaw
@@ -35,8 +38,9 @@ def plan_ground(sector: Sector, azimuth: AzimuthPart, sampling: Sampling, lines:
     ground = _on_smooth_ground(sector, sampling, lines)
     if sector.staying is not None and not sector.taper.uniform:
         waves = plan_waves(
-            sector.staying, sector.taper, lines.lit, lines.line, epoch_range=lines.epoch_range, yaw=lines.yaw
-        )
+            sector.staying, sector.taper, lines.lit, lines.line, along=sector.ground_range,
+            epoch_range=lines.epoch_range, yaw=lines.yaw,
+        )  # fmt: skip
         ground = replace(ground, waves=waves)
     return ground if sector.relief is None else _raise(sector, azimuth, ground, lines)
 
@@ -80,27 +84,41 @@ def _on_smooth_ground(sector: Sector, sampling: Sampling, lines: FineLines) -> G
 def _surfaces(sector: Sector, lines: FineLines, spots: Focus) -> tuple[Surface, ...]:
     """What the map knows of a focus, over range and yaw."""
     return surfaces(
-        spots, time=_carrier_time(sector, lines, spots), epoch_range=lines.epoch_range, yaw=lines.yaw,
-        origin=sector.recovery.origin, carrier=sector.geometry.collection.carrier, degree=_degree(sector, lines),
+        spots, time=_carrier_time(sector, lines, spots), along=sector.ground_range, epoch_range=lines.epoch_range,
+        yaw=lines.yaw, origin=sector.recovery.origin, carrier=sector.geometry.collection.carrier,
+        degree=_degree(sector, lines),
     )  # fmt: skip
 
 
-def map_loss(ground: GroundMap, lines: FineLines, seen: BoolArray) -> float:
-    """Loss of coherence where the map's series miss where lines focus, at the worst of the targets `seen`.
+def trace_for_map(sector: Sector, azimuth: AzimuthPart) -> tuple[AzimuthPart, FineLines]:
+    """`trace_finely`, at more ranges where the map's series would miss too much of where the lines focus."""
+    traced = trace_finely(sector, azimuth)
+    lines = traced[1]
+    missed = _missed(sector.geometry.collection, sector.recovery.origin, _surfaces(sector, lines, lines.spots), lines)
+    if np.where(lines.ends.full, missed, 0.0).max() <= MISS_SHARE * (1 - sector.fidelity):
+        return traced
+    return trace_finely(sector, azimuth, n_range=MORE_RANGES)
 
-    Close to the nadir the ground under a range R is sqrt(R^2 - h^2) away, and no polynomial of R follows that. A pixel
-    that is displaced by f in Doppler and r in range, in an image with the phase p too much, has the coherence
+
+def map_loss(ground: GroundMap, lines: FineLines, seen: BoolArray) -> float:
+    """Loss of coherence where the map's series miss where lines focus, at the worst of the targets `seen`."""
+    known = ground.range_offset, ground.doppler_focus, ground.phase
+    return float(np.where(seen, _missed(ground.geometry.collection, ground.origin, known, lines), 0.0).max())
+
+
+def _missed(collection: Collection, origin: float, known: Sequence[Surface], lines: FineLines) -> FloatArray:
+    """Loss of coherence (n_range, n_yaw) where series of range offset, Doppler and phase miss the focus of lines.
+
+    A pixel that is displaced by f in Doppler and r in range, in an image with the phase p too much, has the coherence
     sinc(f T) sinc(2 B r / c) cos(p) over a dwell T with the one meant.
     """
     spots, at = lines.spots, (lines.epoch_range[:, None], lines.yaw)
-    offset = at[0] - ground.origin
-    doppler = spots.doppler - ground.doppler_focus(*at)
-    displaced = spots.range - offset - ground.range_offset(*at)
-    collection = ground.geometry.collection
-    phase = spots.phase + 2 * collection.carrier / SPEED_OF_LIGHT * offset - ground.phase(*at)
+    offset = at[0] - origin
+    displaced, doppler = spots.range - offset - known[0](*at), spots.doppler - known[1](*at)
+    phase = spots.phase + 2 * collection.carrier / SPEED_OF_LIGHT * offset - known[2](*at)
     dwell = (lines.line.weight * lines.line.stretch).sum(axis=-1)
     turns = (np.pi * doppler * dwell) ** 2 + (2 * np.pi * collection.bandwidth / SPEED_OF_LIGHT * displaced) ** 2
-    return float(np.where(seen, turns / 6 + (2 * np.pi * phase) ** 2 / 2, 0.0).max())
+    return np.asarray(turns / 6 + (2 * np.pi * phase) ** 2 / 2)
 
 
 def _degree(sector: Sector, lines: FineLines) -> tuple[int, int]:
@@ -108,12 +126,13 @@ def _degree(sector: Sector, lines: FineLines) -> tuple[int, int]:
 
     A turning beam lights one yaw after the other. What is left of the waves of the track then runs along yaw.
     """
+    in_range = int(RANGE_DEGREE * lines.epoch_range.size)
     if sector.geometry.track.wobble is None:
-        return SURFACE_DEGREE
+        return in_range, YAW_DEGREE
     phase = lines.spots.phase.T
-    series = solvers.node_series(phase, SURFACE_DEGREE[1])
+    series = solvers.node_series(phase, YAW_DEGREE)
     missed = np.polynomial.chebyshev.chebval(solvers.end_nodes(lines.yaw.size), series).T - phase
-    return SURFACE_DEGREE if np.abs(missed).max() <= SWING else (SURFACE_DEGREE[0], lines.yaw.size - 1)
+    return in_range, YAW_DEGREE if np.abs(missed).max() <= SWING else lines.yaw.size - 1
 
 
 def _carrier_time(sector: Sector, lines: FineLines, spots: Focus) -> FloatArray:
@@ -147,7 +166,7 @@ def _raise(sector: Sector, azimuth: AzimuthPart, ground: GroundMap, lines: FineL
         turns = [turns_of(layer.geometry, sector.geometry, rng, yaw) for layer in layers]
         ground = ground.widened(sector.region, float(np.abs(turns).max()))
     by_height = map_relief(
-        relief, layers, lambda spots: _surfaces(sector, lines, spots), epoch_range=rng, yaw=yaw,
+        relief, layers, lambda spots: _surfaces(sector, lines, spots), along=sector.ground_range, yaw=yaw,
         degree=_degree(sector, lines), turns=turns,
     )  # fmt: skip
     return replace(ground, relief=by_height)

@@ -27,7 +27,7 @@ from blocksar.planning.target_lines import Dwells
 from blocksar.planning.traced_targets import TracedTargets
 
 COARSE_NODES = 9, 15  # along range and yaw
-FINE_NODES = 13, 33
+FINE_NODES, MORE_RANGES = (13, 33), 25
 YAWS_PER_INTERVAL, MOST_YAWS = 0.6, 129  # of fine lines, where a spline's intervals pass from yaw to yaw
 GATE_RANGES = 25  # of the lines that a dwell gate on a terrain follows
 
@@ -63,7 +63,7 @@ class FineLines(NamedTuple):
     compressed: Line  # after range compression
     line: Line  # after all steps
     spots: Focus
-    epoch_range: FloatArray  # (n_range,) m
+    epoch_range: FloatArray  # (n_range,) m, nodes of the sector's ground range
     yaw: FloatArray  # (n_yaw,) rad
     weights: DwellWeights
     ends: DwellEnds
@@ -102,9 +102,11 @@ def _trace(
     return _Traced(lit, compressed, biased, line)
 
 
-def trace_finely(sector: Sector, azimuth: AzimuthPart) -> tuple[AzimuthPart, FineLines]:
+def trace_finely(
+    sector: Sector, azimuth: AzimuthPart, *, n_range: int = FINE_NODES[0]
+) -> tuple[AzimuthPart, FineLines]:
     """The fine lines of a sector, and the steps; without steering under the taper that levels the aperture."""
-    rng = nodes_between(sector.near, sector.far, FINE_NODES[0])
+    rng = sector.ground_range.nodes(n_range)
     yaw = nodes_between(sector.low, sector.high, _fine_yaws(sector))
     traced = _trace(sector, azimuth, rng, yaw)
     in_time = azimuth.range_part.constants.in_time
@@ -126,7 +128,7 @@ def _fine_yaws(sector: Sector) -> int:
 
 def follow_terrain(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> FineLines:
     """The lines of targets on the finer smooth part of a terrain, which the dwell gate follows, at more ranges."""
-    rng, yaw = nodes_between(sector.near, sector.far, GATE_RANGES), lines.yaw
+    rng, yaw = sector.ground_range.nodes(GATE_RANGES), lines.yaw
     traced = _levelled(_trace(sector.refined(), azimuth, rng, yaw), lines.in_time)
     return _with_ends(sector, azimuth, traced, rng, yaw, lines.in_time)
 

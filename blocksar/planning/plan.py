@@ -49,7 +49,7 @@ from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY, gating_memory
 from blocksar.planning.recovery import plan_recovery
 from blocksar.planning.refusal import find_refusal
 from blocksar.planning.relief import Relief, Samples, find_relief, sample_terrain
-from blocksar.planning.sector import Sector
+from blocksar.planning.sector import Sector, ground_range
 from blocksar.planning.staying import beam_stays
 from blocksar.planning.steadiness import PROBED, Gated, first_that, gated_beams
 from blocksar.planning.work import Transforms, block_work, fft_work
@@ -492,8 +492,8 @@ class _Planner:
         """The relief of a block; None on the plane."""
         if self.geometry.terrain is None:
             return None
-        level = self.geometry.collection.ground_height
-        return find_relief(self._samples, low=low, high=high, near=near, far=far, level=level)
+        along, level = ground_range(self.geometry, near, far), self.geometry.collection.ground_height
+        return find_relief(self._samples, low=low, high=high, along=along, level=level)
 
     @cached_property
     def _samples(self) -> Samples:

@@ -17,7 +17,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.focusing.lines import Focus, Line
 from blocksar.focusing.relief_map import GAIN, QUANTITIES, ReliefMap, SmoothGround
-from blocksar.focusing.surfaces import Surface, fit_surface
+from blocksar.focusing.surfaces import GroundRange, Surface, fit_surface
 
 SMOOTH_DEGREE = 2, 2  # of the smooth ground, along range and yaw, on which coefficients are fitted: no finer is better
 FINE_DEGREE = 16, 8  # of the finer one, which the dwell gate follows: a block is longer along range
@@ -48,7 +48,7 @@ class Relief:
     lowest, highest : float
         Least and greatest z, m.
     points : three of (n,) float
-        Samples: places in range and yaw, -1 .. 1, and heights over the finer smooth part, m.
+        Samples: places in ground range and yaw, -1 .. 1, and heights over the finer smooth part, m.
     """
 
     smooth: SmoothGround
@@ -144,17 +144,17 @@ def sample_terrain(geometry: Geometry, x: tuple[float, float], y: tuple[float, f
     return Samples(geometry.yaw(px, py), geometry.epoch_range(px, py, heights), heights)
 
 
-def find_relief(samples: Samples, *, low: float, high: float, near: float, far: float, level: float) -> Relief:
-    """The relief between two yaws, rad, and two epoch ranges, m; where nothing is known, the ground is at `level`."""
+def find_relief(samples: Samples, *, low: float, high: float, along: GroundRange, level: float) -> Relief:
+    """The relief between two yaws, rad, and two epoch ranges; where nothing is known, the ground is at `level`, m."""
     turn = wrapped(samples.yaw - (low + high) / 2)
-    u, v = (2 * samples.epoch_range - near - far) / (far - near), 2 * turn / (high - low)
+    u, v = along.place(samples.epoch_range), 2 * turn / (high - low)
     inside = (np.abs(u) <= 1) & (np.abs(v) <= 1)
     u, v, z = u[inside], v[inside], samples.z[inside]
     level = float(z.mean()) if z.size else level
-    domain = {"near": near, "far": far, "low": low, "high": high}
-    smooth = SmoothGround(surface=Surface(series=_fit(_cell_means(u, v, z, level, CELLS)), **domain))
+    series = _fit(_cell_means(u, v, z, level, CELLS))
+    smooth = SmoothGround(surface=Surface(series=series, along=along, low=low, high=high))
     series = _fit_finely(_cell_means(u, v, z, level, FINE_CELLS))
-    fine = SmoothGround(surface=Surface(series=series, **domain), ends=FINE_ENDS)
+    fine = SmoothGround(surface=Surface(series=series, along=along, low=low, high=high), ends=FINE_ENDS)
     at = samples.epoch_range[inside], (low + high) / 2 + turn[inside]
     over = z - smooth(*at) if z.size else np.zeros(1)
     room = ROOM * float(np.ptp(over)) + LEAST_RELIEF
@@ -316,7 +316,7 @@ class Layer(NamedTuple):
 
 
 def map_relief(
-    relief: Relief, layers: Sequence[Layer], surfaces: Callable[[Focus], Sequence[Surface]], *, epoch_range: FloatArray,
+    relief: Relief, layers: Sequence[Layer], surfaces: Callable[[Focus], Sequence[Surface]], *, along: GroundRange,
     yaw: FloatArray, degree: tuple[int, int], turns: Sequence[FloatArray] = (),
 ) -> ReliefMap:  # fmt: skip
     """The map from epoch range, yaw and height to the focused block; `surfaces` has those of a focus.
@@ -324,27 +324,18 @@ def map_relief(
     `turns` are those of each layer at its targets, from `turns_of`; none where dwells do not depend on height.
     """
     fitted = [
-        [*surfaces(layer.spots), fit_surface(layer.bend, epoch_range=epoch_range, yaw=yaw, degree=degree)]
-        for layer in layers
+        [*surfaces(layer.spots), fit_surface(layer.bend, along=along, yaw=yaw, degree=degree)] for layer in layers
     ]
     for row, layer in zip(fitted, layers, strict=True):
         if layer.pattern is not None:
-            row[GAIN] = fit_surface(layer.spots.gain * layer.pattern, epoch_range=epoch_range, yaw=yaw, degree=degree)
+            row[GAIN] = fit_surface(layer.spots.gain * layer.pattern, along=along, yaw=yaw, degree=degree)
     for surfaces_of_layer, turn in zip(fitted, turns, strict=False):
-        surfaces_of_layer.append(fit_surface(turn, epoch_range=epoch_range, yaw=yaw, degree=degree))
+        surfaces_of_layer.append(fit_surface(turn, along=along, yaw=yaw, degree=degree))
     terms = []
     for quantity in zip(*fitted, strict=True):
         values = np.stack([surface.series for surface in quantity])
         series = solvers.node_series(values.reshape(len(layers), -1), len(layers) - 1).reshape(values.shape)
-        first = quantity[0]
-        terms.append(
-            tuple(
-                Surface(
-                    series=np.ascontiguousarray(part), near=first.near, far=first.far, low=first.low, high=first.high
-                )
-                for part in series
-            )
-        )
+        terms.append(tuple(replace(quantity[0], series=np.ascontiguousarray(part)) for part in series))
     return ReliefMap(
         smooth=relief.smooth, low=relief.low, high=relief.high, lowest=relief.lowest, highest=relief.highest,
         layers=tuple(terms[:QUANTITIES]), turns=terms[QUANTITIES] if turns else (),

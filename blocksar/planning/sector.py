@@ -18,6 +18,7 @@ from blocksar.collection.weighting import UNIFORM, Taper, Weighting
 from blocksar.focusing.dwell_edges import edge_memory
 from blocksar.focusing.lines import Line
 from blocksar.focusing.recovery import Recovery
+from blocksar.focusing.surfaces import GroundRange
 from blocksar.planning.dwell_ends import Passing
 from blocksar.planning.dwell_weights import DwellWeights, dwell_weights, taper_over_dwells
 from blocksar.planning.relief import Relief, stacked
@@ -57,6 +58,11 @@ class Sector:
     wobbling: Geometry | None = None
     taper_loss: float = 0.0
     imaged: tuple[float, float] = (-np.inf, np.inf)
+
+    @property
+    def ground_range(self) -> GroundRange:
+        """Its epoch ranges along the ground."""
+        return ground_range(self.geometry, self.near, self.far)
 
     @property
     def lighting(self) -> Geometry:
@@ -165,3 +171,9 @@ class Sector:
         middle = np.array((self.near + self.far) / 2), np.array((self.low + self.high) / 2)
         series = range_series.range_series(self.geometry, *middle, order=REFERENCE_ORDER)
         return np.asarray(series - self.recovery.common.taylor(REFERENCE_ORDER))
+
+
+def ground_range(geometry: Geometry, near: float, far: float) -> GroundRange:
+    """Epoch ranges from near to far, m, along the ground; a mountain may lie nearer than the nadir."""
+    height = float(geometry.epoch_position[2] - geometry.collection.ground_height)
+    return GroundRange(near=near, far=far, height=min(height, near))

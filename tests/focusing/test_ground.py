@@ -22,8 +22,9 @@ from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.budget import IMAGE_TAP_ERROR
 from blocksar.collection.lit_sums import lit_pulses
 from blocksar.focusing.correction import N_CARRIER, N_PHASE, correct, touched
-from blocksar.focusing.ground_map import GroundMap, Surface, fit_surface
+from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.lines import focus
+from blocksar.focusing.surfaces import GroundRange, Surface, fit_surface
 from blocksar.kernels import interpolation
 
 LEVEL = 1300.0  # about as many pulses light a target: images are scaled to about 1 before they are compared
@@ -301,15 +302,38 @@ def test_a_unit_target_has_amplitude_one_at_its_place(steering_deg: float | None
 
 def test_a_surface_reproduces_polynomials_of_its_degree() -> None:
     rng = np.random.default_rng(3)
-    ranges, yaw = 30e3 + 3e3 * solvers.end_nodes(12), 0.9 + 0.2 * solvers.end_nodes(20)
+    along, yaw = GroundRange(near=27e3, far=33e3, height=26e3), 0.9 + 0.2 * solvers.end_nodes(20)
+    near, far = np.sqrt(27e3**2 - 26e3**2), np.sqrt(33e3**2 - 26e3**2)
 
     def smooth(r: FloatArray, v: FloatArray) -> FloatArray:
-        return np.polynomial.polynomial.polyval2d((r - 30e3) / 3e3, (v - 0.9) / 0.2, coefficients)
+        ground = np.sqrt(r**2 - 26e3**2)
+        return np.polynomial.polynomial.polyval2d(
+            (2 * ground - near - far) / (far - near), (v - 0.9) / 0.2, coefficients
+        )
 
     coefficients = rng.normal(0, 1, (5, 7))
-    surface = fit_surface(smooth(*np.meshgrid(ranges, yaw, indexing="ij")), epoch_range=ranges, yaw=yaw, degree=(4, 6))
+    values = smooth(*np.meshgrid(along.nodes(12), yaw, indexing="ij"))
+    surface = fit_surface(values, along=along, yaw=yaw, degree=(4, 6))
     r, v = rng.uniform(27e3, 33e3, 50), rng.uniform(0.7, 1.1, 50)
     np.testing.assert_allclose(surface(r, v), smooth(r, v), atol=1e-10)
+
+
+def test_a_series_in_ground_range_follows_the_ground_close_to_the_nadir() -> None:
+    """Where a target lies is linear in ground range; in range, 20 m beyond the height, no series follows it."""
+    along, yaw = GroundRange(near=3020.0, far=3300.0, height=3000.0), solvers.end_nodes(3)
+    assert along.place(along.nodes(13)) == pytest.approx(solvers.end_nodes(13), abs=1e-12)
+    ranges = np.linspace(3020.0, 3300.0, 200)
+
+    def missed(along: GroundRange) -> float:
+        known = np.sqrt(along.nodes(13) ** 2 - 3000.0**2)[:, None] + np.zeros(3)
+        surface = fit_surface(known, along=along, yaw=yaw, degree=(9, 2))
+        return float(np.abs(surface(ranges, np.zeros(200)) - np.sqrt(ranges**2 - 3000.0**2)).max())
+
+    assert missed(along) < 1e-9
+    assert missed(replace(along, height=0.0)) > 0.1
+    # A mountain at the very nadir: no ground range is less than none.
+    at_nadir = GroundRange(near=3000.0, far=3300.0, height=3000.0)
+    assert at_nadir.place(np.array([2999.0, 3000.0])) == pytest.approx(-1.0)
 
 
 def test_a_surface_equals_its_series() -> None:
@@ -318,7 +342,7 @@ def test_a_surface_equals_its_series() -> None:
     for degree in ((0, 0), (1, 3), (9, 16)):
         series = np.asfortranarray(rng.normal(0, 1, (degree[0] + 1, degree[1] + 1)))
         series.flags.writeable = False
-        surface = Surface(series=series, near=27e3, far=33e3, low=-0.2, high=0.3)
+        surface = Surface(series=series, along=GroundRange(near=27e3, far=33e3, height=0.0), low=-0.2, high=0.3)
         for shape in ((), (0,), (1,), (64,), (7, 31)):
             r, v = rng.uniform(26.9e3, 33.1e3, shape), rng.uniform(-0.2, 0.3, shape)
             expected = np.polynomial.chebyshev.chebval2d((r - 30e3) / 3e3, (v - 0.05) / 0.25, series)

@@ -16,7 +16,7 @@ from blocksar.focusing.method import Method
 from blocksar.planning.block import BlockPlan, plan_block
 from blocksar.planning.plan import Plan, plan_collection
 from blocksar.planning.relief import find_relief, sample_terrain
-from blocksar.planning.sector import Sector
+from blocksar.planning.sector import Sector, ground_range
 from blocksar.simulation.scene import Scene
 
 GRID = Grid(15700.0, 16500.0, 4.0, 18800.0, 19600.0, 4.0)
@@ -42,23 +42,23 @@ def test_smooth_parts_follow_what_is_smooth_and_the_rest_stands_over_them() -> N
     samples = sample_terrain(geometry, (GRID.x0, GRID.x1), (GRID.y0, GRID.y1))
     assert geometry.terrain is not None
     assert samples.z == pytest.approx(geometry.terrain(*place(geometry, samples)), abs=1e-6)
-    box = {"low": float(samples.yaw.min()), "high": float(samples.yaw.max())}
-    box |= {"near": float(samples.epoch_range.min()), "far": float(samples.epoch_range.max())}
-    relief = find_relief(samples, **box, level=0.0)
+    low, high = float(samples.yaw.min()), float(samples.yaw.max())
+    along = ground_range(geometry, float(samples.epoch_range.min()), float(samples.epoch_range.max()))
+    relief = find_relief(samples, low=low, high=high, along=along, level=0.0)
     coarse = samples.z - relief.smooth(samples.epoch_range, samples.yaw)
     fine = samples.z - relief.fine(samples.epoch_range, samples.yaw)
     assert relief.low < coarse.min() and coarse.max() < relief.high
     assert np.ptp(fine) < 0.4 * np.ptp(samples.z) and np.std(fine) < np.std(coarse)
     heights, known = relief.usual(13, 33)
     assert known.any() and np.abs(heights[known]).max() <= np.abs(fine).max()
-    u, v = 2 * samples.epoch_range - box["near"] - box["far"], 2 * samples.yaw - box["low"] - box["high"]
+    u, v = along.place(samples.epoch_range), (2 * samples.yaw - low - high) / (high - low)
     nodes = np.cos(np.pi * np.arange(13) / 12), np.cos(np.pi * np.arange(33) / 32)
-    about = np.abs(u / (box["far"] - box["near"]) - nodes[0][6]) < np.abs(nodes[0][6] - nodes[0][5]) / 2
-    about &= np.abs(v / (box["high"] - box["low"]) - nodes[1][16]) < np.abs(nodes[1][16] - nodes[1][15]) / 2
+    about = np.abs(u - nodes[0][6]) < np.abs(nodes[0][6] - nodes[0][5]) / 2
+    about &= np.abs(v - nodes[1][16]) < np.abs(nodes[1][16] - nodes[1][15]) / 2
     middle, spread = fine[about].mean(), fine[about].std()
     assert abs(heights[6, 16]) == pytest.approx(np.hypot(middle, np.sqrt(2 / np.pi) * spread), abs=0.3)
     assert np.sign(heights[6, 16]) == np.sign(middle)
-    empty = find_relief(samples, low=2.0, high=2.1, near=5e4, far=6e4, level=33.0)
+    empty = find_relief(samples, low=2.0, high=2.1, along=ground_range(geometry, 5e4, 6e4), level=33.0)
     assert empty.smooth(np.array(5.5e4), np.array(2.05)) == pytest.approx(33.0, abs=1e-6)
 
 
