@@ -33,7 +33,8 @@ from blocksar.places import place
 from blocksar.places.place import Place
 from blocksar.planning import effort
 from blocksar.planning.memory import checked_back_projection_memory, checked_memory, compression_memory
-from blocksar.planning.plan import Plan, plan_collection
+from blocksar.planning.plan import Plan
+from blocksar.planning.planner import plan_collection
 from blocksar.planning.segments import Divided, joint_grid, plan_segments
 from blocksar.progress import Work
 from blocksar.runs import folder as run_folder

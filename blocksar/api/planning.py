@@ -50,7 +50,8 @@ from blocksar.planning import choice, effort
 from blocksar.planning.choice import Contender
 from blocksar.planning.disk import exact_bytes
 from blocksar.planning.memory import checked_back_projection_memory
-from blocksar.planning.plan import Plan, plan_collection
+from blocksar.planning.plan import Plan
+from blocksar.planning.planner import plan_collection
 from blocksar.planning.segments import Divided, PlannedSegment, joint_grid, plan_segments
 
 

@@ -175,10 +175,10 @@ def write_patch(
     here if `sight` is given, otherwise later. Chunks are written by other threads while the next ones are computed.
     """
     started = time.perf_counter()
-    first_y, first_x, _, _ = patch_window(ground, grid)
-    side = image_chunk(grid)
+    origin, side = patch_window(ground, grid)[:2], image_chunk(grid)
     layers = TerrainLayers(run, grid, {} if sight is None else {block.index: sight})
     heights, alike = GroundHeights(run, grid, on_terrain=ground.relief is not None), AlikeChunks(run)
+    writer = _PatchWriter(run=run, block=block, grid=grid, origin=origin, noise=noise, alike=alike)
     assert samples.values is not None
     chunks = [np.empty(side[0] * side[1], np.complex64) for _ in range(WRITES_AT_ONCE + 1)]
     with WritesBehind(len(chunks)) as behind:
@@ -196,15 +196,14 @@ def write_patch(
                 edges.add(pixels, kept, ground, window, grid, height=z, threads=run.threads)
             if (owner := _owner(pixels, block.index)) is None:
                 continue
-            part = shifted(window, (first_y, first_x))
-            behind.submit(_write_pixels, run, block, pixels, owner, window, part, grid, noise, z, alike, merged=merged)
+            behind.submit(writer.write, pixels, owner, window, z, merged=merged)
             if sight is not None and not merged:
                 behind.submit(write_layers, alike, window, layers.over(window, owner))
     seconds = samples.seconds | {"geometric-correction": time.perf_counter() - started}
     # The receipt covers the whole block: the tasks before this one have no receipts.
     receipt = Receipt(
         unit=unit, stage="focus", written=behind.written,
-        origin=(int(first_y), int(first_x)), steps=seconds,
+        origin=origin, steps=seconds,
     )  # fmt: skip
     return sign(run, receipt, started - sum(samples.seconds.values()))
 
@@ -262,35 +261,51 @@ def shifted(window: Window, origin: Sequence[int]) -> Window:
     return slice(rows.start - y, rows.stop - y), slice(columns.start - x, columns.stop - x)
 
 
-def _write_pixels(
-    run: Run,
-    block: BlockPlan,
-    pixels: ComplexArray,
-    owner: NDArray[np.int16] | int,
-    window: Window,
-    part: Window,
-    grid: Grid,
-    noise: NoiseMap | None,
-    height: FloatArray | None,
-    alike: AlikeChunks,
-    *,
-    merged: bool,
-) -> list[Written]:
-    """Write a chunk of a patch, and of the image unless the mosaic merges it; `owner` as `_owner` has it.
+@dataclass(frozen=True, kw_only=True)
+class _PatchWriter:
+    """Writes the chunks of a block's patch, and the image's where no other block touches them.
 
-    It is `window` in the image and `part` in the patch.
+    Attributes
+    ----------
+    origin : (first row, first column)
+        Of the patch in the image.
+    noise : NoiseMap or None
+        The block's noise, where it is known.
     """
-    patch = run.patch(block.name)
-    written = write(run, patch, "image", part, pixels)
-    if merged:
-        return [written]
-    of = {} if run.collection is None else {block.index: run.collection}
-    noises = {} if noise is None else {block.index: noise}
-    return [
-        written,
-        *write_image(run, window, pixels, np.asarray(owner, np.int16), of, (patch, part), written.checksum, alike),
-        *write_noise(run, window, np.broadcast_to(np.int16(owner), pixels.shape), grid, noises, height),
-    ]
+
+    run: Run
+    block: BlockPlan
+    grid: Grid
+    origin: tuple[int, int]
+    noise: NoiseMap | None
+    alike: AlikeChunks
+
+    def write(
+        self,
+        pixels: ComplexArray,
+        owner: NDArray[np.int16] | int,
+        window: Window,
+        height: FloatArray | None,
+        *,
+        merged: bool,
+    ) -> list[Written]:
+        """Write the pixels of `window` of the image; only to the patch if the mosaic merges them.
+
+        `owner` is as `_owner` has it; `height` the pixels' height, m, or None on the plane.
+        """
+        run, index = self.run, self.block.index
+        patch, part = run.patch(self.block.name), shifted(window, self.origin)
+        written = write(run, patch, "image", part, pixels)
+        if merged:
+            return [written]
+        of = {} if run.collection is None else {index: run.collection}
+        noises = {} if self.noise is None else {index: self.noise}
+        owners = np.asarray(owner, np.int16)
+        return [
+            written,
+            *write_image(run, window, pixels, owners, of, (patch, part), written.checksum, self.alike),
+            *write_noise(run, window, np.broadcast_to(owners, pixels.shape), self.grid, noises, height),
+        ]
 
 
 def write_image(

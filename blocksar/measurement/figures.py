@@ -230,8 +230,12 @@ def _lobe_edge(power: FloatArray) -> _LobeEdge | None:
 
 def measure(response: Response) -> PointResponse:
     """Measure a response that has been read; see `DEFINITIONS`."""
+    return measure_cuts(response, cuts(response), ideal_cuts(response.geometry, response.target, response.axes))
+
+
+def measure_cuts(response: Response, profiles: Cuts, ideal: Cuts) -> PointResponse:
+    """Measure a response of which the cuts, and those of the ideal response, are known; see `DEFINITIONS`."""
     axes, target = response.axes, response.target
-    profiles = cuts(response)
     along_range, along_azimuth = _qualities(profiles, axes)
     value = complex(response.at(np.array(target.x), np.array(target.y)))
     x, y = response.peak
@@ -258,7 +262,7 @@ def measure(response: Response) -> PointResponse:
         value=value,
         full_dwell=response.full_dwell,
         covered=covered,
-        **_theory(*_qualities(ideal_cuts(response.geometry, target, axes), axes)),
+        **_theory(*_qualities(ideal, axes)),
     )
 
 

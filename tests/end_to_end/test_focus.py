@@ -23,7 +23,7 @@ from blocksar import api, stores
 from blocksar.api import jobs
 from blocksar.errors import InputError
 from blocksar.measurement.coherence import coherence
-from blocksar.planning.plan import plan_collection
+from blocksar.planning.planner import plan_collection
 from blocksar.simulation.scene import Scene
 
 CLUTTER = "[clutter]\nscatterers = 12000\nseed = 3\n"

@@ -23,7 +23,8 @@ from blocksar.collection.weighting import Weighting
 from blocksar.focusing.backprojection import form_image
 from blocksar.graph import stages
 from blocksar.measurement.coherence import coherence
-from blocksar.planning.plan import Plan, plan_collection
+from blocksar.planning.plan import Plan
+from blocksar.planning.planner import plan_collection
 from blocksar.planning.segments import Divided, plan_segments
 
 SPANS = ((0, 3400), (2600, 6000))

@@ -24,7 +24,7 @@ from blocksar.focusing.relief_correction import (
 )
 from blocksar.focusing.relief_map import straighten
 from blocksar.kernels.interpolation import bent_errors, bent_taps, interpolation_error, interpolation_taps
-from blocksar.planning.plan import plan_collection
+from blocksar.planning.planner import plan_collection
 from blocksar.simulation.scene import Scene
 
 N_TAP, OCCUPANCY, PHASES = 14, 0.62, 8

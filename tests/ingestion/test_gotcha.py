@@ -37,7 +37,7 @@ from blocksar.measurement.coherence import coherence
 from blocksar.measurement.targets import Target
 from blocksar.planning import recovery as recovery_planning
 from blocksar.planning import target_lines
-from blocksar.planning.plan import plan_collection
+from blocksar.planning.planner import plan_collection
 from blocksar.simulation.scatterers import simulate_pulses
 
 N_FREQUENCY = 48

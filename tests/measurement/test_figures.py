@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from axis_beams import axis_collection, with_patterns
-from ideal import ideal_response
 from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import diric
+from summed_response import summed_response
 
 from blocksar.arrays import Complex128Array, ComplexArray, FloatArray
 from blocksar.collection.beam import dwell, has_full_dwell
@@ -205,7 +205,7 @@ def test_the_ideal_response_equals_the_direct_double_sum(geometry: Geometry) -> 
             lit = [np.abs(np.arctan2(b, a) - c.beam_azimuth) <= c.beam_width / 2 for a, b in ((px, py), target[1:3])]
         slow.append(target.reflectivity * (signal * lit[0] * lit[1]).sum() / lit[0].sum())
     # Geometry allows a track misfit of 1e-5 wavelengths: 4 pi 1e-5 rad.
-    assert ideal_response(geometry, target, x, y) == pytest.approx(np.array(slow), abs=2e-4)
+    assert summed_response(geometry, target, x, y) == pytest.approx(np.array(slow), abs=2e-4)
 
 
 # ---- A single response
@@ -240,7 +240,7 @@ def test_beam_steered_target_with_each_pixel_s_own_lit_pulses() -> None:
     target = target_at(52.0)
     image_x, image_y = grid_about(target)
     x, y = np.meshgrid(image_x, image_y)
-    image = ideal_response(STEERED, target, x.ravel(), y.ravel()).reshape(x.shape).astype(np.complex64)
+    image = summed_response(STEERED, target, x.ravel(), y.ravel()).reshape(x.shape).astype(np.complex64)
     found = measure_target(reader(image), image_x, image_y, STEERED, target)
     # Pulses enter and leave one by one from pixel to pixel: real steps of 1 / 648 = 0.0015.
     assert found.range_pslr == pytest.approx(SINC_PSLR, abs=0.1)
@@ -550,7 +550,7 @@ def test_the_ideal_response_under_patterns_is_the_back_projection_of_the_target(
     signal = simulate_pulses(collection, np.array([target.x]), np.array([target.y]), np.array([target.reflectivity]))
     x, y = 9000.0 + np.linspace(-6, 6, 9), 12.0 + np.linspace(4, -4, 9)
     exact = form_points(lambda pulses: signal[pulses], geometry, x, y, threads=1)
-    np.testing.assert_allclose(ideal_response(geometry, target, x, y), exact, atol=2e-3)
+    np.testing.assert_allclose(summed_response(geometry, target, x, y), exact, atol=2e-3)
 
 
 @pytest.mark.parametrize("text", ["uniform", "taylor:4:-35"])
@@ -567,7 +567,7 @@ def test_a_target_under_patterns_has_the_figures_of_its_ideal_response(text: str
         for centre, extent, band in zip((target.x, target.y), reach, axes.band, strict=True)
     )
     x, y = np.meshgrid(image_x, image_y)
-    image = ideal_response(geometry, target, x.ravel(), y.ravel(), weighting).reshape(x.shape).astype(np.complex64)
+    image = summed_response(geometry, target, x.ravel(), y.ravel(), weighting).reshape(x.shape).astype(np.complex64)
     found = measure_target(reader(image), image_x, image_y, geometry, target, weighting)
     assert found.covered and found.full_dwell
     assert found.azimuth_irw == pytest.approx(found.azimuth_irw_theory, rel=0.002)
@@ -578,7 +578,7 @@ def test_a_target_under_patterns_has_the_figures_of_its_ideal_response(text: str
     assert axes.azimuth_ideal.width > 1.03 * weighting.azimuth.ideal.width
     along = np.linspace(-4, 4, 33) * axes.azimuth_width
     dx, dy = axes.ground_offset(np.zeros(33), along)
-    cut = np.abs(ideal_response(geometry, target, target.x + dx, target.y + dy, weighting))
+    cut = np.abs(summed_response(geometry, target, target.x + dx, target.y + dy, weighting))
     drawn = axes.azimuth_shape.response(along / axes.azimuth_width * axes.azimuth_ideal.width)
     np.testing.assert_allclose(drawn, cut, atol=0.02)  # the curve in pictures; the beam moves on with the pixel
     energy = float((np.abs(image) ** 2).sum()) * (image_x[1] - image_x[0]) * (image_y[1] - image_y[0])

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import ideal
 import numpy as np
 import pytest
 from axis_beams import axis_collection, with_patterns
 from steps import collection
+from summed_response import summed_response
 
 from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
@@ -56,7 +56,7 @@ def test_the_integral_is_the_sum_over_pulses(name: str) -> None:
     along, none = np.linspace(-10.5, 10.5, 127), np.zeros(127)
     for in_range, in_azimuth in ((along * axes.range_width, none), (none, along * axes.azimuth_width)):
         dx, dy = axes.ground_offset(in_range, in_azimuth)
-        slow = ideal.ideal_response(geometry, Target("T", x, y), x + dx, y + dy, weighting)
+        slow = summed_response(geometry, Target("T", x, y), x + dx, y + dy, weighting)
         np.testing.assert_allclose(
             ideal_response(geometry, (x, y), x + dx, y + dy, weighting), slow, rtol=0, atol=tolerance
         )

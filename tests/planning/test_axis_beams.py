@@ -25,7 +25,8 @@ from blocksar.focusing.dwell_edges import add_edges, edge_profiles, take_unlit
 from blocksar.focusing.recovery import recover_columns
 from blocksar.measurement.coherence import coherence
 from blocksar.planning.edges import LEAST_FADE
-from blocksar.planning.plan import Plan, plan_collection
+from blocksar.planning.plan import Plan
+from blocksar.planning.planner import plan_collection
 from blocksar.planning.recovery import plan_recovery
 from blocksar.simulation.antenna import named_pattern
 from blocksar.simulation.scatterers import simulate_pulses

@@ -16,7 +16,7 @@ from blocksar.collection.weighting import Weighting
 from blocksar.errors import OutsideSwath
 from blocksar.focusing.method import Method
 from blocksar.planning.block import BlockPlan, plan_block
-from blocksar.planning.plan import plan_collection
+from blocksar.planning.planner import plan_collection
 from blocksar.planning.sector import Sector
 from blocksar.planning.strips import owned_by
 
@@ -79,7 +79,7 @@ def test_a_block_of_which_nothing_is_lit_lies_outside_the_swath(monkeypatch: pyt
         kept.append((sector, method))
         return plan_block(sector, method, **rest)
 
-    monkeypatch.setattr("blocksar.planning.plan.plan_block", keep)
+    monkeypatch.setattr("blocksar.planning.planner.plan_block", keep)
     plan_collection(axis_collection("squinted"), grid=Grid(8880.0, 9120.0, 3.0, 2450.0, 2500.0, 2.0), blocks=1)
     sector, method = kept[0]
     with pytest.raises(OutsideSwath, match="lights none of its ground"):

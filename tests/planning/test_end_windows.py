@@ -20,7 +20,7 @@ from blocksar.focusing.lines import RowPolynomial, focus
 from blocksar.kernels import fourier
 from blocksar.planning.end_windows import end_lift
 from blocksar.planning.fidelity import smear_loss
-from blocksar.planning.plan import plan_collection
+from blocksar.planning.planner import plan_collection
 from blocksar.planning.target_lines import find_dwells
 
 # A band of 3 %.

@@ -19,7 +19,7 @@ from blocksar.collection.weighting import Taper
 from blocksar.errors import InputError
 from blocksar.planning.fidelity import end_energy
 from blocksar.planning.image_edges import ImageEdges
-from blocksar.planning.plan import plan_collection
+from blocksar.planning.planner import plan_collection
 from blocksar.simulation.scene import Scene
 
 

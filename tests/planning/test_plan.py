@@ -25,7 +25,7 @@ from blocksar.graph.machine import pace
 from blocksar.planning import effort
 from blocksar.planning.block import BlockPlan, plan_block
 from blocksar.planning.disk import run_bytes
-from blocksar.planning.plan import plan_collection
+from blocksar.planning.planner import plan_collection
 from blocksar.planning.recovery import plan_recovery
 from blocksar.planning.sector import Sector
 from blocksar.simulation.scene import Scene
@@ -155,7 +155,7 @@ def test_no_block_is_planned_twice(monkeypatch: pytest.MonkeyPatch) -> None:
         planned_blocks.append((sector.low, sector.high, sector.near, sector.far, method))
         return plan_block(sector, method, **rest)
 
-    monkeypatch.setattr("blocksar.planning.plan.plan_block", counted)
+    monkeypatch.setattr("blocksar.planning.planner.plan_block", counted)
     plan = plan_collection(wide_collection(), workers=2)
     assert len(plan.blocks) < len(planned_blocks) == len(set(planned_blocks))
 

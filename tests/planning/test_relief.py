@@ -14,7 +14,8 @@ from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.focusing.method import Method
 from blocksar.planning.block import BlockPlan, plan_block
-from blocksar.planning.plan import Plan, plan_collection
+from blocksar.planning.plan import Plan
+from blocksar.planning.planner import plan_collection
 from blocksar.planning.relief import find_relief, sample_terrain
 from blocksar.planning.sector import Sector, ground_range
 from blocksar.simulation.scene import Scene
@@ -99,7 +100,7 @@ def test_a_search_plans_no_more_blocks_than_show_that_others_gain_nothing(monkey
         planned_blocks.append(sector.low)
         return plan_block(sector, method, **rest)
 
-    monkeypatch.setattr("blocksar.planning.plan.plan_block", counted)
+    monkeypatch.setattr("blocksar.planning.planner.plan_block", counted)
     plan = planned(hilly(1000.0), blocks="auto", workers=2)
     assert plan.excess() > 1.0 and plan.n_blocks == 2
     assert len(planned_blocks) == plan.n_blocks + 1

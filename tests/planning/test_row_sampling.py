@@ -13,7 +13,7 @@ from blocksar.focusing.backprojection import form_image
 from blocksar.focusing.correction import correct
 from blocksar.focusing.recovery import recover_columns
 from blocksar.measurement.coherence import coherence
-from blocksar.planning.plan import plan_collection
+from blocksar.planning.planner import plan_collection
 from blocksar.simulation.scatterers import simulate_pulses
 
 GRID = Grid(785.0, 815.0, 1.5, -8.0, 8.0, 0.1)

@@ -14,7 +14,7 @@ import blocksar
 from blocksar import stores
 from blocksar.api import jobs
 from blocksar.graph.cluster import open_client
-from blocksar.planning.plan import plan_collection
+from blocksar.planning.planner import plan_collection
 from blocksar.products.page import page
 
 matplotlib.use("Agg")

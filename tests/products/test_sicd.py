@@ -12,11 +12,11 @@ import sarkit.sicd as sksicd
 import sarkit.verification as skver
 import shapely
 from axis_beams import axis_collection, with_patterns
-from ideal import ideal_response
 from lxml import etree
 from numpy.polynomial import polynomial
 from sicd_files import Sicd, errors, read_sicd
 from small_run import DAYTON, TARGETS, Made, hilly, make, upsampled_peak
+from summed_response import summed_response
 
 import blocksar
 from blocksar import stores
@@ -74,7 +74,7 @@ def test_widths_under_a_pattern_are_those_of_the_response() -> None:
     for direction in np.eye(2):
         width = cut_width(support.frequencies @ direction, support.weights)
         x, y = np.array([[target.x], [target.y]]) + np.outer(direction, np.array([-0.5, 0.5]) * width)
-        power = np.abs(ideal_response(geometry, target, x, y, weighting)) ** 2
+        power = np.abs(summed_response(geometry, target, x, y, weighting)) ** 2
         np.testing.assert_allclose(power, 0.5, atol=0.01)
     plain = find_support(Geometry(collection=axis_collection(n_pulse=800, beam_width=0.012)), np.array([9000.0, 12, 0]))
     assert support.weights.min() < 0.2 * support.weights.max() and (plain.weights == 1).all()

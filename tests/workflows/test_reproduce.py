@@ -20,7 +20,7 @@ from blocksar.constants import SINC_ISLR, SPEED_OF_LIGHT
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.method import Method
 from blocksar.kernels.fourier import Axis
-from blocksar.planning.plan import plan_collection
+from blocksar.planning.planner import plan_collection
 from blocksar.simulation.scene import Scene
 
 # Nine targets with the paper's names, in an area so small that a run takes seconds.

@@ -22,7 +22,8 @@ from blocksar.measurement.figures import PointResponse, measure
 from blocksar.measurement.response import Response, read_response
 from blocksar.measurement.targets import Target
 from blocksar.places import place
-from blocksar.planning.plan import Plan, plan_collection
+from blocksar.planning.plan import Plan
+from blocksar.planning.planner import plan_collection
 from blocksar.runs.finished import FinishedRun
 from blocksar.simulation.scene import Scene
 

@@ -17,7 +17,8 @@ from blocksar.focusing.method import Derotation, Method
 from blocksar.focusing.recovery import Recovery
 from blocksar.kernels import rows
 from blocksar.kernels.fourier import Axis, dual, unit_phasor
-from blocksar.planning.plan import Plan, plan_collection
+from blocksar.planning.plan import Plan
+from blocksar.planning.planner import plan_collection
 from blocksar.planning.target_lines import find_dwells
 from blocksar.products.pictures.figures import CURVE_COLOURS
 from blocksar.products.pictures.panels import Map, Mark, Panel, Style, Trace, plot_panels

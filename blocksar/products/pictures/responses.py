@@ -15,7 +15,7 @@ from scipy.ndimage import zoom
 
 from blocksar.arrays import Complex128Array, FloatArray
 from blocksar.collection.weighting import CUT_WIDTHS
-from blocksar.measurement.figures import BEYOND, ResponseGrid, cuts, ideal_cuts, measure, response_grid
+from blocksar.measurement.figures import BEYOND, ResponseGrid, cuts, ideal_cuts, measure_cuts, response_grid
 from blocksar.measurement.response import Response
 from blocksar.products.pictures.figures import (
     LEVEL_COLOURS,
@@ -93,8 +93,9 @@ def plot_cuts(responses: Sequence[Response], path: str | Path, *, title: str = "
     columns, size, text = (6, (2.35, 2.5), 8) if len(responses) > 1 else (1, (SINGLE, 1.45), 9)
     figure, panels = new_panels(2 * len(responses), columns=columns, size=size, title=title)
     for (left, right), response in zip(zip(panels[::2], panels[1::2], strict=True), responses, strict=True):
-        sampled, figures, name = cuts(response), measure(response), response.target.name
+        sampled, name = cuts(response), response.target.name
         ideal = ideal_cuts(response.geometry, response.target, response.axes)
+        figures = measure_cuts(response, sampled, ideal)
         left.set_title(_caption(f"{name} range", figures.range_pslr, figures.range_irw), fontsize=text)
         offset, profile = sampled.range_offset, sampled.range_profile
         _draw_cut(left, offset, profile, ideal.range_profile, figures.range_pslr_theory, "#2f6db3")

@@ -13,7 +13,7 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.measurement.targets import Target
 
 
-def ideal_response(
+def summed_response(
     geometry: Geometry, target: Target, x: FloatArray, y: FloatArray, weighting: Weighting = UNIFORM
 ) -> Complex128Array:
     """The exact back-projection of one target's noise-free signal at ground points (n,), m.

@@ -1,0 +1,284 @@
+"""Plan a collection for a method: choose the beam that gates follow, the edges and the division, and plan each block.
+
+Everything follows from metadata; no sample is read.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property, partial
+from itertools import chain, pairwise
+from typing import Literal
+
+import numpy as np
+
+from blocksar.arrays import FloatArray
+from blocksar.budget import FIDELITY, image_tap_error
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry, over_terrain
+from blocksar.collection.grid import Grid
+from blocksar.collection.region import Extent, Owned, Region, block_seams, default_grid, grid_extent, plan_region
+from blocksar.collection.terrain import Terrain
+from blocksar.collection.weighting import UNIFORM, Weighting
+from blocksar.constants import MIB, SPEED_OF_LIGHT
+from blocksar.errors import InputError, OutsideSwath, PrfTooLow
+from blocksar.focusing.chains import steps_of
+from blocksar.focusing.method import DEFAULT, Method
+from blocksar.focusing.range_steps import Keystone
+from blocksar.focusing.recovery import Recovery
+from blocksar.planning.block import BlockPlan, plan_block
+from blocksar.planning.coefficients import Choice
+from blocksar.planning.division import MAX_BLOCKS, find_division
+from blocksar.planning.edge_search import find_edges
+from blocksar.planning.edges import Edges, plan_edges
+from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY
+from blocksar.planning.plan import Plan
+from blocksar.planning.recovery import plan_recovery
+from blocksar.planning.refusal import find_refusal
+from blocksar.planning.relief import Relief, Samples, find_relief, sample_terrain
+from blocksar.planning.sector import Sector, ground_range
+from blocksar.planning.staying import beam_stays
+from blocksar.planning.steadiness import PROBED, Gated, first_that, gated_beams
+
+MOST_BLOCKS = 1000  # that a caller may ask for
+MAX_PARTS = 64  # range sub-blocks of a block
+WHOLE_WINDOWS, PART_WINDOWS = 2.5, 0.97  # range windows that a whole block, and a range sub-block, may hold
+
+
+def plan_collection(
+    collection: Collection,
+    *,
+    blocks: int | Literal["auto"] = "auto",
+    parts: int | Literal["auto"] = "auto",
+    method: Method = DEFAULT,
+    fidelity: float = FIDELITY,
+    weighting: Weighting = UNIFORM,
+    grid: Grid | None = None,
+    owned: Owned | None = None,
+    terrain: Terrain | None = None,
+    workers: int = 1,
+    memory_limit: int | None = None,
+) -> Plan:
+    """Plan a collection for a method; with `owned`, only the blocks with ground for which it is true.
+
+    `auto` takes the fewest blocks that keep the fidelity, at least one a worker, and the fewest range sub-blocks of
+    each that migration needs (`find_division`) and that fit a worker's memory.
+
+    Raises
+    ------
+    InputError
+        If the PRF is too low, the grid is empty or outside the swath, or no number of sub-blocks fits the memory.
+    """
+    if blocks != "auto" and not 1 <= blocks <= MOST_BLOCKS:
+        raise InputError(f"blocks = {blocks}: ask for 1 to {MOST_BLOCKS}, or for 'auto'")
+    geometry = Geometry(collection=collection) if terrain is None else over_terrain(collection, terrain)
+    region = plan_region(geometry, grid)
+    grid = grid or default_grid(geometry, region)
+    extent = grid_extent(geometry, region, grid, owned)
+    stays = beam_stays(geometry, region, extent)
+    if stays:
+        gates = [Gated(geometry.collection.unsteered())]
+    else:
+        gates = gated_beams(geometry, region, fidelity, weighting.azimuth)
+
+    @cache
+    def follow(gated: Gated) -> Callable[[float], Planner]:
+        """Planners for edges of several lengths, of a gate that follows a beam."""
+        summed = gated.over(geometry)
+        recovery = plan_recovery(summed, region, method, stays=stays)
+        edges = partial(
+            plan_edges, summed, region, fidelity=fidelity, weighting=weighting,
+            band=recovery.band[1] - recovery.band[0], keystone=Keystone in steps_of(method),
+        )  # fmt: skip
+        return cache(lambda times: Planner(
+            geometry=geometry, gated=gated, stays=stays, region=region, recovery=recovery, grid=grid, extent=extent,
+            method=method, fidelity=fidelity, weighting=weighting,
+            edges=edges(times=max(times, 1.0) if gated.wobbles else times),
+        ))  # fmt: skip
+
+    def excess(gated: Gated) -> float:
+        try:
+            probe = follow(gated)(0.0).plan(PROBED, 1, True)
+        except PrfTooLow:
+            return math.inf
+        except InputError:  # no block of so many holds a point of the grid
+            return 0.0
+        return probe.excess() if probe.refusal is None else math.inf
+
+    planner = follow(first_that(gates, excess))
+
+    def choose(times: float) -> Plan:
+        if blocks == "auto":
+            return find_division(
+                planner(times).plan, workers=workers, parts=None if parts == "auto" else parts,
+                scattered=terrain is not None, jointly=terrain is None and not collection.has_axis,
+                exceeds=planner(times).exceeds,
+            )  # fmt: skip
+        return planner(times).plan(blocks, 1 if parts == "auto" else parts, False)
+
+    times, first = find_edges(lambda times, count, n_parts, probe: planner(times).plan(count, n_parts, probe), choose)
+    first = replace(first, searched=blocks == "auto")
+    if memory_limit is None or first.refusal is not None:
+        return first
+
+    def divide(n_parts: int) -> Plan:
+        return replace(planner(times).plan(first.n_blocks, n_parts, False), searched=first.searched)
+
+    return _fewest_parts(divide, first, memory_limit, fixed=parts != "auto")
+
+
+def _fewest_parts(plan: Callable[[int], Plan], first: Plan, memory_limit: int, *, fixed: bool) -> Plan:
+    """The plan with the fewest range sub-blocks that fit a worker's memory."""
+    divided, room = first, MEMORY_SHARE * memory_limit
+    least = max(divided.recovery_memory, PROCESS_MEMORY)
+    if room <= least:
+        raise InputError(
+            f"memory limit {memory_limit / MIB:.0f} MiB a worker is too low: recovery needs about "
+            f"{math.ceil(least / MEMORY_SHARE / MIB)} MiB, however blocks are divided; raise --memory-limit, "
+            "or take fewer workers"
+        )
+    needed = [divided.memory]
+    while divided.memory > room:
+        if fixed or divided.parts == MAX_PARTS:
+            break
+        share = (divided.memory - PROCESS_MEMORY) / (room - PROCESS_MEMORY)
+        divided = plan(min(max(divided.parts + 1, math.ceil(0.9 * divided.parts * share)), MAX_PARTS))
+        needed.append(divided.memory)
+        if len(needed) > 2 and needed[-1] > 0.97 * needed[-2]:
+            break
+    if divided.memory > room:
+        raise InputError(
+            f"memory limit {memory_limit / MIB:.0f} MiB a worker is too low: {divided.n_blocks} x {divided.parts} "
+            f"blocks by angle and range need about {math.ceil(min(needed) / MEMORY_SHARE / MIB)} MiB; raise "
+            "--memory-limit, ask for more --blocks, or image a smaller grid"
+        )
+    return divided
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Planner:
+    """Plans of one collection for any division of it.
+
+    Attributes
+    ----------
+    gated : Gated
+        The beam that the dwell gate follows; where it stays, one that lights everything.
+    stays : bool
+        From `planning.staying`.
+    planned : dict
+        The blocks by (blocks, sub-blocks, index): a plan after its probe plans the rest, and none is planned twice.
+    """
+
+    geometry: Geometry
+    gated: Gated
+    stays: bool
+    region: Region
+    recovery: Recovery
+    grid: Grid
+    extent: Extent
+    method: Method
+    fidelity: float
+    weighting: Weighting
+    edges: Edges
+    planned: dict[tuple[int, int, int], list[BlockPlan]] = field(default_factory=dict)
+
+    @cached_property
+    def summed(self) -> Geometry:
+        """Under the beam that gates follow."""
+        return self.gated.over(self.geometry)
+
+    def plan(self, count: int, n_parts: int, probe: bool) -> Plan:
+        """Plan all blocks that the grid touches; a probe plans only the outermost ones and the one in the middle."""
+        seams, touched = self._touched(count, probe)
+        planned: list[BlockPlan] = []
+        for index in touched:
+            # Narrow blocks are of one kind: each takes what the one before it chose, if that serves.
+            like = planned[-1].choice if planned and count > MAX_BLOCKS else None
+            planned += self._plan_index(seams, index, n_parts, like)
+        if not planned and probe:  # what it would tell of is not lit
+            return self.plan(count, n_parts, False)
+        if not planned:
+            raise OutsideSwath(f"none of {count} blocks has a lit point of the grid; give it a finer step, or move it")
+        return Plan(
+            geometry=self.geometry, grid=self.grid, region=self.region, recovery=self.recovery, seams=seams,
+            parts=n_parts, blocks=tuple(planned), method=self.method, fidelity=self.fidelity,
+            weighting=self.weighting, fade=self.edges.fade, stays=self.stays, gated=self.gated,
+            refusal=find_refusal(planned, self.method, self.gated),
+        )  # fmt: skip
+
+    def exceeds(self, count: int, n_parts: int, limit: float) -> bool:
+        """Whether a block of a probe exceeds the fidelity by more than a limit; none is planned after the first one.
+
+        It begins with the block in the middle, which has the most ground.
+        """
+        seams, touched = self._touched(count, probe=True)
+        middle = len(touched) // 2
+        touched = touched[middle : middle + 1] + touched[:middle] + touched[middle + 1 :]
+        planned = chain.from_iterable(self._plan_index(seams, index, n_parts, None) for index in touched)
+        return any(block.prediction.excess(self.fidelity) > limit for block in planned)
+
+    def _touched(self, count: int, probe: bool) -> tuple[FloatArray, list[int]]:
+        """The seams of so many blocks, rad, and the indices of those that the grid touches, for a probe of some."""
+        seams = block_seams(self.geometry, self.region, count)
+        touched = [i for i in range(count) if seams[i + 1] > self.extent.low and seams[i] <= self.extent.high]
+        if probe and touched:
+            touched = sorted({touched[0], touched[len(touched) // 2], touched[-1]})
+        return seams, touched
+
+    def _plan_index(self, seams: FloatArray, index: int, n_parts: int, neighbour: Choice | None) -> list[BlockPlan]:
+        """The range sub-blocks of one of the blocks between seams, which is planned once."""
+        key = seams.size - 1, n_parts, index
+        if key not in self.planned:
+            low, high = float(seams[index]), float(seams[index + 1])
+            self.planned[key] = self._plan_angle(index, low, high, n_parts, neighbour)
+        return self.planned[key]
+
+    def _plan_angle(
+        self, index: int, low: float, high: float, n_parts: int, neighbour: Choice | None
+    ) -> list[BlockPlan]:
+        """The range sub-blocks of one block; none where the grid has no point, or nothing is lit."""
+        near, far = self.region.limits(low, high)
+        near, far = max(near, self.extent.near), min(far, self.extent.far)
+        # At each yaw ranges are those of the range window, which slants over a wide block: rows go on periodically.
+        windows = WHOLE_WINDOWS if n_parts == 1 else PART_WINDOWS * n_parts
+        excess = max((far - near) - windows * self.geometry.collection.range_window, 0.0)
+        near, far = near + excess / 2, far - excess / 2
+        if far < near:
+            return []
+        # The nine ranges of the fit need some distance between them for meaningful polynomials.
+        least = 64 * SPEED_OF_LIGHT / (2 * self.geometry.collection.bandwidth)
+        room = max(least - (far - near), 0.0) / 2
+        above = self.geometry.epoch_position[2] - self.geometry.collection.ground_height
+        edges = np.linspace(max(near - room, (near + above) / 2), far + room, n_parts + 1)
+        parts: list[BlockPlan] = []
+        for part, (nearest, farthest) in enumerate(pairwise(edges.tolist())):
+            relief = self._relief(low, high, nearest, farthest)
+            summed, lit = self.summed, self.geometry
+            if relief is not None:
+                summed, lit = (each.over(None, relief.smooth) for each in (summed, lit))
+            sector = Sector(
+                geometry=summed, recovery=self.recovery, region=self.region, low=low, high=high, near=nearest,
+                far=farthest, weighting=self.weighting, fidelity=self.fidelity, relief=relief,
+                tap_error=image_tap_error(self.fidelity), fade=self.edges.fade, gate_parts=self.edges.parts,
+                staying=self.geometry if self.stays else None, taper_loss=self.gated.taper_loss,
+                wobbling=lit if self.gated.wobbles else None, imaged=(self.extent.low, self.extent.high),
+            )  # fmt: skip
+            like = parts[-1].choice if parts else neighbour
+            number = part if n_parts > 1 else None
+            with suppress(OutsideSwath):
+                parts.append(plan_block(sector, self.method, index=index, part=number, neighbour=like))
+        return parts
+
+    def _relief(self, low: float, high: float, near: float, far: float) -> Relief | None:
+        """The relief of a block; None on the plane."""
+        if self.geometry.terrain is None:
+            return None
+        along, level = ground_range(self.geometry, near, far), self.geometry.collection.ground_height
+        return find_relief(self._samples, low=low, high=high, along=along, level=level)
+
+    @cached_property
+    def _samples(self) -> Samples:
+        return sample_terrain(self.geometry, *((float(at[0]), float(at[-1])) for at in (self.grid.x, self.grid.y)))
