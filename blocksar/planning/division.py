@@ -20,7 +20,10 @@ GROWTH = 0.6  # power of the excess by which the number of blocks grows at a tim
 MOST_GROWTH, LEAST_GROWTH = 4.0, 1.2  # excess above which it grows no faster; factor by which it grows at least
 FINE = 12  # the fewest blocks are found to one in as many
 MOST_REFERENCES = 8  # range sub-blocks of a block, for the sake of migration
-USEFUL = 0.9  # excess that a division in range may leave, to be tried again
+USEFUL, LATER = (
+    0.9,
+    4,
+)  # excess that a division in range may leave, to be tried again; else with so many times the blocks
 MIGRATION_SHARE = 0.7  # of the allowed loss that migration may take when a block is divided in range
 FALL, PATIENCE = 0.97, 3  # factor by which the excess has to fall, and so many numbers without it end the search
 ALIKE = 1.03  # times the least excess: among divisions within that, the one with the fewest blocks is taken
@@ -81,7 +84,7 @@ def find_division(
     exceeds = exceeds or (lambda count, n_parts, limit: plan(count, n_parts, True).excess() > limit)
     tried: list[tuple[float, int, int]] = []
     failed, count, n_parts, stale = 0, min(max(workers, 1), MAX_BLOCKS), parts or 1, 0
-    divisible, fall, sound = parts is None, 1 / SCATTER if scattered else FALL, False
+    useless_at, fall, sound = 0, 1 / SCATTER if scattered else FALL, False
     while True:
         division = plan(count, n_parts, True)
         if division.excess() <= 1.0:
@@ -103,7 +106,7 @@ def find_division(
                 most = SCATTER * plan(n, m, False).excess()
             return plan(*min((n, m) for e, n, m in tried if e <= most), False)
         failed, growth = count, max(min(excess, MOST_GROWTH) ** GROWTH, LEAST_GROWTH)
-        by_migration = divisible and rest < excess / 2
+        by_migration = parts is None and count >= LATER * useless_at and rest < excess / 2
         if scattered and len(tried) == 1 and not by_migration:
             far = min(math.ceil(count * growth**PATIENCE), MAX_BLOCKS)
             if exceeds(far, n_parts, fall * excess):
@@ -113,8 +116,8 @@ def find_division(
             more = math.ceil(n_parts * max(math.sqrt((excess - rest) / MIGRATION_SHARE), 1.1))
             more = min(more, MOST_REFERENCES)
             divided = plan(failed, more, True).excess()
-            if division.refusal is None:  # a refused one tells nothing of what a division by range would gain
-                divisible = divided < USEFUL * excess
+            if division.refusal is None and divided >= USEFUL * excess:  # a refused one tells nothing of what is gained
+                useless_at = failed
             by_angle = _worth(excess, plan(count, n_parts, True).excess(), count / failed)
             if more > n_parts and _worth(excess, divided, more / n_parts) > by_angle:
                 failed, count, n_parts = failed - 1, failed, more
