@@ -23,6 +23,8 @@ from blocksar.kernels.fourier import Axis
 from blocksar.kernels.operations import Operation, ScaledTurn, Transform
 from blocksar.kernels.rows import Program
 
+GUARD = 1.02  # half apertures from its middle up to which the series of the derotation is trusted
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CommonRange:
@@ -87,6 +89,9 @@ class Recovery:
         Chebyshev series over the aperture of the derotation phase, cycles on the carrier.
     doppler : Axis
         Doppler of the recovered spectrum, Hz; unambiguous.
+    n_time : int
+        Samples in time of the recovered signal, at least as many as Doppler bins. Without a dwell gate, so many that
+        echoes from beyond the grid keep their Doppler: their part outside the spectrum is cut off, and does not fold.
     band : tuple of float
         Lowest and highest Doppler of the derotated signal over all that is lit, Hz.
     common : CommonRange
@@ -101,25 +106,29 @@ class Recovery:
     bulk: FloatArray
     derotation: FloatArray
     doppler: Axis
+    n_time: int
     band: tuple[float, float]
     common: CommonRange = NO_COMMON_RANGE
 
     @property
     def time(self) -> Axis:
-        """Slow time of the recovered signal from the epoch, s: the padded aperture in as many samples as Doppler bins.
+        """Slow time of the recovered signal from the epoch, s, over the padded aperture.
 
         The padding is on either side, since the keystone moves the early ends of dwells as far as the late ones.
         """
         lead = (self.padded - self.pulses.size) // 2
         start = self.pulses.start - lead * self.pulses.step
-        return Axis(start, self.padded * self.pulses.step / self.doppler.size, self.doppler.size)
+        return Axis(start, self.padded * self.pulses.step / self.n_time, self.n_time)
 
     def derotation_cycles(self, time: FloatArray) -> FloatArray:
         """Phase of the derotation at slow times from the epoch, cycles on the carrier."""
         middle = self.pulses.start + self.pulses.step * (self.pulses.size - 1) / 2
         half = self.pulses.extent / 2
-        # The guard holds no signal: clipping only keeps the series from growing there.
-        return np.asarray(chebyshev.chebval(np.clip((time - middle) / half, -1.02, 1.02), self.derotation))
+        u = (time - middle) / half
+        held = np.clip(u, -GUARD, GUARD)
+        rate = chebyshev.chebval(held, chebyshev.chebder(self.derotation))
+        # In the guard, where it would grow, it goes on at the rate of its ends: what rings there keeps its Doppler.
+        return np.asarray(chebyshev.chebval(held, self.derotation) + rate * (u - held))
 
     def derotation_rate(self, time: FloatArray) -> FloatArray:
         """Doppler that the derotation removes at slow times from the epoch, Hz on the carrier."""

@@ -266,20 +266,22 @@ def _predict(
 
     Weights made of waves that err by e of themselves, root mean square, lose at most e^2 / 2.
     """
-    targets, reached = lines.targets(sector.geometry), None
+    targets, reached, layers = lines.targets(sector.geometry), None, []
     if sector.relief is not None:
-        layer, reached = usual_layer(sector, azimuth, lines)
-        targets = _on(targets, layer)
+        usual, reached = usual_layer(sector, azimuth, lines)
+        targets, layers = _on(targets, usual), end_layers(sector, azimuth, lines)
     imaged = _imaged(sector, lines)
     predicted = predict(
         targets, sampling.gate, parts=sector.gate_parts, reached=reached, imaged=imaged, band=sector.weighting.range
     )
-    for layer in [] if sector.relief is None else end_layers(sector, azimuth, lines):
+    for layer in layers:
         others = _on(targets, layer)
         predicted = predicted.or_lobes(worst_lobes(others, sampling.gate, Judged.of(others, reached, imaged)))
     seen = np.logical_and.reduce([lines.ends.full, *(each.held for each in imaged)])
     of_dwells = sector.taper_loss + (0.0 if ground.waves is None else ground.waves.error**2 / 2)
-    return predicted.less(of_dwells, map_loss(ground, lines, seen))
+    if reached is not None:
+        seen, layers = seen & reached, [usual, *layers]
+    return predicted.less(of_dwells, map_loss(ground, lines, seen, layers))
 
 
 def _on(targets: TracedTargets, layer: Layer) -> TracedTargets:

@@ -94,31 +94,50 @@ def trace_for_map(sector: Sector, azimuth: AzimuthPart) -> tuple[AzimuthPart, Fi
     """`trace_finely`, at more ranges where the map's series would miss too much of where the lines focus."""
     traced = trace_finely(sector, azimuth)
     lines = traced[1]
-    missed = _missed(sector.geometry.collection, sector.recovery.origin, _surfaces(sector, lines, lines.spots), lines)
+    offset, doppler, phase, *_ = (
+        known(lines.epoch_range[:, None], lines.yaw) for known in _surfaces(sector, lines, lines.spots)
+    )
+    missed = _missed(sector.geometry.collection, sector.recovery.origin, lines, lines.spots, (offset, doppler, phase))
     if np.where(lines.ends.full, missed, 0.0).max() <= MISS_SHARE * (1 - sector.fidelity):
         return traced
     return trace_finely(sector, azimuth, n_range=MORE_RANGES)
 
 
-def map_loss(ground: GroundMap, lines: FineLines, seen: BoolArray) -> float:
-    """Loss of coherence where the map's series miss where lines focus, at the worst of the targets `seen`."""
-    known = ground.range_offset, ground.doppler_focus, ground.phase
-    return float(np.where(seen, _missed(ground.geometry.collection, ground.origin, known, lines), 0.0).max())
+def map_loss(ground: GroundMap, lines: FineLines, seen: BoolArray, layers: Sequence[Layer]) -> float:
+    """Loss of coherence where the map's series miss where lines focus, at the worst of the targets `seen`.
+
+    On a terrain those of some layers of targets over it.
+    """
+    at, of = (lines.epoch_range[:, None], lines.yaw), (ground.geometry.collection, ground.origin, lines)
+    if ground.relief is None:
+        known = ground.range_offset(*at), ground.doppler_focus(*at), ground.phase(*at)
+        missed = [_missed(*of, lines.spots, known)]
+    else:
+        missed = []
+        epoch_range, yaw = np.broadcast_arrays(*at)
+        for layer in layers:
+            z = np.broadcast_to(layer.geometry.level(*at), yaw.shape)
+            offset, doppler, phase, _, _, bend, _ = ground.relief(epoch_range, yaw, z)
+            missed.append(_missed(*of, layer.spots, (offset, doppler, phase), bend - layer.bend))
+    return float(np.where(seen, missed, 0.0).max())
 
 
-def _missed(collection: Collection, origin: float, known: Sequence[Surface], lines: FineLines) -> FloatArray:
-    """Loss of coherence (n_range, n_yaw) where series of range offset, Doppler and phase miss the focus of lines.
+def _missed(
+    collection: Collection, origin: float, lines: FineLines, spots: Focus,
+    known: tuple[FloatArray, FloatArray, FloatArray], bend: FloatArray | float = 0.0,
+) -> FloatArray:  # fmt: skip
+    """Loss of coherence (n_range, n_yaw) where range offset, Doppler and phase that are known miss the focus of lines.
 
     A pixel that is displaced by f in Doppler and r in range, in an image with the phase p too much, has the coherence
-    sinc(f T) sinc(2 B r / c) cos(p) over a dwell T with the one meant.
+    sinc(f T) sinc(2 B r / c) cos(p) over a dwell T with the one meant; a bend b too much, a phase 2 pi b t^2 whose
+    variance is (2 pi b)^2 T^4 / 180, takes half of that.
     """
-    spots, at = lines.spots, (lines.epoch_range[:, None], lines.yaw)
-    offset = at[0] - origin
-    displaced, doppler = spots.range - offset - known[0](*at), spots.doppler - known[1](*at)
-    phase = spots.phase + 2 * collection.carrier / SPEED_OF_LIGHT * offset - known[2](*at)
+    offset = (lines.epoch_range - origin)[:, None]
+    displaced, doppler = spots.range - offset - known[0], spots.doppler - known[1]
+    phase = spots.phase + 2 * collection.carrier / SPEED_OF_LIGHT * offset - known[2]
     dwell = (lines.line.weight * lines.line.stretch).sum(axis=-1)
     turns = (np.pi * doppler * dwell) ** 2 + (2 * np.pi * collection.bandwidth / SPEED_OF_LIGHT * displaced) ** 2
-    return np.asarray(turns / 6 + (2 * np.pi * phase) ** 2 / 2)
+    return np.asarray(turns / 6 + (2 * np.pi * phase) ** 2 / 2 + (2 * np.pi * bend * dwell**2) ** 2 / 360)
 
 
 def _degree(sector: Sector, lines: FineLines) -> tuple[int, int]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.polynomial import chebyshev
 
@@ -52,7 +54,8 @@ def plan_recovery(geometry: Geometry, region: Region, method: Method = DEFAULT, 
     derotation, band = _plan_derotation(pulses, inner, linear=method.derotation == "linear")
     _check_prf(geometry, method, (band[1] - band[0]) * (1 + band_edge))
     padded = fourier.fast_length((1.02 + band_edge) * pulses.size + 16)  # the keystone scales time by the band
-    return Recovery(
+    doppler = _plan_spectrum(geometry, region, line, padded=padded, band_edge=band_edge, stays=stays)
+    recovery = Recovery(
         carrier=collection.carrier,
         pulses=pulses,
         padded=padded,
@@ -60,10 +63,27 @@ def plan_recovery(geometry: Geometry, region: Region, method: Method = DEFAULT, 
         walk=walk,
         bulk=_bulk_cycles(geometry, common, origin=origin, walk=walk, region=region),
         derotation=derotation,
-        doppler=_plan_spectrum(geometry, region, line, padded=padded, band_edge=band_edge, stays=stays),
+        doppler=doppler,
+        n_time=doppler.size,
         band=band,
         common=common,
     )
+    return recovery if collection.steered else replace(recovery, n_time=_unfolded(recovery, band_edge))
+
+
+def _unfolded(recovery: Recovery, band_edge: float) -> int:
+    """`Recovery.n_time` where all that is lit is summed, thus what lies beyond the grid too.
+
+    The derotated signal fills the PRF, and the derotation moves that up and down. A part that folded into the spectrum
+    would lie at a time where nothing of its Doppler is lit, which a dwell gate takes out. Without one, steps in Doppler
+    delay some of it round the end of the aperture, and there it has the Doppler of the grid.
+    """
+    pulses, doppler = recovery.pulses, recovery.doppler
+    rate = recovery.derotation_rate(pulses.values)
+    reach = 0.5 / pulses.step + band_edge * float(np.abs(rate).max())
+    low, high = float(rate.min()) - reach, float(rate.max()) + reach
+    width = max(high - doppler.start, doppler.start + doppler.extent - low)
+    return max(fourier.fast_length(recovery.padded * pulses.step * width), doppler.size)
 
 
 def _plan_derotation(pulses: Axis, line: Line, *, linear: bool) -> tuple[FloatArray, tuple[float, float]]:

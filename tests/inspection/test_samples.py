@@ -35,6 +35,7 @@ def recovery_of(n_pulse: int, *, seed: int = 0) -> Recovery:
         bulk=np.cumsum(rng.normal(12, 40, n_pulse)),
         derotation=np.array([3.0, 40.0, 25.0, -10.0]),
         doppler=Axis(-4e3, 1.0, 8000),
+        n_time=8000,
         band=(-1e3, 1e3),
     )
 
