@@ -13,24 +13,47 @@ from blocksar.focusing.lines import Focus, Line, focus
 from blocksar.focusing.surfaces import Surface, sum_layers
 
 BEYOND = 1.2  # half extents of its domain from its middle, at which a smooth ground ends
+ASIDE = 0.02  # of the range, from the point below the antenna to the nearest that is traced
 SHORT = 0.05  # of the fourth moment of the longest dwells: half of their length
 QUANTITIES, GAIN = 6, 3  # range offset, Doppler, phase, gain, time and bend; which of them is the gain
+
+
+@dataclass(frozen=True, kw_only=True)
+class Depth:
+    """How deep points of an epoch range can lie: those of a yaw, below an antenna at x and y, m, from the nadir, and z.
+
+    Close to the nadir no point lies as low as the lowest ground of a block. What is traced there lies a little aside of
+    the point below the antenna, `ASIDE` of the range.
+    """
+
+    x: float
+    y: float
+    z: float
+
+    def __call__(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
+        """The least z (m) of points at epoch ranges (m) and yaws (rad), broadcast."""
+        along = np.cos(yaw) * self.x + np.sin(yaw) * self.y
+        across2 = self.x**2 + self.y**2 - along**2
+        aside = np.maximum(-along, 0.0) + ASIDE * epoch_range
+        return np.asarray(self.z - np.sqrt(np.maximum(epoch_range**2 - across2 - aside**2, 0.0)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SmoothGround:
     """A smooth ground that stands for a block's terrain: height, m, over ground range and yaw, and an offset, m.
 
-    It goes on level beyond `ends`, half extents of its domain from its middle.
+    It goes on level beyond `ends`, half extents of its domain from its middle, and is nowhere deeper than points are.
     """
 
     surface: Surface
+    depth: Depth
     offset: float = 0.0
     ends: float = BEYOND
 
     def __call__(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
         places = self.surface.along.place(epoch_range), self.surface.across(yaw)
-        return self.surface.at(*(np.clip(place, -self.ends, self.ends) for place in places)) + self.offset
+        height = self.surface.at(*(np.clip(place, -self.ends, self.ends) for place in places)) + self.offset
+        return np.maximum(height, self.depth(epoch_range, yaw))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,7 +65,9 @@ class NodeHeights:
 
     def __call__(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
         height = self.smooth(epoch_range, yaw)
-        return height + self.over if height.shape == self.over.shape else height
+        if height.shape != self.over.shape:
+            return height
+        return np.maximum(height + self.over, self.smooth.depth(epoch_range, yaw))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

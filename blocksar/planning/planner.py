@@ -277,7 +277,7 @@ class Planner:
         if self.geometry.terrain is None:
             return None
         along, level = ground_range(self.geometry, near, far), self.geometry.collection.ground_height
-        return find_relief(self._samples, low=low, high=high, along=along, level=level)
+        return find_relief(self._samples, self.geometry, low=low, high=high, along=along, level=level)
 
     @cached_property
     def _samples(self) -> Samples:

@@ -16,7 +16,7 @@ from blocksar.collection.beam import at_times, beam_offset, dwell_at, pattern_ga
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.focusing.lines import Focus, Line
-from blocksar.focusing.relief_map import GAIN, QUANTITIES, ReliefMap, SmoothGround
+from blocksar.focusing.relief_map import GAIN, QUANTITIES, Depth, ReliefMap, SmoothGround
 from blocksar.focusing.surfaces import GroundRange, Surface, fit_surface
 
 SMOOTH_DEGREE = 2, 2  # of the smooth ground, along range and yaw, on which coefficients are fitted: no finer is better
@@ -67,7 +67,7 @@ class Relief:
 
     def over(self, geometry: Geometry, offset: float) -> Geometry:
         """A geometry on the smooth ground, raised by an offset, m."""
-        return geometry.over(None, SmoothGround(surface=self.smooth.surface, offset=offset))
+        return geometry.over(None, replace(self.smooth, offset=offset))
 
     def usual(self, n_range: int, n_yaw: int) -> tuple[FloatArray, BoolArray]:
         """Usual heights over the finer smooth ground about each end node (n_range, n_yaw), m, and whether any is known.
@@ -144,17 +144,21 @@ def sample_terrain(geometry: Geometry, x: tuple[float, float], y: tuple[float, f
     return Samples(geometry.yaw(px, py), geometry.epoch_range(px, py, heights), heights)
 
 
-def find_relief(samples: Samples, *, low: float, high: float, along: GroundRange, level: float) -> Relief:
+def find_relief(
+    samples: Samples, geometry: Geometry, *, low: float, high: float, along: GroundRange, level: float
+) -> Relief:
     """The relief between two yaws, rad, and two epoch ranges; where nothing is known, the ground is at `level`, m."""
+    x, y = geometry.epoch_position[:2] - geometry.nadir
+    depth = Depth(x=float(x), y=float(y), z=float(geometry.epoch_position[2]))
     turn = wrapped(samples.yaw - (low + high) / 2)
     u, v = along.place(samples.epoch_range), 2 * turn / (high - low)
     inside = (np.abs(u) <= 1) & (np.abs(v) <= 1)
     u, v, z = u[inside], v[inside], samples.z[inside]
     level = float(z.mean()) if z.size else level
     series = _fit(_cell_means(u, v, z, level, CELLS))
-    smooth = SmoothGround(surface=Surface(series=series, along=along, low=low, high=high))
+    smooth = SmoothGround(surface=Surface(series=series, along=along, low=low, high=high), depth=depth)
     series = _fit_finely(_cell_means(u, v, z, level, FINE_CELLS))
-    fine = SmoothGround(surface=Surface(series=series, along=along, low=low, high=high), ends=FINE_ENDS)
+    fine = SmoothGround(surface=Surface(series=series, along=along, low=low, high=high), depth=depth, ends=FINE_ENDS)
     at = samples.epoch_range[inside], (low + high) / 2 + turn[inside]
     over = z - smooth(*at) if z.size else np.zeros(1)
     room = ROOM * float(np.ptp(over)) + LEAST_RELIEF

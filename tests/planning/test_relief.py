@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from axis_beams import axis_scene
 from scenes import scene
 
 from blocksar.collection.geometry import Geometry
@@ -13,6 +14,7 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.focusing.method import Method
+from blocksar.focusing.relief_map import Depth
 from blocksar.planning.block import BlockPlan, plan_block
 from blocksar.planning.plan import Plan
 from blocksar.planning.planner import plan_collection
@@ -45,7 +47,7 @@ def test_smooth_parts_follow_what_is_smooth_and_the_rest_stands_over_them() -> N
     assert samples.z == pytest.approx(geometry.terrain(*place(geometry, samples)), abs=1e-6)
     low, high = float(samples.yaw.min()), float(samples.yaw.max())
     along = ground_range(geometry, float(samples.epoch_range.min()), float(samples.epoch_range.max()))
-    relief = find_relief(samples, low=low, high=high, along=along, level=0.0)
+    relief = find_relief(samples, geometry, low=low, high=high, along=along, level=0.0)
     coarse = samples.z - relief.smooth(samples.epoch_range, samples.yaw)
     fine = samples.z - relief.fine(samples.epoch_range, samples.yaw)
     assert relief.low < coarse.min() and coarse.max() < relief.high
@@ -59,7 +61,7 @@ def test_smooth_parts_follow_what_is_smooth_and_the_rest_stands_over_them() -> N
     middle, spread = fine[about].mean(), fine[about].std()
     assert abs(heights[6, 16]) == pytest.approx(np.hypot(middle, np.sqrt(2 / np.pi) * spread), abs=0.3)
     assert np.sign(heights[6, 16]) == np.sign(middle)
-    empty = find_relief(samples, low=2.0, high=2.1, along=ground_range(geometry, 5e4, 6e4), level=33.0)
+    empty = find_relief(samples, geometry, low=2.0, high=2.1, along=ground_range(geometry, 5e4, 6e4), level=33.0)
     assert empty.smooth(np.array(5.5e4), np.array(2.05)) == pytest.approx(33.0, abs=1e-6)
 
 
@@ -166,3 +168,22 @@ def test_side_lobes_are_those_of_targets_between_the_lines_and_low_on_a_terrain(
     )  # fmt: skip
     found = plan.blocks[0].prediction
     assert 0.38 < found.pslr - found.ideal_pslr < 0.6
+
+
+def test_no_ground_of_a_block_is_deeper_than_points_of_its_ranges_are() -> None:
+    """At 3020 m of range from 3000 m, a ground 150 m lower has no point: lines of lowest targets ended in NaN."""
+    depth = Depth(x=0.0, y=0.0, z=3000.0)
+    at = np.array([[3020.0], [3400.0]]), np.linspace(-0.5, 0.5, 3)
+    assert depth(*at)[0] == pytest.approx(3000.0 - np.sqrt(1 - 0.02**2) * 3020.0)
+    text = axis_scene(
+        'mode = "stripmap"\nwidth_deg = 2.0', bandwidth=60e6, range_sampling=72e6, prf=700, pulse_width=1e-6,
+        height=3000.0, velocity=[0.0, 120.0, 0.0], acceleration=[0.0, 0.0, 0.0], time="duration = 4.0",
+        swath=[3060.0, 3400.0], more='reference_range = "scene_centre"',
+    )  # fmt: skip
+    collection = Scene.parse(text).collection().centred()
+    x, y = np.arange(300.0, 1800.0, 20.0), np.arange(-200.0, 200.0, 20.0)
+    heights = -150.0 * np.exp(-(((x - 1000.0) / 200.0) ** 2)) + 0 * y[:, None]
+    terrain = Terrain(x0=300.0, dx=20.0, y0=-200.0, dy=20.0, heights=heights)
+    grid = Grid(550.0, 1100.0, 4.0, -60.0, 60.0, 1.0)
+    plan = plan_collection(collection, blocks=1, parts=1, grid=grid, terrain=terrain)
+    assert plan.refusal is not None and "looks along the velocity" in plan.refusal  # the valley lies below the antenna
