@@ -4,23 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import wrapped
+from blocksar.collection.beam import lit_passes, wrapped
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.lit_sums import lit_total, weighted_pulses
 from blocksar.collection.region import Region
 from blocksar.collection.weighting import Taper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Focus, RowPolynomial
+from blocksar.focusing.pattern_sums import ElevationMeans, mean_elevations
 from blocksar.focusing.relief_map import ReliefMap
 from blocksar.focusing.surfaces import Surface, fit_surface
 from blocksar.kernels.fourier import Axis
 
-LIT_RANGES, MOST_LIT_RANGES = 33, 513  # of the sum over lit pulses, where that depends on range
-LIT_ERROR = 0.01  # of the pattern in elevation between two of them, where it is at least as large a part of its peak
+LIT_RANGES = 33  # of the sum over lit pulses, where that depends on range
 LEAST_LIT = 0.3  # pulses at the peak of the pattern: with a smaller sum a pixel counts as not lit
 LEAST_WEIGHT = 0.007  # of a whole dwell under a taper: a share of 10 % under hann, 4 % under hamming, 2 % under taylor
 WHOLE_DWELLS = 64  # directions in which the longest dwell is looked for
@@ -135,16 +136,18 @@ class GroundMap:
     def lit(self) -> FloatArray:
         """Number of lit pulses at each yaw (n,), missing ones left out: the sum of `valid` times the taper.
 
-        Where dwells depend on range, or the antenna has a pattern, which weighs the pulses besides: (n_range, n), at
-        `lit_ranges` from near to far. Where the beam `stays`, over all pulses. Only a block that is focused needs
-        them, not one that is planned.
+        Where dwells depend on range, or the antenna has a pattern over the beam, which weighs the pulses besides:
+        (n_range, n), at LIT_RANGES from near to far. Where the beam `stays`, over all pulses. A pattern in elevation
+        does not count: see `elevation_means`. Only a block that is focused needs them, not one that is planned.
         """
         geometry, taper = self.geometry, self.taper
+        if geometry.collection.elevation_pattern is not None:
+            geometry = geometry.lit_by(geometry.collection.without_elevation)
         valid = np.ones(geometry.collection.n_pulse) if self.valid is None else self.valid
         if not by_range(geometry):
             centre = None if self.tapered is None else self.tapered.collection.beam_azimuth
             return weighted_pulses(geometry.collection, self.yaw_axis, valid, taper, centre=centre)
-        ranges = np.linspace(self.near, self.far, lit_ranges(geometry, self.near, self.far))
+        ranges = np.linspace(self.near, self.far, LIT_RANGES)
         return lit_total(geometry, ranges, self.yaw_axis, valid, taper, stays=self.stays, tapered=self.tapered)
 
     @property
@@ -186,10 +189,32 @@ class GroundMap:
         return wrapped(self.geometry.yaw(x, y) - self.middle_yaw)
 
     def lit_at(self, x: FloatArray, y: FloatArray, z: FloatArray | None = None) -> FloatArray:
-        """`lit` at ground points (...), m: at the nearest yaw, or linear between ranges and between yaws.
+        """`lit` at ground points (...), m, times the mean of a pattern in elevation: what an image is divided by.
 
         On a terrain their heights z, m, which are finite, tell where on the smooth ground they have the same dwell.
         """
+        lit = self._interpolate_lit(x, y, z)
+        if self.geometry.collection.elevation_pattern is None:
+            return lit
+        return lit * self.elevation_means(x, y, z).weighed
+
+    def elevation_means(self, x: FloatArray, y: FloatArray, z: FloatArray | None) -> ElevationMeans:
+        """Means of the pattern in elevation at ground points (...), m, which `lit` is to be multiplied by.
+
+        They are over the lit pulses; the weighed ones over all pulses where the beam `stays`.
+        """
+        geometry, shape = self.geometry, np.shape(x)
+        x, y = (np.atleast_2d(axis) for axis in (x, y))
+        height = None if z is None else z.reshape(x.shape) - geometry.collection.ground_height
+        passes = lit_passes(geometry, x, y, None if z is None else z.reshape(x.shape))
+        settings: Any = {"valid": self.valid, "taper": self.taper}
+        means = mean_elevations(geometry, x, y, height, passes=passes, **settings)
+        if self.stays:
+            means = means._replace(weighed=mean_elevations(geometry, x, y, height, **settings).weighed)
+        return ElevationMeans(*(part.reshape(shape) for part in means))
+
+    def _interpolate_lit(self, x: FloatArray, y: FloatArray, z: FloatArray | None) -> FloatArray:
+        """`lit` at the nearest yaw, or linear between ranges and between yaws."""
         turn = self.relative_yaw(x, y) + (self.middle_yaw - self.yaw_axis[0])
         epoch_range = np.zeros(1)
         if self.lit.ndim > 1:
@@ -247,25 +272,7 @@ class GroundMap:
 
 def by_range(geometry: Geometry) -> bool:
     """Whether the sum over lit pulses depends on range."""
-    return geometry.collection.has_axis or geometry.collection.has_pattern
-
-
-def lit_ranges(geometry: Geometry, near: float, far: float) -> int:
-    """Number of ranges from near to far, m, between which the sum over lit pulses is linear: see `LIT_ERROR`."""
-    collection = geometry.collection
-    if collection.elevation is None or collection.elevation_pattern is None:
-        return LIT_RANGES
-    height = geometry.epoch_position[2] - collection.ground_height
-    ranges = np.linspace(near, far, MOST_LIT_RANGES)
-    gain = np.interp(np.arcsin(np.minimum(height / ranges, 1.0)), collection.elevation, collection.elevation_pattern)
-    large, count = gain >= LIT_ERROR * gain.max(), LIT_RANGES
-    while count < MOST_LIT_RANGES:
-        part = slice(None, None, (MOST_LIT_RANGES - 1) // (count - 1))
-        between = np.interp(ranges, ranges[part], gain[part])
-        if (np.abs(between - gain)[large] <= LIT_ERROR * gain[large]).all():
-            break
-        count = 2 * count - 1
-    return count
+    return geometry.collection.has_axis or geometry.collection.beam_pattern is not None
 
 
 def surfaces(

@@ -14,7 +14,7 @@ from blocksar.focusing.surfaces import Surface, sum_layers
 
 BEYOND = 1.2  # half extents of its domain from its middle, at which a smooth ground ends
 SHORT = 0.05  # of the fourth moment of the longest dwells: half of their length
-QUANTITIES, GAIN = 6, 3  # range offset, Doppler, phase, gain, time and bend; which of them is the gain
+QUANTITIES = 6  # range offset, Doppler, phase, gain, time and bend
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -20,7 +20,7 @@ from blocksar.kernels.interpolation import taps_needed
 from blocksar.planning.aperture_waves import plan_waves
 from blocksar.planning.binding import AzimuthPart
 from blocksar.planning.block_lines import FineLines, retrace
-from blocksar.planning.relief import Layer, elevation_ratio, map_relief, turns_of
+from blocksar.planning.relief import Layer, map_relief, turns_of
 from blocksar.planning.row_sampling import range_scale
 from blocksar.planning.sector import Sector
 
@@ -120,9 +120,11 @@ def _carrier_time(sector: Sector, lines: FineLines, spots: Focus) -> FloatArray:
     """Time (n_range, n_yaw), s, about which a target's response is interpolated along Doppler: the middle of its dwell.
 
     Where all pulses are summed their weights can tilt, up to ten to one at the rim of a beam. Their mean would leave
-    the first or the last of them beyond what the taps pass.
+    the first or the last of them beyond what the taps pass. Nor does a series follow it where a pattern in elevation
+    has zeros.
     """
-    if sector.staying is None or lines.weights.uniform:
+    tilted = sector.staying is not None or sector.geometry.collection.elevation_pattern is not None
+    if not tilted or lines.weights.uniform:
         return spots.time
     return np.asarray((spots.line.time[..., 0] + spots.line.time[..., -1]) / 2)
 
@@ -139,9 +141,6 @@ def _raise(sector: Sector, azimuth: AzimuthPart, ground: GroundMap, lines: FineL
     relief, rng, yaw = sector.relief, lines.epoch_range, lines.yaw
     assert relief is not None
     layers = [_layer(sector, azimuth, lines, sector.over(offset).geometry) for offset in relief.offsets.tolist()]
-    if sector.geometry.collection.elevation_pattern is not None:
-        of_smooth = sector.geometry, rng, yaw
-        layers = [layer._replace(pattern=elevation_ratio(layer.geometry, *of_smooth)) for layer in layers]
     turns = []
     if sector.geometry.collection.has_axis:
         turns = [turns_of(layer.geometry, sector.geometry, rng, yaw) for layer in layers]

@@ -16,6 +16,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, Taper, Weighting
 from blocksar.focusing.dwell_taper import faded_taper
 from blocksar.focusing.lines import Line
+from blocksar.focusing.pattern_sums import LEAST_ELEVATION
 from blocksar.planning.steadiness import scans_evenly
 
 Sums = TypeVar("Sums", FloatArray, Complex128Array)
@@ -42,7 +43,7 @@ class DwellWeights:
     change : (..., n) float
         Of these weights per relative range frequency f / fc, which moves echoes in time.
     pattern : (..., n) float or None
-        The antenna's pattern g at the nodes of lines.
+        The antenna's pattern g at the nodes of lines; in elevation no smaller than `pattern_sums.LEAST_ELEVATION`.
     lit_band : (...) float
         Band of Doppler that is lit at a time where the target is, Hz.
     share : (..., n) float or None
@@ -155,10 +156,19 @@ def dwell_weights(
     )  # fmt: skip
     if not collection.has_pattern:
         return weights
-    gain = at_times(geometry, x, y, time, pattern_gain, z)
+    gain = at_times(_without_zeros(geometry), x, y, time, pattern_gain, z)
     # The outer nodes lie close to the ends: by half a hundredth of the dwell.
     at_ends = np.sqrt((gain[..., 0] ** 2 + gain[..., -1] ** 2) / 2)
     return replace(weights, nodes=nodes * gain, edge=edge * at_ends, patterned=True, change=change * gain, pattern=gain)
+
+
+def _without_zeros(geometry: Geometry) -> Geometry:
+    """The geometry with a pattern in elevation nowhere smaller than images need: targets of zero weight have no focus."""
+    collection = geometry.collection
+    if collection.elevation_pattern is None:
+        return geometry
+    least = LEAST_ELEVATION * float(collection.elevation_pattern.max())
+    return geometry.lit_by(replace(collection, elevation_pattern=np.maximum(collection.elevation_pattern, least)))
 
 
 def taper_over_dwells(collection: Collection, weighting: Weighting) -> Taper:
