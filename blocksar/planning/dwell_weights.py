@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from types import EllipsisType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -43,7 +43,9 @@ class DwellWeights:
     change : (..., n) float
         Of these weights per relative range frequency f / fc, which moves echoes in time.
     pattern : (..., n) float or None
-        The antenna's pattern g at the nodes of lines; in elevation no smaller than `pattern_sums.LEAST_ELEVATION`.
+        The antenna's pattern over the beam at the nodes of lines.
+    elevation : (..., n) float or None
+        That in elevation, no smaller than `pattern_sums.LEAST_ELEVATION`.
     lit_band : (...) float
         Band of Doppler that is lit at a time where the target is, Hz.
     share : (..., n) float or None
@@ -57,6 +59,7 @@ class DwellWeights:
     alone: FloatArray | float = 1.0
     change: FloatArray | float = 0.0
     pattern: FloatArray | None = None
+    elevation: FloatArray | None = None
     lit_band: FloatArray | float = 1.0
     share: FloatArray | None = None
 
@@ -70,14 +73,21 @@ class DwellWeights:
         return float(self.taper(np.array(1.0)))
 
     def gains(self, side: int) -> FloatArray | None:
-        """Legendre series (..., n) of g^2 over the dwell, from its begin (side -1) or from its end; None without one.
+        """Legendre series (..., n) of the square of `pattern` over the dwell, from its begin (side -1) or from its end.
 
-        The beam passes a target as all that is lit at one of its ends lies in it.
+        None without one. The beam passes a target as all that is lit at one of its ends lies in it.
         """
         if self.pattern is None:
             return None
         n = self.pattern.shape[-1]
         return solvers.product(self.pattern[..., ::-side] ** 2, solvers.legendre_series(n, n - 1).T)
+
+    def level(self, side: int) -> FloatArray | float:
+        """The square of the pattern in elevation at the begin of dwells (side -1) or at their end; 1 without one.
+
+        All that is lit there at a target's range has about the same.
+        """
+        return 1.0 if self.elevation is None else self.elevation[..., 0 if side < 0 else -1] ** 2
 
     def weigh(self, line: Line) -> Line:
         """The lines with these weights; as they are where all weights are 1."""
@@ -156,19 +166,28 @@ def dwell_weights(
     )  # fmt: skip
     if not collection.has_pattern:
         return weights
-    gain = at_times(_without_zeros(geometry), x, y, time, pattern_gain, z)
+    gain = np.ones(nodes.shape)
+    if collection.beam_pattern is not None:
+        gain = at_times(geometry.lit_by(collection.without_elevation), x, y, time, pattern_gain, z)
+        weights = replace(weights, pattern=gain)
+    if collection.elevation_pattern is not None:
+        elevation = at_times(_elevation_alone(geometry), x, y, time, pattern_gain, z)
+        gain, weights = gain * elevation, replace(weights, elevation=elevation)
     # The outer nodes lie close to the ends: by half a hundredth of the dwell.
     at_ends = np.sqrt((gain[..., 0] ** 2 + gain[..., -1] ** 2) / 2)
-    return replace(weights, nodes=nodes * gain, edge=edge * at_ends, patterned=True, change=change * gain, pattern=gain)
+    return replace(weights, nodes=nodes * gain, edge=edge * at_ends, patterned=True, change=change * gain)
 
 
-def _without_zeros(geometry: Geometry) -> Geometry:
-    """The geometry with a pattern in elevation nowhere smaller than images need: targets of zero weight have no focus."""
-    collection = geometry.collection
-    if collection.elevation_pattern is None:
-        return geometry
-    least = LEAST_ELEVATION * float(collection.elevation_pattern.max())
-    return geometry.lit_by(replace(collection, elevation_pattern=np.maximum(collection.elevation_pattern, least)))
+def _elevation_alone(geometry: Geometry) -> Geometry:
+    """The geometry with the pattern in elevation only, and that nowhere smaller than in an image.
+
+    Targets that have no weight have no focus.
+    """
+    pattern = geometry.collection.elevation_pattern
+    assert pattern is not None
+    least = LEAST_ELEVATION * float(pattern.max())
+    changes: Any = {"beam_offset": None, "beam_pattern": None, "elevation_pattern": np.maximum(pattern, least)}
+    return geometry.lit_by(replace(geometry.collection, **changes))
 
 
 def taper_over_dwells(collection: Collection, weighting: Weighting) -> Taper:

@@ -221,7 +221,7 @@ def _at_ends(targets: TracedTargets, gate: DwellGate, *, parts: int, by_lit: boo
                 left, displaced, spread, blur=gate.blur, pulse_interval=collection.pulse_interval,
                 lit_band=weights.lit_band, band=band_nodes(band, BAND_NODES), gain=weights.gains(side),
             )  # fmt: skip
-            total = (total + lift_energy(gate.blur, gate.lift)) * CHIPS * weights.end**2
+            total = (total + lift_energy(gate.blur, gate.lift)) * CHIPS * weights.end**2 * weights.level(side)
         else:
             total = blurred_energy(left, displaced, spread, gate.blur, collection.pulse_interval, band)
             total = (total + lift_energy(gate.blur, gate.lift)) * np.square(weights.edge)
