@@ -142,9 +142,10 @@ def _divide_by_elevation(
         row, column = np.nonzero(np.isfinite(part.real))
         if not row.size:
             return
-        means = ground.elevation_means(x[column], y[rows][row], None if z is None else z[rows][row, column])
+        at = x[column], y[rows][row], None if z is None else z[rows][row, column]
+        means = ground.elevation_means(*at)
         dark = means.dark(ground.geometry)
-        shares = np.where(dark, 1.0, means.weighed).astype(np.float32)
+        shares = np.where(dark, 1.0, means.weighed * ground.tilted_gain(*at, means.tilt)).astype(np.float32)
         part[row, column] = np.where(dark, complex(np.nan, np.nan), part[row, column] / shares)
 
     run_groups(divide, [slice(i, i + TILE_PIXELS) for i in range(0, y.size, TILE_PIXELS)], threads)

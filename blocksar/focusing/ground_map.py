@@ -25,6 +25,7 @@ LIT_RANGES = 33  # of the sum over lit pulses, where that depends on range
 LEAST_LIT = 0.3  # pulses at the peak of the pattern: with a smaller sum a pixel counts as not lit
 LEAST_WEIGHT = 0.007  # of a whole dwell under a taper: a share of 10 % under hann, 4 % under hamming, 2 % under taylor
 WHOLE_DWELLS = 64  # directions in which the longest dwell is looked for
+ELEVATIONS_AT_ONCE = 1 << 16  # points at which means of a pattern in elevation are taken together
 YAW_STEPS = 4096  # of the range window's limits and the number of lit pulses along yaw
 
 
@@ -102,6 +103,9 @@ class GroundMap:
         With the beam that the taper follows, where that is a steadier one.
     valid : (n_pulse,) float or None
         The fraction of each pulse's samples that is there; None: all of them.
+    tilt : Surface or None
+        Where there is a pattern in elevation: how fast what the chain makes of echoes grows over the dwell, from -1 to
+        1, over its mean, the gain.
     """
 
     geometry: Geometry
@@ -131,6 +135,7 @@ class GroundMap:
     waves: ApertureWaves | None = None
     tapered: Geometry | None = None
     valid: FloatArray | None = None
+    tilt: Surface | None = None
 
     @cached_property
     def lit(self) -> FloatArray:
@@ -201,17 +206,29 @@ class GroundMap:
     def elevation_means(self, x: FloatArray, y: FloatArray, z: FloatArray | None) -> ElevationMeans:
         """Means of the pattern in elevation at ground points (...), m, which `lit` is to be multiplied by.
 
-        They are over the lit pulses; the weighed ones over all pulses where the beam `stays`.
+        They are over the lit pulses; all but the plain ones over all pulses where the beam `stays`.
         """
-        geometry, shape = self.geometry, np.shape(x)
-        x, y = (np.atleast_2d(axis) for axis in (x, y))
-        height = None if z is None else z.reshape(x.shape) - geometry.collection.ground_height
-        passes = lit_passes(geometry, x, y, None if z is None else z.reshape(x.shape))
-        settings: Any = {"valid": self.valid, "taper": self.taper}
-        means = mean_elevations(geometry, x, y, height, passes=passes, **settings)
+        flat, shape = [np.ravel(axis)[None] for axis in (x, y, *([] if z is None else [z]))], np.shape(x)
+        means = np.empty((len(ElevationMeans._fields), flat[0].size))
+        for part in (slice(first, first + ELEVATIONS_AT_ONCE) for first in range(0, flat[0].size, ELEVATIONS_AT_ONCE)):
+            means[:, part] = self._elevation_means(*(axis[:, part] for axis in flat))
+        return ElevationMeans(*(each.reshape(shape) for each in means))
+
+    def _elevation_means(self, x: FloatArray, y: FloatArray, z: FloatArray | None = None) -> FloatArray:
+        """The same of points (1, n): (3, n)."""
+        geometry, settings = self.geometry, dict[str, Any](valid=self.valid, taper=self.taper)
+        at: Any = x, y, None if z is None else z - geometry.collection.ground_height
+        means = mean_elevations(geometry, *at, passes=lit_passes(geometry, x, y, z), **settings)
         if self.stays:
-            means = means._replace(weighed=mean_elevations(geometry, x, y, height, **settings).weighed)
-        return ElevationMeans(*(part.reshape(shape) for part in means))
+            means = mean_elevations(geometry, *at, **settings)._replace(plain=means.plain)
+        return np.concatenate(means)
+
+    def tilted_gain(self, x: FloatArray, y: FloatArray, z: FloatArray | None, tilt: FloatArray) -> FloatArray:
+        """What the gain is multiplied by at ground points (...), m, whose dwells a pattern in elevation tilts."""
+        if self.tilt is None:
+            return np.ones(np.shape(x))
+        yaw = self.middle_yaw + self.relative_yaw(x, y)
+        return 1 + self.tilt(self.geometry.epoch_range(x, y, z), yaw) * tilt
 
     def _interpolate_lit(self, x: FloatArray, y: FloatArray, z: FloatArray | None) -> FloatArray:
         """`lit` at the nearest yaw, or linear between ranges and between yaws."""

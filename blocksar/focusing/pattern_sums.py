@@ -32,7 +32,7 @@ LEAST, WIDEST = 0.3, 0.8  # rad off a direction that P serves at least; arc sine
 # the pixel is not in the image (NaN), whichever processor forms it: what such a pixel would show are the side lobes of
 # its neighbours and the noise, divided by next to nothing.
 LEAST_ELEVATION = 1e-3  # two-way amplitude: -60 dB
-ELEVATIONS = 32  # pulses of a dwell at which the pattern in elevation is looked up for its mean
+ELEVATIONS = 16  # pulses of a dwell at which the pattern in elevation is looked up for its mean
 EVEN = 1e-9  # of the spacing of a pattern's angles, by which they may differ from even ones
 _PULSES = types.Array(types.int64, 2, "C", readonly=True)
 _PASSES = types.Array(types.int64, 3, "C", readonly=True)
@@ -134,10 +134,14 @@ class ElevationMeans(NamedTuple):
         With equal weights.
     weighed : float
         With weights valid[p] w(pixel, p) b(pixel, p), where b is the pattern over the beam; `plain` where these vanish.
+    tilt : float
+        Mean place in the dwell, from -1 at its begin to 1 at its end, under these weights times the pattern in
+        elevation, less that without.
     """
 
     plain: FloatArray
     weighed: FloatArray
+    tilt: FloatArray
 
     def dark(self, geometry: Geometry) -> BoolArray:
         """Which pixels are too dark for an image, see `LEAST_ELEVATION`, or not lit at all."""
@@ -181,12 +185,12 @@ def mean_elevations(
     if passes is None:
         passes = np.zeros((1, *x.shape), np.int64), np.full((1, *x.shape), n)
     lit = [np.array(values, np.int64, order="C") for values in passes]
-    plain, weighed = np.empty(x.shape), np.empty(x.shape)
+    means = ElevationMeans(*np.empty((3, *x.shape)))
     _mean_elevations(
-        plain, weighed, *_places(geometry, x, y, height), *lit, over.beam, geometry.collection.has_axis, *over.across,
+        *means, *_places(geometry, x, y, height), *lit, over.beam, geometry.collection.has_axis, *over.across,
         *over.down, over.middle, over.terms, over.per_rad,
     )  # fmt: skip
-    return ElevationMeans(plain, weighed)
+    return means
 
 
 def _places(geometry: Geometry, x: FloatArray, y: FloatArray, height: FloatArray | None) -> list[FloatArray]:
@@ -377,19 +381,19 @@ def _choose_pulses(firsts, lasts, row: int, begin: int, n: int, share: float, pu
 
 
 @loop(
-    *[types.float64[:, ::1]] * 2, *[REAL_ROWS] * 4, *[_PASSES] * 2, REAL_ROWS, types.boolean,
+    *[types.float64[:, ::1]] * 3, *[REAL_ROWS] * 4, *[_PASSES] * 2, REAL_ROWS, types.boolean,
     *[REAL_ROW, REAL_ROW, types.float64, REAL_ROW, types.float64] * 2, types.float64, REAL_ROW, types.float64,
     **COMPILED, **UNCHECKED,
 )  # fmt: skip
 def _mean_elevations(  # type: ignore[no-untyped-def]
-    plain, weighed, x, y, over, yaw, firsts, lasts, beam, has_axis, offsets, pattern, per_offset, of_offset,
+    plain, weighed, tilt, x, y, over, yaw, firsts, lasts, beam, has_axis, offsets, pattern, per_offset, of_offset,
     most_offset, elevations, elevation_pattern, per_elevation, of_elevation, most_elevation, middle, terms, per_rad,
 ):  # fmt: skip
     """The means of `mean_elevations`; `beam` as in `_Patterns`."""
     by_place, cos_middle, sin_middle = pattern.size > 1 or terms.size > 1, np.cos(middle), np.sin(middle)
     pulses, rows = np.empty(TOGETHER, np.int64), np.empty((3, TOGETHER))
     angle, weight, gain = rows[0], rows[1], rows[2]
-    sums, work = np.empty((3, TOGETHER)), np.empty((3, TOGETHER))
+    sums, work = np.empty((5, TOGETHER)), np.empty((3, TOGETHER))
     for row in range(x.shape[0]):
         for begin in range(0, x.shape[1], TOGETHER):
             n = min(TOGETHER, x.shape[1] - begin)
@@ -424,11 +428,14 @@ def _mean_elevations(  # type: ignore[no-untyped-def]
                         _multiply(weight, angle, n, offsets, pattern, per_offset)
                     if terms.size > 1:
                         _weigh(weight, angle, n, terms, per_rad, work)
+                place = 2 * (node + 0.5) / ELEVATIONS - 1
                 for k in range(n):
                     sums[0, k] += 0.0 if pulses[k] < 0 else gain[k]
-                    sums[1, k] += weight[k] * gain[k]
-                    sums[2, k] += weight[k]
+                    sums[1, k] += weight[k]
+                    sums[2, k] += weight[k] * gain[k]
+                    sums[3, k] += weight[k] * place
+                    sums[4, k] += weight[k] * gain[k] * place
             for k in range(n):
-                mean = sums[0, k] / ELEVATIONS
-                plain[row, begin + k] = mean
-                weighed[row, begin + k] = sums[1, k] / sums[2, k] if sums[2, k] > 0 else mean
+                at, mean, alone, both = begin + k, sums[0, k] / ELEVATIONS, sums[1, k], sums[2, k]
+                plain[row, at], weighed[row, at] = mean, both / alone if alone > 0 else mean
+                tilt[row, at] = sums[4, k] / both - sums[3, k] / alone if both > 0 else 0.0

@@ -12,10 +12,10 @@ from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, by_range, surfaces
-from blocksar.focusing.lines import Focus
+from blocksar.focusing.lines import LEAST_STRETCH, Focus
 from blocksar.focusing.relief_map import NodeHeights, straighten
 from blocksar.focusing.sampling import Sampling
-from blocksar.focusing.surfaces import Surface
+from blocksar.focusing.surfaces import Surface, fit_surface
 from blocksar.kernels.interpolation import taps_needed
 from blocksar.planning.aperture_waves import plan_waves
 from blocksar.planning.binding import AzimuthPart
@@ -74,7 +74,20 @@ def _on_smooth_ground(sector: Sector, sampling: Sampling, lines: FineLines) -> G
         doppler_taps=(taps_needed(filled, error=sector.tap_error), filled),
         tap_error=sector.tap_error,
         tapered=None if sector.wobbling is None else sector.geometry,
+        tilt=None if lines.weights.elevation is None else _tilt(sector, lines),
     )
+
+
+def _tilt(sector: Sector, lines: FineLines) -> Surface:
+    """How fast what the chain makes of echoes grows over the dwell, from -1 to 1, over its mean: see `GroundMap`."""
+    time, weight = lines.lit.time, lines.weights.weigh_chain(lines.line).weight
+    place = 2 * (time - time[..., :1]) / (time[..., -1:] - time[..., :1]) - 1
+    made = np.sqrt(np.maximum(lines.line.stretch, LEAST_STRETCH)) * lines.spots.levels
+    total = weight.sum(axis=-1)
+    middle = ((weight * place).sum(axis=-1) / total)[..., None]
+    slope = (weight * (place - middle) * made).sum(axis=-1) / (weight * (place - middle) ** 2).sum(axis=-1)
+    tilt = slope * total / (weight * made).sum(axis=-1)
+    return fit_surface(tilt, epoch_range=lines.epoch_range, yaw=lines.yaw, degree=_degree(sector, lines))
 
 
 def _surfaces(sector: Sector, lines: FineLines, spots: Focus) -> tuple[Surface, ...]:

@@ -94,10 +94,15 @@ class DwellWeights:
         return line if self.uniform else line.weighed(self.nodes)
 
     def weigh_chain(self, line: Line) -> Line:
-        """The lines with the weights that the chain gives them: without what is back-projected."""
-        if self.share is None:
+        """The lines with the weights that a chain is calibrated by: without what is back-projected.
+
+        Nor do they have a pattern in elevation: by it, places, phases and gains would bend near zeros as no series over
+        the ground does.
+        """
+        if self.share is None and self.elevation is None:
             return self.weigh(line)
-        return line.weighed(self.nodes * np.maximum(self.share, LEAST_SHARE))
+        weights = self.nodes if self.elevation is None else self.nodes / self.elevation
+        return line.weighed(weights if self.share is None else weights * np.maximum(self.share, LEAST_SHARE))
 
     def with_edges(
         self, summed: Sums, gain: FloatArray | float = 1.0, *, at: tuple[int, ...] | EllipsisType = ...
