@@ -31,7 +31,7 @@ LEAST, WIDEST = 0.3, 0.8  # rad off a direction that P serves at least; arc sine
 # Where the mean of the pattern in elevation over the pulses that light a pixel is a smaller part of the pattern's peak,
 # the pixel is not in the image (NaN), whichever processor forms it: what such a pixel would show are the side lobes of
 # its neighbours and the noise, divided by next to nothing.
-LEAST_ELEVATION = 1e-3  # two-way amplitude: -60 dB
+LEAST_ELEVATION = 0.01  # two-way amplitude: -40 dB
 ELEVATIONS = 16  # pulses of a dwell at which the pattern in elevation is looked up for its mean
 EVEN = 1e-9  # of the spacing of a pattern's angles, by which they may differ from even ones
 _PULSES = types.Array(types.int64, 2, "C", readonly=True)
