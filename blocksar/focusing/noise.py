@@ -123,11 +123,14 @@ class NoiseMap:
         elevated = geometry.collection.elevation_pattern is not None
         if elevated:
             geometry = geometry.lit_by(geometry.collection.without_elevation)
-        z = _at_nodes(height, rows, columns) if geometry.collection.has_axis and height is not None else None
+        counts = geometry.collection.has_axis or elevated
+        z = _at_nodes(height, rows, columns) if counts and height is not None else None
         sums = pulse_sums(geometry, *np.meshgrid(x[columns], y[rows]), self.valid, self.weighting, z)
         squares, gains = (_refine(_refine(part, rows, y.size).T, columns, x.size).T for part in sums)
         if elevated:
-            gains = gains * self._elevation(x, y, height)
+            if z is not None and height is not None:
+                z = np.where(np.isfinite(height), height, _refine(_refine(z, rows, y.size).T, columns, x.size).T)
+            gains = gains * self._elevation(x, y, z)
         lit = (squares > 0) & (gains > 0)
         with np.errstate(divide="ignore", invalid="ignore"):
             noise = np.where(lit, self.sample * squares / gains**2, np.nan).astype(np.float32)
@@ -135,13 +138,14 @@ class NoiseMap:
         half = np.int32(1 << (SPARED_BITS - 1))
         return np.where(lit, (bits + half) & np.int32(-1 << SPARED_BITS), bits).view(np.float32)
 
-    def _elevation(self, x: FloatArray, y: FloatArray, height: FloatArray | None) -> FloatArray:
+    def _elevation(self, x: FloatArray, y: FloatArray, z: FloatArray | None) -> FloatArray:
         """Means of the pattern in elevation at pixels (n_y, n_x); 0 where they are too small for an image."""
-        geometry, mesh, level = self.geometry, np.meshgrid(x, y), self.geometry.collection.ground_height
-        over = None if height is None else np.where(np.isfinite(height), height, level) - level
-        passes = lit_passes(geometry, *mesh, None if over is None else over + level)
-        taper = self.weighting.azimuth
-        means = mean_elevations(geometry, *mesh, over, passes=passes, valid=self.valid, taper=taper)
+        geometry, (mesh_x, mesh_y) = self.geometry, np.meshgrid(x, y)
+        over = None if z is None else z - geometry.collection.ground_height
+        means = mean_elevations(
+            geometry, mesh_x, mesh_y, over, passes=lit_passes(geometry, mesh_x, mesh_y, z), valid=self.valid,
+            taper=self.weighting.azimuth,
+        )  # fmt: skip
         return np.where(means.dark(geometry), 0.0, means.weighed)
 
 

@@ -24,6 +24,7 @@ from blocksar.focusing.relief_map import NodeHeights
 from blocksar.planning.sector import Sector
 
 MOST_PLACES = 1 << 16  # of a block's terrain that are looked at
+FEWEST_PLACES = 32  # of equal range
 CHIP = 20.0  # range cells along the sides of chips
 MOST_CHIPS = 256  # along each side of a block
 BEAM_PLACES = 65  # of the mean weight over a beam
@@ -58,11 +59,14 @@ def dark_contrast(sector: Sector, epoch_range: FloatArray, yaw: FloatArray) -> F
     )  # fmt: skip
     shown = ~means.dark(geometry)[0]
     power, u, v = means.plain[0, shown] ** 2, u[shown], v[shown]
-    side = CHIP * SPEED_OF_LIGHT / (2 * collection.bandwidth)
+    cell = SPEED_OF_LIGHT / (2 * collection.bandwidth)
+    # Places of equal range: a few cells of it where there are not many places.
+    n_equal = int(np.clip((sector.far - sector.near) / cell, 1, max(power.size // FEWEST_PLACES, 1)))
+    equal, side = _bins(u, n_equal), CHIP * cell
     n_row = _number((sector.far - sector.near) / side)
     n_column = _number((sector.near + sector.far) / 2 * (sector.high - sector.low) / side)
     row, column = _bins(u, n_row), _bins(v, n_column)
-    contrast = _means(power, row, n_row)[row] / power
+    contrast = _means(power, equal, n_equal)[equal] / power
     chip = row * n_column + column
     mean = _means(contrast, chip, n_row * n_column)
     worse = mean / (1 + _far_share(collection, sector.taper) * mean)

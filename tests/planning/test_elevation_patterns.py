@@ -16,7 +16,10 @@ from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.focusing.backprojection import form_image
 from blocksar.measurement.coherence import coherence
+from blocksar.planning.block import BlockPlan, plan_block
+from blocksar.planning.contrast import dark_contrast
 from blocksar.planning.plan import Plan, plan_collection
+from blocksar.planning.sector import Sector
 from blocksar.simulation.scatterers import field, phase_history
 
 GRID = Grid(8910.0, 9090.0, 1.5, -50.0, 50.0, 0.9)
@@ -129,3 +132,31 @@ def test_ranges_without_any_light_are_planned_and_stay_empty() -> None:
     assert plan.coherence > 0.999
     assert abs(coherence(image, exact).coherence) > plan.coherence - 1e-3
     np.testing.assert_array_equal(np.isnan(image), np.isnan(exact))
+
+
+def test_dark_places_beside_bright_ones_are_predicted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the definition, with all places of a range on a slope along yaw, in chips of 20 range cells."""
+    kept: list[Sector] = []
+
+    def keep(sector: Sector, *rest: Any, **more: Any) -> BlockPlan:
+        kept.append(sector)
+        return plan_block(sector, *rest, **more)
+
+    monkeypatch.setattr("blocksar.planning.plan.plan_block", keep)
+    collection = Collection(**{**axis_collection(n_pulse=600).as_dict(), **zero_at(9010.0)})
+    assert contrast_of(plan_collection(collection, grid=GRID, blocks=1), kept[-1]) is None
+    x, y = np.arange(8700.0, 9300.0, 10.0), np.arange(-300.0, 300.0, 10.0)
+    level = Terrain(x0=x[0], dx=10.0, y0=y[0], dy=10.0, heights=np.zeros((y.size, x.size)))
+    slope = Terrain(x0=x[0], dx=10.0, y0=y[0], dy=10.0, heights=np.broadcast_to(0.3 * y[:, None], (y.size, x.size)))
+    flat, tilted = (
+        contrast_of(plan_collection(collection, grid=GRID, blocks=1, terrain=terrain), kept[-1])
+        for terrain in (level, slope)
+    )
+    assert flat is not None and tilted is not None
+    assert flat.min() >= 1.0 and np.median(flat) < 1.2 and flat.max() < 3.0
+    assert tilted.min() >= 1.0 and 5.0 < tilted.max() < 200.0
+
+
+def contrast_of(plan: Plan, sector: Sector) -> FloatArray | None:
+    assert plan.n_blocks == 1
+    return dark_contrast(sector, np.linspace(sector.near, sector.far, 9), np.linspace(sector.low, sector.high, 9))
