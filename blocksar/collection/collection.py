@@ -372,8 +372,15 @@ class Collection:
 
     @property
     def peak_gain(self) -> float:
-        """The largest two-way amplitude of the antenna's patterns; 1 without one."""
-        return math.prod(float(p.max()) for p in (self.beam_pattern, self.elevation_pattern) if p is not None)
+        """The largest two-way amplitude of the antenna's pattern over the beam; 1 without one."""
+        return 1.0 if self.beam_pattern is None else float(self.beam_pattern.max())
+
+    @cached_property
+    def without_elevation(self) -> Collection:
+        """The collection as if the antenna had no pattern in elevation."""
+        if self.elevation_pattern is None:
+            return self
+        return Collection(**{**self.as_dict(), "elevation": None, "elevation_pattern": None})
 
     @cached_property
     def pulse_interval(self) -> float:

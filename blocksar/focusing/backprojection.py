@@ -12,8 +12,9 @@ The pulses that light a pixel are an interval, so the loop over them needs no te
 one after the other (`collection.beam.lit_passes`).
 With an antenna pattern g (`collection.beam.pattern_gain`) the sum over lit pulses is divided by that of g instead of
 their number, and under a weighting w by that of w g, so that a target of reflectivity 1 still has the value 1. NaN
-samples are excluded from the mean. The image is NaN where no valid sample is lit, and where a lit pulse, missing or
-not, sees the pixel outside the unambiguous window |R_xy - reference_range| <= c / (4 df).
+samples are excluded from the mean. The image is NaN where no valid sample is lit, where the pattern in elevation is too
+small for an image (`pattern_sums.LEAST_ELEVATION`), and where a lit pulse, missing or not, sees the pixel outside the
+unambiguous window |R_xy - reference_range| <= c / (4 df).
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, UNIFORM, Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.focusing.pattern_sums import add_gains
+from blocksar.focusing.pattern_sums import add_gains, mean_elevations
 from blocksar.focusing.profiles import Profiles, profile_bins, range_profiles
 from blocksar.kernels.beam_weights import BeamTaper
 from blocksar.kernels.groups import GROUP_BYTES, run_groups
@@ -169,8 +170,8 @@ def form_points(
     Returns
     -------
     (...) complex64
-        1 + 0j at a target of reflectivity 1. NaN where no valid sample is lit, outside the unambiguous window, or where
-        the terrain has no height.
+        1 + 0j at a target of reflectivity 1. NaN where no valid sample is lit or the pattern in elevation is too small,
+        outside the unambiguous window, or where the terrain has no height.
 
     Raises
     ------
@@ -190,6 +191,8 @@ def form_points(
     passes = _lit_passes(geometry, x, y, threads)
     image, outside = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.bool_)
     height = _relief(geometry, x, y, outside)
+    if collection.elevation_pattern is not None:
+        _find_dark(outside, geometry, x, y, height, threads)
     in_range, over_beam, over_pulses = weighting.range, weighting.azimuth, None
     if not (collection.steered or over_beam.uniform):  # every pixel has the same weights
         over_pulses, over_beam = over_beam.samples(collection.n_pulse).astype(np.float32), FLAT
@@ -335,6 +338,20 @@ def _add_gains(
         )  # fmt: skip
 
     _run_tiles(work, gains.shape, threads)
+
+
+def _find_dark(
+    outside: BoolArray, geometry: Geometry, x: FloatArray, y: FloatArray, height: FloatArray | None, threads: int
+) -> None:
+    """Set `outside` where the pattern in elevation is too small, tile by tile."""
+
+    def work(tile: Tile) -> None:
+        over = None if height is None else height[tile]
+        z = None if over is None else over + geometry.collection.ground_height
+        passes = lit_passes(geometry, x[tile], y[tile], z)
+        outside[tile] |= mean_elevations(geometry, x[tile], y[tile], over, passes=passes).dark(geometry)
+
+    _run_tiles(work, x.shape, threads)
 
 
 def _normalise(image: ComplexArray, outside: BoolArray, count: IntArray | FloatArray, n_frequency: int) -> None:

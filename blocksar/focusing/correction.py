@@ -123,8 +123,39 @@ def correct(
     Returns
     -------
     (n_y, n_x) complex64
-        Calibrated: 1 + 0j at the position of a unit target.
+        Calibrated: 1 + 0j at the position of a unit target. NaN also where a pattern in elevation is too small, see
+        `pattern_sums.LEAST_ELEVATION`.
     """
+    out = _correct(block, ground, x=x, y=y, z=z, tiles=tiles, threads=threads, out=out)
+    if ground.geometry.collection.elevation_pattern is not None:
+        _divide_by_elevation(out, ground, x=x, y=y, z=z, threads=threads)
+    return out
+
+
+def _divide_by_elevation(
+    image: ComplexArray, ground: GroundMap, *, x: FloatArray, y: FloatArray, z: FloatArray | None, threads: int
+) -> None:
+    """Divide pixels (n_y, n_x) in place by the mean of the pattern in elevation; NaN where that is too small."""
+
+    def divide(rows: slice) -> None:
+        part = image[rows]
+        row, column = np.nonzero(np.isfinite(part.real))
+        if not row.size:
+            return
+        at = x[column], y[rows][row], None if z is None else z[rows][row, column]
+        means = ground.elevation_means(*at)
+        dark = means.dark(ground.geometry)
+        shares = np.where(dark, 1.0, means.weighed * ground.tilted_gain(*at, means.tilt)).astype(np.float32)
+        part[row, column] = np.where(dark, complex(np.nan, np.nan), part[row, column] / shares)
+
+    run_groups(divide, [slice(i, i + TILE_PIXELS) for i in range(0, y.size, TILE_PIXELS)], threads)
+
+
+def _correct(
+    block: ComplexArray, ground: GroundMap, *, x: FloatArray, y: FloatArray, z: FloatArray | None,
+    tiles: Tiles | None, threads: int, out: ComplexArray | None = None,
+) -> ComplexArray:  # fmt: skip
+    """`correct` without a pattern in elevation."""
     out = np.empty((y.size, x.size), np.complex64) if out is None else out
     if ground.waves is not None:
         plain = replace(ground, waves=None)
@@ -134,7 +165,7 @@ def correct(
         def weigh_equally(shift: float) -> ComplexArray:
             part = replace(plain, doppler=replace(plain.doppler, start=plain.doppler.start - shift))
             moved = None if found is None else found.moved(shift / plain.doppler.step)
-            return correct(block, part, x=x, y=y, z=z, tiles=moved, threads=threads)
+            return _correct(block, part, x=x, y=y, z=z, tiles=moved, threads=threads)
 
         out[...] = sum_waves(weigh_equally, plain, ground.waves, x=x, y=y)
         return out

@@ -4,26 +4,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import wrapped
+from blocksar.collection.beam import lit_passes, wrapped
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.lit_sums import lit_total, weighted_pulses
 from blocksar.collection.region import Region
 from blocksar.collection.weighting import Taper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Focus, RowPolynomial
+from blocksar.focusing.pattern_sums import ElevationMeans, mean_elevations
 from blocksar.focusing.relief_map import ReliefMap
 from blocksar.focusing.surfaces import GroundRange, Surface, fit_surface
 from blocksar.kernels.fourier import Axis
 
-LIT_RANGES, MOST_LIT_RANGES = 33, 513  # of the sum over lit pulses, where that depends on range
-LIT_ERROR = 0.01  # of the pattern in elevation between two of them, where it is at least as large a part of its peak
+LIT_RANGES = 33  # of the sum over lit pulses, where that depends on range
 LEAST_LIT = 0.3  # pulses at the peak of the pattern: with a smaller sum a pixel counts as not lit
 LEAST_WEIGHT = 0.007  # of a whole dwell under a taper: a share of 10 % under hann, 4 % under hamming, 2 % under taylor
 WHOLE_DWELLS = 64  # directions in which the longest dwell is looked for
+ELEVATIONS_AT_ONCE = 1 << 16  # points at which means of a pattern in elevation are taken together
 YAW_STEPS = 4096  # of the range window's limits and the number of lit pulses along yaw
 
 
@@ -101,6 +103,9 @@ class GroundMap:
         With the beam that the taper follows, where that is a steadier one.
     valid : (n_pulse,) float or None
         The fraction of each pulse's samples that is there; None: all of them.
+    tilt : Surface or None
+        Where there is a pattern in elevation: how fast what the chain makes of echoes grows over the dwell, from -1 to
+        1, over its mean, the gain.
     """
 
     geometry: Geometry
@@ -130,21 +135,24 @@ class GroundMap:
     waves: ApertureWaves | None = None
     tapered: Geometry | None = None
     valid: FloatArray | None = None
+    tilt: Surface | None = None
 
     @cached_property
     def lit(self) -> FloatArray:
         """Number of lit pulses at each yaw (n,), missing ones left out: the sum of `valid` times the taper.
 
-        Where dwells depend on range, or the antenna has a pattern, which weighs the pulses besides: (n_range, n), at
-        `lit_ranges` from near to far. Where the beam `stays`, over all pulses. Only a block that is focused needs
-        them, not one that is planned.
+        Where dwells depend on range, or the antenna has a pattern over the beam, which weighs the pulses besides:
+        (n_range, n), at LIT_RANGES from near to far. Where the beam `stays`, over all pulses. A pattern in elevation
+        does not count: see `elevation_means`. Only a block that is focused needs them, not one that is planned.
         """
         geometry, taper = self.geometry, self.taper
+        if geometry.collection.elevation_pattern is not None:
+            geometry = geometry.lit_by(geometry.collection.without_elevation)
         valid = np.ones(geometry.collection.n_pulse) if self.valid is None else self.valid
         if not by_range(geometry):
             centre = None if self.tapered is None else self.tapered.collection.beam_azimuth
             return weighted_pulses(geometry.collection, self.yaw_axis, valid, taper, centre=centre)
-        ranges = np.linspace(self.near, self.far, lit_ranges(geometry, self.near, self.far))
+        ranges = np.linspace(self.near, self.far, LIT_RANGES)
         return lit_total(geometry, ranges, self.yaw_axis, valid, taper, stays=self.stays, tapered=self.tapered)
 
     @property
@@ -186,10 +194,44 @@ class GroundMap:
         return wrapped(self.geometry.yaw(x, y) - self.middle_yaw)
 
     def lit_at(self, x: FloatArray, y: FloatArray, z: FloatArray | None = None) -> FloatArray:
-        """`lit` at ground points (...), m: at the nearest yaw, or linear between ranges and between yaws.
+        """`lit` at ground points (...), m, times the mean of a pattern in elevation: what an image is divided by.
 
         On a terrain their heights z, m, which are finite, tell where on the smooth ground they have the same dwell.
         """
+        lit = self._interpolate_lit(x, y, z)
+        if self.geometry.collection.elevation_pattern is None:
+            return lit
+        return lit * self.elevation_means(x, y, z).weighed
+
+    def elevation_means(self, x: FloatArray, y: FloatArray, z: FloatArray | None) -> ElevationMeans:
+        """Means of the pattern in elevation at ground points (...), m, which `lit` is to be multiplied by.
+
+        They are over the lit pulses; all but the plain ones over all pulses where the beam `stays`.
+        """
+        flat, shape = [np.ravel(axis)[None] for axis in (x, y, *([] if z is None else [z]))], np.shape(x)
+        means = np.empty((len(ElevationMeans._fields), flat[0].size))
+        for part in (slice(first, first + ELEVATIONS_AT_ONCE) for first in range(0, flat[0].size, ELEVATIONS_AT_ONCE)):
+            means[:, part] = self._elevation_means(*(axis[:, part] for axis in flat))
+        return ElevationMeans(*(each.reshape(shape) for each in means))
+
+    def _elevation_means(self, x: FloatArray, y: FloatArray, z: FloatArray | None = None) -> FloatArray:
+        """The same of points (1, n): (3, n)."""
+        geometry, settings = self.geometry, dict[str, Any](valid=self.valid, taper=self.taper)
+        at: Any = x, y, None if z is None else z - geometry.collection.ground_height
+        means = mean_elevations(geometry, *at, passes=lit_passes(geometry, x, y, z), **settings)
+        if self.stays:
+            means = mean_elevations(geometry, *at, **settings)._replace(plain=means.plain)
+        return np.concatenate(means)
+
+    def tilted_gain(self, x: FloatArray, y: FloatArray, z: FloatArray | None, tilt: FloatArray) -> FloatArray:
+        """What the gain is multiplied by at ground points (...), m, whose dwells a pattern in elevation tilts."""
+        if self.tilt is None:
+            return np.ones(np.shape(x))
+        yaw = self.middle_yaw + self.relative_yaw(x, y)
+        return 1 + self.tilt(self.geometry.epoch_range(x, y, z), yaw) * tilt
+
+    def _interpolate_lit(self, x: FloatArray, y: FloatArray, z: FloatArray | None) -> FloatArray:
+        """`lit` at the nearest yaw, or linear between ranges and between yaws."""
         turn = self.relative_yaw(x, y) + (self.middle_yaw - self.yaw_axis[0])
         epoch_range = np.zeros(1)
         if self.lit.ndim > 1:
@@ -247,25 +289,7 @@ class GroundMap:
 
 def by_range(geometry: Geometry) -> bool:
     """Whether the sum over lit pulses depends on range."""
-    return geometry.collection.has_axis or geometry.collection.has_pattern
-
-
-def lit_ranges(geometry: Geometry, near: float, far: float) -> int:
-    """Number of ranges from near to far, m, between which the sum over lit pulses is linear: see `LIT_ERROR`."""
-    collection = geometry.collection
-    if collection.elevation is None or collection.elevation_pattern is None:
-        return LIT_RANGES
-    height = geometry.epoch_position[2] - collection.ground_height
-    ranges = np.linspace(near, far, MOST_LIT_RANGES)
-    gain = np.interp(np.arcsin(np.minimum(height / ranges, 1.0)), collection.elevation, collection.elevation_pattern)
-    large, count = gain >= LIT_ERROR * gain.max(), LIT_RANGES
-    while count < MOST_LIT_RANGES:
-        part = slice(None, None, (MOST_LIT_RANGES - 1) // (count - 1))
-        between = np.interp(ranges, ranges[part], gain[part])
-        if (np.abs(between - gain)[large] <= LIT_ERROR * gain[large]).all():
-            break
-        count = 2 * count - 1
-    return count
+    return geometry.collection.has_axis or geometry.collection.beam_pattern is not None
 
 
 def surfaces(

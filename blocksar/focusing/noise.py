@@ -7,7 +7,8 @@ gives a pixel
 
 over its lit valid pulses and all range frequencies, whichever processor computes it. Both sums over pulses are smooth
 over the ground, apart from bends where dwells begin to be cut: they are computed at every NODE_PIXELS-th pixel. On a
-terrain they lie at their heights, which count under a beam about its axis and in elevation patterns.
+terrain they lie at their heights, which count under a beam about its axis. The mean of a pattern in elevation, which
+may have zeros, is computed at every pixel.
 """
 
 from __future__ import annotations
@@ -19,10 +20,11 @@ import numpy as np
 
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.collection.axis_beam import Height
-from blocksar.collection.beam import aperture, dwell, pattern_gain, pulse_weights
+from blocksar.collection.beam import aperture, dwell, lit_passes, pattern_gain, pulse_weights
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.lit_sums import GAIN_PARTS
 from blocksar.collection.weighting import Weighting
+from blocksar.focusing.pattern_sums import mean_elevations
 from blocksar.kernels.phase import Float32Array
 
 NODE_PIXELS = 16
@@ -114,19 +116,37 @@ class NoiseMap:
     def over(self, x: FloatArray, y: FloatArray, height: FloatArray | None = None) -> Float32Array:
         """Mean squared magnitude of the noise at pixels of columns x (n_x,) and rows y (n_y,), m: (n_y, n_x).
 
-        NaN where no pulse lights a pixel. On a terrain, `height` (n_y, n_x) has z of the pixels, m; NaN where unknown.
+        NaN where no pulse lights a pixel, or the pattern in elevation is too small for an image. On a terrain, `height`
+        (n_y, n_x) has z of the pixels, m; NaN where unknown.
         """
-        collection, columns, rows = self.geometry.collection, _nodes(x.size), _nodes(y.size)
-        counts = collection.has_axis or collection.elevation_pattern is not None
+        geometry, columns, rows = self.geometry, _nodes(x.size), _nodes(y.size)
+        elevated = geometry.collection.elevation_pattern is not None
+        if elevated:
+            geometry = geometry.lit_by(geometry.collection.without_elevation)
+        counts = geometry.collection.has_axis or elevated
         z = _at_nodes(height, rows, columns) if counts and height is not None else None
-        sums = pulse_sums(self.geometry, *np.meshgrid(x[columns], y[rows]), self.valid, self.weighting, z)
+        sums = pulse_sums(geometry, *np.meshgrid(x[columns], y[rows]), self.valid, self.weighting, z)
         squares, gains = (_refine(_refine(part, rows, y.size).T, columns, x.size).T for part in sums)
+        if elevated:
+            if z is not None and height is not None:
+                z = np.where(np.isfinite(height), height, _refine(_refine(z, rows, y.size).T, columns, x.size).T)
+            gains = gains * self._elevation(x, y, z)
         lit = (squares > 0) & (gains > 0)
         with np.errstate(divide="ignore", invalid="ignore"):
             noise = np.where(lit, self.sample * squares / gains**2, np.nan).astype(np.float32)
         bits = noise.view(np.int32)  # a NaN stays one
         half = np.int32(1 << (SPARED_BITS - 1))
         return np.where(lit, (bits + half) & np.int32(-1 << SPARED_BITS), bits).view(np.float32)
+
+    def _elevation(self, x: FloatArray, y: FloatArray, z: FloatArray | None) -> FloatArray:
+        """Means of the pattern in elevation at pixels (n_y, n_x); 0 where they are too small for an image."""
+        geometry, (mesh_x, mesh_y) = self.geometry, np.meshgrid(x, y)
+        over = None if z is None else z - geometry.collection.ground_height
+        means = mean_elevations(
+            geometry, mesh_x, mesh_y, over, passes=lit_passes(geometry, mesh_x, mesh_y, z), valid=self.valid,
+            taper=self.weighting.azimuth,
+        )  # fmt: skip
+        return np.where(means.dark(geometry), 0.0, means.weighed)
 
 
 def _nodes(n: int) -> IntArray:

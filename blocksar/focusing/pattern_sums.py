@@ -1,5 +1,9 @@
 """Sums of the antenna's pattern, times weights, over the lit pulses of pixels: what back-projection divides by.
 
+`add_gains` sums pulse by pulse, exactly. `mean_elevations` takes the mean of the pattern in elevation at a few pulses
+of each dwell. A chain divides by it, pixel by pixel: the pattern bends between its samples and may vanish, which no
+series over the ground follows. All processors tell by it which pixels are too dark for an image, see `LEAST_ELEVATION`.
+
 Pixels of a row are computed together, each pulse for all whose dwell may have it. Angles off a direction come from the
 sine of their difference, t = sin(a - b), as asin(t) = t P(t^2) with a polynomial for the width of the beam or of the
 elevation pattern; angles beyond are of pixels that are not lit, or have the pattern's value at its end.
@@ -13,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, types
 
-from blocksar.arrays import FloatArray, IntArray
+from blocksar.arrays import BoolArray, FloatArray, IntArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import TURN
@@ -24,8 +28,14 @@ from blocksar.kernels.trigonometry import fit_even
 TOGETHER = 32  # pixels of a row
 DEGREE = 12  # of P: 2e-12 rad for angles up to WIDEST
 LEAST, WIDEST = 0.3, 0.8  # rad off a direction that P serves at least; arc sines of larger ones are computed singly
+# Where the mean of the pattern in elevation over the pulses that light a pixel is a smaller part of the pattern's peak,
+# the pixel is not in the image (NaN), whichever processor forms it: what such a pixel would show are the side lobes of
+# its neighbours and the noise, divided by next to nothing.
+LEAST_ELEVATION = 0.01  # two-way amplitude: -40 dB
+ELEVATIONS = 16  # pulses of a dwell at which the pattern in elevation is looked up for its mean
 EVEN = 1e-9  # of the spacing of a pattern's angles, by which they may differ from even ones
 _PULSES = types.Array(types.int64, 2, "C", readonly=True)
+_PASSES = types.Array(types.int64, 3, "C", readonly=True)
 _C0, _C1, _C2, _C3, _C4, _C5, _C6, _C7, _C8 = fit_even(lambda x: np.cos(np.pi * x), 8)
 
 
@@ -104,32 +114,136 @@ def add_gains(
     taper : Taper
         Weighting over a steered beam.
     """
-    collection = geometry.collection
-    n = pulses.stop - pulses.start
-    yaw, azimuth = np.zeros(x.shape), np.zeros(n)
-    axis, steering = np.zeros((n, 3)), np.zeros(n)
-    if collection.beam_axis is not None and collection.beam_steering is not None:
-        axis, steering = collection.beam_axis[pulses], collection.beam_steering[pulses]
-    elif collection.beam_pattern is not None or not taper.uniform:
-        yaw, azimuth = geometry.yaw(x, y), collection.beam_azimuth[pulses]
-    width = collection.beam_width or np.inf
-    across = _Cut.of(collection.beam_offset, collection.beam_pattern, width / 2)
-    lowest, highest = (0.0, 0.0) if collection.elevation is None else collection.elevation[[0, -1]].tolist()
-    middle = (lowest + highest) / 2
-    down = _Cut.of(collection.elevation, collection.elevation_pattern, highest - middle)
-    antenna = collection.antenna_position[pulses] - np.array([0.0, 0.0, collection.ground_height])
+    over = _Patterns.of(geometry, pulses, valid, taper)
     # Copies: the loop is compiled for one layout of its arrays.
-    over = np.zeros(x.shape) if height is None else height
-    places = [np.array(values, order="C") for values in (x, y, over, yaw)]
     lit = [np.array(values, np.int64, order="C") for values in (first, last)]
     sums = np.array(total, order="C")
-    beam = np.column_stack([antenna, axis, np.cos(steering), np.sin(steering), azimuth, np.array(valid, np.float64)])
-    terms, frequency = taper.series
     _add_gains(
-        sums, *places, *lit, np.ascontiguousarray(beam), pulses.start, collection.has_axis, *across, *down, middle,
-        np.array(terms), frequency / width,
+        sums, *_places(geometry, x, y, height), *lit, over.beam, pulses.start, geometry.collection.has_axis,
+        *over.across, *over.down, over.middle, over.terms, over.per_rad,
     )  # fmt: skip
     total[...] = sums
+
+
+class ElevationMeans(NamedTuple):
+    """Means (n_row, n_column) of the pattern in elevation over the lit pulses of pixels; 0 where none lights them.
+
+    Attributes
+    ----------
+    plain : float
+        With equal weights.
+    weighed : float
+        With weights valid[p] w(pixel, p) b(pixel, p), where b is the pattern over the beam; `plain` where these vanish.
+    tilt : float
+        Mean place in the dwell, from -1 at its begin to 1 at its end, under these weights times the pattern in
+        elevation, less that without.
+    """
+
+    plain: FloatArray
+    weighed: FloatArray
+    tilt: FloatArray
+
+    def dark(self, geometry: Geometry) -> BoolArray:
+        """Which pixels are too dark for an image, see `LEAST_ELEVATION`, or not lit at all."""
+        pattern = geometry.collection.elevation_pattern
+        assert pattern is not None
+        return np.asarray(~(self.plain >= LEAST_ELEVATION * float(pattern.max())))
+
+
+def mean_elevations(
+    geometry: Geometry,
+    x: FloatArray,
+    y: FloatArray,
+    height: FloatArray | None = None,
+    *,
+    passes: tuple[IntArray, IntArray] | None = None,
+    valid: FloatArray | None = None,
+    taper: Taper = FLAT,
+) -> ElevationMeans:
+    """Means of the pattern in elevation at ELEVATIONS pulses that divide each pixel's lit pulses evenly.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        With a pattern in elevation.
+    x, y : (n_row, n_column) float
+        m, scene frame.
+    height : (n_row, n_column) float, optional
+        Over the plane z = ground_height, m; finite. None: on it.
+    passes : pair of (n_pass, n_row, n_column) int, optional
+        The pulses first <= p < last that light each pixel, as from `collection.beam.lit_passes`; None: all pulses.
+    valid : (n_pulse,) float, optional
+        The fraction of each pulse's samples that is there; None: all of them.
+    taper : Taper
+        Weighting over the beam; over the pulses where it is not steered.
+    """
+    n = geometry.collection.n_pulse
+    valid = np.ones(n) if valid is None else valid
+    if not (geometry.collection.steered or taper.uniform):
+        valid, taper = valid * taper.samples(n), FLAT
+    over = _Patterns.of(geometry, slice(0, n), valid, taper)
+    if passes is None:
+        passes = np.zeros((1, *x.shape), np.int64), np.full((1, *x.shape), n)
+    lit = [np.array(values, np.int64, order="C") for values in passes]
+    means = ElevationMeans(*np.empty((3, *x.shape)))
+    _mean_elevations(
+        *means, *_places(geometry, x, y, height), *lit, over.beam, geometry.collection.has_axis, *over.across,
+        *over.down, over.middle, over.terms, over.per_rad,
+    )  # fmt: skip
+    return means
+
+
+def _places(geometry: Geometry, x: FloatArray, y: FloatArray, height: FloatArray | None) -> list[FloatArray]:
+    """Copies of x, y, heights and, of a beam that is described by them, yaws of pixels (n_row, n_column)."""
+    collection, level = geometry.collection, np.zeros(np.shape(x))
+    by_yaw = collection.steered and not collection.has_axis
+    over = level if height is None else height
+    return [np.array(values, order="C") for values in (x, y, over, geometry.yaw(x, y) if by_yaw else level)]
+
+
+class _Patterns(NamedTuple):
+    """What the compiled loops need to know of the patterns, the weighting, and n pulses.
+
+    Attributes
+    ----------
+    beam : (n, 10) float
+        Of each pulse the antenna's place over the ground, the beam's axis, cosine and sine of its steering, its
+        azimuth, and the number of valid samples.
+    across, down : _Cut
+        The pattern over the beam and that in elevation.
+    middle : float
+        Of the elevations, rad.
+    terms, per_rad : (n_term,) float, float
+        The weighting's series, and its cycles a rad off the beam's centre.
+    """
+
+    beam: FloatArray
+    across: _Cut
+    down: _Cut
+    middle: float
+    terms: FloatArray
+    per_rad: float
+
+    @classmethod
+    def of(cls, geometry: Geometry, pulses: slice, valid: IntArray | FloatArray, taper: Taper) -> _Patterns:
+        collection, n = geometry.collection, pulses.stop - pulses.start
+        azimuth, axis, steering = np.zeros(n), np.zeros((n, 3)), np.zeros(n)
+        if collection.beam_axis is not None and collection.beam_steering is not None:
+            axis, steering = collection.beam_axis[pulses], collection.beam_steering[pulses]
+        elif collection.steered:
+            azimuth = collection.beam_azimuth[pulses]
+        width = collection.beam_width or np.inf
+        lowest, highest = (0.0, 0.0) if collection.elevation is None else collection.elevation[[0, -1]].tolist()
+        middle = (lowest + highest) / 2
+        antenna = collection.antenna_position[pulses] - np.array([0.0, 0.0, collection.ground_height])
+        beam = [antenna, axis, np.cos(steering), np.sin(steering), azimuth, np.array(valid, np.float64)]
+        terms, frequency = taper.series
+        return cls(
+            np.ascontiguousarray(np.column_stack(beam)),
+            _Cut.of(collection.beam_offset, collection.beam_pattern, width / 2),
+            _Cut.of(collection.elevation, collection.elevation_pattern, highest - middle),
+            middle, np.array(terms), frequency / width,
+        )  # fmt: skip
 
 
 @njit(**PART, **COMPILED, **UNCHECKED)
@@ -201,11 +315,7 @@ def _add_gains(  # type: ignore[no-untyped-def]
     total, x, y, over, yaw, first, last, beam, start, has_axis, offsets, pattern, per_offset, of_offset, most_offset,
     elevations, elevation_pattern, per_elevation, of_elevation, most_elevation, middle, terms, per_rad,
 ):  # fmt: skip
-    """The sum of `add_gains`.
-
-    Of each pulse `beam` has the antenna's place over the ground, the beam's axis, cosine and sine of its steering, its
-    azimuth, and the number of valid samples.
-    """
+    """The sum of `add_gains`; `beam` as in `_Patterns`."""
     n_pulse, weighed = beam.shape[0], pattern.size > 1 or terms.size > 1
     cos_middle, sin_middle = np.cos(middle), np.sin(middle)
     angle, gain, work = np.empty(TOGETHER), np.empty(TOGETHER), np.empty((3, TOGETHER))
@@ -252,3 +362,80 @@ def _add_gains(  # type: ignore[no-untyped-def]
                     at = np.uint64(begin + k)
                     lit = first[row, at] <= q < last[row, at]
                     total[row, at] += valid * gain[k] if lit else 0.0
+
+
+@njit(**PART, **COMPILED, **UNCHECKED)
+def _choose_pulses(firsts, lasts, row: int, begin: int, n: int, share: float, pulses: IntArray) -> None:  # type: ignore[no-untyped-def]
+    """The pulse at a share, 0 .. 1, of the lit pulses of n pixels from `begin` on; -1 where there are none."""
+    for k in range(n):
+        number = 0
+        for m in range(firsts.shape[0]):
+            number += lasts[m, row, begin + k] - firsts[m, row, begin + k]
+        place = int(share * number)
+        pulses[k] = -1
+        for m in range(firsts.shape[0]):
+            first, length = firsts[m, row, begin + k], lasts[m, row, begin + k] - firsts[m, row, begin + k]
+            if 0 <= place < length:
+                pulses[k] = first + place
+            place -= length
+
+
+@loop(
+    *[types.float64[:, ::1]] * 3, *[REAL_ROWS] * 4, *[_PASSES] * 2, REAL_ROWS, types.boolean,
+    *[REAL_ROW, REAL_ROW, types.float64, REAL_ROW, types.float64] * 2, types.float64, REAL_ROW, types.float64,
+    **COMPILED, **UNCHECKED,
+)  # fmt: skip
+def _mean_elevations(  # type: ignore[no-untyped-def]
+    plain, weighed, tilt, x, y, over, yaw, firsts, lasts, beam, has_axis, offsets, pattern, per_offset, of_offset,
+    most_offset, elevations, elevation_pattern, per_elevation, of_elevation, most_elevation, middle, terms, per_rad,
+):  # fmt: skip
+    """The means of `mean_elevations`; `beam` as in `_Patterns`."""
+    by_place, cos_middle, sin_middle = pattern.size > 1 or terms.size > 1, np.cos(middle), np.sin(middle)
+    pulses, rows = np.empty(TOGETHER, np.int64), np.empty((3, TOGETHER))
+    angle, weight, gain = rows[0], rows[1], rows[2]
+    sums, work = np.empty((5, TOGETHER)), np.empty((3, TOGETHER))
+    for row in range(x.shape[0]):
+        for begin in range(0, x.shape[1], TOGETHER):
+            n = min(TOGETHER, x.shape[1] - begin)
+            sums[:] = 0.0
+            for node in range(ELEVATIONS):
+                _choose_pulses(firsts, lasts, row, begin, n, (node + 0.5) / ELEVATIONS, pulses)
+                for k in range(n):
+                    p, at = max(pulses[k], 0), begin + k
+                    dx, dy, height = x[row, at] - beam[p, 0], y[row, at] - beam[p, 1], beam[p, 2] - over[row, at]
+                    ground = dx * dx + dy * dy
+                    across = height * cos_middle - np.sqrt(ground) * sin_middle
+                    angle[k], gain[k] = across / np.sqrt(ground + height * height), 1.0
+                    weight[k] = 0.0 if pulses[k] < 0 else beam[p, 9]
+                _angles(angle, of_elevation, most_elevation, n)
+                for k in range(n):
+                    angle[k] += middle
+                _multiply(gain, angle, n, elevations, elevation_pattern, per_elevation)
+                if by_place:
+                    for k in range(n):
+                        p, at = max(pulses[k], 0), begin + k
+                        dx, dy, height = x[row, at] - beam[p, 0], y[row, at] - beam[p, 1], beam[p, 2] - over[row, at]
+                        if has_axis:
+                            s = dx * beam[p, 3] + dy * beam[p, 4] - height * beam[p, 5]
+                            s /= np.sqrt(dx * dx + dy * dy + height * height)
+                            angle[k] = s * beam[p, 6] - np.sqrt(max(1.0 - s * s, 0.0)) * beam[p, 7]
+                        else:
+                            offset = yaw[row, at] - beam[p, 8]
+                            angle[k] = offset - TURN * np.rint(offset / TURN)
+                    if has_axis:
+                        _angles(angle, of_offset, most_offset, n)
+                    if pattern.size > 1:
+                        _multiply(weight, angle, n, offsets, pattern, per_offset)
+                    if terms.size > 1:
+                        _weigh(weight, angle, n, terms, per_rad, work)
+                place = 2 * (node + 0.5) / ELEVATIONS - 1
+                for k in range(n):
+                    sums[0, k] += 0.0 if pulses[k] < 0 else gain[k]
+                    sums[1, k] += weight[k]
+                    sums[2, k] += weight[k] * gain[k]
+                    sums[3, k] += weight[k] * place
+                    sums[4, k] += weight[k] * gain[k] * place
+            for k in range(n):
+                at, mean, alone, both = begin + k, sums[0, k] / ELEVATIONS, sums[1, k], sums[2, k]
+                plain[row, at], weighed[row, at] = mean, both / alone if alone > 0 else mean
+                tilt[row, at] = sums[4, k] / both - sums[3, k] / alone if both > 0 else 0.0

@@ -15,7 +15,7 @@ from blocksar.focusing.surfaces import Surface, sum_layers
 BEYOND = 1.2  # half extents of its domain from its middle, at which a smooth ground ends
 ASIDE = 0.02  # of the range, from the point below the antenna to the nearest that is traced
 SHORT = 0.05  # of the fourth moment of the longest dwells: half of their length
-QUANTITIES, GAIN = 6, 3  # range offset, Doppler, phase, gain, time and bend; which of them is the gain
+QUANTITIES = 6  # range offset, Doppler, phase, gain, time and bend
 
 
 @dataclass(frozen=True, kw_only=True)

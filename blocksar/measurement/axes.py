@@ -83,7 +83,8 @@ def _range_gradient(geometry: Geometry, point: FloatArray, time: FloatArray) -> 
 
 
 def response_axes(geometry: Geometry, x: float, y: float, weighting: Weighting = UNIFORM) -> ResponseAxes | None:
-    """Axes of the response of a target at x, y (m); None where it is never lit or its axes coincide.
+    """Axes of the response of a target at x, y (m); None where it is never lit, where the antenna's pattern is zero, or
+    where its axes coincide.
 
     The azimuth band is exact for a ground gradient that turns uniformly over the dwell: it is taken between
     the first and the last edge of the lit pulses (`beam.dwell`), at the carrier.
@@ -108,6 +109,8 @@ def response_axes(geometry: Geometry, x: float, y: float, weighting: Weighting =
     shape: Taper | DwellShape = weighting.azimuth
     if collection.has_pattern:
         shape = _patterned(geometry, point, start, end, azimuth, weighting.azimuth)
+        if not shape.weight.any():
+            return None
     carrier, half_band = collection.carrier, collection.bandwidth / 2
     corners = [2 * (carrier + f) / SPEED_OF_LIGHT * k for f in (-half_band, half_band) for k in (first, middle, last)]
     band = np.abs(np.array(corners) - 2 * carrier / SPEED_OF_LIGHT * middle).max(axis=0)

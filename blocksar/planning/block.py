@@ -25,6 +25,7 @@ from blocksar.planning.block_ground import end_layers, map_loss, plan_ground, tr
 from blocksar.planning.block_lines import CoarseLines, FineLines, follow_terrain
 from blocksar.planning.block_sampling import plan_sampling, plan_slab
 from blocksar.planning.coefficients import Choice, choose
+from blocksar.planning.contrast import dark_contrast
 from blocksar.planning.dwell_gate import plan_dwell_gate, plan_over_band
 from blocksar.planning.fitting import RESAMPLING_ORDERS
 from blocksar.planning.image_edges import ImageEdges
@@ -272,8 +273,9 @@ def _predict(
         targets, layers = _on(targets, usual), end_layers(sector, azimuth, lines)
     imaged = _imaged(sector, lines)
     predicted = predict(
-        targets, sampling.gate, parts=sector.gate_parts, reached=reached, imaged=imaged, band=sector.weighting.range
-    )
+        targets, sampling.gate, parts=sector.gate_parts, reached=reached, imaged=imaged, band=sector.weighting.range,
+        contrast=dark_contrast(sector, lines.epoch_range, lines.yaw),
+    )  # fmt: skip
     for layer in layers:
         others = _on(targets, layer)
         predicted = predicted.or_lobes(worst_lobes(others, sampling.gate, Judged.of(others, reached, imaged)))

@@ -14,15 +14,15 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, by_range, surfaces
-from blocksar.focusing.lines import Focus
+from blocksar.focusing.lines import LEAST_STRETCH, Focus
 from blocksar.focusing.relief_map import NodeHeights, straighten
 from blocksar.focusing.sampling import Sampling
-from blocksar.focusing.surfaces import Surface
+from blocksar.focusing.surfaces import Surface, fit_surface
 from blocksar.kernels.interpolation import taps_needed
 from blocksar.planning.aperture_waves import plan_waves
 from blocksar.planning.binding import AzimuthPart
 from blocksar.planning.block_lines import MORE_RANGES, FineLines, retrace, trace_finely
-from blocksar.planning.relief import Layer, elevation_ratio, map_relief, turns_of
+from blocksar.planning.relief import Layer, map_relief, turns_of
 from blocksar.planning.row_sampling import range_scale
 from blocksar.planning.sector import Sector
 
@@ -78,7 +78,20 @@ def _on_smooth_ground(sector: Sector, sampling: Sampling, lines: FineLines) -> G
         doppler_taps=(taps_needed(filled, error=sector.tap_error), filled),
         tap_error=sector.tap_error,
         tapered=None if sector.wobbling is None else sector.geometry,
+        tilt=None if lines.weights.elevation is None else _tilt(sector, lines),
     )
+
+
+def _tilt(sector: Sector, lines: FineLines) -> Surface:
+    """How fast what the chain makes of echoes grows over the dwell, from -1 to 1, over its mean: see `GroundMap`."""
+    time, weight = lines.lit.time, lines.weights.weigh_chain(lines.line).weight
+    place = 2 * (time - time[..., :1]) / (time[..., -1:] - time[..., :1]) - 1
+    made = np.sqrt(np.maximum(lines.line.stretch, LEAST_STRETCH)) * lines.spots.levels
+    total = weight.sum(axis=-1)
+    middle = ((weight * place).sum(axis=-1) / total)[..., None]
+    slope = (weight * (place - middle) * made).sum(axis=-1) / (weight * (place - middle) ** 2).sum(axis=-1)
+    tilt = slope * total / (weight * made).sum(axis=-1)
+    return fit_surface(tilt, along=sector.ground_range, yaw=lines.yaw, degree=_degree(sector, lines))
 
 
 def _surfaces(sector: Sector, lines: FineLines, spots: Focus) -> tuple[Surface, ...]:
@@ -158,9 +171,11 @@ def _carrier_time(sector: Sector, lines: FineLines, spots: Focus) -> FloatArray:
     """Time (n_range, n_yaw), s, about which a target's response is interpolated along Doppler: the middle of its dwell.
 
     Where all pulses are summed their weights can tilt, up to ten to one at the rim of a beam. Their mean would leave
-    the first or the last of them beyond what the taps pass.
+    the first or the last of them beyond what the taps pass. Nor does a series follow it where a pattern in elevation
+    has zeros.
     """
-    if sector.staying is None or lines.weights.uniform:
+    tilted = sector.staying is not None or sector.geometry.collection.elevation_pattern is not None
+    if not tilted or lines.weights.uniform:
         return spots.time
     return np.asarray((spots.line.time[..., 0] + spots.line.time[..., -1]) / 2)
 
@@ -177,9 +192,6 @@ def _raise(sector: Sector, azimuth: AzimuthPart, ground: GroundMap, lines: FineL
     relief, rng, yaw = sector.relief, lines.epoch_range, lines.yaw
     assert relief is not None
     layers = [_layer(sector, azimuth, lines, sector.over(offset).geometry) for offset in relief.offsets.tolist()]
-    if sector.geometry.collection.elevation_pattern is not None:
-        of_smooth = sector.geometry, rng, yaw
-        layers = [layer._replace(pattern=elevation_ratio(layer.geometry, *of_smooth)) for layer in layers]
     turns = []
     if sector.geometry.collection.has_axis:
         turns = [turns_of(layer.geometry, sector.geometry, rng, yaw) for layer in layers]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from types import EllipsisType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, Taper, Weighting
 from blocksar.focusing.dwell_taper import faded_taper
 from blocksar.focusing.lines import Line
+from blocksar.focusing.pattern_sums import LEAST_ELEVATION
 from blocksar.planning.steadiness import scans_evenly
 
 Sums = TypeVar("Sums", FloatArray, Complex128Array)
@@ -42,7 +43,9 @@ class DwellWeights:
     change : (..., n) float
         Of these weights per relative range frequency f / fc, which moves echoes in time.
     pattern : (..., n) float or None
-        The antenna's pattern g at the nodes of lines.
+        The antenna's pattern over the beam at the nodes of lines.
+    elevation : (..., n) float or None
+        That in elevation, no smaller than `pattern_sums.LEAST_ELEVATION`.
     lit_band : (...) float
         Band of Doppler that is lit at a time where the target is, Hz.
     share : (..., n) float or None
@@ -56,6 +59,7 @@ class DwellWeights:
     alone: FloatArray | float = 1.0
     change: FloatArray | float = 0.0
     pattern: FloatArray | None = None
+    elevation: FloatArray | None = None
     lit_band: FloatArray | float = 1.0
     share: FloatArray | None = None
 
@@ -69,24 +73,36 @@ class DwellWeights:
         return float(self.taper(np.array(1.0)))
 
     def gains(self, side: int) -> FloatArray | None:
-        """Legendre series (..., n) of g^2 over the dwell, from its begin (side -1) or from its end; None without one.
+        """Legendre series (..., n) of the square of `pattern` over the dwell, from its begin (side -1) or from its end.
 
-        The beam passes a target as all that is lit at one of its ends lies in it.
+        None without one. The beam passes a target as all that is lit at one of its ends lies in it.
         """
         if self.pattern is None:
             return None
         n = self.pattern.shape[-1]
         return solvers.product(self.pattern[..., ::-side] ** 2, solvers.legendre_series(n, n - 1).T)
 
+    def level(self, side: int) -> FloatArray | float:
+        """The square of the pattern in elevation at the begin of dwells (side -1) or at their end; 1 without one.
+
+        All that is lit there at a target's range has about the same.
+        """
+        return 1.0 if self.elevation is None else self.elevation[..., 0 if side < 0 else -1] ** 2
+
     def weigh(self, line: Line) -> Line:
         """The lines with these weights; as they are where all weights are 1."""
         return line if self.uniform else line.weighed(self.nodes)
 
     def weigh_chain(self, line: Line) -> Line:
-        """The lines with the weights that the chain gives them: without what is back-projected."""
-        if self.share is None:
+        """The lines with the weights that a chain is calibrated by: without what is back-projected.
+
+        Nor do they have a pattern in elevation: by it, places, phases and gains would bend near zeros as no series over
+        the ground does.
+        """
+        if self.share is None and self.elevation is None:
             return self.weigh(line)
-        return line.weighed(self.nodes * np.maximum(self.share, LEAST_SHARE))
+        weights = self.nodes if self.elevation is None else self.nodes / self.elevation
+        return line.weighed(weights if self.share is None else weights * np.maximum(self.share, LEAST_SHARE))
 
     def with_edges(
         self, summed: Sums, gain: FloatArray | float = 1.0, *, at: tuple[int, ...] | EllipsisType = ...
@@ -155,10 +171,28 @@ def dwell_weights(
     )  # fmt: skip
     if not collection.has_pattern:
         return weights
-    gain = at_times(geometry, x, y, time, pattern_gain, z)
+    gain = np.ones(nodes.shape)
+    if collection.beam_pattern is not None:
+        gain = at_times(geometry.lit_by(collection.without_elevation), x, y, time, pattern_gain, z)
+        weights = replace(weights, pattern=gain)
+    if collection.elevation_pattern is not None:
+        elevation = at_times(_elevation_alone(geometry), x, y, time, pattern_gain, z)
+        gain, weights = gain * elevation, replace(weights, elevation=elevation)
     # The outer nodes lie close to the ends: by half a hundredth of the dwell.
     at_ends = np.sqrt((gain[..., 0] ** 2 + gain[..., -1] ** 2) / 2)
-    return replace(weights, nodes=nodes * gain, edge=edge * at_ends, patterned=True, change=change * gain, pattern=gain)
+    return replace(weights, nodes=nodes * gain, edge=edge * at_ends, patterned=True, change=change * gain)
+
+
+def _elevation_alone(geometry: Geometry) -> Geometry:
+    """The geometry with the pattern in elevation only, and that nowhere smaller than in an image.
+
+    Targets that have no weight have no focus.
+    """
+    pattern = geometry.collection.elevation_pattern
+    assert pattern is not None
+    least = LEAST_ELEVATION * float(pattern.max())
+    changes: Any = {"beam_offset": None, "beam_pattern": None, "elevation_pattern": np.maximum(pattern, least)}
+    return geometry.lit_by(replace(geometry.collection, **changes))
 
 
 def taper_over_dwells(collection: Collection, weighting: Weighting) -> Taper:

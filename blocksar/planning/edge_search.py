@@ -83,14 +83,17 @@ def find_edges(plan: Callable[[float, int, int, bool], P], choose: Callable[[flo
 def _times(plan: Dwelling, times: float) -> float:
     """How many times their least length edges should have, where they have `times` of it.
 
-    Whole dwells under a beam about its axis need edges where their ends lose more than the fidelity allows in all:
-    these may move unevenly along Doppler, so that no gate is the best one that `plan_edges` counts with.
+    Whole dwells under a beam about its axis, or with a pattern in elevation, need edges where their ends lose more than
+    the fidelity allows in all: these may move unevenly along Doppler, so that no gate is the best one that `plan_edges`
+    counts with, or have larger weights than all the rest of their dwells.
     """
     if plan.refusal is not None:
         return times
     lost, allowed = max(block.prediction.dispersion_loss for block in plan.blocks), 1 - plan.fidelity
+    collection = plan.geometry.collection
     if not plan.fade:
-        return 1.0 if times == 0 and plan.geometry.collection.has_axis and lost > allowed else times
+        uneven = collection.has_axis or collection.elevation_pattern is not None
+        return 1.0 if times == 0 and uneven and lost > allowed else times
     twice = 2 * max(times, 1.0)
     spare = lost <= LONGER_SHARE * allowed or 1 - plan.coherence <= allowed
     return times if spare or twice > MOST_TIMES or plan.fade < 2 * LEAST_FADE else twice

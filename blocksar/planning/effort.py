@@ -33,6 +33,7 @@ STEPS = 8.5e-11  # per operation of the blocks' transforms and resamplings, as P
 EDGES = 7e-7  # per written pixel of a patch's chunks whose edges of dwells are back-projected
 CORRECT = 2.7e-8  # per written pixel of a patch's chunks
 ON_TERRAIN = 1.3e-8  # more on a terrain: heights, and their part of the correction
+ELEVATION = 5e-7  # more with a pattern in elevation, whose means it divides by
 LAYERS = 1.1e-8  # per pixel of a chunk whose layers are added, on a terrain
 MERGE = 1.3e-8  # per merged pixel of a patch's chunk
 INSPECT = 2e-8  # per sample
@@ -76,6 +77,7 @@ def of_plan(plan: Plan, *, echo_samples: int = 0, workers: int = 1) -> Work:
     collection, side = plan.geometry.collection, image_chunk(plan.grid)
     written = CORRECT + _completing(plan)
     written += 0.0 if plan.geometry.terrain is None else ON_TERRAIN
+    written += 0.0 if collection.elevation_pattern is None else ELEVATION * (1 + plan.completed)
     columns = np.diff([*range(0, collection.n_range_frequency, plan.column_group), collection.n_range_frequency])
     chunks = [touched_chunks(block.ground, plan.grid) for block in plan.blocks]
     patches = Counter(chunk for touched in chunks for chunk in touched)  # by chunk of the mosaic

@@ -97,6 +97,7 @@ def worst_losses(
     reached: BoolArray | None = None,
     band: Taper = FLAT,
     edges: Sequence[ImageEdges] = (),
+    contrast: FloatArray | None = None,
 ) -> Losses:
     """Losses of the target with full dwell that loses most; on a terrain, of those that are there, if any of them is.
 
@@ -116,9 +117,12 @@ def worst_losses(
     band : Taper
         Weighting along range frequency.
     edges : sequence of ImageEdges
+    contrast : (n_range, n_yaw) float, optional
+        From `contrast.dark_contrast`: ends lose so many times as much.
     """
     phase, migration = _along_dwell(targets, band)
     ends = np.zeros_like(phase) if gate is None else _gated(targets, gate, parts=parts, reached=reached, band=band)
+    ends = ends if contrast is None else ends * contrast
     for edge in edges:
         phase, migration, ends = (edge.at(each) for each in (phase, migration, ends))
         full = full | edge.before | edge.behind
@@ -221,7 +225,7 @@ def _at_ends(targets: TracedTargets, gate: DwellGate, *, parts: int, by_lit: boo
                 left, displaced, spread, blur=gate.blur, pulse_interval=collection.pulse_interval,
                 lit_band=weights.lit_band, band=band_nodes(band, BAND_NODES), gain=weights.gains(side),
             )  # fmt: skip
-            total = (total + lift_energy(gate.blur, gate.lift)) * CHIPS * weights.end**2
+            total = (total + lift_energy(gate.blur, gate.lift)) * CHIPS * weights.end**2 * weights.level(side)
         else:
             total = blurred_energy(left, displaced, spread, gate.blur, collection.pulse_interval, band)
             total = (total + lift_energy(gate.blur, gate.lift)) * np.square(weights.edge)

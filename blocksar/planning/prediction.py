@@ -74,6 +74,7 @@ def predict(
     reached: BoolArray | None = None,
     imaged: tuple[ImageEdges, ImageEdges] | None = None,
     band: Taper = FLAT,
+    contrast: FloatArray | None = None,
 ) -> Prediction:
     """The worst figures of traced targets under a gate of `parts` over the band, and a weighting `band` along it.
 
@@ -82,7 +83,7 @@ def predict(
     weights at these times. They differ from the taper's where a beam does not turn evenly, an antenna has a pattern, or
     dwells are cut: on the curved track of `paper_b` by 0.5 dB under a taper. On a terrain `reached` (n_range, n_yaw)
     tells which of the targets there are, and `imaged` where the image begins and ends along yaw and along range: a
-    block may be wider than the grid, and the range window slants over a wide one.
+    block may be wider than the grid, and the range window slants over a wide one. `contrast` is that of `worst_losses`.
     """
     line, spots, weights, geometry = targets.line, targets.spots, targets.weights, targets.geometry
     rng, yaw = targets.epoch_range, targets.yaw
@@ -108,6 +109,7 @@ def predict(
         reached=reached,
         band=band,
         edges=judged.edges,
+        contrast=contrast,
     )
     return Prediction(
         residual_phase=float(residual[judged.there].max()),

@@ -12,11 +12,10 @@ from numpy.polynomial import chebyshev
 
 from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray, IntArray
-from blocksar.collection.beam import at_times, beam_offset, dwell_at, pattern_gain, wrapped
-from blocksar.collection.collection import Collection
+from blocksar.collection.beam import at_times, beam_offset, dwell_at, wrapped
 from blocksar.collection.geometry import Geometry
 from blocksar.focusing.lines import Focus, Line
-from blocksar.focusing.relief_map import GAIN, QUANTITIES, Depth, ReliefMap, SmoothGround
+from blocksar.focusing.relief_map import QUANTITIES, Depth, ReliefMap, SmoothGround
 from blocksar.focusing.surfaces import GroundRange, Surface, fit_surface
 
 SMOOTH_DEGREE = 2, 2  # of the smooth ground, along range and yaw, on which coefficients are fitted: no finer is better
@@ -293,21 +292,6 @@ def turns_of(raised: Geometry, smooth: Geometry, epoch_range: FloatArray, yaw: F
     return turn
 
 
-def elevation_ratio(raised: Geometry, smooth: Geometry, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
-    """The pattern in elevation at targets of a raised ground (n_range, n_yaw) over that at the smooth one's."""
-    collection = smooth.collection
-    first, last = np.clip(dwell_at(raised, yaw, epoch_range[:, None]), collection.time[0], collection.time[-1])
-    alone = Collection(**{**collection.as_dict(), "beam_offset": None, "beam_pattern": None})
-
-    def gain(geometry: Geometry) -> FloatArray:
-        at = epoch_range[:, None], yaw
-        of = replace(geometry, collection=alone)
-        return at_times(of, *geometry.ground_axes(*at), (first + last) / 2, pattern_gain, geometry.level(*at))
-
-    here = gain(smooth)
-    return np.where(here > 0, gain(raised) / np.where(here > 0, here, 1.0), 1.0)
-
-
 class Layer(NamedTuple):
     """Targets at some heights: their lines after all steps, without the bend, and their focus."""
 
@@ -316,7 +300,6 @@ class Layer(NamedTuple):
     bend: FloatArray
     spots: Focus
     rate: FloatArray  # Doppler rate before the steps in Doppler, Hz/s
-    pattern: FloatArray | None = None  # from `elevation_ratio`, where there is a pattern in elevation
 
 
 def map_relief(
@@ -330,9 +313,6 @@ def map_relief(
     fitted = [
         [*surfaces(layer.spots), fit_surface(layer.bend, along=along, yaw=yaw, degree=degree)] for layer in layers
     ]
-    for row, layer in zip(fitted, layers, strict=True):
-        if layer.pattern is not None:
-            row[GAIN] = fit_surface(layer.spots.gain * layer.pattern, along=along, yaw=yaw, degree=degree)
     for surfaces_of_layer, turn in zip(fitted, turns, strict=False):
         surfaces_of_layer.append(fit_surface(turn, along=along, yaw=yaw, degree=degree))
     terms = []

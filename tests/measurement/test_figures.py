@@ -386,6 +386,13 @@ def test_a_target_that_is_never_lit_is_reported_but_not_measured() -> None:
     assert np.isnan(found.azimuth_irw_theory)
 
 
+def test_a_target_at_a_zero_of_the_antenna_s_pattern_has_no_axes() -> None:
+    pattern = {"elevation": np.array([0.2, 0.4, 0.45, 0.6]), "elevation_pattern": np.array([1.0, 0.0, 0.0, 1.0])}
+    geometry = Geometry(collection=axis_collection(**pattern))
+    assert response_axes(geometry, 9000.0, 0.0) is None
+    assert response_axes(geometry, 7000.0, 0.0) is not None
+
+
 def test_a_grid_too_coarse_is_refused_with_the_spacing_needed() -> None:
     target = target_at()
     image_x, image_y = grid_about(target, spacing=2.0)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from axis_beams import MODES, axis_collection, spotlight, with_patterns
+from plan_images import focus
 from strips import DISTANCE, strip_collection
 
 from blocksar.api.plan_lines import short_dwells, wobbling_beam
@@ -20,9 +21,6 @@ from blocksar.collection.region import plan_region
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import PrfTooLow
 from blocksar.focusing.backprojection import form_image, form_points
-from blocksar.focusing.correction import correct
-from blocksar.focusing.dwell_edges import add_edges, edge_profiles, take_unlit
-from blocksar.focusing.recovery import recover_columns
 from blocksar.measurement.coherence import coherence
 from blocksar.planning.edges import LEAST_FADE
 from blocksar.planning.plan import Plan
@@ -48,35 +46,6 @@ def clutter(collection: Collection, grid: Grid) -> ComplexArray:
     x, y = rng.uniform(grid.x0 - 60, grid.x1 + 60, n), rng.uniform(grid.y0 - 300, grid.y1 + 300, n)
     sigma = rng.standard_normal(n) + 1j * rng.standard_normal(n)
     return simulate_pulses(collection, x, y, sigma, threads=2)
-
-
-def focus(plan: Plan, signal: ComplexArray) -> ComplexArray:
-    """All blocks of a plan, on its grid."""
-    frequency, grid = plan.geometry.collection.range_frequency, plan.grid
-    spectrum = recover_columns(signal, range_frequency=frequency, recovery=plan.recovery, threads=2)
-    image = np.full(grid.shape, np.nan, np.complex64)
-    for block in plan.blocks:
-        slab = np.ascontiguousarray(spectrum[block.first_bin : block.first_bin + block.n_bin].T)
-        for step in block.chain:
-            slab = step.apply(slab, threads=2)
-        part = correct(np.ascontiguousarray(slab), block.ground, x=grid.x, y=grid.y, threads=2)
-        kept = edge_profiles(
-            lambda pulses: signal[pulses], plan.geometry.collection, plan.weighting, fade=plan.fade, threads=2
-        )
-        if plan.stays:
-            take_unlit(
-                part, kept, plan.geometry, x=grid.x, y=grid.y, total=block.ground.lit_at,
-                valid=np.ones(signal.shape[0]), weighting=plan.weighting, threads=2,
-            )  # fmt: skip
-        if plan.fade:
-            lit = block.ground.lit_at(*np.meshgrid(grid.x, grid.y))
-            add_edges(
-                part, kept, plan.gated.over(plan.geometry), x=grid.x, y=grid.y, lit=lit,
-                valid=np.ones(signal.shape[0]), fade=plan.fade, weighting=plan.weighting, threads=2,
-                wobbling=plan.geometry if plan.gated.wobbles else None,
-            )  # fmt: skip
-        image[~np.isnan(part)] = part[~np.isnan(part)]
-    return image
 
 
 # The sliding spotlight is focused with weights below.

@@ -61,6 +61,8 @@ def find_support(geometry: Geometry, scp: FloatArray, weighting: Weighting = UNI
     half = collection.range_frequency[-1] + (collection.range_frequency[1] - collection.range_frequency[0]) / 2
     frequency = collection.carrier + np.linspace(-half, half, 65)
     over_dwell = np.broadcast_to(dwell_weight(geometry, scp[0], scp[1], time, weighting.azimuth), time.shape)
+    if not over_dwell.any():  # at a zero of the antenna's pattern
+        over_dwell = np.ones(time.shape)
     weights = np.multiply.outer(weighting.range(np.linspace(-1, 1, 65)), over_dwell)
     return Support(
         2 / SPEED_OF_LIGHT * np.multiply.outer(frequency, sight[:, :2]).reshape(-1, 2), weights.ravel(), last - first
