@@ -19,8 +19,9 @@ from blocksar.collection.beam import lit_passes
 from blocksar.collection.collection import Collection
 from blocksar.collection.weighting import Taper
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.focusing.pattern_sums import mean_elevations
+from blocksar.focusing.pattern_sums import ElevationMeans, mean_elevations
 from blocksar.focusing.relief_map import NodeHeights
+from blocksar.planning.relief import Relief
 from blocksar.planning.sector import Sector
 
 MOST_PLACES = 1 << 16  # of a block's terrain that are looked at
@@ -41,23 +42,11 @@ def dark_contrast(sector: Sector, epoch_range: FloatArray, yaw: FloatArray) -> F
     epoch_range, yaw : (n_range,), (n_yaw,) float
         Ascending, m and rad.
     """
-    relief, geometry = sector.relief, sector.lit
-    collection = geometry.collection
-    factor = np.ones((epoch_range.size, yaw.size))
-    if relief is None or collection.elevation_pattern is None:
+    collection = sector.lit.collection
+    if sector.relief is None or collection.elevation_pattern is None:
         return None
-    u, v, over = (values[:: math.ceil(values.size / MOST_PLACES)] for values in relief.points if values.size)
-    at = (
-        (sector.near + sector.far + u * (sector.far - sector.near)) / 2,
-        (sector.low + sector.high + v * (sector.high - sector.low)) / 2,
-    )
-    ground = geometry.over(None, NodeHeights(smooth=relief.fine, over=over))
-    x, y = (axis[None] for axis in ground.ground_axes(*at))
-    z = np.broadcast_to(ground.level(*at), x.shape)
-    means = mean_elevations(
-        geometry, x, y, z - collection.ground_height, passes=lit_passes(geometry, x, y, z)
-    )  # fmt: skip
-    shown = ~means.dark(geometry)[0]
+    u, v, means = _look_at_terrain(sector, sector.relief)
+    shown = ~means.dark(sector.lit)[0]
     power, u, v = means.plain[0, shown] ** 2, u[shown], v[shown]
     cell = SPEED_OF_LIGHT / (2 * collection.bandwidth)
     # Places of equal range: a few cells of it where there are not many places.
@@ -72,8 +61,22 @@ def dark_contrast(sector: Sector, epoch_range: FloatArray, yaw: FloatArray) -> F
     worse = mean / (1 + _far_share(collection, sector.taper) * mean)
     places = 2 * (np.arange(n_row) + 0.5) / n_row - 1, 2 * (np.arange(n_column) + 0.5) / n_column - 1
     nearest = [_nearest(axis, at) for axis, at in zip((epoch_range, yaw), places, strict=True)]
+    factor = np.ones((epoch_range.size, yaw.size))
     np.maximum.at(factor, tuple(np.meshgrid(*nearest, indexing="ij")), worse.reshape(n_row, n_column))
     return factor
+
+
+def _look_at_terrain(sector: Sector, relief: Relief) -> tuple[FloatArray, FloatArray, ElevationMeans]:
+    """Places in range and yaw, -1 .. 1, of samples of a block's terrain (n,), and means of the pattern there (1, n)."""
+    geometry = sector.lit
+    u, v, over = (values[:: max(math.ceil(values.size / MOST_PLACES), 1)] for values in relief.points)
+    epoch_range = (sector.near + sector.far + u * (sector.far - sector.near)) / 2
+    yaw = (sector.low + sector.high + v * (sector.high - sector.low)) / 2
+    ground = geometry.over(None, NodeHeights(smooth=relief.fine, over=over)).ground_point(epoch_range, yaw)
+    known = np.isfinite(ground).all(axis=-1)
+    x, y, z = ground[known].T[:, None]
+    height, passes = z - geometry.collection.ground_height, lit_passes(geometry, x, y, z)
+    return u[known], v[known], mean_elevations(geometry, x, y, height, passes=passes)
 
 
 def _far_share(collection: Collection, taper: Taper) -> float:
