@@ -274,7 +274,7 @@ def _predict(
     imaged = _imaged(sector, lines)
     predicted = predict(
         targets, sampling.gate, parts=sector.gate_parts, reached=reached, imaged=imaged, band=sector.weighting.range,
-        contrast=dark_contrast(sector, lines.epoch_range, lines.yaw),
+        contrast=None if sampling.gate is None else dark_contrast(sector, lines.epoch_range, lines.yaw),
     )  # fmt: skip
     for layer in layers:
         others = _on(targets, layer)

@@ -48,6 +48,8 @@ class Relief:
         Least and greatest z, m.
     points : three of (n,) float
         Samples: places in ground range and yaw, -1 .. 1, and heights over the finer smooth part, m.
+    samples : Samples
+        Those of all of the terrain.
     """
 
     smooth: SmoothGround
@@ -57,6 +59,7 @@ class Relief:
     lowest: float
     highest: float
     points: tuple[FloatArray, FloatArray, FloatArray]
+    samples: Samples
 
     @property
     def offsets(self) -> FloatArray:
@@ -164,7 +167,7 @@ def find_relief(
     return Relief(
         smooth=smooth, fine=fine, low=float(over.min()) - room, high=float(over.max()) + room,
         lowest=float(z.min()) if z.size else level, highest=float(z.max()) if z.size else level,
-        points=(u, v, z - fine(*at)),
+        points=(u, v, z - fine(*at)), samples=samples,
     )  # fmt: skip
 
 
