@@ -15,6 +15,7 @@ from blocksar import stores
 from blocksar.api.arguments import GridLike, control_points, grid_of, history_of, memory_of
 from blocksar.api.ground import read_ground
 from blocksar.api.reports import Report
+from blocksar.api.track_places import TrackPlace
 from blocksar.api.tracks import TrackEstimate
 from blocksar.autofocusing.finishing import Result
 from blocksar.collection.surface import Surface
@@ -108,13 +109,14 @@ def autofocus(
         If processing fails; finished work stays, and the same call goes on with it.
     """
     listener, target = as_listener(progress), place(out)
-    history = history_of(source).pinned()
+    history = history_of(source)
     stored = not isinstance(history, stores.DatasetHistory)
     if stored and (lies_in(history.path, target) or lies_in(target, history.path)):
         raise InputError(f"--out {target} and the input {history.path} lie in each other; choose another place")
     ground, within = Ground(terrain=terrain, surface=surface, vertical=vertical), grid_of(grid)
+    work = TrackPlace.of(place(f"{target}.autofocus"), [history])
     estimate = TrackEstimate(
-        history=history, folder=place(f"{target}.autofocus"), fingerprint=history.fingerprint(), grid=within,
+        channels=work.channels[0], folder=work.folder, fingerprint=work.fingerprints[0], grid=within,
         control=control_points(control, source), ground=ground,
         terrain=read_ground(ground, history.collection.centred(), within, dict(history.attrs)),
     )  # fmt: skip
@@ -174,7 +176,7 @@ def _write(
     overwrite: bool,
 ) -> tuple[Sequence[Receipt], dict[str, Any]]:
     """Write the store with its track corrected, in a folder that this process has claimed; receipts and attribute."""
-    source, made = estimate.stored(), estimate.folder / "store.zarr"
+    source, made = estimate.stored()[0], estimate.folder / "store.zarr"
     receipts = copy_store(client, source.path, made, run, listener)
     listener.begin("finish")
     attribute = estimate.attribute(result)

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -266,32 +267,50 @@ def _located(
     return x, y
 
 
-def select_points(candidates: Sequence[Candidates], work: Work) -> Points:
+class Chosen(NamedTuple):
+    """The channel that tells most of the track, by its number, and its points."""
+
+    channel: int
+    points: Points
+
+
+def select_points(channels: Sequence[Sequence[Candidates]], work: Work) -> Chosen:
     """Keep the points that stand out in most of the short apertures that see them, spread over the scene.
+
+    Of several channels, which have one track, those of the one whose points tell most of it: the sum of their scores,
+    the logarithm of their power over that of their surroundings. It is what points that err independently tell of a
+    phase, in nats; a single bright one does not decide it. Of equals, the first.
 
     Parameters
     ----------
-    candidates : sequence of Candidates
-        Of `work.apertures`, in their order.
+    channels : sequence of sequences of Candidates
+        Of each channel, those of `work.apertures`, in their order.
 
     Raises
     ------
     Refused
-        If there are fewer than `Settings.least_points`.
+        If no channel has as many as `Settings.least_points`.
     """
-    x, y, prominence = (np.concatenate([getattr(c, name) for c in candidates]) for name in ("x", "y", "prominence"))
-    middles = np.concatenate([c.middle for c in candidates])
-    gaps = gaps_between([c.seen for c in candidates], work)
-    kept = best_points(x, y, prominence, middles, gaps, work) if x.size else []
-    if len(kept) < work.settings.least_points:
+    places, told, counts = [], [], []
+    for candidates in channels:
+        x, y, prominence = (np.concatenate([getattr(c, name) for c in candidates]) for name in ("x", "y", "prominence"))
+        middles = np.concatenate([c.middle for c in candidates])
+        gaps = gaps_between([c.seen for c in candidates], work)
+        kept, score = best_points(x, y, prominence, middles, gaps, work) if x.size else ([], np.zeros(0))
+        places.append((x[kept], y[kept]))
+        counts.append(len(kept))
+        told.append(float(score[kept].sum()) if len(kept) >= work.settings.least_points else -1.0)
+    if max(told) < 0:
+        of = "" if len(channels) == 1 else ", in the channel that has most of them"
         raise Refused(
-            f"{len(kept)} points stand out in the scene, but the track's error is told from at least "
+            f"{max(counts)} points stand out in the scene{of}, but the track's error is told from at least "
             f"{work.settings.least_points}; give a larger --grid, or focus the phase history as it is"
         )
-    index = np.array(kept)
-    first, last = lit_interval(work.geometry, x[index], y[index])
-    z = np.broadcast_to(work.geometry.height(x[index], y[index]), index.shape).copy()
-    return Points(x=x[index], y=y[index], z=z, first=first, last=last)
+    channel = told.index(max(told))
+    x, y = places[channel]
+    first, last = lit_interval(work.geometry, x, y)
+    z = np.broadcast_to(work.geometry.height(x, y), x.shape).copy()
+    return Chosen(channel, Points(x=x, y=y, z=z, first=first, last=last))
 
 
 def gaps_between(seen: Sequence[IntArray], work: Work) -> list[slice]:
@@ -307,8 +326,8 @@ def gaps_between(seen: Sequence[IntArray], work: Work) -> list[slice]:
 
 def best_points(
     x: FloatArray, y: FloatArray, prominence: FloatArray, middles: FloatArray, gaps: Sequence[slice], work: Work
-) -> list[int]:
-    """Indices of the candidates that are kept: those that are the same point count for its score.
+) -> tuple[list[int], FloatArray]:
+    """Indices of the candidates that are kept, and scores of all: those that are the same point count for its score.
 
     The score is a mean over the short apertures that light the point; those in a gap, not among `middles`, see nothing.
     """
@@ -332,7 +351,7 @@ def best_points(
         if both[kept].sum() < ACROSS:
             across = _spread(np.where(both, score, 0.0), epoch, yaw, work, cell_yaw)[:ACROSS]
             kept = _spread(score, epoch, yaw, work, cell_yaw, across)
-    return kept
+    return kept, score
 
 
 def _yaw_cell(work: Work) -> float:

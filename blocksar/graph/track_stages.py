@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import chain, islice
 from typing import Any
 
 from distributed import Client
@@ -49,7 +50,7 @@ MISSING = 1 / 3  # of the pulses; with more of them missing, the error cannot be
 
 def estimate_track(
     client: Client,
-    source: stores.PhaseHistory,
+    channels: Sequence[stores.PhaseHistory],
     run: Run,
     grid: Grid | None,
     control: Control | None,
@@ -59,27 +60,39 @@ def estimate_track(
 ) -> tuple[list[Receipt], Result]:
     """Estimate the error of a phase history's track; return the receipts and the corrected track.
 
-    Control points, if there are some, anchor what the samples alone do not tell. A task that runs alone has `threads`.
-    Points stand on the terrain, by default on the plane z = ground_height.
+    Its channels have one track: it is estimated from the one that `select_points` takes. Control points, if there are
+    some, anchor what the samples alone do not tell. A task that runs alone has `threads`. Points stand on the terrain,
+    by default on the plane z = ground_height.
 
     Raises
     ------
     InputError
         If the samples do not tell of it.
     """
-    collection, store = source.collection, run.folder / "collection.zarr"
+    collection, store = channels[0].collection, run.folder / "collection.zarr"
     run.establish(store, lambda: stores.write_collection(store, collection))
     if terrain is not None:
         run.establish(run.terrain, partial(stores.write_terrain, run.terrain, terrain))
     work = work_of(str(run.folder), run.identity, grid)
-    (segment,), (receipts,) = compress_raw(
-        client, [Segment(source=source, geometry=work.geometry, plan=None)], run, listener
+    numbers = range(len(channels)) if len(channels) > 1 else [None]
+    segments, compressed = compress_raw(
+        client,
+        [
+            Segment(collection=number, source=source, geometry=work.geometry, plan=None)
+            for number, source in zip(numbers, channels, strict=True)
+        ],
+        run,
+        listener,
     )
-    source = segment.source
     stage = partial(_run_stage, client, run, listener)
-    searched = stage("search", _search(client, run, source, work, grid))
-    selected = stage("select", [single_task(client, run, "select", "points", select, _files(searched), grid)])
-    receipts += [*searched, *selected]
+    searches = [_search(client, run, segment, work, grid) for segment in segments]
+    searched = stage("search", list(chain(*searches)))
+    done = iter(searched)
+    candidates = [_files(list(islice(done, len(some)))) for some in searches]
+    selected = stage("select", [single_task(client, run, "select", "points", select, candidates, grid)])
+    chosen = (selected[0].found or {})["channel"]
+    source = segments[chosen].source
+    receipts = [*chain(*compressed), *searched, *selected]
     alone = replace(run, threads=threads)
     correction: Files = {}
     for loop in range(1, work.settings.loops + 1):
@@ -107,7 +120,10 @@ def estimate_track(
         given = (_files(finished), control, _files(chips), correction, grid)
         finished = stage("anchor", [single_task(client, run, "anchor", "anchored", anchor_track, *given)])
         receipts += [*known, *chips, *finished]
-    return receipts, kept(run, Result, finished[0].files)[0]
+    result = kept(run, Result, finished[0].files)[0]
+    if len(channels) > 1:
+        result = replace(result, figures={**result.figures, "channel": channels[0].channels[chosen]})
+    return receipts, result
 
 
 def _run_stage(client: Client, run: Run, listener: Listener, name: str, units: Sequence[Unit]) -> list[Receipt]:
@@ -119,12 +135,14 @@ def _files(receipts: Sequence[Receipt]) -> Files:
     return {name: checksum for receipt in receipts for name, checksum in receipt.files.items()}
 
 
-def _search(client: Client, run: Run, source: stores.PhaseHistory, work: Work, grid: Grid | None) -> list[Unit]:
-    units = []
+def _search(client: Client, run: Run, segment: Segment, work: Work, grid: Grid | None) -> list[Unit]:
+    """The search in the short apertures of a channel, which is a segment's source and has its `collection` number."""
+    units, source = [], segment.source
+    of = "" if segment.collection is None else f"-of-channel-{segment.collection}"
     for first, end in spans(len(work.apertures), SEARCHED):
         pulses = [(one.start, one.stop) for one in work.apertures[first:end]]
         within = source.within(pulses=slice(pulses[0][0], pulses[-1][1]))
-        units.append(single_task(client, run, "search", f"candidates-{first}", search_pulses, within, pulses, grid))
+        units.append(single_task(client, run, "search", f"candidates-{first}{of}", search_pulses, within, pulses, grid))
     return units
 
 

@@ -69,17 +69,18 @@ def search_pulses(
     return sign(run, Receipt(unit=unit, stage="search", files=keep(run, f"{unit}.npz", found)), started)
 
 
-def select(run: Run, unit: str, candidates: Files, grid: Grid | None) -> Receipt:
-    """Select the points of the estimate."""
+def select(run: Run, unit: str, candidates: Sequence[Files], grid: Grid | None) -> Receipt:
+    """Select the points of the estimate from the candidates of each channel, and the channel that they are of."""
     started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
-    found = kept(run, Candidates, candidates)
-    if not any(one.x.size for one in found):
+    found = [kept(run, Candidates, files) for files in candidates]
+    if not any(one.x.size for some in found for one in some):
         raise InputError(
             f"0 points stand out in the scene, but the track's error needs at least {work.settings.least_points}; "
             "give another --grid, or another collection"
         )
-    points = select_points(found, work)
-    return sign(run, Receipt(unit=unit, stage="select", files=keep(run, f"{unit}.npz", [points])), started)
+    chosen = select_points(found, work)
+    files = keep(run, f"{unit}.npz", [chosen.points])
+    return sign(run, Receipt(unit=unit, stage="select", files=files, found={"channel": chosen.channel}), started)
 
 
 def chips_of_pulses(
