@@ -121,12 +121,13 @@ def autofocus(
         terrain=read_ground(ground, history.collection.centred(), within, dict(history.attrs)),
     )  # fmt: skip
     if (attribute := _finished(target, estimate)) is not None:
-        estimate.folder.remove()
+        run_folder.remove_estimate(work.folder)
         return Report(
             summary=[f"{target} is finished already with these settings and this input: nothing to do"],
             result=attribute,
         )
     stores.refuse_existing(target, overwrite=overwrite)
+    run_folder.refuse_foreign(work.folder)
     with ExitStack() as stack:
         connected, limit = None, memory_of(memory_limit)
         if client is not None or scheduler is not None:
@@ -139,15 +140,15 @@ def autofocus(
         stack.enter_context(run_folder.claim(estimate.folder))
         stores.refuse_existing(target, overwrite=overwrite)  # again: another process may have written it meanwhile
         clock = time.perf_counter()
-        try:
-            with run_folder.resumable(), estimate.connected(machine, connected, listener) as client_:
-                receipts, result = estimate.carry_out(client_, machine, listener, local=connected is None)
-                run = estimate.run(machine.threads)
-                copied, attribute = _write(estimate, result, run, target, client_, listener, overwrite=overwrite)
-        except InputError:
-            estimate.folder.remove()
-            raise
-        estimate.folder.remove()
+        with (
+            work.removed_if_wrong(),
+            run_folder.resumable(),
+            estimate.connected(machine, connected, listener) as client_,
+        ):
+            receipts, result = estimate.carry_out(client_, machine, listener, local=connected is None)
+            run = estimate.run(machine.threads)
+            copied, attribute = _write(estimate, result, run, target, client_, listener, overwrite=overwrite)
+        run_folder.remove_estimate(work.folder)
         summary = estimate.summary([*receipts, *copied], attribute, memory)
         return Report(
             summary=[*summary, f"{target} is finished in {time.perf_counter() - clock:.1f} s"], result=attribute

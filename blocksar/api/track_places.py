@@ -11,6 +11,7 @@ from blocksar import stores
 from blocksar.api.fingerprints import joint_fingerprint
 from blocksar.errors import FolderError, InputError
 from blocksar.places.place import Place
+from blocksar.runs import folder as run_folder
 
 if TYPE_CHECKING:
     from blocksar.autofocusing.finishing import Result
@@ -63,13 +64,13 @@ class TrackPlace:
 
     @contextmanager
     def removed_if_wrong(self) -> Iterator[None]:
-        """Remove the folder if an InputError is raised in the block."""
+        """Remove what is estimated there if an InputError is raised in the block."""
         try:
             yield
         except FolderError:  # what is there may be another's
             raise
         except InputError:
-            self.folder.remove()
+            run_folder.remove_estimate(self.folder)
             raise
 
 

@@ -173,9 +173,7 @@ class TrackEstimate:
             record = stores.read_json(self.folder / RECORD)
         if isinstance(record, Mapping) and record.get("identity") == self.identity:
             return
-        for name in self.folder.names():
-            if name not in (run_folder.LOCK, run_folder.SCRATCH):
-                (self.folder / name).remove()
+        run_folder.clear_estimate(self.folder)
         stores.write_json(self.folder / RECORD, {"identity": self.identity, "settings": self.settings})
 
     def attribute(self, result: Result) -> dict[str, Any]:
@@ -229,6 +227,7 @@ def track_corrected(
     assert place is not None
     with ExitStack() as stack:
         stack.enter_context(place.removed_if_wrong())
+        run_folder.refuse_foreign(place.folder)
         histories, said = [], []
         for history, estimate in zip(request.histories, _estimates(request, place), strict=True):
             result = place.results.get(estimate.identity)
