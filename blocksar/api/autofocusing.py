@@ -145,11 +145,11 @@ def autofocus(
             run_folder.resumable(),
             estimate.connected(machine, connected, listener) as client_,
         ):
-            receipts, result = estimate.carry_out(client_, machine, listener, local=connected is None)
+            made = estimate.carry_out(client_, machine, listener, local=connected is None)
             run = estimate.run(machine.threads)
-            copied, attribute = _write(estimate, result, run, target, client_, listener, overwrite=overwrite)
+            copied, attribute = _write(estimate, made.result, run, target, client_, listener, overwrite=overwrite)
         run_folder.remove_estimate(work.folder)
-        summary = estimate.summary([*receipts, *copied], attribute, memory)
+        summary = estimate.summary([*made.receipts, *copied], attribute, memory)
         return Report(
             summary=[*summary, f"{target} is finished in {time.perf_counter() - clock:.1f} s"], result=attribute
         )

@@ -24,7 +24,8 @@ from blocksar.constants import MIB
 from blocksar.errors import InputError, ProcessingError
 from blocksar.graph import cluster, compiling
 from blocksar.graph.machine import Resources
-from blocksar.graph.track_stages import estimate_track
+from blocksar.graph.tie_stages import tie_tracks
+from blocksar.graph.track_stages import Estimated, estimate_track
 from blocksar.ingestion.terrain.reading import Ground
 from blocksar.measurement.targets import Target
 from blocksar.places.place import Place
@@ -123,9 +124,7 @@ class TrackEstimate:
         with cluster.open_client(**machine._asdict(), scratch=scratch, listener=listener) as own:
             yield own
 
-    def carry_out(
-        self, client: Client, machine: Resources, listener: Listener, *, local: bool
-    ) -> tuple[list[Receipt], Result]:
+    def carry_out(self, client: Client, machine: Resources, listener: Listener, *, local: bool) -> Estimated:
         """Estimate the track in the folder, or go on with an estimate there.
 
         With a `local` cluster of its own, a task that runs alone has the threads of all workers.
@@ -228,16 +227,22 @@ def track_corrected(
     with ExitStack() as stack:
         stack.enter_context(place.removed_if_wrong())
         run_folder.refuse_foreign(place.folder)
-        histories, said = [], []
-        for history, estimate in zip(request.histories, _estimates(request, place), strict=True):
-            result = place.results.get(estimate.identity)
-            if result is None:
-                memory = estimate.checked_memory(machine)
-                with run_folder.resumable():
-                    client = stack.enter_context(estimate.connected(machine, client, listener))
-                    receipts, result = estimate.carry_out(client, machine, listener, local=local)
-                place.results[estimate.identity] = result
-                said += estimate.summary(receipts, estimate.attribute(result), memory)
+        estimates, said = _estimates(request, place), []
+        if not all(estimate.identity in place.results for estimate in estimates):
+            memory = max(estimate.checked_memory(machine) for estimate in estimates)
+            with run_folder.resumable():
+                client = stack.enter_context(estimates[0].connected(machine, client, listener))
+                found = [one.carry_out(client, machine, listener, local=local) for one in estimates]
+                if len(found) > 1 and not request.control:
+                    labels = [str(history.path) for history in request.histories]
+                    found = tie_tracks(client, found, labels, request.grid, listener)
+            for estimate, one in zip(estimates, found, strict=True):
+                place.results[estimate.identity] = one.result
+                lines = estimate.summary(one.receipts, estimate.attribute(one.result), memory)
+                said += lines if len(found) == 1 else [f"{estimate.history.path}: {line}" for line in lines]
+        histories = []
+        for history, estimate in zip(request.histories, estimates, strict=True):
+            result = place.results[estimate.identity]
             attrs = {**history.attrs, ATTRIBUTE: estimate.attribute(result)}
             histories.append(replace(history, collection=estimate.corrected(history, result), attrs=attrs))
         yield replace(request, histories=tuple(histories)), said, client

@@ -130,8 +130,21 @@ class TrackCorrection:
             f"{f['entropy_before']:.3f} before and {f['entropy_after']:.3f} after",
             f"phase error left over a dwell: {f['predicted_error']:.3f} rad r.m.s. predicted{on}; two estimates from "
             f"disjoint halves of the points differ by {f['halves_apart']:.3f} rad",
-            *([_anchored(f["control"])] if f.get("control") else [UNTOLD]),
+            *([_anchored(f["control"])] if f.get("control") else [_tied(f["tied"])] if "tied" in f else [UNTOLD]),
         ]
+
+
+def _tied(tied: Mapping[str, Any]) -> str:
+    """Whether the track fits that of another collection, with figures."""
+    if not tied["points"]:
+        return (
+            "not tied to the collections before: too few points that both see, or they do not agree; so its image may "
+            "be shifted against theirs, by metres where errors of centimetres change within a second"
+        )
+    return (
+        f"tied to {tied['to']} by {tied['points']} points that both see, and moved by up to {tied['moved']:.3g} m; "
+        f"their ranges agree within {tied['range_left']:.2g} m r.m.s.: images meet in place, but phase may jump there"
+    )
 
 
 def _anchored(control: Mapping[str, Any]) -> str:

@@ -68,7 +68,7 @@ def run(store: Path) -> Path:
         report = blocksar.focus(store, folder, **SETTINGS)
     assert len(calls) == 1
     (said,) = (line for line in report.summary if TRACK in line)
-    assert "points of channel HV in" in said
+    assert " points of channel HV" in said
     return folder
 
 
