@@ -21,7 +21,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.constants import MIB
-from blocksar.errors import InputError, ProcessingError
+from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.graph import cluster, compiling
 from blocksar.graph.machine import Resources
 from blocksar.graph.tie_stages import tie_tracks
@@ -232,7 +232,10 @@ def track_corrected(
             memory = max(estimate.checked_memory(machine) for estimate in estimates)
             with run_folder.resumable():
                 client = stack.enter_context(estimates[0].connected(machine, client, listener))
-                found = [one.carry_out(client, machine, listener, local=local) for one in estimates]
+                found = []
+                for estimate in estimates:
+                    with _named(estimate if len(estimates) > 1 else None):
+                        found.append(estimate.carry_out(client, machine, listener, local=local))
                 if len(found) > 1 and not request.control:
                     labels = [str(history.path) for history in request.histories]
                     found = tie_tracks(client, found, labels, request.grid, listener)
@@ -246,6 +249,19 @@ def track_corrected(
             attrs = {**history.attrs, ATTRIBUTE: estimate.attribute(result)}
             histories.append(replace(history, collection=estimate.corrected(history, result), attrs=attrs))
         yield replace(request, histories=tuple(histories)), said, client
+
+
+@contextmanager
+def _named(estimate: TrackEstimate | None) -> Iterator[None]:
+    """Say of which of several collections an InputError in the block is."""
+    try:
+        yield
+    except FolderError:
+        raise
+    except InputError as error:
+        if estimate is None:
+            raise
+        raise InputError(f"{estimate.history.path}: {error}") from error
 
 
 def _estimates(request: Request, place: TrackPlace) -> list[TrackEstimate]:

@@ -19,6 +19,7 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.beam import lit_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
+from blocksar.errors import InputError
 from blocksar.graph import tie_stages
 from blocksar.simulation.scene import Scene
 
@@ -143,6 +144,16 @@ def test_collections_that_do_not_overlap_are_not_tied(bursts: list[Path], run: P
     said = [line for line in report.summary if "not tied to the collections before" in line]
     assert len(said) == 1 and said[0].startswith(f"{bursts[2]}: ")
     shutil.rmtree(tmp_path / "run")
+
+
+def test_a_refusal_names_the_collection(bursts: list[Path], tmp_path: Path) -> None:
+    noise = Path(shutil.copytree(bursts[1], tmp_path / "noise.zarr"))
+    signal = zarr.open_group(noise, mode="r+")["signal"]
+    real, imaginary = np.random.default_rng(1).normal(size=(2, *signal.shape))
+    signal[:] = (real + 1j * imaginary).astype(np.complex64)
+    with pytest.raises(InputError, match=rf"^{noise}: the samples do not tell .* 0 of \d+ points stand out of noise"):
+        blocksar.focus([noise, bursts[0]], tmp_path / "run", **SETTINGS)
+    assert not (tmp_path / "run").exists()
 
 
 def test_the_order_of_collections_is_no_matter(bursts: list[Path], tmp_path: Path) -> None:
