@@ -30,13 +30,13 @@ class TrackPlace:
     fingerprints : tuple of str
         Of each collection with all its channels.
     results : dict
-        Estimates that this process has carried out, by identity.
+        Estimates that this process has carried out, by folder and identity.
     """
 
     folder: Place
     channels: tuple[tuple[stores.PhaseHistory, ...], ...]
     fingerprints: tuple[str, ...]
-    results: dict[str, Result] = field(default_factory=dict)
+    results: dict[tuple[str, str], Result] = field(default_factory=dict)
 
     @classmethod
     def of(

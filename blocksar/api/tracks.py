@@ -94,6 +94,11 @@ class TrackEstimate:
         text = repr((FORMAT, __version__, sorted(self.settings.items()), self.fingerprint))
         return stores.checksum_bytes(text.encode("utf-8", "surrogateescape"))
 
+    @property
+    def key(self) -> tuple[str, str]:
+        """Sets it apart from those of other collections, also of equal ones."""
+        return str(self.folder), self.identity
+
     def run(self, threads: int) -> Run:
         return Run(folder=self.folder, identity=self.identity, threads=threads)
 
@@ -228,7 +233,7 @@ def track_corrected(
         stack.enter_context(place.removed_if_wrong())
         run_folder.refuse_foreign(place.folder)
         estimates, said = _estimates(request, place), []
-        if not all(estimate.identity in place.results for estimate in estimates):
+        if not all(estimate.key in place.results for estimate in estimates):
             memory = max(estimate.checked_memory(machine) for estimate in estimates)
             with run_folder.resumable():
                 client = stack.enter_context(estimates[0].connected(machine, client, listener))
@@ -240,12 +245,12 @@ def track_corrected(
                     labels = [str(history.path) for history in request.histories]
                     found = tie_tracks(client, found, labels, request.grid, listener)
             for estimate, one in zip(estimates, found, strict=True):
-                place.results[estimate.identity] = one.result
+                place.results[estimate.key] = one.result
                 lines = estimate.summary(one.receipts, estimate.attribute(one.result), memory)
                 said += lines if len(found) == 1 else [f"{estimate.history.path}: {line}" for line in lines]
         histories = []
         for history, estimate in zip(request.histories, estimates, strict=True):
-            result = place.results[estimate.identity]
+            result = place.results[estimate.key]
             attrs = {**history.attrs, ATTRIBUTE: estimate.attribute(result)}
             histories.append(replace(history, collection=estimate.corrected(history, result), attrs=attrs))
         yield replace(request, histories=tuple(histories)), said, client
