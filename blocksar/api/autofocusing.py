@@ -15,6 +15,7 @@ from blocksar import stores
 from blocksar.api.arguments import GridLike, control_points, grid_of, history_of, memory_of
 from blocksar.api.ground import read_ground
 from blocksar.api.reports import Report
+from blocksar.api.track_places import TrackPlace
 from blocksar.api.tracks import TrackEstimate
 from blocksar.autofocusing.finishing import Result
 from blocksar.collection.surface import Surface
@@ -108,23 +109,25 @@ def autofocus(
         If processing fails; finished work stays, and the same call goes on with it.
     """
     listener, target = as_listener(progress), place(out)
-    history = history_of(source).pinned()
+    history = history_of(source)
     stored = not isinstance(history, stores.DatasetHistory)
     if stored and (lies_in(history.path, target) or lies_in(target, history.path)):
         raise InputError(f"--out {target} and the input {history.path} lie in each other; choose another place")
     ground, within = Ground(terrain=terrain, surface=surface, vertical=vertical), grid_of(grid)
+    work = TrackPlace.of(place(f"{target}.autofocus"), [history])
     estimate = TrackEstimate(
-        history=history, folder=place(f"{target}.autofocus"), fingerprint=history.fingerprint(), grid=within,
+        channels=work.channels[0], folder=work.folder, fingerprint=work.fingerprints[0], grid=within,
         control=control_points(control, source), ground=ground,
         terrain=read_ground(ground, history.collection.centred(), within, dict(history.attrs)),
     )  # fmt: skip
     if (attribute := _finished(target, estimate)) is not None:
-        estimate.folder.remove()
+        run_folder.remove_estimate(work.folder)
         return Report(
             summary=[f"{target} is finished already with these settings and this input: nothing to do"],
             result=attribute,
         )
     stores.refuse_existing(target, overwrite=overwrite)
+    run_folder.refuse_foreign(work.folder)
     with ExitStack() as stack:
         connected, limit = None, memory_of(memory_limit)
         if client is not None or scheduler is not None:
@@ -137,16 +140,16 @@ def autofocus(
         stack.enter_context(run_folder.claim(estimate.folder))
         stores.refuse_existing(target, overwrite=overwrite)  # again: another process may have written it meanwhile
         clock = time.perf_counter()
-        try:
-            with run_folder.resumable(), estimate.connected(machine, connected, listener) as client_:
-                receipts, result = estimate.carry_out(client_, machine, listener, local=connected is None)
-                run = estimate.run(machine.threads)
-                copied, attribute = _write(estimate, result, run, target, client_, listener, overwrite=overwrite)
-        except InputError:
-            estimate.folder.remove()
-            raise
-        estimate.folder.remove()
-        summary = estimate.summary([*receipts, *copied], attribute, memory)
+        with (
+            work.removed_if_wrong(),
+            run_folder.resumable(),
+            estimate.connected(machine, connected, listener) as client_,
+        ):
+            made = estimate.carry_out(client_, machine, listener, local=connected is None)
+            run = estimate.run(machine.threads)
+            copied, attribute = _write(estimate, made.result, run, target, client_, listener, overwrite=overwrite)
+        run_folder.remove_estimate(work.folder)
+        summary = estimate.summary([*made.receipts, *copied], attribute, memory)
         return Report(
             summary=[*summary, f"{target} is finished in {time.perf_counter() - clock:.1f} s"], result=attribute
         )
@@ -174,7 +177,7 @@ def _write(
     overwrite: bool,
 ) -> tuple[Sequence[Receipt], dict[str, Any]]:
     """Write the store with its track corrected, in a folder that this process has claimed; receipts and attribute."""
-    source, made = estimate.stored(), estimate.folder / "store.zarr"
+    source, made = estimate.stored()[0], estimate.folder / "store.zarr"
     receipts = copy_store(client, source.path, made, run, listener)
     listener.begin("finish")
     attribute = estimate.attribute(result)

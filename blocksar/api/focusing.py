@@ -35,6 +35,7 @@ from blocksar.api.plan_lines import (
 from blocksar.api.rehearsing import rehearse
 from blocksar.api.run_stages import carry_out
 from blocksar.api.shown import RunReport, is_measurable
+from blocksar.api.track_places import TrackPlace
 from blocksar.budget import FIDELITY
 from blocksar.collection.surface import Surface
 from blocksar.collection.weighting import Weighting
@@ -99,7 +100,7 @@ def focus(
     progress: Progress | None = None,
     performance_report: str | Path | None = None,
     client: Client | None = None,
-) -> RunReport:  # longer than most: it hands on every setting by its name
+) -> RunReport:
     """Focus a phase history into a run folder; an unfinished run of the same settings and input there is resumed.
 
     Parameters
@@ -186,11 +187,50 @@ def focus(
     ProcessingError
         If processing fails; finished work stays, and the same call resumes.
     """
-    arguments = dict(locals())  # before any other name is bound: the parameters, as they were given
-    listener, memory_limit = as_listener(progress), memory_of(memory_limit)
+    given = dict(locals())  # before any other name is bound: the parameters, as they were given
+    settings = {name: value for name, value in given.items() if name not in ("source", "out", "looks")}
+    memory_limit = settings["memory_limit"] = memory_of(memory_limit)
     resources(workers, threads, memory_limit)  # refuses wrong numbers before anything is read
     if (members := members_of(source, looks, grid)) is not None:
-        return focus_members(focus, members, arguments | {"memory_limit": memory_limit})
+        return focus_members(_focus_image, members, source, place(out), settings)
+    return _focus_image(source, place(out), None, **settings)
+
+
+def _focus_image(
+    source: Source,
+    out: Place,
+    track: TrackPlace | None,
+    *,
+    processor: Processor,
+    blocks: int | Literal["auto"],
+    fidelity: float,
+    weighting: str,
+    weighting_range: str | None,
+    weighting_azimuth: str | None,
+    coefficients: Coefficients,
+    perturbation: Perturbation,
+    keystone: bool,
+    derotation: Derotation,
+    range_model: RangeModel,
+    grid: GridLike | None,
+    terrain: Location | None,
+    surface: Surface,
+    vertical: str | None,
+    autofocus: bool,
+    control: Location | Sequence[Target] | None,
+    workers: int | None,
+    threads: int | None,
+    memory_limit: int | None,
+    scheduler: str | None,
+    overwrite: bool,
+    discard: bool,
+    dry_run: bool,
+    progress: Progress | None,
+    performance_report: str | Path | None,
+    client: Client | None,
+) -> RunReport:  # longer than most: it takes every setting by its name
+    """Focus one image, of one channel; `track` is where others share the correction of its track, if they do."""
+    listener = as_listener(progress)
     profile = None if performance_report is None else Path(performance_report)
     method = method_of(
         processor,
@@ -202,7 +242,7 @@ def focus(
     )
     request = Request.open(
         source,
-        place(out),
+        out,
         method=method,
         blocks=blocks_of(blocks),
         fidelity=fidelity_of(fidelity),
@@ -212,6 +252,7 @@ def focus(
         discard=discard,
         ground=Ground(terrain=terrain, surface=surface, vertical=vertical),
         autofocus=autofocus,
+        track=track,
         control=control_points(control, source, used=autofocus),
     )
     if profile is not None:
@@ -248,7 +289,7 @@ def focus(
         if here:
             connected = cluster.open_here(listener)
         said: list[str] = []
-        if request.autofocus:
+        if request.track is not None:
             from blocksar.api.tracks import track_corrected  # with all of `autofocusing`, which takes 20 ms to load
 
             corrected = track_corrected(request, machine, connected, listener)

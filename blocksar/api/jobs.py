@@ -13,6 +13,7 @@ from blocksar.api.arguments import One, Source, check_one_frame, history_of, sou
 from blocksar.api.fingerprints import joint_fingerprint
 from blocksar.api.ground import PLANE, check_ground, geometry_over, ground_settings, read_ground
 from blocksar.api.surroundings import read_surroundings
+from blocksar.api.track_places import TrackPlace
 from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
@@ -73,8 +74,8 @@ class Request:
         Whether to replace a run of other settings or another input.
     discard : bool
         Whether to remove spectra and patches once nothing reads them.
-    autofocus : bool
-        Whether the track is corrected first.
+    track : TrackPlace or None
+        Where the track is corrected first; None: it is taken as it is.
     control : sequence of Target
         Points that anchor it.
     """
@@ -92,7 +93,7 @@ class Request:
     ground: Ground = PLANE
     terrain: Terrain | None = None
     surroundings: Terrain | None = None
-    autofocus: bool = False
+    track: TrackPlace | None = None
     control: Sequence[Target] = ()
 
     @classmethod
@@ -110,9 +111,12 @@ class Request:
         discard: bool = False,
         ground: Ground = PLANE,
         autofocus: bool = False,
+        track: TrackPlace | None = None,
         control: Sequence[Target] = (),
     ) -> Request:
         """Open the phase histories; nothing is written.
+
+        With `autofocus` their track is corrected, in the place `track`, by default in the folder.
 
         Raises
         ------
@@ -139,10 +143,13 @@ class Request:
             terrain = read[0]
             if terrain is not None:
                 around = read_surroundings(ground, terrain, centred, under, Georeference.among(histories[0].attrs))
+        fingerprints = tuple(fingerprint for _, fingerprint in opened)
+        if autofocus and track is None:
+            track = TrackPlace.of(folder / run_folder.TRACK, histories, fingerprints)
         return cls(
             histories=histories, folder=folder, method=method, blocks=blocks, fidelity=fidelity, weighting=weighting,
-            grid=grid, fingerprints=tuple(fingerprint for _, fingerprint in opened), overwrite=overwrite,
-            discard=discard, ground=ground, terrain=terrain, surroundings=around, autofocus=autofocus, control=control,
+            grid=grid, fingerprints=fingerprints, overwrite=overwrite,
+            discard=discard, ground=ground, terrain=terrain, surroundings=around, track=track, control=control,
         )  # fmt: skip
 
     @property
@@ -168,7 +175,7 @@ class Request:
             "grid": None if self.grid is None else list(grid_numbers(self.grid)),
             **ground_settings(self.ground, self.terrain, self.surroundings),
             # Not in runs without them, also those of earlier versions.
-            **({"autofocus": True} if self.autofocus else {}),
+            **(self.track.settings(self.fingerprint) if self.track is not None else {}),
             **({"control": records_of(self.control)} if self.control else {}),
         }
 

@@ -23,13 +23,13 @@ from blocksar.api.findings import without_samples
 from blocksar.api.fingerprints import fingerprint_of_members, joint_fingerprint
 from blocksar.api.ground import image_grid
 from blocksar.api.shown import RunReport, is_measurable
+from blocksar.api.track_places import TrackPlace
 from blocksar.chunks import TILE
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.sublooks import checked_count, entering_side
 from blocksar.errors import FolderError, InputError
 from blocksar.graph import cluster
 from blocksar.graph.machine import resources
-from blocksar.places import place
 from blocksar.places.place import Place
 from blocksar.progress import as_listener
 from blocksar.runs import folder as run_folder
@@ -44,10 +44,11 @@ SAME = ("block", "collection", *stores.ON_TERRAIN)  # those of the first
 
 @dataclass(frozen=True)
 class Members:
-    """What each channel or look is focused from, by name, and what they are: "channel" or "look"."""
+    """What each channel or look is focused from, by name, what they are ("channel" or "look"), and of what."""
 
     dimension: str
     histories: dict[str, list[stores.PhaseHistory]]
+    whole: tuple[stores.PhaseHistory, ...]
     notes: tuple[str, ...] = ()
 
     @property
@@ -100,7 +101,8 @@ def members_of(source: Source, looks: int | None, grid: GridLike | None) -> Memb
             )
     if not first.channels:
         return None
-    return Members("channel", {name: [each.of_channel(name) for each in histories] for name in first.channels})
+    of = {name: [each.of_channel(name) for each in histories] for name in first.channels}
+    return Members("channel", of, tuple(histories))
 
 
 def _looks_of(source: Source, count: int, grid: GridLike | None) -> Members:
@@ -121,65 +123,64 @@ def _looks_of(source: Source, count: int, grid: GridLike | None) -> Members:
         part = math.degrees(collection.beam_width) / count
         notes = [f"each look sees {part:.3g} of the beam's {part * count:.3g} degrees, the first in time first"]
     named = {stores.look_name(number): [history.of_look(number, count, sign)] for number in range(count)}
-    return Members("look", named, tuple(notes))
+    return Members("look", named, (history,), tuple(notes))
 
 
-def focus_members(focus: Focus, members: Members, arguments: Mapping[str, Any]) -> RunReport:
-    """Focus all channels or looks.
+def focus_members(
+    focus: Focus, members: Members, source: Source, folder: Place, settings: Mapping[str, Any]
+) -> RunReport:
+    """Focus all channels or looks of a source.
 
     Parameters
     ----------
     focus : callable
-        Focuses one of them, and takes the same arguments.
-    arguments : mapping
-        Those of `focus`.
+        Focuses one of them: focus(source, folder, track, **settings).
+    folder : Place
+        Of the whole.
+    settings : mapping
+        Arguments of `blocksar.focus` by name.
 
     Raises
     ------
     InputError, ProcessingError
         As `focus` does.
     """
-    folder, names, kinds = place(arguments["out"]), members.names, f"{members.dimension}s"
-    if arguments["performance_report"] is not None:
+    names, kinds = members.names, f"{members.dimension}s"
+    if settings["performance_report"] is not None:
         raise InputError(f"performance_report covers one run, but each of the {kinds} is one; leave it out")
-    if members.dimension == "look" and arguments["autofocus"]:
-        raise InputError("looks of one dwell have one track; correct it first (blocksar autofocus), then form looks")
-    shared = {name: value for name, value in arguments.items() if name not in ("source", "out", "looks")}
+    shared = dict(settings)
     if members.dimension == "look":  # their beams differ, but not the ground that they show
-        first = history_of(sources_of(arguments["source"])[0])
-        shared["grid"] = image_grid(first.collection.centred(), grid_of(arguments["grid"]))
+        first = history_of(sources_of(source)[0])
+        shared["grid"] = image_grid(first.collection.centred(), grid_of(settings["grid"]))
+
+    track = TrackPlace.of(folder / run_folder.TRACK, members.whole) if settings["autofocus"] else None
 
     def focus_one(name: str) -> RunReport:
         try:
-            return focus(members.histories[name], members.folder(folder, name), **shared)
+            return focus(members.histories[name], members.folder(folder, name), track, **shared)
         except InputError as error:
             if type(error) is not InputError:
                 raise
             raise InputError(f"{members.dimension} {name}: {error}") from error
 
     _refuse_empty(members)
-    if arguments["dry_run"]:
+    if settings["dry_run"]:
         found = focus_one(names[0])
         return replace(found, summary=[f"{len(names)} {kinds} ({', '.join(names)}), each as follows", *found.summary])
     there = folder.exists()
     fresh = not (there and RECORD in folder.names())
-    earlier = _earlier(folder, members.dimension, overwrite=bool(arguments["overwrite"]))
-    listener = as_listener(arguments["progress"])
+    earlier = _earlier(folder, members.dimension, overwrite=bool(settings["overwrite"]))
     with ExitStack() as stack:
         if fresh:
             stack.enter_context(_nothing_left(folder, there=there))
         stack.enter_context(run_folder.claim(folder))
         stack.enter_context(run_folder.resumable())
-        input_read = stack.enter_context(run_folder.begin(folder)) if arguments["overwrite"] else lambda: None
+        if track is not None:
+            stack.enter_context(track.removed_if_wrong())
+        input_read = stack.enter_context(run_folder.begin(folder)) if settings["overwrite"] else lambda: None
         if earlier is None:
             members.unfinished().write(folder)
-            if arguments["client"] is None and arguments["scheduler"] is None and arguments["workers"] != 0:
-                machine = resources(arguments["workers"], arguments["threads"], arguments["memory_limit"])
-                scratch = run_folder.scratch(folder)
-                stack.callback((folder / run_folder.SCRATCH).remove)
-                client = cluster.open_client(**machine._asdict(), scratch=scratch, listener=listener)
-                shared |= {"client": stack.enter_context(client), "workers": None, "threads": machine.threads}
-                shared["memory_limit"] = None
+            shared |= stack.enter_context(_own_workers(folder, settings))
         before = [name for name in names if earlier is None and _is_finished(members.folder(folder, name))]
         reports = {name: focus_one(name) for name in names}
         input_read()
@@ -187,6 +188,8 @@ def focus_members(focus: Focus, members: Members, arguments: Mapping[str, Any]) 
         records = {name: RunRecord.read(path) for name, path in folders.items()}
         if earlier is not None and earlier.identity == _identity(records):
             run_folder.check_unchanged(folder, earlier)
+            if not run_folder.is_tidy(folder):
+                run_folder.tidy(folder)
             done = f"{folder} is finished already with these settings and this input: nothing to do"
             return RunReport(summary=[done], result=earlier.as_json(), folder=folder, measurable=is_measurable(earlier))
         for name in before:  # whose image becomes a part of the whole one without being read
@@ -197,6 +200,21 @@ def focus_members(focus: Focus, members: Members, arguments: Mapping[str, Any]) 
     whole = f"{folder / 'image.zarr'} has the images of {len(names)} {kinds} ({', '.join(names)})"
     summary = [*lines, *members.notes, whole]
     return RunReport(summary=summary, result=record.as_json(), folder=folder, measurable=is_measurable(record))
+
+
+@contextmanager
+def _own_workers(folder: Place, settings: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """Start a local cluster for all members, if they are to have one: what its use changes of the settings."""
+    if settings["client"] is not None or settings["scheduler"] is not None or settings["workers"] == 0:
+        yield {}
+        return
+    machine = resources(settings["workers"], settings["threads"], settings["memory_limit"])
+    scratch, listener = run_folder.scratch(folder), as_listener(settings["progress"])
+    try:
+        with cluster.open_client(**machine._asdict(), scratch=scratch, listener=listener) as client:
+            yield {"client": client, "workers": None, "threads": machine.threads, "memory_limit": None}
+    finally:
+        (folder / run_folder.SCRATCH).remove()
 
 
 def _refuse_empty(members: Members) -> None:

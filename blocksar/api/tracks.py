@@ -12,6 +12,7 @@ import numpy as np
 from blocksar import stores
 from blocksar.api.ground import PLANE, geometry_over, ground_settings
 from blocksar.api.jobs import Request, grid_numbers, records_of
+from blocksar.api.track_places import TrackPlace, channels_of_track
 from blocksar.autofocusing.anchoring import Control
 from blocksar.autofocusing.finishing import Result
 from blocksar.autofocusing.work import begin
@@ -20,10 +21,11 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.constants import MIB
-from blocksar.errors import InputError, ProcessingError
+from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.graph import cluster, compiling
 from blocksar.graph.machine import Resources
-from blocksar.graph.track_stages import estimate_track
+from blocksar.graph.tie_stages import tie_tracks
+from blocksar.graph.track_stages import Estimated, estimate_track
 from blocksar.ingestion.terrain.reading import Ground
 from blocksar.measurement.targets import Target
 from blocksar.places.place import Place
@@ -38,7 +40,7 @@ from blocksar.version import __version__
 if TYPE_CHECKING:
     from distributed import Client
 
-FORMAT = 3  # of the folder of an estimate
+FORMAT = 4  # of the folder of an estimate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,12 +49,12 @@ class TrackEstimate:
 
     Attributes
     ----------
-    history : PhaseHistory
-        Pinned.
+    channels : tuple of PhaseHistory
+        Its channels, pinned, as `TrackPlace.channels` has them.
     folder : Place
         For receipts and what they vouch for.
     fingerprint : str
-        Of the phase history.
+        Of all of them.
     grid : Grid or None
         Ground in which points are looked for; None: the lit sector.
     control : sequence of Target
@@ -63,13 +65,18 @@ class TrackEstimate:
         The ground itself, on which points stand; None for the plane.
     """
 
-    history: stores.PhaseHistory
+    channels: tuple[stores.PhaseHistory, ...]
     folder: Place
     fingerprint: str
     grid: Grid | None
     control: Sequence[Target] = ()
     ground: Ground = PLANE
     terrain: Terrain | None = None
+
+    @property
+    def history(self) -> stores.PhaseHistory:
+        """The first channel: all have its collection."""
+        return self.channels[0]
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -86,6 +93,11 @@ class TrackEstimate:
         """Hash of everything that the corrected track depends on."""
         text = repr((FORMAT, __version__, sorted(self.settings.items()), self.fingerprint))
         return stores.checksum_bytes(text.encode("utf-8", "surrogateescape"))
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Sets it apart from those of other collections, also of equal ones."""
+        return str(self.folder), self.identity
 
     def run(self, threads: int) -> Run:
         return Run(folder=self.folder, identity=self.identity, threads=threads)
@@ -117,9 +129,7 @@ class TrackEstimate:
         with cluster.open_client(**machine._asdict(), scratch=scratch, listener=listener) as own:
             yield own
 
-    def carry_out(
-        self, client: Client, machine: Resources, listener: Listener, *, local: bool
-    ) -> tuple[list[Receipt], Result]:
+    def carry_out(self, client: Client, machine: Resources, listener: Listener, *, local: bool) -> Estimated:
         """Estimate the track in the folder, or go on with an estimate there.
 
         With a `local` cluster of its own, a task that runs alone has the threads of all workers.
@@ -145,8 +155,8 @@ class TrackEstimate:
         phase = np.angle([point.reflectivity for point in self.control])
         return Control(names=tuple(point.name for point in self.control), x=x, y=y, z=z, phase=phase)
 
-    def stored(self) -> stores.PhaseHistory:
-        """The phase history in a store: samples in memory are written into the folder, once.
+    def stored(self) -> tuple[stores.PhaseHistory, ...]:
+        """The channels in a store: samples in memory are written into the folder, once.
 
         Raises
         ------
@@ -154,9 +164,9 @@ class TrackEstimate:
             If they cannot be written.
         """
         if not isinstance(self.history, stores.DatasetHistory):
-            return self.history
+            return self.channels
         try:
-            return self.history.stored(self.folder / run_folder.INPUT).pinned()
+            return channels_of_track(self.history.stored(self.folder / run_folder.INPUT))
         except InputError as error:  # about the own store, not about the input
             raise ProcessingError(str(error)) from error
 
@@ -167,9 +177,7 @@ class TrackEstimate:
             record = stores.read_json(self.folder / RECORD)
         if isinstance(record, Mapping) and record.get("identity") == self.identity:
             return
-        for name in self.folder.names():
-            if name not in (run_folder.LOCK, run_folder.SCRATCH):
-                (self.folder / name).remove()
+        run_folder.clear_estimate(self.folder)
         stores.write_json(self.folder / RECORD, {"identity": self.identity, "settings": self.settings})
 
     def attribute(self, result: Result) -> dict[str, Any]:
@@ -183,11 +191,13 @@ class TrackEstimate:
         )  # fmt: skip
         return correction.as_json()
 
-    def corrected(self, result: Result) -> stores.PhaseHistory:
-        """The phase history with the corrected track; its samples stay where they are."""
-        collection = Collection(**{**self.history.collection.as_dict(), "antenna_position": result.antenna_position})
-        attrs = {**self.history.attrs, ATTRIBUTE: self.attribute(result)}
-        return replace(self.history, collection=collection, attrs=attrs)
+    def corrected(self, history: stores.PhaseHistory, result: Result) -> Collection:
+        """The collection of a channel, or of a look at it, with the corrected track."""
+        whole = self.history if history.look is not None else history
+        moved = Collection(**{**whole.collection.as_dict(), "antenna_position": result.antenna_position})
+        if history.look is None or history.look == self.history.look:
+            return moved
+        return replace(whole, collection=moved).of_look(*history.look).collection
 
     def summary(self, receipts: Sequence[Receipt], attribute: Mapping[str, Any], memory: int) -> list[str]:
         """Sentences on the correction, on resumed work and on memory; `memory` is the planned peak, bytes."""
@@ -205,7 +215,7 @@ class TrackEstimate:
 def track_corrected(
     request: Request, machine: Resources, client: Client | None, listener: Listener
 ) -> Iterator[tuple[Request, list[str], Client | None]]:
-    """Correct the track of a run's input, in a folder of the run: the request, sentences and a client.
+    """Correct the track of a run's input, in the request's `TrackPlace`: the request, sentences and a client.
 
     The client is that of the local cluster which the correction started, if it needed one: the run goes on with it. The
     folder stays until the run is finished, for runs that are resumed; an InputError removes it.
@@ -217,39 +227,60 @@ def track_corrected(
     ProcessingError
         If processing fails.
     """
-    folder, local = request.folder / run_folder.TRACK, client is None
+    local, place = client is None, request.track
+    assert place is not None
+    with ExitStack() as stack:
+        stack.enter_context(place.removed_if_wrong())
+        run_folder.refuse_foreign(place.folder)
+        estimates, said = _estimates(request, place), []
+        if not all(estimate.key in place.results for estimate in estimates):
+            memory = max(estimate.checked_memory(machine) for estimate in estimates)
+            with run_folder.resumable():
+                client = stack.enter_context(estimates[0].connected(machine, client, listener))
+                found = []
+                for estimate in estimates:
+                    with _named(estimate if len(estimates) > 1 else None):
+                        found.append(estimate.carry_out(client, machine, listener, local=local))
+                if len(found) > 1 and not request.control:
+                    labels = [str(history.path) for history in request.histories]
+                    found = tie_tracks(client, found, labels, request.grid, listener)
+            for estimate, one in zip(estimates, found, strict=True):
+                place.results[estimate.key] = one.result
+                lines = estimate.summary(one.receipts, estimate.attribute(one.result), memory)
+                said += lines if len(found) == 1 else [f"{estimate.history.path}: {line}" for line in lines]
+        histories = []
+        for history, estimate in zip(request.histories, estimates, strict=True):
+            result = place.results[estimate.key]
+            attrs = {**history.attrs, ATTRIBUTE: estimate.attribute(result)}
+            histories.append(replace(history, collection=estimate.corrected(history, result), attrs=attrs))
+        yield replace(request, histories=tuple(histories)), said, client
+
+
+@contextmanager
+def _named(estimate: TrackEstimate | None) -> Iterator[None]:
+    """Say of which of several collections an InputError in the block is."""
     try:
-        with ExitStack() as stack:
-            corrected: list[stores.PhaseHistory] = []
-            said: list[str] = []
-            for estimate in _estimates(request, folder):
-                memory = estimate.checked_memory(machine)
-                with run_folder.resumable():
-                    client = stack.enter_context(estimate.connected(machine, client, listener))
-                    receipts, result = estimate.carry_out(client, machine, listener, local=local)
-                made = estimate.corrected(result)
-                history = request.histories[len(corrected)]
-                attrs = {**history.attrs, ATTRIBUTE: made.attrs[ATTRIBUTE]}
-                corrected.append(replace(history, collection=made.collection, attrs=attrs))
-                said += estimate.summary(receipts, made.attrs[ATTRIBUTE], memory)
-            yield replace(request, histories=tuple(corrected)), said, client
-    except InputError:
-        folder.remove()
+        yield
+    except FolderError:
         raise
+    except InputError as error:
+        if estimate is None:
+            raise
+        raise InputError(f"{estimate.history.path}: {error}") from error
 
 
-def _estimates(request: Request, folder: Place) -> list[TrackEstimate]:
-    """What each phase history of a run needs for its track. All channels have the track that the first one tells."""
-    alone = len(request.histories) == 1
+def _estimates(request: Request, place: TrackPlace) -> list[TrackEstimate]:
+    """What each phase history of a run needs for its track."""
+    alone = len(place.channels) == 1
     return [
         TrackEstimate(
-            history=history.of_channel(None).pinned() if history.channels and history.channel else history,
-            folder=folder if alone else folder / f"{number}",
+            channels=channels,
+            folder=place.folder if alone else place.folder / f"{number}",
             fingerprint=fingerprint,
             grid=request.grid,
             control=request.control,
             ground=request.ground,
             terrain=request.terrain,
         )
-        for number, (history, fingerprint) in enumerate(zip(request.histories, request.fingerprints, strict=True))
+        for number, (channels, fingerprint) in enumerate(zip(place.channels, place.fingerprints, strict=True))
     ]

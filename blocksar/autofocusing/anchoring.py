@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.autofocusing.chips import ChipPart, join_chips
+from blocksar.autofocusing.chips import ChipPart, Chips, join_chips
 from blocksar.autofocusing.correction import Correction
 from blocksar.autofocusing.finishing import Result
 from blocksar.autofocusing.responses import Seen, find_responses
@@ -91,22 +91,43 @@ def anchor(work: Work, result: Result, control: Control, parts: Sequence[ChipPar
         If a point is not seen, or the points do not agree.
     """
     chips = join_chips(work, control.points(work), parts, correction.displacement)
+    found = [responses_of(chips, i, name, float(control.phase[i])) for i, name in enumerate(control.names)]
+    return anchored(work, result, control.names, found)
+
+
+def responses_of(chips: Chips, i: int, name: str, phase: float = 0.0) -> list[Seen]:
+    """The responses in the chip of control point `i`, of a reflectivity with this phase, rad; see `find_responses`."""
+    middle, half = _middle_and_half(chips.work)
+    count, first = int(chips.count[i]), int(chips.first[i])
+    values = chips.values[i, :, :count] * np.exp(-1j * phase)
+    s = (chips.time[first : first + count] - middle) / half
+    return find_responses(chips.work, name, values, s, chips.sight[i])
+
+
+def _middle_and_half(work: Work) -> tuple[float, float]:
+    """Middle of the collection, and half of its duration, s."""
     time = work.geometry.collection.time
-    middle, half = float(time[0] + time[-1]) / 2, float(time[-1] - time[0]) / 2
-    found = []
-    for i, name in enumerate(control.names):
-        count, first = int(chips.count[i]), int(chips.first[i])
-        values = chips.values[i, :, :count] * np.exp(-1j * control.phase[i])
-        s = (chips.time[first : first + count] - middle) / half
-        found.append(find_responses(work, name, values, s, chips.sight[i]))
-    fit = _agreeing(work, control.names, found)
+    return float(time[0] + time[-1]) / 2, float(time[-1] - time[0]) / 2
+
+
+def anchored(work: Work, result: Result, names: Sequence[str], found: Sequence[Sequence[Seen]]) -> Result:
+    """Take off the constant and linear error that the responses of control points tell.
+
+    Raises
+    ------
+    InputError
+        If they do not agree.
+    """
+    time, (middle, half) = work.geometry.collection.time, _middle_and_half(work)
+    fit = _agreeing(work, names, found)
     left, bent = fit.left, BEND_TO_RMS * fit.bend
     figures = {
         "points": len(fit.kept),
-        "left_out": [name for i, name in enumerate(control.names) if i not in fit.kept],
+        "left_out": [name for i, name in enumerate(names) if i not in fit.kept],
         "offset": left[:3].tolist(),
         "velocity": (left[3:] / half).tolist(),
         "moved": fit.moved,
+        "range_left": fit.range,
         "phase_left": fit.phase,
         "bend_left": bent,
     }
@@ -252,11 +273,13 @@ def _solved(work: Work, seen: Sequence[Seen], kept: Sequence[int]) -> _Fit:
     rows = [_measured(work, one) for one in some]
     terms, told = (np.concatenate(list(part)) for part in zip(*rows, strict=True))
     middle = np.array([one.terms[1] for one in some])
-    phases, errors = (np.array(part) for part in zip(*((o.phase, _error(PHASE_ERROR, o)) for o in some), strict=True))
+    phases = np.array([one.phase for one in some])
+    errors = np.array([math.hypot(_error(PHASE_ERROR, one), one.doubt) for one in some])
     coarse = k * (middle * _least(terms, told)).sum(axis=1)
     shared = np.exp(1j * (phases + coarse)).sum()
     # of the turns, those nearest to each other
     turned = np.angle(shared) + np.angle(np.exp(1j * (phases + coarse)) * np.conj(shared)) - coarse
+    measured = told.size + int(np.isfinite(errors).sum())
     terms = np.concatenate([terms, -k * middle / errors[:, None]])
     tried = []
     for turns in range(-TURNS, TURNS + 1):
@@ -266,7 +289,7 @@ def _solved(work: Work, seen: Sequence[Seen], kept: Sequence[int]) -> _Fit:
         tried.append((float((misfit * misfit).sum() + (fine * fine).sum() / FREE**2), turns, fine))
     cost, _, fine = min(tried, key=lambda one: one[:2])
     return _Fit(
-        kept=list(kept), left=fine, misfit=math.sqrt(cost / terms.shape[0]), bend=_bend_left(work, some, terms, fine),
+        kept=list(kept), left=fine, misfit=math.sqrt(cost / measured), bend=_bend_left(work, some, terms, fine),
         range=_rms(np.array([one.range for one in some]) - (middle * fine).sum(axis=1)),
         phase=_rms(np.angle(np.exp(1j * (phases + k * (middle * fine).sum(axis=1))))),
     )  # fmt: skip

@@ -107,9 +107,15 @@ def finish(
         )
     predicted = predicted_error(chips, points, correction, [one.displacement for one in found])
     limit = work.settings.halves
+    distinct = int(points.distinct.sum())
     if not (correction.finished and apart <= limit and predicted <= limit and last["step"] <= UNSETTLED):
+        few = (
+            f"{distinct} of {points.x.size} points stand out of noise and clutter, and {work.settings.least_points} "
+            "tell it as a rule; "
+        )
         raise Refused(
-            f"the samples do not tell the track's error: two estimates, each from half of {points.x.size} points, "
+            f"the samples do not tell the track's error: {few if distinct < work.settings.least_points else ''}"
+            f"two estimates, each from half of {points.x.size} points, "
             f"differ by {apart:.2g} rad rms, the error predicted is {predicted:.2g} rad, and the last loop changed the "
             f"phases by {last['step']:.2g} rad; {limit:g}, {limit:g} and {UNSETTLED:g} are accepted (entropy of the "
             f"chips {correction.history[0]['entropy_before']:.4g} before, {last['entropy_after']:.4g} after); give a "
@@ -129,6 +135,7 @@ def finish(
         chips_after=after,
         figures={
             "points": int(points.x.size),
+            "distinct": distinct,
             "rejected": int((correction.weights < 0.5).sum()),
             "knots": intervals(work) + 1,
             "loops": len(correction.history),

@@ -46,6 +46,8 @@ class Seen:
         Unit vectors to the point where its dwell begins, in its middle, and where it ends.
     at : (3,) float
         s there.
+    doubt : float
+        Standard deviation of the phase that is said of the point, rad; infinite if none is said.
     """
 
     range: float
@@ -55,6 +57,7 @@ class Seen:
     noise: float
     sight: FloatArray
     at: FloatArray
+    doubt: float = 0.0
 
     @property
     def terms(self) -> FloatArray:

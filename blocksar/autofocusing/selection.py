@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ CELLS = (6, 8)  # parts of a coarse image along range and Doppler; its brightest
 SIDELOBES = 1e-4  # of the brightest sample's power: what may be a sidelobe of it does not stand out
 RANGE_SIDELOBES = 2.0  # times those of a band without a taper: what is weaker may be one of a brighter sample
 MAIN_LOBE = 2.0  # Doppler cells of a short aperture: within them a sample has its sidelobes in range
+FALSE = 0.01  # maxima of noise that may be taken for points that stand out of it, in all of a search
 STEPS = 3  # of Newton's method, from the plane to a place on it
 UNEVEN_STEPS = 12  # to one on a terrain, whose slopes change
 YAWS = 65  # at which the beam's edges are looked for
@@ -77,6 +79,8 @@ class Candidates:
         Pulse in the middle of the aperture; none where all its samples are missing.
     seen : (2,) or (0,) int
         Pulses of the aperture that have samples: first <= p < last.
+    cells : (1,) or (0,) int
+        Samples of the coarse images that were looked through.
     """
 
     x: FloatArray
@@ -84,6 +88,7 @@ class Candidates:
     prominence: FloatArray
     middle: FloatArray
     seen: IntArray
+    cells: IntArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,6 +101,9 @@ class Points:
         m, scene frame.
     first, last : (n,) int
         Pulses that light them: first <= p < last.
+    distinct : (n,) bool
+        Whether they stand out of noise, and of clutter of many scatterers a coarse cell, of which others may be maxima;
+        see `stands_out`. Empty for points that were not searched for.
     """
 
     x: FloatArray
@@ -103,6 +111,7 @@ class Points:
     z: FloatArray
     first: IntArray
     last: IntArray
+    distinct: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
 
 
 class Refused(InputError):
@@ -126,7 +135,8 @@ def find_candidates(signal: ComplexArray, work: Work, pulses: slice, threads: in
     seen = pulses.start + (there[[0, -1]] + np.array([0, 1]) if there.size else there)
     yaws = _lit_yaws(work, pulses)
     if yaws is None:
-        return Candidates(x=np.empty(0), y=np.empty(0), prominence=np.empty(0), middle=middle, seen=seen)
+        none = np.empty(0)
+        return Candidates(x=none, y=none, prominence=none, middle=middle, seen=seen, cells=np.empty(0, np.int64))
     low, high = yaws
     near, far = work.region.limits(low, high)
     ranges = np.arange(near, far, RANGE_STEP * work.cell)
@@ -138,15 +148,19 @@ def find_candidates(signal: ComplexArray, work: Work, pulses: slice, threads: in
     count = max(math.ceil(span / widest), 1)
     edges = np.linspace(low, high, count + 1)
     profiles = range_profiles(signal, collection, threads)
-    found = []
+    found, cells = [], 0
     for k in range(count):
         yaw = (edges[k] + edges[k + 1]) / 2
         ground = work.plane.ground_point(ranges, np.full(ranges.size, yaw))
         power = _coarse_image(work, pulses, profiles.values, profiles.spacing, ground, threads)
         found.append(_brightest(work, pulses, power, ground, span / count))
+        cells += power.size
     bright = Bright(**{name: np.concatenate([getattr(b, name) for b in found]) for name in vars(found[0])})
     good = np.isfinite(bright.x) & ~_range_sidelobes(bright, work, pulses)
-    return Candidates(x=bright.x[good], y=bright.y[good], prominence=bright.prominence[good], middle=middle, seen=seen)
+    return Candidates(
+        x=bright.x[good], y=bright.y[good], prominence=bright.prominence[good], middle=middle, seen=seen,
+        cells=np.array([cells]),
+    )  # fmt: skip
 
 
 def _lit_yaws(work: Work, pulses: slice) -> tuple[float, float] | None:
@@ -266,32 +280,60 @@ def _located(
     return x, y
 
 
-def select_points(candidates: Sequence[Candidates], work: Work) -> Points:
+class Chosen(NamedTuple):
+    """The channel that tells most of the track, by its number, and its points."""
+
+    channel: int
+    points: Points
+
+
+def select_points(channels: Sequence[Sequence[Candidates]], work: Work) -> Chosen:
     """Keep the points that stand out in most of the short apertures that see them, spread over the scene.
+
+    Of several channels, which have one track, those of the one whose points tell most of it: the sum of their scores,
+    the logarithm of their power over that of their surroundings. It is what points that err independently tell of a
+    phase, in nats; a single bright one does not decide it. Of equals, the first.
 
     Parameters
     ----------
-    candidates : sequence of Candidates
-        Of `work.apertures`, in their order.
+    channels : sequence of sequences of Candidates
+        Of each channel, those of `work.apertures`, in their order.
 
     Raises
     ------
     Refused
-        If there are fewer than `Settings.least_points`.
+        If no channel has as many as `Settings.least_points`.
     """
-    x, y, prominence = (np.concatenate([getattr(c, name) for c in candidates]) for name in ("x", "y", "prominence"))
-    middles = np.concatenate([c.middle for c in candidates])
-    gaps = gaps_between([c.seen for c in candidates], work)
-    kept = best_points(x, y, prominence, middles, gaps, work) if x.size else []
-    if len(kept) < work.settings.least_points:
+    places, told = [], []
+    for candidates in channels:
+        x, y, prominence = (np.concatenate([getattr(c, name) for c in candidates]) for name in ("x", "y", "prominence"))
+        middles = np.concatenate([c.middle for c in candidates])
+        gaps = gaps_between([c.seen for c in candidates], work)
+        kept, score = best_points(x, y, prominence, middles, gaps, work) if x.size else ([], np.zeros(0))
+        distinct = stands_out(prominence[kept], int(sum(c.cells.sum() for c in candidates)))
+        places.append((x[kept], y[kept], distinct))
+        told.append(float(score[kept].sum()) if len(kept) >= work.settings.least_points else -1.0)
+    if max(told) < 0:
+        most = max(x.size for x, _, _ in places)
+        of = "" if len(channels) == 1 else ", in the channel that has most of them"
         raise Refused(
-            f"{len(kept)} points stand out in the scene, but the track's error is told from at least "
+            f"{most} points stand out in the scene{of}, but the track's error is told from at least "
             f"{work.settings.least_points}; give a larger --grid, or focus the phase history as it is"
         )
-    index = np.array(kept)
-    first, last = lit_interval(work.geometry, x[index], y[index])
-    z = np.broadcast_to(work.geometry.height(x[index], y[index]), index.shape).copy()
-    return Points(x=x[index], y=y[index], z=z, first=first, last=last)
+    channel = told.index(max(told))
+    x, y, distinct = places[channel]
+    first, last = lit_interval(work.geometry, x, y)
+    z = np.broadcast_to(work.geometry.height(x, y), x.shape).copy()
+    return Chosen(channel, Points(x=x, y=y, z=z, first=first, last=last, distinct=distinct))
+
+
+def stands_out(prominence: FloatArray, cells: int) -> NDArray[np.bool_]:
+    """Which prominences (n,) noise does not show, but once in 1 / FALSE searches of so many cells.
+
+    The power of a cell of noise is distributed exponentially: with probability 2^-p it is over p times its median. So
+    is that of clutter of many scatterers a cell.
+    """
+    return np.asarray(prominence > math.log2(max(cells, 1) / FALSE))
 
 
 def gaps_between(seen: Sequence[IntArray], work: Work) -> list[slice]:
@@ -307,8 +349,8 @@ def gaps_between(seen: Sequence[IntArray], work: Work) -> list[slice]:
 
 def best_points(
     x: FloatArray, y: FloatArray, prominence: FloatArray, middles: FloatArray, gaps: Sequence[slice], work: Work
-) -> list[int]:
-    """Indices of the candidates that are kept: those that are the same point count for its score.
+) -> tuple[list[int], FloatArray]:
+    """Indices of the candidates that are kept, and scores of all: those that are the same point count for its score.
 
     The score is a mean over the short apertures that light the point; those in a gap, not among `middles`, see nothing.
     """
@@ -332,7 +374,7 @@ def best_points(
         if both[kept].sum() < ACROSS:
             across = _spread(np.where(both, score, 0.0), epoch, yaw, work, cell_yaw)[:ACROSS]
             kept = _spread(score, epoch, yaw, work, cell_yaw, across)
-    return kept
+    return kept, score
 
 
 def _yaw_cell(work: Work) -> float:

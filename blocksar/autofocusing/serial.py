@@ -50,7 +50,7 @@ def find_track_error(
         If the samples do not tell the track's error; the message has the figures.
     """
     work = begin(geometry, grid, settings)
-    points = select_points([find_candidates(read(part), work, part, threads) for part in work.apertures], work)
+    points = select_points([[find_candidates(read(part), work, part, threads) for part in work.apertures]], work).points
     correction = Correction.none(work)
     while not correction.finished:
         displacement = correction.displacement

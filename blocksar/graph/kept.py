@@ -16,6 +16,7 @@ import numpy as np
 
 from blocksar import stores
 from blocksar.errors import ProcessingError
+from blocksar.runs.folder import KEPT
 from blocksar.runs.receipts import Run, refuse_replaced
 
 Files = Mapping[str, str]  # checksums by name, as receipts have them
@@ -24,7 +25,7 @@ OTHER = "json"  # kind of an entry that is no array
 
 
 def keep(run: Run, name: str, values: Sequence[Any]) -> dict[str, str]:
-    """Write dataclasses of arrays, numbers, texts, dicts and tuples to a file; return its checksum by name.
+    """Write dataclasses of arrays, numbers, texts, dicts and tuples to a file; return its checksum by its path.
 
     Raises
     ------
@@ -32,6 +33,7 @@ def keep(run: Run, name: str, values: Sequence[Any]) -> dict[str, str]:
         If it cannot be written, or another run has taken the folder.
     """
     refuse_replaced(run)
+    name = f"{KEPT}/{name}"
     arrays: dict[str, Any] = {}
     for index, value in enumerate(values):
         for field in fields(value):

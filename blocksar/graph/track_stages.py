@@ -7,8 +7,9 @@ where it was.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain, islice
 from typing import Any
 
 from distributed import Client
@@ -47,46 +48,69 @@ SEARCHED = 4  # short apertures that a task searches
 MISSING = 1 / 3  # of the pulses; with more of them missing, the error cannot be followed across the gaps
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Estimated:
+    """The estimate of a track, and what it was made from.
+
+    Attributes
+    ----------
+    receipts : list of Receipt
+    result : Result
+    run : Run
+        Of the estimate.
+    source : PhaseHistory
+        The samples of the channel that was taken, range-compressed.
+    points, correction, finished : mapping of str to str
+        Files of the points, of the correction with which chips are taken, and of the result.
+    token : str
+        Hash of everything that the correction depends on.
+    """
+
+    receipts: list[Receipt]
+    result: Result
+    run: Run
+    source: stores.PhaseHistory
+    points: Files
+    correction: Files
+    finished: Files
+    token: str
+
+
 def estimate_track(
     client: Client,
-    source: stores.PhaseHistory,
+    channels: Sequence[stores.PhaseHistory],
     run: Run,
     grid: Grid | None,
     control: Control | None,
     listener: Listener,
     threads: int,
     terrain: Terrain | None = None,
-) -> tuple[list[Receipt], Result]:
-    """Estimate the error of a phase history's track; return the receipts and the corrected track.
+) -> Estimated:
+    """Estimate the error of a phase history's track.
 
-    Control points, if there are some, anchor what the samples alone do not tell. A task that runs alone has `threads`.
-    Points stand on the terrain, by default on the plane z = ground_height.
+    Its channels have one track: it is estimated from the one that `select_points` takes. Control points, if there are
+    some, anchor what the samples alone do not tell. A task that runs alone has `threads`. Points stand on the terrain,
+    by default on the plane z = ground_height.
 
     Raises
     ------
     InputError
         If the samples do not tell of it.
     """
-    collection, store = source.collection, run.folder / "collection.zarr"
+    collection, store = channels[0].collection, run.folder / "collection.zarr"
     run.establish(store, lambda: stores.write_collection(store, collection))
     if terrain is not None:
         run.establish(run.terrain, partial(stores.write_terrain, run.terrain, terrain))
     work = work_of(str(run.folder), run.identity, grid)
-    (segment,), (receipts,) = compress_raw(
-        client, [Segment(source=source, geometry=work.geometry, plan=None)], run, listener
-    )
-    source = segment.source
-    stage = partial(_run_stage, client, run, listener)
-    searched = stage("search", _search(client, run, source, work, grid))
-    selected = stage("select", [single_task(client, run, "select", "points", select, _files(searched), grid)])
-    receipts += [*searched, *selected]
+    chosen, source, receipts = _select(client, channels, run, work, grid, listener)
+    points, stage = files_of(receipts[-1:]), partial(run_stage, client, run, listener)
     alone = replace(run, threads=threads)
     correction: Files = {}
     for loop in range(1, work.settings.loops + 1):
-        chips = stage(f"chips-{loop}", _chips(client, run, source, work, selected, correction, str(loop), grid))
+        chips = stage(f"chips-{loop}", _chips(client, run, source, work, points, correction, str(loop), grid))
         if loop == 1:
             _refuse_gaps(chips, collection.n_pulse)
-        arguments = (_files(selected), _files(chips), correction, grid)
+        arguments = (points, files_of(chips), correction, grid)
         estimated = stage(
             f"estimate-{loop}",
             [single_task(client, alone, "estimate", f"correction-{loop}", estimate_error, *arguments)],
@@ -95,37 +119,84 @@ def estimate_track(
         correction = estimated[0].files
         if (estimated[0].found or {})["finished"]:
             break
-    last = (_files(selected), _files(chips), correction)
+    last = (points, files_of(chips), correction)
     halves = stage(
         "halves", [single_task(client, run, "halves", f"half-{n}", estimate_from_half, n, *last, grid) for n in (0, 1)]
     )
-    finished = stage("test", [single_task(client, run, "test", "track", finish_estimate, *last, _files(halves), grid)])
+    finished = stage(
+        "test", [single_task(client, run, "test", "track", finish_estimate, *last, files_of(halves), grid)]
+    )
     receipts += [*halves, *finished]
     if control is not None:
         known = stage("control", [single_task(client, run, "control", "control", keep_points, control, grid)])
-        chips = stage("control-chips", _chips(client, run, source, work, known, correction, "control", grid))
-        given = (_files(finished), control, _files(chips), correction, grid)
+        chips = stage("control-chips", _chips(client, run, source, work, files_of(known), correction, "control", grid))
+        given = (files_of(finished), control, files_of(chips), correction, grid)
         finished = stage("anchor", [single_task(client, run, "anchor", "anchored", anchor_track, *given)])
         receipts += [*known, *chips, *finished]
-    return receipts, kept(run, Result, finished[0].files)[0]
+    result = kept(run, Result, finished[0].files)[0]
+    if len(channels) > 1:
+        result = replace(result, figures={**result.figures, "channel": channels[0].channels[chosen]})
+    return Estimated(
+        receipts=receipts, result=result, run=run, source=source, points=points, correction=correction,
+        finished=files_of(finished), token=run.identity,
+    )  # fmt: skip
 
 
-def _run_stage(client: Client, run: Run, listener: Listener, name: str, units: Sequence[Unit]) -> list[Receipt]:
+def _select(
+    client: Client,
+    channels: Sequence[stores.PhaseHistory],
+    run: Run,
+    work: Work,
+    grid: Grid | None,
+    listener: Listener,
+) -> tuple[int, stores.PhaseHistory, list[Receipt]]:
+    """Select points and the channel that they are of: its number, its samples, and receipts, the last of the points."""
+    numbers = range(len(channels)) if len(channels) > 1 else [None]
+    segments, compressed = compress_raw(
+        client,
+        [
+            Segment(collection=number, source=source, geometry=work.geometry, plan=None)
+            for number, source in zip(numbers, channels, strict=True)
+        ],
+        run,
+        listener,
+    )
+    stage = partial(run_stage, client, run, listener)
+    searches = [_search(client, run, segment, work, grid) for segment in segments]
+    searched = stage("search", list(chain(*searches)))
+    done = iter(searched)
+    candidates = [files_of(list(islice(done, len(some)))) for some in searches]
+    selected = stage("select", [single_task(client, run, "select", "points", select, candidates, grid)])
+    chosen = (selected[0].found or {})["channel"]
+    return chosen, segments[chosen].source, [*chain(*compressed), *searched, *selected]
+
+
+def run_stage(client: Client, run: Run, listener: Listener, name: str, units: Sequence[Unit]) -> list[Receipt]:
+    """Run the units of a stage, which read samples of the input."""
     # A refusal by any stage is about the samples, also where they are those of a raw echo, compressed.
     return run_units(client, name, units, run, listener, per_worker=2, reading_input=[unit for unit, _ in units])
 
 
-def _files(receipts: Sequence[Receipt]) -> Files:
+def files_of(receipts: Sequence[Receipt]) -> Files:
+    """The files of units, with their checksums."""
     return {name: checksum for receipt in receipts for name, checksum in receipt.files.items()}
 
 
-def _search(client: Client, run: Run, source: stores.PhaseHistory, work: Work, grid: Grid | None) -> list[Unit]:
-    units = []
+def _search(client: Client, run: Run, segment: Segment, work: Work, grid: Grid | None) -> list[Unit]:
+    """The search in the short apertures of a channel, which is a segment's source and has its `collection` number."""
+    units, source = [], segment.source
+    of = "" if segment.collection is None else f"-of-channel-{segment.collection}"
     for first, end in spans(len(work.apertures), SEARCHED):
         pulses = [(one.start, one.stop) for one in work.apertures[first:end]]
         within = source.within(pulses=slice(pulses[0][0], pulses[-1][1]))
-        units.append(single_task(client, run, "search", f"candidates-{first}", search_pulses, within, pulses, grid))
+        units.append(single_task(client, run, "search", f"candidates-{first}{of}", search_pulses, within, pulses, grid))
     return units
+
+
+def chip_units(client: Client, one: Estimated, points: Files, name: str, grid: Grid | None) -> list[Unit]:
+    """The units that take chips of other points along a corrected track; `name` tells them apart."""
+    work = work_of(str(one.run.folder), one.run.identity, grid)
+    return _chips(client, one.run, one.source, work, points, one.correction, name, grid)
 
 
 def _chips(
@@ -133,12 +204,11 @@ def _chips(
     run: Run,
     source: stores.PhaseHistory,
     work: Work,
-    selected: Sequence[Receipt],
+    points: Files,
     correction: Files,
     name: str,
     grid: Grid | None,
 ) -> list[Unit]:
-    points = _files(selected)
     return [
         single_task(
             client, run, "chips", f"chips-{name}-{pulses.start}", chips_of_pulses, source.within(pulses=pulses),
@@ -166,4 +236,4 @@ def copy_store(client: Client, source: Place, target: Place, run: Run, listener:
         units.append(
             single_task(client, run, "copy", f"copy-{group[0].replace('/', '-')}", copy_group, source, target, some)
         )
-    return _run_stage(client, run, listener, "copy", units)
+    return run_stage(client, run, listener, "copy", units)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -20,6 +21,7 @@ from blocksar.autofocusing.correction import Correction
 from blocksar.autofocusing.estimation import estimate
 from blocksar.autofocusing.finishing import HalfEstimate, Result, estimate_half, finish
 from blocksar.autofocusing.selection import Candidates, Points, find_candidates, select_points
+from blocksar.autofocusing.tying import Places, find_places, tie
 from blocksar.autofocusing.work import Work, begin
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
@@ -69,17 +71,18 @@ def search_pulses(
     return sign(run, Receipt(unit=unit, stage="search", files=keep(run, f"{unit}.npz", found)), started)
 
 
-def select(run: Run, unit: str, candidates: Files, grid: Grid | None) -> Receipt:
-    """Select the points of the estimate."""
+def select(run: Run, unit: str, candidates: Sequence[Files], grid: Grid | None) -> Receipt:
+    """Select the points of the estimate from the candidates of each channel, and the channel that they are of."""
     started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
-    found = kept(run, Candidates, candidates)
-    if not any(one.x.size for one in found):
+    found = [kept(run, Candidates, files) for files in candidates]
+    if not any(one.x.size for some in found for one in some):
         raise InputError(
             f"0 points stand out in the scene, but the track's error needs at least {work.settings.least_points}; "
             "give another --grid, or another collection"
         )
-    points = select_points(found, work)
-    return sign(run, Receipt(unit=unit, stage="select", files=keep(run, f"{unit}.npz", [points])), started)
+    chosen = select_points(found, work)
+    files = keep(run, f"{unit}.npz", [chosen.points])
+    return sign(run, Receipt(unit=unit, stage="select", files=files, found={"channel": chosen.channel}), started)
 
 
 def chips_of_pulses(
@@ -148,6 +151,34 @@ def keep_points(run: Run, unit: str, control: Control, grid: Grid | None) -> Rec
     return sign(
         run, Receipt(unit=unit, stage="control", files=keep(run, f"{unit}.npz", [control.points(work)])), started
     )
+
+
+def keep_shared(run: Run, unit: str, points: Points) -> Receipt:
+    """Keep the points that two collections see."""
+    started = time.perf_counter()
+    return sign(run, Receipt(unit=unit, stage="tie", files=keep(run, f"{unit}.npz", [points])), started)
+
+
+def find_shared_places(
+    run: Run, unit: str, points: Files, chips: Files, correction: Files, grid: Grid | None
+) -> Receipt:
+    """Find where a collection sees the responses in the chips of points that another one sees too."""
+    started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
+    parts, last = kept(run, ChipPart, chips), _correction(run, work, correction)
+    places = find_places(work, _points(run, points), parts, last)
+    return sign(run, Receipt(unit=unit, stage="tie", files=keep(run, f"{unit}.npz", [places])), started)
+
+
+def tie_track(
+    run: Run, unit: str, result: Files, places: Places, chips: Files, correction: Files, grid: Grid | None
+) -> Receipt:
+    """Tie a corrected track to that of another collection; keep the result, and the correction as it is then."""
+    started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
+    parts, last = kept(run, ChipPart, chips), _correction(run, work, correction)
+    tied = tie(work, kept(run, Result, result)[0], places, parts, last)
+    files = keep(run, f"{unit}-result.npz", [tied])
+    files |= keep(run, f"{unit}-correction.npz", [replace(last, displacement=-tied.track_error)])
+    return sign(run, Receipt(unit=unit, stage="tie", files=files), started)
 
 
 def _points(run: Run, files: Files) -> Points:

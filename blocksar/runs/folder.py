@@ -48,10 +48,22 @@ OWN = (
 )
 SCRATCH = "scratch"
 DASK = "dask-scratch-space"  # all that a run has there
-TRACK = "autofocus"  # the estimate of the track's error, which comes before all else
-TEMPORARY = ("receipts", "compressed.zarr", "gated", SCRATCH, TRACK)  # what a finished run does not need
+TRACK = "autofocus"  # the folder of the estimate of the track's error, which comes before all else
+KEPT = "kept"  # the files of such an estimate
+ESTIMATE = (
+    RECORD,
+    INPUT,
+    "collection.zarr",
+    "terrain.zarr",
+    "compressed.zarr",
+    KEPT,
+    "store.zarr",
+    "receipts",
+    SCRATCH,
+)
+TEMPORARY = ("receipts", "compressed.zarr", "gated", SCRATCH)  # what a finished run does not need
 INTERMEDIATE = ("spectrum.zarr", "patches")  # those of OWN that nothing reads once a run is finished
-LEFT_ALONE = (HISTORY, TRACK)  # may lie in the folder of a new run: `demo` puts its input there
+LEFT_ALONE = (HISTORY,)  # may lie in the folder of a new run: `demo` puts its input there
 LOCK, ASIDE = "run.lock", ".replaced"
 
 
@@ -147,7 +159,71 @@ def foreign_names(folder: Place, names: Sequence[str]) -> list[str]:
     foreign = [name for name in names if name not in (*LEFT_ALONE, LOCK, ASIDE) and not is_temporary(name)]
     if SCRATCH in foreign and _is_of_workers(folder / SCRATCH):  # killed while it was planned
         foreign.remove(SCRATCH)
+    if TRACK in foreign and not foreign_to_estimate(folder / TRACK):  # killed before it was planned
+        foreign.remove(TRACK)
     return foreign
+
+
+def foreign_to_estimate(folder: Place) -> list[str]:
+    """Names in the folder of a track's estimate, or of those of several collections, of what is not theirs."""
+    names = _names(folder)
+    own = {LOCK, *(ESTIMATE if _is_estimate(folder, names) else ())}
+    foreign = [name for name in names if name not in own and not is_temporary(name)]
+    if SCRATCH in foreign and _is_of_workers(folder / SCRATCH):
+        foreign.remove(SCRATCH)
+    return [name for name in foreign if not (_is_numbered(folder, name) and not foreign_to_estimate(folder / name))]
+
+
+def _is_estimate(folder: Place, names: Sequence[str]) -> bool:
+    """Whether a folder has the record of an estimate; one that cannot be read is taken for a damaged one."""
+    if RECORD not in names:
+        return False
+    with suppress(InputError):
+        record = stores.read_json(folder / RECORD)
+        return isinstance(record, Mapping) and "identity" in record
+    return True
+
+
+def _is_numbered(folder: Place, name: str) -> bool:
+    """Whether a folder may be that of the estimate of one of several collections."""
+    inside = folder / name
+    return name.isdecimal() and not (isinstance(inside, LocalPlace) and not inside.path.is_dir())
+
+
+def refuse_foreign(folder: Place) -> None:
+    """Check that an estimate of a track can be made in a folder, and that it would hold nothing else.
+
+    Raises
+    ------
+    FolderError
+        If something else is there.
+    """
+    if foreign := foreign_to_estimate(folder):
+        raise FolderError(
+            f"{folder / foreign[0]} is not of an estimate of the track, which is made in {folder}; move it away, or "
+            "choose another --out"
+        )
+
+
+def clear_estimate(folder: Place) -> None:
+    """Remove what an estimate of a track has kept in its folder, and nothing else; the record last."""
+    if _is_estimate(folder, folder.names()):
+        for name in reversed(ESTIMATE):
+            if name != SCRATCH:
+                (folder / name).remove()
+
+
+def remove_estimate(folder: Place) -> None:
+    """Remove the estimate of a track, or those of several collections, and their folder if nothing else is there."""
+    for name in folder.names():
+        if _is_numbered(folder, name):
+            remove_estimate(folder / name)
+    clear_estimate(folder)
+    if _is_of_workers(folder / SCRATCH):
+        (folder / SCRATCH).remove()
+    folder.sweep()
+    if set(folder.names()) <= {LOCK}:
+        folder.remove()
 
 
 def refuse_links(folder: Place) -> None:
@@ -292,6 +368,8 @@ def tidy(folder: Place) -> None:
     for name in (*TEMPORARY, ASIDE):
         with suppress(PermissionError):
             (folder / name).remove()
+    with suppress(PermissionError):
+        remove_estimate(folder / TRACK)
     folder.sweep()
 
 
@@ -316,7 +394,8 @@ def scratch(folder: Place) -> str | None:
 
 def is_tidy(folder: Place) -> bool:
     """Tell whether a finished run has no leftovers."""
-    return not {*TEMPORARY, ASIDE} & set(folder.names())
+    names = set(folder.names())
+    return not {*TEMPORARY, ASIDE} & names and (TRACK not in names or bool(foreign_to_estimate(folder / TRACK)))
 
 
 def check_finished(folder: Place, record: RunRecord) -> None:

@@ -178,7 +178,7 @@ def _stage_of(unit: str, *, back_projection: bool) -> str:
 
 
 _BEFORE = {"weighting_range": "uniform", "weighting_azimuth": "uniform", "surface": "plane"}  # of older runs
-_IF_USED = ("autofocus", "control")  # settings that only runs with them have
+_IF_USED = ("autofocus", "control", "track_input")  # settings that only runs with them have
 # Figures of a block that records of earlier versions lack.
 _ADDED = (
     "bias", "quadratic_phase", "resolution", "track_phase", "coherence", "phase_loss", "range_loss",

@@ -37,9 +37,10 @@ class TrackCorrection:
     Attributes
     ----------
     figures : mapping
-        Number of `points` and of `knots`; `halves_apart`, the difference of two estimates from disjoint halves of the
-        points; `predicted_error`, of what is left; `entropy_before` and `entropy_after` of the chips; `history`,
-        the figures of each loop; and others.
+        Number of `points`, of those that are `distinct` from noise and clutter, and of `knots`; `halves_apart`, the
+        difference of two estimates from disjoint halves of the points; `predicted_error`, of what is left;
+        `entropy_before` and `entropy_after` of the chips; `history`, the figures of each loop; `channel`, from which
+        the points come, where there are several; and others.
     identity : str
         Hash of what the correction depends on; empty if unknown.
     settings : mapping
@@ -118,18 +119,32 @@ class TrackCorrection:
 
     def sentences(self) -> list[str]:
         """What was done, with figures."""
-        f = self.figures
+        f, n = self.figures, self.figures["points"]
+        few = f", {f['distinct']} of which stand out of noise and clutter," if f.get("distinct", n) < n else ""
         size = np.sqrt((self.error * self.error).sum(axis=1))
-        loops = len(f.get("history") or [])
+        loops, of = len(f.get("history") or []), f" of channel {f['channel']}" if "channel" in f else ""
         on = "" if "surface" in self.settings else ", if the ground is the plane on which points were taken"
         return [
             f"track corrected by up to {1e3 * size.max():.3g} mm ({1e3 * np.sqrt((size * size).mean()):.3g} mm r.m.s.) "
-            f"from {f['points']} points in {loops} loop{'s' if loops != 1 else ''}; entropy of their chips "
+            f"from {f['points']} points{of}{few} in {loops} loop{'s' if loops != 1 else ''}; entropy of their chips "
             f"{f['entropy_before']:.3f} before and {f['entropy_after']:.3f} after",
             f"phase error left over a dwell: {f['predicted_error']:.3f} rad r.m.s. predicted{on}; two estimates from "
             f"disjoint halves of the points differ by {f['halves_apart']:.3f} rad",
-            *([_anchored(f["control"])] if f.get("control") else [UNTOLD]),
+            *([_anchored(f["control"])] if f.get("control") else [_tied(f["tied"])] if "tied" in f else [UNTOLD]),
         ]
+
+
+def _tied(tied: Mapping[str, Any]) -> str:
+    """Whether the track fits that of another collection, with figures."""
+    if not tied["points"]:
+        return (
+            "not tied to the collections before: too few points that both see, or they do not agree; so its image may "
+            "be shifted against theirs, by metres where errors of centimetres change within a second"
+        )
+    return (
+        f"tied to {tied['to']} by {tied['points']} points that both see, and moved by up to {tied['moved']:.3g} m; "
+        f"their ranges agree within {tied['range_left']:.2g} m r.m.s.: images meet in place, but phase may jump there"
+    )
 
 
 def _anchored(control: Mapping[str, Any]) -> str:

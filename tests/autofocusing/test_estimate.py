@@ -10,7 +10,7 @@ import pytest
 from blocksar.autofocusing import estimation
 from blocksar.autofocusing.estimation import coarse_error
 from blocksar.autofocusing.finishing import Result
-from blocksar.autofocusing.selection import Refused
+from blocksar.autofocusing.selection import Refused, stands_out
 from blocksar.autofocusing.serial import find_track_error
 from blocksar.autofocusing.settings import Settings
 from blocksar.collection.collection import Collection
@@ -101,7 +101,7 @@ def test_a_regular_matrix_of_equal_points() -> None:
 
 def test_noise_is_refused() -> None:
     stated = spotlight()
-    with pytest.raises(Refused, match="differ by"):
+    with pytest.raises(Refused, match=r": 0 of \d\d points stand out of noise and clutter, and 20 tell .* differ by"):
         found(noise(stated.n_pulse, stated.n_range_frequency), settings=Settings(loops=2))
 
 
@@ -111,6 +111,29 @@ def test_too_few_points_are_refused(amplitude: float, points: int) -> None:
     stated = spotlight()
     with pytest.raises(Refused, match="points stand out in the scene"):
         found((amplitude * echoes(stated, np.zeros((stated.n_pulse, 3)), points=points)).astype(np.complex64))
+
+
+@pytest.mark.parametrize(("amplitude", "points"), [(0.3, 6), pytest.param(1.0, 14, marks=pytest.mark.slow)])
+def test_few_points_in_noise_are_counted_and_serve_if_they_tell(amplitude: float, points: int) -> None:
+    """The other places are maxima of noise, which do not harm the estimate."""
+    stated = spotlight()
+    wrong = error(stated.time)
+    signal = amplitude * echoes(stated, wrong, points=points) + noise(stated.n_pulse, stated.n_range_frequency)
+    result = found(signal.astype(np.complex64))
+    assert points - 3 <= result.figures["distinct"] <= points and result.figures["points"] > 25
+    left = residual_phase(STATED, result.antenna_position - stated.antenna_position - wrong, PLACES)
+    predicted = result.figures["predicted_error"]
+    assert predicted / 2 < np.sqrt(np.mean(left**2)) < 2 * predicted < 0.15
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_maxima_of_noise_do_not_stand_out(seed: int) -> None:
+    """Once in a hundred searches they may; of exponential power p times the median has the probability 2^-p."""
+    random = np.random.default_rng(seed)
+    power = random.exponential(size=(2000, 500))  # searches
+    prominence = power.max(axis=1) / np.median(power, axis=1)
+    assert stands_out(prominence, 500).mean() < 0.02
+    assert stands_out(prominence, 5).mean() > 0.3
 
 
 def test_a_collection_too_short() -> None:

@@ -135,6 +135,46 @@ def test_a_damaged_record_of_an_estimate_is_no_wrong_input(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["again.zarr"]
 
 
+def test_what_others_put_into_the_work_folder_stays(corrected: Corrected, client: Client, tmp_path: Path) -> None:
+    settings: dict[str, Any] = {"grid": wrong_tracks.GRID, "control": corrected.control, "client": client}
+    for name in ("notes.txt", "0/notes.txt", "store.zarr/notes.txt", "0", "run.json"):
+        foreign = tmp_path / name.replace("/", "-") / "again.zarr.autofocus" / name
+        foreign.parent.mkdir(parents=True)
+        foreign.write_text('["mine"]')
+        folder = foreign.parents[name.count("/")]
+        with pytest.raises(InputError, match="is not of an estimate of the track"):
+            blocksar.autofocus(corrected.source, folder.with_name("again.zarr"), **settings)
+        assert foreign.read_text() == '["mine"]' and [path.name for path in folder.parent.iterdir()] == [folder.name]
+    for folder in (tmp_path / "run" / "autofocus", tmp_path / "run" / "autofocus" / "0"):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "notes.txt").write_text("mine")
+        with pytest.raises(InputError, match=r"holds no run of blocksar \(but autofocus\)"):
+            blocksar.focus(corrected.source, tmp_path / "run", autofocus=True, **settings)
+        assert (folder / "notes.txt").read_text() == "mine"
+        (folder / "notes.txt").unlink()
+
+
+def test_what_others_put_there_meanwhile_stays(
+    corrected: Corrected, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, notes = tmp_path / "again.zarr", tmp_path / "again.zarr.autofocus" / "notes.txt"
+    publish = stores.publish
+
+    def noted(*given: Any, **options: Any) -> None:
+        notes.write_text("mine")
+        publish(*given, **options)
+
+    monkeypatch.setattr(stores, "publish", noted)
+    settings: dict[str, Any] = {"grid": wrong_tracks.GRID, "control": corrected.control, "client": client}
+    for _ in range(2):  # also of a store that is finished already
+        blocksar.autofocus(corrected.source, out, **settings)
+        assert files(out) == files(corrected.store)
+        assert [path.name for path in notes.parent.iterdir()] == ["notes.txt"]
+    with pytest.raises(InputError, match=r"notes.txt is not of an estimate of the track"):
+        blocksar.autofocus(corrected.source, out, overwrite=True, **settings | {"control": None})
+    assert notes.read_text() == "mine"
+
+
 NOISE = "[noise]\npower = 1.0\nseed = 4\n"
 REFUSED = {
     "noise alone": NOISE,

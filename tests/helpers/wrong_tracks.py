@@ -46,9 +46,9 @@ def targets(count: int = 60, seed: int = 1) -> str:
     return "".join(f'[[targets]]\nname = "P{i}"\nx = {x:.3f}\ny = {y:.3f}\n' for i, (x, y) in enumerate(places))
 
 
-def make(folder: Path, text: str = "", *, raw: bool = False, error: str = ERROR) -> Path:
-    """Simulate the scene with more tables into folder/ph.zarr."""
-    (folder / "scene.toml").write_text(SCENE + error + (text or targets()))
+def make(folder: Path, text: str = "", *, raw: bool = False, error: str = ERROR, top: str = "") -> Path:
+    """Simulate the scene with more tables, and lines on top, into folder/ph.zarr."""
+    (folder / "scene.toml").write_text(top + SCENE + error + (text or targets()))
     return Path(blocksar.simulate(folder / "scene.toml", folder / "ph.zarr", raw=raw))
 
 

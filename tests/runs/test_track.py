@@ -42,6 +42,8 @@ def test_a_correction_is_read_as_it_was_written() -> None:
     first, second, third = read.sentences()
     assert third.startswith("not told by the samples")
     assert first.startswith("track corrected by up to 100 mm") and "from 42 points in 2 loops" in first
+    few = replace(made, figures={**made.figures, "distinct": 6, "channel": "HV"}).sentences()[0]
+    assert "from 42 points of channel HV, 6 of which stand out of noise and clutter, in 2 loops" in few
     assert (
         "6.500 before and 4.250 after" in first and "0.030 rad r.m.s. predicted, if the ground is the plane" in second
     )

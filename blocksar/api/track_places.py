@@ -1,0 +1,81 @@
+"""Where the track of a run's collections is estimated, and from what: one place for all runs that have this track."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Self
+
+from blocksar import stores
+from blocksar.api.fingerprints import joint_fingerprint
+from blocksar.errors import FolderError, InputError
+from blocksar.places.place import Place
+from blocksar.runs import folder as run_folder
+
+if TYPE_CHECKING:
+    from blocksar.autofocusing.finishing import Result
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrackPlace:
+    """Where the track of a run's collections is estimated. Channels were taken by one antenna and share the estimate.
+
+    Attributes
+    ----------
+    folder : Place
+        For the estimate, or those of several collections.
+    channels : tuple of tuples of PhaseHistory
+        Of each collection its channels, pinned; of one in memory the collection itself.
+    fingerprints : tuple of str
+        Of each collection with all its channels.
+    results : dict
+        Estimates that this process has carried out, by folder and identity.
+    """
+
+    folder: Place
+    channels: tuple[tuple[stores.PhaseHistory, ...], ...]
+    fingerprints: tuple[str, ...]
+    results: dict[tuple[str, str], Result] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls, folder: Place, histories: Sequence[stores.PhaseHistory], fingerprints: Sequence[str] | None = None
+    ) -> Self:
+        """The place for phase histories with all channels of their stores.
+
+        `fingerprints` are those of the phase histories, if they are known.
+        """
+        channels = tuple(channels_of_track(history) for history in histories)
+        known: Sequence[str | None] = fingerprints or [None] * len(channels)
+        return cls(
+            folder=folder,
+            channels=channels,
+            fingerprints=tuple(
+                own if own is not None and len(some) == 1 else joint_fingerprint([one.fingerprint() for one in some])
+                for own, some in zip(known, channels, strict=True)
+            ),
+        )
+
+    def settings(self, fingerprint: str) -> dict[str, Any]:
+        """Those of a run whose input has this `fingerprint`: also what the track is estimated from, if that is more."""
+        told = joint_fingerprint(self.fingerprints)
+        return {"autofocus": True, **({} if told == fingerprint else {"track_input": told})}
+
+    @contextmanager
+    def removed_if_wrong(self) -> Iterator[None]:
+        """Remove what is estimated there if an InputError is raised in the block."""
+        try:
+            yield
+        except FolderError:  # what is there may be another's
+            raise
+        except InputError:
+            run_folder.remove_estimate(self.folder)
+            raise
+
+
+def channels_of_track(history: stores.PhaseHistory) -> tuple[stores.PhaseHistory, ...]:
+    """All channels of a phase history's store, pinned; of one in memory itself."""
+    if isinstance(history, stores.DatasetHistory):
+        return (history,)
+    return tuple(history.of_channel(name).pinned() for name in history.channels) or (history.pinned(),)

@@ -1,0 +1,134 @@
+"""Ties between the tracks of collections that overlap, such as bursts.
+
+The samples of a collection do not tell a constant and a line of its track's error along the line of sight, which
+shift and turn its image. Those of two collections differ, and their images do not fit where they meet: by metres, where
+errors of centimetres change within a second. Points that both see tell the difference: the places where one sees them
+are control points of the other, without phases. A place is known to some hundredths of a resolution cell, which is many
+turns of the phase over the time between both dwells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from blocksar.arrays import FloatArray
+from blocksar.autofocusing.anchoring import Control, anchored, responses_of
+from blocksar.autofocusing.chips import ChipPart, Chips, join_chips
+from blocksar.autofocusing.correction import Correction
+from blocksar.autofocusing.finishing import Result
+from blocksar.autofocusing.responses import Seen
+from blocksar.autofocusing.selection import Points
+from blocksar.autofocusing.work import Work
+from blocksar.collection.beam import lit_interval
+from blocksar.errors import InputError
+
+SHARED = 0.75  # of a dwell of either collection: what it sees of a point
+LEAST = 4  # points that tie two collections
+STEPS = 6  # of Newton's method, from a point to a place in its chip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Places:
+    """Where a collection sees some responses: x, y, z (n,) float, m, scene frame, on the ground."""
+
+    x: FloatArray
+    y: FloatArray
+    z: FloatArray
+
+
+def shared_points(one: Work, other: Work, points: Sequence[Points]) -> Points:
+    """Those of the points of either collection that both see for most of a dwell, with the pulses of `one`.
+
+    No more than an estimate has.
+    """
+    x, y, z = (np.concatenate([getattr(some, name) for some in points]) for name in ("x", "y", "z"))
+    seen = np.ones(x.size, bool)
+    for work in (one, other):
+        first, last = lit_interval(work.geometry, x, y)
+        seen &= last - first >= SHARED * work.dwell
+    index = np.flatnonzero(seen)[: one.settings.points]
+    x, y, z = x[index], y[index], z[index]
+    first, last = lit_interval(one.geometry, x, y)
+    return Points(x=x, y=y, z=z, first=first, last=last)
+
+
+def find_places(work: Work, points: Points, parts: Sequence[ChipPart], correction: Correction) -> Places:
+    """Where the brightest response in the chip of each point lies along the corrected track, each place once.
+
+    Parameters
+    ----------
+    parts : sequence of ChipPart
+        Chips of `points`, taken with `correction`, by block of pulses.
+    """
+    chips = join_chips(work, points, parts, correction.displacement)
+    found: list[tuple[float, float]] = []
+    for i in range(points.x.size):
+        with suppress(InputError):  # nothing stands out in this chip
+            x, y = _place(work, points, chips, i, responses_of(chips, i, f"{i}")[0])
+            if all(np.hypot(x - a, y - b) > work.cell for a, b in found):
+                found.append((x, y))
+    at = np.array(found, np.float64).reshape(-1, 2)
+    height = work.geometry.height(at[:, 0], at[:, 1])
+    return Places(x=at[:, 0].copy(), y=at[:, 1].copy(), z=np.broadcast_to(height, at.shape[:1]).copy())
+
+
+def _place(work: Work, points: Points, chips: Chips, i: int, one: Seen) -> tuple[float, float]:
+    """x and y of a response, m, of its range in the middle of the dwell, and the change of that over the dwell."""
+    n = int(chips.count[i])
+    at = [0, n // 2, n - 1]
+    distance = chips.distance[i, at]
+    point = np.array([points.x[i], points.y[i], points.z[i]])
+    antenna = point - chips.sight[i, at] * distance[:, None]
+
+    def seen(x: float, y: float) -> FloatArray:
+        height = float(np.asarray(work.geometry.height(np.array([x]), np.array([y]))).ravel()[0])
+        ranges = np.sqrt(((antenna - [x, y, height]) ** 2).sum(axis=1))
+        return np.array([ranges[1], ranges[2] - ranges[0]])
+
+    turned = one.rate * float(one.at[2] - one.at[0]) / work.wavenumber  # m, towards the antenna
+    wanted = np.array([distance[1] + one.range, distance[2] - distance[0] - turned])
+    x, y = float(point[0]), float(point[1])
+    for _ in range(STEPS):
+        here = seen(x, y)
+        (rx, tx), (ry, ty), (off, turn) = seen(x + 1, y) - here, seen(x, y + 1) - here, wanted - here
+        determinant = rx * ty - ry * tx
+        x, y = x + (off * ty - turn * ry) / determinant, y + (turn * rx - off * tx) / determinant
+    return float(x), float(y)
+
+
+def control_of(places: Places) -> Control:
+    """Places where another collection sees responses as control points, of unknown phase."""
+    names = tuple(f"{i}" for i in range(places.x.size))
+    return Control(names=names, x=places.x, y=places.y, z=places.z, phase=np.zeros(places.x.size))
+
+
+def tie(work: Work, result: Result, places: Places, parts: Sequence[ChipPart], correction: Correction) -> Result:
+    """Move a corrected track by a constant and a line, so that responses are seen where another collection sees them.
+
+    The result's figures have `tied`: the number of points, 0 where they do not agree and the track stays as it is; by
+    how much it was `moved`, m; and what is left of their ranges, `range_left`, m.
+
+    Parameters
+    ----------
+    parts : sequence of ChipPart
+        Chips of `control_of(places)`, taken with `correction`, by block of pulses.
+    """
+    control = control_of(places)
+    chips = join_chips(work, control.points(work), parts, correction.displacement)
+    names, found = [], []
+    for i, name in enumerate(control.names):
+        with suppress(InputError):  # it is not seen here
+            found.append([replace(one, doubt=np.inf) for one in responses_of(chips, i, name)])
+            names.append(name)
+    with suppress(InputError):  # they do not agree
+        if len(names) >= LEAST:
+            tied = anchored(work, result, names, found)
+            told = tied.figures["control"]
+            figures = {name: tied.figures[name] for name in tied.figures if name != "control"}
+            kept = {"points": told["points"], "moved": told["moved"], "range_left": told["range_left"]}
+            return replace(tied, figures={**figures, "tied": kept})
+    return replace(result, figures={**result.figures, "tied": {"points": 0}})

@@ -1,0 +1,119 @@
+"""The stages that tie the tracks of several collections where they overlap, after the estimate of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+from distributed import Client
+
+from blocksar import stores
+from blocksar.autofocusing.finishing import Result
+from blocksar.autofocusing.selection import Points
+from blocksar.autofocusing.tying import LEAST, Places, control_of, shared_points
+from blocksar.autofocusing.work import Work
+from blocksar.collection.beam import lit_interval
+from blocksar.collection.grid import Grid
+from blocksar.graph.kept import Files, kept
+from blocksar.graph.track_stages import Estimated, chip_units, files_of, run_stage
+from blocksar.graph.track_tasks import find_shared_places, keep_points, keep_shared, tie_track, work_of
+from blocksar.graph.units import single_task
+from blocksar.progress import Listener
+from blocksar.runs.receipts import Run
+from blocksar.runs.record import Receipt
+
+
+def tie_tracks(
+    client: Client, estimates: Sequence[Estimated], labels: Sequence[str], grid: Grid | None, listener: Listener
+) -> list[Estimated]:
+    """Move the tracks of several collections, so that their images agree in place where they overlap.
+
+    The first stays as it is. Then, one by one, the collection that shares most points with those before is tied to the
+    one that it shares them with. `labels` are what the results' figures call the collections.
+    """
+    works = [work_of(str(one.run.folder), one.run.identity, grid) for one in estimates]
+    points = [kept(one.run, Points, one.points)[0] for one in estimates]
+    shared = {
+        (i, j): shared_points(works[i], works[j], [points[i], points[j]]).x.size
+        for i, j in combinations(range(len(estimates)), 2)
+    }
+    tied, before, rest = list(estimates), [0], list(range(1, len(estimates)))
+    while rest:
+        pairs = [(one, other) for one in before for other in rest]
+        one, other = max(pairs, key=lambda pair: shared[min(pair), max(pair)])
+        if shared[min(one, other), max(one, other)] >= LEAST:
+            known = shared_points(works[one], works[other], [points[one], points[other]])
+            tied[other] = _tie(client, tied[one], tied[other], works[other], known, labels[one], grid, listener)
+        else:
+            other = rest[0]
+            tied[other] = _alone(tied[other])
+        before.append(other)
+        rest.remove(other)
+    return tied
+
+
+def _alone(one: Estimated) -> Estimated:
+    return replace(one, result=_noted(one.result, {"points": 0}))
+
+
+def _noted(result: Result, tied: dict[str, object]) -> Result:
+    return replace(result, figures={**result.figures, "tied": tied})
+
+
+def _tie(
+    client: Client,
+    one: Estimated,
+    other: Estimated,
+    work: Work,
+    shared: Points,
+    label: str,
+    grid: Grid | None,
+    listener: Listener,
+) -> Estimated:
+    """Tie the track of another collection, with this `work`, to that of the first by the points that both see."""
+    # What is found depends on both, and on what the first is tied to.
+    token = stores.checksum_bytes(f"{one.token} {other.run.identity}".encode())[:12]
+    known = _one(client, one.run, listener, f"shared-{token}", keep_shared, shared)
+    chips = run_stage(
+        client, one.run, listener, "tie", chip_units(client, one, files_of([known]), f"shared-{token}", grid)
+    )
+    given = (files_of([known]), files_of(chips), one.correction, grid)
+    found = _one(client, one.run, listener, f"places-{token}", find_shared_places, *given)
+    receipts = [*other.receipts, known, *chips, found]
+    places = _lit(kept(one.run, Places, found.files)[0], work)
+    if places.x.size < LEAST:
+        return _alone(replace(other, receipts=receipts))
+    points = _one(client, other.run, listener, f"tied-points-{token}", keep_points, control_of(places), grid)
+    chips = run_stage(
+        client, other.run, listener, "tie", chip_units(client, other, files_of([points]), f"tied-{token}", grid)
+    )
+    given_ = (other.finished, places, files_of(chips), other.correction, grid)
+    done = _one(client, other.run, listener, f"tied-{token}", tie_track, *given_)
+    result, correction = (_named(done.files, name) for name in ("result", "correction"))
+    moved = kept(other.run, Result, result)[0]
+    figures = {**other.result.figures, **moved.figures}
+    figures["tied"] = {**figures["tied"], "to": label}
+    return replace(
+        other, receipts=[*receipts, points, *chips, done], token=token, correction=correction,
+        result=replace(moved, figures=figures),
+    )  # fmt: skip
+
+
+def _lit(places: Places, work: Work) -> Places:
+    """Those that the collection of this work sees."""
+    first, last = lit_interval(work.geometry, places.x, places.y)
+    seen = np.flatnonzero(last - first >= 2 * work.decimation)
+    return Places(x=places.x[seen], y=places.y[seen], z=places.z[seen])
+
+
+def _one(
+    client: Client, run: Run, listener: Listener, unit: str, task: Callable[..., Receipt], *given: object
+) -> Receipt:
+    """Run a single task."""
+    return run_stage(client, run, listener, "tie", [single_task(client, run, "tie", unit, task, *given)])[0]
+
+
+def _named(files: Files, word: str) -> Files:
+    return {name: checksum for name, checksum in files.items() if name.endswith(f"{word}.npz")}

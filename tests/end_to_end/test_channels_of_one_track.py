@@ -1,0 +1,176 @@
+"""Channels and looks with a track that is wrong: one estimate for all of them, from the channel that tells most."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import wrong_tracks
+import xarray as xr
+import zarr
+from faults import digests
+
+import blocksar
+from blocksar import stores
+from blocksar.api import tracks
+from blocksar.collection.geometry import Geometry
+from blocksar.errors import InputError
+from blocksar.focusing.backprojection import form_image
+from blocksar.measurement.coherence import coherence
+
+CHANNELS = 'channels = ["HH", "HV"]\n'
+GRID = ((-45.0, 45.0, 0.75), (-45.0, 45.0, 0.75))
+SETTINGS: dict[str, Any] = {"grid": GRID, "blocks": 2, "autofocus": True, "workers": 0}
+TRACK = "track corrected by up to"
+
+
+def scene() -> str:
+    """Sixty points in HV, a dozen of them in HH: too few for the track."""
+    text = ""
+    for number, point in enumerate(wrong_tracks.targets().split("[[targets]]")[1:]):
+        seen = "HH = [0.7, 60.0], " if number < 12 else ""
+        text += f"[[targets]]{point}scattering = {{{seen}HV = [1.0, 0.0]}}\n"
+    return text
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return wrong_tracks.make(tmp_path_factory.mktemp("channels"), scene(), top=CHANNELS)
+
+
+@pytest.fixture(scope="module")
+def corrected(store: Path) -> Path:
+    """The store with its track corrected."""
+    out = store.with_name("corrected.zarr")
+    blocksar.autofocus(store, out, grid=GRID, workers=0)
+    return out
+
+
+@pytest.fixture(scope="module")
+def run(store: Path) -> Path:
+    folder = store.with_name("run")
+    calls, estimate = [], tracks.estimate_track
+
+    def counted(*given: Any) -> Any:
+        calls.append(given)
+        return estimate(*given)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tracks, "estimate_track", counted)
+        report = blocksar.focus(store, folder, **SETTINGS)
+    assert len(calls) == 1
+    (said,) = (line for line in report.summary if TRACK in line)
+    assert " points of channel HV" in said
+    return folder
+
+
+def test_the_channel_that_tells_most_mends_the_track_of_all(store: Path, corrected: Path, tmp_path: Path) -> None:
+    assert wrong_tracks.residual_phase(store, store) > 5
+    assert wrong_tracks.residual_phase(corrected, store) < 0.1
+    alone = tmp_path / "hh.zarr"
+    with xr.open_zarr(store) as whole:
+        blocksar.write(whole.isel(channel=0), alone)
+    with pytest.raises(InputError):
+        blocksar.autofocus(alone, tmp_path / "refused.zarr", grid=GRID, workers=0)
+
+
+def test_images_are_exact_back_projection_with_the_corrected_track(run: Path, corrected: Path) -> None:
+    images = blocksar.open(run)
+    assert images.channel.values.tolist() == ["HH", "HV"]
+    for name in ("HH", "HV"):
+        history = stores.open_phase_history(corrected).of_channel(name)
+        geometry = Geometry(collection=history.collection.centred())
+        exact = form_image(
+            lambda pulses, history=history: history.read(pulses, slice(None)),
+            geometry, images.x.values, images.y.values, threads=1,
+        )  # fmt: skip
+        assert abs(coherence(images.image.sel(channel=name).values, exact).coherence) > 0.999
+        used, _ = stores.read_collection(run / "channels" / name / "collection.zarr")
+        assert np.array_equal(used.antenna_position, history.collection.antenna_position)
+    assert not (run / "autofocus").exists()
+    assert not [path for path in (run / "channels").glob("*/autofocus")]
+
+
+def test_a_channel_alone_has_the_track_of_all(store: Path, run: Path, tmp_path: Path) -> None:
+    blocksar.focus(stores.open_phase_history(store).of_channel("HH"), tmp_path / "alone", **SETTINGS)
+    image = blocksar.open(tmp_path / "alone").image.values
+    assert np.array_equal(image, blocksar.open(run).image.sel(channel="HH").values, equal_nan=True)
+
+
+def test_channels_in_memory_have_one_track_too(store: Path, run: Path, tmp_path: Path) -> None:
+    with xr.open_zarr(store) as whole:
+        report = blocksar.focus(whole.load().assign_attrs(title="in memory"), tmp_path / "run", **SETTINGS)
+    assert sum(TRACK in line for line in report.summary) == 1
+    images, expected = (blocksar.open(folder).image.values for folder in (tmp_path / "run", run))
+    assert np.array_equal(images, expected, equal_nan=True)
+    assert not (tmp_path / "run" / "autofocus").exists()
+
+
+@pytest.mark.parametrize("leaves", ["autofocus/receipts/correction-1*", "channels/HV/receipts/*"])
+def test_a_killed_run_goes_on_to_the_same_bytes(leaves: str, store: Path, run: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    grid = ",".join(f"{low}:{high}:{step}" for low, high, step in GRID)
+    words = [str(store), "--out", str(out), f"--grid={grid}", "--blocks=2", "--autofocus", "--workers=0", "--quiet"]
+    process = subprocess.Popen([sys.executable, "-m", "blocksar", "focus", *words], stdout=subprocess.DEVNULL)
+    until = time.monotonic() + 300
+    while time.monotonic() < until and process.poll() is None and not any(out.glob(leaves)):
+        time.sleep(0.001)
+    os.kill(process.pid, signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+    assert (out / "autofocus").exists()
+    report = blocksar.focus(store, out, **SETTINGS)
+    assert sum("went on from an unfinished estimate" in line for line in report.summary) == 1
+    assert digests(out / "image.zarr" / "image") == digests(run / "image.zarr" / "image")
+    assert not (out / "autofocus").exists()
+    assert "nothing to do" in blocksar.focus(store, out, **SETTINGS).summary[0]
+
+
+def test_a_change_of_one_channel_is_a_change_of_the_track_of_all(store: Path, run: Path, tmp_path: Path) -> None:
+    """Also of those that were finished before."""
+    changed, folder = tmp_path / "ph.zarr", tmp_path / "run"
+    shutil.copytree(store, changed)
+    shutil.copytree(run, folder)
+    blocksar.focus(changed, folder, overwrite=True, **SETTINGS)
+    first = digests(folder / "image.zarr" / "image")
+    assert first == digests(run / "image.zarr" / "image")
+    signal_ = zarr.open_group(changed, mode="r+")["signal"]
+    signal_[1] = signal_[1] * np.exp(1j * np.linspace(0, 3, signal_.shape[1]) ** 2)[:, None]
+    with pytest.raises(InputError, match="holds a run with track_input"):
+        blocksar.focus(changed, folder, **SETTINGS)
+    assert digests(folder / "image.zarr" / "image") == first
+    blocksar.focus(changed, folder, overwrite=True, **SETTINGS)
+    then = [stores.read_collection(folder / "channels" / name / "collection.zarr")[0] for name in ("HH", "HV")]
+    before, _ = stores.read_collection(run / "channels" / "HH" / "collection.zarr")
+    assert np.array_equal(then[0].antenna_position, then[1].antenna_position)
+    assert not np.array_equal(then[0].antenna_position, before.antenna_position)
+
+
+def test_samples_that_do_not_tell_leave_an_earlier_run_as_it_was(run: Path, tmp_path: Path) -> None:
+    noise = wrong_tracks.make(tmp_path, scene().replace("1.0, 0.0", "0.0, 0.0").replace("0.7", "0.001"), top=CHANNELS)
+    shutil.copytree(run, tmp_path / "run")
+    before = digests(tmp_path / "run")
+    for folder in ("run", "new"):
+        with pytest.raises(InputError, match=r"channel H[HV]: "):
+            blocksar.focus(noise, tmp_path / folder, overwrite=True, **SETTINGS)
+    assert digests(tmp_path / "run") == before
+    assert not (tmp_path / "new").exists() and not (tmp_path / "run" / "autofocus").exists()
+
+
+def test_looks_have_the_track_of_the_whole_dwell(store: Path, corrected: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="has several channels; looks are formed of a single one"):
+        blocksar.focus(store, tmp_path / "several", looks=2, **SETTINGS)
+    one = stores.open_phase_history(store).of_channel("HV")
+    report = blocksar.focus(one, tmp_path / "looks", looks=2, **SETTINGS)
+    assert sum(TRACK in line for line in report.summary) == 1
+    plain = {**SETTINGS, "autofocus": False}
+    blocksar.focus(stores.open_phase_history(corrected).of_channel("HV"), tmp_path / "then", looks=2, **plain)
+    assert digests(tmp_path / "looks" / "image.zarr" / "image") == digests(tmp_path / "then" / "image.zarr" / "image")
+    assert not (tmp_path / "looks" / "autofocus").exists()
