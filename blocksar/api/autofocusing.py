@@ -183,7 +183,6 @@ def _write(
         source.path, made, corrected=result.antenna_position, original=source.collection.antenna_position,
         attrs={ATTRIBUTE: attribute, "history": line},
     )  # fmt: skip
-    made.settle()
     stores.publish(made, target, overwrite=overwrite)
     listener.update("finish", 1, 1)
     return receipts, attribute
