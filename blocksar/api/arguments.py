@@ -77,6 +77,27 @@ def in_this_process(workers: int | None, collections: Sequence[Collection]) -> b
     return workers == 0
 
 
+def check_cluster(*, client: object, scheduler: str | None, workers: int | None, memory_limit: object) -> None:
+    """Check that the size of a local cluster is not asked for where a running one is used.
+
+    Raises
+    ------
+    InputError
+        If it is, or two running ones are given.
+    """
+    if client is None and scheduler is None:
+        return
+    cluster = "a client" if client is not None else "--scheduler"
+    if client is not None and scheduler is not None:
+        raise InputError(f"--scheduler {quoted(scheduler)} is given together with a client; leave one out")
+    for name, value in (("--workers", workers), ("--memory-limit", memory_limit)):
+        if value is not None:
+            raise InputError(
+                f"{name} {quoted(value)} is given together with {cluster}, whose cluster has workers and memory of its "
+                "own; leave one out"
+            )
+
+
 def fidelity_of(fidelity: Any) -> float:
     """Return a fidelity as a number.
 

@@ -16,6 +16,7 @@ from blocksar.api.arguments import (
     GridLike,
     Source,
     blocks_of,
+    check_cluster,
     control_points,
     fidelity_of,
     grid_of,
@@ -172,7 +173,7 @@ def focus(
     performance_report : path, optional
         HTML file for dask's performance report of this call, also written if the run fails. Default: none.
     client : distributed.Client, optional
-        Client of a running cluster, used instead of a local cluster.
+        Client of a running cluster, used instead of a local cluster; it then has its own workers and memory.
 
     Returns
     -------
@@ -189,6 +190,7 @@ def focus(
     arguments = dict(locals())  # before any other name is bound: the parameters, as they were given
     listener, memory_limit = as_listener(progress), memory_of(memory_limit)
     resources(workers, threads, memory_limit)  # refuses wrong numbers before anything is read
+    check_cluster(client=client, scheduler=scheduler, workers=workers, memory_limit=memory_limit)
     if (members := members_of(source, looks, grid)) is not None:
         return focus_members(focus, members, arguments | {"memory_limit": memory_limit})
     profile = None if performance_report is None else Path(performance_report)
