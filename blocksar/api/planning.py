@@ -31,7 +31,6 @@ from blocksar.budget import FIDELITY
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.collection.region import Owned
 from blocksar.collection.surface import Surface
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
@@ -54,8 +53,8 @@ from blocksar.planning.choice import Contender
 from blocksar.planning.disk import exact_bytes
 from blocksar.planning.memory import checked_back_projection_memory
 from blocksar.planning.plan import Plan
-from blocksar.planning.planner import plan_collection
-from blocksar.planning.segments import Divided, PlannedSegment, joint_grid, plan_segments
+from blocksar.planning.planner import planner_of
+from blocksar.planning.segments import PlannedSegment, Planner, joint_grid, plan_segments
 
 
 def plan(
@@ -176,24 +175,20 @@ def plan(
     if method is None:
         return _told_first(_plan_backprojection(collections, points, heights, assumed), of_each)
 
-    def plan_by(
-        collection: Collection, *, grid: Grid | None, like: Divided | None = None, owned: Owned | None = None,
-        by: Method = method,
-    ) -> Plan:  # fmt: skip
-        return plan_collection(
-            collection, blocks=like.blocks if like else n_blocks, parts=like.parts if like else "auto",
-            fidelity=least, weighting=tapers, method=by, grid=grid, owned=owned, workers=share.workers,
-            memory_limit=share.memory_limit, terrain=heights,
+    def plan_by(method: Method) -> Planner:
+        return planner_of(
+            method, blocks=n_blocks, fidelity=least, weighting=tapers, terrain=heights, workers=share.workers,
+            memory_limit=share.memory_limit,
         )  # fmt: skip
 
     def plan_all(collections: Sequence[Collection]) -> Sequence[PlannedSegment]:
-        return plan_segments(plan_by, collections, grid=points, cut=blocks == "auto")
+        return plan_segments(plan_by(method), collections, grid=points, cut=blocks == "auto")
 
     started = time.perf_counter()
     if parts is not None:
         report = report_looks(lambda seen: [each.plan for each in plan_all([seen])], collections[0], parts, assumed)
     elif automatic:
-        contenders = choice.contend(lambda method: plan_by(collections[0], grid=points, by=method))
+        contenders = choice.contend(lambda rival: plan_by(rival)(collections[0], grid=points))
         report = _report_contenders(contenders, assumed)
     else:
         report = _report_segments(plan_all(collections), assumed, time.perf_counter() - started)

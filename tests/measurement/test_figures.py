@@ -589,11 +589,11 @@ def test_a_target_under_patterns_has_the_figures_of_its_ideal_response(text: str
     assert found.range_irw == pytest.approx(found.range_irw_theory, rel=0.002)
     assert found.range_pslr == pytest.approx(found.range_pslr_theory, abs=0.1)
     assert found.azimuth_pslr_theory < weighting.azimuth.ideal.pslr - 2
-    assert axes.azimuth_ideal.width > 1.03 * weighting.azimuth.ideal.width
+    assert axes.azimuth_shape.ideal.width > 1.03 * weighting.azimuth.ideal.width
     along = np.linspace(-4, 4, 33) * axes.azimuth_width
     dx, dy = axes.ground_offset(np.zeros(33), along)
     cut = np.abs(summed_response(geometry, target, target.x + dx, target.y + dy, weighting))
-    drawn = axes.azimuth_shape.response(along / axes.azimuth_width * axes.azimuth_ideal.width)
+    drawn = axes.azimuth_shape.response(along / axes.azimuth_width * axes.azimuth_shape.ideal.width)
     np.testing.assert_allclose(drawn, cut, atol=0.02)  # the curve in pictures; the beam moves on with the pixel
     energy = float((np.abs(image) ** 2).sum()) * (image_x[1] - image_x[0]) * (image_y[1] - image_y[0])
     assert energy == pytest.approx(axes.area, rel=0.02)
