@@ -209,6 +209,11 @@ def collections_of(source: Source) -> list[Collection]:
     collections = [collection_of(each) for each in sources]
     if len(sources) > 1:
         stored = [each for each in sources if not is_scene(each)]
+        if scenes := [each for each in sources if is_scene(each)] if stored else []:
+            raise InputError(
+                f"{scenes[0]} is a scene among phase histories, whose frames nothing compares; plan it alone, or "
+                "simulate it first"
+            )
         check_one_frame([history_of(each) for each in stored])
     return collections
 

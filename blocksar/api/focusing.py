@@ -232,8 +232,8 @@ def focus(
         )
         if here and profile is not None:
             raise InputError(
-                f"performance_report is {str(profile)!r}, but dask does no work where the calling process does; give "
-                "workers, or leave it out"
+                f"--performance-report {str(profile)!r} is given, but dask does no work where the calling process "
+                "does; give workers, or leave it out"
             )
         if client is not None or scheduler is not None:
             connected = stack.enter_context(cluster.open_client(scheduler=scheduler, client=client))

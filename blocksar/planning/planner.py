@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.budget import FIDELITY, image_tap_error
+from blocksar.budget import FIDELITY, MOST_BLOCKS, image_tap_error
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
@@ -44,7 +44,6 @@ from blocksar.planning.segments import Divided, Planner
 from blocksar.planning.staying import beam_stays
 from blocksar.planning.steadiness import PROBED, Gated, first_that, gated_beams
 
-MOST_BLOCKS = 1000  # that a caller may ask for
 MAX_PARTS = 64  # range sub-blocks of a block
 WHOLE_WINDOWS, PART_WINDOWS = 2.5, 0.97  # range windows that a whole block, and a range sub-block, may hold
 
