@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 FIDELITY = 0.999  # coherence with exact back-projection that `auto` keeps unless told otherwise
+MOST_BLOCKS = 1000  # that a caller may ask for
 LEAST_FIDELITY = 0.5  # that a caller may ask for; blocks that lose as much as that are refused as blurred
 SIDE_LOBE_BUDGET = 0.2  # dB, change of the highest side lobe at FIDELITY; see `side_lobe_budget`
 UNIFORM_SIDE_LOBES = -13.26  # dB, of an image without weighting

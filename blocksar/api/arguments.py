@@ -77,6 +77,27 @@ def in_this_process(workers: int | None, collections: Sequence[Collection]) -> b
     return workers == 0
 
 
+def check_cluster(*, client: object, scheduler: str | None, workers: int | None, memory_limit: object) -> None:
+    """Check that the size of a local cluster is not asked for where a running one is used.
+
+    Raises
+    ------
+    InputError
+        If it is, or two running ones are given.
+    """
+    if client is None and scheduler is None:
+        return
+    cluster = "a client" if client is not None else "--scheduler"
+    if client is not None and scheduler is not None:
+        raise InputError(f"--scheduler {quoted(scheduler)} is given together with a client; leave one out")
+    for name, value in (("--workers", workers), ("--memory-limit", memory_limit)):
+        if value is not None:
+            raise InputError(
+                f"{name} {quoted(value)} is given together with {cluster}, whose cluster has workers and memory of its "
+                "own; leave one out"
+            )
+
+
 def fidelity_of(fidelity: Any) -> float:
     """Return a fidelity as a number.
 
@@ -188,6 +209,11 @@ def collections_of(source: Source) -> list[Collection]:
     collections = [collection_of(each) for each in sources]
     if len(sources) > 1:
         stored = [each for each in sources if not is_scene(each)]
+        if scenes := [each for each in sources if is_scene(each)] if stored else []:
+            raise InputError(
+                f"{scenes[0]} is a scene among phase histories, whose frames nothing compares; plan it alone, or "
+                "simulate it first"
+            )
         check_one_frame([history_of(each) for each in stored])
     return collections
 

@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from blocksar import stores
-from blocksar.api.arguments import GridLike, control_points, grid_of, history_of, memory_of
+from blocksar.api.arguments import GridLike, check_cluster, control_points, grid_of, history_of, memory_of
 from blocksar.api.ground import read_ground
 from blocksar.api.reports import Report
 from blocksar.api.track_places import TrackPlace
@@ -109,6 +109,8 @@ def autofocus(
         If processing fails; finished work stays, and the same call goes on with it.
     """
     listener, target = as_listener(progress), place(out)
+    limit = memory_of(memory_limit)
+    check_cluster(client=client, scheduler=scheduler, workers=workers, memory_limit=limit)
     history = history_of(source)
     stored = not isinstance(history, stores.DatasetHistory)
     if stored and (lies_in(history.path, target) or lies_in(target, history.path)):
@@ -129,7 +131,7 @@ def autofocus(
     stores.refuse_existing(target, overwrite=overwrite)
     run_folder.refuse_foreign(work.folder)
     with ExitStack() as stack:
-        connected, limit = None, memory_of(memory_limit)
+        connected = None
         if client is not None or scheduler is not None:
             connected = stack.enter_context(cluster.open_client(scheduler=scheduler, client=client))
             workers, limit = cluster.cluster_size(connected)
@@ -186,7 +188,6 @@ def _write(
         source.path, made, corrected=result.antenna_position, original=source.collection.antenna_position,
         attrs={ATTRIBUTE: attribute, "history": line},
     )  # fmt: skip
-    made.settle()
     stores.publish(made, target, overwrite=overwrite)
     listener.update("finish", 1, 1)
     return receipts, attribute

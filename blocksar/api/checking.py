@@ -9,12 +9,13 @@ import numpy as np
 from blocksar import stores
 from blocksar.api import definitions
 from blocksar.api.arguments import GridLike, grid_of, history_of
-from blocksar.api.ground import read_ground
+from blocksar.api.ground import geometry_over, read_ground
 from blocksar.api.pulses import pulse_reader
 from blocksar.api.reports import Report, Table
 from blocksar.arrays import ComplexArray
 from blocksar.chunks import TILE
 from blocksar.collection.grid import Grid
+from blocksar.collection.region import grid_extent, plan_region
 from blocksar.collection.surface import Surface
 from blocksar.collection.terrain import Terrain
 from blocksar.graph.machine import resources
@@ -75,7 +76,11 @@ def check(
     ground = Ground(terrain=terrain, surface=surface, vertical=vertical)
     count = resources(1, threads, None).threads
     history, points = history_of(source), grid_of(grid)
-    heights = read_ground(ground, history.collection.centred(), points, source)
+    collection = history.collection.centred()
+    heights = read_ground(ground, collection, points, source)
+    if points is not None:
+        geometry = geometry_over(collection, heights)
+        grid_extent(geometry, plan_region(geometry, points), points)  # refuses a grid outside the swath
     findings = check_samples(history, points, threads=count, thorough=True, terrain=heights)
     pointing = findings.pointing
     result = {

@@ -18,6 +18,7 @@ from blocksar.graph import compiling, recording
 from blocksar.measurement.response import Response
 from blocksar.measurement.table3 import TABLE3
 from blocksar.places import Location, place
+from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.planning import effort
 from blocksar.progress import Wanted as Progress
@@ -75,6 +76,8 @@ def demo(
         recording.check_recordable(Path(performance_report), None)
     folder = place(out)
     history = folder / demonstration.HISTORY
+    if isinstance(folder, LocalPlace) and folder.exists() and not folder.path.is_dir():
+        raise InputError(f"{folder} is not a folder; choose another --out")
     if folder.names() and not history.exists():
         raise InputError(f"{folder} exists and is not a demonstration run; choose another --out")
     simulated = history.exists() and not overwrite

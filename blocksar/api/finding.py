@@ -85,7 +85,7 @@ def describe_area(run: FinishedRun, area: Any) -> dict[str, Any]:
         If it is none, or holds fewer than two rows, columns or covered pixels.
     """
     x, y = parse_crop(area, "area")
-    part = run.cropped(x, y)
+    part = run.cropped(x, y, "area")
     found = scenery.measure_area(part.read, part.strips(0))
     if found.pixels < 2:
         raise InputError(f"area {area}: the image covers {found.pixels} pixels there; give a part that it covers")

@@ -16,6 +16,7 @@ from blocksar.api.arguments import (
     GridLike,
     Source,
     blocks_of,
+    check_cluster,
     control_points,
     fidelity_of,
     grid_of,
@@ -173,7 +174,7 @@ def focus(
     performance_report : path, optional
         HTML file for dask's performance report of this call, also written if the run fails. Default: none.
     client : distributed.Client, optional
-        Client of a running cluster, used instead of a local cluster.
+        Client of a running cluster, used instead of a local cluster; it then has its own workers and memory.
 
     Returns
     -------
@@ -191,6 +192,7 @@ def focus(
     settings = {name: value for name, value in given.items() if name not in ("source", "out", "looks")}
     memory_limit = settings["memory_limit"] = memory_of(memory_limit)
     resources(workers, threads, memory_limit)  # refuses wrong numbers before anything is read
+    check_cluster(client=client, scheduler=scheduler, workers=workers, memory_limit=memory_limit)
     if (members := members_of(source, looks, grid)) is not None:
         return focus_members(_focus_image, members, source, place(out), settings)
     return _focus_image(source, place(out), None, **settings)
@@ -271,8 +273,8 @@ def _focus_image(
         )
         if here and profile is not None:
             raise InputError(
-                f"performance_report is {str(profile)!r}, but dask does no work where the calling process does; give "
-                "workers, or leave it out"
+                f"--performance-report {str(profile)!r} is given, but dask does no work where the calling process "
+                "does; give workers, or leave it out"
             )
         if client is not None or scheduler is not None:
             connected = stack.enter_context(cluster.open_client(scheduler=scheduler, client=client))

@@ -19,7 +19,6 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
-from blocksar.collection.region import Owned
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import UNIFORM, Weighting
 from blocksar.errors import FolderError, InputError, ProcessingError
@@ -35,7 +34,7 @@ from blocksar.places.place import Place
 from blocksar.planning import effort
 from blocksar.planning.memory import checked_back_projection_memory, checked_memory, compression_memory
 from blocksar.planning.plan import Plan
-from blocksar.planning.planner import plan_collection
+from blocksar.planning.planner import planner_of
 from blocksar.planning.segments import Divided, joint_grid, plan_segments
 from blocksar.progress import Work
 from blocksar.runs import folder as run_folder
@@ -288,22 +287,10 @@ class Job:
         if request.method is None:
             return cls._of_backprojection(request, collections, machine, compression)
 
-        def plan(collection: Collection, *, grid: Grid | None, like: Divided | None, owned: Owned | None) -> Plan:
-            assert request.method is not None
-            return plan_collection(
-                collection,
-                blocks=like.blocks if like else request.blocks,
-                parts=like.parts if like else "auto",
-                method=request.method,
-                fidelity=request.fidelity,
-                weighting=request.weighting,
-                grid=grid,
-                owned=owned,
-                terrain=request.terrain,
-                workers=machine.workers,
-                memory_limit=machine.memory_limit,
-            )
-
+        plan = planner_of(
+            request.method, blocks=request.blocks, fidelity=request.fidelity, weighting=request.weighting,
+            terrain=request.terrain, workers=machine.workers, memory_limit=machine.memory_limit,
+        )  # fmt: skip
         grid = request.grid
         if request.terrain is not None:  # the grid that its heights were read for
             grid = grid or joint_grid([Geometry(collection=collection) for collection in collections])

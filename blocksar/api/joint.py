@@ -8,7 +8,6 @@ are shared with the members' own images where the file system has links. RUN/run
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
@@ -22,11 +21,10 @@ from blocksar.api.arguments import GridLike, Source, grid_of, history_of, source
 from blocksar.api.findings import without_samples
 from blocksar.api.fingerprints import fingerprint_of_members, joint_fingerprint
 from blocksar.api.ground import image_grid
+from blocksar.api.looks import divide_dwells, one_source
 from blocksar.api.shown import RunReport, is_measurable
 from blocksar.api.track_places import TrackPlace
 from blocksar.chunks import TILE
-from blocksar.collection.geometry import Geometry
-from blocksar.collection.sublooks import checked_count, entering_side
 from blocksar.errors import FolderError, InputError
 from blocksar.graph import cluster
 from blocksar.graph.machine import resources
@@ -106,24 +104,12 @@ def members_of(source: Source, looks: int | None, grid: GridLike | None) -> Memb
 
 
 def _looks_of(source: Source, count: int, grid: GridLike | None) -> Members:
-    sources = sources_of(source)
-    if len(sources) > 1:
-        raise InputError(f"looks = {count}: looks are formed of one collection, and here are {len(sources)}")
-    history = history_of(sources[0])
-    if history.channels and not isinstance(sources[0], stores.PhaseHistory):
-        raise InputError(f"looks = {count}: {history.label} has several channels; looks are formed of a single one")
+    history = history_of(one_source(source, count))
     if isinstance(history, stores.DatasetHistory):
         raise InputError(f"looks = {count}: looks are formed of a phase history in a store; write it (blocksar.write)")
-    collection = history.collection.centred()
-    count = checked_count(count, collection)
-    geometry, points = Geometry(collection=collection), image_grid(collection, grid_of(grid))
-    sign, notes = 1.0, []
-    if collection.beam_width is not None:
-        sign = entering_side(geometry, (points.x0 + points.x1) / 2, (points.y0 + points.y1) / 2)
-        part = math.degrees(collection.beam_width) / count
-        notes = [f"each look sees {part:.3g} of the beam's {part * count:.3g} degrees, the first in time first"]
-    named = {stores.look_name(number): [history.of_look(number, count, sign)] for number in range(count)}
-    return Members("look", named, (history,), tuple(notes))
+    looks = divide_dwells(history.collection.centred(), count, grid)
+    named = {name: [history.of_look(number, looks.count, looks.sign)] for number, name in enumerate(looks.names)}
+    return Members("look", named, (history,), looks.notes)
 
 
 def focus_members(

@@ -27,7 +27,7 @@ def describe_looks(looks: Sequence[FinishedRun], area: Any) -> dict[str, Any]:
             record |= {"part": part, "within": within}
     result: dict[str, Any] = {"each": records}
     if area is not None:
-        parts = [look.cropped(*parse_crop(area, "area")) for look in looks]
+        parts = [look.cropped(*parse_crop(area, "area"), "area") for look in looks]
         for record, part in zip(records, parts, strict=True):
             record["looks"] = finite(measure_area(part.read, part.strips(0)).looks)
         result["mean_looks"] = finite(_of_mean(parts))

@@ -18,10 +18,10 @@ from blocksar.api.reference_chips import compare_with_exact
 from blocksar.api.reports import Report, Table
 from blocksar.api.shadows import in_shadow
 from blocksar.api.target_files import targets_of
-from blocksar.collection.weighting import Weighting
+from blocksar.collection.weighting import CUT_WIDTHS, Weighting
 from blocksar.measurement.bar import rank
 from blocksar.measurement.figures import PointResponse, as_json, measure_target, summary
-from blocksar.measurement.response import Response, read_response
+from blocksar.measurement.response import MIN_HALF_TAPS, Response, read_response
 from blocksar.measurement.table3 import TABLE3
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
@@ -186,13 +186,12 @@ def _about_targets(run: FinishedRun, listed: Sequence[Target], measured: Measure
     responses, lines = measured.responses, []
     if responses:
         lines += _weighting_lines(run.weighting, run.collection.has_pattern)
-        lines += [*_count_line(responses), *_seam_line(run, responses)]
+        lines += [*_count_line(responses), *_unjudged_lines(run, responses)]
     lines += raised_line(listed, measured.seen)
     if not responses:
         lines.append("the collection names no targets: give --targets FILE to measure some, or --found N to find some")
     if dark := [target.name for target, hidden in zip(listed, measured.dark, strict=True) if hidden]:
-        named = f"{', '.join(dark[:5])}{', ...' if len(dark) > 5 else ''}"
-        lines.append(f"in shadow of the terrain, and not judged: {len(dark)} of {len(listed)} targets ({named})")
+        lines.append(f"in shadow of the terrain, and not judged: {len(dark)} of {len(listed)} targets ({_first(dark)})")
     return Part(as_json(responses, run.weighting), lines)
 
 
@@ -301,22 +300,42 @@ def _count_line(responses: Sequence[PointResponse]) -> list[str]:
     return [f"{figures.measured} of {figures.full_dwell} full-dwell targets measured ({figures.targets} in all)"]
 
 
-def _seam_line(run: FinishedRun, responses: Sequence[PointResponse]) -> list[str]:
-    """How many targets are not measured because another collection's pixels lie in their responses."""
-    if len(run.record.inputs) < 2:
-        return []
-    cut = sum(
-        measure_target(
-            run.read, run.x, run.y, run.geometry_at(r.x, r.y), Target(r.name, r.x, r.y), run.weighting
-        ).covered
-        for r in responses
-        if r.full_dwell and not r.covered
-    )
-    if not cut:
-        return []
-    return [
-        f"{cut} lie within 10 widths of a seam between collections, which see them from different sides: not judged"
-    ]
+def _unjudged_lines(run: FinishedRun, responses: Sequence[PointResponse]) -> list[str]:
+    """How many targets are not measured, for want of pixels: of their own collection, outside the image, or beside it.
+
+    Pixels of another collection show a target as seen from another side.
+    """
+    missed = [r for r in responses if r.full_dwell and not r.covered]
+    seam = [r for r in missed if len(run.record.inputs) > 1 and _measured_in_any(run, r)]
+    ends = (run.x[0], run.x[-1], run.y[0], run.y[-1])
+    outside = [r for r in missed if not (ends[0] <= r.x <= ends[1] and ends[2] <= r.y <= ends[3])]
+    beside = [r for r in missed if r not in seam and r not in outside]
+    lines = []
+    if seam:
+        lines.append(
+            f"{len(seam)} lie within 10 widths of a seam between collections, which see them from different sides: not "
+            "judged"
+        )
+    if outside:
+        lines.append(f"{len(outside)} lie outside the image ({_first([r.name for r in outside])}): not measured")
+    if beside:
+        lines.append(
+            f"{len(beside)} lie close to the edge of what the image covers ({_first([r.name for r in beside])}): not "
+            f"judged, figures that need pixels beyond it are nan; they need {CUT_WIDTHS:g} widths and {MIN_HALF_TAPS} "
+            "pixels on either side, and the value of a target on a pixel needs that pixel alone"
+        )
+    return lines
+
+
+def _measured_in_any(run: FinishedRun, r: PointResponse) -> bool:
+    """Whether a response has all its pixels if those of any collection count."""
+    target = Target(r.name, r.x, r.y)
+    return measure_target(run.read, run.x, run.y, run.geometry_at(r.x, r.y), target, run.weighting).covered
+
+
+def _first(names: Sequence[str]) -> str:
+    """The first five names."""
+    return f"{', '.join(names[:5])}{', ...' if len(names) > 5 else ''}"
 
 
 def _summary_table(responses: Sequence[PointResponse]) -> Table:

@@ -8,6 +8,7 @@ import reprlib
 from collections.abc import Sequence
 from typing import Any, Literal
 
+from blocksar.budget import MOST_BLOCKS
 from blocksar.errors import InputError
 
 EXAMPLE = "give --grid x0:x1:dx,y0:y1:dy in metres, such as --grid -2500:2500:1,18000:23000:1"
@@ -152,8 +153,8 @@ def parse_blocks(text: str) -> int | Literal["auto"]:
     """
     if text == "auto":
         return "auto"
-    if not re.fullmatch(r"0*[1-9]\d{0,8}", text, re.ASCII):
+    if not re.fullmatch(r"0*[1-9]\d{0,8}", text, re.ASCII) or int(text) > MOST_BLOCKS:
         raise InputError(
-            f"--blocks {quoted(text)} is neither 'auto' nor a whole number from 1 to 999999999; try --blocks auto"
+            f"--blocks {quoted(text)} is neither 'auto' nor a whole number from 1 to {MOST_BLOCKS}; try --blocks auto"
         )
     return int(text)

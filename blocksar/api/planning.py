@@ -13,6 +13,7 @@ from blocksar.api.arguments import (
     Source,
     blocks_of,
     channels_of,
+    collection_of,
     collections_of,
     fidelity_of,
     grid_of,
@@ -21,6 +22,8 @@ from blocksar.api.arguments import (
     sources_of,
 )
 from blocksar.api.ground import read_ground
+from blocksar.api.look_plans import report_exact_looks, report_looks
+from blocksar.api.looks import divide_dwells, one_source
 from blocksar.api.plan_lines import exact_line, lit_pulses, outside_window, plan_lines, time_line, workforce
 from blocksar.api.plan_tables import block_table, contender_table, plan_details
 from blocksar.api.shown import PlanReport
@@ -28,7 +31,6 @@ from blocksar.budget import FIDELITY
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.collection.region import Owned
 from blocksar.collection.surface import Surface
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
@@ -51,8 +53,8 @@ from blocksar.planning.choice import Contender
 from blocksar.planning.disk import exact_bytes
 from blocksar.planning.memory import checked_back_projection_memory
 from blocksar.planning.plan import Plan
-from blocksar.planning.planner import plan_collection
-from blocksar.planning.segments import Divided, PlannedSegment, joint_grid, plan_segments
+from blocksar.planning.planner import planner_of
+from blocksar.planning.segments import PlannedSegment, Planner, joint_grid, plan_segments
 
 
 def plan(
@@ -73,6 +75,7 @@ def plan(
     terrain: Location | None = None,
     surface: Surface = "plane",
     vertical: str | None = None,
+    looks: int | None = None,
     workers: int | None = None,
     memory_limit: int | str | None = None,
 ) -> PlanReport:
@@ -117,6 +120,9 @@ def plan(
     vertical : str, optional
         What a GeoTIFF's heights are measured from, if it does not say so: "ellipsoid", "egm96" or "egm2008"; or
         "egm2008:FILE" with the geoid's grid. Needed for such a file only.
+    looks : int, optional
+        Number of parts of each target's dwell that `focus` makes images of: each is planned, beside whole dwells.
+        Default: whole dwells only.
     workers : int, optional
         Worker processes to plan for; 0: the calling process does the work. Default: as for `focus`.
     memory_limit : int or str, optional
@@ -127,8 +133,8 @@ def plan(
     PlanReport
         `tables` has the blocks, the ten with the least coherence if there are many, and `details` all blocks with all
         figures; `refusal` is the reason if the plan cannot be carried out. `result` is the `planning.plan.Plan` (of
-        several segments a tuple of them), the `Grid` for back-projection, or None if "auto" has no processor to
-        propose. The method `plot` draws blocks, footprint and track.
+        several segments, or of looks, a tuple of them), the `Grid` for back-projection, or None if "auto" has no
+        processor to propose. The method `plot` draws blocks, footprint and track.
 
     Raises
     ------
@@ -144,13 +150,13 @@ def plan(
         derotation=derotation,
         range_model=range_model,
     )
-    if automatic and method is not None and method.rival:
-        raise InputError(
-            f"{' and '.join(method.departures)}: processor auto compares processors as they are; leave it out"
-        )
     tapers = Weighting.parse(weighting, weighting_range, weighting_azimuth)
     points, n_blocks, least = grid_of(grid), blocks_of(blocks), fidelity_of(fidelity)
     limit, collections = memory_of(memory_limit), collections_of(source)
+    if automatic and method is not None:
+        _check_automatic(method, collections, looks)
+    parts = None if looks is None else divide_dwells(collection_of(one_source(source, looks)), looks, points)
+    points = points if parts is None else parts.grid
     here = in_this_process(workers, collections)
     share = resources(0 if here else workers, None, limit)
     assumed = share._replace(workers=0) if here else share
@@ -162,27 +168,49 @@ def plan(
         heights = read_ground(ground, collections[0], points, sources_of(source)[0])
         if heights is not None and (gaps := coverage_note(heights, points)) is not None:
             of_each.append(gaps)
+    if method is None and parts is not None:
+        return report_exact_looks(
+            lambda seen: _plan_backprojection([seen], points, heights, assumed), collections[0], parts
+        )
     if method is None:
         return _told_first(_plan_backprojection(collections, points, heights, assumed), of_each)
 
-    def plan_by(
-        collection: Collection, *, grid: Grid | None, like: Divided | None = None, owned: Owned | None = None,
-        by: Method = method,
-    ) -> Plan:  # fmt: skip
-        return plan_collection(
-            collection, blocks=like.blocks if like else n_blocks, parts=like.parts if like else "auto",
-            fidelity=least, weighting=tapers, method=by, grid=grid, owned=owned, workers=share.workers,
-            memory_limit=share.memory_limit, terrain=heights,
+    def plan_by(method: Method) -> Planner:
+        return planner_of(
+            method, blocks=n_blocks, fidelity=least, weighting=tapers, terrain=heights, workers=share.workers,
+            memory_limit=share.memory_limit,
         )  # fmt: skip
 
-    if not automatic:
-        started = time.perf_counter()
-        planned = plan_segments(plan_by, collections, grid=points, cut=blocks == "auto")
-        return _told_first(_report_segments(planned, assumed, time.perf_counter() - started), of_each)
+    def plan_all(collections: Sequence[Collection]) -> Sequence[PlannedSegment]:
+        return plan_segments(plan_by(method), collections, grid=points, cut=blocks == "auto")
+
+    started = time.perf_counter()
+    if parts is not None:
+        report = report_looks(lambda seen: [each.plan for each in plan_all([seen])], collections[0], parts, assumed)
+    elif automatic:
+        contenders = choice.contend(lambda rival: plan_by(rival)(collections[0], grid=points))
+        report = _report_contenders(contenders, assumed)
+    else:
+        report = _report_segments(plan_all(collections), assumed, time.perf_counter() - started)
+    return _told_first(report, of_each)
+
+
+def _check_automatic(method: Method, collections: Sequence[Collection], looks: int | None) -> None:
+    """Check that processors can be compared: as they are, for whole dwells of one collection.
+
+    Raises
+    ------
+    InputError
+        If they cannot.
+    """
+    if method.rival:
+        raise InputError(
+            f"{' and '.join(method.departures)}: processor auto compares processors as they are; leave it out"
+        )
+    if looks is not None:
+        raise InputError(f"looks = {looks!r}, but processor auto compares processors for whole dwells; leave one out")
     if len(collections) > 1:
         raise InputError("processor is auto, but several sources are given: compare processors for one of them")
-    contenders = choice.contend(lambda method: plan_by(collections[0], grid=points, by=method))
-    return _told_first(_report_contenders(contenders, assumed), of_each)
 
 
 def _channels_line(source: Source) -> list[str]:

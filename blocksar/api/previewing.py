@@ -16,7 +16,7 @@ from blocksar.arrays import ComplexArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
-from blocksar.collection.region import default_grid, facing_grid, plan_region
+from blocksar.collection.region import default_grid, facing_grid, grid_extent, plan_region
 from blocksar.errors import InputError, library_for
 from blocksar.focusing import preview as coarse
 from blocksar.graph.machine import resources
@@ -107,9 +107,11 @@ def preview(
     callback = only_stage(progress, "preview")
     if out is None:
         power = coarse.form_preview(_reader(history), planned, threads=count, progress=callback)
+        _refuse_dark(geometry, chosen, power)
     else:
         with replacing(out, overwrite=overwrite) as part:
             power = coarse.form_preview(_reader(history), planned, threads=count, progress=callback)
+            _refuse_dark(geometry, chosen, power)
             _draw(part, history, geometry, planned, power, limits, colour_map)
     with np.errstate(divide="ignore"):
         notes = [] if limits is None else range_notes(10 * np.log10(power), limits)
@@ -120,6 +122,22 @@ def preview(
             *([f"wrote {place(out)}"] if out is not None else []),
         ],
         result=_as_dataarray(planned, power),
+    )
+
+
+def _refuse_dark(geometry: Geometry, grid: Grid, power: Float32Array) -> None:
+    """Check that a picture shows some ground.
+
+    Raises
+    ------
+    InputError
+        If nothing of it is lit, with what is.
+    """
+    if np.isfinite(power).any():
+        return
+    grid_extent(geometry, plan_region(geometry, grid), grid)  # says what is lit, if the grid lies beside it
+    raise InputError(
+        f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g} has no lit pixel; move the grid, or give a larger one"
     )
 
 

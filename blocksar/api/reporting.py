@@ -18,6 +18,7 @@ from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.products.look_spectra import measure_looks
+from blocksar.products.options import check_ending
 from blocksar.products.writing import refuse_parts
 from blocksar.progress import Wanted as Progress
 from blocksar.progress import as_listener
@@ -134,6 +135,8 @@ class _Writer:
             raise InputError(f"{target} is a folder; give --out the name of a file")
         if isinstance(target, LocalPlace):
             refuse_parts(target)
+        if self.out is not None:
+            check_ending("report", str(target))
         source = FinishedRun.open(folder)
         figures, reason = _read_or_measure(folder, source)
         history = str(stores.open_dataset(source.image).attrs.get("history", ""))

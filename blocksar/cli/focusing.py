@@ -24,6 +24,7 @@ from blocksar.cli.options import (
     Fidelity,
     GridOption,
     JsonLog,
+    LooksOption,
     MemoryLimit,
     Overwrite,
     PerformanceReport,
@@ -61,6 +62,7 @@ def plan(
     terrain: TerrainOption = None,
     surface: SurfaceOption = "plane",
     vertical: VerticalOption = None,
+    looks: LooksOption = None,
     workers: Workers = None,
     memory_limit: MemoryLimit = None,
     config: ConfigOption = None,
@@ -83,8 +85,8 @@ def plan(
     from blocksar import api
 
     proposal = api.plan(
-        one_or_all(source), processor=processor, terrain=terrain, surface=surface, vertical=vertical, **settings,
-        **method,
+        one_or_all(source), processor=processor, terrain=terrain, surface=surface, vertical=vertical, looks=looks,
+        **settings, **method,
     )  # fmt: skip
     show(proposal, context)
     if proposal.refusal is not None:
@@ -129,9 +131,7 @@ def focus(
     weighting_range: RangeWeighting = None,
     weighting_azimuth: AzimuthWeighting = None,
     grid: GridOption = None,
-    looks: Annotated[
-        int | None, typer.Option(metavar="N", help="Form N images, each of a part of every target's dwell.")
-    ] = None,
+    looks: LooksOption = None,
     terrain: TerrainOption = None,
     surface: SurfaceOption = "plane",
     vertical: VerticalOption = None,

@@ -75,6 +75,9 @@ VerticalOption = Annotated[
     str | None,
     typer.Option(metavar="DATUM", help="Of a GeoTIFF's heights: ellipsoid, egm96, egm2008, or egm2008:FILE."),
 ]
+LooksOption = Annotated[
+    int | None, typer.Option(metavar="N", help="Form N images, each of a part of every target's dwell.")
+]
 Workers = Annotated[
     int | None,
     typer.Option(metavar="N", min=0, help="Worker processes; 0: this process; default: by the cores."),

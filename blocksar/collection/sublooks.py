@@ -52,6 +52,14 @@ def narrowed(collection: Collection, number: int, count: int, sign: float) -> Co
     return replace(collection, **changes)
 
 
+def look_of(collection: Collection, number: int, count: int, sign: float) -> Collection:
+    """A collection as one of `count` looks of its dwells sees it; 0 is the first in time, `sign` as for `narrowed`."""
+    if collection.steered:
+        return narrowed(collection, number, count, sign)
+    pulses = pulses_of(collection, number, count)
+    return collection.segment(pulses.start, pulses.stop)
+
+
 def entering_side(geometry: Geometry, x: float, y: float) -> float:
     """1 if a point on the ground, m, enters the beam at a positive offset from its centre, else -1."""
     offset = np.asarray(beam_offset(geometry, np.array(x), np.array(y), slice(None)), np.float64)

@@ -41,7 +41,10 @@ def left_of(ray_x: float, ray_y: float, x: float, y: float) -> bool:
 def find_sector(
     x: FloatArray, first: int, n: int, y: float, rays: FloatArray, frame: FloatArray, rng: FloatArray, owned: FloatArray
 ) -> bool:
-    """Write the epoch ranges of n pixels from x[first] on, and NaN to `owned` outside the rays and ranges.
+    """Write the epoch ranges of n pixels from x[first] on, m, and NaN to `owned` outside the rays and ranges.
+
+    `rays` (4,) has the directions (x, y) of the sector's first and last yaw; `frame` the nadir's x and y, the phase
+    centre's x and y at the epoch, its height over the ground squared, and the sector's ranges, m. `rng`, `owned` (n,).
 
     Returns whether any pixel is inside. No operations are contracted: vector and scalar loops, and neighbours, must
     agree to the last bit.

@@ -78,7 +78,7 @@ class SpectrumChunks:
         return replace(self, checksums=kept)
 
     def read(self, region: Window) -> ComplexArray:
-        """Read a region, Doppler bins by columns; its columns are whole chunks.
+        """Read a region (n_bin, n_column), complex64; its columns are whole chunks.
 
         Raises
         ------

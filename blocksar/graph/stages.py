@@ -28,7 +28,6 @@ from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
-from blocksar.focusing.terrain_layers import Sight
 from blocksar.graph.admission import Unit
 from blocksar.graph.branches import run_branches
 from blocksar.graph.edges import Edges
@@ -38,7 +37,7 @@ from blocksar.graph.merging import PatchChunk, merge_chunks
 from blocksar.graph.reading import compress_pulses, inspect_group, recover_group
 from blocksar.graph.segments import Segment, by_collection
 from blocksar.graph.spectrum import SpectrumChunks
-from blocksar.graph.tasks import Projected, back_project_chunk, read_slab, run_stage, write_patch
+from blocksar.graph.tasks import Patch, Projected, back_project_chunk, read_slab, run_stage, write_patch
 from blocksar.graph.units import Spare, run_units, single_task, spans
 from blocksar.inspection.samples import Inspection, merge
 from blocksar.inspection.sentences import refusal
@@ -228,15 +227,18 @@ def focus_blocks(
         plan, own = segment.planned, segment.of(run)
         alone = frozenset(cell for cell in cells if touching[cell] == 1)
         spectrum, some, inspection, noise = of_segment[id(segment)]
-        lit, edges = inspection.lit, None
+        edges = None
         if plan.completed:
             edges = Edges(segment.history, inspection, plan.weighting, plan.fade, plan.gated)
         slab = spectrum if block.range_gate is None else _gated_spectrum(plan, own, block, some)
-        sight = layers.sights.get(segment.number or 0) if within else None
+        patch = Patch(
+            ground=replace(block.ground, valid=inspection.lit), grid=plan.grid, own=alone, noise=noise, edges=edges,
+            sight=layers.sights.get(segment.number or 0) if within else None,
+        )  # fmt: skip
         units.append(
             (
                 block_unit(block.name),
-                partial(_submit_chain, client, plan, own, slab, lit, noise, block, alone, -position, edges, sight),
+                partial(_submit_chain, client, own, block, slab, patch, -position),
             )
         )
     spare = Spare(layers.after)
@@ -255,9 +257,8 @@ def _create_patch(run: Run, block: BlockPlan, grid: Grid) -> None:
 
 
 def _submit_chain(
-    client: Client, plan: Plan, run: Run, spectrum: SpectrumChunks, lit: FloatArray, noise: NoiseMap | None,
-    block: BlockPlan, own: frozenset[tuple[int, int]], priority: int, edges: Edges | None, sight: Sight | None,
-) -> Future[Any]:  # fmt: skip
+    client: Client, run: Run, block: BlockPlan, spectrum: SpectrumChunks, patch: Patch, priority: int
+) -> Future[Any]:
     """Submit the tasks of a block; return the future of the last one.
 
     All have the priority of the block: a worker finishes the chain that it has begun before it starts another.
@@ -265,7 +266,6 @@ def _submit_chain(
     unit = block_unit(block.name)
     tail = f"{run.token}-{unit}"
     submit = partial(client.submit, pure=False, priority=priority)
-    ground = replace(block.ground, valid=lit)
     first, branches = block.first_stage, block.branches
     slab = spectrum.within(block.first_bin, block.first_bin + block.n_bin)
     node = submit(read_slab, run, block, first, slab, key=f"read-slab+{first.name}-{tail}")
@@ -275,7 +275,7 @@ def _submit_chain(
         for stage in branches[0]:
             node = submit(run_stage, run, block, stage, node, key=f"{stage.name}-{tail}")
     key = f"geometric-correction-{tail}"
-    return submit(write_patch, run, unit, block, node, ground, plan.grid, own, noise, edges, sight, key=key)
+    return submit(write_patch, run, unit, block, node, patch, key=key)
 
 
 def mosaic(

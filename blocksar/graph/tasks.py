@@ -107,7 +107,7 @@ class Samples:
     seconds: dict[str, float]
 
     def take(self) -> ComplexArray:
-        """Hand the array over for in-place work; a second call fails.
+        """Hand the array over for in-place work, of the shape that the stage before left; a second call fails.
 
         Raises
         ------
@@ -155,42 +155,58 @@ def run_stage(run: Run, block: BlockPlan, stage: Stage, samples: Samples) -> Sam
     return Samples(result, samples.seconds | {stage.name: time.perf_counter() - started})
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Patch:
+    """Where a focused block goes.
+
+    Attributes
+    ----------
+    ground : GroundMap
+        From the focused block to the ground.
+    grid : Grid
+        The image's.
+    own : frozenset of (row, column)
+        Chunks of the image that no other block touches: they become the image's as they are.
+    noise : NoiseMap or None
+        The block's noise, where it is known.
+    edges : Edges or None
+        Edges of dwells that are added to the pixels.
+    sight : Sight or None
+        On a terrain: `own` chunks get their layers with their pixels; None: later.
+    """
+
+    ground: GroundMap
+    grid: Grid
+    own: frozenset[tuple[int, int]]
+    noise: NoiseMap | None
+    edges: Edges | None
+    sight: Sight | None
+
+
 @naming_failures(lambda run, unit, block, *_: f"geometric-correction of block {block.name}")
-def write_patch(
-    run: Run,
-    unit: str,
-    block: BlockPlan,
-    samples: Samples,
-    ground: GroundMap,
-    grid: Grid,
-    own: frozenset[tuple[int, int]],
-    noise: NoiseMap | None = None,
-    edges: Edges | None = None,
-    sight: Sight | None = None,
-) -> Receipt:
+def write_patch(run: Run, unit: str, block: BlockPlan, samples: Samples, patch: Patch) -> Receipt:
     """Correct a focused block geometrically, and write its patch in chunks of the image's grid.
 
-    With `edges`, the edges of dwells are added. `own` has the chunks, by row and column, that no other block touches:
-    they become the image's as they are, with their noise where that is known. On a terrain they get their layers
-    here if `sight` is given, otherwise later. Chunks are written by other threads while the next ones are computed.
+    Chunks are written by other threads while the next ones are computed.
     """
     started = time.perf_counter()
+    ground, grid, edges, sight = patch.ground, patch.grid, patch.edges, patch.sight
     origin, side = patch_window(ground, grid)[:2], image_chunk(grid)
     layers = TerrainLayers(run, grid, {} if sight is None else {block.index: sight})
     heights, alike = GroundHeights(run, grid, on_terrain=ground.relief is not None), AlikeChunks(run)
-    writer = _PatchWriter(run=run, block=block, grid=grid, origin=origin, noise=noise, alike=alike)
+    writer = _PatchWriter(run=run, block=block, grid=grid, origin=origin, noise=patch.noise, alike=alike)
     assert samples.values is not None
     chunks = [np.empty(side[0] * side[1], np.complex64) for _ in range(WRITES_AT_ONCE + 1)]
     with WritesBehind(len(chunks)) as behind:
         cells = touched_chunks(ground, grid)
         kept = None if edges is None else edges.profiles(ground, threads=run.threads)
-        batches = _batches(cells if edges is None else by_yaw(cells, ground, grid), grid, heights, layers, own)
+        batches = _batches(cells if edges is None else by_yaw(cells, ground, grid), grid, heights, layers, patch.own)
         for cell, z, tiles in _tiled(batches, ground, grid):
             chunk, window = chunks[behind.turn()], chunk_window(cell, grid)
             shape = (window[0].stop - window[0].start, window[1].stop - window[1].start)
             out = chunk[: shape[0] * shape[1]].reshape(shape)
             x, y = grid.x[window[1]], grid.y[window[0]]
-            merged = cell not in own
+            merged = cell not in patch.own
             pixels = correct(samples.values, ground, x=x, y=y, z=z, tiles=tiles, threads=run.threads, out=out)
             if edges is not None and kept is not None:
                 edges.add(pixels, kept, ground, window, grid, height=z, threads=run.threads)
@@ -201,10 +217,7 @@ def write_patch(
                 behind.submit(write_layers, alike, window, layers.over(window, owner))
     seconds = samples.seconds | {"geometric-correction": time.perf_counter() - started}
     # The receipt covers the whole block: the tasks before this one have no receipts.
-    receipt = Receipt(
-        unit=unit, stage="focus", written=behind.written,
-        origin=origin, steps=seconds,
-    )  # fmt: skip
+    receipt = Receipt(unit=unit, stage="focus", written=behind.written, origin=origin, steps=seconds)
     return sign(run, receipt, started - sum(samples.seconds.values()))
 
 
@@ -289,9 +302,9 @@ class _PatchWriter:
         *,
         merged: bool,
     ) -> list[Written]:
-        """Write the pixels of `window` of the image; only to the patch if the mosaic merges them.
+        """Write the pixels (n_y, n_x) of `window` of the image; only to the patch if the mosaic merges them.
 
-        `owner` is as `_owner` has it; `height` the pixels' height, m, or None on the plane.
+        `owner` is as `_owner` has it; `height` (n_y, n_x) the pixels' z, m, or None on the plane.
         """
         run, index = self.run, self.block.index
         patch, part = run.patch(self.block.name), shifted(window, self.origin)
@@ -318,7 +331,7 @@ def write_image(
     checksum: str,
     alike: AlikeChunks,
 ) -> list[Written]:
-    """Write a chunk of the image, and its owners; `owner` may be the one of all pixels, of no dimension.
+    """Write a chunk of the image (n_y, n_x), and its owners: of each pixel, or one of no dimension for all.
 
     A chunk that equals that of a patch, whose checksum is given, shares its storage where that is possible.
     """
@@ -333,7 +346,10 @@ def write_image(
 def write_owner(
     alike: AlikeChunks, window: Window, owner: NDArray[np.int16], collections: Mapping[int, int]
 ) -> list[Written]:
-    """Write the block that each pixel of a chunk comes from; also its collection, if blocks have one."""
+    """Write the block that each pixel of a chunk comes from, `owner` as for `write_image`, and its collection.
+
+    `collections` has that of each block; empty where runs have one only.
+    """
     written = [alike.write("block", window, owner)]
     if collections:
         numbers = np.full(owner.shape, -1, np.int16)

@@ -85,7 +85,8 @@ def scan_pulses(
 ) -> tuple[int, int, int, int]:
     """Scan pulses first .. last - 1 for missing samples, suspect columns and the extreme level.
 
-    Writes the number of missing samples of each pulse to `missing`, and marks suspect columns in `suspect`.
+    `parts` (n_pulse, 2 n_column) has real and imaginary parts side by side. Writes the number of missing samples of
+    each pulse to `missing` (n_pulse,), and marks suspect columns in `suspect` (n_column,).
 
     Returns
     -------

@@ -10,7 +10,7 @@ from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import dwell, dwell_weight
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.weighting import NODES, UNIFORM, DwellShape, IdealResponse, Taper, Weighting
+from blocksar.collection.weighting import NODES, UNIFORM, DwellShape, Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 
 
@@ -43,11 +43,6 @@ class ResponseAxes:
     band: FloatArray
     azimuth_shape: Taper | DwellShape
     weighting: Weighting = UNIFORM
-
-    @property
-    def azimuth_ideal(self) -> IdealResponse:
-        """Figures of the ideal response in azimuth."""
-        return self.azimuth_shape.ideal
 
     @property
     def area(self) -> float:

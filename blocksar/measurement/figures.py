@@ -371,7 +371,7 @@ def as_json(responses: Sequence[PointResponse], weighting: Weighting = UNIFORM) 
 def _plain(record: Mapping[str, Any]) -> dict[str, Any]:
     def plain(value: Any) -> Any:
         if isinstance(value, complex):
-            return [plain(value.real), plain(value.imag)]
+            return [plain(value.real), plain(value.imag)] if np.isfinite(value) else [None, None]
         if isinstance(value, (float, np.floating)):
             return float(value) if np.isfinite(value) else None
         return value

@@ -25,6 +25,7 @@ SEARCH_WIDTHS = 2.0  # widths searched for the peak on either side of the true p
 
 MIN_HALF_TAPS = 12
 KAISER_BETA = 12.0  # interpolation error about exp(-12) = 6e-6 of the peak
+NO_WEIGHT = 1e-6  # of taps that may be missing: those of a point on a pixel, all but this pixel's own
 MIN_OVERSAMPLING = 1.2  # the number of taps grows without bound as this approaches 1
 MAX_CHIP = 1024  # pixels per side: a target lit so briefly that it needs more has no usable response
 
@@ -58,7 +59,7 @@ def interpolate(
     Returns
     -------
     (n,) complex128
-        NaN where a tap falls on a missing sample or outside.
+        NaN where a tap falls on a missing sample or outside; a point on a sample needs only this one.
     """
     row, column = np.asarray(row, dtype=np.float64), np.asarray(column, dtype=np.float64)
     bordered = np.pad(values, half_taps, constant_values=np.nan)
@@ -72,7 +73,10 @@ def interpolate(
         columns, column_weight = _taps(column[batch], half_taps)
         pick = (rows[:, :, None], columns[:, None, :])
         values_at = np.einsum("ni,nij,nj->n", row_weight, bordered[pick], column_weight, optimize=True)
-        values_at[missing[pick].any(axis=(1, 2))] = np.nan
+        gone = missing[pick]
+        lost = np.flatnonzero(gone.any(axis=(1, 2)))
+        weight = np.einsum("ni,nij,nj->n", np.abs(row_weight[lost]), gone[lost], np.abs(column_weight[lost]))
+        values_at[lost[weight > NO_WEIGHT]] = np.nan
         out[batch] = values_at
     return out
 

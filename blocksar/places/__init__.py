@@ -29,7 +29,8 @@ def place(path: Location) -> Place:
     Raises
     ------
     InputError
-        If a URL is not of an object store or names no bucket, or obstore, which reads it, is not installed.
+        If it is empty, or a URL that is not of an object store or names no bucket, or obstore, which reads it, is not
+        installed.
     """
     if isinstance(path, Place):
         return path
@@ -40,6 +41,8 @@ def place(path: Location) -> Place:
         raise InputError(
             f"a path is needed, but a {type(path).__name__} was given; give a str or a pathlib.Path"
         ) from None
+    if not text:
+        raise InputError("a path is '', which names nothing; give the name of a file or folder")
     if zero:
         raise InputError(f"{text} is not a valid name: it contains a zero byte; remove that")
     if (url := re.fullmatch(r"s3://([^/]*)/*(.*?)/*", text, re.DOTALL)) is None:

@@ -73,10 +73,9 @@ class LocalPlace(Place):
 
     def write_bytes(self, data: bytes) -> None:
         os.makedirs(self.path.parent, exist_ok=True)
-        with replacing_file(self.path) as part, open(part, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
+        with replacing_file(self.path) as part:
+            Path(part).write_bytes(data)
+            flush_file(part)
 
     def remove(self) -> None:
         if self.path.is_dir() and not self.path.is_symlink():
@@ -224,6 +223,15 @@ def _remove_abandoned(part: str) -> None:
             LocalPlace(Path(part)).remove()
         finally:
             os.close(descriptor)
+
+
+def flush_file(path: str | os.PathLike[str]) -> None:
+    """Flush a file to the disk, so that it survives a loss of power under the name that it gets next."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 @contextmanager

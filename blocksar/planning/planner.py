@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.budget import FIDELITY, image_tap_error
+from blocksar.budget import FIDELITY, MOST_BLOCKS, image_tap_error
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
@@ -40,10 +40,10 @@ from blocksar.planning.recovery import plan_recovery
 from blocksar.planning.refusal import find_refusal
 from blocksar.planning.relief import Relief, Samples, find_relief, sample_terrain
 from blocksar.planning.sector import Sector, ground_range
+from blocksar.planning.segments import Divided, Planner
 from blocksar.planning.staying import beam_stays
 from blocksar.planning.steadiness import PROBED, Gated, first_that, gated_beams
 
-MOST_BLOCKS = 1000  # that a caller may ask for
 MAX_PARTS = 64  # range sub-blocks of a block
 WHOLE_WINDOWS, PART_WINDOWS = 2.5, 0.97  # range windows that a whole block, and a range sub-block, may hold
 
@@ -85,7 +85,7 @@ def plan_collection(
         gates = gated_beams(geometry, region, fidelity, weighting.azimuth)
 
     @cache
-    def follow(gated: Gated) -> Callable[[float], Planner]:
+    def follow(gated: Gated) -> Callable[[float], DivisionPlanner]:
         """Planners for edges of several lengths, of a gate that follows a beam."""
         summed = gated.over(geometry)
         recovery = plan_recovery(summed, region, method, stays=stays)
@@ -93,7 +93,7 @@ def plan_collection(
             plan_edges, summed, region, fidelity=fidelity, weighting=weighting,
             band=recovery.band[1] - recovery.band[0], keystone=Keystone in steps_of(method),
         )  # fmt: skip
-        return cache(lambda times: Planner(
+        return cache(lambda times: DivisionPlanner(
             geometry=geometry, gated=gated, stays=stays, region=region, recovery=recovery, grid=grid, extent=extent,
             method=method, fidelity=fidelity, weighting=weighting,
             edges=edges(times=max(times, 1.0) if gated.wobbles else times),
@@ -130,6 +130,30 @@ def plan_collection(
     return _fewest_parts(divide, first, memory_limit, fixed=parts != "auto")
 
 
+def planner_of(
+    method: Method,
+    *,
+    blocks: int | Literal["auto"],
+    fidelity: float,
+    weighting: Weighting,
+    terrain: Terrain | None,
+    workers: int,
+    memory_limit: int,
+) -> Planner:
+    """`plan_collection` with the settings of a run; a division that is given has its numbers of blocks and parts."""
+
+    def plan(
+        collection: Collection, *, grid: Grid | None, like: Divided | None = None, owned: Owned | None = None
+    ) -> Plan:
+        return plan_collection(
+            collection, blocks=blocks if like is None else like.blocks, parts="auto" if like is None else like.parts,
+            method=method, fidelity=fidelity, weighting=weighting, grid=grid, owned=owned, terrain=terrain,
+            workers=workers, memory_limit=memory_limit,
+        )  # fmt: skip
+
+    return plan
+
+
 def _fewest_parts(plan: Callable[[int], Plan], first: Plan, memory_limit: int, *, fixed: bool) -> Plan:
     """The plan with the fewest range sub-blocks that fit a worker's memory."""
     divided, room = first, MEMORY_SHARE * memory_limit
@@ -159,7 +183,7 @@ def _fewest_parts(plan: Callable[[int], Plan], first: Plan, memory_limit: int, *
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Planner:
+class DivisionPlanner:
     """Plans of one collection for any division of it.
 
     Attributes

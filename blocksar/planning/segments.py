@@ -37,7 +37,7 @@ class Planner(Protocol):
     """Plans one collection: `plan_collection` with the settings of a run."""
 
     def __call__(
-        self, collection: Collection, *, grid: Grid | None, like: Divided | None, owned: Owned | None
+        self, collection: Collection, *, grid: Grid | None, like: Divided | None = None, owned: Owned | None = None
     ) -> Plan: ...
 
 

@@ -15,8 +15,13 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "geotiff": ("content", "looks", "scale", "range", "crop", "crs"),
     "png": ("range", "crop", "colour_map", "size", "composite"),
 }
-ENDINGS = {"sicd": (".nitf", ".ntf", ".nsf"), "geotiff": (".tif", ".tiff"), "png": (".png",)}
-OTHERS = (".jpg", ".jpeg", ".gif", ".webp", ".svg", ".pdf", ".html", ".json", ".csv", ".zarr", ".nc", ".h5", ".toml")
+ENDINGS = {
+    "sicd": (".nitf", ".ntf", ".nsf"),
+    "geotiff": (".tif", ".tiff"),
+    "png": (".png",),
+    "report": (".html", ".htm"),
+}
+OTHERS = (".jpg", ".jpeg", ".gif", ".webp", ".svg", ".pdf", ".json", ".csv", ".zarr", ".nc", ".h5", ".toml")
 
 
 def check_ending(kind: str, name: str) -> None:

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 
 from blocksar.errors import InputError, ProcessingError, in_the_way, is_full, no_room
 from blocksar.places import Location, place
-from blocksar.places.local import LocalPlace, held_part, new_file
+from blocksar.places.local import LocalPlace, flush_file, held_part, new_file
 from blocksar.runs.record import RECORD
 
 
@@ -56,11 +56,7 @@ def replacing(out: Location, *, overwrite: bool) -> Iterator[str]:
         # It fails now if it cannot be written, with the same message whichever library writes.
         with held_part(target.path, new_file) as part:
             yield part
-            descriptor = os.open(part, os.O_RDONLY)
-            try:
-                os.fsync(descriptor)
-            finally:
-                os.close(descriptor)
+            flush_file(part)
             os.replace(part, target.path)
     except (PermissionError, NotADirectoryError, FileExistsError) as error:
         raise InputError(f"{target} cannot be written ({error.strerror}); choose another name") from error

@@ -286,8 +286,10 @@ class FinishedRun:
             )
         return self.georeference
 
-    def cropped(self, x: Span, y: Span) -> Self:
+    def cropped(self, x: Span, y: Span, name: str = "crop") -> Self:
         """Return the part of the image between ground coordinates, m, ends included; reads no pixel.
+
+        `name` is that of the option.
 
         Raises
         ------
@@ -295,12 +297,12 @@ class FinishedRun:
             If it has no two rows and columns.
         """
         parts = []
-        for name, axis, (low, high) in (("y", self.y, y), ("x", self.x, x)):
+        for along, axis, (low, high) in (("y", self.y, y), ("x", self.x, x)):
             inside = np.flatnonzero((axis >= low) & (axis <= high))
             if inside.size < 2:
                 raise InputError(
-                    f"crop: {name} from {low:g} to {high:g} m has {inside.size} pixels of the image, which runs from "
-                    f"{axis[0]:g} to {axis[-1]:g} m every {axis[1] - axis[0]:g} m; give a part with two at least"
+                    f"{name}: {along} from {low:g} to {high:g} m has {inside.size} pixels of the image, which runs "
+                    f"from {axis[0]:g} to {axis[-1]:g} m every {axis[1] - axis[0]:g} m; give a part with two at least"
                 )
             parts.append(slice(int(inside[0]), int(inside[-1]) + 1))
         first = self.first[0] + parts[0].start, self.first[1] + parts[1].start

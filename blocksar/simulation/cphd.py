@@ -20,7 +20,7 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, in_the_way, unwritable
 from blocksar.ingestion.cphd import NAMESPACE, library
 from blocksar.places import Location, place
-from blocksar.places.local import LocalPlace, held_part, new_file
+from blocksar.places.local import LocalPlace, flush_file, held_part, new_file
 from blocksar.progress.listening import Callback
 from blocksar.simulation.cphd_beam import antenna_content, antenna_frame, gain_table, lit_area
 from blocksar.simulation.lengths import next_smooth_even
@@ -118,6 +118,7 @@ def simulate(
             unturned = replace(frame, rotation=0.0)  # as a store has it that is ingested
             write_truth(scene, where, lambda p: unturned.from_ecef(frame.to_ecef(p - scene.centre)))
             file.flush()
+            flush_file(part)
             os.replace(part, where)
     except OSError as error:
         raise unwritable(where, error) from error

@@ -177,7 +177,9 @@ def _change(
 
 
 def publish(made: Place, out: Place, *, overwrite: bool) -> None:
-    """Give a store that is complete its name: by renaming, or in an object store by copying, group metadata last.
+    """Give a store that is complete its name, once it is on the disk: by renaming; in an object store by copying.
+
+    There the group's metadata is written last.
 
     Raises
     ------
@@ -187,6 +189,7 @@ def publish(made: Place, out: Place, *, overwrite: bool) -> None:
     if isinstance(made, LocalPlace) and isinstance(out, LocalPlace):
         made.sweep()  # of what killed processes have left in it
         with replacing(out.path, overwrite=overwrite) as part:
+            made.settle()
             os.rename(made, part)
         return
     refuse_existing(out, overwrite=overwrite)

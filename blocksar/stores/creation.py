@@ -45,6 +45,8 @@ def create(
 
     An unfinished store is never taken for a finished one: a folder is written under a temporary name and then renamed;
     in an object store the group's metadata is written last, and the objects of an overwritten store are removed first.
+    A store that is complete by then is flushed to the disk before it gets its name: also a loss of power leaves none
+    that only looks complete.
     Only what the schema says is compressed. `xarray.open_zarr` opens the store.
 
     Parameters
@@ -87,6 +89,8 @@ def create(
             put_file(part / key, data)
         if fill is not None:
             fill(part)
+        if fill is not None or schema.keys() <= {*coords, *(variables or {})}:
+            part.settle()
 
 
 def _metadata(

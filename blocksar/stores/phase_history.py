@@ -119,11 +119,12 @@ class PhaseHistory:
 
     def of_look(self, number: int, count: int, sign: float) -> PhaseHistory:
         """The same with a collection that sees one of `count` parts of each dwell, see `collection.sublooks`."""
-        pulses, attrs = sublooks.pulses_of(self.collection, number, count), {**self.attrs, "look": look_name(number)}
-        if not self.collection.steered:
-            return replace(self.segment(pulses.start, pulses.stop), look=(number, count, sign), attrs=attrs)
-        collection = sublooks.narrowed(self.collection, number, count, sign)
-        return replace(self, collection=collection, look=(number, count, sign), attrs=attrs)
+        collection = sublooks.look_of(self.collection, number, count, sign)
+        first, n_pulse = sublooks.pulses_of(self.collection, number, count).start, self.collection.n_pulse
+        return replace(
+            self, collection=collection, cut=self.cut if self.collection.steered else (first, n_pulse),
+            look=(number, count, sign), attrs={**self.attrs, "look": look_name(number)},
+        )  # fmt: skip
 
     @property
     def part_of_a_beam(self) -> bool:

@@ -104,7 +104,7 @@ def read_region(
     Returns
     -------
     array
-        In the variable's dtype; the fill value in chunks that were never written.
+        Of the region's shape, in the variable's dtype; the fill value in chunks that were never written.
 
     Raises
     ------
@@ -160,11 +160,10 @@ def read_array(
     seen: Callable[[str, str], None] | None = None,
     cached: bool = True,
 ) -> Array:
-    """Read a region of an open array; `label` names it in messages. If that fails, name the first damaged chunk.
+    """Read a region of an open array, as `read_region`. If that fails, name the first damaged chunk.
 
-    `name` is that of the variable.
-
-    `seen` is told the name of each chunk's file, relative to the variable, and the version that was read.
+    `name` is that of the variable; `label` names it in messages. `seen` is told the name of each chunk's file, relative
+    to the variable, and the version that was read.
     """
     if isinstance(array, ChunkFiles):
         if len(region) == array.ndim and all(part.step in (None, 1) for part in region):

@@ -378,7 +378,9 @@ def test_an_interactive_session_focuses_small_collections_itself(
 
 
 def test_a_performance_report_needs_a_cluster(dataset: xr.Dataset, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"performance_report is .* but dask does no work .*; give workers, or leave"):
+    with pytest.raises(
+        InputError, match=r"performance_report .* is given, but dask does no work .*; give workers, or leave"
+    ):
         focus(dataset, tmp_path / "run", performance_report=tmp_path / "report.html")
 
 

@@ -149,6 +149,28 @@ def test_a_client_that_is_none_is_refused(command: str, store: Path, tmp_path: P
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("command", ["focus", "autofocus"])
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"client": "C", "workers": 2}, r"^workers 2 is given together with a client, whose cluster has workers and"),
+        ({"client": "C", "workers": 0}, r"^workers 0 is given together with a client"),
+        (
+            {"client": "C", "memory_limit": "2GiB"},
+            r"^memory_limit 2147483648 is given together with a client",
+        ),
+        ({"scheduler": "tcp://a:1", "workers": 2}, r"^workers 2 is given together with scheduler, .*; leave one out$"),
+        ({"scheduler": "tcp://a:1", "client": "C"}, r"^scheduler 'tcp://a:1' is given together with a client; leave"),
+    ],
+)
+def test_a_running_cluster_has_its_own_size(
+    command: str, given: dict[str, Any], message: str, store: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=message):
+        getattr(blocksar, command)(store, tmp_path / "out", grid="-10:10:1,-10:10:1", **given)
+    assert not list(tmp_path.iterdir())
+
+
 def test_georeferences_are_the_same_however_they_are_written() -> None:
     frame = {"kind": "ENU", "latitude": 45.0, "longitude": 9.5, "height": 100.0}
 

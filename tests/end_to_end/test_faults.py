@@ -47,8 +47,8 @@ from faults import (
 )
 
 import blocksar
-from blocksar.api import jobs
 from blocksar.graph.cluster import open_client
+from blocksar.planning import planner
 
 OWN = ("--workers", "1", "--memory-limit", "2GiB")  # the smallest local cluster
 STOPPED_WITHIN = 20.0  # s after a signal; generous for busy machines
@@ -228,8 +228,8 @@ def test_a_killed_worker_does_not_change_the_result(
     client, assassin = guarded
     source, expected = store, undisturbed.left
     if stage == "gate":  # only blocks that are divided in range are gated on their own
-        whole = jobs.plan_collection
-        monkeypatch.setattr(jobs, "plan_collection", lambda *given, **more: whole(*given, **more | {"parts": 2}))
+        whole = planner.plan_collection
+        monkeypatch.setattr(planner, "plan_collection", lambda *given, **more: whole(*given, **more | {"parts": 2}))
     raw = stage == "range-compress"
     if raw:
         source = make_store(tmp_path / "raw", raw=True)

@@ -20,9 +20,9 @@ from scenes import GEOMETRIES, UNSTEERED_SCENE, scene, write_store
 
 import blocksar
 from blocksar import api, stores
-from blocksar.api import jobs
 from blocksar.errors import InputError
 from blocksar.measurement.coherence import coherence
+from blocksar.planning import planner
 from blocksar.planning.planner import plan_collection
 from blocksar.simulation.scene import Scene
 
@@ -116,7 +116,7 @@ def test_range_sub_blocks_are_as_accurate_as_whole_blocks(
     name: str, clutter: Callable[[str], Path], client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Compare clutter with back-projection in coherence, gain and phase, also across the range seams."""
-    monkeypatch.setattr(jobs, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 3}))
+    monkeypatch.setattr(planner, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 3}))
     store = clutter(name)
     blocksar.focus(store, tmp_path / "run", blocks=2, grid=coarse_grid(store), client=client)
     record = json.loads((tmp_path / "run" / "run.json").read_text())

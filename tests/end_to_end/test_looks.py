@@ -13,14 +13,20 @@ from scenes import write_store
 
 import blocksar
 from blocksar import stores
+from blocksar.api.jobs import predicted_blocks
 from blocksar.collection.beam import lit_interval
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.sublooks import entering_side
 from blocksar.errors import InputError
+from blocksar.places import place
 from blocksar.products.sicd.aperture import find_support
+from blocksar.runs.record import RunRecord
 
 SETTINGS: dict[str, Any] = {"workers": 0}
 CLUTTER = "[clutter]\nscatterers = 500\npower = 1e-3\nseed = 3\n"
+
+
+TARGET = '[[targets]]\nname = "T"\nx = 9000.0\ny = 0.0\n'
 
 
 def coherence(a: Any, b: Any) -> float:
@@ -79,11 +85,66 @@ def test_looks_of_a_steered_beam_sum_up_to_the_image(tmp_path: Path) -> None:
     assert "of the power of a look lie in its own part" in page and "<h1>test, look-2</h1>" in page
 
 
-def test_looks_of_a_beam_about_its_axis_sum_up_to_the_image(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def strip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("strip")
     more = CLUTTER + "x = [8950.0, 9050.0]\ny = [-50.0, 50.0]\n"
-    (tmp_path / "scene.toml").write_text(axis_scene('mode = "stripmap"\nwidth_deg = 0.8\n', more=more))
+    (folder / "scene.toml").write_text(axis_scene('mode = "stripmap"\nwidth_deg = 0.8\n', more=more))
+    return Path(blocksar.simulate(folder / "scene.toml", folder / "phase_history.zarr"))
+
+
+def test_looks_of_a_beam_about_its_axis_sum_up_to_the_image(strip: Path, tmp_path: Path) -> None:
+    check_sum(strip, tmp_path, ((8980.0, 9020.0, 1.0), (-20.0, 20.0, 0.5)), 2, processor="backprojection")
+
+
+def test_a_plan_of_looks_is_the_one_that_focus_makes(strip: Path, tmp_path: Path) -> None:
+    settings: dict[str, Any] = {**SETTINGS, "grid": ((8980.0, 9020.0, 1.0), (-20.0, 20.0, 0.5)), "looks": 2}
+    plan = blocksar.plan(strip, **settings)
+    blocksar.focus(strip, tmp_path / "run", **settings)
+    for number, planned in enumerate(plan.result, 1):
+        record = RunRecord.read(place(tmp_path / "run" / "looks" / f"look-{number}"))
+        assert record.plan.predicted == predicted_blocks(planned) and record.plan.memory == planned.memory
+    whole = blocksar.plan(strip, **settings | {"looks": None})
+    (header, rows), (blocks, _) = plan.tables
+    widths = [float(row[header.index("azimuth width (m)")].split()[-1]) for row in rows]
+    assert [row[0] for row in rows] == ["whole dwell", "look-1", "look-2"] and blocks[0] == "look-1: block"
+    assert rows[0][1] == str(whole.result.n_blocks) and widths[1] == pytest.approx(2 * widths[0], rel=0.2)
+    assert plan.summary[0] == "each look sees 0.4 of the beam's 0.8 degrees, the first in time first"
+    assert len(plan.details) == 1 + 2 * len(whole.details)
+    # Of a scene, the same; of exact back-projection, the pulses of each.
+    assert blocksar.plan(strip.parent / "scene.toml", **settings).tables == plan.tables
+    exact = blocksar.plan(strip, **settings, processor="backprojection").summary
+    pulses = [int(line.split(" lit pulses")[0].split()[-1]) for line in exact[1:4]]
+    assert pulses[0] == pytest.approx(sum(pulses[1:]), abs=2)
+
+
+def test_a_plan_of_looks_refuses_what_focus_refuses(strip: Path) -> None:
+    settings: dict[str, Any] = {"grid": ((8980.0, 9020.0, 1.0), (-20.0, 20.0, 0.5)), **SETTINGS}
+    for call in (blocksar.plan, lambda source, **given: blocksar.focus(source, strip.parent / "no", **given)):
+        with pytest.raises(InputError, match=r"^looks = 40: give 2 to 32 looks"):
+            call(strip, **settings, looks=40)
+        with pytest.raises(InputError, match=r"^looks = 2: looks are formed of one collection, and here are 2; give"):
+            call([strip, "table1"], **settings, looks=2)
+    with pytest.raises(InputError, match=r"^looks = 2, but processor auto compares processors for whole dwells; leave"):
+        blocksar.plan(strip, **settings, looks=2, processor="auto")
+    assert not (strip.parent / "no").exists()
+
+
+def test_a_beam_that_stays_on_its_ground_has_no_looks(tmp_path: Path) -> None:
+    """Parts of its width see parts of the ground: without the beam, looks are parts of the pulses."""
+    (tmp_path / "scene.toml").write_text(axis_scene('mode = "spotlight"\nwidth_deg = 0.8\n', more=TARGET))
     store = Path(blocksar.simulate(tmp_path / "scene.toml", tmp_path / "phase_history.zarr"))
-    check_sum(store, tmp_path, ((8980.0, 9020.0, 1.0), (-20.0, 20.0, 0.5)), 2, processor="backprojection")
+    grid = ((8980.0, 9020.0, 1.0), (-20.0, 20.0, 0.5))
+    for call in (blocksar.plan, lambda source, **given: blocksar.focus(source, tmp_path / "no", **given)):
+        with pytest.raises(InputError, match=r"^looks = 3: the beam stays on its ground, .*; write the phase history"):
+            call(store, looks=3, grid=grid, **SETTINGS)
+    with xr.open_zarr(store) as dataset:
+        still = dataset.load().drop_vars(["beam_axis", "beam_steering"])
+        still.attrs = {
+            name: value for name, value in still.attrs.items() if name not in ("beam_width", "side_of_track")
+        }
+        blocksar.write(still, tmp_path / "still.zarr")
+    assert len(blocksar.plan(tmp_path / "still.zarr", looks=3, grid=grid, **SETTINGS).result) == 3
 
 
 def test_looks_of_an_unsteered_collection_are_parts_of_its_pulses(tmp_path: Path) -> None:

@@ -340,6 +340,20 @@ def test_a_target_near_the_image_edge_or_outside_is_not_covered(scene: Scene) ->
     assert np.isfinite(outside.azimuth_irw_theory)
 
 
+@pytest.mark.parametrize("off", [0.0, 0.3])
+def test_the_value_of_a_target_on_a_pixel_needs_no_other_pixel(off: float) -> None:
+    target, cut = target_at(), 3
+    image_x, image_y = grid_about(target)
+    column, row = (int(np.argmin(np.abs(axis - at))) for axis, at in ((image_x, target.x), (image_y, target.y)))
+    image_x, image_y = image_x + (target.x - image_x[column]), image_y + (target.y - image_y[row])
+    image_x = image_x + off * (image_x[1] - image_x[0])
+    image = image_of(UNSTEERED, target, image_x, image_y)
+    near = slice(column - cut, None)
+    found = measure_target(reader(image[:, near]), image_x[near], image_y, UNSTEERED, target)
+    assert not found.covered and np.isnan(found.range_pslr)
+    assert np.isnan(found.value) if off else found.value == pytest.approx(1, abs=1e-5)
+
+
 @pytest.mark.parametrize("beyond", [2.0, 100.0])
 def test_a_target_outside_near_the_end_of_the_terrain_has_no_figures(beyond: float) -> None:
     target, step, heights = target_at(), 20.0, np.zeros((101, 101))
@@ -582,11 +596,11 @@ def test_a_target_under_patterns_has_the_figures_of_its_ideal_response(text: str
     assert found.range_irw == pytest.approx(found.range_irw_theory, rel=0.002)
     assert found.range_pslr == pytest.approx(found.range_pslr_theory, abs=0.1)
     assert found.azimuth_pslr_theory < weighting.azimuth.ideal.pslr - 2
-    assert axes.azimuth_ideal.width > 1.03 * weighting.azimuth.ideal.width
+    assert axes.azimuth_shape.ideal.width > 1.03 * weighting.azimuth.ideal.width
     along = np.linspace(-4, 4, 33) * axes.azimuth_width
     dx, dy = axes.ground_offset(np.zeros(33), along)
     cut = np.abs(summed_response(geometry, target, target.x + dx, target.y + dy, weighting))
-    drawn = axes.azimuth_shape.response(along / axes.azimuth_width * axes.azimuth_ideal.width)
+    drawn = axes.azimuth_shape.response(along / axes.azimuth_width * axes.azimuth_shape.ideal.width)
     np.testing.assert_allclose(drawn, cut, atol=0.02)  # the curve in pictures; the beam moves on with the pixel
     energy = float((np.abs(image) ** 2).sum()) * (image_x[1] - image_x[0]) * (image_y[1] - image_y[0])
     assert energy == pytest.approx(axes.area, rel=0.02)

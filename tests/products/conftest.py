@@ -12,8 +12,8 @@ from small_run import Made, make
 
 import blocksar
 from blocksar import stores
-from blocksar.api import jobs
 from blocksar.graph.cluster import open_client
+from blocksar.planning import planner
 from blocksar.planning.planner import plan_collection
 from blocksar.products.page import page
 
@@ -60,7 +60,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("report")
     store = write_scene(folder)
     with pytest.MonkeyPatch.context() as patch, open_client(workers=1, threads=1, memory_limit=3 * 2**30) as client:
-        patch.setattr(jobs, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 2}))
+        patch.setattr(planner, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 2}))
         wide = ((15000.0, 17200.0, 1.2), (18000.0, 20400.0, 1.2))
         blocksar.focus(store, folder / "run", blocks=2, grid=wide, client=client)
         coarse = ((16000.0, 16400.0, 4.0), (19100.0, 19500.0, 4.0))

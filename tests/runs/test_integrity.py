@@ -21,9 +21,9 @@ from scenes import one_target
 
 import blocksar
 from blocksar import stores
-from blocksar.api import jobs
 from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.graph import stages
+from blocksar.planning import planner
 
 GRID = ((15900.0, 16300.0, 4.0), (19000.0, 19400.0, 4.0))
 
@@ -144,8 +144,8 @@ def test_a_damaged_chunk_of_a_gated_spectrum_is_noticed_and_computed_again(
     store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: Callable[[Path], None]
 ) -> None:
     """Range sub-blocks read what range gates have kept for them; only what is damaged is gated again."""
-    real = jobs.plan_collection
-    monkeypatch.setattr(jobs, "plan_collection", lambda *args, **how: real(*args, **how | {"parts": 2}))
+    real = planner.plan_collection
+    monkeypatch.setattr(planner, "plan_collection", lambda *args, **how: real(*args, **how | {"parts": 2}))
     run, settings = tmp_path / "run", {"blocks": 2, "grid": GRID, "client": client}
     whole = blocksar.focus(store, tmp_path / "whole", **settings)
     assert whole.result["plan"]["parts"] == 2 and "gate" in whole.result["timings"]

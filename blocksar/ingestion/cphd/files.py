@@ -72,7 +72,7 @@ class CphdFile:
         return np.asarray(self.vectors[name][rows], dtype=np.float64)
 
     def read(self, file: BinaryIO, first: int, stop: int, samples: slice) -> ComplexArray:
-        """Read some samples of the vectors first .. stop - 1 as complex64, not scaled.
+        """Read some samples of the vectors first .. stop - 1, (n_vector, n_sample) complex64, not scaled.
 
         Raises
         ------

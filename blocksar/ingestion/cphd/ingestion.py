@@ -351,7 +351,7 @@ def _reader(file: CphdFile, prepared: _Prepared) -> Callable[[BinaryIO, slice], 
     scaled = "AmpSF" in (file.vectors.dtype.names or ())
 
     def read_vectors(stream: BinaryIO, rows: IntArray) -> ComplexArray:
-        """Samples of some vectors, ascending."""
+        """Samples of some vectors, ascending: (rows.size, width), scaled and of the store's sign and reference."""
         read = file.read(stream, int(rows[0]), int(rows[-1]) + 1, prepared.resampler.samples)[rows - rows[0]]
         if scaled:
             read *= file.parameter("AmpSF", rows).astype(np.float32)[:, None]

@@ -77,6 +77,8 @@ def _read_any(path: Place, x: tuple[float, float], y: tuple[float, float]) -> Te
         if "height" not in dataset or set(dataset["height"].dims) != {"y", "x"}:
             raise InputError(f"{path} has no height (y, x); {REMEDY}")
         height = dataset["height"].transpose("y", "x")
+        if height.dtype.kind not in "iuf":
+            raise InputError(f"height in {path} is {height.dtype}, no real numbers; {REMEDY}")
         axes = {axis: _axis(height, axis) for axis in ("x", "y")}
         for variable in (height, dataset["x"], dataset["y"]):
             if (unit := str(variable.attrs.get("units", "m")).lower()) not in UNITS["m"]:

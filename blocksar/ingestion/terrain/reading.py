@@ -14,7 +14,7 @@ from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
 from blocksar.ingestion.terrain.earth import ellipsoid, read_geotiff
 from blocksar.ingestion.terrain.frame_grid import read_frame_grid
-from blocksar.places import Location
+from blocksar.places import Location, place
 
 GEOTIFF = (".tif", ".tiff", ".vrt")
 UNTOLD = 1e-6  # of the grid: a share without heights that is not worth a note
@@ -72,6 +72,8 @@ class Ground:
         if self.terrain is not None and (georeference is not None or not self.geotiff):
             terrain = self.read_box(georeference, x, y)
         elif georeference is None:
+            if self.terrain is not None and not place(self.terrain).exists():
+                raise InputError(f"terrain {self.terrain} does not exist; check the path")
             what = "surface = ellipsoid" if self.terrain is None else f"terrain {self.terrain}"
             raise InputError(
                 f"{what} needs to know where on the Earth the scene lies; put the attribute georeference into the "
