@@ -143,7 +143,7 @@ def test_dark_places_beside_bright_ones_are_predicted(monkeypatch: pytest.Monkey
         kept.append(sector)
         return plan_block(sector, *rest, **more)
 
-    monkeypatch.setattr("blocksar.planning.plan.plan_block", keep)
+    monkeypatch.setattr("blocksar.planning.planner.plan_block", keep)
     collection = Collection(**{**axis_collection(n_pulse=600).as_dict(), **zero_at(9010.0)})
     assert contrast_of(plan_collection(collection, grid=GRID, blocks=1), kept[-1]) is None
     x, y = np.arange(8700.0, 9300.0, 10.0), np.arange(-300.0, 300.0, 10.0)
