@@ -13,7 +13,6 @@ from blocksar.api.arguments import (
     Source,
     blocks_of,
     channels_of,
-    collection_of,
     collections_of,
     fidelity_of,
     grid_of,
@@ -152,10 +151,11 @@ def plan(
     )
     tapers = Weighting.parse(weighting, weighting_range, weighting_azimuth)
     points, n_blocks, least = grid_of(grid), blocks_of(blocks), fidelity_of(fidelity)
-    limit, collections = memory_of(memory_limit), collections_of(source)
+    limit = memory_of(memory_limit)
+    collections = collections_of(source if looks is None else one_source(source, looks))
     if automatic and method is not None:
         _check_automatic(method, collections, looks)
-    parts = None if looks is None else divide_dwells(collection_of(one_source(source, looks)), looks, points)
+    parts = None if looks is None else divide_dwells(collections[0], looks, points)
     points = points if parts is None else parts.grid
     here = in_this_process(workers, collections)
     share = resources(0 if here else workers, None, limit)
