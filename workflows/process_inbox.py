@@ -48,7 +48,6 @@ from typing import Annotated, NoReturn
 import typer
 
 from blocksar.api import parsing
-from blocksar.api.arguments import check_cluster
 from blocksar.cli import endings, options
 from blocksar.errors import InputError, ProcessingError
 from blocksar.places import place
@@ -103,7 +102,6 @@ def main(
             "threads": threads,
             "memory_limit": None if memory_limit is None else parsing.parse_memory(memory_limit),
         }
-        check_cluster(client=None, scheduler=scheduler, workers=workers, memory_limit=memory_limit)
         status = sweep(
             inbox, outbox, settings, Hook.parse(notify), scheduler=scheduler, group=parse_group(group), quiet=quiet
         )

@@ -77,25 +77,19 @@ def in_this_process(workers: int | None, collections: Sequence[Collection]) -> b
     return workers == 0
 
 
-def check_cluster(*, client: object, scheduler: str | None, workers: int | None, memory_limit: object) -> None:
-    """Check that the size of a local cluster is not asked for where a running one is used.
+def check_cluster(*, client: object, scheduler: str | None, workers: int | None) -> None:
+    """Check that one cluster is asked for.
 
     Raises
     ------
     InputError
-        If it is, or two running ones are given.
+        If two running ones are, or one and none at all.
     """
-    if client is None and scheduler is None:
-        return
-    cluster = "a client" if client is not None else "--scheduler"
     if client is not None and scheduler is not None:
         raise InputError(f"--scheduler {quoted(scheduler)} is given together with a client; leave one out")
-    for name, value in (("--workers", workers), ("--memory-limit", memory_limit)):
-        if value is not None:
-            raise InputError(
-                f"{name} {quoted(value)} is given together with {cluster}, whose cluster has workers and memory of its "
-                "own; leave one out"
-            )
+    if workers == 0 and (client is not None or scheduler is not None):
+        cluster = "a client" if client is not None else "--scheduler"
+        raise InputError(f"--workers 0 is given together with {cluster}, whose workers do the work; leave one out")
 
 
 def fidelity_of(fidelity: Any) -> float:

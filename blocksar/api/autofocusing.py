@@ -110,7 +110,7 @@ def autofocus(
     """
     listener, target = as_listener(progress), place(out)
     limit = memory_of(memory_limit)
-    check_cluster(client=client, scheduler=scheduler, workers=workers, memory_limit=limit)
+    check_cluster(client=client, scheduler=scheduler, workers=workers)
     history = history_of(source)
     stored = not isinstance(history, stores.DatasetHistory)
     if stored and (lies_in(history.path, target) or lies_in(target, history.path)):
@@ -134,7 +134,7 @@ def autofocus(
         connected = None
         if client is not None or scheduler is not None:
             connected = stack.enter_context(cluster.open_client(scheduler=scheduler, client=client))
-            workers, limit = cluster.cluster_size(connected)
+            workers, limit = cluster.cluster_size(connected, workers=workers, memory_limit=limit)
         elif workers == 0:
             connected = cluster.open_here(listener)
         machine = resources(workers, threads, limit)

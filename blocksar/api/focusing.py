@@ -174,7 +174,8 @@ def focus(
     performance_report : path, optional
         HTML file for dask's performance report of this call, also written if the run fails. Default: none.
     client : distributed.Client, optional
-        Client of a running cluster, used instead of a local cluster; it then has its own workers and memory.
+        Client of a running cluster, used instead of a local cluster. Blocks and memory are planned for its workers and
+        the smallest of their memory limits, or for `workers` and `memory_limit`, if these are less.
 
     Returns
     -------
@@ -192,7 +193,7 @@ def focus(
     settings = {name: value for name, value in given.items() if name not in ("source", "out", "looks")}
     memory_limit = settings["memory_limit"] = memory_of(memory_limit)
     resources(workers, threads, memory_limit)  # refuses wrong numbers before anything is read
-    check_cluster(client=client, scheduler=scheduler, workers=workers, memory_limit=memory_limit)
+    check_cluster(client=client, scheduler=scheduler, workers=workers)
     if (members := members_of(source, looks, grid)) is not None:
         return focus_members(_focus_image, members, source, place(out), settings)
     return _focus_image(source, place(out), None, **settings)
@@ -278,7 +279,7 @@ def _focus_image(
             )
         if client is not None or scheduler is not None:
             connected = stack.enter_context(cluster.open_client(scheduler=scheduler, client=client))
-            workers, memory_limit = cluster.cluster_size(connected)
+            workers, memory_limit = cluster.cluster_size(connected, workers=workers, memory_limit=memory_limit)
             if profile is not None:
                 recording.check_recordable(profile, connected)
         machine = resources(0 if here else workers, threads, memory_limit)

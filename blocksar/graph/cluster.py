@@ -45,8 +45,10 @@ distributed.utils._forkserver_preload_set = True
 SETTINGS = {"distributed.admin.low-level-log-length": 10}  # dask would keep the last 1000 messages to workers
 
 
-def cluster_size(client: Client) -> tuple[int, int]:
+def cluster_size(client: Client, *, workers: int | None = None, memory_limit: int | None = None) -> tuple[int, int]:
     """Return the number of workers of a cluster, and the smallest of their memory limits, bytes.
+
+    At most so many `workers` and so much memory, where they are given.
 
     Raises
     ------
@@ -55,10 +57,11 @@ def cluster_size(client: Client) -> tuple[int, int]:
     """
     with suppress(TimeoutError):
         client.wait_for_workers(1, timeout=CONNECT)  # the only one may be restarting
-    workers = workers_of(client)
-    if not workers:
+    found = workers_of(client)
+    if not found:
         raise InputError("the dask scheduler has no worker; start some")
-    return len(workers), min(int(w["memory_limit"]) or machine()[1] for w in workers.values())
+    memory = min(int(w["memory_limit"]) or machine()[1] for w in found.values())
+    return min(len(found), workers or len(found)), min(memory, memory_limit or memory)
 
 
 def prepare_workers(threads: int, listener: Listener) -> None:

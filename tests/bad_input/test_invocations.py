@@ -116,7 +116,6 @@ CASES = {
     f"{FOCUS} --json-log=ph.zarr/zarr.json": "lies in the store",
     f"{FOCUS} --control=two.json": "control is given without autofocus",
     f"{FOCUS} --autofocus --control=absent.csv": "absent.csv does not exist",
-    f"{FOCUS} --looks=2 --autofocus": "correct it first (blocksar autofocus)",
     f"{FOCUS} --config=absent.toml": "--config absent.toml cannot be read",
     "focus ph.zarr --out new --config=unknown.toml": "'bloks' is no option of focus; did you mean blocks?",
     "focus ph.zarr --out new --config=table.toml": "'focus' is no option of focus",

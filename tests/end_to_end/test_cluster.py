@@ -55,6 +55,8 @@ def test_workers_are_counted_while_the_client_asks_for_something_else(
     assert not client.scheduler_info(n_workers=-1)["workers"]
     assert admission.workers_of(client).keys() == client.nthreads().keys()
     assert cluster.cluster_size(client) == (2, 3 * 2**30)
+    assert cluster.cluster_size(client, workers=1, memory_limit=2**30) == (1, 2**30)
+    assert cluster.cluster_size(client, workers=8, memory_limit=2**40) == (2, 3 * 2**30)
 
 
 def test_units_lost_by_the_scheduler_are_started_again(client: Client) -> None:

@@ -172,8 +172,6 @@ class Sweep:
     def _focus(self, arrival: Arrival, run: Path, standing: Standing) -> list[str]:
         """Focus into a run and return its summary; an unfinished run of other options or bytes is replaced."""
         arguments: dict[str, Any] = {**self.settings, "client": self.cluster.client(), "progress": self.journal}
-        if arguments["client"] is not None:  # whose cluster was made by these
-            arguments |= {"workers": None, "memory_limit": None}
         sources = [str(store) for store in arrival.stores]
         source = sources[0] if len(sources) == 1 else sources
         try:
