@@ -156,6 +156,7 @@ def test_a_refusal_names_the_collection(bursts: list[Path], tmp_path: Path) -> N
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 def test_the_order_of_collections_is_no_matter(bursts: list[Path], tmp_path: Path) -> None:
     """The one between the others is tied to the first, and the last to it."""
     order = [bursts[2], bursts[0], bursts[1]]

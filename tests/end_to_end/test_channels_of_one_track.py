@@ -114,7 +114,9 @@ def test_channels_in_memory_have_one_track_too(store: Path, run: Path, tmp_path:
     assert not (tmp_path / "run" / "autofocus").exists()
 
 
-@pytest.mark.parametrize("leaves", ["autofocus/receipts/correction-1*", "channels/HV/receipts/*"])
+@pytest.mark.parametrize(
+    "leaves", ["autofocus/receipts/correction-1*", pytest.param("channels/HV/receipts/*", marks=pytest.mark.slow)]
+)
 def test_a_killed_run_goes_on_to_the_same_bytes(leaves: str, store: Path, run: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     grid = ",".join(f"{low}:{high}:{step}" for low, high, step in GRID)
