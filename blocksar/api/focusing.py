@@ -195,7 +195,7 @@ def focus(
     resources(workers, threads, memory_limit)  # refuses wrong numbers before anything is read
     check_cluster(client=client, scheduler=scheduler, workers=workers)
     if (members := members_of(source, looks, grid)) is not None:
-        return focus_members(_focus_image, members, source, place(out), settings)
+        return focus_members(_focus_image, members, place(out), settings)
     return _focus_image(source, place(out), None, **settings)
 
 

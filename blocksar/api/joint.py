@@ -112,10 +112,8 @@ def _looks_of(source: Source, count: int, grid: GridLike | None) -> Members:
     return Members("look", named, (history,), looks.notes)
 
 
-def focus_members(
-    focus: Focus, members: Members, source: Source, folder: Place, settings: Mapping[str, Any]
-) -> RunReport:
-    """Focus all channels or looks of a source.
+def focus_members(focus: Focus, members: Members, folder: Place, settings: Mapping[str, Any]) -> RunReport:
+    """Focus all channels or looks.
 
     Parameters
     ----------
@@ -136,8 +134,7 @@ def focus_members(
         raise InputError(f"performance_report covers one run, but each of the {kinds} is one; leave it out")
     shared = dict(settings)
     if members.dimension == "look":  # their beams differ, but not the ground that they show
-        first = history_of(sources_of(source)[0])
-        shared["grid"] = image_grid(first.collection.centred(), grid_of(settings["grid"]))
+        shared["grid"] = image_grid(members.whole[0].collection.centred(), grid_of(settings["grid"]))
 
     track = TrackPlace.of(folder / run_folder.TRACK, members.whole) if settings["autofocus"] else None
 

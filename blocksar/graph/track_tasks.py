@@ -68,7 +68,7 @@ def search_pulses(
     """Look for prominent places in some short apertures."""
     started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
     found = [find_candidates(_samples(run, source, slice(*s)), work, slice(*s), threads=run.threads) for s in spans]
-    return sign(run, Receipt(unit=unit, stage="search", files=keep(run, f"{unit}.npz", found)), started)
+    return _kept(run, unit, "search", found, started)
 
 
 def select(run: Run, unit: str, candidates: Sequence[Files], grid: Grid | None) -> Receipt:
@@ -81,8 +81,7 @@ def select(run: Run, unit: str, candidates: Sequence[Files], grid: Grid | None) 
             "give another --grid, or another collection"
         )
     chosen = select_points(found, work)
-    files = keep(run, f"{unit}.npz", [chosen.points])
-    return sign(run, Receipt(unit=unit, stage="select", files=files, found={"channel": chosen.channel}), started)
+    return _kept(run, unit, "select", [chosen.points], started, channel=chosen.channel)
 
 
 def chips_of_pulses(
@@ -100,19 +99,15 @@ def chips_of_pulses(
     missing = int(np.isnan(signal).any(axis=1).sum())
     along = _correction(run, work, correction).displacement
     part = take_chips(signal, work, _points(run, points), along, slice(*pulses), threads=run.threads)
-    files = keep(run, f"{unit}.npz", [part])
-    return sign(run, Receipt(unit=unit, stage="chips", files=files, found={"missing": missing}), started)
+    return _kept(run, unit, "chips", [part], started, missing=missing)
 
 
 def estimate_error(run: Run, unit: str, points: Files, chips: Files, correction: Files, grid: Grid | None) -> Receipt:
     """Estimate the correction once more."""
     started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
-    better = estimate(
-        work, _points(run, points), kept(run, ChipPart, chips), _correction(run, work, correction), run.threads
-    )
-    files = keep(run, f"{unit}.npz", [better])
-    found = {"finished": better.finished, "loop": better.history[-1]}
-    return sign(run, Receipt(unit=unit, stage="estimate", files=files, found=found), started)
+    parts, last = kept(run, ChipPart, chips), _correction(run, work, correction)
+    better = estimate(work, _points(run, points), parts, last, run.threads)
+    return _kept(run, unit, "estimate", [better], started, finished=better.finished, loop=better.history[-1])
 
 
 def estimate_from_half(
@@ -122,7 +117,7 @@ def estimate_from_half(
     started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
     parts, last = kept(run, ChipPart, chips), _correction(run, work, correction)
     half = estimate_half(work, _points(run, points), parts, last, number, run.threads)
-    return sign(run, Receipt(unit=unit, stage="halves", files=keep(run, f"{unit}.npz", [half])), started)
+    return _kept(run, unit, "halves", [half], started)
 
 
 def finish_estimate(
@@ -132,7 +127,7 @@ def finish_estimate(
     started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
     parts, last = kept(run, ChipPart, chips), _correction(run, work, correction)
     result = finish(work, _points(run, points), parts, last, kept(run, HalfEstimate, halves))
-    return sign(run, Receipt(unit=unit, stage="finish", files=keep(run, f"{unit}.npz", [result])), started)
+    return _kept(run, unit, "finish", [result], started)
 
 
 def anchor_track(
@@ -142,21 +137,19 @@ def anchor_track(
     started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
     parts, last = kept(run, ChipPart, chips), _correction(run, work, correction)
     anchored = anchor(work, kept(run, Result, result)[0], control, parts, last)
-    return sign(run, Receipt(unit=unit, stage="anchor", files=keep(run, f"{unit}.npz", [anchored])), started)
+    return _kept(run, unit, "anchor", [anchored], started)
 
 
 def keep_points(run: Run, unit: str, control: Control, grid: Grid | None) -> Receipt:
     """Keep the control points as points of chips."""
     started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
-    return sign(
-        run, Receipt(unit=unit, stage="control", files=keep(run, f"{unit}.npz", [control.points(work)])), started
-    )
+    return _kept(run, unit, "control", [control.points(work)], started)
 
 
 def keep_shared(run: Run, unit: str, points: Points) -> Receipt:
     """Keep the points that two collections see."""
     started = time.perf_counter()
-    return sign(run, Receipt(unit=unit, stage="tie", files=keep(run, f"{unit}.npz", [points])), started)
+    return _kept(run, unit, "tie", [points], started)
 
 
 def find_shared_places(
@@ -166,7 +159,7 @@ def find_shared_places(
     started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
     parts, last = kept(run, ChipPart, chips), _correction(run, work, correction)
     places = find_places(work, _points(run, points), parts, last)
-    return sign(run, Receipt(unit=unit, stage="tie", files=keep(run, f"{unit}.npz", [places])), started)
+    return _kept(run, unit, "tie", [places], started)
 
 
 def tie_track(
@@ -179,6 +172,13 @@ def tie_track(
     files = keep(run, f"{unit}-result.npz", [tied])
     files |= keep(run, f"{unit}-correction.npz", [replace(last, displacement=-tied.track_error)])
     return sign(run, Receipt(unit=unit, stage="tie", files=files), started)
+
+
+def _kept(run: Run, unit: str, stage: str, made: Sequence[object], started: float, **found: object) -> Receipt:
+    """Keep what a task has made in one file, and sign its receipt."""
+    return sign(
+        run, Receipt(unit=unit, stage=stage, files=keep(run, f"{unit}.npz", made), found=found or None), started
+    )
 
 
 def _points(run: Run, files: Files) -> Points:

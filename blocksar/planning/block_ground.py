@@ -107,9 +107,8 @@ def trace_for_map(sector: Sector, azimuth: AzimuthPart) -> tuple[AzimuthPart, Fi
     """`trace_finely`, at more ranges where the map's series would miss too much of where the lines focus."""
     traced = trace_finely(sector, azimuth)
     lines = traced[1]
-    offset, doppler, phase, *_ = (
-        known(lines.epoch_range[:, None], lines.yaw) for known in _surfaces(sector, lines, lines.spots)
-    )
+    at, fitted = (lines.epoch_range[:, None], lines.yaw), _surfaces(sector, lines, lines.spots)
+    offset, doppler, phase = (known(*at) for known in fitted[:3])
     missed = _missed(sector.geometry.collection, sector.recovery.origin, lines, lines.spots, (offset, doppler, phase))
     if np.where(lines.ends.full, missed, 0.0).max() <= MISS_SHARE * (1 - sector.fidelity):
         return traced

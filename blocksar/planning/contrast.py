@@ -21,7 +21,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.weighting import Taper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.pattern_sums import mean_elevations
-from blocksar.planning.relief import Samples
+from blocksar.planning.relief import Samples, bins_of
 from blocksar.planning.sector import Sector
 
 MOST_PLACES = 1 << 16  # of a block's terrain that are looked at
@@ -49,12 +49,12 @@ def dark_contrast(sector: Sector, epoch_range: FloatArray, yaw: FloatArray) -> F
     cell = SPEED_OF_LIGHT / (2 * collection.bandwidth)
     # Places of equal range: a few cells of it where there are not many places.
     n_equal = int(np.clip((sector.far - sector.near) / cell, 1, max(power.size // FEWEST_PLACES, 1)))
-    equal, side = _bins(u, n_equal), CHIP * cell
+    equal, side = bins_of(u, n_equal), CHIP * cell
     contrast, own = _means(power, equal, n_equal)[equal] / power, np.abs(v) <= 1
     u, v, contrast = u[own], v[own], contrast[own]
     n_row = _number((sector.far - sector.near) / side)
     n_column = _number((sector.near + sector.far) / 2 * (sector.high - sector.low) / side)
-    row, column = _bins(u, n_row), _bins(v, n_column)
+    row, column = bins_of(u, n_row), bins_of(v, n_column)
     chip = row * n_column + column
     mean = _means(contrast, chip, n_row * n_column)
     worse = mean / (1 + _far_share(collection, sector.taper) * mean)
@@ -101,10 +101,6 @@ def _far_share(collection: Collection, taper: Taper) -> float:
 
 def _number(chips: float) -> int:
     return int(np.clip(round(chips), 1, MOST_CHIPS))
-
-
-def _bins(places: FloatArray, n: int) -> IntArray:
-    return np.clip(((places + 1) / 2 * n).astype(np.int64), 0, n - 1)
 
 
 def _means(values: FloatArray, which: IntArray, n: int) -> FloatArray:

@@ -93,7 +93,7 @@ class Relief:
     def _about(self, n_range: int, n_yaw: int) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Mean and variance of heights over the finer smooth ground about each end node, and whether any is known."""
         u, v, over = self.points
-        cell = [np.clip(((at + 1) / 2 * BINS).astype(np.int64), 0, BINS - 1) for at in (u, v)]
+        cell = [bins_of(at, BINS) for at in (u, v)]
         which = cell[0] * BINS + cell[1]
         spans = [_bins_about(n) for n in (n_range, n_yaw)]
 
@@ -109,6 +109,11 @@ class Relief:
         known = number > 0.5
         middle, square = (total(values) / np.maximum(number, 1) for values in (over, over**2))
         return middle, np.maximum(square - middle**2, 0.0), known
+
+
+def bins_of(places: FloatArray, n: int) -> IntArray:
+    """The bin, of n over -1 .. 1, in which each place lies; the outermost ones hold what is beyond."""
+    return np.clip(((places + 1) / 2 * n).astype(np.int64), 0, n - 1)
 
 
 def _bins_about(n: int) -> tuple[IntArray, IntArray]:
@@ -191,9 +196,7 @@ class _Cells(NamedTuple):
 
 def _cell_means(u: FloatArray, v: FloatArray, z: FloatArray, mean: float, cells: tuple[int, int]) -> _Cells:
     """Means over cells of samples at (u, v) in -1 .. 1; the middle of a cell without any."""
-    rows, columns = (
-        np.clip(((at + 1) / 2 * n).astype(np.int64), 0, n - 1) for at, n in zip((u, v), cells, strict=True)
-    )
+    rows, columns = bins_of(u, cells[0]), bins_of(v, cells[1])
     which, count = rows * cells[1] + columns, cells[0] * cells[1]
     number = np.bincount(which, minlength=count).reshape(cells)
     level = np.full(cells, mean)
