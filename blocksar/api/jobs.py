@@ -312,7 +312,7 @@ class Job:
         return cls(
             request=request, grid=planned[0].plan.grid, machine=machine, segments=segments,
             first_blocks=tuple(each.first_block for each in planned),
-            memory=max(compression, *(each.plan.memory for each in planned)),
+            memory=max(compression, *(each.plan.memory_of(machine.threads) for each in planned)),
         )  # fmt: skip
 
     @classmethod

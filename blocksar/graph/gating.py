@@ -73,9 +73,9 @@ def gate_bins(
             if touched:
                 to_delay.run(values[first - bins[0] : last - bins[0]], out=delays, threads=run.threads)
             for target in touched:
-                behind.turn()
+                turn = behind.turn()
                 rows = _gate(target, delays, (first, last), threads=run.threads)
-                behind.submit(_write_rows, run, target, rows, first)
+                turn.submit(_write_rows, run, target, rows, first)
         computed = time.perf_counter()
     steps = {
         "read-spectrum": reading,

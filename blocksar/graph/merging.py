@@ -22,9 +22,9 @@ from blocksar.focusing.terrain_layers import Sight
 from blocksar.graph.alike import AlikeChunks
 from blocksar.graph.layers import TerrainLayers, write_layers, write_noise
 from blocksar.graph.segments import Margins, Merged
-from blocksar.graph.spectrum import Window, ahead
+from blocksar.graph.spectrum import Window
 from blocksar.graph.tasks import naming_failures, shifted, sign, write_image
-from blocksar.graph.writing import WritesBehind
+from blocksar.graph.writing import WritesBehind, ahead
 from blocksar.planning.tiling import chunk_window
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import Receipt
@@ -68,7 +68,7 @@ def merge_chunks(
     with pool, WritesBehind() as behind:
         coming = _read_ahead(pool, run, cells, grid)
         for cell, patches in cells.items():
-            behind.turn()
+            turn = behind.turn()
             window = chunk_window(cell, grid)
             image, owner = _merge(patches, coming, margins[cell])
             alone = patches[0] if len(patches) == 1 else None
@@ -76,9 +76,9 @@ def merge_chunks(
             collections = {part.block: part.collection for part in patches if part.collection is not None}
             of_blocks = {part.block: noises[part.segment] for part in patches} if noises else {}
             height = layers.heights.over(window) if of_blocks else None
-            behind.submit(write_image, run, window, image, owner, collections, source, patches[0].checksum, alike)
-            behind.submit(write_noise, run, window, owner, grid, of_blocks, height)
-            behind.submit(write_layers, alike, window, layers.over(window, owner))
+            turn.submit(write_image, run, window, image, owner, collections, source, patches[0].checksum, alike)
+            turn.submit(write_noise, run, window, owner, grid, of_blocks, height)
+            turn.submit(write_layers, alike, window, layers.over(window, owner))
     return sign(run, Receipt(unit=unit, stage="mosaic", written=behind.written), started)
 
 

@@ -58,18 +58,18 @@ def recover_group(
     memories = [buffers.empty((recovery.doppler.size * width,)) for _ in range(min(2, -(-signal.shape[1] // width)))]
     with WritesBehind(len(memories)) as behind:
         for first in range(columns[0], columns[1], width):
-            memory, part = memories[behind.turn()], slice(first, min(first + width, columns[1]))
+            turn, part = behind.turn(), slice(first, min(first + width, columns[1]))
             shape = (recovery.doppler.size, part.stop - part.start)
             spectrum = recover_columns(
                 signal[:, part.start - columns[0] : part.stop - columns[0]],
                 range_frequency=frequency[part],
                 recovery=recovery,
                 threads=run.threads,
-                out=memory[: shape[0] * shape[1]].reshape(shape),
+                out=memories[turn.memory][: shape[0] * shape[1]].reshape(shape),
             )
             # One entry for each chunk, so that a block can check those that it reads.
             for bins in chunk_spans(0, shape[0], height):
-                behind.submit(_write_bins, run, (slice(*bins), part), spectrum[slice(*bins)], cached=cached)
+                turn.submit(_write_bins, run, (slice(*bins), part), spectrum[slice(*bins)], cached=cached)
     receipt = Receipt(unit=unit, stage="recover", written=behind.written, found=inspection.as_dict())
     return sign(run, receipt, started)
 

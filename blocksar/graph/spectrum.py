@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import time
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from math import prod
-from typing import TypeVar
 
 from blocksar import stores
 from blocksar.arrays import ComplexArray
 from blocksar.chunks import SPECTRUM_BYTES
 from blocksar.errors import ProcessingError
 from blocksar.graph.machine import machine
+from blocksar.graph.writing import ahead
 from blocksar.kernels import buffers
 from blocksar.places.place import Place
 from blocksar.runs.record import Written
 
-T = TypeVar("T")
 Window = tuple[slice, slice]  # rows and columns
 CACHED_SHARE = 1 / 8  # of the memory that a recovered spectrum may take of the page cache
 
@@ -112,17 +110,6 @@ class SpectrumChunks:
                         f"range_frequency {c}..{d - 1}"
                     )
         return values
-
-
-def ahead(pool: Executor, jobs: Iterable[Callable[[], T]], count: int) -> Iterator[T]:
-    """The results of jobs in their order; up to `count` are done in the pool while the one before them is used."""
-    coming: deque[Future[T]] = deque()
-    for job in jobs:
-        coming.append(pool.submit(job))
-        if len(coming) > count:
-            yield coming.popleft().result()
-    while coming:
-        yield coming.popleft().result()
 
 
 def read_ahead(spectrum: SpectrumChunks, regions: Sequence[Window]) -> Iterator[tuple[Window, ComplexArray, float]]:

@@ -34,10 +34,11 @@ from blocksar.graph.edges import Edges
 from blocksar.graph.gating import Gated, gate_bins
 from blocksar.graph.layer_units import LayerUnits
 from blocksar.graph.merging import PatchChunk, merge_chunks
+from blocksar.graph.patching import Patch, write_patch
 from blocksar.graph.reading import compress_pulses, inspect_group, recover_group
 from blocksar.graph.segments import Segment, by_collection
 from blocksar.graph.spectrum import SpectrumChunks
-from blocksar.graph.tasks import Patch, Projected, back_project_chunk, read_slab, run_stage, write_patch
+from blocksar.graph.tasks import Projected, back_project_chunk, read_slab, run_stage
 from blocksar.graph.units import Spare, run_units, single_task, spans
 from blocksar.inspection.samples import Inspection, merge
 from blocksar.inspection.sentences import refusal

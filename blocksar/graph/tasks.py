@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import wraps
@@ -14,23 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blocksar import stores
-from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.chunks import BACKPROJECTION_CHUNK, TILED_CHUNKS, WRITES_AT_ONCE
+from blocksar.arrays import ComplexArray
+from blocksar.chunks import BACKPROJECTION_CHUNK
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.ownership import margins_over
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.backprojection import form_image
-from blocksar.focusing.correction import Tiles, correct, tiles_of
-from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.step import Stage
 from blocksar.focusing.terrain_layers import Sight
 from blocksar.graph.alike import AlikeChunks
-from blocksar.graph.edges import Edges, by_yaw, read_valid
+from blocksar.graph.edges import read_valid
 from blocksar.graph.layers import (
-    GroundHeights,
     TerrainLayers,
     local_terrain,
     sights_of,
@@ -46,7 +43,7 @@ from blocksar.kernels import buffers
 from blocksar.places.place import Place
 from blocksar.places.posix import resource
 from blocksar.planning.block import BlockPlan
-from blocksar.planning.tiling import chunk_window, image_chunk, patch_window, touched_chunks
+from blocksar.planning.tiling import chunk_window
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Receipt, Written
 
@@ -155,170 +152,10 @@ def run_stage(run: Run, block: BlockPlan, stage: Stage, samples: Samples) -> Sam
     return Samples(result, samples.seconds | {stage.name: time.perf_counter() - started})
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Patch:
-    """Where a focused block goes.
-
-    Attributes
-    ----------
-    ground : GroundMap
-        From the focused block to the ground.
-    grid : Grid
-        The image's.
-    own : frozenset of (row, column)
-        Chunks of the image that no other block touches: they become the image's as they are.
-    noise : NoiseMap or None
-        The block's noise, where it is known.
-    edges : Edges or None
-        Edges of dwells that are added to the pixels.
-    sight : Sight or None
-        On a terrain: `own` chunks get their layers with their pixels; None: later.
-    """
-
-    ground: GroundMap
-    grid: Grid
-    own: frozenset[tuple[int, int]]
-    noise: NoiseMap | None
-    edges: Edges | None
-    sight: Sight | None
-
-
-@naming_failures(lambda run, unit, block, *_: f"geometric-correction of block {block.name}")
-def write_patch(run: Run, unit: str, block: BlockPlan, samples: Samples, patch: Patch) -> Receipt:
-    """Correct a focused block geometrically, and write its patch in chunks of the image's grid.
-
-    Chunks are written by other threads while the next ones are computed.
-    """
-    started = time.perf_counter()
-    ground, grid, edges, sight = patch.ground, patch.grid, patch.edges, patch.sight
-    origin, side = patch_window(ground, grid)[:2], image_chunk(grid)
-    layers = TerrainLayers(run, grid, {} if sight is None else {block.index: sight})
-    heights, alike = GroundHeights(run, grid, on_terrain=ground.relief is not None), AlikeChunks(run)
-    writer = _PatchWriter(run=run, block=block, grid=grid, origin=origin, noise=patch.noise, alike=alike)
-    assert samples.values is not None
-    chunks = [np.empty(side[0] * side[1], np.complex64) for _ in range(WRITES_AT_ONCE + 1)]
-    with WritesBehind(len(chunks)) as behind:
-        cells = touched_chunks(ground, grid)
-        kept = None if edges is None else edges.profiles(ground, threads=run.threads)
-        batches = _batches(cells if edges is None else by_yaw(cells, ground, grid), grid, heights, layers, patch.own)
-        for cell, z, tiles in _tiled(batches, ground, grid):
-            chunk, window = chunks[behind.turn()], chunk_window(cell, grid)
-            shape = (window[0].stop - window[0].start, window[1].stop - window[1].start)
-            out = chunk[: shape[0] * shape[1]].reshape(shape)
-            x, y = grid.x[window[1]], grid.y[window[0]]
-            merged = cell not in patch.own
-            pixels = correct(samples.values, ground, x=x, y=y, z=z, tiles=tiles, threads=run.threads, out=out)
-            if edges is not None and kept is not None:
-                edges.add(pixels, kept, ground, window, grid, height=z, threads=run.threads)
-            if (owner := _owner(pixels, block.index)) is None:
-                continue
-            behind.submit(writer.write, pixels, owner, window, z, merged=merged)
-            if sight is not None and not merged:
-                behind.submit(write_layers, alike, window, layers.over(window, owner))
-    seconds = samples.seconds | {"geometric-correction": time.perf_counter() - started}
-    # The receipt covers the whole block: the tasks before this one have no receipts.
-    receipt = Receipt(unit=unit, stage="focus", written=behind.written, origin=origin, steps=seconds)
-    return sign(run, receipt, started - sum(samples.seconds.values()))
-
-
-class Batch(NamedTuple):
-    """Output chunks of which much is found at once, and the heights of each, m; None on the plane."""
-
-    cells: Sequence[tuple[int, int]]
-    heights: Sequence[FloatArray | None]
-
-
-def _batches(
-    cells: Sequence[tuple[int, int]],
-    grid: Grid,
-    heights: GroundHeights,
-    layers: TerrainLayers,
-    own: frozenset[tuple[int, int]],
-) -> Iterator[Batch]:
-    """Divide the chunks of a patch: on the plane into some that are not too many, on a terrain into strips."""
-    if not heights.on_terrain:
-        for first in range(0, len(cells), TILED_CHUNKS):
-            some = cells[first : first + TILED_CHUNKS]
-            yield Batch(some, [None] * len(some))
-        return
-    for some, strip in strips_of(cells, grid):
-        # Chunks that get their layers at once need the same things of the terrain for these.
-        if own.isdisjoint(some) or not layers.sights:
-            yield Batch(some, [heights.over((strip.rows, columns)) for columns in strip.columns])
-        else:
-            layers.begin(strip)
-            yield Batch(some, [layers.heights_of((strip.rows, columns)) for columns in strip.columns])
-
-
-def _tiled(
-    batches: Iterator[Batch], ground: GroundMap, grid: Grid
-) -> Iterator[tuple[tuple[int, int], FloatArray | None, Tiles]]:
-    """Output chunks, heights and tiles, which are found for the chunks of a batch at once."""
-    for cells, heights in batches:
-        windows = [chunk_window(cell, grid) for cell in cells]
-        tiles = tiles_of(ground, [(grid.x[x], grid.y[y]) for y, x in windows], heights)
-        yield from zip(cells, heights, tiles, strict=True)
-
-
-def _owner(pixels: ComplexArray, block: int) -> NDArray[np.int16] | int | None:
-    """The block that each pixel comes from, as layers take it; None if none is covered."""
-    covered = np.isfinite(pixels.real)
-    if covered.all():
-        return block
-    return np.where(covered, np.int16(block), np.int16(-1)) if covered.any() else None
-
-
 def shifted(window: Window, origin: Sequence[int]) -> Window:
     """The same window, counted from another first row and column."""
     (rows, columns), (y, x) = window, origin
     return slice(rows.start - y, rows.stop - y), slice(columns.start - x, columns.stop - x)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _PatchWriter:
-    """Writes the chunks of a block's patch, and the image's where no other block touches them.
-
-    Attributes
-    ----------
-    origin : (first row, first column)
-        Of the patch in the image.
-    noise : NoiseMap or None
-        The block's noise, where it is known.
-    """
-
-    run: Run
-    block: BlockPlan
-    grid: Grid
-    origin: tuple[int, int]
-    noise: NoiseMap | None
-    alike: AlikeChunks
-
-    def write(
-        self,
-        pixels: ComplexArray,
-        owner: NDArray[np.int16] | int,
-        window: Window,
-        height: FloatArray | None,
-        *,
-        merged: bool,
-    ) -> list[Written]:
-        """Write the pixels (n_y, n_x) of `window` of the image; only to the patch if the mosaic merges them.
-
-        `owner` is as `_owner` has it; `height` (n_y, n_x) the pixels' z, m, or None on the plane.
-        """
-        run, index = self.run, self.block.index
-        patch, part = run.patch(self.block.name), shifted(window, self.origin)
-        written = write(run, patch, "image", part, pixels)
-        if merged:
-            return [written]
-        of = {} if run.collection is None else {index: run.collection}
-        noises = {} if self.noise is None else {index: self.noise}
-        owners = np.asarray(owner, np.int16)
-        return [
-            written,
-            *write_image(run, window, pixels, owners, of, (patch, part), written.checksum, self.alike),
-            *write_noise(run, window, np.broadcast_to(owners, pixels.shape), self.grid, noises, height),
-        ]
 
 
 def write_image(
@@ -374,10 +211,10 @@ def add_layers(
         for some, strip in strips_of(list(cells), grid):
             layers.begin(strip)
             for cell, columns in zip(some, strip.columns, strict=True):
-                behind.turn()
+                turn = behind.turn()
                 window, block = (strip.rows, columns), cells[cell]
                 owner = stores.read_region(run.image, "block", window, cached=False) if block is None else block
-                behind.submit(write_layers, alike, window, layers.over(window, owner))
+                turn.submit(write_layers, alike, window, layers.over(window, owner))
     return sign(run, Receipt(unit=unit, stage="mosaic", written=behind.written), started)
 
 

@@ -55,6 +55,7 @@ class Program:
         self.source, self.target, self.n_row = source, source, n_row
         self.transforms: list[int] = []
         self._passes: list[_Pass] = []
+        self._windowed = [each for each in operations if isinstance(each, Window | Blend)]
         self._pending = np.zeros((n_row, 2))
         self._scaled: ScaledTurn | None = None
         for operation in operations:
@@ -173,6 +174,8 @@ class Program:
             else:
                 phase.scatter_columns(self._passes[-1](group, rows), self.target.size, target.start, out)
 
+        # Before all groups: newer Pythons do not lock a cached property, and each thread would compute the windows.
+        run_groups(lambda each: each.prepare(), self._windowed, threads)
         run_groups(work, self.groups(first, first + n, columns="columns" in (load, store)), threads)
         return out
 

@@ -105,14 +105,13 @@ def block_memory(
     buffer = max(frequency.size, n_row) * n_column
     loaded = n_bin * COLUMN_CHUNK
     held = [3 * loaded + buffer]  # one part in use, the next one being read, and the chunks of that
-    groups = 4 * max(GROUP_BYTES, 8 * 8 * length)
     if n_short:
         held.append(buffer + max(frequency.size, n_row) * n_short)
     if n_image > n_column:
         held.append(buffer + n_row * n_image)
     if divided:
         held = [*held, max(held[1:], default=buffer) + 2 * max(buffer, n_row * n_image)]
-    return PROCESS_MEMORY + 8 * max(*held, buffer + 2 * (WRITES_AT_ONCE + 1) * IMAGE_PIXELS) + groups
+    return PROCESS_MEMORY + 8 * max(*held, buffer + 2 * (WRITES_AT_ONCE + 1) * IMAGE_PIXELS) + group_memory(length)
 
 
 def gating_memory(gate: RangeGate, *, n_bin: int, n_group: int) -> int:
@@ -122,4 +121,17 @@ def gating_memory(gate: RangeGate, *, n_bin: int, n_group: int) -> int:
     delays = n_group * gate.to_delay.period
     # Groups that are written or wait for it; the one that is computed, alone and in whole chunks; copies of chunks.
     gated = (WRITES_AT_ONCE + 4) * n_group * gate.range_frequency.size
-    return PROCESS_MEMORY + 8 * (read + delays + gated) + 4 * max(GROUP_BYTES, 8 * 8 * gate.to_delay.period)
+    return PROCESS_MEMORY + 8 * (read + delays + gated) + group_memory(gate.to_delay.period)
+
+
+def group_memory(length: int) -> int:
+    """Memory in which a thread transforms rows of `length` samples, group by group, bytes."""
+    return 4 * max(GROUP_BYTES, 8 * 8 * length)
+
+
+def thread_memory(length: int) -> int:
+    """What each further thread of a worker adds to its peak memory, bytes: groups of rows, and chunks of the image.
+
+    The threads of one stage do not give back what those of another take: each has a heap of its own.
+    """
+    return group_memory(length) + 2 * 8 * IMAGE_PIXELS * 5 // 3  # computed, and two thirds of them written

@@ -30,7 +30,7 @@ from blocksar.focusing.method import Method
 from blocksar.focusing.range_gate import RangeGate
 from blocksar.focusing.recovery import Recovery
 from blocksar.planning.block import BlockPlan
-from blocksar.planning.memory import PROCESS_MEMORY, gating_memory
+from blocksar.planning.memory import PROCESS_MEMORY, gating_memory, thread_memory
 from blocksar.planning.steadiness import Gated
 from blocksar.planning.work import Transforms, block_work, fft_work
 
@@ -147,8 +147,13 @@ class Plan:
 
     @property
     def memory(self) -> int:
-        """Peak memory of a worker, bytes."""
+        """Peak memory of a worker of one thread, bytes."""
         return max(self.recovery_memory, self.gating_memory, *(block.memory for block in self.blocks))
+
+    def memory_of(self, threads: int) -> int:
+        """Peak memory of a worker of so many threads, bytes."""
+        longest = max(max(block.sampling.long_time.size, block.sampling.range_period) for block in self.blocks)
+        return self.memory + (threads - 1) * thread_memory(longest)
 
     @property
     def gating_memory(self) -> int:

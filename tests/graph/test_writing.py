@@ -25,9 +25,10 @@ def test_a_turn_waits_for_the_write_whose_memory_it_takes() -> None:
         for number in range(5):
             if number == 2:
                 Timer(0.05, written.set).start()
-            assert behind.turn() == number % 2
+            turn = behind.turn()
+            assert turn.memory == number % 2
             assert written.is_set() == (number >= 2)
-            behind.submit(write, number)
+            turn.submit(write, number)
     assert behind.written == tuple(part(number) for number in range(5))
     assert behind.waited > 0
 
@@ -37,7 +38,6 @@ def test_a_write_that_fails_fails_the_task() -> None:
         raise OSError("no space left")
 
     with WritesBehind() as behind:
-        behind.turn()
-        behind.submit(write)
+        behind.turn().submit(write)
     with pytest.raises(OSError, match="no space"):
         _ = behind.written

@@ -1,0 +1,244 @@
+"""The task that corrects a focused block geometrically, and writes its patch."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.chunks import TILED_CHUNKS
+from blocksar.collection.grid import Grid
+from blocksar.focusing.correction import Tiles, correct, tiles_of
+from blocksar.focusing.dwell_edges import KeptProfiles
+from blocksar.focusing.ground_map import GroundMap
+from blocksar.focusing.noise import NoiseMap
+from blocksar.focusing.terrain_layers import Sight
+from blocksar.graph.alike import AlikeChunks
+from blocksar.graph.edges import Edges, by_yaw
+from blocksar.graph.layers import GroundHeights, TerrainLayers, strips_of, write_layers, write_noise
+from blocksar.graph.spectrum import Window
+from blocksar.graph.tasks import Samples, naming_failures, shifted, sign, write_image
+from blocksar.graph.writing import Turn, WritesBehind, in_threads
+from blocksar.planning.block import BlockPlan
+from blocksar.planning.tiling import chunk_window, image_chunk, patch_window, touched_chunks
+from blocksar.runs.receipts import Run, write
+from blocksar.runs.record import Receipt, Written
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Patch:
+    """Where a focused block goes.
+
+    Attributes
+    ----------
+    ground : GroundMap
+        From the focused block to the ground.
+    grid : Grid
+        The image's.
+    own : frozenset of (row, column)
+        Chunks of the image that no other block touches: they become the image's as they are.
+    noise : NoiseMap or None
+        The block's noise, where it is known.
+    edges : Edges or None
+        Edges of dwells that are added to the pixels.
+    sight : Sight or None
+        On a terrain: `own` chunks get their layers with their pixels; None: later.
+    """
+
+    ground: GroundMap
+    grid: Grid
+    own: frozenset[tuple[int, int]]
+    noise: NoiseMap | None
+    edges: Edges | None
+    sight: Sight | None
+
+
+@naming_failures(lambda run, unit, block, *_: f"geometric-correction of block {block.name}")
+def write_patch(run: Run, unit: str, block: BlockPlan, samples: Samples, patch: Patch) -> Receipt:
+    """Correct a focused block geometrically, and write its patch in chunks of the image's grid.
+
+    Chunks are written by other threads while the next ones are computed.
+    """
+    started = time.perf_counter()
+    ground, grid, sight = patch.ground, patch.grid, patch.sight
+    origin, side = patch_window(ground, grid)[:2], image_chunk(grid)
+    layers = TerrainLayers(run, grid, {} if sight is None else {block.index: sight})
+    heights, alike = GroundHeights(run, grid, on_terrain=ground.relief is not None), AlikeChunks(run)
+    writer = _PatchWriter(run=run, block=block, grid=grid, origin=origin, noise=patch.noise, alike=alike)
+    corrector = _Corrector.of(run, block, samples, patch)
+    with WritesBehind(threads=corrector.at_once) as behind:
+        chunks = [np.empty(side[0] * side[1], np.complex64) for _ in range(behind.held)]
+        batches = _batches(corrector.cells(), grid, heights, layers, patch.own)
+        # The layers of a strip are asked for before the next strip begins.
+        for some in ([batch] for batch in batches) if heights.on_terrain else [batches]:
+            jobs = (
+                partial(corrector.pixels, behind.turn(), chunks, cell, z, tiles)
+                for cell, z, tiles in _tiled(some, ground, grid)
+            )
+            for turn, cell, z, pixels, owner in in_threads(jobs, corrector.at_once):
+                if owner is None:
+                    continue
+                window, merged = chunk_window(cell, grid), cell not in patch.own
+                turn.submit(writer.write, pixels, owner, window, z, merged=merged)
+                if sight is not None and not merged:
+                    turn.submit(write_layers, alike, window, layers.over(window, owner))
+    seconds = samples.seconds | {"geometric-correction": time.perf_counter() - started}
+    # The receipt covers the whole block: the tasks before this one have no receipts.
+    receipt = Receipt(unit=unit, stage="focus", written=behind.written, origin=origin, steps=seconds)
+    return sign(run, receipt, started - sum(samples.seconds.values()))
+
+
+class _Corrected(NamedTuple):
+    """A chunk of a patch: its pixels (n_y, n_x), and the block of each as `_owner` has it."""
+
+    turn: Turn
+    cell: tuple[int, int]
+    height: FloatArray | None
+    pixels: ComplexArray
+    owner: NDArray[np.int16] | int | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Corrector:
+    """Computes the chunks of a patch: several at once, each in a thread, or one in all threads if edges are added.
+
+    Attributes
+    ----------
+    at_once : int
+        Chunks that are computed at once.
+    kept : KeptProfiles or None
+        For the edges; they are kept from chunk to chunk.
+    """
+
+    run: Run
+    block: BlockPlan
+    values: ComplexArray
+    patch: Patch
+    at_once: int
+    kept: KeptProfiles | None
+
+    @classmethod
+    def of(cls, run: Run, block: BlockPlan, samples: Samples, patch: Patch) -> _Corrector:
+        edges = patch.edges
+        kept = None if edges is None else edges.profiles(patch.ground, threads=run.threads)
+        assert samples.values is not None
+        at_once = run.threads if edges is None else 1
+        return cls(run=run, block=block, values=samples.values, patch=patch, at_once=at_once, kept=kept)
+
+    def cells(self) -> Sequence[tuple[int, int]]:
+        """The chunks that the patch touches, in the order in which they are computed."""
+        cells = touched_chunks(self.patch.ground, self.patch.grid)
+        return cells if self.patch.edges is None else by_yaw(cells, self.patch.ground, self.patch.grid)
+
+    def pixels(
+        self, turn: Turn, chunks: Sequence[ComplexArray], cell: tuple[int, int], z: FloatArray | None, tiles: Tiles
+    ) -> _Corrected:
+        """Compute a chunk's pixels, in the memory that its turn has of `chunks`."""
+        ground, grid, edges = self.patch.ground, self.patch.grid, self.patch.edges
+        window, threads = chunk_window(cell, grid), self.run.threads if self.at_once == 1 else 1
+        x, y = grid.x[window[1]], grid.y[window[0]]
+        out = chunks[turn.memory][: y.size * x.size].reshape(y.size, x.size)
+        pixels = correct(self.values, ground, x=x, y=y, z=z, tiles=tiles, threads=threads, out=out)
+        if edges is not None and self.kept is not None:
+            edges.add(pixels, self.kept, ground, window, grid, height=z, threads=threads)
+        return _Corrected(turn, cell, z, pixels, _owner(pixels, self.block.index))
+
+
+class Batch(NamedTuple):
+    """Output chunks of which much is found at once, and the heights of each, m; None on the plane."""
+
+    cells: Sequence[tuple[int, int]]
+    heights: Sequence[FloatArray | None]
+
+
+def _batches(
+    cells: Sequence[tuple[int, int]],
+    grid: Grid,
+    heights: GroundHeights,
+    layers: TerrainLayers,
+    own: frozenset[tuple[int, int]],
+) -> Iterator[Batch]:
+    """Divide the chunks of a patch: on the plane into some that are not too many, on a terrain into strips."""
+    if not heights.on_terrain:
+        for first in range(0, len(cells), TILED_CHUNKS):
+            some = cells[first : first + TILED_CHUNKS]
+            yield Batch(some, [None] * len(some))
+        return
+    for some, strip in strips_of(cells, grid):
+        # Chunks that get their layers at once need the same things of the terrain for these.
+        if own.isdisjoint(some) or not layers.sights:
+            yield Batch(some, [heights.over((strip.rows, columns)) for columns in strip.columns])
+        else:
+            layers.begin(strip)
+            yield Batch(some, [layers.heights_of((strip.rows, columns)) for columns in strip.columns])
+
+
+def _tiled(
+    batches: Iterable[Batch], ground: GroundMap, grid: Grid
+) -> Iterator[tuple[tuple[int, int], FloatArray | None, Tiles]]:
+    """Output chunks, heights and tiles, which are found for the chunks of a batch at once."""
+    for cells, heights in batches:
+        windows = [chunk_window(cell, grid) for cell in cells]
+        tiles = tiles_of(ground, [(grid.x[x], grid.y[y]) for y, x in windows], heights)
+        yield from zip(cells, heights, tiles, strict=True)
+
+
+def _owner(pixels: ComplexArray, block: int) -> NDArray[np.int16] | int | None:
+    """The block that each pixel comes from, as layers take it; None if none is covered."""
+    covered = np.isfinite(pixels.real)
+    if covered.all():
+        return block
+    return np.where(covered, np.int16(block), np.int16(-1)) if covered.any() else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _PatchWriter:
+    """Writes the chunks of a block's patch, and the image's where no other block touches them.
+
+    Attributes
+    ----------
+    origin : (first row, first column)
+        Of the patch in the image.
+    noise : NoiseMap or None
+        The block's noise, where it is known.
+    """
+
+    run: Run
+    block: BlockPlan
+    grid: Grid
+    origin: tuple[int, int]
+    noise: NoiseMap | None
+    alike: AlikeChunks
+
+    def write(
+        self,
+        pixels: ComplexArray,
+        owner: NDArray[np.int16] | int,
+        window: Window,
+        height: FloatArray | None,
+        *,
+        merged: bool,
+    ) -> list[Written]:
+        """Write the pixels (n_y, n_x) of `window` of the image; only to the patch if the mosaic merges them.
+
+        `owner` is as `_owner` has it; `height` (n_y, n_x) the pixels' z, m, or None on the plane.
+        """
+        run, index = self.run, self.block.index
+        patch, part = run.patch(self.block.name), shifted(window, self.origin)
+        written = write(run, patch, "image", part, pixels)
+        if merged:
+            return [written]
+        of = {} if run.collection is None else {index: run.collection}
+        noises = {} if self.noise is None else {index: self.noise}
+        owners = np.asarray(owner, np.int16)
+        return [
+            written,
+            *write_image(run, window, pixels, owners, of, (patch, part), written.checksum, self.alike),
+            *write_noise(run, window, np.broadcast_to(owners, pixels.shape), self.grid, noises, height),
+        ]
