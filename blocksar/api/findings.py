@@ -141,7 +141,9 @@ def _check_samples(job: Job, segments: Sequence[Segment]) -> Check:
         return None, ""
     try:
         middle = segments[len(segments) // 2]
-        findings = check_samples(middle.history, job.grid, threads=1, thorough=False, terrain=middle.geometry.terrain)
+        findings = check_samples(
+            middle.history, job.grid, threads=job.machine.threads, thorough=False, terrain=middle.geometry.terrain
+        )
     except InputError:
         if not job.exact:
             raise

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from threading import Event, Timer
+from collections.abc import Callable, Iterator
+from functools import partial
+from threading import Event, Timer, get_ident
 
 import pytest
 
-from blocksar.graph.writing import WritesBehind
+from blocksar.graph.writing import Turn, WritesBehind, in_threads, turns_at_once
 from blocksar.runs.record import Written
 
 
@@ -41,3 +43,34 @@ def test_a_write_that_fails_fails_the_task() -> None:
         behind.turn().submit(write)
     with pytest.raises(OSError, match="no space"):
         _ = behind.written
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_chunks_are_computed_in_threads_and_written_in_their_order(threads: int) -> None:
+    """No turn takes memory whose content is not written yet."""
+    held, by, together = set[int](), set[int](), Event()
+
+    def compute(turn: Turn, number: int) -> tuple[Turn, int]:
+        by.add(get_ident())
+        if number == threads - 1:
+            together.set()
+        assert together.wait(60)  # as many as there are threads are computed at once
+        return turn, number
+
+    def write(turn: Turn, number: int) -> list[Written]:
+        held.remove(turn.memory)
+        return [part(number)]
+
+    def jobs(behind: WritesBehind) -> Iterator[Callable[[], tuple[Turn, int]]]:
+        for number in range(20):
+            turn = behind.turn()
+            assert turn.memory not in held
+            held.add(turn.memory)
+            assert len(held) <= behind.held
+            yield partial(compute, turn, number)
+
+    with WritesBehind(threads=threads) as behind:
+        for turn, number in in_threads(jobs(behind), threads):
+            turn.submit(write, turn, number)
+    assert behind.written == tuple(part(number) for number in range(20))
+    assert len(by) == threads and behind.held > turns_at_once(threads)

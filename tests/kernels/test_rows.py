@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
+from threading import get_ident
 
 import numpy as np
 import pytest
@@ -420,6 +421,22 @@ def test_groups_cover_each_row_once(first: int, count: int, length: int, columns
     assert len(set(sizes[:-1])) <= 1
     assert all(size <= max(groups.GROUP_BYTES / (8 * length), multiple) for size in sizes)
     assert all(one.stop == next_one.start for one, next_one in pairwise(some))
+
+
+def test_windows_are_computed_once_for_all_threads() -> None:
+    asked = []
+
+    def windows() -> ComplexArray:
+        asked.append(get_ident())
+        return np.ones((1, 4096), np.complex64)
+
+    which, axis = np.zeros(512, np.int64), Axis(0.0, 1.0, 4096)
+    program = Program([Window(windows, which)], source=axis, n_row=512)
+    assert not asked and len(program.groups(0, 512, columns=False)) > 8
+    x = np.ones((512, 4096), np.complex64)
+    for _ in range(2):
+        np.testing.assert_array_equal(program.run(x, threads=4), x)
+    assert len(asked) == 1
 
 
 @pytest.mark.parametrize("threads", [1, 4])
