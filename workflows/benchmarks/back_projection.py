@@ -19,12 +19,12 @@ from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.beam import lit_interval
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
-from blocksar.focusing.backprojection import accumulate, form_points, pulse_block_size
+from blocksar.focusing.backprojection import TILE, accumulate, form_points, pulse_block_size
 from blocksar.focusing.profiles import range_profiles
 from blocksar.measurement.coherence import coherence
 from blocksar.planning.plan import Plan
 
-CHIP = 192  # pixels per side: enough tiles to keep all threads busy
+CHIP = 2 * TILE  # pixels per side, whole tiles: one that lies in two chips would be summed far more slowly
 SAMPLED_PIXELS = 1e6  # at about so many pixels of the image, lit pulses are counted
 
 
