@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,9 @@ from blocksar.api.arguments import GridLike, Source, grid_of, history_of, source
 from blocksar.api.findings import without_samples
 from blocksar.api.fingerprints import fingerprint_of_members, joint_fingerprint
 from blocksar.api.ground import image_grid
+from blocksar.api.look_plans import name_rows
 from blocksar.api.looks import divide_dwells, one_source
+from blocksar.api.rehearsing import NOTHING_DONE
 from blocksar.api.shown import RunReport, is_measurable
 from blocksar.api.track_places import TrackPlace
 from blocksar.chunks import TILE
@@ -141,18 +144,17 @@ def focus_members(focus: Focus, members: Members, folder: Place, settings: Mappi
     def focus_one(name: str) -> RunReport:
         try:
             return focus(members.histories[name], members.folder(folder, name), track, **shared)
+        except FolderError:  # names the folder
+            raise
         except InputError as error:
-            if type(error) is not InputError:
-                raise
             raise InputError(f"{members.dimension} {name}: {error}") from error
 
     _refuse_empty(members)
-    if settings["dry_run"]:
-        found = focus_one(names[0])
-        return replace(found, summary=[f"{len(names)} {kinds} ({', '.join(names)}), each as follows", *found.summary])
     there = folder.exists()
     fresh = not (there and RECORD in folder.names())
     earlier = _earlier(folder, members.dimension, overwrite=bool(settings["overwrite"]))
+    if settings["dry_run"]:
+        return _rehearse(members, focus_one)
     with ExitStack() as stack:
         if fresh:
             stack.enter_context(_nothing_left(folder, there=there))
@@ -183,6 +185,35 @@ def focus_members(focus: Focus, members: Members, folder: Place, settings: Mappi
     whole = f"{folder / 'image.zarr'} has the images of {len(names)} {kinds} ({', '.join(names)})"
     summary = [*lines, *members.notes, whole]
     return RunReport(summary=summary, result=record.as_json(), folder=folder, measurable=is_measurable(record))
+
+
+def _rehearse(members: Members, focus_one: Callable[[str], RunReport]) -> RunReport:
+    """Say what would be done: of every look, or of the first channel, whose plan is that of all."""
+    names, kinds = members.names, f"{members.dimension}s"
+    if members.dimension == "channel":
+        first = focus_one(names[0])
+        return replace(first, summary=[f"{len(names)} {kinds} ({', '.join(names)}), each as follows", *first.summary])
+    found = {name: focus_one(name) for name in names}
+    lines = [f"{name}: {line}" for name, report in found.items() for line in report.summary if line != NOTHING_DONE]
+    some = any(NOTHING_DONE in report.summary for report in found.values())
+    return RunReport(
+        tables=[name_rows(name, table) for name, report in found.items() for table in report.tables],
+        details=[name_rows(name, table) for name, report in found.items() for table in report.details],
+        summary=[
+            *members.notes,
+            f"{len(names)} {kinds} ({', '.join(names)}), one after the other",
+            *lines,
+            *([NOTHING_DONE] if some else []),
+        ],
+        result=tuple(chain.from_iterable(map(_plans_of, found.values()))) or None,
+    )
+
+
+def _plans_of(report: RunReport) -> tuple[Any, ...]:
+    """The plans of a run that was rehearsed; none for back-projection or if nothing is left to do."""
+    if report.result is None:
+        return ()
+    return report.result if isinstance(report.result, tuple) else (report.result,)
 
 
 @contextmanager

@@ -63,8 +63,8 @@ def report_looks(
             *exact_line(every, work, assumed, planning),
         ]
     return PlanReport(
-        tables=[table, _of_look(name, block_table(first))],
-        details=[table, *(_of_look(look, each) for look, plans in planned.items() for each in plan_details(plans))],
+        tables=[table, name_rows(name, block_table(first))],
+        details=[table, *(name_rows(look, each) for look, plans in planned.items() for each in plan_details(plans))],
         definitions=definitions.PLAN,
         summary=lines,
         refusal=None if refused is None else f"look {refused[0]}: {refused[1]}",
@@ -117,7 +117,7 @@ def _row(name: str, plans: Plans) -> list[str]:
     ]
 
 
-def _of_look(name: str, table: Table) -> Table:
-    """A table of blocks that says in its first column of which look they are."""
+def name_rows(name: str, table: Table) -> Table:
+    """A table of blocks whose first column says which look they are of."""
     (first, *header), rows = table
     return [f"{name}: {first}", *header], rows

@@ -16,6 +16,8 @@ from blocksar.places.place import Place
 from blocksar.planning.disk import exact_bytes, run_bytes
 from blocksar.runs.record import RunRecord
 
+NOTHING_DONE = "nothing was done: leave out --dry-run to focus"
+
 
 def rehearse(request: Request, earlier: RunRecord | None, machine: Resources) -> RunReport:
     """Say what `focus` would do with a request: its plan, memory, and disk. Writes nothing.
@@ -50,7 +52,7 @@ def rehearse(request: Request, earlier: RunRecord | None, machine: Resources) ->
             time_line(job.predict_effort(), machine),
             cluster,
             f"{_doing(request, earlier)}: about {size_text(size)}{_free(request.folder, size)}",
-            "nothing was done: leave out --dry-run to focus",
+            NOTHING_DONE,
         ],
         result=None if not plans else plans[0] if len(plans) == 1 else tuple(plans),
     )

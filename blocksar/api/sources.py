@@ -13,6 +13,7 @@ from blocksar.graph.machine import resources
 from blocksar.ingestion.timeline import stated_times
 from blocksar.places import Location
 from blocksar.places.place import Place
+from blocksar.progress import Listener, as_listener
 from blocksar.progress import Wanted as Progress
 from blocksar.simulation import phase_history
 from blocksar.simulation.scene import Scene
@@ -64,16 +65,38 @@ def simulate(
     if not isinstance(scene, Scene | str | os.PathLike):
         raise InputError(f"scene is a {type(scene).__name__}; give a file, the name of a shipped scene, or a Scene")
     _, threads, _ = resources(1, threads, None)
-    callback = only_stage(progress, "simulate")
+    listener = as_listener(progress)
+    callback = only_stage(listener, "simulate")
     if cphd:
         if raw:
             raise InputError("raw is given together with cphd, but CPHD files hold compressed pulses; leave out one")
         from blocksar.simulation import cphd as cphd_files  # optional libraries
 
-        return cphd_files.simulate(scene, out, origin=origin, threads=threads, overwrite=overwrite, progress=callback)
-    if origin is not None:
-        raise InputError(f"origin is {origin}, but only CPHD files have one; leave it out")
-    return phase_history.simulate(scene, out, raw=raw, threads=threads, overwrite=overwrite, progress=callback)
+        scene = _read(scene)
+        written: Path | Place = cphd_files.simulate(
+            scene, out, origin=origin, threads=threads, overwrite=overwrite, progress=callback
+        )
+    else:
+        if origin is not None:
+            raise InputError(f"origin is {origin}, but only CPHD files have one; leave it out")
+        scene = _read(scene)
+        written = phase_history.simulate(scene, out, raw=raw, threads=threads, overwrite=overwrite, progress=callback)
+    _note_unlit(scene, listener)
+    return written
+
+
+def _read(scene: Scene | str | Path) -> Scene:
+    return scene if isinstance(scene, Scene) else Scene.read(scene)
+
+
+def _note_unlit(scene: Scene, listener: Listener) -> None:
+    """Note the targets of a scene that no pulse lights."""
+    if unlit := scene.unlit_targets():
+        names = ", ".join(unlit[:4]) + (", ..." if len(unlit) > 4 else "")
+        listener.note(
+            f"no pulse lights {len(unlit)} of {len(scene.point_targets())} targets ({names}), which leave no echo; "
+            "correct their places, or the beam"
+        )
 
 
 def ingest(

@@ -234,7 +234,10 @@ def track_corrected(
         run_folder.refuse_foreign(place.folder)
         estimates, said = _estimates(request, place), []
         if not all(estimate.key in place.results for estimate in estimates):
-            memory = max(estimate.checked_memory(machine) for estimate in estimates)
+            memory = 0
+            for estimate in estimates:
+                with _named(estimate if len(estimates) > 1 else None):
+                    memory = max(memory, estimate.checked_memory(machine))
             with run_folder.resumable():
                 client = stack.enter_context(estimates[0].connected(machine, client, listener))
                 found = []

@@ -9,13 +9,13 @@ turns of the phase over the time between both dwells.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from blocksar.arrays import FloatArray
+from blocksar.arrays import BoolArray, FloatArray, IntArray
 from blocksar.autofocusing.anchoring import Control, anchored, responses_of
 from blocksar.autofocusing.chips import ChipPart, Chips, join_chips
 from blocksar.autofocusing.correction import Correction
@@ -43,17 +43,26 @@ class Places:
 def shared_points(one: Work, other: Work, points: Sequence[Points]) -> Points:
     """Those of the points of either collection that both see for most of a dwell, with the pulses of `one`.
 
-    No more than an estimate has.
+    Both have them in their range windows, where a chip would hold other ranges otherwise. No more than an estimate has.
     """
     x, y, z = (np.concatenate([getattr(some, name) for some in points]) for name in ("x", "y", "z"))
     seen = np.ones(x.size, bool)
     for work in (one, other):
         first, last = lit_interval(work.geometry, x, y)
-        seen &= last - first >= SHARED * work.dwell
+        seen &= (last - first >= SHARED * work.dwell) & _in_window(work, x, y, z, first, last)
     index = np.flatnonzero(seen)[: one.settings.points]
     x, y, z = x[index], y[index], z[index]
     first, last = lit_interval(one.geometry, x, y)
     return Points(x=x, y=y, z=z, first=first, last=last)
+
+
+def _in_window(work: Work, x: FloatArray, y: FloatArray, z: FloatArray, first: IntArray, last: IntArray) -> BoolArray:
+    """Whether points (n,), m, are in the range window all the time that they are lit, from `first` to before `last`."""
+    collection, inside = work.geometry.collection, np.ones(x.shape, bool)
+    for pulse in (first, (first + last) // 2, np.maximum(last - 1, 0)):
+        distance = np.linalg.norm(np.stack([x, y, z], axis=1) - collection.antenna_position[pulse], axis=1)
+        inside &= np.abs(distance - collection.reference_range[pulse]) <= collection.range_window / 2
+    return inside
 
 
 def find_places(work: Work, points: Points, parts: Sequence[ChipPart], correction: Correction) -> Places:
@@ -69,7 +78,8 @@ def find_places(work: Work, points: Points, parts: Sequence[ChipPart], correctio
     for i in range(points.x.size):
         with suppress(InputError):  # nothing stands out in this chip
             x, y = _place(work, points, chips, i, responses_of(chips, i, f"{i}")[0])
-            if all(np.hypot(x - a, y - b) > work.cell for a, b in found):
+            known = np.isfinite(work.geometry.height(np.array([x]), np.array([y]))).all() and np.isfinite([x, y]).all()
+            if known and all(np.hypot(x - a, y - b) > work.cell for a, b in found):
                 found.append((x, y))
     at = np.array(found, np.float64).reshape(-1, 2)
     height = work.geometry.height(at[:, 0], at[:, 1])
@@ -77,7 +87,10 @@ def find_places(work: Work, points: Points, parts: Sequence[ChipPart], correctio
 
 
 def _place(work: Work, points: Points, chips: Chips, i: int, one: Seen) -> tuple[float, float]:
-    """x and y of a response, m, of its range in the middle of the dwell, and the change of that over the dwell."""
+    """x and y of a response, m, of its range in the middle of the dwell, and the change of that over the dwell.
+
+    NaN where the terrain has no such place.
+    """
     n = int(chips.count[i])
     at = [0, n // 2, n - 1]
     distance = chips.distance[i, at]
@@ -96,8 +109,17 @@ def _place(work: Work, points: Points, chips: Chips, i: int, one: Seen) -> tuple
         here = seen(x, y)
         (rx, tx), (ry, ty), (off, turn) = seen(x + 1, y) - here, seen(x, y + 1) - here, wanted - here
         determinant = rx * ty - ry * tx
-        x, y = x + (off * ty - turn * ry) / determinant, y + (turn * rx - off * tx) / determinant
+        with np.errstate(divide="ignore", invalid="ignore"):
+            x, y = x + (off * ty - turn * ry) / determinant, y + (turn * rx - off * tx) / determinant
     return float(x), float(y)
+
+
+def places_seen(work: Work, places: Places) -> Places:
+    """Those of some places that another collection sees."""
+    first, last = lit_interval(work.geometry, places.x, places.y)
+    inside = _in_window(work, places.x, places.y, places.z, first, last)
+    seen = np.flatnonzero((last - first >= 2 * work.decimation) & inside)
+    return Places(x=places.x[seen], y=places.y[seen], z=places.z[seen])
 
 
 def control_of(places: Places) -> Control:
@@ -132,3 +154,33 @@ def tie(work: Work, result: Result, places: Places, parts: Sequence[ChipPart], c
             kept = {"points": told["points"], "moved": told["moved"], "range_left": told["range_left"]}
             return replace(tied, figures={**figures, "tied": kept})
     return replace(result, figures={**result.figures, "tied": {"points": 0}})
+
+
+def tie_in_turn(n: int, shared: Mapping[tuple[int, int], int], attempt: Callable[[int, int], bool]) -> list[int]:
+    """Tie n collections one after another; return those that stay as they are, besides the first.
+
+    The one that shares most points with those before is tied to the one that it shares them with; if these points do
+    not agree, the next such pair is tried. Where no pair shares `LEAST` points, one stays as it is, and others may be
+    tied to it.
+
+    Parameters
+    ----------
+    shared : mapping
+        Number of points that the collections (i, j) share, i < j.
+    attempt : callable
+        attempt(one, other) ties the other to the one, and returns whether their points agree.
+    """
+    left, before, rest, apart = dict(shared), [0], list(range(1, n)), []
+    while rest:
+        pairs = [(min(one, other), max(one, other)) for one in before for other in rest]
+        pair = max(pairs, key=left.__getitem__)
+        if left[pair] < LEAST:
+            apart.append(other := rest[0])
+        else:
+            one, other = pair if pair[1] in rest else pair[::-1]
+            left[pair] = 0
+            if not attempt(one, other):
+                continue
+        before.append(other)
+        rest.remove(other)
+    return apart

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from blocksar.api.parsing import quoted
-from blocksar.cli.endings import UsageError, plain
+from blocksar.cli.endings import FILE, UsageError, plain
 from blocksar.errors import InputError
 from blocksar.version import __version__
 
@@ -48,6 +48,7 @@ def read_configuration(context: typer.Context, path: str | None) -> str | None:
         if name in own:
             defaults[name] = words
     context.default_map = defaults
+    context.meta[FILE] = path, context
     return path
 
 

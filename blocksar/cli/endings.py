@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import io
 import os
+import re
 import signal
 import sys
 import threading
@@ -15,11 +16,12 @@ import typer
 from typer.core import TyperGroup
 
 from blocksar.api.parsing import quoted
-from blocksar.errors import InputError, ProcessingError, UnsupportedSystem
+from blocksar.errors import FolderError, InputError, ProcessingError, UnsupportedSystem
 from blocksar.progress import abandon
 
 UsageError: Any = typer.BadParameter.__base__  # typer has no public name for the error of a wrong command line
 FAILED, WRONG_INPUT, INTERRUPTED, TERMINATED = 1, 2, 130, 143
+FILE = "blocksar.options_of_file"  # in a context's `meta`: the path of a file of options, and the command's context
 GRACE = 10.0  # s, time for an interrupted command to clean up
 
 
@@ -59,7 +61,9 @@ class Commands(TyperGroup):
             return super().invoke(ctx)
         except UsageError as error:
             _report_usage(error)
-        except (InputError, ProcessingError, UnsupportedSystem, KeyboardInterrupt, Terminated) as error:
+        except InputError as error:
+            complain(f"{_file_of(error, ctx)}{error}", WRONG_INPUT)
+        except (ProcessingError, UnsupportedSystem, KeyboardInterrupt, Terminated) as error:
             _report(error)
         except RuntimeError as error:
             # Up to Python 3.11 a class whose making is interrupted, while it is imported, wraps what was raised.
@@ -79,6 +83,26 @@ def _without_types(parameters: Any) -> Any:
         if getattr(parameter, "is_flag", False) and parameter.metavar is None:
             parameter.metavar = ""
     return parameters
+
+
+def _file_of(error: InputError, context: Any) -> str:
+    """The file of options, for the beginning of a message about one of its values; else empty.
+
+    A message names the option first, perhaps after the part of the input that it is about, or has the value.
+    """
+    path, command = context.meta.get(FILE, (None, None))
+    if path is None or (isinstance(error, FolderError) and error.replaceable):  # a folder of other settings
+        return ""
+    message = str(error)
+    for name, value in command.params.items():
+        source = command.get_parameter_source(name)
+        if value is None or source is None or source.name != "DEFAULT_MAP":
+            continue
+        text = str(value[0] if isinstance(value, list | tuple) and value else value)
+        named = re.search(rf"(^|: )(--)?{name.replace('_', '[-_ ]')}\b", message)
+        if named or quoted(text) in message or message.startswith((f"{text} ", f"{os.path.abspath(text)} ")):
+            return f"{path}: "
+    return ""
 
 
 def _report(error: BaseException) -> NoReturn:

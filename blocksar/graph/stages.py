@@ -212,29 +212,29 @@ def focus_blocks(
     """
     # Create all patches here, before the first task: a late task of a lost worker must not empty a store that another
     # task has written to.
-    blocks = [(segment, block) for segment in segments for block in segment.planned.blocks]
-    for segment, block in blocks:
-        run.establish(run.patch(block.name), partial(_create_patch, run, block, segment.planned.grid))
-    chunks = [touched_chunks(block.ground, segment.planned.grid) for segment, block in blocks]
+    blocks = [(number, block) for number, segment in enumerate(segments) for block in segment.planned.blocks]
+    for number, block in blocks:
+        run.establish(run.patch(block.name), partial(_create_patch, run, block, segments[number].planned.grid))
+    chunks = [touched_chunks(block.ground, segments[number].planned.grid) for number, block in blocks]
     touching = Counter(cell for cells in chunks for cell in cells)
-    of_segment = {
-        id(segment): (_whole_spectrum(segment.planned, segment.of(run), some), some, inspection, noise)
-        for segment, some, inspection, noise in zip(segments, receipts, inspections, noises, strict=True)
-    }
+    spectra = [
+        _whole_spectrum(segment.planned, segment.of(run), some)
+        for segment, some in zip(segments, receipts, strict=True)
+    ]
     layers = LayerUnits(client, segments, run)
     within = blocks_add_layers(len(blocks), workers)
     units: list[Unit] = []
-    for position, ((segment, block), cells) in enumerate(zip(blocks, chunks, strict=True)):
+    for position, ((number, block), cells) in enumerate(zip(blocks, chunks, strict=True)):
+        segment, inspection = segments[number], inspections[number]
         plan, own = segment.planned, segment.of(run)
         alone = frozenset(cell for cell in cells if touching[cell] == 1)
-        spectrum, some, inspection, noise = of_segment[id(segment)]
         edges = None
         if plan.completed:
             edges = Edges(segment.history, inspection, plan.weighting, plan.fade, plan.gated)
-        slab = spectrum if block.range_gate is None else _gated_spectrum(plan, own, block, some)
+        slab = spectra[number] if block.range_gate is None else _gated_spectrum(plan, own, block, receipts[number])
         patch = Patch(
-            ground=replace(block.ground, valid=inspection.lit), grid=plan.grid, own=alone, noise=noise, edges=edges,
-            sight=layers.sights.get(segment.number or 0) if within else None,
+            ground=replace(block.ground, valid=inspection.lit), grid=plan.grid, own=alone, noise=noises[number],
+            edges=edges, sight=layers.sights.get(segment.number or 0) if within else None,
         )  # fmt: skip
         units.append(
             (

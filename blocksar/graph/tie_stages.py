@@ -6,15 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import combinations
 
-import numpy as np
 from distributed import Client
 
 from blocksar import stores
 from blocksar.autofocusing.finishing import Result
 from blocksar.autofocusing.selection import Points
-from blocksar.autofocusing.tying import LEAST, Places, control_of, shared_points
+from blocksar.autofocusing.tying import LEAST, Places, control_of, places_seen, shared_points, tie_in_turn
 from blocksar.autofocusing.work import Work
-from blocksar.collection.beam import lit_interval
 from blocksar.collection.grid import Grid
 from blocksar.graph.kept import Files, kept
 from blocksar.graph.track_stages import Estimated, chip_units, files_of, run_stage
@@ -30,8 +28,7 @@ def tie_tracks(
 ) -> list[Estimated]:
     """Move the tracks of several collections, so that their images agree in place where they overlap.
 
-    The first stays as it is. Then, one by one, the collection that shares most points with those before is tied to the
-    one that it shares them with. `labels` are what the results' figures call the collections.
+    The order is that of `tie_in_turn`. `labels` are what the results' figures call the collections.
     """
     works = [work_of(str(one.run.folder), one.run.identity, grid) for one in estimates]
     points = [kept(one.run, Points, one.points)[0] for one in estimates]
@@ -39,18 +36,15 @@ def tie_tracks(
         (i, j): shared_points(works[i], works[j], [points[i], points[j]]).x.size
         for i, j in combinations(range(len(estimates)), 2)
     }
-    tied, before, rest = list(estimates), [0], list(range(1, len(estimates)))
-    while rest:
-        pairs = [(one, other) for one in before for other in rest]
-        one, other = max(pairs, key=lambda pair: shared[min(pair), max(pair)])
-        if shared[min(one, other), max(one, other)] >= LEAST:
-            known = shared_points(works[one], works[other], [points[one], points[other]])
-            tied[other] = _tie(client, tied[one], tied[other], works[other], known, labels[one], grid, listener)
-        else:
-            other = rest[0]
-            tied[other] = _alone(tied[other])
-        before.append(other)
-        rest.remove(other)
+    tied = list(estimates)
+
+    def attempt(one: int, other: int) -> bool:
+        known = shared_points(works[one], works[other], [points[one], points[other]])
+        tied[other] = _tie(client, tied[one], tied[other], works[other], known, labels[one], grid, listener)
+        return bool(tied[other].result.figures["tied"]["points"])
+
+    for apart in tie_in_turn(len(estimates), shared, attempt):
+        tied[apart] = _alone(tied[apart])
     return tied
 
 
@@ -82,7 +76,7 @@ def _tie(
     given = (files_of([known]), files_of(chips), one.correction, grid)
     found = _one(client, one.run, listener, f"places-{token}", find_shared_places, *given)
     receipts = [*other.receipts, known, *chips, found]
-    places = _lit(kept(one.run, Places, found.files)[0], work)
+    places = places_seen(work, kept(one.run, Places, found.files)[0])
     if places.x.size < LEAST:
         return _alone(replace(other, receipts=receipts))
     points = _one(client, other.run, listener, f"tied-points-{token}", keep_points, control_of(places), grid)
@@ -99,13 +93,6 @@ def _tie(
         other, receipts=[*receipts, points, *chips, done], token=token, correction=correction,
         result=replace(moved, figures=figures),
     )  # fmt: skip
-
-
-def _lit(places: Places, work: Work) -> Places:
-    """Those that the collection of this work sees."""
-    first, last = lit_interval(work.geometry, places.x, places.y)
-    seen = np.flatnonzero(last - first >= 2 * work.decimation)
-    return Places(x=places.x[seen], y=places.y[seen], z=places.z[seen])
 
 
 def _one(

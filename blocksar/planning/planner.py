@@ -300,8 +300,8 @@ class DivisionPlanner:
         """The relief of a block; None on the plane."""
         if self.geometry.terrain is None:
             return None
-        along, level = ground_range(self.geometry, near, far), self.geometry.collection.ground_height
-        return find_relief(self._samples, self.geometry, low=low, high=high, along=along, level=level)
+        along = ground_range(self.geometry, near, far)
+        return find_relief(self._samples, self.geometry, low=low, high=high, along=along)
 
     @cached_property
     def _samples(self) -> Samples:

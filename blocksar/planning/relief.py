@@ -151,17 +151,15 @@ def sample_terrain(geometry: Geometry, x: tuple[float, float], y: tuple[float, f
     return Samples(geometry.yaw(px, py), geometry.epoch_range(px, py, heights), heights)
 
 
-def find_relief(
-    samples: Samples, geometry: Geometry, *, low: float, high: float, along: GroundRange, level: float
-) -> Relief:
-    """The relief between two yaws, rad, and two epoch ranges; where nothing is known, the ground is at `level`, m."""
+def find_relief(samples: Samples, geometry: Geometry, *, low: float, high: float, along: GroundRange) -> Relief:
+    """The relief between two yaws, rad, and two epoch ranges; where nothing is known, the plane z = ground_height."""
     x, y = geometry.epoch_position[:2] - geometry.nadir
     depth = Depth(x=float(x), y=float(y), z=float(geometry.epoch_position[2]))
     turn = wrapped(samples.yaw - (low + high) / 2)
     u, v = along.place(samples.epoch_range), 2 * turn / (high - low)
     inside = (np.abs(u) <= 1) & (np.abs(v) <= 1)
     u, v, z = u[inside], v[inside], samples.z[inside]
-    level = float(z.mean()) if z.size else level
+    level = float(z.mean()) if z.size else geometry.collection.ground_height
     series = _fit(_cell_means(u, v, z, level, CELLS))
     smooth = SmoothGround(surface=Surface(series=series, along=along, low=low, high=high), depth=depth)
     series = _fit_finely(_cell_means(u, v, z, level, FINE_CELLS))

@@ -27,6 +27,7 @@ from __future__ import annotations
 import os
 import tomllib
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,7 @@ import numpy as np
 from pydantic import PrivateAttr, ValidationError
 
 from blocksar.arrays import FloatArray, IntArray
-from blocksar.collection.beam import beam_offset, in_beam, lit_yaw
+from blocksar.collection.beam import beam_offset, in_beam, lit_passes, lit_yaw
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
@@ -266,6 +267,18 @@ class Scene(SceneTables):
             return points
         z = self.terrain(np.array([p.x for p in points]), np.array([p.y for p in points])).tolist()
         return [p if p.z is not None else p._replace(z=height) for p, height in zip(points, z, strict=True)]
+
+    def unlit_targets(self) -> list[str]:
+        """Names of the point targets that no pulse lights."""
+        points = self.point_targets()
+        if self.beam is None or not points:
+            return []
+        x, y = (np.array([getattr(point, axis) for point in points]) for axis in "xy")
+        z = np.array([self.area.ground_height if point.z is None else point.z for point in points])
+        with suppress(InputError):  # a beam that turns all round lights all
+            first, last = lit_passes(self.geometry, x, y, z)
+            return [point.name for point, pulses in zip(points, (last - first).max(axis=0), strict=True) if not pulses]
+        return []
 
     def _placed(self) -> list[PointTarget]:
         """Point targets, with the z that they are given."""

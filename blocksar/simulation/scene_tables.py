@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from typing import Annotated
 
@@ -101,7 +102,7 @@ class SceneTables(Table):
             wrong = sorted({i for i in lost if not 0 <= i < n})
             if wrong:
                 yield f"dropped = {wrong[:5]}: must be indices of the {n} pulses, 0 to {n - 1}"
-        names = [target.name for target in self.targets] + (self.matrix.labels() if self.matrix else [])
-        repeated = sorted({name for name in names if names.count(name) > 1}) if len(names) <= 2000 else []
+        names = Counter([target.name for target in self.targets] + (self.matrix.labels() if self.matrix else []))
+        repeated = sorted(name for name, count in names.items() if count > 1)
         if repeated:
             yield f"targets = {repeated[:5]}: names must differ from target to target"

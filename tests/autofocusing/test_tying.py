@@ -11,11 +11,12 @@ from blocksar.autofocusing.chips import ChipPart, take_chips
 from blocksar.autofocusing.correction import Correction
 from blocksar.autofocusing.finishing import Result
 from blocksar.autofocusing.selection import Points
-from blocksar.autofocusing.tying import Places, control_of, find_places, shared_points, tie
+from blocksar.autofocusing.tying import Places, control_of, find_places, places_seen, shared_points, tie, tie_in_turn
 from blocksar.autofocusing.work import Work, begin
 from blocksar.collection.collection import Collection
-from blocksar.collection.geometry import Geometry
+from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
+from blocksar.collection.terrain import Terrain
 from blocksar.simulation.scatterers import simulate_pulses
 from blocksar.simulation.scene import Scene
 
@@ -99,3 +100,51 @@ def test_points_that_both_see_are_shared() -> None:
     assert shared.x.tolist() == [*PLACES[:, 0], *(PLACES[:2, 0] + 1)]  # all are lit all the time
     assert (shared.last == TRUE.n_pulse).all()
     assert shared_points(other, work, [one]).last.max() == 300
+
+
+def test_what_lies_outside_a_range_window_is_not_shared() -> None:
+    """A chip would hold other ranges there."""
+    work, window = work_with(0.0), TRUE.range_window
+    moved = Collection(**{**TRUE.as_dict(), "reference_range": TRUE.reference_range + window / 2})
+    other = begin(Geometry(collection=moved.centred()), GRID)
+    assert shared_points(work, other, [points_at(work, PLACES)]).x.tolist() == [x for x, _ in PLACES if x > 10]
+    places = Places(x=PLACES[:, 0].copy(), y=PLACES[:, 1].copy(), z=np.zeros(len(PLACES)))
+    assert places_seen(other, places).x.tolist() == [x for x, _ in PLACES if x > 10]
+    assert places_seen(work, places).x.size == len(PLACES)
+
+
+def test_places_beside_the_terrain_are_left_out(signal: ComplexArray) -> None:
+    terrain = Terrain(x0=-46.0, dx=1.0, y0=-49.0, dy=1.0, heights=np.zeros((120, 120)))
+    work = begin(over_terrain(TRUE.centred(), terrain), GRID)
+    near = points_at(work, PLACES + np.array([1.2, -0.4]))
+    inside = (PLACES > -46).all(axis=1)
+    assert 0 < inside.sum() < len(PLACES)
+    assert found(work, signal, near) == pytest.approx(PLACES[inside], abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("shared", "refused", "tried", "apart"),
+    [
+        ({(0, 1): 9, (0, 2): 0, (1, 2): 9}, [], [(0, 1), (1, 2)], []),
+        ({(0, 1): 0, (0, 2): 5, (1, 2): 9}, [], [(0, 2), (2, 1)], []),
+        ({(0, 1): 0, (0, 2): 0, (1, 2): 9}, [], [(1, 2)], [1]),  # the others agree with each other
+        ({(0, 1): 3, (0, 2): 9, (1, 2): 0}, [], [(0, 2)], [1]),  # too few
+        ({(0, 1): 9, (0, 2): 5, (1, 2): 6}, [(1, 2)], [(0, 1), (1, 2), (0, 2)], []),
+        ({(0, 1): 9, (0, 2): 5, (1, 2): 6}, [(0, 1)], [(0, 1), (0, 2), (2, 1)], []),
+        ({(0, 1): 9, (0, 2): 5, (1, 2): 6}, [(0, 1), (0, 2)], [(0, 1), (0, 2), (1, 2)], [1]),
+    ],
+)
+def test_collections_are_tied_in_turn(
+    shared: dict[tuple[int, int], int],
+    refused: list[tuple[int, int]],
+    tried: list[tuple[int, int]],
+    apart: list[int],
+) -> None:
+    calls: list[tuple[int, int]] = []
+
+    def attempt(one: int, other: int) -> bool:
+        calls.append((one, other))
+        return (one, other) not in refused
+
+    assert tie_in_turn(3, shared, attempt) == apart
+    assert calls == tried

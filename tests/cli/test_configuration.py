@@ -138,7 +138,9 @@ def test_the_printed_configuration_is_read_back(text: str, seen: Any) -> None:
         ("blocks = true", "c.toml: blocks = true is neither text nor a number"),
         ("grid = [1, 2]", "c.toml: grid = '[1, 2]' is neither text nor a number"),
         ("blocks = ", "--config c.toml is not TOML: "),
-        ("grid = '0:1'", "--grid '0:1' has 1 axis"),
+        ("grid = '0:1'", "c.toml: --grid '0:1' has 1 axis"),
+        ("blocks = 0", "c.toml: --blocks '0' is neither"),
+        ("memory-limit = '2 gnats'", "c.toml: --memory-limit '2 gnats' is no amount"),
     ],
 )
 def test_a_wrong_file_is_refused_in_one_sentence(text: str, sentence: str, seen: Any) -> None:

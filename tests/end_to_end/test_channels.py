@@ -173,8 +173,9 @@ def test_other_runs_are_not_replaced_unasked(store: Path, run: Path, tmp_path: P
         blocksar.focus(store, run, **{**SETTINGS, "blocks": 2})
     history = stores.open_phase_history(store).of_channel("HV")
     blocksar.focus(history, tmp_path / "run", **SETTINGS)
-    with pytest.raises(FolderError, match="holds a run without channels"):
-        blocksar.focus(store, tmp_path / "run", **SETTINGS)
+    for dry in (True, False):
+        with pytest.raises(FolderError, match="holds a run without channels"):
+            blocksar.focus(store, tmp_path / "run", dry_run=dry, **SETTINGS)
     blocksar.focus(store, tmp_path / "run", overwrite=True, **SETTINGS)
     assert blocksar.open(tmp_path / "run").image.shape[0] == 2
     rehearsed = blocksar.focus(store, tmp_path / "other", dry_run=True, **SETTINGS)

@@ -71,6 +71,9 @@ def test_looks_of_a_steered_beam_sum_up_to_the_image(tmp_path: Path) -> None:
     x, y, _ = (round(float(at)) for at in geometry.ground_point(np.array(30_000.0), np.array(np.radians(50.0))))
     grid = ((x - 30.0, x + 30.0, 1.0), (y - 30.0, y + 30.0, 1.0))
     check_sum(store, tmp_path, grid, 2, blocks=1, coefficients="closed-form")
+    for dry in (False, True):
+        with pytest.raises(InputError, match=r"^look look-1: grid .* lies outside the swath"):
+            blocksar.focus(store, tmp_path / "no", looks=2, grid="98980:99020:1,-20:20:1", dry_run=dry, **SETTINGS)
     run = tmp_path / "looks"
     report = blocksar.quality(run, area=f"{x - 25}:{x + 25},{y - 25}:{y + 25}")
     found = report.result["looks"]
@@ -100,7 +103,14 @@ def test_looks_of_a_beam_about_its_axis_sum_up_to_the_image(strip: Path, tmp_pat
 def test_a_plan_of_looks_is_the_one_that_focus_makes(strip: Path, tmp_path: Path) -> None:
     settings: dict[str, Any] = {**SETTINGS, "grid": ((8980.0, 9020.0, 1.0), (-20.0, 20.0, 0.5)), "looks": 2}
     plan = blocksar.plan(strip, **settings)
-    blocksar.focus(strip, tmp_path / "run", **settings)
+    rehearsed = blocksar.focus(strip, tmp_path / "run", dry_run=True, **settings)
+    assert list(map(predicted_blocks, rehearsed.result)) == list(map(predicted_blocks, plan.result))
+    would = [line.partition(": about")[0] for line in rehearsed.summary if "would write" in line]
+    assert would == [f"look-{n}: would write {tmp_path}/run/looks/look-{n}" for n in (1, 2)]
+    assert sum("nothing was done" in line for line in rehearsed.summary) == 1 and not (tmp_path / "run").exists()
+    blocksar.focus(strip, tmp_path / "run", threads=1, **settings)
+    rehearsed = blocksar.focus(strip, tmp_path / "run", dry_run=True, **settings)
+    assert rehearsed.result is None and sum("finished already" in line for line in rehearsed.summary) == 2
     for number, planned in enumerate(plan.result, 1):
         record = RunRecord.read(place(tmp_path / "run" / "looks" / f"look-{number}"))
         assert record.plan.predicted == predicted_blocks(planned) and record.plan.memory == planned.memory

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -47,7 +48,7 @@ def test_smooth_parts_follow_what_is_smooth_and_the_rest_stands_over_them() -> N
     assert samples.z == pytest.approx(geometry.terrain(*place(geometry, samples)), abs=1e-6)
     low, high = float(samples.yaw.min()), float(samples.yaw.max())
     along = ground_range(geometry, float(samples.epoch_range.min()), float(samples.epoch_range.max()))
-    relief = find_relief(samples, geometry, low=low, high=high, along=along, level=0.0)
+    relief = find_relief(samples, geometry, low=low, high=high, along=along)
     coarse = samples.z - relief.smooth(samples.epoch_range, samples.yaw)
     fine = samples.z - relief.fine(samples.epoch_range, samples.yaw)
     assert relief.low < coarse.min() and coarse.max() < relief.high
@@ -61,7 +62,8 @@ def test_smooth_parts_follow_what_is_smooth_and_the_rest_stands_over_them() -> N
     middle, spread = fine[about].mean(), fine[about].std()
     assert abs(heights[6, 16]) == pytest.approx(np.hypot(middle, np.sqrt(2 / np.pi) * spread), abs=0.3)
     assert np.sign(heights[6, 16]) == np.sign(middle)
-    empty = find_relief(samples, geometry, low=2.0, high=2.1, along=ground_range(geometry, 5e4, 6e4), level=33.0)
+    raised = replace(geometry, collection=replace(collection, ground_height=33.0))
+    empty = find_relief(samples, raised, low=2.0, high=2.1, along=ground_range(geometry, 5e4, 6e4))
     assert empty.smooth(np.array(5.5e4), np.array(2.05)) == pytest.approx(33.0, abs=1e-6)
 
 

@@ -9,10 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import blocksar
 from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
+from blocksar.progress import Listener
 from blocksar.simulation.scene import Scene, next_smooth_even, shipped_scenes
 
 PLAIN = """
@@ -34,6 +36,13 @@ stop_deg = 60
 width_deg = 8
 [scene]
 swath = [9500.0, 10500.0]
+"""
+
+
+POINT = """[[targets]]
+name = "{}"
+range = {}
+yaw_deg = {}
 """
 
 
@@ -348,3 +357,33 @@ def test_next_smooth_even(least: int) -> None:
         while n % factor == 0:
             n //= factor
     assert n == 1
+
+
+def test_names_of_targets_differ_also_in_large_scenes() -> None:
+    """A matrix of 2500, one of which has the name of a target."""
+    matrix = "[matrix]\nrows = 50\ncolumns = 50\nspacing = [5.0, 5.0]\n"
+    named = PLAIN + matrix + POINT.format("other", 1e4, 50)
+    assert len(Scene.parse(named).point_targets()) == 2501
+    with pytest.raises(InputError, match=r"targets = \['other'\]: names must differ"):
+        Scene.parse(named + POINT.format("other", 1e4, 51))
+
+
+@pytest.mark.parametrize("cphd", [False, True])
+def test_targets_that_no_pulse_lights_are_noted(cphd: bool, tmp_path: Path) -> None:
+    told: list[str] = []
+
+    class Notes(Listener):
+        def note(self, text: str, *, again: bool = False) -> None:
+            told.append(text)
+
+    points = "".join(POINT.format(f"P{yaw}", 1e4, yaw) for yaw in (50, 63.9, 64.1, 36.1, 35.9))
+    scene = tmp_path / "scene.toml"
+    scene.write_text(PLAIN.replace("pulses = 101", "pulses = 1001") + points)
+    blocksar.simulate(scene, tmp_path / "ph", cphd=cphd, progress=Notes())
+    assert told == [
+        "no pulse lights 2 of 5 targets (P64.1, P35.9), which leave no echo; correct their places, or the beam"
+    ]
+    assert not any(Scene.read(name).unlit_targets() for name in shipped_scenes())
+    unsteered = Scene.parse(scene.read_text().partition("[beam]")[0] + "[scene]\nswath = [9500.0, 10500.0]\n"
+                            "centre_yaw_deg = 50\n" + points)  # fmt: skip
+    assert unsteered.unlit_targets() == []
