@@ -214,6 +214,15 @@ def datum_tie(crs: CRS, longitude: float, latitude: float) -> tuple[float, str]:
 
     And the grid that a better tie needs, which is not installed; or nothing.
     """
+    accuracy, lacking = _tie(crs, longitude, latitude)
+    # Newer versions of PROJ know no accuracy where all is a map projection of the same datum.
+    if accuracy < 0 and crs.geodetic_crs is not None and _tie(crs.geodetic_crs, longitude, latitude)[0] == 0:
+        accuracy = 0.0
+    return (accuracy if accuracy >= 0 else np.nan), lacking
+
+
+def _tie(crs: CRS, longitude: float, latitude: float) -> tuple[float, str]:
+    """The accuracy that PROJ states of the tie, m, -1 for none, and the first grid that a better one needs."""
     from pyproj.transformer import AreaOfInterest, TransformerGroup
 
     about = AreaOfInterest(longitude, latitude, longitude, latitude)
@@ -222,7 +231,7 @@ def datum_tie(crs: CRS, longitude: float, latitude: float) -> tuple[float, str]:
         ties = TransformerGroup("EPSG:4326", crs, always_xy=True, area_of_interest=about)
     accuracy = float(ties.transformers[0].accuracy) if ties.transformers else -1.0
     lacking = [grid.short_name for tie in ties.unavailable_operations[:1] for grid in tie.grids]
-    return (accuracy if accuracy >= 0 else np.nan), lacking[0] if lacking else ""
+    return accuracy, lacking[0] if lacking else ""
 
 
 def _mercator(latitude: float, longitude: float, height: float) -> dict[str, Any]:
