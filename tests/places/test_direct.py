@@ -33,7 +33,7 @@ def file_system(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch)
         return bool(fcntl.fcntl(descriptor, fcntl.F_GETFL) & direct.DIRECT)
 
     if request.param == "refused when opened":
-        monkeypatch.setattr(os, "open", lambda *a: refuse() if a[1] & direct.DIRECT else opened(*a))
+        monkeypatch.setattr(os, "open", lambda *a, **k: refuse() if a[1] & direct.DIRECT else opened(*a, **k))
     if request.param == "refused when used":
         monkeypatch.setattr(os, "write", lambda fd, data: refuse() if is_direct(fd) else written(fd, data))
         monkeypatch.setattr(os, "preadv", lambda fd, *a: refuse() if is_direct(fd) else read(fd, *a))
