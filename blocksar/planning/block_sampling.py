@@ -69,8 +69,11 @@ def plan_sampling(
     time = _plan_time(sector.recovery, slab, straight, bandwidth=bandwidth, duration=duration)
 
     # Slow time before the final transform: the lines and what is smeared beyond them, room for resampling and windows.
+    # Without a gate only the former is summed: steps in Doppler delay echoes from beside the block round the end of
+    # that room, where the deramp takes them to the block's Doppler.
     guard = GUARD * duration
-    if not beam_moves(sector.geometry.collection):  # no gate: all is summed, to the end of the smear
+    gated = beam_moves(sector.geometry.collection)
+    if not gated:  # all is summed, to the end of the smear
         guard += smear_room(focused, biased.rate) * (IMAGE_TAP_ERROR / sector.tap_error) ** (2 / 3)
     begin = min(float(focused.time.min()) - guard, time.start)
     end = max(float(focused.time.max()) + guard, time.start + time.extent)
@@ -97,6 +100,7 @@ def plan_sampling(
             long_time, size=n_padded, centre=float((spots.doppler.min() + spots.doppler.max()) / 2)
         ),
         gate=None,
+        summed=None if gated else (begin, end),
     )
 
 
