@@ -265,7 +265,7 @@ class DopplerTransform(_AzimuthStep):
 
     Along Doppler each target's response has a carrier, the middle of its own dwell (with a gate: the distance from the
     gate's common centre). Interpolation of the image must remove that carrier first, as the geometric correction does.
-    A dwell gate (`dwell_gate`) windows time in between.
+    A dwell gate (`dwell_gate`) windows time in between. Without one all is summed in which the block's targets are lit.
     """
 
     name = "doppler-fft"
@@ -279,7 +279,7 @@ class DopplerTransform(_AzimuthStep):
         axes, gate = self.axes, self.axes.gate
         to_doppler = Transform(axes.long_time, axes.focused_doppler, inverse=False)
         if gate is None:
-            return [to_doppler]
+            return [*self._cut(), to_doppler]
         begin: list[Operation]
         end: list[Operation]
         if gate.taper is None:
@@ -299,6 +299,16 @@ class DopplerTransform(_AzimuthStep):
             _turn(gate.end, axes.rows, sign=-1.0),
             _turn(gate.common, axes.rows),
         ]
+
+    def _cut(self) -> list[Operation]:
+        """Multiplication by zero beyond the time that is summed."""
+        time, summed = self.axes.long_time.values, self.axes.summed
+        if summed is None:
+            return []
+        inside = (time >= summed[0]) & (time <= summed[1])
+        if inside.all():
+            return []
+        return [Window(inside[None].astype(np.complex64), np.zeros(self.n_row, np.intp))]
 
     def trace(self, line: Line) -> Line:
         return line

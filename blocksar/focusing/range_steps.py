@@ -177,8 +177,17 @@ class Compression(Step):
         """Rows of range_frequency.size samples to rows.size ranges, one per time or Doppler: the block's columns."""
         gate = self.axes.gate
         share = None if gate is None else gate.share
-        weights = [_weigh(taper, self.source, self.n_row) for taper in (self.taper, share) if taper is not None]
-        return [Turn(self.correction), *weights, self._to_range]
+        weighted = [weights for weights in (self.taper, share, self._evenness) if weights is not None]
+        return [
+            Turn(self.correction),
+            *(_weigh(weights, self.source, self.n_row) for weights in weighted),
+            self._to_range,
+        ]
+
+    @property
+    def _evenness(self) -> Callable[[FloatArray], FloatArray] | None:
+        """Weights at range frequencies, Hz, that even out those which the correction gives sums over slow time."""
+        return None
 
     @property
     def _to_range(self) -> Transform:
@@ -304,6 +313,10 @@ class DopplerCompression(Compression):
     This holds for any track: Psi'' = -dt/df, and `pace` = dt/df comes from the lines of the block's targets. For the
     straight track the result is (4).
 
+    A history then lasts 1 + f / fc times as long as on the carrier and has the same energy, so that its sum over slow
+    time is sqrt(1 + f / fc) times as large. The step divides by that, which the paper omits: all range frequencies have
+    equal weight, as in back-projection.
+
     Attributes
     ----------
     pace : (n,) float
@@ -337,6 +350,10 @@ class DopplerCompression(Compression):
 
         return self.interpolate(coupling)
 
+    @property
+    def _evenness(self) -> Callable[[FloatArray], FloatArray]:
+        return lambda frequency: (1 + frequency / self.carrier) ** -0.5
+
     def _clip(self, doppler: FloatArray) -> FloatArray:
         """Doppler within the reach of the reference line, Hz."""
         return np.clip(doppler, -MOST_REACH * self.half, MOST_REACH * self.half)
@@ -357,9 +374,9 @@ class DopplerCompression(Compression):
         return line.shift_range(-self.curvature(line.doppler))
 
 
-def _weigh(taper: AxisTaper, axis: Axis, n_row: int) -> Window:
+def _weigh(weights: Callable[[FloatArray], FloatArray], axis: Axis, n_row: int) -> Window:
     """Multiplication of all rows by the weights along them."""
-    return Window(taper(axis.values)[None].astype(np.complex64), np.zeros(n_row, np.intp))
+    return Window(weights(axis.values)[None].astype(np.complex64), np.zeros(n_row, np.intp))
 
 
 def _trim(coefficients: FloatArray) -> FloatArray:

@@ -40,6 +40,8 @@ class Sampling:
         None where all targets are lit at the same time.
     over_band : tuple of DwellGate
         Where dwells need windows of their own over the band: the gates of its parts, which take the place of `gate`.
+    summed : (float, float) or None
+        First and last slow time that the final transform sums, s; None: all of `long_time`.
     """
 
     slab: Axis
@@ -54,6 +56,7 @@ class Sampling:
     focused_doppler: Axis
     gate: DwellGate | None
     over_band: tuple[DwellGate, ...] = ()
+    summed: tuple[float, float] | None = None
 
     @property
     def branches(self) -> tuple[Sampling, ...]:

@@ -69,12 +69,15 @@ def plan_sampling(
     time = _plan_time(sector.recovery, slab, straight, bandwidth=bandwidth, duration=duration)
 
     # Slow time before the final transform: the lines and what is smeared beyond them, room for resampling and windows.
-    guard = GUARD * duration
-    if not beam_moves(sector.geometry.collection):  # no gate: all is summed, to the end of the smear
+    # Without a gate the room for resampling is not summed: echoes from beside a block are delayed round its end, where
+    # the deramp takes them to the block's Doppler.
+    guard, gated = GUARD * duration, beam_moves(sector.geometry.collection)
+    if not gated:  # all is summed, to the end of the smear
         guard += smear_room(focused, biased.rate) * (IMAGE_TAP_ERROR / sector.tap_error) ** (2 / 3)
     begin = min(float(focused.time.min()) - guard, time.start)
     end = max(float(focused.time.max()) + guard, time.start + time.extent)
-    resampled = RESAMPLING_ROOM if azimuth.range_part.freedom.resampling else 1.0
+    resampling = azimuth.range_part.freedom.resampling
+    resampled = RESAMPLING_ROOM if resampling else 1.0
     slope = float(np.ptp(spots.time) / max(np.ptp(spots.doppler), 1e-9))
     held = _held_time(sector, lines.ends, time, slope=slope)
     n_padded = fourier.fast_length(max((end - begin) / time.step, resampled * time.size, held / time.step))
@@ -97,6 +100,7 @@ def plan_sampling(
             long_time, size=n_padded, centre=float((spots.doppler.min() + spots.doppler.max()) / 2)
         ),
         gate=None,
+        summed=(begin, end) if resampling and not gated else None,
     )
 
 

@@ -24,7 +24,7 @@ CELLS, FINE_CELLS = (24, 48), (64, 48)  # of a block along range and yaw, whose 
 UNKNOWN_WEIGHT, FIT_DAMPING = 0.3, 1e-9  # of cells without heights, held level
 FINE_ENDS = 1.0  # half extents from its middle at which the finer one ends: series of high degrees go astray beyond
 BINS, ABOUT = 160, 0.05  # along each side of a block, and half extents of it about a node: those of a chip or two
-MOST_POINTS = 1 << 20  # of a terrain that are looked at
+FEWEST_POINTS, MOST_POINTS = 129, 1 << 20  # of a terrain that are looked at: along an axis, and in all
 ROOM = 0.02  # of the relief, that heights may go beyond on either side
 LEAST_RELIEF = 0.5  # m
 LAYER_HEIGHT, FEWEST_LAYERS, MOST_LAYERS = 250.0, 4, 8  # m of relief for one more height; heights that are traced
@@ -45,7 +45,7 @@ class Relief:
     low, high : float
         Least and greatest height over the smoother one, m.
     lowest, highest : float
-        Least and greatest z, m.
+        Least and greatest z, m, also between the samples.
     points : three of (n,) float
         Samples: places in ground range and yaw, -1 .. 1, and heights over the finer smooth part, m.
     samples : Samples
@@ -127,11 +127,16 @@ def _bins_about(n: int) -> tuple[IntArray, IntArray]:
 
 
 class Samples(NamedTuple):
-    """Some points of a terrain, (n,): yaw (rad), epoch range and z (m)."""
+    """Some points of a terrain, (n,): yaw (rad), epoch range and z (m).
+
+    All of the terrain is within `apart`, m, of one of them; `turn` (n,), rad, is as far as seen from the nadir.
+    """
 
     yaw: FloatArray
     epoch_range: FloatArray
     z: FloatArray
+    apart: float
+    turn: FloatArray
 
 
 def sample_terrain(geometry: Geometry, x: tuple[float, float], y: tuple[float, float]) -> Samples:
@@ -141,14 +146,18 @@ def sample_terrain(geometry: Geometry, x: tuple[float, float], y: tuple[float, f
     axes = []
     for (low, high), origin, step in ((x, terrain.x0, terrain.dx), (y, terrain.y0, terrain.dy)):
         inside = origin + step * np.arange(np.ceil((low - origin) / step), np.floor((high - origin) / step) + 1)
-        axes.append(np.unique(np.concatenate([np.linspace(low, high, 17), inside])))
+        axes.append(np.unique(np.concatenate([np.linspace(low, high, FEWEST_POINTS), inside])))
     skip = max(int(np.ceil(np.sqrt(axes[0].size * axes[1].size / MOST_POINTS))), 1)
     along_x, along_y = (np.unique(np.append(axis[::skip], axis[-1])) for axis in axes)
     z = terrain.on_grid(along_x, along_y)
     mesh_x, mesh_y = np.meshgrid(along_x, along_y)
     known = np.isfinite(z)
     px, py, heights = mesh_x[known], mesh_y[known], z[known]
-    return Samples(geometry.yaw(px, py), geometry.epoch_range(px, py, heights), heights)
+    apart = float(np.hypot(np.diff(along_x).max(initial=0.0), np.diff(along_y).max(initial=0.0)))
+    distance = np.hypot(px - geometry.nadir[0], py - geometry.nadir[1])
+    return Samples(
+        geometry.yaw(px, py), geometry.epoch_range(px, py, heights), heights, apart, apart / np.maximum(distance, apart)
+    )
 
 
 def find_relief(samples: Samples, geometry: Geometry, *, low: float, high: float, along: GroundRange) -> Relief:
@@ -157,9 +166,12 @@ def find_relief(samples: Samples, geometry: Geometry, *, low: float, high: float
     depth = Depth(x=float(x), y=float(y), z=float(geometry.epoch_position[2]))
     turn = wrapped(samples.yaw - (low + high) / 2)
     u, v = along.place(samples.epoch_range), 2 * turn / (high - low)
-    inside = (np.abs(u) <= 1) & (np.abs(v) <= 1)
+    inside, beside = (np.abs(u) <= 1) & (np.abs(v) <= 1), _beside(samples, turn, (high - low) / 2, along)
+    inside = inside if inside.any() else beside
     u, v, z = u[inside], v[inside], samples.z[inside]
     level = float(z.mean()) if z.size else geometry.collection.ground_height
+    bounds = samples.z[beside] if z.size else np.array([level])
+    spare = ROOM * float(np.ptp(bounds))  # between samples heights may go beyond them
     series = _fit(_cell_means(u, v, z, level, CELLS))
     smooth = SmoothGround(surface=Surface(series=series, along=along, low=low, high=high), depth=depth)
     series = _fit_finely(_cell_means(u, v, z, level, FINE_CELLS))
@@ -169,9 +181,20 @@ def find_relief(samples: Samples, geometry: Geometry, *, low: float, high: float
     room = ROOM * float(np.ptp(over)) + LEAST_RELIEF
     return Relief(
         smooth=smooth, fine=fine, low=float(over.min()) - room, high=float(over.max()) + room,
-        lowest=float(z.min()) if z.size else level, highest=float(z.max()) if z.size else level,
+        lowest=float(bounds.min()) - spare, highest=float(bounds.max()) + spare,
         points=(u, v, z - fine(*at)), samples=samples,
     )  # fmt: skip
+
+
+def _beside(samples: Samples, turn: FloatArray, half: float, along: GroundRange) -> BoolArray:
+    """Which samples (n,) lie in a block or so close to it that they bound its heights.
+
+    A block has yaws of at most `half` from its middle, rad, and the ranges `along`; `turn` (n,) are the samples' yaws
+    from its middle. It may be hardly larger than the distance between samples.
+    """
+    reach = 2 * samples.apart  # along the line of sight, on slopes of up to 60 degrees
+    near, far = along.near - reach, along.far + reach
+    return (np.abs(turn) <= half + samples.turn) & (samples.epoch_range >= near) & (samples.epoch_range <= far)
 
 
 class _Cells(NamedTuple):

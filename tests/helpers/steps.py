@@ -247,4 +247,4 @@ def sampling(**axes: Any) -> Sampling:
     """Return a sampling for a test of one step: the axes given, and placeholders for the others."""
     unused = Axis(0.0, 1.0, 1)
     whole: dict[str, Any] = dict.fromkeys(Sampling.__dataclass_fields__, unused)
-    return Sampling(**whole | {"time_occupancy": 0.5, "doppler_occupancy": 0.5, "gate": None} | axes)
+    return Sampling(**whole | {"time_occupancy": 0.5, "doppler_occupancy": 0.5, "gate": None, "summed": None} | axes)
