@@ -123,6 +123,7 @@ def test_images_meet_in_place(bursts: list[Path], run: Path, tmp_path: Path) -> 
         assert np.sqrt(np.mean(np.square(bends))) < 0.1
 
 
+@pytest.mark.slow  # test_channels.py interrupts an estimate of its own
 def test_an_interrupted_run_goes_on_to_the_same_bytes(
     bursts: list[Path], run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
