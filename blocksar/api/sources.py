@@ -67,26 +67,22 @@ def simulate(
     _, threads, _ = resources(1, threads, None)
     listener = as_listener(progress)
     callback = only_stage(listener, "simulate")
+    if cphd and raw:
+        raise InputError("raw is given together with cphd, but CPHD files hold compressed pulses; leave out one")
+    if origin is not None and not cphd:
+        raise InputError(f"origin is {origin}, but only CPHD files have one; leave it out")
+    scene = scene if isinstance(scene, Scene) else Scene.read(scene)
+    written: Path | Place
     if cphd:
-        if raw:
-            raise InputError("raw is given together with cphd, but CPHD files hold compressed pulses; leave out one")
         from blocksar.simulation import cphd as cphd_files  # optional libraries
 
-        scene = _read(scene)
-        written: Path | Place = cphd_files.simulate(
+        written = cphd_files.simulate(
             scene, out, origin=origin, threads=threads, overwrite=overwrite, progress=callback
         )
     else:
-        if origin is not None:
-            raise InputError(f"origin is {origin}, but only CPHD files have one; leave it out")
-        scene = _read(scene)
         written = phase_history.simulate(scene, out, raw=raw, threads=threads, overwrite=overwrite, progress=callback)
     _note_unlit(scene, listener)
     return written
-
-
-def _read(scene: Scene | str | Path) -> Scene:
-    return scene if isinstance(scene, Scene) else Scene.read(scene)
 
 
 def _note_unlit(scene: Scene, listener: Listener) -> None:

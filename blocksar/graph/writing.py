@@ -10,7 +10,7 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from types import TracebackType
 from typing import Any, TypeVar
 
-from blocksar.chunks import WRITES_AT_ONCE
+from blocksar.chunks import WRITES_AT_ONCE, WRITES_PER_THREAD
 from blocksar.runs.record import Written
 
 T = TypeVar("T")
@@ -84,8 +84,8 @@ class Turn:
 
 
 def writes_at_once(threads: int) -> int:
-    """Threads that write behind so many threads that compute: writing takes up to two thirds of the time."""
-    return max(WRITES_AT_ONCE, math.ceil(2 * threads / 3))
+    """Threads that write behind so many threads that compute."""
+    return max(WRITES_AT_ONCE, math.ceil(WRITES_PER_THREAD * threads))
 
 
 def turns_at_once(threads: int) -> int:

@@ -85,10 +85,6 @@ class Window:
     def values(self) -> ComplexArray:
         return self.windows() if callable(self.windows) else self.windows
 
-    def prepare(self) -> None:
-        """Compute the values, once, for threads that are to use them."""
-        _ = self.values
-
 
 @dataclass(frozen=True, eq=False)
 class Cut:
@@ -139,10 +135,6 @@ class Blend:
     @cached_property
     def values(self) -> ComplexArray:
         return self.windows()
-
-    def prepare(self) -> None:
-        """Compute the values, once, for threads that are to use them."""
-        _ = self.values
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Literal, Protocol
 
 import numpy as np
@@ -175,7 +176,7 @@ class Program:
                 phase.scatter_columns(self._passes[-1](group, rows), self.target.size, target.start, out)
 
         # Before all groups: newer Pythons do not lock a cached property, and each thread would compute the windows.
-        run_groups(lambda each: each.prepare(), self._windowed, threads)
+        run_groups(attrgetter("values"), self._windowed, threads)
         run_groups(work, self.groups(first, first + n, columns="columns" in (load, store)), threads)
         return out
 

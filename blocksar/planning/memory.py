@@ -11,6 +11,7 @@ from blocksar.chunks import (
     SPECTRUM_BYTES,
     TILE,
     WRITES_AT_ONCE,
+    WRITES_PER_THREAD,
 )
 from blocksar.collection.collection import Collection
 from blocksar.collection.grid import Grid
@@ -134,4 +135,4 @@ def thread_memory(length: int) -> int:
 
     The threads of one stage do not give back what those of another take: each has a heap of its own.
     """
-    return group_memory(length) + 2 * 8 * IMAGE_PIXELS * 5 // 3  # computed, and two thirds of them written
+    return group_memory(length) + round(2 * 8 * IMAGE_PIXELS * (1 + WRITES_PER_THREAD))  # computed and written

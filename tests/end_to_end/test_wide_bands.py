@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import blocksar
-from blocksar.measurement.coherence import coherence
+from beside_exact import beside_exact
 
 UHF = """
 [radar]
@@ -33,12 +32,5 @@ GRID = (1490.0, 1530.0, 0.77), (300.0, 340.0, 0.72)
 
 def test_range_migration_that_is_corrected_in_doppler_leaves_all_frequencies_equal_weight(tmp_path: Path) -> None:
     """A third of the carrier: weights of sqrt(1 + f / fc) over the band would cost 0.001 of coherence."""
-    (tmp_path / "scene.toml").write_text(UHF)
-    store = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "history.zarr", progress=False)
-    images = []
-    for processor in ("high-order-phase", "backprojection"):
-        run = tmp_path / processor
-        blocksar.focus(store, run, grid=GRID, processor=processor, workers=0, progress=False)
-        images.append(blocksar.open(run).image.values)
-    alike = coherence(*images)
+    alike = beside_exact(tmp_path, UHF, GRID, "high-order-phase")
     assert abs(alike.coherence) > 0.9993
