@@ -615,12 +615,15 @@ PLAIN = [name for name in NAMES if name.isprintable() and len(name) < 100]
 URLS = ["mem://x", "file://x", "http://localhost/x", "memory://x", "zip://x", "simplecache::s3://x", "gs://bucket/x"]
 
 
-def test_unusual_names_of_sources(bench: Bench) -> None:
+def test_unusual_names_of_sources_and_runs(bench: Bench) -> None:
     def case(name: str) -> None:
         folder = bench.fresh()
-        path = Path(shutil.copytree(bench.store, folder / name))
-        outcome = bench.attempt("names of sources", path)
+        path, out = Path(shutil.copytree(bench.store, folder / "in" / name)), folder / "out" / name
+        outcome = bench.attempt("names", path, out=out)
         assert outcome == "the clean image" or name not in PLAIN
+        if outcome == "the clean image":
+            assert "nothing to do" in blocksar.focus(path, out, client=bench.client, **EXACT).summary[0]
+            blocksar.quality(out)
 
     bench.all({repr(name): lambda name=name: case(name) for name in NAMES})
 
@@ -630,18 +633,6 @@ def test_a_missing_source_is_refused_in_one_line(command: Any, bench: Bench) -> 
     bench.all(
         {repr(name): lambda name=name: bench.refused("names of nothing", command, bench.room / name) for name in NAMES}
     )
-
-
-def test_unusual_names_of_runs(bench: Bench) -> None:
-    def case(name: str) -> None:
-        out = bench.fresh() / name
-        outcome = bench.attempt("names of runs", bench.store, out=out)
-        assert outcome == "the clean image" or name not in PLAIN
-        if outcome == "the clean image":
-            assert "nothing to do" in blocksar.focus(bench.store, out, client=bench.client, **EXACT).summary[0]
-            blocksar.quality(out)
-
-    bench.all({repr(name): lambda name=name: case(name) for name in NAMES})
 
 
 def test_relative_names(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
-from scenes import scene
+from scenes import SMALL_SCAN, scene
 
 import blocksar
 from blocksar.places import place
@@ -17,7 +17,7 @@ from blocksar.runs.finished import FinishedRun
 
 HOSTILE = "</title></script><script>window.pwned = 1</script><img src=x onerror=window.pwned=1> & \u202e{{ 7 * 7 }}"
 TARGETS = {"A": (29900.0, 48.5), "B": (30100.0, 51.5), "seam": (30000.0, 50.2), "<i>D": (29950.0, 50.0)}
-EDGE = {"edge": (30000.0, 43.5)}  # lit by only a part of the beam's sweep, and outside the image
+EDGE = {"edge": (30000.0, 44.2)}  # lit by only a part of the beam's sweep, and outside the image
 VOID = ["area", "base", "br", "col", "embed", "hr", "img", "input", "link", "meta", "source", "track", "wbr"]
 
 
@@ -25,7 +25,7 @@ def write_scene(folder: Path) -> Path:
     """Simulate a part of Table 1's scene, with markup in its title."""
     folder.mkdir(parents=True, exist_ok=True)
     rows = [f"[[targets]]\nname = '{n}'\nrange = {r}\nyaw_deg = {y}\n" for n, (r, y) in (TARGETS | EDGE).items()]
-    text = scene(swath=[29850.0, 30150.0], more="\n".join(rows))
+    text = scene(**SMALL_SCAN, more="\n".join(rows))
     (folder / "scene.toml").write_text(text.replace('title = "test"', f"title = {json.dumps(HOSTILE)}"))
     return Path(blocksar.simulate(folder / "scene.toml", folder / "ph.zarr", threads=1))
 

@@ -19,6 +19,8 @@ from blocksar.inspection.prominent import Samples
 from blocksar.simulation.phase_history import sampler
 from blocksar.simulation.scene import Scene
 
+SLOW = pytest.mark.slow
+
 # The beam, its yaw, PRF and pulses, the swath, and the middle of the targets along y (m). By angle and speed the PRF
 # tells 1.4 to 3.1 degrees apart.
 BEAMS = {
@@ -74,8 +76,8 @@ def test_true_beams_pass_and_what_was_tried_is_said(kind: str) -> None:
 @pytest.mark.parametrize(
     ("kind", "error"),
     [  # a half and a whole width; nearly a PRF, where echoes look hardly displaced; towards the other end of the PRF
-        ("squint", 0.4), ("squint", 0.8), ("strip", -0.4), ("strip", 0.8), ("strip", 1.2), ("tops", 2.0),
-        ("tops", -2.0), ("yaw", 2.0), ("yaw", -0.6),
+        ("squint", 0.8), ("strip", -0.4), ("strip", 1.2), ("tops", -2.0), ("yaw", -0.6),
+        *(pytest.param(*more, marks=SLOW) for more in (("squint", 0.4), ("strip", 0.8), ("tops", 2.0), ("yaw", 2.0))),
     ],
 )  # fmt: skip
 def test_a_beam_that_is_off_is_named_with_its_error_and_field(kind: str, error: float) -> None:
@@ -89,7 +91,7 @@ def test_a_beam_that_is_off_is_named_with_its_error_and_field(kind: str, error: 
     assert remedy.split()[4].rstrip(".") == field
 
 
-@pytest.mark.parametrize("kind", ["strip", "tops", "yaw"])
+@pytest.mark.parametrize("kind", ["tops", "yaw", pytest.param("strip", marks=SLOW)])
 def test_a_beam_of_half_the_width_is_found(kind: str) -> None:
     signal, collection = made(kind)
     width = collection.beam_width or 0.0
@@ -112,8 +114,13 @@ def test_a_beam_that_looks_ahead_and_not_behind_is_found() -> None:
     assert warning.startswith("the beam looks to the other side") and "negate beam_steering" in warning
 
 
-@pytest.mark.parametrize("kind", ["strip", "fast tops", "yaw"])
-@pytest.mark.parametrize("percent", [1.0, -2.0])
+@pytest.mark.parametrize(
+    ("kind", "percent"),
+    [
+        *(("strip", 1.0), ("fast tops", -2.0), ("yaw", 1.0)),
+        *(pytest.param(*more, marks=SLOW) for more in (("strip", -2.0), ("fast tops", 1.0), ("yaw", -2.0))),
+    ],
+)
 def test_a_wrong_velocity_accuses_neither_the_beam_nor_the_samples(kind: str, percent: float) -> None:
     signal, collection = made(kind)
     wrong = replace(collection, antenna_position=collection.antenna_position * [1, 1 + percent / 100, 1])
@@ -122,7 +129,7 @@ def test_a_wrong_velocity_accuses_neither_the_beam_nor_the_samples(kind: str, pe
     assert warning is not None or kind != "fast tops"
 
 
-@pytest.mark.parametrize("kind", ["strip", "tops", "yaw"])
+@pytest.mark.parametrize("kind", ["strip", "yaw", pytest.param("tops", marks=SLOW)])
 def test_of_a_conjugated_signal_the_simplest_cause_is_named_and_the_tie_said(kind: str) -> None:
     signal, collection = made(kind)
     warning = found(np.conj(signal), collection, thorough=True).warning() or ""

@@ -141,9 +141,9 @@ def relative_error(found: ComplexArray, wanted: ComplexArray, where: BoolArray) 
 
 @pytest.mark.parametrize(("mode", "patterns", "blocks"), [
     pytest.param("stripmap", False, 2, marks=pytest.mark.slow),
-    ("stripmap", True, 2),
+    pytest.param("stripmap", True, 2, marks=pytest.mark.slow),
     pytest.param("squinted", False, 8, marks=pytest.mark.slow),
-    ("sliding spotlight", True, 2),
+    pytest.param("sliding spotlight", True, 2, marks=pytest.mark.slow),
     ("tops", True, 2),
 ])  # fmt: skip
 def test_a_weighted_chain_focuses_as_back_projection_does(mode: str, patterns: bool, blocks: int) -> None:
@@ -336,9 +336,9 @@ def wobbling(mode: str, kind: str, size: float) -> Collection:
 
 @pytest.mark.parametrize(("mode", "kind", "size"), [
     ("stripmap", "9.6", 1e-4),  # 0.9979 where 0.9998 was predicted, when gates followed the beam itself
-    ("stripmap", "2.4", 2e-3),  # 0.57
+    pytest.param("stripmap", "2.4", 2e-3, marks=pytest.mark.slow),  # 0.57
     ("tops", "2.4", 5e-4),
-    ("stripmap", "noise", 3e-4),
+    pytest.param("stripmap", "noise", 3e-4, marks=pytest.mark.slow),
     ("sliding spotlight", "axis", 1e-4),
 ])  # fmt: skip
 def test_a_beam_that_wobbles_is_focused_as_predicted(mode: str, kind: str, size: float) -> None:

@@ -440,7 +440,9 @@ def test_a_run_that_was_killed_while_its_files_were_removed_can_be_replaced(
     blocksar.focus(store, tmp_path / "run", overwrite=True, **settings)
 
 
-@pytest.mark.parametrize("name", ["collection.zarr", "spectrum.zarr", "patches/0", "image.zarr"])
+@pytest.mark.parametrize(
+    "name", ["patches/0", *(pytest.param(f"{name}.zarr", marks=pytest.mark.slow) for name in ("spectrum", "image"))]
+)
 def test_a_store_that_lost_its_metadata_is_made_anew(
     name: str, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
