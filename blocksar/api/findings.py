@@ -8,6 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache, partial
+from itertools import chain
+from typing import NamedTuple
 
 from blocksar import stores
 from blocksar.api.checking import check_samples
@@ -48,43 +50,66 @@ def add_findings(
     InputError
         If no sample of a collection is valid.
     """
-    warnings: list[str] = []
-    offsets: list[CentroidError] = []
-    checks, missing, impossible = [], 0, 0
-    by_number = {id(segment): each for segment, each in zip(job.segments, read, strict=True)}
-    for number, segments in enumerate(by_collection(job.segments).values()):
-        history = segments[0].source
-        inspections = _inspections(segments, [by_number[id(segment)] for segment in segments])
-        if not inspections[-1].lit.any():
-            raise InputError(without_samples(history, zeros=False))
-        if not inspections[-1].valid:
-            raise InputError(without_samples(history, zeros=True))
-        lines = [line for each in inspections for line in sentences.describe(each)]
-        lines += [doubt] if (doubt := sentences.doubted_time(history.collection)) else []
-        absent, size = sum(inspections[-1].missing.values()), math.prod(history.shape)
-        if absent > MANY_MISSING * size and any(segment.plan is not None for segment in segments):
-            lines.append(
-                f"{100 * absent / size:.2g} % of the samples are missing, which the prediction does not know: beside "
-                "gaps images differ more from back-projection"
-            )
-        for segment in segments:
-            offset, disagreement = _compare_centroid(segment, by_number[id(segment)].inspection)
-            offsets += [offset] if offset else []
-            lines += [disagreement] if disagreement and disagreement not in lines else []
-        warning, check = checked()[number]
-        lines += [warning] if warning else []
-        about = f"{history.path}: " if len(job.request.histories) > 1 else ""
-        warnings += [about + line for line in lines]
-        checks += [about + check] if check else []
-        missing += sum(inspections[-1].missing.values())
-        impossible += sum(each.n_outlier for each in inspections)
-    warnings += job.left_out()
+    read_of, several = dict(zip(job.segments, read, strict=True)), len(job.request.histories) > 1
+    told = [
+        _of_collection(number, [(segment, read_of[segment]) for segment in segments], checked, several=several)
+        for number, segments in enumerate(by_collection(job.segments).values())
+    ]
+    warnings = (*chain.from_iterable(each.warnings for each in told), *job.left_out())
     for warning in warnings:
         listener.note(warning, again=True)
+    offsets = chain.from_iterable(each.offsets for each in told)
     return replace(
-        record, warnings=tuple(warnings), samples=SampleCounts(missing, impossible), check="; ".join(checks),
+        record, warnings=warnings, check="; ".join(each.check for each in told if each.check),
+        samples=SampleCounts(sum(each.missing for each in told), sum(each.impossible for each in told)),
         doppler_centroid=max(offsets, key=lambda offset: abs(offset.error), default=None),
     )  # fmt: skip
+
+
+class _Told(NamedTuple):
+    """What the samples of a collection tell; see `RunRecord`."""
+
+    warnings: list[str]
+    check: str
+    offsets: list[CentroidError]
+    missing: int
+    impossible: int
+
+
+def _of_collection(
+    number: int, read: Sequence[tuple[Segment, Recovered]], checked: Callable[[], list[Check]], *, several: bool
+) -> _Told:
+    """What the inspections of a collection's segments tell, then its check; of one of `several`, with its path.
+
+    Raises
+    ------
+    InputError
+        If no sample is valid.
+    """
+    segments = [segment for segment, _ in read]
+    history, inspections = segments[0].source, _inspections(segments, [each for _, each in read])
+    if not inspections[-1].lit.any():
+        raise InputError(without_samples(history, zeros=False))
+    if not inspections[-1].valid:
+        raise InputError(without_samples(history, zeros=True))
+    lines = [line for each in inspections for line in sentences.describe(each)]
+    lines += [doubt] if (doubt := sentences.doubted_time(history.collection)) else []
+    missing, size = sum(inspections[-1].missing.values()), math.prod(history.shape)
+    if missing > MANY_MISSING * size and any(segment.plan is not None for segment in segments):
+        lines.append(
+            f"{100 * missing / size:.2g} % of the samples are missing, which the prediction does not know: beside "
+            "gaps images differ more from back-projection"
+        )
+    offsets = []
+    for segment, recovered in read:
+        offset, disagreement = _compare_centroid(segment, recovered.inspection)
+        offsets += [offset] if offset else []
+        lines += [disagreement] if disagreement and disagreement not in lines else []
+    warning, check = checked()[number]
+    lines += [warning] if warning else []
+    about = f"{history.path}: " if several else ""
+    impossible = sum(each.n_outlier for each in inspections)
+    return _Told([about + line for line in lines], about + check if check else "", offsets, missing, impossible)
 
 
 def without_samples(history: stores.PhaseHistory, *, zeros: bool) -> str:
