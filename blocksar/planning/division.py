@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import cache
-from typing import Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from blocksar.errors import InputError
 from blocksar.planning.block import BlockPlan
@@ -20,10 +21,8 @@ GROWTH = 0.6  # power of the excess by which the number of blocks grows at a tim
 MOST_GROWTH, LEAST_GROWTH = 4.0, 1.2  # excess above which it grows no faster; factor by which it grows at least
 FINE = 12  # the fewest blocks are found to one in as many
 MOST_REFERENCES = 8  # range sub-blocks of a block, for the sake of migration
-USEFUL, LATER = (
-    0.9,
-    4,
-)  # excess that a division in range may leave, to be tried again; else with so many times the blocks
+USEFUL = 0.9  # of the excess, that a division in range may leave, to be tried again;
+LATER = 4  # else it is with so many times the blocks
 MIGRATION_SHARE = 0.7  # of the allowed loss that migration may take when a block is divided in range
 FALL, PATIENCE = 0.97, 3  # factor by which the excess has to fall, and so many numbers without it end the search
 ALIKE = 1.03  # times the least excess: among divisions within that, the one with the fewest blocks is taken
@@ -82,45 +81,130 @@ def find_division(
     """
     plan = cache(plan)
     exceeds = exceeds or (lambda count, n_parts, limit: plan(count, n_parts, True).excess() > limit)
-    tried: list[tuple[float, int, int]] = []
-    failed, count, n_parts, stale = 0, min(max(workers, 1), MAX_BLOCKS), parts or 1, 0
-    useless_at, fall, sound = 0, 1 / SCATTER if scattered else FALL, False
-    while True:
-        division = plan(count, n_parts, True)
-        if division.excess() <= 1.0:
-            division = plan(count, n_parts, False)
+    search = _Search(plan=plan, exceeds=exceeds, parts=parts, scattered=scattered, jointly=jointly)
+    return search.find(min(max(workers, 1), MAX_BLOCKS))
+
+
+class _Tried(NamedTuple):
+    """A division that was tried, and its excess: of several, the least is the one that is closest."""
+
+    excess: float
+    blocks: int
+    parts: int
+
+
+@dataclass(kw_only=True)
+class _Search(Generic[P]):
+    """The search of `find_division`, and what it has found so far.
+
+    Attributes
+    ----------
+    tried : list of _Tried
+    stale : int
+        Number of the last of these, in a row, that have gained nothing.
+    failed : int
+        The most blocks known not to keep the fidelity, with as many range sub-blocks as are tried now.
+    useless_at : int
+        Blocks at which a division in range gained too little.
+    sound : bool
+        Whether any division was not refused.
+    """
+
+    plan: Callable[[int, int, bool], P]
+    exceeds: Callable[[int, int, float], bool]
+    parts: int | None
+    scattered: bool
+    jointly: bool
+    tried: list[_Tried] = field(default_factory=list)
+    stale: int = 0
+    failed: int = 0
+    useless_at: int = 0
+    sound: bool = False
+
+    def find(self, count: int) -> P:
+        """The plan, beginning with so many blocks."""
+        n_parts = self.parts or 1
+        while True:
+            division = _probe(self.plan, count, n_parts)
+            if division.excess() <= 1.0:
+                return _fewest_between(self.plan, self.failed, count, n_parts)
+            self.sound = self.sound or division.refusal is None
+            if not self.sound and find_folding(division.blocks) is not None:  # more blocks share their Doppler as well
+                return self.plan(count, n_parts, False)
+            self._note(_Tried(division.excess(), count, n_parts))
+            if self.stale == PATIENCE or count == MAX_BLOCKS:
+                return self._closest()
+            by_migration = self._is_by_migration(division, count)
+            if self.scattered and len(self.tried) == 1 and not by_migration and self._is_in_vain(count, n_parts):
+                return self.plan(count, n_parts, False)
+            more = self._divided(division, count, n_parts) if by_migration else n_parts
+            if more > n_parts:  # as many blocks once more, divided in range
+                self.failed, n_parts = count - 1, more
+            else:
+                self.failed, count = count, _next(count, division.excess())
+
+    @property
+    def _fall(self) -> float:
+        """Factor by which the excess has to fall."""
+        return 1 / SCATTER if self.scattered else FALL
+
+    def _note(self, division: _Tried) -> None:
+        gained = not self.tried or division.excess <= self._fall * min(self.tried).excess
+        self.stale = 0 if gained else self.stale + 1
+        self.tried.append(division)
+
+    def _closest(self) -> P:
+        """The plan that comes closest to the fidelity; among those alike, the one with the fewest blocks."""
+        least, count, n_parts = min(self.tried)
+        most = (SCATTER if self.scattered else ALIKE) * least
+        if self.jointly and self.parts is None and (joint := _divide_jointly(self.plan, least)) is not None:
+            return joint
+        # A probe looks at fewer places of a terrain than the whole plan.
+        if self.scattered and self.tried[0].excess > most:
+            most = SCATTER * self.plan(count, n_parts, False).excess()
+        return self.plan(*min((tried.blocks, tried.parts) for tried in self.tried if tried.excess <= most), False)
+
+    def _is_by_migration(self, division: P, count: int) -> bool:
+        """Whether migration costs the most, which a division in range may reduce."""
+        return (
+            self.parts is None
+            and count >= LATER * self.useless_at
+            and division.excess(migration=False) < division.excess() / 2
+        )
+
+    def _is_in_vain(self, count: int, n_parts: int) -> bool:
+        """Whether the last of PATIENCE numbers of blocks after the first gains nothing."""
+        excess = self.tried[0].excess
+        far = min(math.ceil(count * _growth(excess) ** PATIENCE), MAX_BLOCKS)
+        return self.exceeds(far, n_parts, self._fall * excess)
+
+    def _divided(self, division: P, count: int, n_parts: int) -> int:
+        """The range sub-blocks to go on with: more, where these are worth more than more blocks."""
         excess, rest = division.excess(), division.excess(migration=False)
-        if excess <= 1.0:
-            return _fewest_between(plan, failed, count, n_parts)
-        sound = sound or division.refusal is None
-        if not sound and find_folding(division.blocks) is not None:
-            return plan(count, n_parts, False)
-        stale = stale + 1 if tried and excess > fall * min(tried)[0] else 0
-        tried.append((excess, count, n_parts))
-        if stale == PATIENCE or count == MAX_BLOCKS:
-            least, n, m = min(tried)
-            most = (SCATTER if scattered else ALIKE) * least
-            if jointly and parts is None and (joint := _divide_jointly(plan, least)) is not None:
-                return joint
-            if scattered and tried[0][0] > most:  # a probe looks at fewer places of a terrain than the whole plan
-                most = SCATTER * plan(n, m, False).excess()
-            return plan(*min((n, m) for e, n, m in tried if e <= most), False)
-        failed, growth = count, max(min(excess, MOST_GROWTH) ** GROWTH, LEAST_GROWTH)
-        by_migration = parts is None and count >= LATER * useless_at and rest < excess / 2
-        if scattered and len(tried) == 1 and not by_migration:
-            far = min(math.ceil(count * growth**PATIENCE), MAX_BLOCKS)
-            if exceeds(far, n_parts, fall * excess):
-                return plan(count, n_parts, False)
-        count = min(math.ceil(count * growth), MAX_BLOCKS)
-        if by_migration:  # it costs the most: by angle or by range?
-            more = math.ceil(n_parts * max(math.sqrt((excess - rest) / MIGRATION_SHARE), 1.1))
-            more = min(more, MOST_REFERENCES)
-            divided = plan(failed, more, True).excess()
-            if division.refusal is None and divided >= USEFUL * excess:  # a refused one tells nothing of what is gained
-                useless_at = failed
-            by_angle = _worth(excess, plan(count, n_parts, True).excess(), count / failed)
-            if more > n_parts and _worth(excess, divided, more / n_parts) > by_angle:
-                failed, count, n_parts = failed - 1, failed, more
+        more = math.ceil(n_parts * max(math.sqrt((excess - rest) / MIGRATION_SHARE), 1.1))
+        more = min(more, MOST_REFERENCES)
+        divided = self.plan(count, more, True).excess()
+        if division.refusal is None and divided >= USEFUL * excess:  # a refused one tells nothing of what is gained
+            self.useless_at = count
+        further = _next(count, excess)
+        by_angle = _worth(excess, self.plan(further, n_parts, True).excess(), further / count)
+        return more if more > n_parts and _worth(excess, divided, more / n_parts) > by_angle else n_parts
+
+
+def _probe(plan: Callable[[int, int, bool], P], count: int, n_parts: int) -> P:
+    """A probe of a division; the whole plan if the probe keeps the fidelity."""
+    probe = plan(count, n_parts, True)
+    return plan(count, n_parts, False) if probe.excess() <= 1.0 else probe
+
+
+def _growth(excess: float) -> float:
+    """Factor by which the number of blocks grows."""
+    return float(max(min(excess, MOST_GROWTH) ** GROWTH, LEAST_GROWTH))
+
+
+def _next(count: int, excess: float) -> int:
+    """The number of blocks to try after one with that excess."""
+    return min(math.ceil(count * _growth(excess)), MAX_BLOCKS)
 
 
 def _divide_jointly(plan: Callable[[int, int, bool], P], least: float) -> P | None:
@@ -148,14 +232,12 @@ def _divide_jointly(plan: Callable[[int, int, bool], P], least: float) -> P | No
     if not needed:
         return None
     count, n_parts = min(needed, key=lambda each: (each[0] * each[1], each))
-    tried: list[tuple[float, int, int]] = []
+    tried: list[_Tried] = []
     while len(tried) < MOST_TRIES and count <= MOST_DIVIDED:
-        division = plan(count, n_parts, True)
+        division = _probe(plan, count, n_parts)
         if division.excess() <= 1.0:
-            division = plan(count, n_parts, False)
-            if division.excess() <= 1.0:
-                return division
-        tried.append((division.excess(), count, n_parts))
+            return division
+        tried.append(_Tried(division.excess(), count, n_parts))
         count = math.ceil(MORE * count)
     excess, count, n_parts = min(tried)
     return plan(count, n_parts, False) if excess < USEFUL * least else None
