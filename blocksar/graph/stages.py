@@ -293,10 +293,29 @@ def mosaic(
     Chunks that no block covers are not written.
     """
     grid = segments[0].planned.grid
-    side = image_chunk(grid)
+    cells = _chunks_to_merge(segments, run, focused.patches, image_chunk(grid))
+    known = {segment.number or 0: noise for segment, noise in zip(segments, noises, strict=True) if noise is not None}
+    ordered = sorted(cells)
+    units = []
+    for first, end in spans(len(ordered), MOSAIC_CHUNKS):
+        group = {cell: cells[cell] for cell in ordered[first:end]}
+        margins = {cell: _margins(segments, cell, grid, parts) for cell, parts in group.items()}
+        row, column = ordered[first]
+        unit = f"chunk-{row}-{column}"
+        task = merge_chunks, group, grid, margins, known, focused.layers.sights
+        units.append(single_task(client, run, "mosaic", unit, *task))
+    for receipt in focused.patches:
+        units += [unit for unit in focused.layers.after(receipt.unit, receipt) if unit[0] not in focused.added]
+    return [*focused.added.values(), *run_units(client, "mosaic", units, run, listener, per_worker=2)]
+
+
+def _chunks_to_merge(
+    segments: Sequence[Segment], run: Run, patches: Sequence[Receipt], side: tuple[int, int]
+) -> dict[tuple[int, int], list[PatchChunk]]:
+    """By row and column of an output chunk, those of the patches that are not its image already."""
     cells: dict[tuple[int, int], list[PatchChunk]] = {}
     blocks = [(segment, block) for segment in segments for block in segment.planned.blocks]
-    for (segment, block), receipt in zip(blocks, focused.patches, strict=True):
+    for (segment, block), receipt in zip(blocks, patches, strict=True):
         assert receipt.origin is not None
         first_y, first_x = receipt.origin
         patch = run.name_of(run.patch(block.name))
@@ -311,19 +330,7 @@ def mosaic(
                 block.index, block.name, (first_y, first_x), part.checksum, segment.number or 0, segment.collection
             )
             cells.setdefault(cell, []).append(chunk)
-    known = {segment.number or 0: noise for segment, noise in zip(segments, noises, strict=True) if noise is not None}
-    ordered = sorted(cells)
-    units = []
-    for first, end in spans(len(ordered), MOSAIC_CHUNKS):
-        group = {cell: cells[cell] for cell in ordered[first:end]}
-        margins = {cell: _margins(segments, cell, grid, parts) for cell, parts in group.items()}
-        row, column = ordered[first]
-        unit = f"chunk-{row}-{column}"
-        task = merge_chunks, group, grid, margins, known, focused.layers.sights
-        units.append(single_task(client, run, "mosaic", unit, *task))
-    for receipt in focused.patches:
-        units += [unit for unit in focused.layers.after(receipt.unit, receipt) if unit[0] not in focused.added]
-    return [*focused.added.values(), *run_units(client, "mosaic", units, run, listener, per_worker=2)]
+    return cells
 
 
 def _margins(
