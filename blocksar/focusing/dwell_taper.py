@@ -12,7 +12,7 @@ centre to 1 at its edge. A weighting is a function of v. Windows are made for ti
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,7 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.weighting import Taper
 from blocksar.focusing.lines import RowPolynomial
 from blocksar.kernels.fourier import fast_length, fft_rows
+from blocksar.kernels.operations import BLEND_BEYOND
 
 Step = Callable[[FloatArray, float], NDArray[np.complex128]]  # (times since an end, s; slope, s/Hz) -> its smeared step
 FADE_SAMPLES = 16  # at least, of the grid on which a faded window is smeared, over its fade
@@ -60,10 +61,8 @@ class HalfDwell:
         """Factors by which weights are raised at shares of the half."""
         return np.asarray(1 + self.level * np.clip(1 - share, 0.0, 1.0))
 
-    def place(
-        self, since: FloatArray, fade: int, knots: Sequence[FloatArray | float] | None, *, length: float = 1.0
-    ) -> FloatArray:
-        """Places v at times since the end of a half of some length, s; without a length at shares of the half.
+    def place(self, since: FloatArray, fade: int, knots: tuple[float, float] | None, *, length: float) -> FloatArray:
+        """Places v at times since the end of a half of some length, s.
 
         Linear over the half; where its edge fades out, linear over the edge and over the rest, or by `knots` a cubic.
         """
@@ -78,6 +77,20 @@ class HalfDwell:
         cubic += outer * u * (u - halfway) * (u - 1) / (edge * (edge - halfway) * (edge - 1))
         cubic += 0.5 * u * (u - edge) * (u - 1) / (halfway * (halfway - edge) * (halfway - 1))
         return np.asarray(cubic)
+
+    def blended(self, taper: Taper, since: FloatArray, length: FloatArray, *, fade: int) -> FloatArray:
+        """What windows blended for halves of lengths (..., 1), s, give sharp echoes at times (..., n) since their end.
+
+        Over the middle's weight, without levels.
+        """
+        count, total = len(self.lengths), np.zeros(np.broadcast_shapes(since.shape, length.shape))
+        apart = max(self.lengths[-1] - self.lengths[0], 1e-12)
+        at = np.clip((length - self.lengths[0]) / apart, *BLEND_BEYOND) * (count - 1)
+        for k, (window, knots) in enumerate(zip(self.lengths, self.knots or [None] * count, strict=True)):
+            share = math.prod((at - other) / (k - other) for other in range(count) if other != k)
+            v = self.place(np.maximum(since, 0.0), fade, knots, length=window)
+            total += share * (faded_taper(taper, v, fade) if fade else taper(v))
+        return total / float(taper(np.array(0.0)))
 
     def blending(self, rng: FloatArray) -> FloatArray:
         """Power coefficients along Doppler, (n, order + 1), of the place of a length among `lengths`, 0 .. 1."""

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.kernels.lanes import LANES, load, load_imag, load_real, store_complex
 from blocksar.kernels.loops import loop
+from blocksar.kernels.operations import BLEND_BEYOND
 from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS, SAMPLES_IN, SAMPLES_OUT
-
-BEYOND = (-0.5, 1.5)  # shares of a blend: beyond the lines that it was fitted to, a polynomial runs away
 
 SHARES = types.float32[:, ::1]
 
@@ -48,7 +47,7 @@ def window_rows(values: ComplexArray, windows: ComplexArray, which: IntArray, k:
 
 @loop(REAL_ROWS, REAL_ROW, SHARES, **COMPILED)
 def evaluate_shares(coefficients: FloatArray, z: FloatArray, out: NDArray[np.float32]) -> None:
-    """out[r, i] = sum_k coefficients[r, k] z_i^k, within BEYOND.
+    """out[r, i] = sum_k coefficients[r, k] z_i^k, within BLEND_BEYOND.
 
     Parameters
     ----------
@@ -64,7 +63,7 @@ def evaluate_shares(coefficients: FloatArray, z: FloatArray, out: NDArray[np.flo
             for i in range(z.size):
                 value[i] = c + z[i] * value[i]
         for i in range(z.size):
-            out[r, i] = min(max(value[i], BEYOND[0]), BEYOND[1])
+            out[r, i] = min(max(value[i], BLEND_BEYOND[0]), BLEND_BEYOND[1])
 
 
 @njit(**PART, **COMPILED)

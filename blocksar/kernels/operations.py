@@ -12,6 +12,8 @@ from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.phase import Float32Array, Phase
 
+BLEND_BEYOND = (-0.5, 1.5)  # shares of a blend: beyond the lines that it was fitted to, a polynomial runs away
+
 
 @dataclass(frozen=True, eq=False)
 class Turn:

@@ -17,6 +17,7 @@ LEAST_SPREAD = 1e-3  # of halves' lengths, over which the place in the beam half
 EDGES = 1e-4, 0.28  # shares of a half where an edge that fades out may be over
 HALFWAY = 0.3, 0.7  # shares of a half where the place in the beam may be half of that at its edge
 LENGTHS, MOST_LENGTHS = {1e-3: 1, 0.04: 2, 0.15: 3}, 4  # windows by the relative spread of the halves' lengths
+MOST_SPREAD = 1.6  # the longest half over the shortest, between which so many windows are blended
 
 
 class Half(NamedTuple):
@@ -62,13 +63,29 @@ def plan_taper(
 
 
 def _plan_half(half: Half, length: RowPolynomial, full: BoolArray, level: float) -> HalfDwell:
-    windows = _window_lengths(float(half.length.min()), float(half.length.max()))
+    windows = _window_lengths(*_blended(half.length, full))
     edge = 0.0 if half.edge is None else float(np.median(half.edge[full]))
     knots: tuple[tuple[float, float], ...] = ()
     if half.edge is not None and half.halfway is not None:
         edges, halfways = (_by_length(shares[full], half.length[full], windows) for shares in (half.edge, half.halfway))
         knots = tuple(zip(np.clip(edges, *EDGES).tolist(), np.clip(halfways, *HALFWAY).tolist(), strict=True))
     return HalfDwell(length=length, lengths=windows, edge=edge, knots=knots, level=level)
+
+
+def _blended(lengths: FloatArray, full: BoolArray) -> tuple[float, float]:
+    """Shortest and longest half for which windows are made, s.
+
+    Where a beam turns slowly near the collection's ends, dwells that these cut may be several times as long as those
+    with `full` dwell; windows for both would lie too far apart to be blended. Then they are made for full dwells, and
+    for others as far as `MOST_SPREAD` reaches.
+    """
+    shortest, longest = float(lengths.min()), float(lengths.max())
+    if longest > MOST_SPREAD * shortest and full.any():
+        least, most = float(lengths[full].min()), float(lengths[full].max())
+        room = max(MOST_SPREAD * least / most, 1.0) ** 0.5
+        shortest = max(shortest, least / room)
+        longest = min(longest, max(most, MOST_SPREAD * shortest))
+    return shortest, longest
 
 
 def _by_length(shares: FloatArray, lengths: FloatArray, windows: tuple[float, ...]) -> FloatArray:

@@ -186,15 +186,19 @@ def _by_what_is_lit(gate: DwellGate, weights: DwellWeights, reached: BoolArray |
 
 
 def _by_place(line: Line, spots: Focus, gate: DwellGate, weights: DwellWeights) -> FloatArray:
-    """Loss by windows that take a target's place in a beam about its axis as a simple function of time."""
+    """Loss by windows that take a target's place in a beam about its axis as a simple function of time.
+
+    They are made for a few lengths of each half of the dwells, and blended: lengths that differ much cost, too.
+    """
     assert gate.taper is not None
     taper, fade = gate.taper.taper, gate.taper.fade
     made = np.ones(line.time.shape)
     for half, share, length in gate.halves(spots.range, spots.doppler, line.time):
-        knots = [np.interp(length, half.lengths, each) for each in zip(*half.knots, strict=True)] or None
-        rise = taper(half.place(np.maximum(share, 0.0), fade, knots)) / float(taper(np.array(0.0)))
-        made *= np.where(share < 1, rise, 1.0)
-    found, wanted = made * weights.nodes / weights.alone, weights.nodes
+        made *= half.blended(taper, share * length, length, fade=fade)
+    # Edges that fade out are back-projected.
+    whole = weights.alone if weights.share is None else weights.alone * weights.share
+    found, wanted = made + (weights.alone - whole) / float(taper(np.array(0.0))), weights.nodes
+    found *= weights.nodes / weights.alone
     power = (line.weight * wanted**2).sum(axis=-1) * (line.weight * found**2).sum(axis=-1)
     # Under a taper to zero targets that are hardly lit weigh nothing at all.
     return 1 - np.abs((line.weight * wanted * found).sum(axis=-1)) / np.sqrt(np.where(power > 0, power, np.inf))
