@@ -36,7 +36,9 @@ Where the gate has parts over the band (`dwell_gate`), what is left of a shift i
 it: exp(-2j pi u d / T) becomes its interpolation through the parts' own shifts, and slopes are followed.
 
 On a terrain heights displace both ends of a dwell to the same side. What the gate lets in beyond the one is no echo, as
-what has the pixel's Doppler there has left the beam. Only what it cuts off at the other is lost: half of the sum.
+what has the pixel's Doppler there has left the beam. Only what it cuts off at the other is lost: half of the sum. Both
+count where echoes lie on either side of an end: of looks, which the whole beam lights beyond their dwells, and where
+ends fade out within the dwell.
 
 Under a weighting w both sums have the weights w besides, and under an antenna's pattern g the echo has g: the inner
 product along the dwell has (w g)^2, and an end that fades loses by that value there; at a whole one, the pattern counts
@@ -161,34 +163,33 @@ def _gated(
 ) -> FloatArray:
     """Loss by the gate: ends of dwells, and slopes of weights that it does not follow."""
     line, weights, collection = targets.line, targets.weights, targets.geometry.collection
-    by_lit = _by_what_is_lit(gate, weights, reached, collection)
+    whole = _whole_alone(gate, collection)
+    by_lit = whole and (reached is None or weights.pattern is not None)
     lost = _at_ends(targets, gate, parts=parts, by_lit=by_lit, band=band)
     lost *= line.weight.sum(axis=-1)
     if gate.taper is not None and gate.taper.fade:
         lost *= weights.edge**2
-    if reached is not None and not by_lit:
+    if whole and not by_lit:
         lost *= ONE_SIDE
     if parts == 1:
         lost += slope_loss(collection, band) * (line.weight * np.square(weights.change)).sum(axis=-1)
     lost /= line.weighed(weights.nodes**2).weight.sum(axis=-1)
-    if gate.taper is not None and not gate.taper.taper.uniform and not scans_evenly(collection):
+    fitting = scans_evenly(collection) and reached is None
+    if gate.taper is not None and not gate.taper.taper.uniform and not fitting:
         lost += _by_place(line, targets.spots, gate, weights)
     return lost
 
 
-def _by_what_is_lit(gate: DwellGate, weights: DwellWeights, reached: BoolArray | None, collection: Collection) -> bool:
-    """Whether whole ends are counted in what is lit there; heights without a pattern displace both to one side.
-
-    Not of looks: the whole beam, whose echoes the samples hold, lights what lies on both sides of their ends.
-    """
-    whole = (gate.taper is None or not gate.taper.fade) and collection.lit_widths == 1
-    return whole and (reached is None or weights.pattern is not None)
+def _whole_alone(gate: DwellGate, collection: Collection) -> bool:
+    """Whether echoes lie to one side of the ends of dwells: these are whole, and no part of the beam's own."""
+    return (gate.taper is None or not gate.taper.fade) and collection.lit_widths == 1
 
 
 def _by_place(line: Line, spots: Focus, gate: DwellGate, weights: DwellWeights) -> FloatArray:
-    """Loss by windows that take a target's place in a beam about its axis as a simple function of time.
+    """Loss by windows that take a target's place in the beam as a function of time that does not fit the target.
 
-    They are made for a few lengths of each half of the dwells, and blended: lengths that differ much cost, too.
+    Under a beam about its axis a simple one, made for a few lengths of each half of the dwells and blended; on a
+    terrain that of the smooth ground, from which heights move dwells.
     """
     assert gate.taper is not None
     taper, fade = gate.taper.taper, gate.taper.fade
