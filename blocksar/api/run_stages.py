@@ -192,7 +192,7 @@ def _discard_spectra(run: Run, segments: Sequence[Segment], receipts: Sequence[S
 
 
 def _write_collection(run: Run, segment: Segment) -> None:
-    stores.write_collection(run.described, segment.history.collection, segment.source.attrs)
+    stores.write_collection(run.described, segment.history.collection, segment.history.attrs)
 
 
 def _joined(compressed: Sequence[Sequence[Receipt]], read: Sequence[Recovered]) -> list[Recovered]:
@@ -206,7 +206,7 @@ def _receipts_of(read: Sequence[Recovered]) -> list[Receipt]:
 
 def _create_image(run: Run, job: Job, record: RunRecord) -> None:
     """Create image.zarr, without pixels."""
-    side, attrs = image_chunk(job.grid), job.history.attrs
+    side, attrs, terrain = image_chunk(job.grid), job.history.attrs, job.request.terrain
     title = attrs.get("title") or job.history.collection.title or "blocksar image"
     attributes = {
         "title": title,
@@ -216,7 +216,7 @@ def _create_image(run: Run, job: Job, record: RunRecord) -> None:
         "settings": record.settings,
         "run": run.identity,
         "carrier_frequency": job.history.collection.carrier,
-        "ground_height": job.history.collection.ground_height,
+        "ground_height": job.history.collection.ground_height if terrain is None else terrain.mean,
         "calibration": "a target of reflectivity 1 peaks at 1 + 0j",
         "predicted": [block.as_json() for block in record.plan.predicted],
         "warnings": list(record.warnings),
@@ -227,13 +227,13 @@ def _create_image(run: Run, job: Job, record: RunRecord) -> None:
     several = len(job.request.histories) > 1
     if several:
         attributes |= {"source": [str(history.path) for history in job.request.histories], "scene": ""}
-    if job.request.terrain is not None:
-        attributes["terrain"] = job.request.ground.describe(job.request.terrain)
+    if terrain is not None:
+        attributes["terrain"] = job.request.ground.describe(terrain)
     schema = {
         **stores.IMAGE,
         **(stores.COLLECTION_NUMBER if several else {}),
         **(stores.NOISE if all(segment.source.collection.noise_power for segment in job.segments) else {}),
-        **(stores.ON_TERRAIN if job.request.terrain is not None else {}),
+        **(stores.ON_TERRAIN if terrain is not None else {}),
     }
     stores.create(
         run.image, schema, sizes={}, coords={"x": job.grid.x, "y": job.grid.y}, attrs=attributes,

@@ -225,6 +225,7 @@ def _tie(crs: CRS, longitude: float, latitude: float) -> tuple[float, str]:
     """The accuracy that PROJ states of the tie, m, -1 for none, and the first grid that a better one needs."""
     from pyproj.transformer import AreaOfInterest, TransformerGroup
 
+    longitude = longitude - 360 * round(longitude / 360)
     about = AreaOfInterest(longitude, latitude, longitude, latitude)
     with warnings.catch_warnings():  # of what is returned
         warnings.simplefilter("ignore")

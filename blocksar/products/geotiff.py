@@ -138,7 +138,8 @@ def _describe(pixels: Pixels, raster: Pixels | MapPixels, placement: Placement) 
     """One line about what was written."""
     what = f"{pixels.content} of {raster.x.size} x {raster.y.size} pixels"
     if isinstance(raster, MapPixels):
-        unit, (step, _) = ("degrees" if placement.crs.is_geographic else "m"), raster.spacing
+        name, (step, _) = placement.crs.axis_info[0].unit_name, raster.spacing
+        unit = {"metre": "m", "degree": "degrees"}.get(name, name)
         on = "the ground plane" if pixels.source.geometry.terrain is None else "the terrain"
         what = f"{what}, {step:.4g} {unit} wide, orthorectified on {on}"
     line = (

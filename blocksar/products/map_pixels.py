@@ -35,6 +35,7 @@ MESH = 16  # pixels between places whose verticals are computed; between them th
 STEPS = 3  # of the iteration for the height: each leaves the ground's slope times the angle between vertical and z
 SIDE = 65  # places along each side of an image, from which the map's limits are found
 MARGIN = 3.0  # degrees beyond its area of use in which a CRS is still taken
+TORN = 10.0  # diagonals of the image, by which its map is longer where the CRS breaks in between
 MOST = 1 << 33  # pixels
 
 
@@ -84,6 +85,8 @@ class MapPixels:
     frame : Georeference
     x, y : (n,) float
         Middles of columns and rows in the CRS, ascending: easting and northing, or longitude and latitude.
+    spacing : (float, float)
+        Distance between pixels along the axes of the CRS, in its units.
     """
 
     of: Pixels
@@ -91,6 +94,7 @@ class MapPixels:
     frame: Georeference
     x: FloatArray
     y: FloatArray
+    spacing: tuple[float, float]
 
     @classmethod
     def over(cls, pixels: Pixels, crs: CRS, frame: Georeference) -> MapPixels:
@@ -99,7 +103,7 @@ class MapPixels:
         Raises
         ------
         InputError
-            If the image lies outside the area in which the CRS may be used.
+            If the image lies outside the area in which the CRS may be used, or across a break of it.
         """
         x, y = (np.linspace(axis[0], axis[-1], SIDE) for axis in (pixels.x, pixels.y))
         points = pixels.source.geometry.on_ground(*np.meshgrid(x, y))
@@ -109,9 +113,14 @@ class MapPixels:
         if not np.isfinite(places).all():
             raise InputError(f"{crs.name} has no place for all of the image; give another crs")
         steps = _steps(crs, frame, points[SIDE // 2, SIDE // 2], min(pixels.spacing))
-        axes = []
+        axes, longest = [], TORN * np.hypot(np.ptp(x), np.ptp(y)) / min(pixels.spacing)
         for axis, step in enumerate(steps):
             low, high = places[..., axis].min(), places[..., axis].max()
+            if high - low > longest * step:
+                raise InputError(
+                    f"{crs.name} tears the image apart, as longitudes do at 180 degrees: give a projection that suits "
+                    "the place, such as UTM"
+                )
             first = np.floor(low / step)
             axes.append(step * (first + 0.5 + np.arange(int(np.ceil(high / step) - first))))
         if axes[0].size * axes[1].size > MOST:
@@ -119,16 +128,11 @@ class MapPixels:
                 f"{crs.name} would need {axes[0].size} x {axes[1].size} pixels; give a projection that suits the "
                 "place, or a crop"
             )
-        return cls(pixels, crs, frame, *axes)
+        return cls(pixels, crs, frame, axes[0], axes[1], steps)
 
     @property
     def content(self) -> Content:
         return self.of.content
-
-    @property
-    def spacing(self) -> tuple[float, float]:
-        """Distance between pixels along the axes of the CRS, in its units."""
-        return tuple(float(axis[-1] - axis[0]) / max(axis.size - 1, 1) for axis in (self.x, self.y))  # type: ignore[return-value]
 
     def strips(self) -> Iterator[slice]:
         """Divide the rows into parts of bounded size."""

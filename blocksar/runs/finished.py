@@ -98,8 +98,11 @@ class Coverage(NamedTuple):
     column_last: IntArray
 
 
-def _described(folder: Place, record: RunRecord) -> tuple[tuple[Geometry, ...], dict[str, Any]]:
-    """Geometries of a run's segments, and the attributes: those of the first, with the targets of all collections."""
+def _described(folder: Place, record: RunRecord) -> tuple[tuple[Geometry, ...], dict[str, Any], list[Any]]:
+    """Geometries of a run's segments; the attributes of the first, with the targets of all collections; and `source`.
+
+    That attribute, of each segment, says when its slow time is 0.
+    """
     n = len(record.segments)
     places = [folder / "segments" / str(i) / "collection.zarr" for i in range(n)] or [folder / "collection.zarr"]
     read = [stores.read_collection(place) for place in places]
@@ -108,7 +111,8 @@ def _described(folder: Place, record: RunRecord) -> tuple[tuple[Geometry, ...], 
         listed = [target for _, each in read for target in each.get("targets") or []]
         attrs["targets"] = [target for i, target in enumerate(listed) if target not in listed[:i]]
         attrs.pop("scene", None)
-    return tuple(Geometry(collection=collection.centred()) for collection, _ in read), attrs
+    geometries = tuple(Geometry(collection=collection.centred()) for collection, _ in read)
+    return geometries, attrs, [each.get("source") for _, each in read]
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +128,7 @@ class FinishedRun:
     geometry : Geometry
         Geometry of the run's collection.
     attrs : dict
-        Attributes of the phase history: title, georeference, targets and others.
+        Attributes of the phase history: title, georeference, targets and others; `source` of the one in the middle.
     record : RunRecord
     first : (int, int)
         Row and column of the run's image where this part of it begins.
@@ -153,7 +157,7 @@ class FinishedRun:
         record = finished_record(folder)
         if record.receipts and isinstance(folder, LocalPlace):  # a bucket would be listed
             check_finished(folder, record)
-        described, attrs = _described(folder, record)
+        described, attrs, sources = _described(folder, record)
         x, y = (stores.read_region(folder / "image.zarr", name, (slice(None),)) for name in ("x", "y"))
         if x.size and y.size and min(x.size, y.size) < 2:
             raise InputError(
@@ -169,7 +173,7 @@ class FinishedRun:
             return cls(folder, x, y, described[0], attrs, record)
         run = cls(folder, x, y, described[0], attrs, record, segments=described)
         middle = run.segment_at(float(x[x.size // 2]), float(y[y.size // 2]))
-        return replace(run, geometry=described[middle])
+        return replace(run, geometry=described[middle], attrs={**attrs, "source": sources[middle]})
 
     def segment_at(self, x: float, y: float) -> int:
         """Number of the segment that the pixel nearest to a ground point, m, comes from.

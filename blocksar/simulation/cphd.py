@@ -341,7 +341,8 @@ def _scene_coordinates(frame: Georeference, area: FloatArray, spacing: float) ->
     return {
         "EarthModel": "WGS_84",
         "IARP": {
-            "ECF": _xyz(frame.origin), "LLH": {"Lat": frame.latitude, "Lon": frame.longitude, "HAE": frame.height},
+            "ECF": _xyz(frame.origin),
+            "LLH": dict(zip(("Lat", "Lon", "HAE"), frame.to_geodetic(np.zeros(3)).tolist(), strict=True)),
         },
         "ReferenceSurface": {"Planar": {"uIAX": _xyz(frame.axes[0]), "uIAY": _xyz(frame.axes[1])}},
         "ImageArea": {

@@ -121,9 +121,10 @@ class PhaseHistory:
         """The same with a collection that sees one of `count` parts of each dwell, see `collection.sublooks`."""
         collection = sublooks.look_of(self.collection, number, count, sign)
         first, n_pulse = sublooks.pulses_of(self.collection, number, count).start, self.collection.n_pulse
+        attrs = _counted_from(self.attrs, float(self.collection.time[first] - collection.time[0]))
         return replace(
             self, collection=collection, cut=self.cut if self.collection.steered else (first, n_pulse),
-            look=(number, count, sign), attrs={**self.attrs, "look": look_name(number)},
+            look=(number, count, sign), attrs={**attrs, "look": look_name(number)},
         )  # fmt: skip
 
     @property
@@ -172,7 +173,9 @@ class PhaseHistory:
 
     def segment(self, first: int, last: int) -> PhaseHistory:
         """The pulses first <= p < last as a phase history of their own, which counts time from its middle pulse."""
-        return replace(self, collection=self.collection.segment(first, last), cut=(first, self.collection.n_pulse))
+        collection = self.collection.segment(first, last)
+        attrs = _counted_from(self.attrs, float(self.collection.time[first] - collection.time[0]))
+        return replace(self, collection=collection, cut=(first, self.collection.n_pulse), attrs=attrs)
 
     def _in_store(self, pulses: slice) -> slice:
         """The same pulses, counted as the store does."""
@@ -304,6 +307,14 @@ def other_attrs(attrs: Mapping[str, Any], raw: RawEcho | None) -> dict[str, Any]
     """The attributes of a store that neither its collection nor its raw echo has."""
     own = (*COLLECTION_ATTRS, *(RAW_ATTRS if raw is not None else ()))
     return {name: value for name, value in attrs.items() if name not in own}
+
+
+def _counted_from(attrs: dict[str, Any], later: float) -> dict[str, Any]:
+    """The attributes of pulses whose slow time 0 lies so much later, s: `time_zero` of `source` moves with it."""
+    match attrs.get("source"):
+        case {"time_zero": int() | float() as zero, **others}:
+            return {**attrs, "source": {**others, "time_zero": zero + later}}
+    return attrs
 
 
 def read_collection(path: Location) -> tuple[Collection, dict[str, Any]]:

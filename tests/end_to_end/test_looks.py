@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -52,13 +53,16 @@ def check_sum(store: Path, folder: Path, grid: Any, count: int, **more: Any) -> 
     geometry = Geometry(collection=history.collection.centred())
     if history.collection.steered:
         side = entering_side(geometry, float(x.mean()), float(y.mean()))
+    dated = replace(history, attrs={"source": {"time_zero": 7.0}})
     for number in range(count):
-        view = history.of_look(number, count, side)
+        view = dated.of_look(number, count, side)
         first, last = lit_interval(Geometry(collection=view.collection.centred()), x, y)
         start = 0 if view.cut is None else view.cut[0]
         middle = start + int(first[first.shape[0] // 2, first.shape[1] // 2])
         assert middle > before
         before = middle
+        since = view.attrs["source"]["time_zero"] - 7.0  # its slow time counts from there
+        np.testing.assert_allclose(since + view.collection.time, history.collection.time[start:][: view.shape[0]])
         total = total + np.nan_to_num(looks.values[number]) * (last - first)
         pulses = pulses + (last - first)
     assert coherence(total / np.maximum(pulses, 1), np.where(pulses > 0, whole.values, np.nan)) > 0.998

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from distributed import Client
-from strips import DISTANCE, strip_collection, write_strip
+from strips import DISTANCE, TIME_ZERO, strip_collection, write_strip
 
 import blocksar
 from blocksar import stores
@@ -98,6 +98,11 @@ def test_segments_of_a_resumed_run_have_no_seam(
     assert measured > 0.999 and jump < 0.02
     record = json.loads((run / "run.json").read_text())
     assert [tuple(segment["pulses"]) for segment in record["segments"]] == list(SPANS)
+    time = stores.open_phase_history(store).collection.time
+    for number, (first, last) in enumerate(SPANS):  # each counts its time from its own middle
+        collection, attrs = stores.read_collection(run / "segments" / str(number) / "collection.zarr")
+        since = attrs["source"]["time_zero"] - TIME_ZERO
+        np.testing.assert_allclose(since + collection.time, time[first:last], rtol=0, atol=1e-9)
     chips = blocksar.quality(run, reference=True).result["reference"]
     assert min(chip["coherence"] for chip in chips if chip["full_dwell"]) > 0.999
 

@@ -114,6 +114,7 @@ def test_back_projection_puts_targets_where_they_stand(
     check_targets({"targets": [t for t in found["targets"] if t["name"] == "flank"]}, 1)
     image = blocksar.open(run)
     assert image.height.dtype == np.float32
+    assert image.ground_height == stores.read_terrain(place(run / "terrain.zarr")).mean  # that of its map projection
     ground = stores.read_terrain(place(terrain))
     expected = ground.on_grid(image.x.values, image.y.values)
     assert np.nanmax(np.abs(image.height.values - expected)) < 1e-4

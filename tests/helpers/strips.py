@@ -12,6 +12,7 @@ from blocksar.collection.grid import Grid
 from blocksar.simulation.scatterers import simulate_pulses
 
 DISTANCE = float(np.sqrt(1000.0**2 - 400.0**2))  # m, of ground at the reference range from the track
+TIME_ZERO = 100.0  # s, from the start of the collection to slow time 0
 CLUTTER_STEP = 2.0  # m along the strip between scatterers, on average
 
 
@@ -42,7 +43,7 @@ def write_strip(folder: Path, collection: Collection, grid: Grid) -> Path:
     x, y = rng.uniform(grid.x0 - 10, grid.x1 + 10, n), rng.uniform(grid.y0 - 30, grid.y1 + 30, n)
     sigma = rng.standard_normal(n) + 1j * rng.standard_normal(n)
     path = folder / "strip.zarr"
-    stores.create_phase_history(path, collection)
+    stores.create_phase_history(path, collection, attrs={"source": {"time_zero": TIME_ZERO}})
     for first in range(0, collection.n_pulse, 1024):
         pulses = slice(first, min(first + 1024, collection.n_pulse))
         signal = simulate_pulses(collection, x, y, sigma, pulses=pulses, threads=1)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import rasterio
 import xarray as xr
-from pyproj import Transformer
+from pyproj import CRS, Transformer
 
 from blocksar.arrays import FloatArray
 from blocksar.collection.georeference import Georeference
@@ -18,6 +18,7 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
 from blocksar.ingestion.terrain import resampling
+from blocksar.ingestion.terrain.datum import datum_of
 from blocksar.ingestion.terrain.earth import ellipsoid, read_geotiff
 from blocksar.ingestion.terrain.frame_grid import read_frame_grid
 from blocksar.ingestion.terrain.nodata import refuse_untagged
@@ -166,6 +167,43 @@ def test_a_stated_datum_is_taken_and_must_agree(tmp_path: Path) -> None:
         read_geotiff(path, None, HERE, X, Y)
     with pytest.raises(InputError, match="heights over egm2008, but vertical is 'ellipsoid'"):
         read_geotiff(path, "ellipsoid", HERE, X, Y)
+
+
+@pytest.mark.parametrize(
+    ("scene", "west"), [(-179.99, 179.9), (180.0, 179.9), (180.0, -180.1), (-120.0, 239.9), (240.0, -120.1)]
+)
+def test_longitudes_may_be_counted_otherwise_than_by_the_scene(scene: float, west: float, tmp_path: Path) -> None:
+    """Beyond 180 degrees, from 0 to 360, or a whole turn off."""
+    lon, lat = west + 0.001 * (np.arange(200) + 0.5), -16.9 - 0.001 * (np.arange(200) + 0.5)
+    heights = 100 + 200 * (lon - west) - 300 * (lat[:, None] + 17)
+    profile = {"driver": "GTiff", "width": 200, "height": 200, "count": 1, "dtype": "float64", "crs": "EPSG:4326"}
+    with rasterio.open(
+        tmp_path / "dem.tif", "w", **profile, transform=rasterio.Affine(0.001, 0, west, 0, -0.001, -16.9)
+    ) as file:
+        file.write(heights, 1)
+    frame = Georeference(latitude=-17.0, longitude=scene, height=0.0)
+    terrain = read_geotiff(tmp_path / "dem.tif", "ellipsoid", frame, (-600.0, 600.0), (-600.0, 600.0))
+    x, y = np.meshgrid(np.linspace(-600, 600, 9), np.linspace(-600, 600, 9))
+    latitude, longitude, height = np.moveaxis(frame.to_geodetic(np.stack([x, y, terrain(x, y)], axis=-1)), -1, 0)
+    east = (longitude - west) % 360
+    assert height == pytest.approx(100 + 200 * east - 300 * (latitude + 17), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("vertical", "said"),
+    [
+        (
+            '"EGM96 height",VERT_DATUM["EGM96 geoid",2005],UNIT["US survey foot",0.304800609601219],AXIS["Up",UP]',
+            "foot",
+        ),
+        ('"EGM96 depth",VERT_DATUM["EGM96 geoid",2005],UNIT["metre",1],AXIS["Depth",DOWN]', "metre, downwards"),
+    ],
+)
+def test_a_datum_in_other_units_or_downwards_is_refused(vertical: str, said: str) -> None:
+    """A VRT keeps what its CRS says, and its band has no unit then: feet were taken for metres."""
+    crs = CRS(f'COMPD_CS["both",{CRS("EPSG:4326").to_wkt("WKT1_GDAL")},VERT_CS[{vertical}]]')
+    with pytest.raises(InputError, match=rf"dem.vrt has heights in .*{said}.*; convert them to m, upwards"):
+        datum_of(crs, "egm96", "dem.vrt")
 
 
 def test_the_ellipsoid_falls_away_from_the_plane() -> None:

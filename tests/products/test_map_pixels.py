@@ -170,6 +170,32 @@ def test_a_map_that_does_not_suit_is_refused(crs: str, words: str, made: Made, t
     assert not list(tmp_path.iterdir())
 
 
+def test_a_map_that_breaks_within_the_image_is_refused(tmp_path: Path) -> None:
+    """It would be 96 million columns of nothing."""
+    made = make(tmp_path, frame=Georeference(latitude=-17.0, longitude=180.0, height=0.0), size=(60, 50))
+    for crs in ("EPSG:4326", "EPSG:3857"):
+        with pytest.raises(InputError, match="tears the image apart, as longitudes do at 180 degrees"):
+            blocksar.export("geotiff", made.folder, tmp_path / "a.tif", crs=crs)
+    blocksar.export("geotiff", made.folder, tmp_path / "a.tif", crs="EPSG:3832")  # about longitude 150
+
+
+def test_the_width_of_pixels_is_told_in_the_unit_of_the_map(made: Made, tmp_path: Path) -> None:
+    report = blocksar.export("geotiff", made.folder, tmp_path / "a.tif", crs="EPSG:3735")  # in feet: it said 1.312 m
+    assert ", 1.312 US survey foot wide, " in report.summary[0]
+
+
+def test_a_map_of_a_single_column_has_its_width(tmp_path: Path) -> None:
+    """On the Earth's zero point, where two columns of an image lie on whole multiples of the map's spacing."""
+    frame = Georeference(latitude=0.0, longitude=0.0, height=0.0)
+    made = make(tmp_path, frame=frame, size=(2, 50), hole=False)
+    blocksar.export("geotiff", made.folder, tmp_path / "a.tif", crs="EPSG:4326")
+    with rasterio.open(tmp_path / "a.tif") as file:
+        assert file.width == 1 and np.isfinite(file.read(1)).all()
+        east = frame.from_geodetic(np.array([0.0, file.transform.a, 0.0]))[0]
+        assert east == pytest.approx(0.4, rel=1e-4) and file.transform.c == pytest.approx(-file.transform.a)
+    blocksar.export("sicd", made.folder, tmp_path / "a.nitf")  # with corners on equator and meridian
+
+
 def test_samples_are_interpolated_to_a_thousandth() -> None:
     random = np.random.default_rng(4)
     frequency, phase = random.uniform(-0.36, 0.36, (9, 2)), random.uniform(-3, 3, 9)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +22,13 @@ from summed_response import summed_response
 
 import blocksar
 from blocksar import stores
+from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.measurement.targets import Target
+from blocksar.places import place
 from blocksar.products.sicd.aperture import cut_width, find_support
 from blocksar.products.sicd.layout import Layout, lay_out, valid_data
 from blocksar.runs import finished
@@ -291,6 +295,53 @@ def test_sicd_collection_start_comes_from_the_source(tmp_path: Path) -> None:
     assert start.hour * 3600 + start.minute * 60 + start.second + start.microsecond / 1e6 == pytest.approx(
         first, abs=1e-5
     )
+
+
+def turning(run: Made, kind: str) -> Collection:
+    """The collection of a run whose beam turns about an axis, as it would be in another mode."""
+    collection = run.collection
+    assert collection.beam_steering is not None
+    steering = {"strip": np.full(collection.n_pulse, collection.beam_steering.mean()), "tops": collection.beam_steering}
+    if kind == "spot":
+        return replace(collection, beam_width=0.4)
+    return with_patterns(replace(collection, beam_steering=steering[kind]))
+
+
+def test_sicd_tells_mode_and_what_was_compensated(tmp_path: Path) -> None:
+    run = make(tmp_path, size=(60, 50), about_axis=True, beam=(0.02, 0.1), hole=False)
+    attrs = {"georeference": DAYTON.as_attribute()}
+    for kind, mode, beam, track in (
+        ("spot", "SPOTLIGHT", "NO", {}),
+        ("strip", "STRIPMAP", "SV", {}),
+        ("tops", "DYNAMIC STRIPMAP", "SV", {"autofocus": {"points": 20}}),
+    ):
+        stores.write_collection(run.folder / "collection.zarr", turning(run, kind), {**attrs, **track})
+        blocksar.export("sicd", run.folder, tmp_path / f"{kind}.nitf")
+        found = read_sicd(tmp_path / f"{kind}.nitf")
+        assert errors(found.checked) == []
+        assert found.load("CollectionInfo/RadarMode/ModeType") == mode
+        assert found.load("ImageFormation/ImageBeamComp") == beam
+        assert found.load("ImageFormation/AzAutofocus") == ("SV" if track else "NO")
+
+
+def test_sicd_of_a_mosaic_says_what_its_metadata_describe(tmp_path: Path) -> None:
+    """They are those of the collection in the middle, with its date; they cannot be those of the others."""
+    date = {"collection_start": "2024-05-06T00:00:00Z", "time_zero": 100.0}
+    run = make(tmp_path, size=(60, 50), hole=False)
+    later = {**date, "collection_start": "2024-05-07T00:00:00Z"}
+    for number, source in enumerate((date, later)):
+        attrs = {"georeference": DAYTON.as_attribute(), "source": source}
+        stores.write_collection(tmp_path / "segments" / str(number) / "collection.zarr", run.collection, attrs)
+    block = (np.arange(60) >= 15).astype(np.int16) * np.ones((50, 1), np.int16)
+    stores.write_region(place(tmp_path) / "image.zarr", "block", (slice(0, 50), slice(0, 60)), block)
+    record = stores.read_json(place(tmp_path) / "run.json")
+    segments = [{"collection": n, "path": f"{n}.zarr", "fingerprint": "", "pulses": None, "blocks": 1, "parts": 1,
+                 "first_block": n} for n in range(2)]  # fmt: skip
+    stores.write_json(tmp_path / "run.json", {**record, "segments": segments})
+    report = blocksar.export("sicd", tmp_path, tmp_path / "a.nitf")
+    assert "those of 1.zarr, and not those of 25 % of the covered pixels" in report.summary[0]
+    start = read_sicd(tmp_path / "a.nitf").load("Timeline/CollectStart")
+    assert (start - datetime(2024, 5, 7, tzinfo=UTC)).total_seconds() == pytest.approx(100 + run.collection.time[0])
 
 
 def test_sicd_contains_the_known_collection_metadata(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from cphd_files import failures
 from pyproj import Transformer
 from satellite_burst import earth_centred, scene_frame
 
@@ -162,8 +163,11 @@ def test_an_image_of_a_scene_on_the_ellipsoid_has_its_target_in_place(tmp_path: 
 def test_a_cphd_file_lies_where_the_georeference_says(tmp_path: Path) -> None:
     """The ingested frame points east and north; its track is the orbit, and its target where the scene has it."""
     error = "earth_centred = true\nstates = " + str(states().tolist()) + "\nerror = {offset = [0.5, 0.0, 0.0]}"
-    scene = Scene.parse(orbit_scene(more=TARGET, track=error))
+    longitude = scene_frame().longitude
+    text = orbit_scene(more=TARGET, track=error).replace(f"longitude = {longitude!r}", f"longitude = {longitude % 360}")
+    scene = Scene.parse(text)
     blocksar.simulate(scene, tmp_path / "orbit.cphd", cphd=True)
+    assert failures(tmp_path / "orbit.cphd") == []
     blocksar.ingest("cphd", tmp_path / "orbit.cphd", tmp_path / "ph.zarr")
     history = stores.open_phase_history(tmp_path / "ph.zarr")
     frame, collection = Georeference.from_attribute(history.attrs["georeference"]), history.collection

@@ -87,7 +87,7 @@ def datum_of(crs: CRS, vertical: str | None, label: str) -> Datum:
     Raises
     ------
     InputError
-        If neither does, or they differ, or the file's is another one.
+        If neither does, or they differ, or the file's is another one, or not in m upwards.
     """
     stated = _stated(crs, label)
     given = None if vertical is None else Datum.parse(vertical)
@@ -100,8 +100,13 @@ def datum_of(crs: CRS, vertical: str | None, label: str) -> Datum:
 
 def _stated(crs: CRS, label: str) -> str | None:
     vertical = next((part for part in crs.sub_crs_list if part.is_vertical), None)
+    if vertical is None and len(crs.axis_info) < 3:
+        return None
+    axis = (vertical or crs).axis_info[-1]
+    if axis.unit_conversion_factor != 1 or axis.direction != "up":
+        raise InputError(f"{label} has heights in {axis.unit_name}, {axis.direction}wards; convert them to m, upwards")
     if vertical is None:
-        return "ellipsoid" if len(crs.axis_info) == 3 else None
+        return "ellipsoid"
     for name, word in KNOWN_AS.items():
         if word in vertical.name.upper().replace(" ", ""):
             return name

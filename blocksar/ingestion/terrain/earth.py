@@ -11,6 +11,7 @@ import numpy as np
 from blocksar.arrays import FloatArray
 from blocksar.collection.georeference import Georeference, datum_tie
 from blocksar.collection.terrain import LEAST, MARGIN, Terrain
+from blocksar.constants import TURN
 from blocksar.errors import InputError
 from blocksar.ingestion.reading import reading
 from blocksar.ingestion.terrain.datum import datum_of
@@ -107,16 +108,23 @@ def _flat(crs: CRS) -> CRS:
 
 
 def _pixels_of(file: DatasetReader, crs: CRS) -> Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
-    """Return a function from longitude and latitude to column and row, of pixels' centres."""
+    """Return a function from longitude and latitude to column and row, of pixels' centres.
+
+    Longitudes of the file may go on beyond 180 degrees, or run from 0 to 360.
+    """
     from pyproj import Transformer
 
-    to_map = Transformer.from_crs("EPSG:4326", _flat(crs), always_xy=True)
+    flat = _flat(crs)
+    to_map = Transformer.from_crs("EPSG:4326", flat, always_xy=True)
+    turn = TURN / flat.axis_info[0].unit_conversion_factor if flat.is_geographic else None
     a, b, west, d, e, north_edge = file.transform[:6]
-    area = a * e - b * d
+    area, middle = a * e - b * d, (a * file.width + b * file.height) / 2
 
     def pixels(longitude: FloatArray, latitude: FloatArray) -> tuple[FloatArray, FloatArray]:
         east, north = to_map.transform(longitude, latitude)
         right, up = np.asarray(east, np.float64) - west, np.asarray(north, np.float64) - north_edge
+        if turn is not None:
+            right = right - turn * np.rint((right - middle) / turn)
         return (e * right - b * up) / area - 0.5, (a * up - d * right) / area - 0.5
 
     return pixels

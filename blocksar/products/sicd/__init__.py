@@ -9,6 +9,8 @@ these. A PLANE grid requires only what holds for a calibrated ground image: pixe
 in ECEF, and each has a centre of aperture, which for a steered beam depends on its yaw (TimeCOAPoly). Range and Doppler
 contours, layover and height sensitivity follow from plane, time and track, and are correct wherever the track is exact.
 Block seams need no treatment: every pixel was focused with its own full dwell, whichever block it lies in.
+A run of several collections, or segments of a strip, has several tracks, of which the file has that in the middle of
+the image; a note tells how many pixels come from others.
 
 An image on a terrain is laid on the plane first, by equal range and Doppler (`plane_image`).
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.polynomial import polynomial as power
 
 from blocksar.arrays import BoolArray, FloatArray
+from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
@@ -18,6 +19,7 @@ from blocksar.products.sicd.layout import FIT_POINTS, Layout, central_pixel, lay
 from blocksar.products.sicd.plane_image import PlaneImage
 from blocksar.products.sicd.polynomials import Poly2D, arp_polynomial, fit_poly2d
 from blocksar.runs.finished import Coverage, FinishedRun
+from blocksar.runs.track import ATTRIBUTE
 from blocksar.version import __version__
 
 if TYPE_CHECKING:
@@ -31,6 +33,8 @@ BAND_ACCURACY = 1e-2  # of the bandwidth, that DeltaKCOAPoly may be off
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 NOISE_ACCURACY = 0.1  # dB, that NoisePoly may be off
 WEIGHTS = 65  # samples of WgtFunct
+STILL = 0.1  # of its width, by which the beam of a strip map may turn
+NEAR_ZERO = 1e-12  # degrees: sarkit 1.8 writes no NITF header of a corner on the equator or the meridian of Greenwich
 POLARIZATIONS = ("V", "H", "X", "Y", "S", "E", "RHC", "LHC")
 
 
@@ -66,18 +70,19 @@ def build_metadata(source: FinishedRun, frame: Georeference) -> Metadata:
     start, known = _collect_start(source)
     if not known:
         notes.append("the phase history has no date, so CollectStart is 1970-01-01")
-    sicd["CollectionInfo"] = _collection_info(source)
+    sicd["CollectionInfo"] = _collection_info(source, grid["TimeCOAPoly"])
     sicd["ImageCreation"] = {"Application": f"blocksar {__version__}", "DateTime": datetime.now(UTC)}
     rows, columns = layout.shape
     sicd["ImageData"] = {
         "PixelType": "RE32F_IM32F", "NumRows": rows, "NumCols": columns, "FirstRow": 0, "FirstCol": 0,
         "FullImage": {"NumRows": rows, "NumCols": columns}, "SCPPixel": scp_pixel, "ValidData": vertices,
     }  # fmt: skip
-    corners = np.array([[0, 0], [0, columns - 1], [rows - 1, columns - 1], [rows - 1, 0]], np.float64)
+    ends = np.array([[0, 0], [0, columns - 1], [rows - 1, columns - 1], [rows - 1, 0]], np.float64)
+    corners = frame.to_geodetic(layout.point(*ends.T))[:, :2]
     sicd["GeoData"] = {
         "EarthModel": "WGS_84",
         "SCP": {"ECF": frame.to_ecef(scp), "LLH": frame.to_geodetic(scp)},
-        "ImageCorners": frame.to_geodetic(layout.point(*corners.T))[:, :2],
+        "ImageCorners": np.where(corners == 0, NEAR_ZERO, corners),
         "ValidData": frame.to_geodetic(layout.point(*vertices.T.astype(np.float64)))[:, :2],
     }
     sicd["Grid"] = grid
@@ -265,16 +270,24 @@ def _collect_start(source: FinishedRun) -> tuple[datetime, bool]:
     return EPOCH, False
 
 
-def _collection_info(source: FinishedRun) -> dict[str, Any]:
+def _collection_info(source: FinishedRun, centre_of_aperture: FloatArray) -> dict[str, Any]:
     """The CollectionInfo branch."""
     collection = source.collection
     return {
         "CollectorName": ascii_text(str(source.attrs.get("collector") or "unknown"), 80),
         "CoreName": ascii_text(f"{source.title} {source.record.identity[:8]}".strip(), 80),
         "CollectType": "MONOSTATIC",
-        "RadarMode": {"ModeType": "DYNAMIC STRIPMAP" if collection.steered else "SPOTLIGHT"},
+        "RadarMode": {"ModeType": _mode(collection, centre_of_aperture)},
         "Classification": classification(source),
     }
+
+
+def _mode(collection: Collection, centre_of_aperture: FloatArray) -> str:
+    """The mode: spotlight if all pixels have one centre of aperture; dynamic if the beam is steered otherwise."""
+    if centre_of_aperture.size == 1:
+        return "SPOTLIGHT"
+    angle = collection.beam_azimuth if collection.beam_steering is None else collection.beam_steering
+    return "STRIPMAP" if np.ptp(angle) < STILL * (collection.beam_width or 0.0) else "DYNAMIC STRIPMAP"
 
 
 def classification(source: FinishedRun) -> str:
@@ -301,8 +314,8 @@ def _set_radar(sicd: Any, source: FinishedRun) -> None:
         "TxFrequencyProc": {"MinProc": low, "MaxProc": high},
         "ImageFormAlgo": "OTHER",
         "STBeamComp": "NO",
-        "ImageBeamComp": "NO",
-        "AzAutofocus": "NO",
+        "ImageBeamComp": "SV" if collection.has_pattern else "NO",  # pixels are divided by the mean of the pattern
+        "AzAutofocus": "SV" if ATTRIBUTE in source.attrs else "NO",
         "RgAutofocus": "NO",
     }
     if isinstance(source, PlaneImage):

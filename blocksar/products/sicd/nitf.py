@@ -40,11 +40,11 @@ def write(
     """
     with library_for("SICD needs", "formats"):
         from sarkit import sicd as sksicd
-    frame, notes = source.placed("a SICD"), []
+    frame, notes = source.placed("a SICD"), _about_segments(source)
     if source.geometry.terrain is not None:
         source = PlaneImage.of(source)
         low, high = source.terrain.limits
-        notes = [
+        notes += [
             f"the ground, z = {low:.5g} .. {high:.5g} m, is laid on the plane z = {source.ground_height:.6g} m by "
             "equal range and Doppler: project pixels to their heights as SICD says"
         ]
@@ -68,6 +68,27 @@ def write(
         file.seek(jbp["ImageSegments"][0]["Data"].get_offset())
         _write_pixels(source, metadata.layout, file, progress or (lambda done, total: None))
     return [*notes, *metadata.notes]
+
+
+def _about_segments(source: FinishedRun) -> list[str]:
+    """That the metadata are those of one segment of several, and how much of the image they do not describe."""
+    if not source.segments:
+        return []
+    counts = np.zeros(len(source.segments), np.int64)
+    for rows in source.strips(0):
+        blocks, number = np.unique(source.read_block(rows, slice(None)), return_counts=True)
+        for block, pixels in zip(blocks.tolist(), number, strict=True):
+            if block >= 0:
+                counts[source.segment_of(block)] += pixels
+    own = source.segments.index(source.geometry)
+    if counts[own] == (total := counts.sum()):
+        return []
+    of, share = source.record.segments[own], 100 * (1 - counts[own] / total)
+    pulses = "" if of.pulses is None else f", pulses {of.pulses[0]} .. {of.pulses[1] - 1}"
+    return [
+        f"note: track, centre of aperture and spatial frequencies are those of {of.path}{pulses}, and not those of "
+        f"{share:.3g} % of the covered pixels, which come from others; a SICD has one track"
+    ]
 
 
 def _write_pixels(source: FinishedRun, layout: Layout, file: BinaryIO, progress: Callback) -> None:
