@@ -339,8 +339,9 @@ def _focus(
         listener.update("plan", 1, 1)
         record = job.record()
         run = Run(folder=request.folder, identity=record.identity, threads=machine.threads)
+        resumed = earlier is not None or run_folder.is_begun(request.folder, record)
         with run_folder.resumable():
-            finished = carry_out(job, run, record, workers, listener, profile, resumed=earlier is not None)
+            finished = carry_out(job, run, record, workers, listener, profile, resumed=resumed)
     found = [
         next((line for plan in job.plans if (line := doubt(plan))), None)
         for doubt in (undersampling, short_dwells, cut_dwells, wobbling_beam, missed_fidelity)
