@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
 
+STORE = "store.zarr"  # the corrected store in the folder of the estimate, until it is complete
+
 
 def autofocus(
     source: Location | xr.Dataset,
@@ -128,6 +130,7 @@ def autofocus(
             summary=[f"{target} is finished already with these settings and this input: nothing to do"],
             result=attribute,
         )
+    overwrite = overwrite or stores.was_being_published(work.folder / STORE, target)
     stores.refuse_existing(target, overwrite=overwrite)
     run_folder.refuse_foreign(work.folder)
     with ExitStack() as stack:
@@ -179,7 +182,7 @@ def _write(
     overwrite: bool,
 ) -> tuple[Sequence[Receipt], dict[str, Any]]:
     """Write the store with its track corrected, in a folder that this process has claimed; receipts and attribute."""
-    source, made = estimate.stored()[0], estimate.folder / "store.zarr"
+    source, made = estimate.stored()[0], estimate.folder / STORE
     receipts = copy_store(client, source.path, made, run, listener)
     listener.begin("finish")
     attribute = estimate.attribute(result)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 
 PIPE_WIDTH = 240  # columns of a table that does not go to a terminal: wide enough to fold nothing
+LEAST_WIDTH = 40  # columns of a table on a terminal that has fewer, or says so: some say 0
 MIN_TEXT = 20  # columns to which a text may be folded
 TABLE_SIDES, COLUMN_GAP = 4, 3  # columns of the terminal that a table takes at its sides, and between its columns
 
@@ -48,6 +49,7 @@ def show(report: Report, context: typer.Context | None = None) -> None:
     options = {} if context is None else context.params
     terminal = sys.stdout.isatty()
     console = Console(width=None if terminal else PIPE_WIDTH)
+    console.width = max(console.width, LEAST_WIDTH)
     for header, rows in (options.get("everything") and report.details) or report.table():
         for part in tables(header, rows, console.width):
             console.print(part)

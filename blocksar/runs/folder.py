@@ -237,7 +237,7 @@ def refuse_links(folder: Place) -> None:
     """
     if not isinstance(folder, LocalPlace):
         return
-    for name in (*OWN, LOCK, ASIDE):
+    for name in (*OWN, TRACK, LOCK, ASIDE):
         if (folder.path / name).is_symlink():
             raise FolderError(
                 f"{folder / name} is a symbolic link, which a run would write through; remove it, or choose another "
