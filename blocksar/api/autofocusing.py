@@ -84,7 +84,7 @@ def autofocus(
         tell. Default: none, and the track is moved by nothing that the samples do not tell.
     workers : int, optional
         Processes of the local cluster; 0: the calling process does the work, without a cluster. Default: the number of
-        cores, at most 4.
+        cores, or cores / threads where these are given, at most 4.
     threads : int, optional
         Threads of each worker. Default: cores / workers, at least 1.
     memory_limit : int or str, optional
@@ -191,6 +191,7 @@ def _write(
         source.path, made, corrected=result.antenna_position, original=source.collection.antenna_position,
         attrs={ATTRIBUTE: attribute, "history": line},
     )  # fmt: skip
+    estimate.check_unchanged()
     stores.publish(made, target, overwrite=overwrite)
     listener.update("finish", 1, 1)
     return receipts, attribute

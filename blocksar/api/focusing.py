@@ -155,7 +155,8 @@ def focus(
         image of whole dwells.
     workers : int, optional
         Processes of the local cluster; 0: the calling process does the work, without a cluster. Default: the number of
-        cores, at most 4; in a notebook or another interactive session 0 for a collection of at most 2**24 samples.
+        cores, or cores / threads where these are given, at most 4; in a notebook or another interactive session 0 for a
+        collection of at most 2**24 samples.
     threads : int, optional
         Threads of each worker. Default: cores / workers, at least 1.
     memory_limit : int or str, optional

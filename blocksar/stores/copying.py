@@ -59,9 +59,9 @@ def copy_files(source: Place, target: Place, versions: Mapping[str, str]) -> dic
     """
     checksums = {}
     for name, version in versions.items():
+        checksums[name] = _copy_file(source / name, target / name)
         if (source / name).version() != version:
             raise InputError(f"{source} changes while it is read ({name}); start again once nothing writes to it")
-        checksums[name] = _copy_file(source / name, target / name)
     return checksums
 
 
