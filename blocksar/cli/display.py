@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Protocol
 
 import typer
 
+from blocksar.cli.endings import say
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -60,14 +62,14 @@ def show(report: Report, context: typer.Context | None = None) -> None:
         *(["--explain says what the columns mean"] if options.get("explain") is False and report.definitions else []),
     ]
     if more and not options.get("quiet"):
-        typer.echo(f"more: {'; '.join(more)}", err=True)
+        say(f"more: {'; '.join(more)}")
 
 
 def hint(context: typer.Context, *command: str) -> None:
     """Say on stderr which command comes next, unless the command is quiet; patterns of files stay as they are."""
     if not context.params.get("quiet"):
         words = [word if "*" in word and " " not in word else shlex.quote(word) for word in ("blocksar", *command)]
-        typer.echo(f"next: {' '.join(words)}", err=True)
+        say(f"next: {' '.join(words)}")
 
 
 def tables(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> Iterator[Table]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import pytest
+import typer
 from every_command import every_command
 from rich.console import Console
 from typer.testing import CliRunner, Result
@@ -572,6 +573,20 @@ def test_progress_bars_are_drawn_on_a_terminal(monkeypatch: pytest.MonkeyPatch) 
         progress.update("focus [block 1]", 1, 4)
         progress.update("focus [block 1]", 4, 4)
     assert "focus [block 1]" in screen.getvalue()  # nothing is interpreted as markup
+
+
+class Full(io.StringIO):
+    def write(self, _: str) -> int:
+        raise OSError(28, "No space left on device")
+
+
+def test_a_command_goes_on_where_its_progress_cannot_be_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", Full())
+    with Progress() as progress:
+        progress.update("focus", 4, 4)
+    with pytest.raises(typer.Exit) as ended:
+        endings.complain("wrong", 2)
+    assert ended.value.exit_code == 2
 
 
 def test_all_commands_but_those_of_groups_are_looked_at() -> None:
