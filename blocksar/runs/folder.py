@@ -301,7 +301,9 @@ def begin(folder: Place, *, resumed: bool = False) -> Iterator[Callable[[], None
         _put_aside(folder)
     try:
         yield partial(_remove_aside, folder)
-    except InputError:
+    except InputError as error:
+        if resumed and isinstance(error, FolderError):  # the input is not wrong
+            raise
         if not resumed or (aside / RECORD).exists():
             clear(folder)
         if (aside / RECORD).exists():
