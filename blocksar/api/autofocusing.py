@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
 
+STORE = "store.zarr"  # the corrected store in the folder of the estimate, until it is complete
+
 
 def autofocus(
     source: Location | xr.Dataset,
@@ -82,7 +84,7 @@ def autofocus(
         tell. Default: none, and the track is moved by nothing that the samples do not tell.
     workers : int, optional
         Processes of the local cluster; 0: the calling process does the work, without a cluster. Default: the number of
-        cores, at most 4.
+        cores, or cores / threads where these are given, at most 4.
     threads : int, optional
         Threads of each worker. Default: cores / workers, at least 1.
     memory_limit : int or str, optional
@@ -128,6 +130,7 @@ def autofocus(
             summary=[f"{target} is finished already with these settings and this input: nothing to do"],
             result=attribute,
         )
+    overwrite = overwrite or stores.was_being_published(work.folder / STORE, target)
     stores.refuse_existing(target, overwrite=overwrite)
     run_folder.refuse_foreign(work.folder)
     with ExitStack() as stack:
@@ -179,7 +182,7 @@ def _write(
     overwrite: bool,
 ) -> tuple[Sequence[Receipt], dict[str, Any]]:
     """Write the store with its track corrected, in a folder that this process has claimed; receipts and attribute."""
-    source, made = estimate.stored()[0], estimate.folder / "store.zarr"
+    source, made = estimate.stored()[0], estimate.folder / STORE
     receipts = copy_store(client, source.path, made, run, listener)
     listener.begin("finish")
     attribute = estimate.attribute(result)
@@ -188,6 +191,7 @@ def _write(
         source.path, made, corrected=result.antenna_position, original=source.collection.antenna_position,
         attrs={ATTRIBUTE: attribute, "history": line},
     )  # fmt: skip
+    estimate.check_unchanged()
     stores.publish(made, target, overwrite=overwrite)
     listener.update("finish", 1, 1)
     return receipts, attribute

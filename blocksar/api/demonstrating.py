@@ -47,7 +47,7 @@ def demo(
     out : path
         Run folder.
     workers : int, optional
-        Processes of the local cluster. Default: the number of cores, at most 4.
+        Processes of the local cluster. Default: the number of cores, or cores / threads, at most 4.
     threads : int, optional
         Threads of each worker. Default: cores / workers, at least 1.
     memory_limit : int or str, optional

@@ -155,7 +155,8 @@ def focus(
         image of whole dwells.
     workers : int, optional
         Processes of the local cluster; 0: the calling process does the work, without a cluster. Default: the number of
-        cores, at most 4; in a notebook or another interactive session 0 for a collection of at most 2**24 samples.
+        cores, or cores / threads where these are given, at most 4; in a notebook or another interactive session 0 for a
+        collection of at most 2**24 samples.
     threads : int, optional
         Threads of each worker. Default: cores / workers, at least 1.
     memory_limit : int or str, optional
@@ -339,8 +340,9 @@ def _focus(
         listener.update("plan", 1, 1)
         record = job.record()
         run = Run(folder=request.folder, identity=record.identity, threads=machine.threads)
+        resumed = earlier is not None or run_folder.is_begun(request.folder, record)
         with run_folder.resumable():
-            finished = carry_out(job, run, record, workers, listener, profile, resumed=earlier is not None)
+            finished = carry_out(job, run, record, workers, listener, profile, resumed=resumed)
     found = [
         next((line for plan in job.plans if (line := doubt(plan))), None)
         for doubt in (undersampling, short_dwells, cut_dwells, wobbling_beam, missed_fidelity)

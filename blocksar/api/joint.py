@@ -116,7 +116,7 @@ def _looks_of(source: Source, count: int, grid: GridLike | None) -> Members:
 
 
 def focus_members(focus: Focus, members: Members, folder: Place, settings: Mapping[str, Any]) -> RunReport:
-    """Focus all channels or looks.
+    """Focus all channels or looks; with `overwrite`, an unfinished run of these is gone on with where it can be.
 
     Parameters
     ----------
@@ -132,6 +132,16 @@ def focus_members(focus: Focus, members: Members, folder: Place, settings: Mappi
     InputError, ProcessingError
         As `focus` does.
     """
+    if settings["overwrite"] and run_folder.is_begun(folder, members.unfinished()):
+        try:
+            return _focus_members(focus, members, folder, {**settings, "overwrite": False})
+        except FolderError as error:  # one of them has other settings, or is damaged
+            if not error.replaceable:
+                raise
+    return _focus_members(focus, members, folder, settings)
+
+
+def _focus_members(focus: Focus, members: Members, folder: Place, settings: Mapping[str, Any]) -> RunReport:
     names, kinds = members.names, f"{members.dimension}s"
     if settings["performance_report"] is not None:
         raise InputError(f"performance_report covers one run, but each of the {kinds} is one; leave it out")
@@ -162,7 +172,7 @@ def focus_members(focus: Focus, members: Members, folder: Place, settings: Mappi
         stack.enter_context(run_folder.resumable())
         if track is not None:
             stack.enter_context(track.removed_if_wrong())
-        input_read = stack.enter_context(run_folder.begin(folder)) if settings["overwrite"] else lambda: None
+        input_read = stack.enter_context(run_folder.begin(folder, resumed=not settings["overwrite"]))
         if earlier is None:
             members.unfinished().write(folder)
             shared |= stack.enter_context(_own_workers(folder, settings))

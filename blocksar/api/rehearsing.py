@@ -14,6 +14,7 @@ from blocksar.graph.machine import Resources
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.planning.disk import exact_bytes, run_bytes
+from blocksar.runs.folder import is_begun
 from blocksar.runs.record import RunRecord
 
 NOTHING_DONE = "nothing was done: leave out --dry-run to focus"
@@ -51,15 +52,15 @@ def rehearse(request: Request, earlier: RunRecord | None, machine: Resources) ->
             *(outside_window(plans) if plans else []),
             time_line(job.predict_effort(), machine),
             cluster,
-            f"{_doing(request, earlier)}: about {size_text(size)}{_free(request.folder, size)}",
+            f"{_doing(request, job, earlier)}: about {size_text(size)}{_free(request.folder, size)}",
             NOTHING_DONE,
         ],
         result=None if not plans else plans[0] if len(plans) == 1 else tuple(plans),
     )
 
 
-def _doing(request: Request, earlier: RunRecord | None) -> str:
-    if earlier is not None:
+def _doing(request: Request, job: Job, earlier: RunRecord | None) -> str:
+    if earlier is not None or is_begun(request.folder, job.record()):
         return f"would go on with the unfinished run in {request.folder}"
     replaced = request.overwrite and request.folder.exists() and request.folder.names()
     return f"would replace what is in {request.folder}" if replaced else f"would write {request.folder}"

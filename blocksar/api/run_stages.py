@@ -46,7 +46,7 @@ def carry_out(
     """
     started = time.perf_counter()
     with ExitStack() as stack:
-        input_read = (lambda: None) if resumed else stack.enter_context(run_folder.begin(run.folder))
+        input_read = stack.enter_context(run_folder.begin(run.folder, resumed=resumed))
         run.folder.sweep()
         record.write(run.folder)
         job = job.with_stored_input()

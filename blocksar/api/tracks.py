@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from blocksar import stores
+from blocksar.api.fingerprints import joint_fingerprint
 from blocksar.api.ground import PLANE, geometry_over, ground_settings
 from blocksar.api.jobs import Request, grid_numbers, records_of
 from blocksar.api.track_places import TrackPlace, channels_of_track
@@ -169,6 +170,19 @@ class TrackEstimate:
             return channels_of_track(self.history.stored(self.folder / run_folder.INPUT))
         except InputError as error:  # about the own store, not about the input
             raise ProcessingError(str(error)) from error
+
+    def check_unchanged(self) -> None:
+        """Check that a store is still what the track was estimated from.
+
+        Raises
+        ------
+        InputError
+            If it is not.
+        """
+        if isinstance(self.history, stores.DatasetHistory):
+            return
+        if joint_fingerprint([channel.opened_again().fingerprint() for channel in self.channels]) != self.fingerprint:
+            raise InputError(f"{self.history.path} changes while it is read; start again once nothing writes to it")
 
     def _begin(self) -> None:
         """Leave in the folder what belongs to this estimate only."""

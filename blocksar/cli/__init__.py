@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,8 @@ OF_WORKERS = ("focus", "autofocus")  # the commands that may start workers
 
 def main() -> None:
     """Run the command line: the entry point of `blocksar`. What workers import is imported beside what it needs."""
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # no traceback of imports; `catch_signals` is next
     _check_environment()
     if sys.argv[1:2] and sys.argv[1] in OF_WORKERS:
         with suppress(UnsupportedSystem):  # the command says so

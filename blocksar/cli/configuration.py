@@ -36,10 +36,14 @@ def read_configuration(context: typer.Context, path: str | None) -> str | None:
     known = _options(_configured_command(context))
     own = _options(context.command)
     defaults: dict[str, Any] = {}
+    given: dict[str, str] = {}  # keys by name: dashes may be underscores
     for key, value in _read(path).items():
         name = key.replace("-", "_")
         if name not in known:
             raise InputError(f"{path}: {quoted(key)} is no option of {CONFIGURED}; {_nearest(name, known)}")
+        if name in given:
+            raise InputError(f"{path}: {given[name]} and {key} are one option; give one of them")
+        given[name] = key
         words = _as_typed(value, known[name], f"{path}: {key}")
         try:
             known[name].process_value(context, words)

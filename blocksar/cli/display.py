@@ -10,11 +10,14 @@ from typing import TYPE_CHECKING, Protocol
 
 import typer
 
+from blocksar.cli.endings import say
+
 if TYPE_CHECKING:
     from rich.table import Table
 
 
 PIPE_WIDTH = 240  # columns of a table that does not go to a terminal: wide enough to fold nothing
+LEAST_WIDTH = 40  # columns of a table on a terminal that has fewer, or says so: some say 0
 MIN_TEXT = 20  # columns to which a text may be folded
 TABLE_SIDES, COLUMN_GAP = 4, 3  # columns of the terminal that a table takes at its sides, and between its columns
 
@@ -48,6 +51,7 @@ def show(report: Report, context: typer.Context | None = None) -> None:
     options = {} if context is None else context.params
     terminal = sys.stdout.isatty()
     console = Console(width=None if terminal else PIPE_WIDTH)
+    console.width = max(console.width, LEAST_WIDTH)
     for header, rows in (options.get("everything") and report.details) or report.table():
         for part in tables(header, rows, console.width):
             console.print(part)
@@ -58,14 +62,14 @@ def show(report: Report, context: typer.Context | None = None) -> None:
         *(["--explain says what the columns mean"] if options.get("explain") is False and report.definitions else []),
     ]
     if more and not options.get("quiet"):
-        typer.echo(f"more: {'; '.join(more)}", err=True)
+        say(f"more: {'; '.join(more)}")
 
 
 def hint(context: typer.Context, *command: str) -> None:
     """Say on stderr which command comes next, unless the command is quiet; patterns of files stay as they are."""
     if not context.params.get("quiet"):
         words = [word if "*" in word and " " not in word else shlex.quote(word) for word in ("blocksar", *command)]
-        typer.echo(f"next: {' '.join(words)}", err=True)
+        say(f"next: {' '.join(words)}")
 
 
 def tables(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> Iterator[Table]:

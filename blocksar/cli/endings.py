@@ -9,6 +9,7 @@ import re
 import signal
 import sys
 import threading
+from contextlib import suppress
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -31,8 +32,14 @@ class Terminated(SystemExit):
 
 def complain(message: str, status: int) -> NoReturn:
     """Print a message on stderr and end the command with an exit status."""
-    typer.echo(f"blocksar: {message}", err=True)
+    say(f"blocksar: {message}")
     raise typer.Exit(status)
+
+
+def say(line: str) -> None:
+    """Print a line on stderr; a full disk or a closed pipe there does not change how the command ends."""
+    with suppress(OSError):
+        typer.echo(line, err=True)
 
 
 class Commands(TyperGroup):

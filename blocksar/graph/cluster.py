@@ -124,7 +124,8 @@ def open_client(
     Raises
     ------
     InputError
-        If `client` is none, the scheduler does not answer, or its workers do not have the same version of blocksar.
+        If `client` is none or asynchronous, the scheduler does not answer, or its workers do not have the same version
+        of blocksar.
     ProcessingError
         If the workers of a local cluster do not start.
     """
@@ -133,6 +134,11 @@ def open_client(
             raise InputError(
                 f"client is a {type(client).__name__}; give a distributed.Client, or the address of a scheduler as "
                 "scheduler"
+            )
+        if not is_here(client) and client.asynchronous:
+            raise InputError(
+                "client is asynchronous, and nothing here awaits it; give a distributed.Client without "
+                "asynchronous=True, or the address of a scheduler as scheduler"
             )
         yield client
         return

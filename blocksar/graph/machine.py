@@ -59,7 +59,7 @@ class Resources(NamedTuple):
 
 
 def resources(workers: int | None, threads: int | None, memory_limit: int | None) -> Resources:
-    """Fill in defaults: workers times threads is at most the number of cores, and workers share the memory equally.
+    """Fill in defaults: at most 4 workers, with no more threads in all than cores; workers share the memory equally.
 
     Without workers (0) the calling process does their work: it counts as one.
 
@@ -74,7 +74,7 @@ def resources(workers: int | None, threads: int | None, memory_limit: int | None
             raise InputError(f"{name} is {value!r}; give a whole number of at least {least}")
         if value is not None and value < least:
             raise InputError(f"{name} must be at least {least}, got {value}")
-    workers = min(cores, 4) if workers is None else max(workers, 1)
+    workers = min(max(cores // (threads or 1), 1), 4) if workers is None else max(workers, 1)
     threads = threads or max(cores // workers, 1)
     return Resources(workers, threads, memory_limit or memory // workers)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import socket
+import sys
 from datetime import UTC, datetime
 from typing import Any
 
@@ -16,7 +17,7 @@ def this_process() -> dict[str, Any]:
     return {
         "pid": os.getpid(),
         "host": socket.gethostname(),
-        "process_started": psutil.Process().create_time(),
+        "process_started": _start_of(psutil.Process()),
         "since": f"{datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC",
     }
 
@@ -36,8 +37,13 @@ def is_alive(owner: bytes) -> bool:
         record = json.loads(owner)
         if record["host"] != socket.gethostname():
             return True
-        return bool(abs(psutil.Process(record["pid"]).create_time() - record["process_started"]) < 1)
+        return bool(abs(_start_of(psutil.Process(record["pid"])) - record["process_started"]) < 1)
     except psutil.NoSuchProcess:
         return False
     except (ValueError, KeyError, TypeError):
         return True
+
+
+def _start_of(process: psutil.Process) -> float:
+    """When a process was started, s; on Linux after the boot: a clock that is set moves the time of day of both."""
+    return process.create_time() - (psutil.boot_time() if sys.platform == "linux" else 0.0)

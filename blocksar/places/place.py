@@ -62,7 +62,7 @@ class Place(ABC):
 
     @abstractmethod
     def write_bytes(self, data: bytes) -> None:
-        """Write a file atomically and durably: readers see the old content or the new, and it is on disk on return."""
+        """Write a file atomically: readers see the old content or the new, which is on the disk before it is seen."""
 
     @abstractmethod
     def remove(self) -> None:

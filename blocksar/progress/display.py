@@ -139,7 +139,8 @@ class Progress(Listener):
         if self._live is not None:
             self._live.console.print(line, markup=False, highlight=False, soft_wrap=True)
         elif not self._quiet:
-            print(line, file=sys.stderr, flush=True)
+            with suppress(OSError):  # a full disk, or a pipe that nobody reads: the command goes on
+                print(line, file=sys.stderr, flush=True)
 
     def _print_stage(self, stage: Stage, left: float | None) -> None:
         """Print a plain line if the stage has gained a step."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -236,7 +237,7 @@ def refuse_links(folder: Place) -> None:
     """
     if not isinstance(folder, LocalPlace):
         return
-    for name in (*OWN, LOCK, ASIDE):
+    for name in (*OWN, TRACK, LOCK, ASIDE):
         if (folder.path / name).is_symlink():
             raise FolderError(
                 f"{folder / name} is a symbolic link, which a run would write through; remove it, or choose another "
@@ -288,27 +289,60 @@ def clear(folder: Place) -> None:
 
 
 @contextmanager
-def begin(folder: Place) -> Iterator[Callable[[], None]]:
-    """Begin a new run in a folder; an InputError restores the earlier run.
+def begin(folder: Place, *, resumed: bool = False) -> Iterator[Callable[[], None]]:
+    """Begin a new run in a folder, or go on with one; an InputError restores the earlier run that it replaces.
 
-    Yields the function that removes the earlier run, to be called once the new input has been read. In an object
-    store, where nothing can be renamed, the earlier run is removed at once.
+    Yields the function that removes the earlier run, to be called once the new input has been read. Until then that
+    stays, also if the new run ends otherwise and is resumed. In an object store, where nothing can be renamed, it is
+    removed at once.
     """
     aside = folder / ASIDE
-    aside.remove()
+    if not resumed:
+        _put_aside(folder)
+    try:
+        yield partial(_remove_aside, folder)
+    except InputError as error:
+        if resumed and isinstance(error, FolderError):  # the input is not wrong
+            raise
+        if not resumed or (aside / RECORD).exists():
+            clear(folder)
+        if (aside / RECORD).exists():
+            _move_own(aside, folder, OWN)
+        aside.remove()
+        raise
+
+
+def is_begun(folder: Place, record: RunRecord) -> bool:
+    """Whether a folder has this very run, unfinished: to begin it again would only repeat what is done."""
+    with suppress(InputError):
+        there = RunRecord.read(folder)
+        return not there.finished and _identifying(there) == _identifying(record)
+    return False
+
+
+def _identifying(record: RunRecord) -> tuple[object, ...]:
+    """What tells an unfinished run from others; that of several channels or looks has no identity so far."""
+    several = record.channels, record.dimension, record.input.fingerprint
+    return record.format, record.version, record.identity, several
+
+
+def _put_aside(folder: Place) -> None:
+    """Put an earlier run out of the way of a new one; an unfinished one that has put another aside is removed."""
+    if (folder / ASIDE / RECORD).exists():
+        clear(folder)
+        return
+    (folder / ASIDE).remove()
     if not isinstance(folder, LocalPlace):
         clear(folder)
     elif (folder / RECORD).exists():
-        _move_own(folder, aside, reversed(OWN))  # the record last: a folder without it is taken for another's
-    try:
-        yield aside.remove
-    except InputError:
-        clear(folder)
-        if aside.exists():
-            _move_own(aside, folder, OWN)
-        raise
-    finally:
-        aside.remove()
+        # The record last: a folder without it is taken for another's.
+        _move_own(folder, folder / ASIDE, reversed(OWN))
+
+
+def _remove_aside(folder: Place) -> None:
+    """Remove a run that was put aside, the record first: without it the rest is none."""
+    (folder / ASIDE / RECORD).remove()
+    (folder / ASIDE).remove()
 
 
 def _move_own(source: Place, target: Place, names: Iterable[str]) -> None:

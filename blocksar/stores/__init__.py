@@ -26,6 +26,7 @@ from blocksar.stores.copying import (
     groups_of,
     publish,
     same_files,
+    was_being_published,
     write_track,
 )
 from blocksar.stores.creation import UNFINISHED, create, refuse_existing
@@ -105,6 +106,7 @@ __all__ = [
     "same_files",
     "share_region",
     "terrain_fingerprint",
+    "was_being_published",
     "with_channels",
     "without_unseen",
     "write_collection",

@@ -20,9 +20,10 @@ import xxhash
 from blocksar.arrays import FloatArray
 from blocksar.errors import InputError, ProcessingError
 from blocksar.places.local import LocalPlace
+from blocksar.places.objects import ObjectPlace
 from blocksar.places.place import Place
 from blocksar.stores.chunk_files import refuse_odd_file
-from blocksar.stores.creation import refuse_existing, replacing
+from blocksar.stores.creation import UNFINISHED, holds, replacing, replacing_objects
 from blocksar.stores.faults import unreachable
 from blocksar.stores.layout import METADATA
 from blocksar.stores.records import checksum_bytes, nan_to_null, plain_value
@@ -58,9 +59,9 @@ def copy_files(source: Place, target: Place, versions: Mapping[str, str]) -> dic
     """
     checksums = {}
     for name, version in versions.items():
+        checksums[name] = _copy_file(source / name, target / name)
         if (source / name).version() != version:
             raise InputError(f"{source} changes while it is read ({name}); start again once nothing writes to it")
-        checksums[name] = _copy_file(source / name, target / name)
     return checksums
 
 
@@ -179,23 +180,31 @@ def _change(
 def publish(made: Place, out: Place, *, overwrite: bool) -> None:
     """Give a store that is complete its name, once it is on the disk: by renaming; in an object store by copying.
 
-    There the group's metadata is written last.
+    There it is copied as `replacing_objects` says; one that `was_being_published` is gone on with.
 
     Raises
     ------
     InputError
         If `out` exists and `overwrite` is False, or cannot be written.
     """
-    if isinstance(made, LocalPlace) and isinstance(out, LocalPlace):
-        made.sweep()  # of what killed processes have left in it
-        with replacing(out.path, overwrite=overwrite) as part:
-            made.settle()
-            os.rename(made, part)
+    if isinstance(out, ObjectPlace):
+        with replacing_objects(out, str(made).encode(), overwrite=overwrite) as check_mark:
+            *files, last = sorted((name for name, _, _ in made.files()), key=_last)
+            for name in files:
+                (out / name).write_bytes((made / name).read_bytes())
+            check_mark()
+            (out / last).write_bytes((made / last).read_bytes())
         return
-    refuse_existing(out, overwrite=overwrite)
-    out.remove()
-    for name in sorted((name for name, _, _ in made.files()), key=_last):
-        _put(out / name, (made / name).read_bytes())
+    assert isinstance(made, LocalPlace) and isinstance(out, LocalPlace)
+    made.sweep()  # of what killed processes have left in it
+    with replacing(out.path, overwrite=overwrite) as part:
+        made.settle()
+        os.rename(made, part)
+
+
+def was_being_published(made: Place, out: Place) -> bool:
+    """Whether a process was killed while it published this store: what is there may be replaced."""
+    return isinstance(out, ObjectPlace) and holds(out / UNFINISHED, str(made).encode())
 
 
 def _last(name: str) -> tuple[bool, str]:

@@ -248,26 +248,38 @@ def _create_objects(
     *,
     overwrite: bool,
 ) -> None:
+    with replacing_objects(place, secrets.token_bytes(16), overwrite=overwrite) as check_mark:
+        for key, data in files.items():
+            (place / key).write_bytes(data)
+        if fill is not None:
+            fill(place)
+        check_mark()
+        (place / "zarr.json").write_bytes(metadata)
+
+
+@contextmanager
+def replacing_objects(place: ObjectPlace, token: bytes, *, overwrite: bool) -> Iterator[Callable[[], None]]:
     """Create a store in an object store, where nothing can be renamed: a mark is written first, group metadata last.
 
-    If the mark has changed by the end, another process has begun to write the same store.
+    The mark is this process's `token`; one that was left with the same token is gone on with. Yields the function that
+    checks it, to be called before the group's metadata is written: if it has changed, another process has begun to
+    write the same store.
     """
-    mark, token = place / UNFINISHED, secrets.token_bytes(16)
+    mark = place / UNFINISHED
+
+    def check_mark() -> None:
+        if not holds(mark, token):
+            raise ProcessingError(f"{place} is also being written by somebody else; write each store only once")
+
     try:
-        _refuse_objects(place, overwrite=overwrite)
+        _refuse_objects(place, overwrite=overwrite or holds(mark, token))
         mark.write_bytes(token)
         try:
             _clear(place)
-            for key, data in files.items():
-                (place / key).write_bytes(data)
-            if fill is not None:
-                fill(place)
-            if not _holds(mark, token):
-                raise ProcessingError(f"{place} is also being written by somebody else; write each store only once")
-            (place / "zarr.json").write_bytes(metadata)
+            yield check_mark
         except BaseException:
             with suppress(OSError):
-                if _holds(mark, token):
+                if holds(mark, token):
                     _clear(place)
                     mark.remove()
             raise
@@ -297,7 +309,7 @@ def _clear(place: ObjectPlace) -> None:
             (place / name).remove()
 
 
-def _holds(mark: ObjectPlace, token: bytes) -> bool:
+def holds(mark: Place, token: bytes) -> bool:
     """Tell whether the mark is the one that was written with this token."""
     with suppress(FileNotFoundError):
         return mark.read_bytes() == token

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import xarray as xr
 from arrays import arrays
+from distributed import Client
 from typer.testing import CliRunner
 
 import blocksar
@@ -140,6 +141,24 @@ def test_control_points_may_lie_on_the_earth(tmp_path: Path) -> None:
     assert point.name == "P" and point[1:3] == pytest.approx((0, 0), abs=1e-6) and point.z == pytest.approx(12.0)
     with pytest.raises(InputError, match="there is no georeference"):
         control_points(tmp_path / "points.geojson", blocksar.collection(**arrays()))
+
+
+class Asynchronous(Client):
+    """As `Client(asynchronous=True)` is to others, without a cluster."""
+
+    asynchronous = True
+
+    def __init__(self) -> None:
+        pass
+
+    def __del__(self) -> None:
+        pass
+
+
+def test_a_client_that_is_asynchronous_is_refused(store: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"^client is asynchronous"):
+        blocksar.focus(store, tmp_path / "out", grid="-10:10:1,-10:10:1", client=Asynchronous())
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("command", ["focus", "autofocus"])

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import pytest
+import typer
 from every_command import every_command
 from rich.console import Console
 from typer.testing import CliRunner, Result
@@ -400,6 +401,24 @@ def test_a_process_that_hangs_after_a_signal_is_ended(again: bool) -> None:
         ended(process, 143)
 
 
+INTERRUPTED_IMPORT = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+class Finder:
+    def find_spec(self, name, *_):
+        if name == "blocksar.cli.commands":
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+from blocksar import cli
+cli.main()
+"""
+
+
+def test_ctrl_c_before_the_command_line_is_imported_gives_no_traceback() -> None:
+    done = subprocess.run([sys.executable, "-c", INTERRUPTED_IMPORT], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (-signal.SIGINT, "")  # which shells report as 130
+
+
 # Output
 
 
@@ -444,6 +463,13 @@ def test_a_terminal_shows_every_figure_of_a_wide_table(width: int) -> None:
     assert all("T0" in part and "T1" in part and "target" in part for part in parts)
     assert len(parts) > 1 and max(map(len, shown.splitlines())) <= width
     assert len(list(display.tables(header, rows, 1000))) == 1
+
+
+def test_a_terminal_that_says_it_has_no_columns_shows_tables(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "0")
+    monkeypatch.setattr(sys, "stdout", Terminal())
+    display.show(REPORT)
+    assert "1.89" in sys.stdout.getvalue()  # type: ignore[attr-defined]
 
 
 def test_all_and_explain_show_what_is_left_out_at_first(api: Calls) -> None:
@@ -547,6 +573,20 @@ def test_progress_bars_are_drawn_on_a_terminal(monkeypatch: pytest.MonkeyPatch) 
         progress.update("focus [block 1]", 1, 4)
         progress.update("focus [block 1]", 4, 4)
     assert "focus [block 1]" in screen.getvalue()  # nothing is interpreted as markup
+
+
+class Full(io.StringIO):
+    def write(self, _: str) -> int:
+        raise OSError(28, "No space left on device")
+
+
+def test_a_command_goes_on_where_its_progress_cannot_be_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", Full())
+    with Progress() as progress:
+        progress.update("focus", 4, 4)
+    with pytest.raises(typer.Exit) as ended:
+        endings.complain("wrong", 2)
+    assert ended.value.exit_code == 2
 
 
 def test_all_commands_but_those_of_groups_are_looked_at() -> None:

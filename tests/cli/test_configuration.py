@@ -131,6 +131,7 @@ def test_the_printed_configuration_is_read_back(text: str, seen: Any) -> None:
         ("zzz = 1", "'zzz' is no option of focus; known are source, out, processor, blocks"),
         ("[focus]\nblocks = 3", "'focus' is no option of focus; did you mean autofocus?"),
         ("dry-run = true", "'dry-run' is no option of focus"),
+        ("memory_limit = '1GiB'\nmemory-limit = '2GiB'", "c.toml: memory_limit and memory-limit are one option"),
         ("workers = -1", "c.toml: workers = '-1': must be greater than or equal to 0"),
         ("workers = 'many'", "c.toml: workers = 'many': "),
         ("processor = 'omega'", "c.toml: processor = 'omega': 'omega' is not one of"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -23,6 +24,7 @@ from blocksar.errors import InputError
 from blocksar.graph import cluster
 from blocksar.measurement.targets import Target
 from blocksar.places import place
+from blocksar.places.place import Place
 
 
 class Corrected(NamedTuple):
@@ -173,6 +175,24 @@ def test_what_others_put_there_meanwhile_stays(
     with pytest.raises(InputError, match=r"notes.txt is not of an estimate of the track"):
         blocksar.autofocus(corrected.source, out, overwrite=True, **settings | {"control": None})
     assert notes.read_text() == "mine"
+
+
+def test_samples_that_change_before_they_are_copied_are_not_taken_with_the_track_of_others(
+    corrected: Corrected, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source, groups = tmp_path / "ph.zarr", stores.files_to_copy
+    shutil.copytree(corrected.source, source)
+
+    def changed(store: Place) -> dict[str, str]:
+        os.utime(next(path for path in (source / "signal" / "c").rglob("*") if path.is_file()), (1, 1))
+        return groups(store)
+
+    monkeypatch.setattr(stores, "files_to_copy", changed)
+    with pytest.raises(InputError, match=r"ph.zarr changes while it is read"):
+        blocksar.autofocus(
+            source, tmp_path / "out.zarr", grid=wrong_tracks.GRID, control=corrected.control, client=client
+        )
+    assert [path.name for path in tmp_path.iterdir()] == ["ph.zarr"]
 
 
 NOISE = "[noise]\npower = 1.0\nseed = 4\n"

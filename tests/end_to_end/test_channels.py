@@ -129,7 +129,8 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(
     with pytest.raises(InputError, match="is not finished"):
         blocksar.open(tmp_path / "run")
     monkeypatch.setattr(joint, "share_chunk", share)
-    blocksar.focus(store, tmp_path / "run", **SETTINGS)
+    summary = blocksar.focus(store, tmp_path / "run", overwrite=True, **SETTINGS).summary  # of a run that is unfinished
+    assert sum("nothing to do" in line for line in summary) == 2
     assert digests(tmp_path / "run" / "image.zarr" / "image") == digests(run / "image.zarr" / "image")
     before = (tmp_path / "run" / "run.json").stat().st_mtime_ns
     assert "nothing to do" in blocksar.focus(store, tmp_path / "run", **SETTINGS).summary[0]

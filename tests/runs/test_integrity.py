@@ -252,7 +252,7 @@ def test_receipts_that_were_altered_do_not_count(
     assert checksum(unfinished) == right
 
 
-@pytest.mark.parametrize("name", ["run.lock", "patches", "receipts", "run.json", "image.zarr"])
+@pytest.mark.parametrize("name", ["run.lock", "patches", "receipts", "run.json", "autofocus"])
 def test_symbolic_links_are_not_written_through(name: str, store: Path, client: Client, tmp_path: Path) -> None:
     run, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
     run.mkdir()

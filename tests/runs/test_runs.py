@@ -395,7 +395,7 @@ class Killed(BaseException):
     """Ends a process where it is, as far as what it leaves on the disk is concerned."""
 
 
-@pytest.mark.parametrize("moves", [1, 3])
+@pytest.mark.parametrize("moves", [pytest.param(1, marks=pytest.mark.slow), 3])
 def test_an_overwrite_that_was_killed_while_it_moved_the_earlier_run_can_be_given_again(
     moves: int, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -417,6 +417,35 @@ def test_an_overwrite_that_was_killed_while_it_moved_the_earlier_run_can_be_give
     blocksar.focus(store, run, blocks=2, overwrite=True, **settings)
     assert blocksar.info(run).result["facts"]["state"].startswith("finished")
     assert not (run / ".replaced").exists()
+
+
+def test_an_overwrite_that_was_interrupted_keeps_the_earlier_run_until_the_input_is_read_and_goes_on(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Given again, it repeats nothing that is done; if the input is then wrong, the earlier run is there again."""
+
+    def interrupted(*_: Any, **__: Any) -> Any:
+        raise KeyboardInterrupt
+
+    def wrong(*_: Any, **__: Any) -> Any:
+        raise InputError("wrong")
+
+    run = tmp_path / "run"
+    settings: dict[str, Any] = {"coefficients": "closed-form", "grid": GRID, "workers": 0}
+    again: dict[str, Any] = settings | {"blocks": 2, "overwrite": True}
+    blocksar.focus(store, run, blocks=1, **settings)
+    before = checksum(run)
+    for ending, error in ((interrupted, KeyboardInterrupt), (wrong, InputError)):
+        with monkeypatch.context() as patch, pytest.raises(error):
+            patch.setattr(stages, "recover", ending)
+            blocksar.focus(store, run, **again)
+    assert checksum(run) == before
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(stages, "mosaic", interrupted)
+        blocksar.focus(store, run, **again)
+    assert not (run / ".replaced").exists()
+    assert "would go on" in " ".join(blocksar.focus(store, run, dry_run=True, **again).summary)
+    assert "2 of 2 blocks" in blocksar.focus(store, run, **again).summary[0]
 
 
 def test_a_run_that_was_killed_while_its_files_were_removed_can_be_replaced(

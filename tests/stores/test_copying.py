@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+import xxhash
 
 from blocksar import stores
 from blocksar.collection.collection import Collection
@@ -87,7 +88,9 @@ def test_a_copy_differs_in_track_and_attributes_only(
     assert after.fingerprint() != before.fingerprint()
 
 
-def test_a_source_that_changes_and_an_altered_copy_are_noticed(small_collection: Collection, tmp_path: Path) -> None:
+def test_a_source_that_changes_and_an_altered_copy_are_noticed(
+    small_collection: Collection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     written(tmp_path / "ph.zarr", small_collection)
     source, target = place(tmp_path / "ph.zarr"), place(tmp_path / "copy.zarr")
     versions = stores.files_to_copy(source)
@@ -102,6 +105,17 @@ def test_a_source_that_changes_and_an_altered_copy_are_noticed(small_collection:
     os.utime(tmp_path / "ph.zarr" / name, (1, 1))
     with pytest.raises(InputError, match=r"changes while it is read \(signal"):
         stores.copy_files(source, target, versions)
+    os.utime(tmp_path / "ph.zarr" / name, ns=(int(versions[name].split()[1]),) * 2)
+    stores.copy_files(source, target, versions)
+    piece = xxhash.xxh3_128
+
+    def while_it_is_copied() -> Any:
+        os.utime(tmp_path / "ph.zarr" / name, (1, 1))
+        return piece()
+
+    monkeypatch.setattr(xxhash, "xxh3_128", while_it_is_copied)
+    with pytest.raises(InputError, match=r"changes while it is read \(signal"):
+        stores.copy_files(source, target, {name: versions[name]})
 
 
 def test_a_published_copy_replaces_only_what_it_may(small_collection: Collection, tmp_path: Path) -> None:

@@ -411,6 +411,35 @@ def test_overwrite_removes_the_group_metadata_first_and_writes_it_last(
     assert order[-2:] == ["write_bytes zarr.json", f"remove {stores.UNFINISHED}"]
 
 
+def test_a_copy_that_was_killed_while_it_was_published_is_published_again(
+    there: Place, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without being told to overwrite; what else is there stays. Until it is whole there is no store."""
+    made, out = there / "made", there / "out"
+    make(made, 1)
+    make(out, 2)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        write = ObjectPlace.write_bytes
+
+        def killed(where: ObjectPlace, data: bytes) -> None:
+            if where.name == "1":
+                patch.setattr(ObjectPlace, "remove", lambda where: None)
+                raise KeyboardInterrupt
+            write(where, data)
+
+        patch.setattr(ObjectPlace, "write_bytes", killed)
+        stores.publish(made, out, overwrite=True)
+    with pytest.raises(InputError, match="left unfinished"):
+        stores.open_dataset(out)
+    make(there / "other", 1)
+    assert not stores.was_being_published(there / "other", out)
+    with pytest.raises(InputError, match=r"left unfinished; .* overwritten"):
+        stores.publish(there / "other", out, overwrite=False)
+    assert stores.was_being_published(made, out)
+    stores.publish(made, out, overwrite=False)
+    assert contents(out) == contents(made)
+
+
 def test_a_writer_is_refused_if_another_replaces_its_store(there: Place) -> None:
     def overtaken(part: Place) -> None:
         stores.write_region(part, "image", np.s_[:8, :8], np.zeros((8, 8), np.complex64))

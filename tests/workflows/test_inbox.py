@@ -378,6 +378,15 @@ def test_foreign_folders_in_the_outbox_are_kept(post: Post) -> None:
     assert post.records("done")["a"]["run"] == str(post.outbox / "runs" / "a.3")
 
 
+def test_what_a_sweep_killed_at_its_first_file_has_left_is_no_run_of_others(post: Post) -> None:
+    post.deliver("a")
+    run = post.outbox / "runs" / "a"
+    run.mkdir(parents=True)
+    (run / ".run.json.01234567.part").write_text("{")
+    assert post.sweep() == post.module.DONE
+    assert post.records("done")["a"]["run"] == str(run)
+
+
 # ---------------------------------------------------------------- hooks
 
 
@@ -503,6 +512,17 @@ def test_a_truncated_log_line_leaves_the_others_intact(post: Post) -> None:
     assert lines.count('{"time": "20') == 1
     lines.remove('{"time": "20')
     assert [json.loads(line)["event"] for line in lines] == ["sweep", "started", "done", "end", "sweep", "end"]
+
+
+def test_a_sweep_goes_on_when_nobody_reads_what_it_says(post: Post) -> None:
+    post.deliver("a", "b")
+    for name in ("a", "b"):
+        shutil.rmtree(post.inbox / f"{name}.zarr" / "time")
+    with post.start() as process:
+        assert process.stderr is not None
+        process.stderr.close()
+        assert process.wait(PATIENCE) == post.module.QUARANTINED
+    assert set(post.records("quarantine")) == {"a", "b"}
 
 
 WRONG: dict[str, tuple[Callable[[Path], dict[str, Any]], str]] = {

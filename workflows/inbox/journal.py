@@ -6,6 +6,7 @@ import json
 import os
 import sys
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
@@ -32,7 +33,7 @@ class Journal:
         """Append one line to the log; a line that a power loss has cut short is ended first."""
         if not self.quiet:
             words = [event.get(key, "") for key in ("event", "name", "run", "reason")]
-            print("inbox:", *(word if word.isprintable() else repr(word) for word in words if word), file=sys.stderr)
+            self._say(" ".join(word if word.isprintable() else repr(word) for word in words if word))
         line = json.dumps({"time": timestamp(), "sweep": self._sweep, **event})
         try:
             with open(self.outbox.folder / "log.jsonl", "ab+") as file:
@@ -40,7 +41,7 @@ class Journal:
                 cut_short = file.read(1) not in (b"", b"\n")
                 file.write(b"\n" * cut_short + line.encode() + b"\n")
         except OSError as error:
-            self._warn(error)
+            self._say(str(error))
 
     def note(self, **changes: Any) -> None:
         """Change the status and write it."""
@@ -49,15 +50,16 @@ class Journal:
         try:
             stores.write_json(self.outbox.folder / "status.json", self.status)
         except ProcessingError as error:
-            self._warn(error)
+            self._say(str(error))
 
     def update(self, stage: str, done: int, total: int) -> None:
         """Note the progress of a run; called by `focus`."""
         if time.monotonic() - self._updated > STATUS_SECONDS:
             self.note(current=self.status["current"] | {"stage": stage, "done": done, "total": total})
 
-    def _warn(self, error: Exception) -> None:
-        print(f"inbox: {error}", file=sys.stderr)
+    def _say(self, text: str) -> None:
+        with suppress(OSError):  # nobody reads it any more: the log and the records have it
+            print("inbox:", text, file=sys.stderr, flush=True)
 
 
 def timestamp() -> str:

@@ -15,7 +15,7 @@ from blocksar import stores
 from blocksar.errors import InputError
 from blocksar.places import place
 from blocksar.places.place import Place
-from blocksar.runs.folder import ASIDE, LOCK
+from blocksar.runs.folder import foreign_names
 from blocksar.runs.record import RunRecord
 from inbox.records import Record, Settings
 
@@ -119,7 +119,7 @@ class Outbox:
         stem = name.removesuffix(".zarr")
         for number in count(1):
             run = self.folder / "runs" / (stem if number == 1 else f"{stem}.{number}")
-            if not os.path.lexists(run) or (run.is_dir() and set(os.listdir(run)) <= {LOCK, ASIDE}):
+            if not os.path.lexists(run) or (run.is_dir() and not foreign_names(place(run), os.listdir(run))):
                 return run, Standing.NOTHING
             record = _read_run_record(run)
             if record is None:
