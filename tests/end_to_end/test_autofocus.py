@@ -156,6 +156,7 @@ def test_what_others_put_into_the_work_folder_stays(corrected: Corrected, client
         (folder / "notes.txt").unlink()
 
 
+@pytest.mark.slow
 def test_what_others_put_there_meanwhile_stays(
     corrected: Corrected, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

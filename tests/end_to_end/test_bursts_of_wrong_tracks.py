@@ -140,6 +140,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(
     assert not (tmp_path / "run" / "autofocus").exists()
 
 
+@pytest.mark.slow
 def test_collections_that_do_not_overlap_are_not_tied(bursts: list[Path], run: Path, tmp_path: Path) -> None:
     report = blocksar.focus([bursts[0], bursts[2]], tmp_path / "run", **SETTINGS)
     said = [line for line in report.summary if "not tied to the collections before" in line]

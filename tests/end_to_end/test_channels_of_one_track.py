@@ -99,6 +99,7 @@ def test_images_are_exact_back_projection_with_the_corrected_track(run: Path, co
     assert not [path for path in (run / "channels").glob("*/autofocus")]
 
 
+@pytest.mark.slow
 def test_a_channel_alone_has_the_track_of_all(store: Path, run: Path, tmp_path: Path) -> None:
     blocksar.focus(stores.open_phase_history(store).of_channel("HH"), tmp_path / "alone", **SETTINGS)
     image = blocksar.open(tmp_path / "alone").image.values
@@ -168,6 +169,7 @@ def test_samples_that_do_not_tell_leave_an_earlier_run_as_it_was(run: Path, tmp_
     assert not (tmp_path / "new").exists() and not (tmp_path / "run" / "autofocus").exists()
 
 
+@pytest.mark.slow
 def test_looks_have_the_track_of_the_whole_dwell(store: Path, corrected: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"has several channels .*; write one of them"):
         blocksar.focus(store, tmp_path / "several", looks=2, **SETTINGS)

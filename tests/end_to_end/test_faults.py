@@ -479,9 +479,10 @@ def test_a_run_resumes_after_its_output_became_read_only(
 # ---------------------------------------------------------------- hung workers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stage", "workers"),
-    [("focus", 1), *(pytest.param(stage, 2, marks=pytest.mark.slow) for stage in ("recover", "focus", "mosaic"))],
+    [("focus", 1), *((stage, 2) for stage in ("recover", "focus", "mosaic"))],
 )
 def test_a_hung_worker_is_replaced(
     stage: str, workers: int, launcher: Launcher, store: Path, again: Callable[[Path], set[str]], tmp_path: Path

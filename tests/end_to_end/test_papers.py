@@ -78,7 +78,8 @@ def test_clutter_in_a_papers_scene_is_coherent_with_back_projection(name: str, c
         assert abs(chip.phase) <= 0.02, (place, chip)
 
 
-@pytest.mark.parametrize("name", [pytest.param("paper_b", marks=pytest.mark.slow), "paper_c"])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["paper_b", "paper_c"])
 def test_without_correction_the_block_ends_are_defocused(
     name: str, stores: dict[str, Path], client: Client, tmp_path: Path
 ) -> None:

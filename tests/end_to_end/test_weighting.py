@@ -79,7 +79,7 @@ def test_weighted_targets_have_the_ideal_response(name: str, client: Client, tmp
     pytest.param("steered", "hann", 51.0, marks=pytest.mark.slow),  # as "taylor:4:-35"
     pytest.param("scan reversed", "hamming", 50.0, marks=pytest.mark.slow),  # "wide band" and "steered" cover it
     ("a patch that the beam lights all at once", "taylor:4:-35", 50.0),
-    ("unsteered", "taylor:4:-35", 57.0),
+    pytest.param("unsteered", "taylor:4:-35", 57.0, marks=pytest.mark.slow),
     ("wide band", "taylor:4:-35", 53.0),  # -48 without parts of the gate over the band
 ])  # fmt: skip
 def test_weighted_clutter_is_that_of_back_projection(

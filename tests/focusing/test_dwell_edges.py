@@ -78,7 +78,7 @@ def test_edges_are_the_sum_over_their_pulses(kind: str, weighting: str) -> None:
     assert np.linalg.norm(added - wanted) < allowed * np.linalg.norm(wanted)
 
 
-@pytest.mark.parametrize("weighting", ["uniform", "taylor:4:-35"])
+@pytest.mark.parametrize("weighting", [pytest.param("uniform", marks=pytest.mark.slow), "taylor:4:-35"])
 def test_what_is_not_lit_is_taken_out(weighting: str) -> None:
     """From the double loop over all pulses to that over the lit ones."""
     collection = with_patterns(spotlight(beam_width=0.0045))

@@ -343,6 +343,7 @@ y = [782.0, 1022.0]
 """
 
 
+@pytest.mark.slow
 def test_migration_at_ends_that_are_back_projected_is_not_counted(tmp_path: Path) -> None:
     """One block loses 0.008 by range migration, most of it towards the ends; 0.0104 was said, and more blocks taken."""
     (tmp_path / "scene.toml").write_text(OFF_AXIS)

@@ -139,6 +139,7 @@ def test_a_damaged_chunk_of_the_spectrum_is_noticed_and_computed_again(
     assert any("damaged and computed again" in line for line in report.summary)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", [overwrite, pytest.param(os.unlink, marks=pytest.mark.slow)])
 def test_a_damaged_chunk_of_a_gated_spectrum_is_noticed_and_computed_again(
     store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: Callable[[Path], None]
@@ -237,7 +238,7 @@ ALTERED: list[dict[str, Any]] = [
 ]
 
 
-@pytest.mark.parametrize("turn", [0, 3, *(pytest.param(turn, marks=pytest.mark.slow) for turn in (1, 2, 4, 5, 6, 7))])
+@pytest.mark.parametrize("turn", [0, *(pytest.param(turn, marks=pytest.mark.slow) for turn in range(1, 8))])
 def test_receipts_that_were_altered_do_not_count(
     turn: int, original: Path, right: str, client: Client, unfinished: Path
 ) -> None:

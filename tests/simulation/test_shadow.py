@@ -42,7 +42,7 @@ def hills() -> Terrain:
     return Terrain(x0=-1200.0, dx=20.0, y0=-1200.0, dy=20.0, heights=heights)
 
 
-@pytest.mark.parametrize("beam_width", [None, 0.12])
+@pytest.mark.parametrize("beam_width", [pytest.param(None, marks=pytest.mark.slow), 0.12])
 def test_pulses_whose_ray_passes_below_the_ground_are_hidden(beam_width: float | None) -> None:
     collection, terrain, random = passing(beam_width), hills(), np.random.default_rng(2)
     x, y = random.uniform(-100, 700, 60), random.uniform(-300, 300, 60)
