@@ -9,6 +9,7 @@ import numpy as np
 
 from blocksar.api.plan_tables import digits
 from blocksar.api.shortfall import describe_shortfall
+from blocksar.arrays import FloatArray
 from blocksar.collection.beam import has_full_dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, folds, ground_spectrum
@@ -18,11 +19,14 @@ from blocksar.constants import MIB
 from blocksar.graph.machine import Resources, machine, pace
 from blocksar.inspection.sentences import doubted_time
 from blocksar.planning import effort
+from blocksar.planning.block import BlockPlan
 from blocksar.planning.disk import run_bytes
+from blocksar.planning.dwell_ends import reaches_full
 from blocksar.planning.plan import Plan
 from blocksar.progress import Work
 
 TRACK_TOLD = 0.01  # rad: noise of the track that leaves less is not mentioned
+PLACES = 9  # of a block along range and yaw, at which full dwells are looked for
 LOOKED_AT = 64  # points along a side of a grid at which lit pulses are counted, and full dwells looked for
 PLANNING_TOLD = 1.0  # s to plan, which are counted in the time of a run
 EXACT_TOLD, EXACT_GAIN = 5.0, 1.5  # s of a run, and times less that back-projection takes, from which on it is told
@@ -70,7 +74,7 @@ def plan_lines(plan: Plan) -> list[str]:
     lines.append(_disk_line(plan))
     if (doubt := doubted_time(plan.geometry.collection)) is not None:
         lines.append(doubt)
-    doubts = undersampling, short_dwells, cut_dwells, wobbling_beam
+    doubts = undersampling, short_dwells, cut_dwells, cut_lobes, wobbling_beam
     lines += [line for doubt in doubts if (line := doubt(plan)) is not None]
     noise = max(block.prediction.track_phase for block in plan.blocks)
     if noise > TRACK_TOLD:
@@ -96,6 +100,27 @@ def cut_dwells(plan: Plan) -> str | None:
         "no point of the grid is lit for a full dwell: the prediction holds for none, and cut dwells differ more from "
         "back-projection"
     )
+
+
+def cut_lobes(plan: Plan) -> str | None:
+    """A sentence if blocks have cut dwells only, whose side lobes are those of a part of the weighting, else None."""
+    if plan.weighting.azimuth.uniform:
+        return None
+    cut = [block for block in plan.blocks if not reaches_full(plan.geometry, *_places(block))]
+    if not cut:
+        return None
+    worst = max(cut, key=lambda block: block.prediction.ideal_pslr)
+    some = f"{len(cut)} of {len(plan.blocks)} blocks have" if len(plan.blocks) > 1 else "the block has"
+    return (
+        f"{some} no full dwell: the weighting of cut dwells is cut as well, with side lobes of up to "
+        f"{worst.prediction.ideal_pslr:.2f} dB in back-projection (block {worst.name})"
+    )
+
+
+def _places(block: BlockPlan) -> tuple[FloatArray, FloatArray]:
+    """Some epoch ranges and yaws of a block."""
+    ground = block.ground
+    return np.linspace(ground.near, ground.far, PLACES), np.linspace(block.low, block.high, PLACES)
 
 
 def _disk_line(plan: Plan) -> str:

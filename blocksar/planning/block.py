@@ -278,7 +278,8 @@ def _predict(
     )  # fmt: skip
     for layer in layers:
         others = _on(targets, layer)
-        predicted = predicted.or_lobes(worst_lobes(others, sampling.gate, Judged.of(others, reached, imaged)))
+        judged = Judged.of(others, reached, imaged)
+        predicted = predicted.or_lobes(worst_lobes(others, sampling.gate, judged, band=sector.weighting.range))
     seen = np.logical_and.reduce([lines.ends.full, *(each.held for each in imaged)])
     of_dwells = sector.taper_loss + (0.0 if ground.waves is None else ground.waves.error**2 / 2)
     if reached is not None:

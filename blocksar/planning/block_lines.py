@@ -80,7 +80,8 @@ class FineLines(NamedTuple):
         """Their targets on the ground of a geometry, as the chain leaves them."""
         return TracedTargets(
             geometry=geometry, epoch_range=self.epoch_range, yaw=self.yaw, line=self.line, spots=self.spots,
-            weights=self.weights, rate=self.ends.rate, scaled_about=self.ends.scaled_about, moves=self.ends.moves,
+            weights=self.weights, uncut=self.ends.uncut, rate=self.ends.rate, scaled_about=self.ends.scaled_about,
+            moves=self.ends.moves,
         )  # fmt: skip
 
 

@@ -96,6 +96,18 @@ def dwell_ends(line: Line) -> tuple[FloatArray, FloatArray]:
     return begins, line.time[..., -1] + outside * line.stretch[..., -1]
 
 
+def reaches_full(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray) -> bool:
+    """Whether the collection cuts not all of the dwells at epoch ranges (n), m, and yaws (m), rad.
+
+    Not where it begins and ends while the beam is over a target: such a dwell is a part of a full one.
+    """
+    if not beam_moves(geometry.collection):
+        return True
+    first, last = dwell_at(geometry, yaw, epoch_range[:, None], uncut=True)
+    begin, end = dwell_at(geometry, yaw, epoch_range[:, None])
+    return bool(((last > first) & (end - begin >= FULL * (last - first))).any())
+
+
 def full_dwells(line: Line, geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray) -> BoolArray:
     """Which lines (..., n) of targets at epoch ranges (m) and yaws (rad), broadcast, are lit over a full dwell.
 

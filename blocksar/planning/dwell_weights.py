@@ -164,7 +164,8 @@ def dwell_weights(
         nodes = taper(place)
         share = faded_taper(FLAT, place, fade) if fade else None
         if collection.steered and not (stays or taper.uniform) and moves is not None:
-            change = taper.slope(place) * 2 / dwell * moves
+            # A beam that turns back before it reaches a target gives it a dwell of 0 s: no weights that would move.
+            change = taper.slope(place) * 2 / np.where(dwell > 0, dwell, np.inf) * moves
     weights = DwellWeights(
         taper=taper, nodes=nodes, edge=edge, patterned=stays and not taper.uniform, alone=nodes, change=change,
         lit_band=lit_band, share=share,

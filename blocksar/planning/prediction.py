@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,7 @@ from blocksar.planning.dwell_ends import full_dwells
 from blocksar.planning.end_windows import at_ends
 from blocksar.planning.fidelity import worst_losses
 from blocksar.planning.image_edges import ImageEdges
-from blocksar.planning.lobes import lobe_width, responses, side_lobe
+from blocksar.planning.lobes import Beside, lobe_width, responses, side_lobe, side_lobe_as_in
 from blocksar.planning.traced_targets import TracedTargets
 
 
@@ -81,16 +81,17 @@ def predict(
     The ideal side lobes are those that exact back-projection gives the target with the worst phase. Level lines make
     time after all steps a linear function of the direction in which a target is seen, so that they are those of its
     weights at these times. They differ from the taper's where a beam does not turn evenly, an antenna has a pattern, or
-    dwells are cut: on the curved track of `paper_b` by 0.5 dB under a taper. On a terrain `reached` (n_range, n_yaw)
-    tells which of the targets there are, and `imaged` where the image begins and ends along yaw and along range: a
-    block may be wider than the grid, and the range window slants over a wide one. `contrast` is that of `worst_losses`.
+    dwells are cut: on the curved track of `paper_b` by 0.5 dB under a taper. To these comes what `lobes` has under a
+    weighting. On a terrain `reached` (n_range, n_yaw) tells which of the targets there are, and `imaged` where the
+    image begins and ends along yaw and along range: a block may be wider than the grid, and the range window slants
+    over a wide one. `contrast` is that of `worst_losses`.
     """
     line, spots, weights, geometry = targets.line, targets.spots, targets.weights, targets.geometry
     rng, yaw = targets.epoch_range, targets.yaw
     range_cell = SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
     residual = spots.residual
     judged = Judged.of(targets, reached, imaged or ())
-    lobes = worst_lobes(targets, gate, judged)
+    lobes = worst_lobes(targets, gate, judged, band=band)
     slope = np.gradient(spots.doppler, yaw, axis=1)
     dwell = (line.weight * line.stretch).sum(axis=-1)
     width = weights.taper.ideal.width
@@ -175,18 +176,19 @@ class Judged(NamedTuple):
         return cls(there, full, [each for each in edges if each.before.any() or each.behind.any()])
 
 
-def worst_lobes(targets: TracedTargets, gate: DwellGate | None, judged: Judged) -> Lobes:
+def worst_lobes(targets: TracedTargets, gate: DwellGate | None, judged: Judged, *, band: Taper = FLAT) -> Lobes:
     """Of the target with the worst phase, and of those at the edges of the image beside it; see `predict`."""
     full, uniform = judged.full, targets.weights.uniform
     residual = np.where(judged.there if uniform else full & judged.there, targets.spots.residual, -1.0)
     worst = tuple(int(i) for i in np.unravel_index(int(np.argmax(residual)), residual.shape))
     some = [worst] if uniform or not full.any() else [worst, *_corners(full)]
     changed = _at_ends(targets, gate) if gate is not None and gate.lift else None
-    found = [_azimuth_lobes(targets, target, changed if full[target] else None) for target in some]
+    beside = None if targets.weights.taper.uniform else _beside(targets, band)
+    found = [_azimuth_lobes(targets, target, changed if full[target] else None, beside) for target in some]
     for edge in judged.edges:
         for outer, inner in edge.beside(worst):
-            beyond = _azimuth_lobes(targets, outer, changed)
-            inside = _azimuth_lobes(targets, inner, changed if full[inner] else None)
+            beyond = _azimuth_lobes(targets, outer, changed, beside)
+            inside = _azimuth_lobes(targets, inner, changed if full[inner] else None, beside)
             found.append(inside.towards(beyond, float(edge.share[outer])))
     return max(found, key=Lobes.change)
 
@@ -198,10 +200,24 @@ def _corners(full: BoolArray) -> list[tuple[int, ...]]:
     return sorted({(row, column) for row, columns in ends for column in columns})
 
 
+def _beside(targets: TracedTargets, band: Taper) -> Callable[[tuple[int, ...]], Beside]:
+    """How pixels beside a target sum its echo: as dwells begin and end from yaw to yaw if nothing cuts them."""
+    collection, doppler, yaw = targets.geometry.collection, targets.spots.doppler, targets.yaw
+    moments = np.stack([np.broadcast_to(each, doppler.shape) for each in targets.uncut], axis=-1)
+    passed = np.gradient(doppler, yaw, axis=1)[..., None]
+    pace = np.gradient(moments, yaw, axis=1) / np.where(passed == 0, np.inf, passed)
+    cut = np.broadcast_to(targets.cut, pace.shape)
+    relative = collection.bandwidth / collection.carrier
+    return lambda target: Beside(band, relative, pace[target], cut[target])
+
+
 def _azimuth_lobes(
-    targets: TracedTargets, target: tuple[int, ...], changed: tuple[FloatArray, FloatArray] | None
+    targets: TracedTargets,
+    target: tuple[int, ...],
+    changed: tuple[FloatArray, FloatArray] | None,
+    beside: Callable[[tuple[int, ...]], Beside] | None,
 ) -> Lobes:
-    """Those of one target, with what windows have `changed` (`_at_ends`)."""
+    """Those of one target, with what windows have `changed` (`_at_ends`), and `beside` it."""
     line, spots, weights = targets.line, targets.spots, targets.weights
     weight = weights.weigh(line).weight[target]
     level = line.phase[target] - spots.doppler[target] * line.time[target] - spots.phase[target]
@@ -213,9 +229,16 @@ def _azimuth_lobes(
         at, change = (each[target] for each in changed)
         time, weight = np.append(time, at - spots.time[target]), np.append(weight, np.zeros(at.size))
         made = np.append(made, change)
+    if beside is not None:
+        outer = [0, line.time.shape[-1] - 1]  # whose weights are those at the ends, nearly
+        quadrature = line.weight[target][outer]
+        ends = np.array([each[target] for each in targets.ends]) - spots.time[target]
+        time = np.append(time, ends)
+        weight, made = (np.append(each, each[outer] / quadrature) for each in (weight, made))
     # The ends of the dwell lie slightly outside the outermost nodes. The quadrature over the nodes is still exact.
-    response, ideal = responses(time, made, weight)
-    return Lobes(target, side_lobe(response), lobe_width(response, time), side_lobe(ideal), lobe_width(ideal, time))
+    response, ideal = responses(time, made, weight, beside=None if beside is None else beside(target))
+    side = side_lobe(response) if beside is None else side_lobe_as_in(ideal, response)
+    return Lobes(target, side, lobe_width(response, time), side_lobe(ideal), lobe_width(ideal, time))
 
 
 def _at_ends(targets: TracedTargets, gate: DwellGate) -> tuple[FloatArray, FloatArray]:

@@ -31,6 +31,8 @@ class TracedTargets:
         (n_range, n_yaw), where and how the lines focus.
     weights : DwellWeights
         At the nodes of the lines.
+    uncut : pair of (n_yaw,) or (n_range, n_yaw) float
+        Slow time at which the dwells would begin and end if the collection did not cut them, s from the epoch.
     rate : (n_range, n_yaw, n) float
         The lines' Doppler rate before the steps in Doppler, Hz/s.
     scaled_about : float or None
@@ -45,6 +47,7 @@ class TracedTargets:
     line: Line
     spots: Focus
     weights: DwellWeights
+    uncut: Moments
     rate: FloatArray
     scaled_about: float | None
     moves: FloatArray | None

@@ -200,7 +200,10 @@ def test_side_lobes_of_blocks_without_a_full_dwell_are_judged_by_their_own(patte
     plan = plan_collection(collection, grid=grid_of(collection), weighting=Weighting.parse("taylor:4:-35"), blocks=8)
     side_lobes = [(block.prediction.pslr, block.prediction.ideal_pslr) for block in plan.blocks]
     assert all(abs(found - ideal) < 0.05 for found, ideal in side_lobes)
-    assert max(ideal for _, ideal in side_lobes) > -27 and min(ideal for _, ideal in side_lobes) < -35
+    # Those of full dwells are -33.06 and -39.11 dB in exact back-projection: the beam moves on from pixel to pixel.
+    full = -39.11 if patterns else -33.06
+    assert max(ideal for _, ideal in side_lobes) > -27
+    assert min(ideal for _, ideal in side_lobes) == pytest.approx(full, abs=0.2 if patterns else 0.05)
 
 
 @pytest.mark.parametrize("kind", ["axis", "azimuth"])

@@ -96,7 +96,7 @@ def test_edges_are_summed_where_windows_would_change_the_side_lobes(tmp_path: Pa
     assert plan.fade > 0
     prediction = plan.blocks[0].prediction
     assert prediction.pslr == pytest.approx(prediction.ideal_pslr, abs=0.1)
-    assert prediction.ideal_pslr == pytest.approx(Taper.parse("hamming").ideal.pslr, abs=0.05)
+    assert prediction.ideal_pslr == pytest.approx(-41.57, abs=0.2)  # of `summed_response`, of whole pulses
 
 
 def test_looks_lose_at_their_ends_by_what_the_whole_beam_lights() -> None:
