@@ -127,6 +127,7 @@ def test_a_killed_command_goes_on_to_the_same_bytes(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["again.zarr"]
 
 
+@pytest.mark.slow
 def test_a_damaged_record_of_an_estimate_is_no_wrong_input(
     corrected: Corrected, client: Client, tmp_path: Path
 ) -> None:

@@ -97,6 +97,7 @@ def test_without_correction_the_block_ends_are_defocused(
     assert prediction.quadratic_phase > 30.0
 
 
+@pytest.mark.slow
 def test_linear_derotation_needs_a_higher_prf(client: Client, tmp_path: Path) -> None:
     """Paper A, Figure 6: a PRF sufficient for nonlinear derotation is refused; the message gives the required PRF."""
     (tmp_path / "low.toml").write_text(scene(prf=6900.0, swath=[27500.0, 32500.0]))

@@ -63,6 +63,7 @@ def quantised_copy(store: Path, out: Path) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_a_quantised_raw_echo_gives_the_image_of_its_twin_and_the_noise_it_says(client: Client, tmp_path: Path) -> None:
     wavelength = SPEED_OF_LIGHT / 9.6e9
     assert 2 * SPEED * math.sin(math.radians(SQUINT)) / wavelength > 3 * PRF  # the Doppler centroid

@@ -60,7 +60,8 @@ def against_back_projection(run: Path, store: Path, rows: slice) -> tuple[float,
     return abs(coherence(found, exact).coherence), float(np.ptp([part.phase for part in parts]))
 
 
-@pytest.mark.parametrize("weighting", [pytest.param("uniform", marks=pytest.mark.slow), "taylor:4:-35"])
+@pytest.mark.slow
+@pytest.mark.parametrize("weighting", ["uniform", "taylor:4:-35"])
 def test_a_strip_whose_beam_wobbles_is_as_back_projection(client: Client, tmp_path: Path, weighting: str) -> None:
     """By 1 % of its width at 9 Hz, and by noise from pulse to pulse."""
     still, noise = strip_collection(0.75), np.random.default_rng(3)

@@ -144,6 +144,7 @@ def test_six_millimetres_of_track_error_are_noticed(spotlight: Part) -> None:
     assert run(signal, wobble(collection, 0.0003), grid).warning() is None
 
 
+@pytest.mark.slow
 def test_an_error_of_velocity_or_height_is_measured(spotlight: Part) -> None:
     signal, collection, grid = spotlight
     position, time = collection.antenna_position, collection.time - collection.time.mean()
@@ -218,6 +219,7 @@ def test_a_strip_is_not_called_wrong_by_its_mirror_image(squint: float, tmp_path
         assert run(signal, backwards, grid, thorough=True).warning() is not None
 
 
+@pytest.mark.slow
 def test_a_mountain_is_no_error_of_the_track_if_its_heights_are_known() -> None:
     """Places far above the plane have other Doppler rates than it says, as if the track were wrong."""
     places = ((0, 0), (-500, -300), (500, 300), (-400, 400), (420, -380))
@@ -255,6 +257,7 @@ def meadows(seed: int, *, points: bool) -> Part:
     return signal, collection.centred(), Grid(8400.0, 8840.0, 1.0, -150.0, 150.0, 1.0)
 
 
+@pytest.mark.slow
 def test_clutter_that_fills_no_more_than_patches_is_no_error_of_the_track() -> None:
     """A refocus fits each line's own phase and gains by that: it is no error that other places would show."""
     signal, collection, grid = meadows(6, points=False)

@@ -174,7 +174,7 @@ def curved_strip() -> Collection:
     return replace(strip, antenna_position=track + np.array([0.0, 0.0, 4000.0]), beam_axis=axis)
 
 
-@pytest.mark.parametrize("kind", ["steered unevenly", "on a curved track"])
+@pytest.mark.parametrize("kind", [pytest.param("steered unevenly", marks=pytest.mark.slow), "on a curved track"])
 def test_a_beam_that_turns_unevenly_is_followed(kind: str) -> None:
     """The place of a target in the beam is then no linear function of time in either half of its dwell.
 
@@ -285,6 +285,7 @@ def test_all_pulses_are_summed_where_the_beam_stays_on_a_spot(patterns: bool, te
     assert abs(coherence(np.where(full, image, np.nan), exact).coherence) == pytest.approx(plan.coherence, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_waves_that_do_not_make_the_weights_of_a_wobbling_beam_are_told() -> None:
     """Under a taper 0.9998 was predicted where 0.976 was measured: three waves do not follow a fast wobble."""
     still, weighting = spotlight(n_pulse=600, beam_width=0.013), Weighting.parse("kaiser:2.5")
@@ -302,6 +303,7 @@ def test_waves_that_do_not_make_the_weights_of_a_wobbling_beam_are_told() -> Non
         assert (plan.coherence > 0.999) == (collection is still)
 
 
+@pytest.mark.slow
 def test_a_beam_that_stays_on_little_of_what_it_lights_is_focused_by_a_steadier_gate() -> None:
     """After a scan it stays on the ground that it lights at the end, where its own dwells have no end."""
     scan = axis_collection("tops", beam_width=0.004)
@@ -356,7 +358,7 @@ def test_a_beam_that_wobbles_is_focused_as_predicted(mode: str, kind: str, size:
     assert abs(found.gain - 1) < 2e-3
 
 
-@pytest.mark.parametrize("patterns", [False, True])
+@pytest.mark.parametrize("patterns", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_taper_follows_a_wobbling_beam_as_predicted(patterns: bool) -> None:
     collection = wobbling("stripmap", "9.6", 1e-4)
     collection = with_patterns(collection) if patterns else collection

@@ -42,6 +42,7 @@ def test_spotlights_that_stay_are_focused_over_a_hill_as_on_the_plane(patterns: 
     assert over.refusal is None and over.coherence > plane.coherence - 5e-4
 
 
+@pytest.mark.slow
 def test_lines_over_a_terrain_have_as_many_nodes_at_all_heights() -> None:
     """Along a spline these follow the longest dwell, which heights change: here from 69.0 to 69.2 above the least."""
     still = with_patterns(axis_collection("squinted", n_pulse=1200, beam_width=0.0099975))

@@ -314,7 +314,7 @@ def test_a_finished_image_that_is_changed_afterwards_is_not_taken_for_the_run_s(
     assert "nothing to do" in blocksar.focus(original, tmp_path / "run", **settings).summary[0]
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1)])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), pytest.param((40, 1), marks=pytest.mark.slow)])
 @pytest.mark.parametrize("processor", ["angular-division", "backprojection"])
 def test_a_row_or_a_pixel_is_an_image(
     shape: tuple[int, int], processor: Any, store: Path, right: str, client: Client, tmp_path: Path

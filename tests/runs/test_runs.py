@@ -448,6 +448,7 @@ def test_an_overwrite_that_was_interrupted_keeps_the_earlier_run_until_the_input
     assert "2 of 2 blocks" in blocksar.focus(store, run, **again).summary[0]
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_while_its_files_were_removed_can_be_replaced(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -173,6 +173,7 @@ def test_a_patch_that_differs_from_the_image_is_detected(
     assert not same(patch, image)
 
 
+@pytest.mark.slow
 def test_decimation_holds_no_scene_sized_array(modules: dict[str, ModuleType]) -> None:
     """Decimate 512 MB of samples, of which dask may hold only a few chunks at a time."""
     import tracemalloc
