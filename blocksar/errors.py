@@ -89,6 +89,11 @@ def in_the_way(path: object, state: str = "exists") -> InputError:
     return InputError(f"{path} {state}; choose another name, or have it overwritten (--overwrite)")
 
 
+def changes_while_read(path: object, detail: str = "") -> InputError:
+    """The error about a store that something writes to while it is read; `detail` follows the sentence's first part."""
+    return InputError(f"{path} changes while it is read{detail}; start again once nothing writes to it")
+
+
 @contextmanager
 def library_for(use: str, extra: str) -> Iterator[None]:
     """Turn the error about a missing library, which is imported in the block, into an InputError.

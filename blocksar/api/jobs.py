@@ -21,7 +21,7 @@ from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import UNIFORM, Weighting
-from blocksar.errors import FolderError, InputError, ProcessingError
+from blocksar.errors import FolderError, InputError, ProcessingError, changes_while_read
 from blocksar.focusing.method import Method
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
@@ -228,7 +228,7 @@ def _open(source: One, folder: Place, number: int | None) -> tuple[stores.PhaseH
         own = folder / run_folder.INPUT
         return replace(history, path=own if number is None else own / f"{number}.zarr"), fingerprint
     if not history.opened_again().same(history):
-        raise InputError(f"{history.path} changes while it is read; start again once nothing writes to it")
+        raise changes_while_read(history.path)
     return history, fingerprint
 
 

@@ -22,7 +22,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.constants import MIB
-from blocksar.errors import FolderError, InputError, ProcessingError
+from blocksar.errors import FolderError, InputError, ProcessingError, changes_while_read
 from blocksar.graph import cluster, compiling
 from blocksar.graph.machine import Resources
 from blocksar.graph.tie_stages import tie_tracks
@@ -182,7 +182,7 @@ class TrackEstimate:
         if isinstance(self.history, stores.DatasetHistory):
             return
         if joint_fingerprint([channel.opened_again().fingerprint() for channel in self.channels]) != self.fingerprint:
-            raise InputError(f"{self.history.path} changes while it is read; start again once nothing writes to it")
+            raise changes_while_read(self.history.path)
 
     def _begin(self) -> None:
         """Leave in the folder what belongs to this estimate only."""

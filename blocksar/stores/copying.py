@@ -18,7 +18,7 @@ import numpy as np
 import xxhash
 
 from blocksar.arrays import FloatArray
-from blocksar.errors import InputError, ProcessingError
+from blocksar.errors import InputError, ProcessingError, changes_while_read
 from blocksar.places.local import LocalPlace
 from blocksar.places.objects import ObjectPlace
 from blocksar.places.place import Place
@@ -61,7 +61,7 @@ def copy_files(source: Place, target: Place, versions: Mapping[str, str]) -> dic
     for name, version in versions.items():
         checksums[name] = _copy_file(source / name, target / name)
         if (source / name).version() != version:
-            raise InputError(f"{source} changes while it is read ({name}); start again once nothing writes to it")
+            raise changes_while_read(source, f" ({name})")
     return checksums
 
 

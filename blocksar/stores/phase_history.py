@@ -20,7 +20,7 @@ from blocksar.collection import sublooks
 from blocksar.collection.collection import Collection
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.raw_echo import RawEcho
-from blocksar.errors import InputError
+from blocksar.errors import InputError, changes_while_read
 from blocksar.places import Location
 from blocksar.places import place as place_of
 from blocksar.places.local import LocalPlace
@@ -222,10 +222,7 @@ class PhaseHistory:
         assert self.versions is not None
         if version != self.versions.get(name, ""):
             what = "was gone" if not version else "appeared" if not self.versions.get(name) else "was written"
-            raise InputError(
-                f"{self.path} changes while it is read: {self.variable}/{name} {what} after the start; start again "
-                "once nothing writes to it"
-            )
+            raise changes_while_read(self.path, f": {self.variable}/{name} {what} after the start")
 
     def fingerprint(self) -> str:
         """Return a hash that identifies the input without reading its samples.
