@@ -188,49 +188,110 @@ def form_points(
     x, y = (np.ascontiguousarray(axis, np.float64).reshape(rows) for axis in (x, y))
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise ValueError("x and y must be finite")
-    passes = _lit_passes(geometry, x, y, threads)
-    image, outside = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.bool_)
-    height = _relief(geometry, x, y, outside)
-    if collection.elevation_pattern is not None:
-        _find_dark(outside, geometry, x, y, height, threads)
-    in_range, over_beam, over_pulses = weighting.range, weighting.azimuth, None
-    if not (collection.steered or over_beam.uniform):  # every pixel has the same weights
-        over_pulses, over_beam = over_beam.samples(collection.n_pulse).astype(np.float32), FLAT
-    weight = None if over_beam.uniform else np.zeros(x.shape, np.float32)
-    # Sums of integers are exact: without a weighting nothing is rounded.
-    valid: Any = np.zeros(collection.n_pulse, np.int64 if weighting.uniform else np.float64)
-    gains = np.zeros(x.shape if collection.has_pattern else 0)
-    wanted = np.any([lit_pulses(first, last, collection.n_pulse) for _, first, last in passes], axis=0)
-    for pulses in pulse_blocks(wanted, pulse_block or pulse_block_size(collection)):
-        profiles = range_profiles(read(pulses), collection=collection, pulses=pulses, threads=threads, taper=in_range)
-        valid[pulses] = profiles.valid
-        if over_pulses is not None:
-            valid[pulses] = profiles.valid * over_pulses[pulses]
-            np.multiply(profiles.values, over_pulses[pulses, None], out=profiles.values)
-        for part, first, last in passes:
+    sums = PixelSums(geometry, x, y, weighting, threads)
+    weight = None if sums.over_beam.uniform else np.zeros(x.shape, np.float32)
+    for pulses in pulse_blocks(sums.lit(), pulse_block or pulse_block_size(collection)):
+        profiles = range_profiles(
+            read(pulses), collection=collection, pulses=pulses, threads=threads, taper=weighting.range
+        )
+        sums.note_valid(pulses, profiles.valid)
+        if sums.over_pulses is not None:
+            np.multiply(profiles.values, sums.over_pulses[pulses, None], out=profiles.values)
+        for part, first, last in sums.passes:
             accumulate(
-                image[part], outside[part], profiles, geometry=geometry, x=x[part], y=y[part], first=first, last=last,
-                threads=threads, taper=over_beam, weight=None if weight is None else weight[part],
-                height=None if height is None else height[part],
+                sums.image[part], sums.outside[part], profiles, geometry=geometry, x=x[part], y=y[part], first=first,
+                last=last, threads=threads, taper=sums.over_beam, weight=None if weight is None else weight[part],
+                height=None if sums.height is None else sums.height[part],
             )  # fmt: skip
         del profiles  # before the next block is read: otherwise two blocks are in memory
         if collection.has_pattern:
-            for part, first, last in passes:
-                _add_gains(
-                    gains[part], geometry, x[part], y[part], None if height is None else height[part], first=first,
-                    last=last, pulses=pulses, valid=valid, taper=over_beam, threads=threads,
-                )  # fmt: skip
-    if collection.has_pattern:
-        _normalise_weighted(image, outside, (gains / collection.n_range_frequency).astype(np.float32))
-    elif weight is not None:
-        _normalise_weighted(image, outside, weight)
-    else:
-        before = np.concatenate(([0], np.cumsum(valid)))
-        count = np.zeros(x.shape, before.dtype)
-        for part, first, last in passes:
+            sums.add_gains(pulses)
+    return sums.mean(weight).reshape(shape)
+
+
+class PixelSums:
+    """Sums over pulses at pixels, and what they are divided by.
+
+    Parameters
+    ----------
+    geometry : Geometry
+    x, y : (n_row, n_column) float
+        m, scene frame.
+    weighting : Weighting
+    threads : int
+
+    Attributes
+    ----------
+    image : (n_row, n_column) complex64
+        The sums, zero at first.
+    outside : (n_row, n_column) bool
+        Pixels that get no value.
+    height : (n_row, n_column) float or None
+        Over the plane z = ground_height, m; None: on it.
+    passes : list of Pass
+    over_beam : Taper
+        Weighting over a steered beam.
+    over_pulses : (n_pulse,) float32 or None
+        Weights of pulses that are the same for all pixels.
+
+    Raises
+    ------
+    InputError
+        From `lit_passes`.
+    """
+
+    def __init__(self, geometry: Geometry, x: FloatArray, y: FloatArray, weighting: Weighting, threads: int) -> None:
+        self.geometry, self.x, self.y, self.threads, collection = geometry, x, y, threads, geometry.collection
+        self.passes = _lit_passes(geometry, x, y, threads)
+        self.image, self.outside = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.bool_)
+        self.height = _relief(geometry, x, y, self.outside)
+        if collection.elevation_pattern is not None:
+            _find_dark(self.outside, geometry, x, y, self.height, threads)
+        self.over_beam, self.over_pulses = weighting.azimuth, None
+        if not (collection.steered or self.over_beam.uniform):  # every pixel has the same weights
+            self.over_pulses = self.over_beam.samples(collection.n_pulse).astype(np.float32)
+            self.over_beam = FLAT
+        # Sums of integers are exact: without a weighting nothing is rounded.
+        self._valid: Any = np.zeros(collection.n_pulse, np.int64 if weighting.uniform else np.float64)
+        self._gains: FloatArray | None = None
+
+    def lit(self) -> BoolArray:
+        """Which pulses light any pixel."""
+        n = self.geometry.collection.n_pulse
+        return np.asarray(np.any([lit_pulses(first, last, n) for _, first, last in self.passes], axis=0))
+
+    def note_valid(self, pulses: slice, valid: IntArray | FloatArray) -> None:
+        """Take the number of valid samples (n,) of some pulses, or the sum of their weights over the band."""
+        self._valid[pulses] = valid if self.over_pulses is None else valid * self.over_pulses[pulses]
+
+    def add_gains(self, pulses: slice) -> None:
+        """Add pulses, whose valid samples are known, to the sums of weights times the antenna's pattern."""
+        self._gains = np.zeros(self.image.shape) if self._gains is None else self._gains
+        for part, first, last in self.passes:
+            _add_gains(
+                self._gains[part], self.geometry, self.x[part], self.y[part],
+                None if self.height is None else self.height[part], first=first, last=last, pulses=pulses,
+                valid=self._valid, taper=self.over_beam, threads=self.threads,
+            )  # fmt: skip
+
+    def mean(self, weight: Float32Array | None = None) -> ComplexArray:
+        """Divide the sums, in place, and return them.
+
+        By the sums of weights times the pattern, if these were added; else by `weight` (n_row, n_column), or by the
+        number of valid samples of lit pulses.
+        """
+        n_frequency = self.geometry.collection.n_range_frequency
+        if self._gains is not None:
+            weight = (self._gains / n_frequency).astype(np.float32)
+        if weight is not None:
+            _normalise_weighted(self.image, self.outside, weight)
+            return self.image
+        before = np.concatenate(([0], np.cumsum(self._valid)))
+        count = np.zeros(self.image.shape, before.dtype)
+        for part, first, last in self.passes:
             count[part] += before[last] - before[first]
-        _normalise(image, outside, count, collection.n_range_frequency)
-    return image.reshape(shape)
+        _normalise(self.image, self.outside, count, n_frequency)
+        return self.image
 
 
 def form_image(

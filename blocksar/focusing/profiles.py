@@ -117,7 +117,7 @@ def range_profiles(
     frequency = Axis(-middle * step, step, n)
     delay = Axis(-(period // 2) / (period * step), 1 / (period * step), period)
     before, after = Transform(frequency, delay, inverse=True).phases()
-    lead = unit_phasor(before.cycles(frequency.values)[0]) / np.sinc(frequency.values / (period * step)) ** 3
+    lead = unit_phasor(before.cycles(frequency.values)[0]) * spline_lead(frequency.values / step, period)
     weights = taper.samples(n)
     weights /= weights.mean()
     if not taper.uniform:
@@ -153,6 +153,14 @@ def range_profiles(
         centre=centre,
         spacing=spacing,
     )
+
+
+def spline_lead(frequency: FloatArray, period: int) -> FloatArray:
+    """What samples at frequencies (n,), cycles per period, are multiplied by before the transform to spline coefficients.
+
+    The inverse of the frequency response of the quadratic spline, sinc(f)^3 at f cycles per bin.
+    """
+    return np.asarray(1 / np.sinc(frequency / period) ** 3)
 
 
 def spline_error(*, upsampling: float) -> float:

@@ -1,0 +1,238 @@
+"""Low-pass filters that decimate rows and columns of samples, the first of them after a turn of each row's phase.
+
+A filter for decimation by D passes |nu| <= e / D cycles a sample and stops |nu| >= (1 - e) / D, with e < 1/2 the pass
+edge at the new rate. What lies between is folded onto itself, outside of the pass band. It is a windowed sinc with
+Kaiser's window: for an attenuation of A dB,
+
+    n = (A - 8) / (2.285 dw) + 1 taps,  dw = 2 pi (1 - 2 e) / D,  beta = 0.1102 (A - 8.7) for A > 50,
+
+and passes the pass band within the same error, 10^(-A / 20) at most. Taps add up to D, so that a sum over the decimated
+samples, times anything in the pass band, is the sum over all samples.
+
+References
+----------
+Kaiser, "Nonrecursive digital filter design using the I0-sinh window function", IEEE ISCAS 1974.
+Oppenheim, Schafer, *Discrete-Time Signal Processing*, 3rd ed., 7.5.3 and 4.6.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numba import njit, types
+
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.kernels.lanes import (
+    FEW,
+    LANES,
+    load,
+    load_few,
+    load_imag,
+    load_real,
+    remainder,
+    spread_few,
+    store,
+    totals,
+)  # fmt: skip
+from blocksar.kernels.loops import loop
+from blocksar.kernels.phase import Float32Array
+from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, SAMPLES_IN, SAMPLES_OUT
+from blocksar.kernels.trigonometry import cosine, sine
+
+WHOLE = FEW // 2  # decimated rows are made of whole vectors of real numbers
+BLOCK = 4 * FEW  # real numbers of a row that are summed in registers
+_REALS = types.Array(types.float32, 1, "C", readonly=True)
+_MATRIX_IN = types.Array(types.float32, 2, "C", readonly=True)
+
+
+@dataclass(frozen=True)
+class Decimation:
+    """A filter for decimation by `factor`, which passes |nu| <= edge / factor cycles a sample; no filter for 1.
+
+    Attributes
+    ----------
+    factor : int
+    edge : float
+        e, below 1/2.
+    attenuation : float
+        A, dB.
+    """
+
+    factor: int
+    edge: float
+    attenuation: float
+
+    @property
+    def half(self) -> int:
+        """Taps on either side of the middle one."""
+        if self.factor == 1:
+            return 0
+        return int(np.ceil((self.attenuation - 8) / (2.285 * 2 * np.pi * (1 - 2 * self.edge) / self.factor) / 2))
+
+    @property
+    def taps(self) -> Float32Array:
+        """(2 half + 1,) float32, read-only; they add up to the factor."""
+        return _taps(self.factor, self.half, self.attenuation)
+
+    def span(self, n: int) -> tuple[int, int]:
+        """Number of the decimated samples of n samples, tails included, and the sample at which the first lies."""
+        size = (n + 2 * self.half - 1) // self.factor + 1
+        return size, -self.half - ((size - 1) * self.factor - (n - 1 + 2 * self.half)) // 2
+
+
+@lru_cache(maxsize=64)
+def _taps(factor: int, half: int, attenuation: float) -> Float32Array:
+    k = np.arange(-half, half + 1)
+    beta = 0.1102 * (attenuation - 8.7)
+    if attenuation <= 50:
+        beta = 0.5842 * max(attenuation - 21, 0.0) ** 0.4 + 0.07886 * max(attenuation - 21, 0.0)
+    taps = np.sinc(k / factor) * np.kaiser(2 * half + 1, beta)
+    found = np.asarray(taps * (factor / taps.sum()), np.float32)
+    found.flags.writeable = False
+    return found
+
+
+@njit(**PART, **COMPILED)
+def _turn_row(row: Any, u: Any, first: Any, step: Any, real: Any, imag: Any, lead: Any) -> None:
+    """real[lead + i] + 1j imag[lead + i] = row[i] exp(2j pi (first + step i)); `u` counts samples."""
+    n = row.size
+    whole = n - n % LANES
+    for i in range(0, whole, LANES):
+        part = remainder(first + step * load(u, i))
+        cos, sin = cosine(part), sine(part)
+        a, b = load_real(row, i), load_imag(row, i)
+        store(real, lead + i, a * cos - b * sin)
+        store(imag, lead + i, a * sin + b * cos)
+    for i in range(whole, n):
+        turned = first + step * i
+        angle = 2 * np.pi * (turned - np.rint(turned))
+        cosine_, sine_ = np.float32(np.cos(angle)), np.float32(np.sin(angle))
+        real[lead + i] = row[i].real * cosine_ - row[i].imag * sine_
+        imag[lead + i] = row[i].real * sine_ + row[i].imag * cosine_
+
+
+@loop(SAMPLES_IN, REAL_ROW, REAL_ROW, REAL_ROW, _REALS, types.int64, types.int64, types.int64, SAMPLES_OUT, **COMPILED)
+def _turn_and_decimate(
+    values: ComplexArray, u: FloatArray, first: FloatArray, step: FloatArray, taps: Float32Array, factor: int,
+    lead: int, size: int, out: ComplexArray,
+) -> None:  # fmt: skip
+    n_out = out.shape[1]
+    real, imag = np.zeros(size, np.float32), np.zeros(size, np.float32)
+    for r in range(values.shape[0]):
+        _turn_row(values[r], u, first[r], step[r], real, imag, lead)
+        row = out[r]
+        if taps.size == 1:
+            for j in range(n_out):
+                row[j] = complex(real[j], imag[j])
+            continue
+        for j in range(0, n_out - 1, 2):
+            begin, after = j * factor, (j + 1) * factor
+            a, b = spread_few(np.float32(0)), spread_few(np.float32(0))
+            c, d = spread_few(np.float32(0)), spread_few(np.float32(0))
+            for k in range(0, taps.size, FEW):
+                h = load_few(taps, k)
+                a = a + h * load_few(real, begin + k)
+                b = b + h * load_few(imag, begin + k)
+                c = c + h * load_few(real, after + k)
+                d = d + h * load_few(imag, after + k)
+            re, im = totals(a, b)
+            row[j] = complex(re, im)
+            re, im = totals(c, d)
+            row[j + 1] = complex(re, im)
+
+
+def turn_and_decimate(
+    values: ComplexArray, first: FloatArray, step: FloatArray, decimation: Decimation
+) -> tuple[ComplexArray, int]:
+    """Turn row r by exp(2j pi (first[r] + step[r] i)) at its samples i, then filter and decimate it.
+
+    Parameters
+    ----------
+    values : (n_row, n) complex64
+        Finite; zero where samples are missing.
+    first, step : (n_row,) float
+        Cycles; phases are computed in float64.
+    decimation : Decimation
+
+    Returns
+    -------
+    decimated : (n_row, m) complex64
+        m is a multiple of WHOLE; samples behind the filter's tails are zero.
+    start : int
+        Where the first of them lies, in samples; they are `decimation.factor` apart.
+    """
+    n = values.shape[1]
+    count, start = decimation.span(n)
+    filled = -(-count // WHOLE) * WHOLE
+    taps = decimation.taps if decimation.factor > 1 else np.ones(1, np.float32)
+    padded = np.pad(taps, (0, -taps.size % FEW)) if taps.size > 1 else taps
+    lead = decimation.half - start
+    size = max((filled - 1) * decimation.factor + padded.size, lead + n) + LANES
+    out = np.empty((values.shape[0], filled), np.complex64)
+    first = np.asarray(first - np.rint(first), np.float64)
+    step = np.asarray(step - np.rint(step), np.float64)
+    u = np.arange(n, dtype=np.float64)
+    _turn_and_decimate(values, u, first, step, padded, decimation.factor, lead, size, out)
+    return out, start
+
+
+@loop(_MATRIX_IN, _REALS, types.int64, types.int64, types.float32[:, ::1], **COMPILED)
+def _add_decimated(rows: Float32Array, taps: Float32Array, factor: int, start: int, out: Float32Array) -> None:
+    n, m = rows.shape
+    source, target = rows.reshape(n * m), out.reshape(out.shape[0] * m)
+    whole = m - m % BLOCK
+    for c in range(0, m, BLOCK if whole else FEW):
+        wide = c < whole
+        for k in range(out.shape[0]):
+            begin = start + k * factor
+            low, high = max(0, -begin), min(taps.size, n - begin)
+            if low >= high:
+                continue
+            if wide:
+                at = k * m + c
+                p, q = load_few(target, at), load_few(target, at + FEW)
+                r, s = load_few(target, at + 2 * FEW), load_few(target, at + 3 * FEW)
+                for t in range(low, high):
+                    h, place = taps[t], (begin + t) * m + c
+                    p = p + h * load_few(source, place)
+                    q = q + h * load_few(source, place + FEW)
+                    r = r + h * load_few(source, place + 2 * FEW)
+                    s = s + h * load_few(source, place + 3 * FEW)
+                store(target, at, p)
+                store(target, at + FEW, q)
+                store(target, at + 2 * FEW, r)
+                store(target, at + 3 * FEW, s)
+            else:
+                for e in range(c, m, FEW):
+                    p = load_few(target, k * m + e)
+                    for t in range(low, high):
+                        p = p + taps[t] * load_few(source, (begin + t) * m + e)
+                    store(target, k * m + e, p)
+        if not wide:
+            break
+
+
+def add_decimated(rows: ComplexArray, decimation: Decimation, at: int, out: ComplexArray) -> None:
+    """Filter and decimate along the first axis, and add the result to `out`, in place.
+
+    Rows may come in pieces, one after the other: the filter is linear.
+
+    Parameters
+    ----------
+    rows : (n, m) complex64
+        m is a multiple of WHOLE.
+    decimation : Decimation
+    at : int
+        Where the first row of `out` lies, in rows; the next are `decimation.factor` apart.
+    out : (n_out, m) complex64
+    """
+    if decimation.factor == 1:
+        low, high = max(0, at), min(rows.shape[0], at + out.shape[0])
+        if low < high:
+            out[low - at : high - at] += rows[low:high]
+        return
+    start = at - decimation.half
+    _add_decimated(rows.view(np.float32), decimation.taps, decimation.factor, start, out.view(np.float32))
