@@ -7,6 +7,7 @@ the sums over pulses and range frequencies are formed from decimated data.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
@@ -16,12 +17,13 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import UNIFORM, Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.backprojection import PixelSums, ReadPulses, lit_pulses, pulse_blocks
-from blocksar.focusing.hierarchy import Echoes, Hierarchy, Levels
+from blocksar.focusing.hierarchy import LOOKS, Echoes, Hierarchy, Levels
 from blocksar.focusing.parts import Part
 from blocksar.focusing.profiles import MARGIN, spline_lead
 from blocksar.kernels.beam_weights import BeamTaper
 from blocksar.kernels.fourier import fast_length, fft_rows
 from blocksar.kernels.groups import row_groups, run_groups
+from blocksar.kernels.phase import Float32Array
 from blocksar.kernels.projection import Sights, project
 
 SAFE = 0.45  # of the unambiguous window: ranges that stay within are interpolated without a test of each
@@ -65,13 +67,10 @@ def form_part(
     former = _Former(geometry, levels, sums.over_beam)
     for window, first, last in sums.passes:
         part = Part(x=mesh_x[window][0], y=mesh_y[window][:, 0], z=z[window] if z.ndim else z, first=first, last=last)
-        (begin, end), _ = part.lit()
-        if begin == end:
-            continue
         mark_outside(geometry, part, sums.outside[window])
         blocks = _blocks(read, geometry, part, sums, weighting, threads)
-        echoes = former.hierarchy.gather(part, blocks, geometry.collection.reference_range)
-        former.form(part, echoes, sums.image[window], threads)
+        if (echoes := former.hierarchy.gather(part, blocks)) is not None:
+            former.form(part, echoes, sums.image[window], threads)
     if geometry.collection.has_pattern or not sums.over_beam.uniform:
         for pulses in pulse_blocks(sums.lit(), geometry.collection.n_pulse):
             sums.add_gains(pulses)
@@ -85,29 +84,30 @@ def _blocks(
     n = geometry.collection.n_range_frequency
     weights = weighting.range.samples(n)
     weights /= weights.mean()
-    in_range = None if weighting.range.uniform else weights.astype(np.float32)
-    for pulses in pulse_blocks(
-        lit_pulses(part.first, part.last, geometry.collection.n_pulse), max(PULSE_BLOCK_BYTES // (8 * n), 1)
-    ):
+    lit = lit_pulses(part.first, part.last, geometry.collection.n_pulse)
+    for pulses in pulse_blocks(lit, max(PULSE_BLOCK_BYTES // (8 * n), 1)):
         samples = read(pulses)
-        values = np.empty(samples.shape, np.complex64)
-        valid = np.empty(samples.shape[0])
-
-        def work(
-            rows: slice, samples: ComplexArray = samples, values: ComplexArray = values, valid: FloatArray = valid
-        ) -> None:
-            missing = np.isnan(samples[rows])
-            np.copyto(values[rows], samples[rows])
-            values[rows][missing] = 0
-            valid[rows] = n - (missing.sum(axis=1) if in_range is None else np.where(missing, weights, 0.0).sum(axis=1))
-            if in_range is not None:
-                values[rows] *= in_range
-            if sums.over_pulses is not None:
-                values[rows] *= sums.over_pulses[pulses][rows, None]
-
+        values, valid = np.empty(samples.shape, np.complex64), np.empty(samples.shape[0])
+        over = None if sums.over_pulses is None else sums.over_pulses[pulses]
+        work = partial(_prepare, samples, values, valid, weights, weighting.range.uniform, over)
         run_groups(work, row_groups(0, samples.shape[0], n), threads)
         sums.note_valid(pulses, valid)
         yield np.arange(pulses.start, pulses.stop), values
+
+
+def _prepare(
+    samples: ComplexArray, values: ComplexArray, valid: FloatArray, weights: FloatArray, uniform: bool,
+    over: Float32Array | None, rows: slice,
+) -> None:  # fmt: skip
+    """Write weighted rows, zero where samples are missing, and the sum of the weights of those that are there."""
+    missing = np.isnan(samples[rows])
+    np.copyto(values[rows], samples[rows])
+    values[rows][missing] = 0
+    valid[rows] = weights.size - (missing.sum(axis=1) if uniform else np.where(missing, weights, 0.0).sum(axis=1))
+    if not uniform:
+        values[rows] *= weights.astype(np.float32)
+    if over is not None:
+        values[rows] *= over[rows, None]
 
 
 def mark_outside(geometry: Geometry, part: Part, outside: BoolArray) -> None:
@@ -119,7 +119,7 @@ def mark_outside(geometry: Geometry, part: Part, outside: BoolArray) -> None:
     half = collection.range_window / 2
     position, reference = collection.antenna_position[begin:end], collection.reference_range[begin:end]
     away = np.abs(np.linalg.norm(position - centre, axis=1) - reference)
-    radius = float(np.linalg.norm(part.corners - centre, axis=1).max())
+    radius = float(np.linalg.norm(part.border - centre, axis=1).max())
     if away.max() + radius <= half:
         return
     if max(part.shape) > CHECKED:
@@ -147,7 +147,7 @@ class _Former:
 
     def __init__(self, geometry: Geometry, levels: Levels, over_beam: Taper) -> None:
         self.geometry, self.taper = geometry, over_beam
-        self.hierarchy = Hierarchy(geometry.collection, levels, waves=0.0 if over_beam.uniform else _waves(over_beam))
+        self.hierarchy = Hierarchy(geometry, levels, waves=0.0 if over_beam.uniform else _waves(over_beam))
 
     def form(self, part: Part, echoes: Echoes, image: ComplexArray, threads: int = 1, level: int = 0) -> None:
         """Add a part to the image (n_row, n_column), in place; its parts side by side in threads."""
@@ -160,7 +160,7 @@ class _Former:
 
         def work(window: tuple[slice, slice]) -> None:
             child = part.within(window)
-            left = self.hierarchy.descend(part, echoes, child)
+            left = self.hierarchy.divide(part, echoes, child)
             if left is not None:
                 self.form(child, left, image[window], level=level + 1)
 
@@ -172,17 +172,16 @@ class _Former:
         Rows are put in the order of time: edges before the interior, the interior, edges after it. Each pixel takes all
         of the interior, which lies between its first and its last row.
         """
-        collection, path, n = self.geometry.collection, self.hierarchy.path, echoes.interior.shape[0]
-        inside = echoes.inside
-        before = int(np.searchsorted(echoes.pulses, inside[0])) if n else echoes.pulses.size
-        rows = np.concatenate([echoes.pulses[:before], echoes.grid, echoes.pulses[before:]])
+        collection, path, frame = self.geometry.collection, self.hierarchy.path, echoes.frame
+        before, n = frame.before, frame.size
+        rows = np.concatenate([frame.pulses[:before], frame.grid, frame.pulses[before:]])
         values = np.concatenate([echoes.edges[:before], echoes.interior, echoes.edges[before:]])
-        begin = int(rows[0]) if before else inside[0]
+        begin = int(rows[0]) if before else frame.inside[0]
         first = np.maximum(part.first - begin, 0)
-        last = np.maximum(part.last - begin, 0) if not n else before + n + part.last - inside[1]
+        last = before + n + part.last - frame.inside[1] if n else np.maximum(part.last - begin, 0)
         period = fast_length(self.hierarchy.levels.upsampling * values.shape[1])
-        window, middle = SPEED_OF_LIGHT / (2 * echoes.step), values.shape[1] // 2
-        reach = path.reach(rows, part.centre, part.corners)[0]
+        window, middle = SPEED_OF_LIGHT / (2 * frame.step), values.shape[1] // 2
+        reach = path.reach(rows[:: max(rows.size // LOOKS, 1)], part)[0]
         antenna = path.at(rows).T
         antenna[2] -= collection.ground_height
         sights = Sights(
@@ -191,7 +190,7 @@ class _Former:
             rows=np.arange(rows.size),
             middle=period // 2 + MARGIN,
             bins_per_metre=period / window,
-            cycles_per_metre=2 * (collection.carrier + echoes.start + middle * echoes.step) / SPEED_OF_LIGHT,
+            cycles_per_metre=2 * (collection.carrier + frame.start + middle * frame.step) / SPEED_OF_LIGHT,
             antenna=np.ascontiguousarray(antenna),
             reference_range=path.ranges(rows, part.centre),
             half_window=np.inf if reach < SAFE * window else window / 2,

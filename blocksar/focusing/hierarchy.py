@@ -9,7 +9,8 @@ and the image at a point x of the part is
     image(x) = sum_p sum_f w(x, p) W(f) d_c(p, f) K_x(p, f),   K_x(p, f) = exp(+4j pi (fc + f) / c0 (R_x(p) - R_c(p))).
 
 K_x is smooth. Along f it is a delay of 2 |R_x - R_c| / c0 <= 2 e_r / c0, and along p its Doppler is
-2 (fc + f) / c0 |d/dt (R_x - R_c)| <= e_d, where e_r and e_d are the largest over the part. So the sum is the same after
+2 (fc + f) / c0 |d/dt (R_x - R_c)| <= e_d, where e_r and e_d are the largest over the part; beyond e_d the spectrum of
+K_x falls as an Airy function does (`airy_reach`). So the sum is the same after
 a low-pass filter over d_c that passes such delays and Dopplers: what the filter takes away is orthogonal to K_x. What
 is left can be decimated, and a sum over the decimated samples is the same sum, as long as nothing of the product's
 spectrum folds onto zero: a filter for decimation by D that passes e / D stops (1 - e) / D (`kernels.decimation`).
@@ -43,17 +44,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
-from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.parts import Part, Path
-from blocksar.kernels.decimation import Decimation, add_decimated, turn_and_decimate
+from blocksar.kernels.decimation import Decimation, add_decimated, padded, turn_and_decimate
 
 MOST = 1 << 16  # largest factor of a decimation
-REACHED = 1.02  # times the largest delay and Doppler of a part's corners: those of other points of it
+LOOKS = 24  # pulses at which it is found how far a part reaches
+REACHED = 1.02  # times the largest delay and Doppler on a part's border: those of other points of it
 
 
 @dataclass(frozen=True)
@@ -79,191 +82,232 @@ class Levels:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Echoes:
-    """What is left of a phase history for a part, referred to its centre.
+class Frame:
+    """Which samples are left of a phase history for a part, referred to its centre.
 
     Attributes
     ----------
-    interior : (n, m) complex64
-        Of the pulses that light all of the part, filtered: at the pulses at, at + stride, ...
-    at, stride : int
+    at, stride, size : int
+        The interior: pulses at, at + stride, ..., `size` of them.
     inside : tuple of int
-        The pulses first <= p < last that `interior` stands for; equal, and n is 0, where it stands for none.
-    edges : (k, m) complex64
-        Of the other pulses that light some of it.
+        The pulses first <= p < last that the interior stands for; equal where it stands for none.
     pulses : (k,) int
-        Their numbers, ascending.
-    start, step : float
+        The edges: other pulses that light some of the part, ascending.
+    start, step, columns : float, float, int
         Range frequency of the first column, and spacing, Hz.
+    bend : float
+        How Doppler bends over the dwell, per pulse^2: see `Path.bend`.
     """
 
-    interior: ComplexArray
     at: int
     stride: int
+    size: int
     inside: tuple[int, int]
-    edges: ComplexArray
     pulses: IntArray
     start: float
     step: float
+    columns: int
+    bend: float
 
     @property
     def grid(self) -> IntArray:
-        """The pulse of each row of `interior`."""
-        return self.at + self.stride * np.arange(self.interior.shape[0])
+        """The pulse of each row of the interior."""
+        return self.at + self.stride * np.arange(self.size)
+
+    @property
+    def before(self) -> int:
+        """Number of the edges that precede the interior."""
+        return int(np.searchsorted(self.pulses, self.inside[0])) if self.size else self.pulses.size
 
 
-class _Gathering:
-    """Pulses of a part that come one after the other: the interior is filtered at once, edges are kept.
+class Echoes(NamedTuple):
+    """The samples of a frame: interior (size, columns) and edges (k, columns), complex64."""
 
-    Parameters
+    frame: Frame
+    interior: ComplexArray
+    edges: ComplexArray
+
+
+class Filters(NamedTuple):
+    """What leads from the samples of one part to those of a part of it.
+
+    Attributes
     ----------
-    inside : tuple of int
-        Interior pulses; none if equal.
-    filters : Decimation
-        From single pulses to the interior's grid.
-    low, high : int
-        Pulses that the filters reach.
-    anchor : int
-        A pulse of the grid.
-    columns : int
+    across : Decimation
+        Along range frequencies.
+    single, further : Decimation
+        Along pulses: from single ones, and from those of the interior.
+    kept : slice
+        The edges that light some of it.
     """
 
-    def __init__(
-        self, inside: tuple[int, int], filters: Decimation, low: int, high: int, anchor: int, columns: int
-    ) -> None:
-        self.inside, self.filters = inside, filters
-        self.at = anchor - (anchor - low) // filters.factor * filters.factor
-        size = (high - self.at) // filters.factor + 1 if inside[0] < inside[1] else 0
-        self.interior = np.zeros((size, columns), np.complex64)
-        self.edges: list[ComplexArray] = []
-        self.pulses: list[IntArray] = []
+    across: Decimation
+    single: Decimation
+    further: Decimation
+    kept: slice
 
-    def add(self, values: ComplexArray, pulses: IntArray) -> None:
-        """Add rows of ascending pulses: interior ones follow each other without a gap."""
-        a, b = np.searchsorted(pulses, self.inside)
-        for part in (slice(0, a), slice(b, None)):
-            if pulses[part].size:
-                self.edges.append(values[part])
-                self.pulses.append(pulses[part])
-        if a < b:
-            add_decimated(values[a:b], self.filters, self.at - int(pulses[a]), self.interior)
 
-    def echoes(self, start: float, step: float) -> Echoes:
-        """What has been gathered."""
-        columns = self.interior.shape[1]
-        return Echoes(
-            interior=self.interior, at=self.at, stride=self.filters.factor, inside=self.inside, start=start, step=step,
-            edges=np.concatenate([np.zeros((0, columns), np.complex64), *self.edges]),
-            pulses=np.concatenate([np.zeros(0, np.int64), *self.pulses]),
-        )  # fmt: skip
+def airy_reach(attenuation: float) -> float:
+    """s with exp(-2/3 s^(3/2)) = -attenuation dB: how far beyond its largest Doppler a smooth phase has a spectrum.
+
+    About the time at which Doppler is largest, nu(t) = nu_0 - gamma t^2 / 2, and the spectrum of exp(2j pi int nu dt)
+    at nu is an Airy function, Ai(2 pi (nu - nu_0) / (pi gamma)^(1/3)), which falls as that exponential.
+    """
+    return float((1.5 * attenuation * np.log(10) / 20) ** (2 / 3))
 
 
 class Hierarchy:
-    """The way of a phase history down the levels.
+    """The way of a phase history down the levels: frames are planned by `enter` and `descend`, samples follow them.
 
     Parameters
     ----------
-    collection : Collection
+    geometry : Geometry
     levels : Levels
     waves : float
         Largest frequency of the weights over a dwell, cycles per dwell.
     """
 
-    def __init__(self, collection: Collection, levels: Levels, *, waves: float = 0.0) -> None:
-        self.collection, self.levels, self.waves, self.path = collection, levels, waves, Path(collection)
-        self._cycles = 2 * (collection.carrier + collection.range_frequency[-1]) / SPEED_OF_LIGHT  # per m
+    def __init__(self, geometry: Geometry, levels: Levels, *, waves: float = 0.0) -> None:
+        self.collection, self.levels, self.waves, self.path = geometry.collection, levels, waves, Path(geometry)
+        highest = self.collection.carrier + self.collection.range_frequency[-1]
+        self._cycles = 2 * highest / SPEED_OF_LIGHT  # per m
+        self._airy = airy_reach(levels.attenuation)
 
-    def range_filter(self, reach: float, step: float, n: int) -> Decimation:
-        """The filter along n range frequencies, `step` Hz apart, for ranges up to `reach` m from the centre's."""
-        rate = REACHED * 2 / SPEED_OF_LIGHT * reach * step
+    # ---------------------------------------------------------------- frames
+
+    def enter(self, part: Part) -> tuple[Filters, Frame] | None:
+        """From the samples of the collection to a part; None if no pulse lights it."""
+        (begin, end), _ = part.lit()
+        if begin == end:
+            return None
+        collection = self.collection
+        whole = Frame(
+            at=0, stride=1, size=0, inside=(end, end), pulses=np.arange(begin, end),
+            start=float(collection.range_frequency[0]), step=collection.range_frequency_step,
+            columns=collection.n_range_frequency, bend=self.path.bend(begin, end, part),
+        )  # fmt: skip
+        return self.descend(whole, part)
+
+    def descend(self, frame: Frame, child: Part) -> tuple[Filters, Frame] | None:
+        """From the samples of a part to one of its parts; None if no pulse lights it."""
+        (begin, end), inside = child.lit()
+        if begin == end:
+            return None
+        kept = slice(*np.searchsorted(frame.pulses, (begin, end)))
+        pulses, grid = frame.pulses[kept], frame.grid
+        rows = np.concatenate([grid, pulses])
+        reach, change = self.path.reach(rows[:: max(rows.size // LOOKS, 1)], child)
+        single = self._along_pulses(change, frame, inside)
+        further = Decimation(single.factor // frame.stride, single.edge, self.levels.attenuation)
+        if single.factor == 1:  # nothing is filtered: all pulses are edges
+            inside = end, end
+        low, high, at = inside[0] - single.half, inside[1] - 1 + single.half, inside[0] - single.half
+        if frame.size:
+            tail = further.half * frame.stride
+            low, high, at = min(low, int(grid[0]) - tail), max(high, int(grid[-1]) + tail), frame.at
+        reach = max(reach, self.path.reach(np.array([low, high]), child)[0])
+        across = self._along_range(reach, frame)
+        at -= (at - low) // single.factor * single.factor
+        columns, first = across.span(frame.columns)
+        left = Frame(
+            at=at, stride=single.factor, inside=inside, columns=padded(columns), bend=frame.bend,
+            size=(high - at) // single.factor + 1 if inside[0] < inside[1] else 0,
+            pulses=pulses[(pulses < inside[0]) | (pulses >= inside[1])],
+            start=frame.start + first * frame.step, step=frame.step * across.factor,
+        )  # fmt: skip
+        return Filters(across, single, further, kept), left
+
+    def _along_range(self, reach: float, frame: Frame) -> Decimation:
+        """The filter along range frequencies, for ranges up to `reach` m from the centre's."""
+        rate = REACHED * 2 / SPEED_OF_LIGHT * reach * frame.step
         chosen = self._filter(rate, 1)
-        return chosen if chosen.span(n)[0] < n else self._filter(rate, 1, most=1)
+        return chosen if chosen.span(frame.columns)[0] < frame.columns else self._filter(rate, 1, most=1)
 
-    def pulse_filter(self, change: float, inside: tuple[int, int], stride: int = 1) -> Decimation:
+    def _along_pulses(self, change: FloatArray, frame: Frame, inside: tuple[int, int]) -> Decimation:
         """The filter along single pulses, for ranges that change by `change` m from one to the next.
 
-        Its factor is a multiple of `stride`; it is that where a larger one gains nothing.
+        Its factor is a multiple of the interior's stride; it is that where a larger one gains nothing, or where noise
+        of the positions would be lost with the Dopplers that are stopped.
         """
-        n = max(inside[1] - inside[0], 1)
-        rate = REACHED * self._cycles * change + self.waves / n
+        n, stride = max(inside[1] - inside[0], 1), frame.stride
+        fastest = float(np.abs(change).max())
+        doppler = REACHED * self._cycles * fastest
+        beyond = self._airy * float(np.cbrt(np.pi * frame.bend * doppler)) / (2 * np.pi)
+        rate = doppler + beyond + self.waves / n
         chosen = self._filter(rate, stride)
-        gains = chosen.span(n)[0] < (n if stride == 1 else np.inf) and chosen.half <= self.path.beyond
-        return chosen if gains else self._filter(rate, stride, most=stride)
+        noise = 2 * np.pi * self._cycles * self.path.noise * fastest / self.path.speed  # rad
+        gains = chosen.span(n)[0] < n or frame.size
+        if gains and chosen.half <= self.path.beyond and noise**2 < 10 ** (-self.levels.attenuation / 10):
+            return chosen
+        return self._filter(rate, stride, most=stride)
 
     def _filter(self, rate: float, stride: int, most: int = MOST) -> Decimation:
         """The filter that passes `rate` cycles a sample, by a multiple of `stride`."""
         factor = max(min(int(self.levels.edge / max(rate, 1e-9)), most) // stride, 1) * stride
         return Decimation(factor, 0.0 if factor == 1 else rate * factor, self.levels.attenuation)
 
-    def gather(self, part: Part, blocks: Iterable[tuple[IntArray, ComplexArray]], reference: FloatArray) -> Echoes:
-        """Refer samples to a part and decimate them, block by block of pulses.
+    # ---------------------------------------------------------------- samples
+
+    def gather(self, part: Part, blocks: Iterable[tuple[IntArray, ComplexArray]]) -> Echoes | None:
+        """Refer samples to a part and decimate them, block by block; None if no pulse lights it.
 
         Parameters
         ----------
         part : Part
         blocks : iterable of ((n,) int, (n, n_range_frequency) complex64)
-            Consecutive pulses, ascending, that light some of the part; samples zero where they are missing.
-        reference : (n_pulse,) float
-            Range whose phase was removed from the samples, m.
+            The pulses that light some of the part, each block of consecutive ones, in ascending order; samples zero
+            where they are missing.
         """
-        collection = self.collection
-        (begin, end), inside = part.lit()
-        centre, corners = part.centre, part.corners
-        reach, change = self.path.reach(np.arange(begin, end), centre, corners)
-        along = self.pulse_filter(change, inside)
-        if along.factor > 1:  # once more, with the tails
-            reach, change = self.path.reach(np.arange(begin - along.half, end + along.half), centre, corners)
-            along = self.pulse_filter(change, inside)
-        inside = inside if along.factor > 1 else (end, end)
-        start, step = float(collection.range_frequency[0]), collection.range_frequency_step
-        across = self.range_filter(reach, step, collection.n_range_frequency)
-        gathering: _Gathering | None = None
-        for pulses, samples in blocks:
-            turn = self.path.ranges(pulses, centre) - reference[pulses]
-            values, first = self._turn(samples, turn, start, step, across)
-            if gathering is None:
-                low, high = inside[0] - along.half, inside[1] - 1 + along.half
-                gathering = _Gathering(inside, along, low, high, low, values.shape[1])
-            gathering.add(values, pulses)
-        assert gathering is not None
-        return gathering.echoes(start + first * step, step * across.factor)
-
-    def descend(self, part: Part, echoes: Echoes, child: Part) -> Echoes | None:
-        """Refer a part's echoes to one of its parts and decimate them; None if no pulse lights it."""
-        (begin, end), inside = child.lit()
-        if begin == end:
+        if (entered := self.enter(part)) is None:
             return None
-        kept = slice(*np.searchsorted(echoes.pulses, (begin, end)))
-        pulses, grid = echoes.pulses[kept], echoes.grid
-        rows = np.concatenate([grid, pulses])
-        stride, n = (echoes.stride, grid.size) if grid.size else (1, 0)
-        reach, change = self.path.reach(rows, child.centre, child.corners)
-        along = self.pulse_filter(change, inside, stride)
-        further = Decimation(along.factor // stride, along.edge, self.levels.attenuation)
-        low, high = inside[0] - along.half, inside[1] - 1 + along.half
-        if n:
-            tail = further.half * stride
-            low, high = min(low, int(grid[0]) - tail), max(high, int(grid[-1]) + tail)
-        elif along.factor == 1:
-            inside = (end, end)
-        reach = max(reach, self.path.reach(np.array([low, high]), child.centre, child.corners)[0])
-        across = self.range_filter(reach, echoes.step, echoes.edges.shape[1])
-        turn = self.path.ranges(rows, child.centre) - self.path.ranges(rows, part.centre)
-        interior, first = self._turn(echoes.interior, turn[:n], echoes.start, echoes.step, across)
-        edges, first = self._turn(echoes.edges[kept], turn[n:], echoes.start, echoes.step, across)
-        anchor = echoes.at if n else low
-        gathering = _Gathering(inside, along, low, high, anchor, edges.shape[1])
-        if n:
-            add_decimated(interior, further, (gathering.at - echoes.at) // stride, gathering.interior)
-        # Edges that are interior now are two runs, before and after those that were interior.
-        middle = int(np.searchsorted(pulses, echoes.inside[0])) if n else pulses.size
-        for run in (slice(0, middle), slice(middle, None)):
-            gathering.add(edges[run], pulses[run])
-        return gathering.echoes(echoes.start + first * echoes.step, echoes.step * across.factor)
+        filters, frame = entered
+        interior, edges = self._empty(frame)
+        f = float(self.collection.range_frequency[0]), self.collection.range_frequency_step
+        for pulses, samples in blocks:
+            turn = self.path.ranges(pulses, part.centre) - self.collection.reference_range[pulses]
+            self._add(_turned(samples, turn, self.collection.carrier + f[0], f[1], filters), pulses, filters, frame,
+                      interior, edges)  # fmt: skip
+        return Echoes(frame, interior, edges)
 
-    def _turn(
-        self, values: ComplexArray, turn: FloatArray, start: float, step: float, filters: Decimation
-    ) -> tuple[ComplexArray, int]:
-        """Refer rows to ranges that are larger by `turn` (n,) m, and decimate them."""
-        scale = 2 / SPEED_OF_LIGHT
-        return turn_and_decimate(values, scale * (self.collection.carrier + start) * turn, scale * step * turn, filters)
+    def divide(self, part: Part, echoes: Echoes, child: Part) -> Echoes | None:
+        """Refer a part's echoes to one of its parts and decimate them; None if no pulse lights it."""
+        frame = echoes.frame
+        if (descended := self.descend(frame, child)) is None:
+            return None
+        filters, left = descended
+        pulses, grid, low = frame.pulses[filters.kept], frame.grid, self.collection.carrier + frame.start
+        rows = np.concatenate([grid, pulses])
+        turn = self.path.ranges(rows, child.centre) - self.path.ranges(rows, part.centre)
+        interior, edges = self._empty(left)
+        if frame.size:
+            values = _turned(echoes.interior, turn[: frame.size], low, frame.step, filters)
+            add_decimated(values, filters.further, (left.at - frame.at) // frame.stride, interior)
+        values = _turned(echoes.edges[filters.kept], turn[frame.size :], low, frame.step, filters)
+        # Edges before the interior, and those after it: in each, pulses follow each other without a gap.
+        middle = int(np.searchsorted(pulses, frame.inside[0])) if frame.size else pulses.size
+        for run in (slice(0, middle), slice(middle, None)):
+            self._add(values[run], pulses[run], filters, left, interior, edges)
+        return Echoes(left, interior, edges)
+
+    def _empty(self, frame: Frame) -> tuple[ComplexArray, ComplexArray]:
+        interior = np.zeros((frame.size, frame.columns), np.complex64)
+        return interior, np.empty((frame.pulses.size, frame.columns), np.complex64)
+
+    def _add(
+        self, values: ComplexArray, pulses: IntArray, filters: Filters, frame: Frame, interior: ComplexArray,
+        edges: ComplexArray,
+    ) -> None:  # fmt: skip
+        """Add rows of consecutive pulses to the interior of a frame, or to its edges."""
+        a, b = np.searchsorted(pulses, frame.inside)
+        for some in (slice(0, a), slice(b, None)):
+            if pulses[some].size:
+                first = int(np.searchsorted(frame.pulses, pulses[some][0]))
+                edges[first : first + pulses[some].size] = values[some]
+        if a < b:
+            add_decimated(values[a:b], filters.single, frame.at - int(pulses[a]), interior)
+
+
+def _turned(values: ComplexArray, turn: FloatArray, low: float, step: float, filters: Filters) -> ComplexArray:
+    """Refer rows to ranges that are larger by `turn` (n,) m, from frequency `low` on, Hz, and decimate them."""
+    scale = 2 / SPEED_OF_LIGHT
+    return turn_and_decimate(values, scale * low * turn, scale * step * turn, filters.across)[0]

@@ -4,56 +4,84 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from blocksar.arrays import FloatArray, IntArray
-from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
 
-VELOCITY_PULSES = 4  # on either side of a pulse, over which the antenna's velocity is taken
+BEND_NODES = 256  # pulses at which it is found how Doppler bends over a dwell
 
 
 class Path:
-    """Antenna positions, continued beyond both ends by their mirror image, with the filters' tails in mind.
+    """Antenna positions, continued beyond both ends by their mirror image: the tails of filters lie there.
 
-    Mirrored through its end point, a track goes on with the same velocity.
+    Mirrored through its end point, a track goes on with the same velocity. Ranges follow the positions as they are,
+    bounds the smooth track.
 
     Parameters
     ----------
-    collection : Collection
+    geometry : Geometry
+
+    Attributes
+    ----------
+    beyond : int
+        Pulses by which the track is continued at either end.
+    noise : float
+        Root mean square of what positions have besides the smooth track, m.
+    speed : float
+        Largest way of the antenna per pulse, m.
     """
 
-    def __init__(self, collection: Collection) -> None:
-        self.beyond = collection.n_pulse - 1  # pulses by which it is continued at either end
-        self._position = np.pad(
-            collection.antenna_position, ((self.beyond, self.beyond), (0, 0)), mode="reflect", reflect_type="odd"
+    def __init__(self, geometry: Geometry) -> None:
+        collection, track = geometry.collection, geometry.track
+        self.beyond = collection.n_pulse - 1
+        self._position, self._smooth = (
+            np.pad(positions, ((self.beyond, self.beyond), (0, 0)), mode="reflect", reflect_type="odd")
+            for positions in (collection.antenna_position, track.position(collection.time))
         )
+        self._velocity = np.gradient(self._smooth, axis=0)
+        self.noise = float(np.sqrt(np.mean(track.misfit**2)))
+        self.speed = float(np.linalg.norm(self._velocity, axis=1).max())
+
+    def _index(self, pulses: IntArray) -> IntArray:
+        """Where pulses are kept; beyond what is continued, its ends."""
+        return np.clip(pulses + self.beyond, 0, self._position.shape[0] - 1)
 
     def at(self, pulses: IntArray) -> FloatArray:
-        """Positions (n, 3) at pulses (n,), m; beyond what is continued, those of its ends."""
-        return self._position[np.clip(pulses + self.beyond, 0, self._position.shape[0] - 1)]
+        """Positions (n, 3) at pulses (n,), m."""
+        return self._position[self._index(pulses)]
 
     def ranges(self, pulses: IntArray, point: FloatArray) -> FloatArray:
         """Ranges (n,) of a point (3,) at pulses (n,), m."""
         x, y, z = (self.at(pulses) - point).T
         return np.asarray(np.sqrt(x * x + y * y + z * z))
 
-    def reach(self, pulses: IntArray, centre: FloatArray, corners: FloatArray) -> tuple[float, float]:
-        """Largest |R_x - R_c| of corners x (k, 3), m, at pulses (n,), and its largest change per pulse, m."""
-        position, last = self.at(pulses), self._position.shape[0] - 1 - self.beyond
-        before = np.maximum(pulses - VELOCITY_PULSES, -self.beyond)
-        after = np.minimum(pulses + VELOCITY_PULSES, last)
-        velocity = (self.at(after) - self.at(before)) / (after - before)[:, None]
-        away = change = 0.0
-        sight = position - centre
-        distance = np.sqrt((sight * sight).sum(axis=1))
-        rate = (sight * velocity).sum(axis=1) / distance
-        for corner in corners:
-            sight = position - corner
-            other = np.sqrt((sight * sight).sum(axis=1))
-            away = max(away, float(np.abs(other - distance).max()))
-            change = max(change, float(np.abs((sight * velocity).sum(axis=1) / other - rate).max()))
-        return away, change
+    def reach(self, pulses: IntArray, part: Part) -> tuple[float, FloatArray]:
+        """How far a part reaches, seen at pulses (n,).
+
+        Returns
+        -------
+        away : float
+            Largest |R_x - R_c| of points x of its border, m.
+        change : (n, k) float
+            Change of R_x - R_c from a pulse to the next, of each of them, m.
+        """
+        kept = self._index(pulses)
+        points = np.concatenate([part.centre[None], part.border])
+        sight = self._smooth[kept][:, None] - points
+        distance = np.sqrt((sight * sight).sum(axis=2))
+        rate = (sight * self._velocity[kept][:, None]).sum(axis=2) / distance
+        return float(np.abs(distance[:, 1:] - distance[:, :1]).max()), rate[:, 1:] - rate[:, :1]
+
+    def bend(self, low: int, high: int, part: Part) -> float:
+        """Largest second derivative of that change over its largest, from pulse low to high, per pulse^2."""
+        step = max((high - low) // BEND_NODES, 1)
+        change = self.reach(np.arange(low, high + 1, step), part)[1]
+        if change.shape[0] < 3:
+            return 0.0
+        return float(np.abs(np.diff(change, 2, axis=0)).max() / step**2 / np.abs(change).max())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,13 +117,20 @@ class Part:
     @property
     def centre(self) -> FloatArray:
         """The middle (3,) of the box around it, m."""
-        return self.corners.mean(axis=0)
+        return np.array([(axis.min() + axis.max()) / 2 for axis in (self.x, self.y, self.z)])
 
     @property
-    def corners(self) -> FloatArray:
-        """Corners (k, 3) of the box around it, m."""
-        ends = [self.x[[0, -1]], self.y[[0, -1]], np.unique([self.z.min(), self.z.max()])]
-        return np.stack([axis.ravel() for axis in np.meshgrid(*ends)], axis=1)
+    def border(self) -> FloatArray:
+        """Corners of the box around it and the middles between them, (k, 3) m: what is farthest from the centre.
+
+        Close by, the nearest point of a side is not one of its ends.
+        """
+        low, middle, high = (
+            [function(axis) for axis in (self.x, self.y, self.z)]
+            for function in (np.min, lambda axis: (axis.min() + axis.max()) / 2, np.max)
+        )
+        ends = [np.unique(nodes) for nodes in zip(low, middle, high, strict=True)]
+        return np.stack([axis.ravel() for axis in np.meshgrid(ends[0], ends[1], ends[2][[0, -1]])], axis=1)
 
     @property
     def side(self) -> float:
@@ -117,5 +152,5 @@ class Part:
         for axis in (self.y, self.x):
             count = min(max(int(np.ceil(abs(axis[-1] - axis[0]) / side)), 1), axis.size)
             ends = [axis.size * i // count for i in range(count + 1)]
-            spans.append([slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)])
+            spans.append([slice(a, b) for a, b in pairwise(ends)])
         return ((rows, columns) for rows in spans[0] for columns in spans[1])

@@ -156,7 +156,7 @@ def range_profiles(
 
 
 def spline_lead(frequency: FloatArray, period: int) -> FloatArray:
-    """What samples at frequencies (n,), cycles per period, are multiplied by before the transform to spline coefficients.
+    """Factors of samples at frequencies (n,), cycles per period, before their transform to spline coefficients.
 
     The inverse of the frequency response of the quadratic spline, sinc(f)^3 at f cycles per bin.
     """

@@ -166,17 +166,22 @@ def turn_and_decimate(
     """
     n = values.shape[1]
     count, start = decimation.span(n)
-    filled = -(-count // WHOLE) * WHOLE
+    filled = padded(count)
     taps = decimation.taps if decimation.factor > 1 else np.ones(1, np.float32)
-    padded = np.pad(taps, (0, -taps.size % FEW)) if taps.size > 1 else taps
+    whole = np.pad(taps, (0, -taps.size % FEW)) if taps.size > 1 else taps
     lead = decimation.half - start
-    size = max((filled - 1) * decimation.factor + padded.size, lead + n) + LANES
+    size = max((filled - 1) * decimation.factor + whole.size, lead + n) + LANES
     out = np.empty((values.shape[0], filled), np.complex64)
     first = np.asarray(first - np.rint(first), np.float64)
     step = np.asarray(step - np.rint(step), np.float64)
     u = np.arange(n, dtype=np.float64)
-    _turn_and_decimate(values, u, first, step, padded, decimation.factor, lead, size, out)
+    _turn_and_decimate(values, u, first, step, whole, decimation.factor, lead, size, out)
     return out, start
+
+
+def padded(n: int) -> int:
+    """The columns of n decimated samples: a multiple of WHOLE."""
+    return -(-n // WHOLE) * WHOLE
 
 
 @loop(_MATRIX_IN, _REALS, types.int64, types.int64, types.float32[:, ::1], **COMPILED)

@@ -124,7 +124,9 @@ def _rise(places: Any, k: Any, dx: Any, dy: Any, dz: Any) -> Any:
 @njit(inline="always")
 def _weight(v: Any, terms: Any, half_frequency: Any, half_fade: Any) -> Any:
     """The weight at a place v in the beam; where it fades, beyond the beam that at its edge."""
-    return _faded(smaller(larger(v, -1.0), 1.0), terms, half_fade) if half_fade > 0 else _taper(v, terms, half_frequency)
+    return (
+        _faded(smaller(larger(v, -1.0), 1.0), terms, half_fade) if half_fade > 0 else _taper(v, terms, half_frequency)
+    )
 
 
 @njit(inline="always")

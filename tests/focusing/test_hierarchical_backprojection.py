@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from axis_beams import axis_collection, spotlight, with_patterns
 from slow_twins import back_projection
-from test_backprojection import around, collection
+from turning_beam import around, collection
 
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.collection import Collection
@@ -51,3 +51,106 @@ def both(c: Collection, x: FloatArray, y: FloatArray, *, levels: Levels = LEVELS
         return samples[pulses]
 
     return form_part(read, geometry, x, y, levels=levels, **options), form_image(read, geometry, x, y, **options)
+
+
+def grid_about(c: Collection, n: int = 44, spacing: float = 1.0, **away: float) -> tuple[FloatArray, FloatArray]:
+    """Columns and rows about a ground point in the beam, some off it by `along` and `across` m."""
+    x, y = around(c, away.get("along", 0.0), away.get("across", 0.0))
+    steps = spacing * (np.arange(n) - n // 2)
+    return float(x) + steps, float(y) + steps[: n - 7]
+
+
+@pytest.mark.parametrize("weighting", ["uniform", "taylor:4:-35", "kaiser:4"])
+@pytest.mark.parametrize("steered", [True, False])
+def test_beams_that_turn_and_such_that_do_not(steered: bool, weighting: str) -> None:
+    c = collection(steered=steered, n_pulse=1200, n_frequency=256, reference="constant" if steered else "tracked")
+    found, exact = both(c, *grid_about(c), weighting=weighting)
+    assert error(found, exact) < -62
+
+
+def test_ends_of_the_scan_and_unlit_ground() -> None:
+    c = collection(n_pulse=1200, n_frequency=256)
+    x, y = grid_about(c, n=60, spacing=90.0)
+    found, exact = both(c, x, y, levels=replace(LEVELS, sides=(1500.0, 500.0)))
+    assert 0.05 < np.isnan(exact).mean() < 0.95
+    assert error(found, exact) < -62
+
+
+@pytest.mark.parametrize("mode", ["stripmap", "squinted", "sliding spotlight", "tops", "scanned backwards"])
+def test_beams_about_an_axis(mode: str) -> None:
+    c = with_patterns(axis_collection(mode, n_pulse=800))
+    ahead = np.tan({"squinted": 0.25}.get(mode, 0.0)) * np.hypot(9000, 4000)
+    x, y = 9000 + np.arange(-30.0, 30.0), ahead + np.arange(-25.0, 25.0)
+    found, exact = both(c, x, y, weighting="taylor:4:-35")
+    assert error(found, exact) < -62
+
+
+def test_a_beam_that_turns_back_passes_places_several_times() -> None:
+    c = spotlight(n_pulse=800, beam_width=0.0012)
+    x, y = 9000 + np.arange(-30.0, 30.0), np.arange(-25.0, 25.0)
+    found, exact = both(c, x, y)
+    assert error(found, exact) < -62
+
+
+def test_terrain() -> None:
+    c = collection(n_pulse=900, n_frequency=256)
+    x, y = grid_about(c)
+    east, north = (np.arange(0.0, 145.0, 10.0) for _ in "xy")
+    heights = 20 * np.sin(east / 15) * np.cos(north / 20)[:, None]
+    terrain = Terrain(x0=x[0] - 50, dx=10.0, y0=y[0] - 50, dy=10.0, heights=heights)
+    found, exact = both(c, x, y, terrain=terrain, weighting="hamming")
+    assert error(found, exact) < -62
+
+
+def near(*, radius: float, bandwidth: float, carrier: float, n_pulse: int) -> Collection:
+    """A rail beside a room: ultra-wide band at a few metres, where nothing can be expanded."""
+    time = (np.arange(n_pulse) - n_pulse // 2) / 100.0
+    track = np.stack([0 * time - radius, 0.4 * time, 1.5 + 0.02 * np.sin(3 * time)], axis=1)
+    f = (np.arange(384) - 192) * bandwidth / 384
+    return Collection(
+        carrier=carrier, time=time, range_frequency=f, reference_range=np.linalg.norm(track, axis=1), antenna_position=track,
+        beam_azimuth=np.full(n_pulse, np.nan),
+    )  # fmt: skip
+
+
+def test_ultra_wide_band_a_few_metres_away() -> None:
+    c = near(radius=5.0, bandwidth=2e9, carrier=4e9, n_pulse=600)
+    x, y = np.arange(-1.0, 1.0, 0.03), np.arange(-0.8, 0.8, 0.03)
+    found, exact = both(c, x, y, levels=replace(LEVELS, sides=(1.0, 0.4)))
+    assert error(found, exact) < -62
+
+
+def test_beyond_the_unambiguous_window_there_is_no_image() -> None:
+    c = near(radius=5.0, bandwidth=8e9, carrier=10e9, n_pulse=300)  # a window of 7.2 m
+    x, y = np.arange(-2.0, 5.0, 0.1), np.arange(-1.0, 1.0, 0.1)
+    found, exact = both(c, x, y, levels=replace(LEVELS, sides=(1.0, 0.4)))
+    assert 0.05 < np.isnan(exact).mean() < 0.95
+    assert error(found, exact) < -62
+
+
+def test_threads_give_the_same_bits() -> None:
+    c = collection(n_pulse=900, n_frequency=256)
+    x, y = grid_about(c)
+    one, three = (both(c, x, y, threads=threads)[0] for threads in (1, 3))
+    np.testing.assert_array_equal(one, three)
+
+
+def test_the_double_loop_says_the_same() -> None:
+    c = collection(n_pulse=900, n_frequency=128, reference="tracked")
+    x, y = grid_about(c, n=20)
+    found, _ = both(c, x, y)
+    mesh = np.meshgrid(x[4:7], y[4:7])
+    exact = back_projection(c, noise(c), *mesh)
+    assert np.abs(found[4:7, 4:7] - exact).max() < 1e-3 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize(("attenuation", "upsampling"), [(40.0, 3), (55.0, 5), (80.0, 12)])
+def test_the_error_follows_filters_and_interpolation(attenuation: float, upsampling: int) -> None:
+    c = collection(n_pulse=900, n_frequency=128, reference="tracked")
+    x, y = grid_about(c)
+    levels = Levels(sides=(32.0, 8.0), attenuation=attenuation, edge=0.38, upsampling=upsampling)
+    samples = noise(c)
+    found = form_part(lambda pulses: samples[pulses], Geometry(collection=c), x, y, levels=levels, threads=1)
+    exact = back_projection(c, samples, *np.meshgrid(x[::5], y[::5]))
+    away = np.abs(found[::5, ::5] - exact)
+    assert 10 * np.log10((away**2).sum() / (np.abs(exact) ** 2).sum()) < -attenuation + 4
