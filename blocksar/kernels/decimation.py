@@ -38,7 +38,7 @@ from blocksar.kernels.lanes import (
     totals,
 )  # fmt: skip
 from blocksar.kernels.loops import loop
-from blocksar.kernels.phase import Float32Array
+from blocksar.kernels.phase import Float32Array, rotate
 from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, SAMPLES_IN, SAMPLES_OUT
 from blocksar.kernels.trigonometry import cosine, sine
 
@@ -99,14 +99,14 @@ def _taps(factor: int, half: int, attenuation: float) -> Float32Array:
 def _turn_row(row: Any, u: Any, first: Any, step: Any, real: Any, imag: Any, lead: Any) -> None:
     """real[lead + i] + 1j imag[lead + i] = row[i] exp(2j pi (first + step i)); `u` counts samples."""
     n = row.size
-    whole = n - n % LANES
-    for i in range(0, whole, LANES):
+    for k in range(0, n if n >= LANES else 0, LANES):
+        i = min(k, n - LANES)  # the last vector overlaps the one before
         part = remainder(first + step * load(u, i))
         cos, sin = cosine(part), sine(part)
         a, b = load_real(row, i), load_imag(row, i)
         store(real, lead + i, a * cos - b * sin)
         store(imag, lead + i, a * sin + b * cos)
-    for i in range(whole, n):
+    for i in range(n if n < LANES else 0):
         turned = first + step * i
         angle = 2 * np.pi * (turned - np.rint(turned))
         cosine_, sine_ = np.float32(np.cos(angle)), np.float32(np.sin(angle))
@@ -119,20 +119,18 @@ def _turn_and_decimate(
     values: ComplexArray, u: FloatArray, first: FloatArray, step: FloatArray, taps: Float32Array, factor: int,
     lead: int, size: int, out: ComplexArray,
 ) -> None:  # fmt: skip
-    n_out = out.shape[1]
+    n, n_out = values.shape[1], out.shape[1]
     real, imag = np.zeros(size, np.float32), np.zeros(size, np.float32)
     for r in range(values.shape[0]):
         _turn_row(values[r], u, first[r], step[r], real, imag, lead)
         row = out[r]
-        if taps.size == 1:
-            for j in range(n_out):
-                row[j] = complex(real[j], imag[j])
-            continue
         for j in range(0, n_out - 1, 2):
             begin, after = j * factor, (j + 1) * factor
             a, b = spread_few(np.float32(0)), spread_few(np.float32(0))
             c, d = spread_few(np.float32(0)), spread_few(np.float32(0))
-            for k in range(0, taps.size, FEW):
+            # Taps ahead of the row and behind it would be summed over zeros.
+            low, high = max((lead - after) // FEW * FEW, 0), min(taps.size, lead + n - begin)
+            for k in range(low, high, FEW):
                 h = load_few(taps, k)
                 a = a + h * load_few(real, begin + k)
                 b = b + h * load_few(imag, begin + k)
@@ -167,13 +165,17 @@ def turn_and_decimate(
     n = values.shape[1]
     count, start = decimation.span(n)
     filled = padded(count)
-    taps = decimation.taps if decimation.factor > 1 else np.ones(1, np.float32)
-    whole = np.pad(taps, (0, -taps.size % FEW)) if taps.size > 1 else taps
-    lead = decimation.half - start
-    size = max((filled - 1) * decimation.factor + whole.size, lead + n) + LANES
-    out = np.empty((values.shape[0], filled), np.complex64)
     first = np.asarray(first - np.rint(first), np.float64)
     step = np.asarray(step - np.rint(step), np.float64)
+    out = np.empty((values.shape[0], filled), np.complex64)
+    if decimation.factor == 1:
+        out[:, n:] = 0
+        # `rotate` counts samples from the middle, in halves of the row
+        rotate(values, n, np.stack([first + n // 2 * step, n / 2 * step], axis=1), out)
+        return out, 0
+    whole = np.pad(decimation.taps, (0, -decimation.taps.size % FEW))
+    lead = decimation.half - start
+    size = max((filled - 1) * decimation.factor + whole.size, lead + n) + LANES
     u = np.arange(n, dtype=np.float64)
     _turn_and_decimate(values, u, first, step, whole, decimation.factor, lead, size, out)
     return out, start

