@@ -6,7 +6,8 @@ the sums over pulses and range frequencies are formed from decimated data.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import threading
+from collections.abc import Iterator, Sequence
 from functools import partial
 
 import numpy as np
@@ -25,6 +26,7 @@ from blocksar.kernels.fourier import fast_length, fft_rows
 from blocksar.kernels.groups import row_groups, run_groups
 from blocksar.kernels.phase import Float32Array
 from blocksar.kernels.projection import Sights, project
+from blocksar.kernels.scratch import Scratch
 
 SAFE = 0.45  # of the unambiguous window: ranges that stay within are interpolated without a test of each
 NOTICED = 1e-4  # of a taper's terms: waves of the weights that a filter has to pass
@@ -69,7 +71,7 @@ def form_part(
         part = Part(x=mesh_x[window][0], y=mesh_y[window][:, 0], z=z[window] if z.ndim else z, first=first, last=last)
         mark_outside(geometry, part, sums.outside[window])
         blocks = _blocks(read, geometry, part, sums, weighting, threads)
-        if (echoes := former.hierarchy.gather(part, blocks)) is not None:
+        if (echoes := former.hierarchy.gather(part, blocks, Scratch())) is not None:
             former.form(part, echoes, sums.image[window], threads)
     if geometry.collection.has_pattern or not sums.over_beam.uniform:
         for pulses in pulse_blocks(sums.lit(), geometry.collection.n_pulse):
@@ -149,24 +151,29 @@ class _Former:
         self.geometry, self.taper = geometry, over_beam
         self.hierarchy = Hierarchy(geometry, levels, waves=0.0 if over_beam.uniform else _waves(over_beam))
 
-    def form(self, part: Part, echoes: Echoes, image: ComplexArray, threads: int = 1, level: int = 0) -> None:
+    def form(
+        self, part: Part, echoes: Echoes, image: ComplexArray, threads: int = 1, level: int = 0,
+        scratch: Scratch | None = None,
+    ) -> None:  # fmt: skip
         """Add a part to the image (n_row, n_column), in place; its parts side by side in threads."""
         sides = self.hierarchy.levels.sides
         while level < len(sides) and part.side <= sides[level]:
             level += 1
         if level == len(sides):
-            self._sum(part, echoes, image)
+            self._sum(part, echoes, image, scratch or Scratch())
             return
 
+        own = threading.local()
+
         def work(window: tuple[slice, slice]) -> None:
-            child = part.within(window)
-            left = self.hierarchy.divide(part, echoes, child)
+            child, memory = part.within(window), scratch or own.__dict__.setdefault("scratch", Scratch())
+            left = self.hierarchy.divide(part, echoes, child, memory, level)
             if left is not None:
-                self.form(child, left, image[window], level=level + 1)
+                self.form(child, left, image[window], level=level + 1, scratch=memory)
 
         run_groups(work, part.divide(sides[level]), threads)
 
-    def _sum(self, part: Part, echoes: Echoes, image: ComplexArray) -> None:
+    def _sum(self, part: Part, echoes: Echoes, image: ComplexArray, scratch: Scratch) -> None:
         """Back-project what is left to the pixels of a last part, each from the pulses that light it.
 
         Rows are put in the order of time: edges before the interior, the interior, edges after it. Each pixel takes all
@@ -175,18 +182,18 @@ class _Former:
         collection, path, frame = self.geometry.collection, self.hierarchy.path, echoes.frame
         before, n = frame.before, frame.size
         rows = np.concatenate([frame.pulses[:before], frame.grid, frame.pulses[before:]])
-        values = np.concatenate([echoes.edges[:before], echoes.interior, echoes.edges[before:]])
+        values = [echoes.edges[:before], echoes.interior, echoes.edges[before:]]
         begin = int(rows[0]) if before else frame.inside[0]
         first = np.maximum(part.first - begin, 0)
         last = before + n + part.last - frame.inside[1] if n else np.maximum(part.last - begin, 0)
-        period = fast_length(self.hierarchy.levels.upsampling * values.shape[1])
-        window, middle = SPEED_OF_LIGHT / (2 * frame.step), values.shape[1] // 2
+        period = fast_length(self.hierarchy.levels.upsampling * frame.columns)
+        window, middle = SPEED_OF_LIGHT / (2 * frame.step), frame.columns // 2
         reach = path.reach(rows[:: max(rows.size // LOOKS, 1)], part)[0]
         antenna = path.at(rows).T
         antenna[2] -= collection.ground_height
         sights = Sights(
             start=0,
-            values=_profiles(values, period, collection.n_range_frequency),
+            values=_profiles(values, period, collection.n_range_frequency, scratch),
             rows=np.arange(rows.size),
             middle=period // 2 + MARGIN,
             bins_per_metre=period / window,
@@ -222,19 +229,24 @@ class _Former:
         )
 
 
-def _profiles(values: ComplexArray, period: int, whole: int) -> ComplexArray:
-    """Coefficients (n, period + 2 MARGIN) of splines through the range profiles of rows (n, m): `range_profiles`.
+def _profiles(values: Sequence[ComplexArray], period: int, whole: int, scratch: Scratch) -> ComplexArray:
+    """Coefficients (n, period + 2 MARGIN) of splines through the range profiles of rows (k, m), n in all.
 
-    A profile is the mean over `whole` range frequencies, of which the rows hold the sums.
+    As in `range_profiles`. A profile is the mean over `whole` range frequencies, of which the rows hold the sums.
     """
-    n, m = values.shape
+    n, m = sum(rows.shape[0] for rows in values), values[0].shape[1]
     middle, half = m // 2, period // 2
     lead = (period / whole * spline_lead(np.arange(m) - middle, period)).astype(np.float32)
-    group = np.zeros((n, period), np.complex64)
-    np.multiply(values[:, middle:], lead[middle:], out=group[:, : m - middle])
-    np.multiply(values[:, :middle], lead[:middle], out=group[:, period - middle :])
+    group = scratch.array("group", (n, period))
+    group[:, m - middle : period - middle] = 0
+    first = 0
+    for rows in values:
+        some = group[first : first + rows.shape[0]]
+        np.multiply(rows[:, middle:], lead[middle:], out=some[:, : m - middle])
+        np.multiply(rows[:, :middle], lead[:middle], out=some[:, period - middle :])
+        first += rows.shape[0]
     group = fft_rows(group, inverse=True)
-    out = np.empty((n, period + 2 * MARGIN), np.complex64)
+    out = scratch.array("profiles", (n, period + 2 * MARGIN))
     out[:, MARGIN : MARGIN + half] = group[:, half:]
     out[:, MARGIN + half : -MARGIN] = group[:, :half]
     out[:, -MARGIN:] = out[:, MARGIN : 2 * MARGIN]

@@ -53,6 +53,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.parts import Part, Path
 from blocksar.kernels.decimation import Decimation, add_decimated, padded, turn_and_decimate
+from blocksar.kernels.scratch import Scratch
 
 MOST = 1 << 16  # largest factor of a decimation
 LOOKS = 24  # pulses at which it is found how far a part reaches
@@ -248,7 +249,7 @@ class Hierarchy:
 
     # ---------------------------------------------------------------- samples
 
-    def gather(self, part: Part, blocks: Iterable[tuple[IntArray, ComplexArray]]) -> Echoes | None:
+    def gather(self, part: Part, blocks: Iterable[tuple[IntArray, ComplexArray]], scratch: Scratch) -> Echoes | None:
         """Refer samples to a part and decimate them, block by block; None if no pulse lights it.
 
         Parameters
@@ -257,20 +258,24 @@ class Hierarchy:
         blocks : iterable of ((n,) int, (n, n_range_frequency) complex64)
             The pulses that light some of the part, each block of consecutive ones, in ascending order; samples zero
             where they are missing.
+        scratch : Scratch
         """
         if (entered := self.enter(part)) is None:
             return None
         filters, frame = entered
-        interior, edges = self._empty(frame)
+        interior, edges = self._empty(frame, Scratch(), 0)
         f = float(self.collection.range_frequency[0]), self.collection.range_frequency_step
         for pulses, samples in blocks:
             turn = self.path.ranges(pulses, part.centre) - self.collection.reference_range[pulses]
-            self._add(_turned(samples, turn, self.collection.carrier + f[0], f[1], filters), pulses, filters, frame,
-                      interior, edges)  # fmt: skip
+            values = _turned(samples, turn, self.collection.carrier + f[0], f[1], filters, scratch)
+            self._add(values, pulses, filters, frame, interior, edges)
         return Echoes(frame, interior, edges)
 
-    def divide(self, part: Part, echoes: Echoes, child: Part) -> Echoes | None:
-        """Refer a part's echoes to one of its parts and decimate them; None if no pulse lights it."""
+    def divide(self, part: Part, echoes: Echoes, child: Part, scratch: Scratch, level: int) -> Echoes | None:
+        """Refer a part's echoes to one of its parts and decimate them; None if no pulse lights it.
+
+        The result takes the memory that `scratch` has for the level.
+        """
         frame = echoes.frame
         if (descended := self.descend(frame, child)) is None:
             return None
@@ -278,20 +283,21 @@ class Hierarchy:
         pulses, grid, low = frame.pulses[filters.kept], frame.grid, self.collection.carrier + frame.start
         rows = np.concatenate([grid, pulses])
         turn = self.path.ranges(rows, child.centre) - self.path.ranges(rows, part.centre)
-        interior, edges = self._empty(left)
+        interior, edges = self._empty(left, scratch, level)
         if frame.size:
-            values = _turned(echoes.interior, turn[: frame.size], low, frame.step, filters)
+            values = _turned(echoes.interior, turn[: frame.size], low, frame.step, filters, scratch)
             add_decimated(values, filters.further, (left.at - frame.at) // frame.stride, interior)
-        values = _turned(echoes.edges[filters.kept], turn[frame.size :], low, frame.step, filters)
+        values = _turned(echoes.edges[filters.kept], turn[frame.size :], low, frame.step, filters, scratch)
         # Edges before the interior, and those after it: in each, pulses follow each other without a gap.
         middle = int(np.searchsorted(pulses, frame.inside[0])) if frame.size else pulses.size
         for run in (slice(0, middle), slice(middle, None)):
             self._add(values[run], pulses[run], filters, left, interior, edges)
         return Echoes(left, interior, edges)
 
-    def _empty(self, frame: Frame) -> tuple[ComplexArray, ComplexArray]:
-        interior = np.zeros((frame.size, frame.columns), np.complex64)
-        return interior, np.empty((frame.pulses.size, frame.columns), np.complex64)
+    def _empty(self, frame: Frame, scratch: Scratch, level: int) -> tuple[ComplexArray, ComplexArray]:
+        interior = scratch.array(("interior", level), (frame.size, frame.columns))
+        interior[:] = 0
+        return interior, scratch.array(("edges", level), (frame.pulses.size, frame.columns))
 
     def _add(
         self, values: ComplexArray, pulses: IntArray, filters: Filters, frame: Frame, interior: ComplexArray,
@@ -307,7 +313,9 @@ class Hierarchy:
             add_decimated(values[a:b], filters.single, frame.at - int(pulses[a]), interior)
 
 
-def _turned(values: ComplexArray, turn: FloatArray, low: float, step: float, filters: Filters) -> ComplexArray:
+def _turned(
+    values: ComplexArray, turn: FloatArray, low: float, step: float, filters: Filters, scratch: Scratch
+) -> ComplexArray:
     """Refer rows to ranges that are larger by `turn` (n,) m, from frequency `low` on, Hz, and decimate them."""
     scale = 2 / SPEED_OF_LIGHT
-    return turn_and_decimate(values, scale * low * turn, scale * step * turn, filters.across)[0]
+    return turn_and_decimate(values, scale * low * turn, scale * step * turn, filters.across, scratch)[0]

@@ -39,6 +39,7 @@ from blocksar.kernels.lanes import (
 )  # fmt: skip
 from blocksar.kernels.loops import loop
 from blocksar.kernels.phase import Float32Array, rotate
+from blocksar.kernels.scratch import Scratch
 from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, SAMPLES_IN, SAMPLES_OUT
 from blocksar.kernels.trigonometry import cosine, sine
 
@@ -143,7 +144,7 @@ def _turn_and_decimate(
 
 
 def turn_and_decimate(
-    values: ComplexArray, first: FloatArray, step: FloatArray, decimation: Decimation
+    values: ComplexArray, first: FloatArray, step: FloatArray, decimation: Decimation, scratch: Scratch | None = None
 ) -> tuple[ComplexArray, int]:
     """Turn row r by exp(2j pi (first[r] + step[r] i)) at its samples i, then filter and decimate it.
 
@@ -154,6 +155,8 @@ def turn_and_decimate(
     first, step : (n_row,) float
         Cycles; phases are computed in float64.
     decimation : Decimation
+    scratch : Scratch, optional
+        Whose array "turned" becomes the result.
 
     Returns
     -------
@@ -167,7 +170,7 @@ def turn_and_decimate(
     filled = padded(count)
     first = np.asarray(first - np.rint(first), np.float64)
     step = np.asarray(step - np.rint(step), np.float64)
-    out = np.empty((values.shape[0], filled), np.complex64)
+    out = (scratch or Scratch()).array("turned", (values.shape[0], filled))
     if decimation.factor == 1:
         out[:, n:] = 0
         # `rotate` counts samples from the middle, in halves of the row
