@@ -8,23 +8,22 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator, Sequence
-from functools import partial
+from typing import Any
 
 import numpy as np
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from blocksar.collection.beam import beam_offset
+from blocksar.collection.beam import beam_offset, lit_passes
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.weighting import UNIFORM, Taper, Weighting
+from blocksar.collection.weighting import FLAT, UNIFORM, Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.focusing.backprojection import PixelSums, ReadPulses, lit_pulses, pulse_blocks
+from blocksar.focusing.backprojection import PixelSums, ReadPulses, pulse_blocks
 from blocksar.focusing.hierarchy import LOOKS, Echoes, Hierarchy, Levels
 from blocksar.focusing.parts import Part
 from blocksar.focusing.profiles import MARGIN, spline_lead
 from blocksar.kernels.beam_weights import BeamTaper
 from blocksar.kernels.fourier import fast_length, fft_rows
 from blocksar.kernels.groups import row_groups, run_groups
-from blocksar.kernels.phase import Float32Array
 from blocksar.kernels.projection import Sights, project
 from blocksar.kernels.scratch import Scratch
 
@@ -32,124 +31,161 @@ SAFE = 0.45  # of the unambiguous window: ranges that stay within are interpolat
 NOTICED = 1e-4  # of a taper's terms: waves of the weights that a filter has to pass
 PULSE_BLOCK_BYTES = 16 * 1024**2  # samples that are read at a time
 CHECKED = 16  # pixels a side of the parts that are tested one by one for the unambiguous window
+SAMPLED = 16  # places along the side of a window at which it is found which pulses light it
+Window = tuple[slice, slice]
 
 
-def form_part(
+def form_windows(
     read: ReadPulses,
     geometry: Geometry,
     x: FloatArray,
     y: FloatArray,
+    windows: Sequence[Window],
     *,
     levels: Levels,
     threads: int,
     weighting: Weighting = UNIFORM,
-) -> ComplexArray:
-    """Form the image on columns `x` (n_column,) and rows `y` (n_row,), m, in scene frame.
+) -> Iterator[ComplexArray]:
+    """Form windows of the image, one after the other, from one reading of the samples.
 
     Parameters
     ----------
     read : callable
-        Returns the samples (n, n_range_frequency) complex64 of a slice of pulses, NaN where they are missing. For each
-        pass of the beam over the part, slices hold each lit pulse once, in ascending order.
+        Returns the samples (n, n_range_frequency) complex64 of a slice of pulses, NaN where they are missing.
     geometry : Geometry
+    x, y : (n_column,), (n_row,) float
+        Columns and rows of the grid, m, scene frame.
+    windows : sequence of (slice, slice)
+        Rows and columns of each, together a compact part of the grid.
     levels : Levels
     threads : int
         The result does not depend on it.
     weighting : Weighting
 
-    Returns
-    -------
+    Yields
+    ------
     (n_row, n_column) complex64
-        As `backprojection.form_image`.
+        Each window of the image as `backprojection.form_image` defines it.
     """
-    mesh_x, mesh_y = np.meshgrid(np.asarray(x, np.float64), np.asarray(y, np.float64))
-    sums = PixelSums(geometry, mesh_x, mesh_y, weighting, threads)
-    z = np.array(geometry.collection.ground_height) if sums.height is None else sums.height
-    z = z if sums.height is None else z + geometry.collection.ground_height
-    former = _Former(geometry, levels, sums.over_beam)
-    for window, first, last in sums.passes:
-        part = Part(x=mesh_x[window][0], y=mesh_y[window][:, 0], z=z[window] if z.ndim else z, first=first, last=last)
-        mark_outside(geometry, part, sums.outside[window])
-        blocks = _blocks(read, geometry, part, sums, weighting, threads)
-        if (echoes := former.hierarchy.gather(part, blocks, Scratch())) is not None:
-            former.form(part, echoes, sums.image[window], threads)
-    if geometry.collection.has_pattern or not sums.over_beam.uniform:
-        for pulses in pulse_blocks(sums.lit(), geometry.collection.n_pulse):
-            sums.add_gains(pulses)
-    return sums.mean()
+    former = _Former(geometry, levels, weighting)
+    whole = [_outline(geometry, x, y, window) for window in windows]
+    tops = [former.gather(read, part, threads) for part in _joined(whole)]
+    for window in windows:
+        yield former.window(read, x[window[1]], y[window[0]], tops, threads)
 
 
-def _blocks(
-    read: ReadPulses, geometry: Geometry, part: Part, sums: PixelSums, weighting: Weighting, threads: int
-) -> Iterator[tuple[IntArray, ComplexArray]]:
-    """Blocks of the pulses that light a part, weighted over the band and the collection, zero where missing."""
-    n = geometry.collection.n_range_frequency
-    weights = weighting.range.samples(n)
-    weights /= weights.mean()
-    lit = lit_pulses(part.first, part.last, geometry.collection.n_pulse)
-    for pulses in pulse_blocks(lit, max(PULSE_BLOCK_BYTES // (8 * n), 1)):
-        samples = read(pulses)
-        values, valid = np.empty(samples.shape, np.complex64), np.empty(samples.shape[0])
-        over = None if sums.over_pulses is None else sums.over_pulses[pulses]
-        work = partial(_prepare, samples, values, valid, weights, weighting.range.uniform, over)
-        run_groups(work, row_groups(0, samples.shape[0], n), threads)
-        sums.note_valid(pulses, valid)
-        yield np.arange(pulses.start, pulses.stop), values
+def _outline(geometry: Geometry, x: FloatArray, y: FloatArray, window: Window) -> list[Part]:
+    """What lights a window, pass by pass, from a few places of it.
+
+    Between these, pulses may begin and end earlier and later by as much as from one to the next: so many are taken for
+    edges besides. What that misses after all is noticed by `_Former.window`.
+    """
+    rows, columns = (np.unique(np.linspace(part.start, part.stop - 1, SAMPLED).astype(int)) for part in window)
+    mesh_x, mesh_y = np.meshgrid(x[columns], y[rows])
+    z = geometry.height(mesh_x, mesh_y)
+    parts = []
+    for first, last in zip(*lit_passes(geometry, mesh_x, mesh_y), strict=True):
+        (begin, end), (start, stop) = Part(x=x[columns], y=y[rows], z=np.asarray(z), first=first, last=last).lit()
+        apart = 2 + max(int(np.abs(np.diff(ends, axis=k)).max(initial=0)) for ends in (first, last) for k in (0, 1))
+        n = geometry.collection.n_pulse
+        free = begin == 0 and start == 0, end == n and stop == n  # all of the collection lights it
+        begin, end = max(begin - apart, 0), min(end + apart, n)
+        start, stop = (0 if free[0] else start + apart), (n if free[1] else stop - apart)
+        parts.append(
+            Part(
+                x=x[columns],
+                y=y[rows],
+                z=np.atleast_1d(z).ravel(),
+                first=np.array([begin, start]),
+                last=np.array([end, stop if start < stop else start]),
+            )
+        )
+    return parts
 
 
-def _prepare(
-    samples: ComplexArray, values: ComplexArray, valid: FloatArray, weights: FloatArray, uniform: bool,
-    over: Float32Array | None, rows: slice,
-) -> None:  # fmt: skip
-    """Write weighted rows, zero where samples are missing, and the sum of the weights of those that are there."""
-    missing = np.isnan(samples[rows])
-    np.copyto(values[rows], samples[rows])
-    values[rows][missing] = 0
-    valid[rows] = weights.size - (missing.sum(axis=1) if uniform else np.where(missing, weights, 0.0).sum(axis=1))
-    if not uniform:
-        values[rows] *= weights.astype(np.float32)
-    if over is not None:
-        values[rows] *= over[rows, None]
-
-
-def mark_outside(geometry: Geometry, part: Part, outside: BoolArray) -> None:
-    """Set `outside` where a lit pulse sees a pixel of a part outside the unambiguous window, in place."""
-    (begin, end), _ = part.lit()
-    if begin == end:
-        return
-    collection, centre = geometry.collection, part.centre
-    half = collection.range_window / 2
-    position, reference = collection.antenna_position[begin:end], collection.reference_range[begin:end]
-    away = np.abs(np.linalg.norm(position - centre, axis=1) - reference)
-    radius = float(np.linalg.norm(part.border - centre, axis=1).max())
-    if away.max() + radius <= half:
-        return
-    if max(part.shape) > CHECKED:
-        for window in part.divide(part.side / 2 * (1 + 1e-9)):
-            mark_outside(geometry, part.within(window), outside[window])
-        return
-    z = np.broadcast_to(part.z, part.shape)
-    pulses = np.arange(begin, end)
-    for row, column in np.ndindex(part.shape):
-        point = np.array([part.x[column], part.y[row], z[row, column]])
-        lit = (pulses >= part.first[row, column]) & (pulses < part.last[row, column])
-        away = np.abs(np.linalg.norm(position - point, axis=1) - reference)
-        outside[row, column] |= bool((away[lit] > half).any())
-
-
-def _waves(taper: Taper) -> float:
-    """Largest frequency of a taper that matters, cycles per dwell."""
-    terms, frequency = taper.series
-    noticed = np.flatnonzero(np.abs(terms) > NOTICED * np.abs(terms).max())
-    return float(frequency * noticed[-1])
+def _joined(outlines: Sequence[Sequence[Part]]) -> list[Part]:
+    """The parts of all windows as one, pass by pass."""
+    joined = []
+    for number in range(max((len(parts) for parts in outlines), default=0)):
+        parts = [some[number] for some in outlines if number < len(some)]
+        every = {
+            name: np.concatenate([getattr(part, name) for part in parts]) for name in ("x", "y", "z", "first", "last")
+        }
+        ends = {name: np.array([every[name].min(), every[name].max()]) for name in ("x", "y", "z")}
+        whole = len(parts) == len(outlines)  # else a window has no such pass
+        light = {name: every[name] if whole else np.append(every[name], 0) for name in ("first", "last")}
+        joined.append(Part(**ends, **light))
+    return joined
 
 
 class _Former:
-    """Forms parts from their echoes."""
+    """Forms windows of an image of one collection."""
 
-    def __init__(self, geometry: Geometry, levels: Levels, over_beam: Taper) -> None:
-        self.geometry, self.taper = geometry, over_beam
-        self.hierarchy = Hierarchy(geometry, levels, waves=0.0 if over_beam.uniform else _waves(over_beam))
+    def __init__(self, geometry: Geometry, levels: Levels, weighting: Weighting) -> None:
+        self.geometry, self.weighting, collection = geometry, weighting, geometry.collection
+        self.taper = weighting.azimuth if collection.steered else FLAT
+        self.hierarchy = Hierarchy(geometry, levels, waves=0.0 if self.taper.uniform else _waves(self.taper))
+        n = collection.n_range_frequency
+        self._over_band = weighting.range.samples(n)
+        self._over_band /= self._over_band.mean()
+        self._over_pulses = None if collection.steered else weighting.azimuth.samples(collection.n_pulse)
+        self._valid: FloatArray = np.zeros(collection.n_pulse)
+
+    def gather(self, read: ReadPulses, part: Part, threads: int) -> tuple[Part, Echoes | None]:
+        """A part, and its echoes, of one pass of the beam; None where it has none."""
+        return part, self.hierarchy.gather(part, self._blocks(read, part, threads), Scratch())
+
+    def _blocks(self, read: ReadPulses, part: Part, threads: int) -> Iterator[tuple[IntArray, ComplexArray]]:
+        """Blocks of the pulses that light a part, weighted over band and collection, zero where samples are missing."""
+        (begin, end), _ = part.lit()
+        n = self._over_band.size
+        pulse = np.arange(self._valid.size)
+        for some in pulse_blocks((pulse >= begin) & (pulse < end), max(PULSE_BLOCK_BYTES // (8 * n), 1)):
+            samples = read(some)
+            values = np.empty(samples.shape, np.complex64)
+
+            def work(rows: slice, some: slice = some, samples: ComplexArray = samples, values: Any = values) -> None:
+                self._prepare(samples, values, rows, some.start)
+
+            run_groups(work, row_groups(0, samples.shape[0], n), threads)
+            yield np.arange(some.start, some.stop), values
+
+    def _prepare(self, samples: ComplexArray, values: ComplexArray, rows: slice, start: int) -> None:
+        """Write weighted rows, zero where samples are missing; note the sum of the weights of those that are there."""
+        missing = np.isnan(samples[rows])
+        np.copyto(values[rows], samples[rows])
+        values[rows][missing] = 0
+        pulses = slice(rows.start + start, rows.stop + start)
+        lost = missing.sum(axis=1) if self.weighting.range.uniform else (missing * self._over_band).sum(axis=1)
+        self._valid[pulses] = self._over_band.size - lost
+        if not self.weighting.range.uniform:
+            values[rows] *= self._over_band.astype(np.float32)
+        if self._over_pulses is not None and not self.weighting.azimuth.uniform:
+            values[rows] *= self._over_pulses[pulses, None].astype(np.float32)
+
+    def window(
+        self, read: ReadPulses, x: FloatArray, y: FloatArray, tops: Sequence[tuple[Part, Echoes | None]], threads: int
+    ) -> ComplexArray:
+        """The image (n_row, n_column) on columns x and rows y, m."""
+        geometry = self.geometry
+        sums = PixelSums(geometry, *np.meshgrid(x, y), self.weighting, threads)
+        plane = geometry.collection.ground_height
+        z = np.array(plane) if sums.height is None else sums.height + plane
+        for number, (first, last) in enumerate(_whole_passes(sums)):
+            part = Part(x=x, y=y, z=z, first=first, last=last)
+            mark_outside(geometry, part, sums.outside)
+            top, echoes = tops[number] if number < len(tops) else (part, None)
+            if _holds(echoes, part):
+                left = None if echoes is None else self.hierarchy.divide(top, echoes, part, Scratch(), -1)
+            else:
+                left = self.gather(read, part, threads)[1]
+            if left is not None:
+                self.form(part, left, sums.image, threads)
+        sums.note_valid(slice(None), self._valid)
+        if geometry.collection.has_pattern or not sums.over_beam.uniform:
+            for pulses in pulse_blocks(sums.lit(), geometry.collection.n_pulse):
+                sums.add_gains(pulses)
+        return sums.mean()
 
     def form(
         self, part: Part, echoes: Echoes, image: ComplexArray, threads: int = 1, level: int = 0,
@@ -162,10 +198,9 @@ class _Former:
         if level == len(sides):
             self._sum(part, echoes, image, scratch or Scratch())
             return
-
         own = threading.local()
 
-        def work(window: tuple[slice, slice]) -> None:
+        def work(window: Window) -> None:
             child, memory = part.within(window), scratch or own.__dict__.setdefault("scratch", Scratch())
             left = self.hierarchy.divide(part, echoes, child, memory, level)
             if left is not None:
@@ -227,6 +262,67 @@ class _Former:
         return BeamTaper(
             terms=self.taper.series[0], frequency=self.taper.series[1], valid=np.ones(rows.size), place=place
         )
+
+
+def _whole_passes(sums: PixelSums) -> list[tuple[IntArray, IntArray]]:
+    """Passes of all pixels of a window: those of `PixelSums`, of which all but the first are of some tiles only."""
+    (_, *first_pass), *further = sums.passes
+    passes = [(first_pass[0], first_pass[1])]
+    for window, first, last in further:
+        # The next pass that this tile has not.
+        number = next((k for k, (_, ends) in enumerate(passes) if k and not ends[window].any()), len(passes))
+        if number == len(passes):
+            passes.append((np.zeros_like(passes[0][0]), np.zeros_like(passes[0][1])))
+        passes[number][0][window], passes[number][1][window] = first, last
+    return passes
+
+
+def _holds(echoes: Echoes | None, part: Part) -> bool:
+    """Whether echoes have all pulses that light a part, and in their interior none that does not."""
+    (begin, end), (start, stop) = part.lit()
+    if begin == end:
+        return True
+    if echoes is None:
+        return False
+    frame = echoes.frame
+    known = [*frame.pulses[[0, -1]].tolist()] if frame.pulses.size else []
+    if frame.size:
+        known += [frame.inside[0], frame.inside[1] - 1]
+        if not (start <= frame.inside[0] and frame.inside[1] <= stop):
+            return False
+    return min(known, default=end) <= begin and end - 1 <= max(known, default=begin - 1)
+
+
+def mark_outside(geometry: Geometry, part: Part, outside: BoolArray) -> None:
+    """Set `outside` where a lit pulse sees a pixel of a part outside the unambiguous window, in place."""
+    (begin, end), _ = part.lit()
+    if begin == end:
+        return
+    collection, centre = geometry.collection, part.centre
+    half = collection.range_window / 2
+    position, reference = collection.antenna_position[begin:end], collection.reference_range[begin:end]
+    away = np.abs(np.linalg.norm(position - centre, axis=1) - reference)
+    radius = float(np.linalg.norm(part.border - centre, axis=1).max())
+    if away.max() + radius <= half:
+        return
+    if max(part.shape) > CHECKED:
+        for window in part.divide(part.side / 2 * (1 + 1e-9)):
+            mark_outside(geometry, part.within(window), outside[window])
+        return
+    z = np.broadcast_to(part.z, part.shape)
+    pulses = np.arange(begin, end)
+    for row, column in np.ndindex(part.shape):
+        point = np.array([part.x[column], part.y[row], z[row, column]])
+        lit = (pulses >= part.first[row, column]) & (pulses < part.last[row, column])
+        away = np.abs(np.linalg.norm(position - point, axis=1) - reference)
+        outside[row, column] |= bool((away[lit] > half).any())
+
+
+def _waves(taper: Taper) -> float:
+    """Largest frequency of a taper that matters, cycles per dwell."""
+    terms, frequency = taper.series
+    noticed = np.flatnonzero(np.abs(terms) > NOTICED * np.abs(terms).max())
+    return float(frequency * noticed[-1])
 
 
 def _profiles(values: Sequence[ComplexArray], period: int, whole: int, scratch: Scratch) -> ComplexArray:

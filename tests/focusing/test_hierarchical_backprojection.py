@@ -17,7 +17,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.focusing.backprojection import form_image
-from blocksar.focusing.hierarchical_backprojection import form_part
+from blocksar.focusing.hierarchical_backprojection import form_windows
 from blocksar.focusing.hierarchy import Levels
 
 LEVELS = Levels(sides=(32.0, 8.0), attenuation=70.0, edge=0.38, upsampling=6)
@@ -50,7 +50,18 @@ def both(c: Collection, x: FloatArray, y: FloatArray, *, levels: Levels = LEVELS
     def read(pulses: slice) -> ComplexArray:
         return samples[pulses]
 
-    return form_part(read, geometry, x, y, levels=levels, **options), form_image(read, geometry, x, y, **options)
+    image = np.zeros((y.size, x.size), np.complex64)
+    row, column = y.size // 3, x.size // 2
+    windows = [
+        (slice(0, row), slice(0, column)),
+        (slice(row, y.size), slice(0, column)),
+        (slice(0, y.size), slice(column, x.size)),
+    ]
+    for window, found in zip(
+        windows, form_windows(read, geometry, x, y, windows, levels=levels, **options), strict=True
+    ):
+        image[window] = found
+    return image, form_image(read, geometry, x, y, **options)
 
 
 def grid_about(c: Collection, n: int = 44, spacing: float = 1.0, **away: float) -> tuple[FloatArray, FloatArray]:
@@ -108,8 +119,8 @@ def near(*, radius: float, bandwidth: float, carrier: float, n_pulse: int) -> Co
     track = np.stack([0 * time - radius, 0.4 * time, 1.5 + 0.02 * np.sin(3 * time)], axis=1)
     f = (np.arange(384) - 192) * bandwidth / 384
     return Collection(
-        carrier=carrier, time=time, range_frequency=f, reference_range=np.linalg.norm(track, axis=1), antenna_position=track,
-        beam_azimuth=np.full(n_pulse, np.nan),
+        carrier=carrier, time=time, range_frequency=f, reference_range=np.linalg.norm(track, axis=1),
+        antenna_position=track, beam_azimuth=np.full(n_pulse, np.nan),
     )  # fmt: skip
 
 
@@ -150,7 +161,8 @@ def test_the_error_follows_filters_and_interpolation(attenuation: float, upsampl
     x, y = grid_about(c)
     levels = Levels(sides=(32.0, 8.0), attenuation=attenuation, edge=0.38, upsampling=upsampling)
     samples = noise(c)
-    found = form_part(lambda pulses: samples[pulses], Geometry(collection=c), x, y, levels=levels, threads=1)
+    window = slice(0, y.size), slice(0, x.size)
+    (found,) = form_windows(lambda p: samples[p], Geometry(collection=c), x, y, [window], levels=levels, threads=1)
     exact = back_projection(c, samples, *np.meshgrid(x[::5], y[::5]))
     away = np.abs(found[::5, ::5] - exact)
     assert 10 * np.log10((away**2).sum() / (np.abs(exact) ** 2).sum()) < -attenuation + 4
