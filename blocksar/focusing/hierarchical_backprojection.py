@@ -31,8 +31,10 @@ SAFE = 0.45  # of the unambiguous window: ranges that stay within are interpolat
 NOTICED = 1e-4  # of a taper's terms: waves of the weights that a filter has to pass
 PULSE_BLOCK_BYTES = 16 * 1024**2  # samples that are read at a time
 CHECKED = 16  # pixels a side of the parts that are tested one by one for the unambiguous window
+MOST_WINDOWS = 16  # that are formed from the same echoes
 SAMPLED = 16  # places along the side of a window at which it is found which pulses light it
 Window = tuple[slice, slice]
+Outlined = tuple[Window, list[Part]]  # with what lights it, pass by pass
 
 
 def form_windows(
@@ -45,7 +47,7 @@ def form_windows(
     levels: Levels,
     threads: int,
     weighting: Weighting = UNIFORM,
-) -> Iterator[ComplexArray]:
+) -> Iterator[tuple[Window, ComplexArray]]:
     """Form windows of the image, one after the other, from one reading of the samples.
 
     Parameters
@@ -64,14 +66,16 @@ def form_windows(
 
     Yields
     ------
-    (n_row, n_column) complex64
-        Each window of the image as `backprojection.form_image` defines it.
+    window : (slice, slice)
+    image : (n_row, n_column) complex64
+        Of each window, in an order that depends on the windows only, as `backprojection.form_image` defines it.
     """
     former = _Former(geometry, levels, weighting)
-    whole = [_outline(geometry, x, y, window) for window in windows]
-    tops = [former.gather(read, part, threads) for part in _joined(whole)]
-    for window in windows:
-        yield former.window(read, x[window[1]], y[window[0]], tops, threads)
+    whole = [(window, _outline(geometry, x, y, window)) for window in windows]
+    # A single window knows itself which pulses light it.
+    parts = _joined([outline for _, outline in whole]) if len(windows) > 1 else []
+    tops = [former.gather(read, part, threads) for part in parts]
+    yield from former.windows(read, x, y, whole, tops, threads)
 
 
 def _outline(geometry: Geometry, x: FloatArray, y: FloatArray, window: Window) -> list[Part]:
@@ -101,6 +105,21 @@ def _outline(geometry: Geometry, x: FloatArray, y: FloatArray, window: Window) -
             )
         )
     return parts
+
+
+def _halves(outlines: Sequence[Outlined]) -> list[list[Outlined]]:
+    """Windows on either side of the middle of the box around them, along its longer side."""
+    ends = [
+        (min(window[axis].start for window, _ in outlines), max(window[axis].stop for window, _ in outlines))
+        for axis in (0, 1)
+    ]
+    axis = int(ends[1][1] - ends[1][0] > ends[0][1] - ends[0][0])
+    middle = sum(ends[axis]) / 2
+    sides = [
+        [each for each in outlines if (each[0][axis].start + each[0][axis].stop > 2 * middle) == far]
+        for far in (False, True)
+    ]
+    return [side for side in sides if side]
 
 
 def _joined(outlines: Sequence[Sequence[Part]]) -> list[Part]:
@@ -162,6 +181,24 @@ class _Former:
             values[rows] *= self._over_band.astype(np.float32)
         if self._over_pulses is not None and not self.weighting.azimuth.uniform:
             values[rows] *= self._over_pulses[pulses, None].astype(np.float32)
+
+    def windows(
+        self, read: ReadPulses, x: FloatArray, y: FloatArray, outlines: Sequence[Outlined],
+        tops: Sequence[tuple[Part, Echoes | None]], threads: int,
+    ) -> Iterator[tuple[Window, ComplexArray]]:  # fmt: skip
+        """Form windows; many of them from the echoes of halves of them, which are decimated first."""
+        if len(outlines) <= MOST_WINDOWS:
+            for window, _ in outlines:
+                yield window, self.window(read, x[window[1]], y[window[0]], tops, threads)
+            return
+        for some in _halves(outlines):
+            parts = _joined([outline for _, outline in some])
+            # Of passes that a half lacks, as of tops that have no echoes, nothing is left.
+            left = [
+                (part, None if echoes is None else self.hierarchy.divide(top, echoes, part, Scratch(), -1))
+                for part, (top, echoes) in zip(parts, tops, strict=False)
+            ]
+            yield from self.windows(read, x, y, some, left, threads)
 
     def window(
         self, read: ReadPulses, x: FloatArray, y: FloatArray, tops: Sequence[tuple[Part, Echoes | None]], threads: int

@@ -17,7 +17,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.focusing.backprojection import form_image
-from blocksar.focusing.hierarchical_backprojection import form_windows
+from blocksar.focusing.hierarchical_backprojection import MOST_WINDOWS, form_windows
 from blocksar.focusing.hierarchy import Levels
 
 LEVELS = Levels(sides=(32.0, 8.0), attenuation=70.0, edge=0.38, upsampling=6)
@@ -139,6 +139,18 @@ def test_beyond_the_unambiguous_window_there_is_no_image() -> None:
     assert error(found, exact) < -62
 
 
+def test_many_windows_are_formed_from_halves_of_them() -> None:
+    c = collection(n_pulse=900, n_frequency=256)
+    x, y = grid_about(c, n=50, spacing=8.0)
+    cells = [(slice(i, min(i + 10, y.size)), slice(j, j + 10)) for i in range(0, y.size, 10) for j in range(0, 50, 10)]
+    samples, geometry, image = noise(c), Geometry(collection=c), np.zeros((y.size, 50), np.complex64)
+    levels = replace(LEVELS, sides=(100.0, 40.0))
+    for window, found in form_windows(lambda p: samples[p], geometry, x, y, cells, levels=levels, threads=1):
+        image[window] = found
+    assert len(cells) > MOST_WINDOWS
+    assert error(image, form_image(lambda p: samples[p], geometry, x, y, threads=1)) < -62
+
+
 def test_threads_give_the_same_bits() -> None:
     c = collection(n_pulse=900, n_frequency=256)
     x, y = grid_about(c)
@@ -162,7 +174,7 @@ def test_the_error_follows_filters_and_interpolation(attenuation: float, upsampl
     levels = Levels(sides=(32.0, 8.0), attenuation=attenuation, edge=0.38, upsampling=upsampling)
     samples = noise(c)
     window = slice(0, y.size), slice(0, x.size)
-    (found,) = form_windows(lambda p: samples[p], Geometry(collection=c), x, y, [window], levels=levels, threads=1)
+    ((_, found),) = form_windows(lambda p: samples[p], Geometry(collection=c), x, y, [window], levels=levels, threads=1)
     exact = back_projection(c, samples, *np.meshgrid(x[::5], y[::5]))
     away = np.abs(found[::5, ::5] - exact)
     assert 10 * np.log10((away**2).sum() / (np.abs(exact) ** 2).sum()) < -attenuation + 4
