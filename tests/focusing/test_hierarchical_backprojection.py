@@ -57,9 +57,7 @@ def both(c: Collection, x: FloatArray, y: FloatArray, *, levels: Levels = LEVELS
         (slice(row, y.size), slice(0, column)),
         (slice(0, y.size), slice(column, x.size)),
     ]
-    for window, found in zip(
-        windows, form_windows(read, geometry, x, y, windows, levels=levels, **options), strict=True
-    ):
+    for window, found in form_windows(read, geometry, x, y, windows, levels=levels, **options):
         image[window] = found
     return image, form_image(read, geometry, x, y, **options)
 
