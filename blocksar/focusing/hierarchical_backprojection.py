@@ -143,7 +143,7 @@ class _Former:
     def __init__(self, geometry: Geometry, levels: Levels, weighting: Weighting) -> None:
         self.geometry, self.weighting, collection = geometry, weighting, geometry.collection
         self.taper = weighting.azimuth if collection.steered else FLAT
-        self.hierarchy = Hierarchy(geometry, levels, waves=0.0 if self.taper.uniform else _waves(self.taper))
+        self.hierarchy = Hierarchy(geometry, levels, waves=dwell_waves(geometry, weighting))
         n = collection.n_range_frequency
         self._over_band = weighting.range.samples(n)
         self._over_band /= self._over_band.mean()
@@ -355,9 +355,11 @@ def mark_outside(geometry: Geometry, part: Part, outside: BoolArray) -> None:
         outside[row, column] |= bool((away[lit] > half).any())
 
 
-def _waves(taper: Taper) -> float:
-    """Largest frequency of a taper that matters, cycles per dwell."""
-    terms, frequency = taper.series
+def dwell_waves(geometry: Geometry, weighting: Weighting) -> float:
+    """Largest frequency of the weights over a steered beam that matters, cycles per dwell."""
+    if not geometry.collection.steered or weighting.azimuth.uniform:
+        return 0.0
+    terms, frequency = weighting.azimuth.series
     noticed = np.flatnonzero(np.abs(terms) > NOTICED * np.abs(terms).max())
     return float(frequency * noticed[-1])
 
