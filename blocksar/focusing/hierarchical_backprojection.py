@@ -15,7 +15,7 @@ import numpy as np
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.collection.beam import beam_offset, lit_passes
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.weighting import FLAT, UNIFORM, Taper, Weighting
+from blocksar.collection.weighting import FLAT, UNIFORM, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.backprojection import PixelSums, ReadPulses, pulse_blocks
 from blocksar.focusing.hierarchy import LOOKS, Echoes, Hierarchy, Levels

@@ -166,10 +166,13 @@ class Hierarchy:
     levels : Levels
     waves : float
         Largest frequency of the weights over a dwell, cycles per dwell.
+    path : Path, optional
+        Of this geometry.
     """
 
-    def __init__(self, geometry: Geometry, levels: Levels, *, waves: float = 0.0) -> None:
-        self.collection, self.levels, self.waves, self.path = geometry.collection, levels, waves, Path(geometry)
+    def __init__(self, geometry: Geometry, levels: Levels, *, waves: float = 0.0, path: Path | None = None) -> None:
+        self.collection, self.levels, self.waves = geometry.collection, levels, waves
+        self.path = path or Path(geometry)
         highest = self.collection.carrier + self.collection.range_frequency[-1]
         self._cycles = 2 * highest / SPEED_OF_LIGHT  # per m
         self._airy = airy_reach(levels.attenuation)

@@ -16,26 +16,31 @@ sums over what is left, are counted with the frames of `focusing.hierarchy`, whi
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from blocksar.collection.beam import lit_passes
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
+from blocksar.collection.weighting import Weighting
+from blocksar.focusing.hierarchical_backprojection import MOST_WINDOWS, PULSE_BLOCK_BYTES, dwell_waves
 from blocksar.focusing.hierarchy import Filters, Frame, Hierarchy, Levels
-from blocksar.focusing.parts import Part
+from blocksar.focusing.parts import Part, Path
 from blocksar.focusing.profiles import spline_error
 from blocksar.kernels.fourier import fast_length
+from blocksar.planning.memory import PROCESS_MEMORY
+from blocksar.planning.tiling import image_chunk
 
 EDGE = 0.38  # e of the filters: higher ones have long tails, lower ones leave more samples
 RATIOS = (2.0, 3.0, 4.0, 6.0)  # of the sides of a level and the next
-LAST_SIDES = (24, 32, 48, 64, 96, 128, 192)  # pixels
+LAST_SIDES = (32, 48, 64, 96, 128, 192)  # pixels
 UPSAMPLINGS = range(2, 25)
 NODES = 3  # along a part's side, at which it is found what lights it
-UNITS_PER_WORKER = 4  # parts of the image for each worker at least, so that they end together
-MOST_UNITS = 4096
+DIVISIONS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # of the image along either side, into units of work
+PLACES = (0.5, 0.25, 0.75)  # of the image, along either side, at which costs are found
 # Seconds of one thread where `graph.machine.pace` is 1.
 TURN = 0.5e-9  # per sample whose phase is turned
 TAP = 0.028e-9  # per sample and tap, along range
@@ -107,29 +112,29 @@ class Ladders:
 
     def cost(self, place: tuple[float, float], sides: Sequence[tuple[float, float]]) -> Cost | None:
         """What the first of some parts costs, each of which is divided into the next; None where nothing lights it."""
-        parts = [self.part(place, side) for side in sides]
-        entered = self.hierarchy.enter(parts[0])
+        part = self.part(place, sides[0])
+        entered = self.hierarchy.enter(part)
         if entered is None:
             return None
-        (begin, end), _ = parts[0].lit()
+        (begin, end), _ = part.lit()
         n_frequency = self.geometry.collection.n_range_frequency
         seconds, samples = READ * (end - begin) * n_frequency, 0
         filters, frame = entered
-        seconds += _filtering(filters, frame, end - begin, 0, n_frequency, parts[0])
+        seconds += _filtering(filters, frame, end - begin, 0, n_frequency)
         samples += _samples(frame)
         count = 1.0
-        for above, below in zip(sides, sides[1:], strict=False):
-            part = parts[sides.index(below)]
+        for above, below in pairwise(sides):
+            part = self.part(place, below)
             descended = self.hierarchy.descend(frame, part)
             if descended is None:
                 return None
             count *= above[0] * above[1] / (below[0] * below[1])
             filters, left = descended
             edges = len(range(*filters.kept.indices(frame.pulses.size)))
-            seconds += count * (PART + _filtering(filters, left, edges, frame.size, frame.columns, part))
+            seconds += count * (PART + _filtering(filters, left, edges, frame.size, frame.columns))
             frame = left
             samples += _samples(frame)
-        return Cost(seconds=seconds + count * self._last(frame, parts[-1], sides[-1]), samples=samples)
+        return Cost(seconds=seconds + count * self._last(frame, part, sides[-1]), samples=samples)
 
     def _last(self, frame: Frame, part: Part, side: tuple[float, float]) -> float:
         """Seconds to back-project a last part from what is left."""
@@ -145,7 +150,7 @@ def _samples(frame: Frame) -> int:
     return (frame.size + frame.pulses.size) * frame.columns
 
 
-def _filtering(filters: Filters, left: Frame, edges: int, interior: int, columns: int, part: Part) -> float:
+def _filtering(filters: Filters, left: Frame, edges: int, interior: int, columns: int) -> float:
     """Seconds to turn and filter rows of `columns` samples, so many edges and of the interior, to a frame."""
     across = 2 * filters.across.half if filters.across.factor > 1 else 0
     rows = edges + interior
@@ -156,3 +161,144 @@ def _filtering(filters: Filters, left: Frame, edges: int, interior: int, columns
     if left.size:
         taps += max(edges - left.pulses.size, 0) * (2 * filters.single.half + 1) / filters.single.factor
     return seconds + ROW_TAP * taps * left.columns
+
+
+def _halved(unit: tuple[int, int], chunk: tuple[int, int]) -> list[tuple[int, int]]:
+    """Rows and columns of a unit, of its halves as `form_windows` makes them, and of its windows."""
+    steps, now = [unit], unit
+    while math.ceil(now[0] / chunk[0]) * math.ceil(now[1] / chunk[1]) > MOST_WINDOWS:
+        axis = int(now[1] > now[0])
+        half = math.ceil(now[axis] / 2)
+        now = (half, now[1]) if axis == 0 else (now[0], half)
+        steps.append(now)
+    window = min(now[0], chunk[0]), min(now[1], chunk[1])
+    return [*steps, window] if window != now else steps
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Division:
+    """How an image is divided, at all levels, and what that takes.
+
+    Attributes
+    ----------
+    chunks : tuple of int
+        Rows and columns of chunks of the image in a unit.
+    levels : Levels
+    seconds : float
+        Of one thread for all units, where the pace is 1.
+    memory : int
+        Of a task, bytes.
+    stages : int
+        Filters, along either axis, between the samples and the last parts.
+    """
+
+    chunks: tuple[int, int]
+    levels: Levels
+    seconds: float
+    memory: int
+    stages: int
+
+    @property
+    def error(self) -> float:
+        """Error power of the image over that of all that its data hold."""
+        return planned_error(self.levels, stages=self.stages)
+
+    def units(self, grid: Grid) -> list[list[tuple[slice, slice]]]:
+        """The windows of each unit: chunks of the image."""
+        side = image_chunk(grid)
+        spans = [
+            [slice(first, min(first + step, n)) for first in range(0, n, step)]
+            for n, step in zip(grid.shape, side, strict=True)
+        ]
+        rows, columns = (
+            [spans[k][first : first + self.chunks[k]] for first in range(0, len(spans[k]), self.chunks[k])]
+            for k in (0, 1)
+        )
+        return [[(row, column) for row in some for column in others] for some in rows for others in columns]
+
+
+def divide(
+    geometry: Geometry, grid: Grid, *, fidelity: float, weighting: Weighting, workers: int, memory_limit: float
+) -> Division:
+    """The division that takes the least predicted time on so many workers of one thread, within their memory, bytes.
+
+    Where none fits, it is the one that takes the least memory.
+    """
+    found = list(_divisions(geometry, grid, fidelity=fidelity, weighting=weighting))
+    fitting = [each for each in found if each.memory <= memory_limit]
+    if not fitting:
+        return min(found, key=lambda each: each.memory)
+
+    def time(each: Division) -> float:
+        units = len(each.units(grid))
+        return math.ceil(units / workers) * each.seconds / units
+
+    return min(fitting, key=time)
+
+
+def _divisions(geometry: Geometry, grid: Grid, *, fidelity: float, weighting: Weighting) -> Iterator[Division]:
+    """Every division that is worth a thought."""
+    chunk, waves = image_chunk(grid), dwell_waves(geometry, weighting)
+    path = Path(geometry)
+    places = [
+        (grid.x0 + u * grid.dx * grid.shape[1], grid.y0 + v * grid.dy * grid.shape[0]) for u in PLACES for v in PLACES
+    ]
+    counts = [math.ceil(n / side) for n, side in zip(grid.shape, chunk, strict=True)]
+    ladder: tuple[float, int] | None = None  # ratio and last side: those of the first units serve all
+    for division in _unit_sizes(grid, counts):
+        unit = tuple(min(c * side, n) for c, side, n in zip(division, chunk, grid.shape, strict=True))
+        steps = _halved((unit[0], unit[1]), chunk)
+        tried = [(r, last) for r in RATIOS for last in LAST_SIDES] if ladder is None else [ladder]
+        best: tuple[float, Division] | None = None
+        for ratio, last in tried:
+            sides = [(columns * grid.dx, rows * grid.dy) for rows, columns in steps]
+            below = _ladder(sides[-1], (last * grid.dx, last * grid.dy), ratio)
+            levels = levels_for(fidelity, tuple(max(side) for side in below), stages=len(sides) + len(below))
+            ladders = Ladders(Hierarchy(geometry, levels, waves=waves, path=path), geometry, grid)
+            some = places if ladder is not None else places[len(places) // 2 :: len(places)]
+            costs = [cost for place in some if (cost := ladders.cost(place, [*sides, *below])) is not None]
+            if not costs:
+                costs = [Cost(seconds=PIXEL * unit[0] * unit[1], samples=0)]
+            area = grid.shape[0] * grid.shape[1] / (unit[0] * unit[1])
+            seconds = area * float(np.mean([cost.seconds for cost in costs]))
+            samples = max(cost.samples for cost in costs)
+            each = Division(
+                chunks=division, levels=levels, seconds=seconds, memory=_memory(geometry, samples, chunk),
+                stages=len(sides) + len(below),
+            )  # fmt: skip
+            if best is None or seconds < best[0]:
+                best, chosen = (seconds, each), (ratio, last)
+        assert best is not None
+        ladder = chosen
+        yield best[1]
+
+
+def _unit_sizes(grid: Grid, counts: list[int]) -> list[tuple[int, int]]:
+    """Chunks of a unit along rows and columns, from all of the image to single chunks; about as high as wide."""
+    sizes: list[tuple[int, int]] = []
+    for number in DIVISIONS:
+        high = abs(grid.dy) * grid.shape[0] / (abs(grid.dx) * grid.shape[1])
+        along = max(round(number * math.sqrt(high)), 1), max(round(number / math.sqrt(high)), 1)
+        size = math.ceil(counts[0] / along[0]), math.ceil(counts[1] / along[1])
+        if size not in sizes:
+            sizes.append(size)
+    return sizes
+
+
+def _ladder(window: tuple[float, float], last: tuple[float, float], ratio: float) -> list[tuple[float, float]]:
+    """Sides of the levels below a window, down to the last parts."""
+    span = max(w / s for w, s in zip(window, last, strict=True))
+    if span <= 1:
+        return []
+    steps = max(round(math.log(span) / math.log(ratio)), 1)
+    return [
+        (min(window[0], last[0] * span ** (1 - k / steps)), min(window[1], last[1] * span ** (1 - k / steps)))
+        for k in range(1, steps + 1)
+    ]
+
+
+def _memory(geometry: Geometry, samples: int, chunk: tuple[int, int]) -> int:
+    """Peak memory of a worker of one thread, bytes."""
+    block = max(PULSE_BLOCK_BYTES, 8 * geometry.collection.n_range_frequency)
+    path = 2 * 3 * 3 * 8 * 3 * geometry.collection.n_pulse
+    return PROCESS_MEMORY + 4 * block + 8 * int(1.25 * samples) + PIXEL_BYTES * chunk[0] * chunk[1] + path
