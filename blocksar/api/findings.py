@@ -12,7 +12,7 @@ from itertools import chain
 from typing import NamedTuple
 
 from blocksar import stores
-from blocksar.api.checking import check_samples
+from blocksar.api.checking import check_samples, refuse_real
 from blocksar.api.jobs import Job
 from blocksar.errors import InputError
 from blocksar.graph.segments import Segment, by_collection
@@ -164,6 +164,7 @@ def _check_samples(job: Job, segments: Sequence[Segment]) -> Check:
     """
     if segments[0].source.part_of_a_beam:
         return None, ""
+    refuse_real(segments[0].source)
     try:
         middle = segments[len(segments) // 2]
         findings = check_samples(
