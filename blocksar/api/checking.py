@@ -111,7 +111,8 @@ def refuse_real(history: stores.PhaseHistory) -> None:
     InputError
         If they are real.
     """
-    spans = ([slice(k, min(k + step, n)) for k in range(0, n, step)] for n, step in zip(history.shape, TILE, strict=True))
+    sides = zip(history.shape, TILE, strict=True)
+    spans = ([slice(first, min(first + step, n)) for first in range(0, n, step)] for n, step in sides)
     parts = ((region, history.read(*region)) for region in product(*spans))
     if (reason := find_real(history.variable, history.collection, parts)) is not None:
         raise InputError(f"{history.label}: {reason}")

@@ -13,6 +13,7 @@ from blocksar import stores
 from blocksar.api.arguments import is_dataset
 from blocksar.arrays import FloatArray
 from blocksar.collection.georeference import Georeference
+from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, lies_at, place
@@ -128,7 +129,7 @@ def collection(
     _check_samples(signal, echo, range_frequency, fast_time)
     if time is None:
         raise InputError("time is None; give the times of the pulses, s")
-    _check_reference(reference_range)
+    _check_reference(reference_range, range_frequency, antenna_position, ground_height)
     if earth_centred:
         antenna_position, beam_axis = _into_frame(georeference, antenna_position, beam_axis)
     if np.ndim(reference_range) == 0:
@@ -185,17 +186,20 @@ def _check_samples(signal: Any, echo: Any, range_frequency: Any, fast_time: Any)
             raise InputError(f"{other} is given, but {name} lies over {axis}; leave {other} out")
 
 
-def _check_reference(reference_range: Any) -> None:
-    """Check that the reference range is one: zero would be right for samples that no range window can hold."""
+def _check_reference(reference_range: Any, range_frequency: Any, position: Any, ground_height: Any) -> None:
+    """Check that the reference range is one: zero is right only where half a range window reaches the ground."""
     try:
         least = float(np.nanmin(np.asarray(reference_range, np.float64)))
-    except (TypeError, ValueError):
+        height = float(np.nanmin(np.asarray(position, np.float64)[..., 2])) - ground_height
+        step = 0.0 if range_frequency is None else abs(float(np.diff(np.asarray(range_frequency, np.float64)[:2])[0]))
+    except (TypeError, ValueError, IndexError):
         return  # said later, with the shape
-    if least <= 0:
-        raise InputError(
-            f"reference_range is {least:g} m; give R0, the range of the middle of the swath, and multiply samples "
-            "whose phase nobody has removed by exp(4j pi (carrier_frequency + range_frequency) R0 / c)"
-        )
+    if least > 0 or (least == 0 and step and SPEED_OF_LIGHT / (4 * step) > height):
+        return
+    raise InputError(
+        f"reference_range is {least:g} m; give R0, the range of the middle of the swath, and multiply samples "
+        "whose phase nobody has removed by exp(4j pi (carrier_frequency + range_frequency) R0 / c)"
+    )
 
 
 def _target_record(target: Target | Mapping[str, Any]) -> dict[str, Any]:

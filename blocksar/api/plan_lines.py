@@ -17,7 +17,7 @@ from blocksar.collection.lit_sums import most_lit_pulses
 from blocksar.collection.region import default_grid, share_outside
 from blocksar.constants import MIB
 from blocksar.graph.machine import Resources, machine, pace
-from blocksar.inspection.sentences import doubted_time
+from blocksar.inspection.sentences import doubts_of_track
 from blocksar.planning import effort
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.disk import run_bytes
@@ -33,8 +33,8 @@ EXACT_TOLD, EXACT_GAIN = 5.0, 1.5  # s of a run, and times less that back-projec
 SHORT_DWELL = 12  # pulses, below which a coherence of up to 0.002 less than is predicted was measured
 
 
-def plan_lines(plan: Plan) -> list[str]:
-    """What there is to say of a plan besides its tables."""
+def plan_lines(plan: Plan, *, compared: bool = False) -> list[str]:
+    """What there is to say of a plan besides its tables; `compared` as for `describe_shortfall`."""
     recovery, collection, grid = plan.recovery, plan.geometry.collection, plan.grid
     spectrum = recovery.doppler.size * collection.n_range_frequency * 8
     blocks = f"{plan.n_blocks} block{'s' if plan.n_blocks > 1 else ''}"
@@ -72,8 +72,7 @@ def plan_lines(plan: Plan) -> list[str]:
     if (parts := max(len(block.sampling.over_band) for block in plan.blocks)) > 1:
         lines.append(f"dwells are gated in {parts} parts over the band, which are focused one after the other")
     lines.append(_disk_line(plan))
-    if (doubt := doubted_time(plan.geometry.collection)) is not None:
-        lines.append(doubt)
+    lines += doubts_of_track(plan.geometry.collection)
     doubts = undersampling, short_dwells, cut_dwells, cut_lobes, wobbling_beam
     lines += [line for doubt in doubts if (line := doubt(plan)) is not None]
     noise = max(block.prediction.track_phase for block in plan.blocks)
@@ -82,7 +81,7 @@ def plan_lines(plan: Plan) -> list[str]:
             f"the noise of the track leaves a phase of {noise:.2g} rad r.m.s. over a dwell; smooth the positions"
         )
     if not plan.faithful:
-        lines.append(describe_shortfall(plan))
+        lines.append(describe_shortfall(plan, compared=compared))
     return lines
 
 
@@ -135,7 +134,7 @@ def time_line(work: Work, assumed: Resources, planning: float = 0.0) -> str:
 
     `planning` is what the plan took, s, which a run makes again: told where it is long.
     """
-    seconds = _stage_seconds(work, assumed, planning)
+    seconds = stage_seconds(work, assumed, planning)
     return (
         f"a run takes about {time_text(sum(seconds.values()))} on this machine {workforce(assumed)} "
         f"({_shares(seconds)}), more where others use it, the disk is slow, or loops are not compiled"
@@ -144,17 +143,17 @@ def time_line(work: Work, assumed: Resources, planning: float = 0.0) -> str:
 
 def exact_line(plans: Sequence[Plan], work: Work, assumed: Resources, planning: float) -> list[str]:
     """A sentence if exact back-projection would take less time than the `work` of some plans, else none."""
-    seconds = sum(_stage_seconds(work, assumed, planning).values())
+    seconds = sum(stage_seconds(work, assumed, planning).values())
     if seconds < EXACT_TOLD:
         return []
     summed = effort.together([effort.of_backprojection(plan.geometry, plan.grid) for plan in plans])
-    exact = sum(_stage_seconds(summed, assumed, 0.0).values())
+    exact = sum(stage_seconds(summed, assumed).values())
     if exact > seconds / EXACT_GAIN:
         return []
     return [f"exact back-projection of this grid takes less, about {time_text(exact)}: --processor backprojection"]
 
 
-def _stage_seconds(work: Work, assumed: Resources, planning: float) -> dict[str, float]:
+def stage_seconds(work: Work, assumed: Resources, planning: float = 0.0) -> dict[str, float]:
     """Seconds of a run by stage, as in `time_line`."""
     workers = min(assumed.workers, machine()[0])  # more than there are cores gain nothing
     seconds = effort.seconds_of(work, workers=workers, threads=assumed.threads, pace=pace())

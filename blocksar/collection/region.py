@@ -17,6 +17,7 @@ from blocksar.collection.beam import dwell, dwell_at, has_full_dwell, lit_yaw, w
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution, outline
+from blocksar.collection.units import describe_pointing, find_meant
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, OutsideSwath
 
@@ -98,7 +99,11 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
     if collection.has_axis:
         what = f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g}"
         ends = float(yaw.min()), float(yaw.max())
-        return _joined([_lit_region(level, what, *ends) for level in geometry.levels])
+        try:
+            return _joined([_lit_region(level, what, *ends) for level in geometry.levels])
+        except OutsideSwath as error:
+            remedy = f"{describe_pointing(geometry, grid)}; {_remedy(geometry, grid)}"
+            raise OutsideSwath(str(error).replace(MOVE, remedy)) from None
     rng = geometry.epoch_range(*on_terrain(geometry, grid, x, y))
     slack = float(np.hypot(grid.dx, grid.dy))  # keeps the farthest pixel off the region's edge
     span, pixel = float(np.ptp(yaw)), slack / float(np.hypot(x - geometry.nadir[0], y - geometry.nadir[1]).min())
@@ -169,14 +174,14 @@ def _lit_region(geometry: Geometry, what: str, low: float, high: float) -> Regio
     if lit.size == 0:
         raise OutsideSwath(
             f"{what} lies outside the swath: the beam (beam_axis, beam_steering, beam_width) lights none of its yaws; "
-            "move the grid"
+            f"{MOVE}"
         )
     outer = first_unlit(inside[lit[0]], -1.0), first_unlit(inside[lit[-1]], 1.0)
     yaw = np.linspace(max(outer[0], side[0]), min(outer[1], side[1]), FINE_YAWS)
     near, far = _window(geometry, yaw, None)
     lit = np.flatnonzero(_lit_ranges(geometry, yaw, near, far, count=FEW_RANGES)[2])
     if lit.size == 0:
-        raise OutsideSwath("grid lies outside the swath: the beam lights nothing in the range window; move the grid")
+        raise OutsideSwath(f"grid lies outside the swath: the beam lights nothing in the range window; {MOVE}")
     yaw = np.linspace(yaw[max(lit[0] - 1, 0)], yaw[min(lit[-1] + 1, FINE_YAWS - 1)], 65)
     near, far = _window(geometry, yaw, None)
     nearest, farthest, any_lit = _lit_ranges(geometry, yaw, near, far, count=LIT_RANGES)
@@ -308,8 +313,8 @@ def grid_extent(geometry: Geometry, region: Region, grid: Grid, owned: Owned | N
         degrees = np.degrees([yaw.min(), yaw.max(), region.yaw[0], region.yaw[-1]])
         raise OutsideSwath(
             f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g} lies outside the swath: it spans yaw "
-            f"{degrees[0]:.2f} .. {degrees[1]:.2f} degrees and range {rng.min():.0f} .. {rng.max():.0f} m, but lit are "
-            f"{degrees[2]:.2f} .. {degrees[3]:.2f} degrees and {region.near.min():.0f} .. {region.far.max():.0f} m; "
+            f"{degrees[0]:.2f} .. {degrees[1]:.2f} degrees and range {rng.min():.6g} .. {rng.max():.6g} m, but lit are "
+            f"{degrees[2]:.2f} .. {degrees[3]:.2f} degrees and {region.near.min():.6g} .. {region.far.max():.6g} m; "
             f"{_remedy(geometry, grid)}"
         )
     slack = step / np.hypot(x - geometry.nadir[0], y - geometry.nadir[1])[covered].min()
@@ -377,12 +382,8 @@ def on_terrain(
 
 
 def _remedy(geometry: Geometry, grid: Grid) -> str:
-    """What to do about a grid outside the swath: its numbers may mean km, if its middle would then be in the swath."""
-    collection = geometry.collection
-    x, y = (500 * np.asarray(low + high) for low, high in ((grid.x0, grid.x1), (grid.y0, grid.y1)))
-    reference = np.interp(geometry.epoch, collection.time, collection.reference_range)
-    kilometres = abs(float(geometry.epoch_range(x, y)) - reference) <= collection.range_window / 2
-    return "it looks like km: give metres" if kilometres else MOVE
+    """What to do about a grid outside the swath."""
+    return find_meant(geometry.collection, grid) or MOVE
 
 
 def default_grid(geometry: Geometry, region: Region) -> Grid:
