@@ -238,13 +238,14 @@ def reference_table(run: Facts) -> Table | None:
         Column("x", "m"),
         Column("y", "m"),
         Column("coherence"),
+        Column("judged", "by the power within reach"),
         Column("gain"),
         Column("phase", "rad"),
     ]
     rows = [
         Row([
             Cell(c["place"], c["place"]), _cell(c["x"], 0), _cell(c["y"], 0), _cell(c["coherence"], 5),
-            _cell(c["gain"], 4), _cell(c["phase"], 4),
+            _cell(c["judged"], 5), _cell(c["gain"], 4), _cell(c["phase"], 4),
         ])
         for c in chips[:MOST_ROWS]
     ]  # fmt: skip
