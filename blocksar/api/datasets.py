@@ -173,9 +173,9 @@ def collection(
     if collection_start is not None:
         origin |= stated_times(str(collection_start), time_zero)
     attrs["source"] = origin or None
-    from blocksar.products import dataset  # noqa: F401  (registers the accessor)
+    from blocksar.products import dataset  # registers the accessor, and loads xarray
 
-    return stores.dataset_of(variables, attrs)
+    return dataset.prepare(stores.dataset_of(variables, attrs))
 
 
 def _into_frame(georeference: Any, position: ArrayLike, axis: ArrayLike | None) -> tuple[FloatArray, FloatArray | None]:
