@@ -19,8 +19,7 @@ from blocksar.collection.region import default_grid, share_outside
 from blocksar.constants import MIB
 from blocksar.graph.machine import Resources, machine, pace
 from blocksar.inspection.sentences import doubts_of_track
-from blocksar.measurement.axes import response_axes
-from blocksar.measurement.response import MIN_OVERSAMPLING
+from blocksar.measurement.axes import MIN_OVERSAMPLING, response_axes
 from blocksar.planning import effort
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.disk import run_bytes

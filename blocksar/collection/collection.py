@@ -135,31 +135,7 @@ class Collection:
         way = np.linalg.norm(np.diff(self.antenna_position, axis=0), axis=1)
         self._check_jumps(way)
         self._check_speed(way)
-        if not (np.isfinite(self.carrier) and self.carrier > 0):
-            raise InputError(f"carrier_frequency must be a positive number of Hz, got {self.carrier!r}")
-        if not CARRIERS[0] <= self.carrier <= CARRIERS[1]:
-            unit = " (it looks like GHz or MHz)" if self.carrier < CARRIERS[0] else ""
-            raise InputError(
-                f"carrier_frequency is {self.carrier:.6g} Hz, but must lie between {CARRIERS[0]:g} and "
-                f"{CARRIERS[1]:g} Hz; correct it, or its unit{unit}"
-            )
-        self._check_size("range_frequency", "Hz", CARRIERS[1])
-        if self.range_window > FARTHEST:
-            raise InputError(
-                f"range_frequency is spaced by {self.range_frequency_step:.3g} Hz, for a range window of "
-                f"{self.range_window:.3g} m, beyond the {FARTHEST:g} m that can be meant; correct it, or its unit"
-            )
-        if self.carrier + self.range_frequency[0] <= 0:
-            raise InputError(
-                f"range_frequency starts at {self.range_frequency[0]:.6g} Hz, below minus the carrier "
-                f"({self.carrier:.6g} Hz); it must be baseband, relative to carrier_frequency"
-            )
-        low, high = self.range_frequency[[0, -1]]
-        if low > self.carrier / 2 or 0 < low <= self.carrier <= high:
-            raise InputError(
-                f"range_frequency is {self.range_frequency[0]:.6g} .. {self.range_frequency[-1]:.6g} Hz with "
-                f"carrier_frequency = {self.carrier:.6g} Hz: it looks absolute; subtract the carrier"
-            )
+        self._check_band()
         self._check_cells()
         if not np.isfinite(self.ground_height):
             raise InputError(f"ground_height must be a finite number of m, got {self.ground_height!r}")
@@ -227,6 +203,33 @@ class Collection:
             raise InputError(
                 f"antenna_position moves at {speed:.6g} m/s, but an aperture needs at least {SPEEDS[0]:g} m/s: correct "
                 "the unit of antenna_position (it looks like km) or of time (it looks like ms, us or pulse numbers)"
+            )
+
+    def _check_band(self) -> None:
+        if not (np.isfinite(self.carrier) and self.carrier > 0):
+            raise InputError(f"carrier_frequency must be a positive number of Hz, got {self.carrier!r}")
+        if not CARRIERS[0] <= self.carrier <= CARRIERS[1]:
+            unit = " (it looks like GHz or MHz)" if self.carrier < CARRIERS[0] else ""
+            raise InputError(
+                f"carrier_frequency is {self.carrier:.6g} Hz, but must lie between {CARRIERS[0]:g} and "
+                f"{CARRIERS[1]:g} Hz; correct it, or its unit{unit}"
+            )
+        self._check_size("range_frequency", "Hz", CARRIERS[1])
+        if self.range_window > FARTHEST:
+            raise InputError(
+                f"range_frequency is spaced by {self.range_frequency_step:.3g} Hz, for a range window of "
+                f"{self.range_window:.3g} m, beyond the {FARTHEST:g} m that can be meant; correct it, or its unit"
+            )
+        if self.carrier + self.range_frequency[0] <= 0:
+            raise InputError(
+                f"range_frequency starts at {self.range_frequency[0]:.6g} Hz, below minus the carrier "
+                f"({self.carrier:.6g} Hz); it must be baseband, relative to carrier_frequency"
+            )
+        low, high = self.range_frequency[[0, -1]]
+        if low > self.carrier / 2 or 0 < low <= self.carrier <= high:
+            raise InputError(
+                f"range_frequency is {low:.6g} .. {high:.6g} Hz with carrier_frequency = {self.carrier:.6g} Hz: it "
+                "looks absolute; subtract the carrier"
             )
 
     def _check_cells(self) -> None:

@@ -35,7 +35,7 @@ Span = tuple[float | None, float | None]
 _ENDS = (-np.inf, np.inf)  # in place of ends that are None
 
 
-class Writable(xr.Dataset):  # type: ignore[no-untyped-call]
+class Dataset(xr.Dataset):  # type: ignore[no-untyped-call]
     """A dataset that `to_netcdf` writes as `SarAccessor.netcdf` makes it, so that netCDF can hold it.
 
     What xarray derives from it is one as well.
@@ -49,14 +49,14 @@ class Writable(xr.Dataset):  # type: ignore[no-untyped-call]
 
 
 def prepare(dataset: xr.Dataset) -> xr.Dataset:
-    """Make a dataset `Writable`, and give an image CF metadata: its axes and, if georeferenced, its map projection.
+    """Make a dataset one of the class above, and give an image CF metadata: its axes and, if known, its map projection.
 
     Raises
     ------
     InputError
         If its georeference is wrong.
     """
-    dataset.__class__ = Writable
+    dataset.__class__ = Dataset
     if "image" not in dataset or not {"x", "y"} <= set(dataset.coords):
         return dataset
     frame = _frame(dataset.attrs)
