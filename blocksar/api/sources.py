@@ -146,7 +146,7 @@ def ingest_cphd(
     Parameters
     ----------
     source : path
-        Local CPHD file, version 1.0.1 or 1.1.0, monostatic.
+        CPHD file, version 1.0 or 1.1, monostatic.
     out : path
         Phase-history store to write.
     channel : str, optional

@@ -31,7 +31,7 @@ ingest = typer.Typer(
 @ingest.command("cphd")
 def ingest_cphd(
     context: typer.Context,
-    source: Annotated[str, typer.Argument(metavar="SOURCE.cphd", help="CPHD file, version 1.0.1 or 1.1.0.")],
+    source: Annotated[str, typer.Argument(metavar="SOURCE.cphd", help="CPHD file, version 1.0 or 1.1.")],
     out: StoreOut,
     channel: Annotated[
         str | None,

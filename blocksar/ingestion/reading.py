@@ -11,6 +11,7 @@ from textwrap import shorten
 from blocksar.collection.collection import Collection
 from blocksar.errors import InputError, ProcessingError, printable
 from blocksar.places.place import Place
+from blocksar.places.ranges import Readable
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -23,7 +24,7 @@ class Ingested:
 
 
 @contextmanager
-def reading(path: Place, *, damaged: str, remedy: str) -> Iterator[None]:
+def reading(path: Readable, *, damaged: str, remedy: str) -> Iterator[None]:
     """Turn any error of the libraries that read a file into one InputError that names the file.
 
     `damaged` describes a file that a library fails on, and `remedy` says what to do about it. MemoryError and

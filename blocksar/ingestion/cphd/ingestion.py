@@ -17,7 +17,7 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, printable
 from blocksar.ingestion.cphd.beams import fit_beam
 from blocksar.ingestion.cphd.channels import check_same_geometry, names_of, open_channels
-from blocksar.ingestion.cphd.files import CphdFile, library, numbers_of, reading_file
+from blocksar.ingestion.cphd.files import CphdFile, library, numbers_of, opened, reading_file
 from blocksar.ingestion.cphd.samples import (
     Delays,
     Interpolated,
@@ -29,7 +29,7 @@ from blocksar.ingestion.cphd.samples import (
 )
 from blocksar.ingestion.cphd.vectors import Pulses, VectorResampling, assign_pulses, resample_vectors
 from blocksar.ingestion.reading import Ingested
-from blocksar.places import Location, place
+from blocksar.places import Location, place, readable
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.progress.listening import Callback
@@ -55,7 +55,7 @@ def ingest(
     Parameters
     ----------
     source : path
-        A file of CPHD 1.0.1 or 1.1.0, monostatic, FX or TOA domain.
+        A file of CPHD 1.0 or 1.1, monostatic, FX or TOA domain.
     out : path, URL or Place
         Of the new store.
     channel : str, optional
@@ -73,19 +73,13 @@ def ingest(
     InputError
         If the file is damaged, not supported or contradicts itself, or `out` exists and overwrite is False.
     """
-    where = place(source)
-    if not isinstance(where, LocalPlace):
-        raise InputError(f"{where} is in an object store, from which CPHD files are not read; copy it to a file first")
+    where, target = readable(source), place(out)
     library()
-    target = place(out)
-    with reading_file(where):
-        if where.exists() and not where.path.is_file():
-            raise InputError("it is no regular file; give the path of a CPHD file")
-        # Damaged numbers may cause floating-point warnings; the checks report them.
-        with open(where.path, "rb") as stream, np.errstate(all="ignore"):
-            files = open_channels(stream, where.path, channel)
-            prepared = [prepare(file) for file in files]
-            names, attributes, messages = _combined(files, prepared)
+    # Damaged numbers may cause floating-point warnings; the checks report them.
+    with reading_file(where), opened(where) as stream, np.errstate(all="ignore"):
+        files = open_channels(stream, where, channel)
+        prepared = [prepare(file) for file in files]
+        names, attributes, messages = _combined(files, prepared)
     write = _writer(files, prepared, names, progress)
     attributes = {
         **attributes,
@@ -334,7 +328,7 @@ def _writer(
     def write(store: Place) -> None:
         for number, (file, each) in enumerate(zip(files, prepared, strict=True)):
             lead, read = (slice(number, number + 1),) if names else (), _reader(file, each)
-            with reading_file(LocalPlace(file.path)), open(file.path, "rb") as stream:
+            with reading_file(file.path), file.path.open() as stream:
                 for first in range(0, total, ROWS):
                     pulses = slice(first, min(first + ROWS, total))
                     block = read(stream, pulses)
