@@ -185,7 +185,7 @@ KINDS: tuple[Kind, ...] = (
     # What blocksar reads.
     Kind(CPHD, matches(rb"CPHD/1\.[01](\.\d+)?\n"),
          "turn it into a phase history first: `blocksar ingest cphd {path} --out {store}`"),
-    Kind(MATLAB, begins(b"\0\1IM", b"\1\0MI", at=124),
+    Kind(MATLAB, lambda s: s.data.startswith(b"MATLAB 5") or s.data[124:128] in (b"\0\1IM", b"\1\0MI"),
          "if it is of the Gotcha set, turn it into a phase history first: `blocksar ingest gotcha {path} --out "
          "{store}`"),
     Kind(SCENE, lambda s: s.name.lower().endswith(".toml"),

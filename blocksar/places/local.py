@@ -147,6 +147,14 @@ class LocalPlace(Place):
             os.close(descriptor)
 
 
+def free_bytes(place: LocalPlace) -> int:
+    """Bytes that the disk of a file or folder has free, which need not be there yet."""
+    path = place.path
+    while not path.exists():
+        path = path.parent
+    return shutil.disk_usage(path).free
+
+
 def file_version(status: os.stat_result) -> str:
     """Return size and time of modification, as `Place.version` does."""
     return f"{status.st_size} {status.st_mtime_ns}"

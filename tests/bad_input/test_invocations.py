@@ -165,7 +165,7 @@ CASES = {
     "simulate scene.toml --out n.zarr --origin=1,2,3": "only CPHD files have one; leave it out",
     "info nothing": "nothing does not exist; check the path",
     "info ''": "a path is '', which names nothing",
-    "info empty": "is nothing that blocksar reads or writes; give",
+    "info empty": "is an empty file; get it again",
     "preview ph.zarr --out a.jpg": "give png a name that ends in .png",
     "preview ph.zarr --out a.png --size=3": "size = 3: give 50 to 8000 pixels",
     f"preview ph.zarr --out a.png --quiet --grid={AWAY}": "lies outside the swath: it spans yaw",

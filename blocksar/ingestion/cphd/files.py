@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -62,6 +62,7 @@ class CphdFile:
     first_byte: int  # of the channel's signal array
     unnamed: int  # bytes of the signal block behind the last signal array of all channels
     vectors: NDArray[Any]  # per-vector parameters
+    band: tuple[float, float] = (-np.inf, np.inf)  # of the frequencies that are wanted, Hz
 
     @cached_property
     def root(self) -> Any:
@@ -70,6 +71,25 @@ class CphdFile:
     def parameter(self, name: str, rows: IntArray | slice = slice(None)) -> FloatArray:
         """A per-vector parameter of some vectors."""
         return np.asarray(self.vectors[name][rows], dtype=np.float64)
+
+    def part(self, pulses: tuple[int, int | None], band: tuple[float, float]) -> CphdFile:
+        """The same with some of the vectors, first and the one behind the last, and frequencies of a band, Hz.
+
+        Raises
+        ------
+        InputError
+            If fewer than 8 vectors are left.
+        """
+        first, stop, _ = slice(*pulses).indices(self.shape[0])
+        if stop - first < 8:
+            raise InputError(
+                f"--pulses {pulses[0]}:{'' if pulses[1] is None else pulses[1]} leaves {max(stop - first, 0)} of "
+                f"{self.shape[0]} vectors; at least 8 are needed"
+            )
+        return replace(
+            self, vectors=self.vectors[first:stop], shape=(stop - first, self.shape[1]), band=band,
+            first_byte=self.first_byte + first * self.shape[1] * self.dtype.itemsize,
+        )  # fmt: skip
 
     def read(self, file: BinaryIO, first: int, stop: int, samples: slice) -> ComplexArray:
         """Read some samples of the vectors first .. stop - 1, (n_vector, n_sample) complex64, not scaled.
