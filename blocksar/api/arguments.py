@@ -285,9 +285,11 @@ def channels_of(source: Source) -> tuple[str, ...]:
 
 
 def control_points(
-    control: Location | Sequence[Target] | None, source: Source, *, used: bool = True
+    control: Location | Sequence[Target] | None, source: Source, ground_height: float | None, *, used: bool = True
 ) -> tuple[Target, ...]:
     """Read control points in the frame of a phase history, as targets of `quality` are read; none by default.
+
+    Without heights they lie at `ground_height`, m, by default that of the phase history.
 
     Raises
     ------
@@ -301,7 +303,8 @@ def control_points(
     from blocksar.api.target_files import Frame, targets_of  # with SciPy, slow to load
 
     history = history_of(sources_of(source)[0])
-    frame = Frame(Georeference.among(history.attrs), history.collection.ground_height)
+    level = history.collection.ground_height if ground_height is None else ground_height
+    frame = Frame(Georeference.among(history.attrs), level)
     found = tuple(targets_of(control, {}, frame))
     if not found:
         raise InputError(f"control {control} names no points; give some, or leave it out")

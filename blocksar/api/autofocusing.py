@@ -124,7 +124,7 @@ def autofocus(
     work = TrackPlace.of(place(f"{target}.autofocus"), [history])
     estimate = TrackEstimate(
         channels=work.channels[0], folder=work.folder, fingerprint=work.fingerprints[0], grid=within,
-        control=control_points(control, source), ground=ground,
+        control=control_points(control, source, ground_height), ground=ground,
         terrain=read_ground(ground, history.collection.centred(), within, dict(history.attrs)),
     )  # fmt: skip
     if (attribute := _finished(target, estimate)) is not None:

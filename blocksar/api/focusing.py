@@ -265,7 +265,7 @@ def _focus_image(
         ground_height=ground_height,
         autofocus=autofocus,
         track=track,
-        control=control_points(control, source, used=autofocus),
+        control=control_points(control, source, ground_height, used=autofocus),
     )
     if profile is not None:
         recording.check_recordable(profile, client)

@@ -11,7 +11,8 @@ beside it. Of all weights those have the least square error
 which solve (P + S + SOFTNESS I) w = p with P_mn = band sinc(band (t_m - t_n)), p_m = band sinc(band (t_m - t_k)) and
 S_mn = 2 s sinc(2 s (t_m - t_n)) at s = 1/(2 dt) less the same at s = rate - band/2. Near the ends of the samples, and
 where some are missing, the same equations use those that there are. The largest |H - 1| and |H| over both bands are
-computed, and bound the error of every echo; where they exceed MOST_ERROR nothing is kept.
+computed, and bound the error of every echo; where they exceed MOST_ERROR nothing is kept, nor where echoes between the
+two bands would grow by more than MOST_GAIN.
 """
 
 from __future__ import annotations
@@ -99,10 +100,10 @@ class LowPass:
         for own in groups(self.places[some].size):
             sums = slice(some.start + own.start, some.start + own.stop)
             inputs = self.inputs(sums)
-            fresh = np.nan_to_num(read(slice(max(stop, inputs.start), inputs.stop)), copy=False)
-            kept = rows[max(inputs.start - start, 0) :] if stop > inputs.start else rows[:0]
-            rows = np.concatenate([kept, fresh]) if kept.size else fresh
-            start, stop = inputs.start, inputs.stop
+            rows, start = rows[inputs.start - start :], inputs.start
+            if inputs.stop > stop:
+                fresh = np.nan_to_num(read(slice(max(stop, start), inputs.stop)), copy=False)
+                rows, stop = np.concatenate([rows, fresh]) if rows.size else fresh, inputs.stop
             parts.append(self.matrix(sums) @ rows)
         out = np.concatenate(parts)
         out[~self.good[some]] = complex(np.nan, np.nan)
@@ -132,7 +133,8 @@ def plan_lowpass(size: int, steps: int, band: float, present: BoolArray | None =
     first = np.clip(places - taps // 2, 0, size - taps)
     of_offset: dict[int, _Equations] = {}
     known: dict[bytes, int] = {}
-    kind, weights, errors = np.empty(places.size, np.int64), [], []
+    kind = np.empty(places.size, np.int64)
+    weights, errors, gains = [], [], []
     for k, offset in enumerate((places - first).tolist()):
         use = there[first[k] : first[k] + taps]
         key = bytes(np.packbits(use)) + offset.to_bytes(8)
@@ -140,12 +142,13 @@ def plan_lowpass(size: int, steps: int, band: float, present: BoolArray | None =
             if offset not in of_offset:
                 of_offset[offset] = _Equations(np.arange(taps) - offset, steps, band)
             known[key] = len(weights)
-            row, error = of_offset[offset].solve(use)
+            row, worst, gain = of_offset[offset].solve(use)
             weights.append(row)
-            errors.append(error)
+            errors.append(worst)
+            gains.append(gain)
         kind[k] = known[key]
     error = np.asarray(errors)[kind]
-    good = (error <= MOST_ERROR) & (np.linalg.norm(weights, axis=1)[kind] <= MOST_GAIN)
+    good = (error <= MOST_ERROR) & (np.asarray(gains)[kind] <= MOST_GAIN)
     return LowPass(
         places=places, first=first, weights=np.asarray(weights), kind=kind, good=good,
         error=float(error[good].max(initial=0.0)),
@@ -162,16 +165,20 @@ class _Equations:
         apart, stop = lag[:, None] - lag, 1 / steps - band / 2
         self.wanted = ideal(band, lag)
         self.normal = ideal(band, apart) + ideal(1.0, apart) - ideal(2 * stop, apart) + SOFTNESS * np.eye(lag.size)
-        passed, stopped = np.linspace(0, band / 2, lag.size), np.linspace(stop, 0.5, 2 * lag.size)
-        self.response = np.exp(2j * np.pi * np.concatenate([passed, stopped])[:, None] * lag)
-        self.ideal = np.repeat([1.0, 0.0], [passed.size, stopped.size])
+        bands = [(0, band / 2, lag.size), (stop, 0.5, 2 * lag.size), (band / 2, stop, lag.size)]
+        frequency = np.concatenate([np.linspace(*each) for each in bands])
+        self.response = np.exp(2j * np.pi * frequency[:, None] * lag)
+        self.between = slice(3 * lag.size, None)
+        self.ideal = np.repeat([1.0, 0.0], [lag.size, 2 * lag.size])
         self.alone = lag == 0 if steps == 1 else None  # then nothing folds
 
-    def solve(self, use: BoolArray) -> tuple[FloatArray, float]:
-        """The weights, zero for samples that are not to be used, and the largest error of an echo."""
+    def solve(self, use: BoolArray) -> tuple[FloatArray, float, float]:
+        """The weights, zero for samples that are not to be used, the largest error, and |H| between the bands."""
         weights = np.zeros(use.size)
         if self.alone is not None:
             weights[self.alone] = 1.0
-            return weights, 0.0 if use[self.alone].all() else np.inf
+            return weights, 0.0 if use[self.alone].all() else np.inf, 1.0
         weights[use] = np.linalg.solve(self.normal[np.ix_(use, use)], self.wanted[use])
-        return weights, float(np.abs(self.response @ weights - self.ideal).max())
+        response = self.response @ weights
+        error = np.abs(response[: self.ideal.size] - self.ideal)
+        return weights, float(error.max()), float(np.abs(response[self.between]).max())

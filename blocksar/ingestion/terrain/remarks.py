@@ -10,7 +10,7 @@ from blocksar.arrays import BoolArray, FloatArray
 from blocksar.places.place import Place
 
 FAR = 50.0  # m: heights that differ by less from the scene's plane, or from zeros beside them, are not doubted
-LIKELY = 0.2  # of the distance from the plane, within which heights are if they are taken for feet
+LIKELY = 0.1  # of the distance from the plane, within which heights are if they are taken for feet
 FOOT = 0.3048  # m
 FEET = {
     **dict.fromkeys(("ft", "foot", "feet", "international foot"), FOOT),
