@@ -285,7 +285,11 @@ def channels_of(source: Source) -> tuple[str, ...]:
 
 
 def control_points(
-    control: Location | Sequence[Target] | None, source: Source, ground_height: float | None, *, used: bool = True
+    control: Location | Sequence[Target] | None,
+    source: Source,
+    ground_height: float | None = None,
+    *,
+    used: bool = True,
 ) -> tuple[Target, ...]:
     """Read control points in the frame of a phase history, as targets of `quality` are read; none by default.
 

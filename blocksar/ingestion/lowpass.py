@@ -134,7 +134,9 @@ def plan_lowpass(size: int, steps: int, band: float, present: BoolArray | None =
     of_offset: dict[int, _Equations] = {}
     known: dict[bytes, int] = {}
     kind = np.empty(places.size, np.int64)
-    weights, errors, gains = [], [], []
+    weights: list[FloatArray] = []
+    errors: list[float] = []
+    gains: list[float] = []
     for k, offset in enumerate((places - first).tolist()):
         use = there[first[k] : first[k] + taps]
         key = bytes(np.packbits(use)) + offset.to_bytes(8)

@@ -227,8 +227,8 @@ def test_what_is_no_terrain_is_refused_with_figures(tmp_path: Path) -> None:
         read_frame_grid(tmp_path / "text.nc", X, Y)
     with pytest.raises(InputError, match="does not exist"):
         read_frame_grid(tmp_path / "absent.nc", X, Y)
-    with pytest.raises(InputError, match="heights in foot"):
-        read_geotiff(geotiff(tmp_path / "f.tif", "EPSG:4326", plane_of, units="foot"), "ellipsoid", HERE, X, Y)
+    with pytest.raises(InputError, match="heights in fathom"):
+        read_geotiff(geotiff(tmp_path / "f.tif", "EPSG:4326", plane_of, units="fathom"), "ellipsoid", HERE, X, Y)
     with pytest.raises(InputError, match=r"is in NAD27, whose datum PROJ cannot tie to WGS 84 at longitude"):
         read_geotiff(geotiff(tmp_path / "n.tif", "EPSG:4267", plane_of), "ellipsoid", HERE, X, Y)
     far = Georeference(latitude=-20.0, longitude=100.0, height=0.0)

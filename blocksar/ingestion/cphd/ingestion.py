@@ -342,7 +342,7 @@ def _writer(
         for number, (file, each) in enumerate(zip(files, prepared, strict=True)):
             lead = (slice(number, number + 1),) if names else ()
             with reading_file(file.path), file.path.open() as stream:
-                read = partial(_reader(file, each), stream)
+                read: Callable[[slice], ComplexArray] = partial(_reader(file, each), stream)
                 if each.cut is not None:
                     read = each.cut.reader(read, each.resampler.frequency)
                 for first in range(0, total, ROWS):
