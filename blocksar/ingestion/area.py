@@ -6,7 +6,8 @@ of the delay 2 (R - R_c)/c, over pulses one of the Doppler frequency -2 f/c d(R 
 of its prisms ROOM above and below the ground, bound both. What lies beyond is stopped by low-passes (`lowpass`), first
 over frequencies, then over pulses, and as many samples are left out as the bounds allow. The samples kept have the
 antenna's positions at their own pulses and R_c as their reference range, so that phases are exact: nothing is
-interpolated.
+interpolated. Under a steered beam as many pulses are kept as hold all that it lights at once, since that is what
+processing takes it to light.
 """
 
 from __future__ import annotations
@@ -23,12 +24,12 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.ingestion.lowpass import LowPass, plan_lowpass, steps_of
+from blocksar.ingestion.lowpass import TAPS, LowPass, plan_lowpass, steps_of
 
 Area = tuple[tuple[float, float], tuple[float, float]]  # x and y, from .. to, m in the scene frame
 ROOM = 50.0  # m by which the ground of an area may lie off the plane
 PLACES = 9  # along each side, at which it is asked who lights the area
-LEAST = 64  # pulses, and frequencies, that are left at least
+LEAST = 256  # pulses, and frequencies, that are left at least: one or two at either end have no sum that is good
 PART = 64  # pulses whose frequencies are filtered at a time
 
 
@@ -97,26 +98,29 @@ def plan_cut(collection: Collection, area: Area, present: BoolArray) -> Cut:
     shown = f"--area {area[0][0]:g}:{area[0][1]:g},{area[1][0]:g}:{area[1][1]:g}"
     by_yaw = collection.steered and not collection.has_axis  # its angles are about the nadir at t = 0, which stays
     lit = slice(0, collection.n_pulse) if by_yaw else _lit(collection, area, shown)
-    antenna, frequency = collection.antenna_position[lit], collection.carrier + collection.range_frequency
+    frequency, step = collection.carrier + collection.range_frequency, collection.range_frequency_step
     away, rate = _extents(collection, area, lit)
+    band = 4 * float(frequency[-1]) / SPEED_OF_LIGHT * max(rate, _beam_rate(collection))
+    delays = 4 * away / SPEED_OF_LIGHT
+    steps = [
+        min(steps_of(width, sampled), max(size // LEAST, 1))
+        for width, sampled, size in ((band, collection.prf, lit.stop - lit.start), (delays, 1 / step, frequency.size))
+    ]
+    asked, lit = lit, _with_room(lit, steps[0], collection.n_pulse)
+    antenna = collection.antenna_position[lit]
     centre = np.array([sum(area[0]) / 2, sum(area[1]) / 2, collection.ground_height])
     reference = np.linalg.norm(antenna - centre, axis=1)
     shift = reference - collection.reference_range[lit]
-    half, step = collection.range_window / 2, collection.range_frequency_step
+    half = collection.range_window / 2
     if float(np.abs(shift).min()) - away > half:
         raise InputError(
             f"{shown} lies {np.abs(shift).min():.6g} m in range from the middle of what was recorded, which reaches "
             f"{half:.6g} m; give an area that it covers"
         )
-    band = 4 * float(frequency[-1]) / SPEED_OF_LIGHT * rate
-    delays = 4 * away / SPEED_OF_LIGHT
-    steps = [
-        min(steps_of(width, sampled), max(size // LEAST, 1))
-        for width, sampled, size in ((band, collection.prf, len(antenna)), (delays, 1 / step, frequency.size))
-    ]
     pulses = plan_lowpass(len(antenna), steps[0], band / collection.prf, present[lit])
     frequencies = plan_lowpass(frequency.size, steps[1], delays * step)
-    kept = _good(pulses, shown), _good(frequencies, shown)
+    within = (asked.start - lit.start - steps[0], asked.stop - lit.start + steps[0])
+    kept = _good(pulses, shown, within), _good(frequencies, shown)
     at, f = pulses.places[kept[0]], frequency[frequencies.places[kept[1]]]
     changed = max(steps) > 1
     carrier = float(f[0] + f[-1]) / 2
@@ -132,7 +136,7 @@ def plan_cut(collection: Collection, area: Area, present: BoolArray) -> Cut:
         reference_range=(reference if changed else collection.reference_range[lit])[at], **own,
     )  # fmt: skip
     message = (
-        f"{shown}: {_of_pulses(lit, collection.n_pulse)}; of these {_every(steps[0], 'pulse')} ({new.prf:.6g} Hz for "
+        f"{shown}: {_of_pulses(asked, collection.n_pulse)}; of these {_every(steps[0], 'pulse')} ({new.prf:.6g} Hz for "
         f"{band:.4g} Hz of Doppler), {_every(steps[1], 'frequency')} (a range window of {new.range_window:.6g} m for "
         f"{2 * away:.4g} m); echoes change by at most {max(pulses.error, frequencies.error):.2g} of themselves, those "
         f"from beyond fall to as much; ground to {ROOM:g} m off the plane stays"
@@ -165,9 +169,24 @@ def _extents(collection: Collection, area: Area, lit: slice) -> tuple[float, flo
     return away, rate
 
 
-def _good(filtered: LowPass, shown: str) -> slice:
-    """The sums from the first to the last good one."""
-    good = np.flatnonzero(filtered.good)
+def _beam_rate(collection: Collection) -> float:
+    """A bound on |dR/dt|, m/s, between the middle and the edge of the beam: processing takes all that it lights."""
+    if collection.beam_width is None:
+        return 0.0
+    speed = np.linalg.norm(np.gradient(collection.antenna_position, collection.time, axis=0), axis=1).max()
+    return float(speed) * (collection.lit_width or collection.beam_width) / 2
+
+
+def _with_room(lit: slice, steps: int, total: int) -> slice:
+    """Pulses with those on either side that sums at their ends need, as far as there are any."""
+    room = TAPS * steps // 2 if steps > 1 else 0
+    return slice(max(lit.start - room, 0), min(lit.stop + room, total))
+
+
+def _good(filtered: LowPass, shown: str, within: tuple[float, float] = (-np.inf, np.inf)) -> slice:
+    """The sums from the first to the last good one at places from .. to."""
+    inside = (filtered.places > within[0]) & (filtered.places < within[1])
+    good = np.flatnonzero(filtered.good & inside)
     if good.size < 8:
         raise InputError(f"{shown} leaves {good.size} pulses or frequencies; at least 8 are needed: give a larger one")
     return slice(int(good[0]), int(good[-1]) + 1)

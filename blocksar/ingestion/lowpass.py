@@ -12,7 +12,7 @@ which solve (P + S + SOFTNESS I) w = p with P_mn = band sinc(band (t_m - t_n)), 
 S_mn = 2 s sinc(2 s (t_m - t_n)) at s = 1/(2 dt) less the same at s = rate - band/2. Near the ends of the samples, and
 where some are missing, the same equations use those that there are. The largest |H - 1| and |H| over both bands are
 computed, and bound the error of every echo; where they exceed MOST_ERROR nothing is kept, nor where echoes between the
-two bands would grow by more than MOST_GAIN.
+two bands would grow by more than MOST_GROWTH, or noise by more than MOST_GAIN.
 """
 
 from __future__ import annotations
@@ -25,8 +25,9 @@ import numpy as np
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.ingestion.resampling import MOST_ERROR, MOST_GAIN
 
-SPARE = 1.25  # rate kept over the band wanted: the share between them is where the filter falls off
-TAPS = 24  # samples in a sum, for each that is left out: -68 dB over both bands
+SPARE = 1.5  # rate kept over the band wanted: the share between them is where the filter falls off
+TAPS = 16  # samples in a sum, for each that is left out: -77 dB over both bands
+MOST_GROWTH = 8.0  # of echoes between the bands, which do not fold onto what is wanted, in sums at the ends
 SOFTNESS = 1e-8  # keeps weights small where nothing determines them
 TOGETHER = 16  # sums that are computed at once: more would multiply more zeros
 
@@ -136,7 +137,7 @@ def plan_lowpass(size: int, steps: int, band: float, present: BoolArray | None =
     kind = np.empty(places.size, np.int64)
     weights: list[FloatArray] = []
     errors: list[float] = []
-    gains: list[float] = []
+    growths: list[float] = []
     for k, offset in enumerate((places - first).tolist()):
         use = there[first[k] : first[k] + taps]
         key = bytes(np.packbits(use)) + offset.to_bytes(8)
@@ -144,13 +145,14 @@ def plan_lowpass(size: int, steps: int, band: float, present: BoolArray | None =
             if offset not in of_offset:
                 of_offset[offset] = _Equations(np.arange(taps) - offset, steps, band)
             known[key] = len(weights)
-            row, worst, gain = of_offset[offset].solve(use)
+            row, worst, growth = of_offset[offset].solve(use)
             weights.append(row)
             errors.append(worst)
-            gains.append(gain)
+            growths.append(growth)
         kind[k] = known[key]
     error = np.asarray(errors)[kind]
-    good = (error <= MOST_ERROR) & (np.asarray(gains)[kind] <= MOST_GAIN)
+    good = (error <= MOST_ERROR) & (np.asarray(growths)[kind] <= MOST_GROWTH)
+    good &= np.linalg.norm(weights, axis=1)[kind] <= MOST_GAIN
     return LowPass(
         places=places, first=first, weights=np.asarray(weights), kind=kind, good=good,
         error=float(error[good].max(initial=0.0)),

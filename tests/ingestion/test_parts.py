@@ -45,12 +45,12 @@ def test_what_is_wanted_passes_and_nothing_folds_onto_it(band: float) -> None:
     passed = np.linspace(-band / 2, band / 2, 501)
     stopped = np.linspace(1 / steps - band / 2, 0.5, 501)
     middle = filtered.places.size // 2
-    assert np.abs(response(filtered, middle, passed) - 1).max() < 1e-3  # TAPS give -68 dB
+    assert np.abs(response(filtered, middle, passed) - 1).max() < 1e-3  # TAPS give -77 dB
     assert np.abs(response(filtered, middle, stopped)).max() < 1e-3
     for k in np.flatnonzero(filtered.good)[[0, -1]]:  # beside the ends, as far as is said
         assert np.abs(response(filtered, k, passed) - 1).max() <= 1.01 * filtered.error <= 1.01 * lowpass.MOST_ERROR
         assert np.abs(response(filtered, k, stopped)).max() <= 1.01 * filtered.error
-    assert np.count_nonzero(~filtered.good) <= 8  # of the sums, four at either end
+    assert np.count_nonzero(~filtered.good) <= 4  # of the sums, two at either end
 
 
 def test_missing_samples_are_not_used_and_cost_what_is_said() -> None:
@@ -90,8 +90,8 @@ def outside(kept: Collection) -> Any:
 
 
 def fine(make: Callable[..., Collection], **changes: Any) -> Collection:
-    """A pass sampled densely enough that an area needs every fourth pulse and frequency at most."""
-    return make(n_pulse=2400, range_frequency=(np.arange(400) - 200) * 96e3, **changes)
+    """A pass sampled densely enough that an area needs every third pulse and frequency at most."""
+    return make(n_pulse=1500, range_frequency=(np.arange(1100) - 550) * 35e3, **changes)
 
 
 def wandering(**changes: Any) -> Collection:
@@ -108,10 +108,10 @@ def wandering(**changes: Any) -> Collection:
 def test_samples_of_an_area_are_those_of_its_targets_alone(make: Callable[..., Collection]) -> None:
     whole = fine(make)
     present = np.ones(whole.n_pulse, bool)
-    present[[1190, 1201]] = False
+    present[[742, 753]] = False
     cut = area.plan_cut(whole, AREA, present)
     kept = cut.collection
-    assert whole.n_pulse / kept.n_pulse > 2.5 and whole.n_range_frequency / kept.n_range_frequency > 2.5
+    assert whole.n_pulse / kept.n_pulse > 1.9 and whole.n_range_frequency / kept.n_range_frequency > 1.9
     others = outside(kept)
     samples = (signal_of(whole, INSIDE, 1.0) + signal_of(whole, others, STRONG)).astype(np.complex64)
     samples[~present] = complex(np.nan, np.nan)
@@ -127,7 +127,7 @@ def test_samples_of_an_area_are_those_of_its_targets_alone(make: Callable[..., C
     wanted = signal_of(kept, INSIDE, 1.0)
     error = np.abs(got - wanted).max(axis=1)
     filtered = cut.pulses.error + cut.frequencies.error
-    most = filtered * lowpass.MOST_GAIN * (len(INSIDE) + STRONG * len(others))  # one stops what the other lets grow
+    most = filtered * lowpass.MOST_GROWTH * (len(INSIDE) + STRONG * len(others))  # one stops what the other lets grow
     lit = np.isfinite(error)
     assert lit.mean() > 0.95 and error[lit].max() <= most
     middle = np.abs(got - wanted)[n // 8 : n // 3, 10:-10]  # away from ends and missing pulses
@@ -146,7 +146,8 @@ def test_only_pulses_that_light_an_area_are_kept() -> None:
     along = np.einsum("npk,nk->np", sight / np.linalg.norm(sight, axis=2, keepdims=True), whole.beam_axis)
     offset = np.arcsin(along) - whole.beam_steering[:, None]
     lit = np.flatnonzero((np.abs(offset) <= whole.beam_width / 2).any(axis=1))
-    assert (cut.first, cut.first + cut.pulses.places[-1]) == pytest.approx((lit[0], lit[-1]), abs=4)
+    kept = np.searchsorted(whole.time, cut.collection.time[[0, -1]] + cut.later - 1e-9)
+    assert kept == pytest.approx(lit[[0, -1]], abs=4)  # of places between those that are asked, and steps
     assert cut.collection.n_pulse * cut.collection.pulse_interval < 0.6 * whole.n_pulse * whole.pulse_interval
     with pytest.raises(InputError, match=r"--area 8990:9010,4000:4060 is lit at no time; give an area that the beam"):
         area.plan_cut(whole, ((8990.0, 9010.0), (4000.0, 4060.0)), np.ones(whole.n_pulse, bool))
@@ -165,8 +166,8 @@ def test_an_area_that_was_not_recorded_is_refused() -> None:
 SCENE = """
 [radar]
 carrier = 10e9
-bandwidth = 150e6
-range_sampling = 180e6
+bandwidth = 300e6
+range_sampling = 540e6
 prf = 800.0
 [track]
 position = [0.0, 0.0, 5000.0]
@@ -174,7 +175,7 @@ velocity = [0.0, 120.0, 0.0]
 [time]
 pulses = 1200
 [scene]
-swath = [7900.0, 8100.0]
+swath = [7850.0, 8150.0]
 centre_yaw_deg = 0.0
 reference_range = "constant"
 [[targets]]
@@ -256,7 +257,7 @@ def test_an_area_of_a_file_shows_what_the_whole_shows(made: Made, tmp_path: Path
         ({"pulses": "1196:"}, "--pulses 1196: leaves 4 of 1200 vectors; at least 8 are needed"),
         ({"pulses": "4:2"}, "is not two numbers, the lower first; give them as --pulses 0:4096"),
         ({"pulses": "1.5:20"}, "is not two whole numbers from 0"),
-        ({"frequencies": "1e9:2e9"}, "has nothing of what all vectors have, 9925416719"),
+        ({"frequencies": "1e9:2e9"}, "has nothing of what all vectors have, 9849965938"),
         ({"frequencies": "9.99e9"}, "is not two numbers"),
         ({"area": "5:1,0:3"}, "give the ends of x and of y in metres"),
         ({"area": "90000:90100,0:100"}, "m in range from the middle of what was recorded"),
