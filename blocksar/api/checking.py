@@ -8,7 +8,7 @@ import numpy as np
 
 from blocksar import stores
 from blocksar.api import definitions
-from blocksar.api.arguments import GridLike, grid_of, history_of
+from blocksar.api.arguments import GridLike, grid_of, history_of, on_ground
 from blocksar.api.ground import geometry_over, read_ground
 from blocksar.api.pulses import pulse_reader
 from blocksar.api.reports import Report, Table
@@ -35,6 +35,7 @@ def check(
     terrain: Location | None = None,
     surface: Surface = "plane",
     vertical: str | None = None,
+    ground_height: float | None = None,
     threads: int | None = None,
 ) -> Report:
     """Compare the sharpness of prominent places as given with what it would be if something were said wrongly.
@@ -57,6 +58,8 @@ def check(
         The ground without a terrain, as in `focus`. Default: "plane".
     vertical : str, optional
         What the terrain's heights are measured from, as in `focus`. Needed where the file does not say so.
+    ground_height : float, optional
+        Height z of the imaged plane in the scene frame, m. Default: that of the phase history.
     threads : int, optional
         Default: the number of cores.
 
@@ -75,7 +78,7 @@ def check(
     """
     ground = Ground(terrain=terrain, surface=surface, vertical=vertical)
     count = resources(1, threads, None).threads
-    history, points = history_of(source), grid_of(grid)
+    [history], points = on_ground([history_of(source)], ground_height, terrain=terrain), grid_of(grid)
     collection = history.collection.centred()
     heights = read_ground(ground, collection, points, source)
     if points is not None:
@@ -94,7 +97,10 @@ def check(
         ],
     }
     return Report(
-        tables=[_table(findings)], definitions=definitions.CHECK, summary=[findings.sentence()], result=result
+        tables=[_table(findings)],
+        definitions=definitions.CHECK,
+        summary=[*(heights.remarks if heights is not None else ()), findings.sentence()],
+        result=result,
     )
 
 
