@@ -12,6 +12,7 @@ processing takes it to light.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import product
@@ -72,8 +73,7 @@ class Cut:
         def part(pulses: slice) -> ComplexArray:
             block = read(slice(self.first + pulses.start, self.first + pulses.stop))
             if self.shift is not None:
-                cycles = 2 / SPEED_OF_LIGHT * frequency * self.shift[pulses, None]
-                block = (block * np.exp(2j * np.pi * (cycles - np.rint(cycles)))).astype(np.complex64)
+                block = block * _phasors(2 / SPEED_OF_LIGHT * self.shift[pulses, None], frequency)
             return self.frequencies.along_rows(block)[:, self.kept[1]]
 
         def rows(pulses: slice) -> ComplexArray:
@@ -85,6 +85,20 @@ class Cut:
             return self.pulses.over_rows(rows, slice(first + pulses.start, first + pulses.stop))
 
         return read_kept
+
+
+def _phasors(rate: FloatArray, frequency: FloatArray) -> ComplexArray:
+    """exp(2j pi rate frequency), (n_row, n) complex64, of rates (n_row, 1), s, and uniform frequencies (n,), Hz.
+
+    Products of two tables, of every width-th frequency and of the steps between: of the exact ones, to rounding.
+    """
+    width = math.isqrt(frequency.size) + 1
+    steps = (frequency[-1] - frequency[0]) / max(frequency.size - 1, 1) * np.arange(width)
+    coarse, fine = (
+        np.exp(2j * np.pi * (cycles - np.rint(cycles))).astype(np.complex64)
+        for cycles in (rate * frequency[::width], rate * steps)
+    )
+    return (coarse[:, :, None] * fine[:, None, :]).reshape(rate.shape[0], -1)[:, : frequency.size]
 
 
 def plan_cut(collection: Collection, area: Area, present: BoolArray) -> Cut:

@@ -157,7 +157,7 @@ CASES = {
     "ingest cphd a.cphd --out n.zarr --collection-start=yesterday": "give UTC in ISO 8601",
     "ingest cphd a.cphd --out n.zarr --time-zero=nan": "--time-zero is nan s; give the seconds",
     "ingest cphd a.cphd --out ''": "a path is '', which names nothing",
-    "ingest gotcha some.mat --out n.zarr": "some.mat is ",
+    "ingest gotcha some.mat --out n.zarr": "it is no MATLAB file of version 5",
     "simulate nothing --out n.zarr": "is neither a file nor one of the shipped scenes",
     "simulate scene.toml --out ph.zarr": "ph.zarr exists; choose another name",
     "simulate scene.toml --out text.txt --overwrite": "is not a zarr store, so it is not overwritten",

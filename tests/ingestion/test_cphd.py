@@ -632,6 +632,13 @@ def test_version_1_0_1(base: Base, tmp_path: Path) -> None:
     check(path, base)
 
 
+@pytest.mark.parametrize("version", [b"1.0.0", b"1.1.1"])
+def test_versions_that_are_laid_out_alike_are_read(base: Base, tmp_path: Path, version: bytes) -> None:
+    """They differ from 1.0.1 and 1.1.0 in the text of the standard."""
+    (tmp_path / "other.cphd").write_bytes(base.path.read_bytes().replace(b"1.1.0", version))
+    check(tmp_path / "other.cphd", base)
+
+
 def with_two_channels(
     path: Path,
     base: Base,
@@ -1100,8 +1107,8 @@ def test_a_file_that_shrinks_during_reading(base: Base, tmp_path: Path, monkeypa
     shutil.copy(base.path, path)
     prepare = ingestion.prepare
 
-    def then_cut(file: Any) -> Any:
-        made = prepare(file)
+    def then_cut(file: Any, part: Any) -> Any:
+        made = prepare(file, part)
         path.write_bytes(base.path.read_bytes()[:-1000])
         return made
 
