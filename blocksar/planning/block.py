@@ -293,8 +293,9 @@ def _on(targets: TracedTargets, layer: Layer) -> TracedTargets:
 
 
 def _imaged(sector: Sector, lines: FineLines) -> tuple[ImageEdges, ImageEdges]:
-    """Where the image begins and ends along yaw and range among the targets of the lines."""
-    low, high = (np.full(lines.epoch_range.size, yaw) for yaw in sector.imaged)
+    """Where the block's image begins and ends along yaw and range among the targets of the lines."""
+    ends = max(sector.imaged[0], sector.low), min(sector.imaged[1], sector.high)
+    low, high = (np.full(lines.epoch_range.size, yaw) for yaw in ends)
     return (
         ImageEdges.between(lines.yaw, low, high, axis=1),
         ImageEdges.between(lines.epoch_range, *sector.region.at(lines.yaw), axis=0),

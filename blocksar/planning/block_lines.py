@@ -16,6 +16,7 @@ from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import AxisTaper
 from blocksar.focusing.dwell_gate import DwellGate
+from blocksar.focusing.ground_map import tile_extent
 from blocksar.focusing.lines import Focus, Line, focus
 from blocksar.planning.apertures import level_aperture, levelled
 from blocksar.planning.binding import AzimuthPart
@@ -107,8 +108,7 @@ def trace_finely(
     sector: Sector, azimuth: AzimuthPart, *, n_range: int = FINE_NODES[0]
 ) -> tuple[AzimuthPart, FineLines]:
     """The fine lines of a sector, and the steps; without steering under the taper that levels the aperture."""
-    rng = sector.ground_range.nodes(n_range)
-    yaw = nodes_between(sector.low, sector.high, _fine_yaws(sector))
+    rng, yaw = sector.ground_range.nodes(n_range), _fine_yaws(sector)
     traced = _trace(sector, azimuth, rng, yaw)
     in_time = azimuth.range_part.constants.in_time
     if in_time is not None:
@@ -117,14 +117,23 @@ def trace_finely(
     return azimuth, _with_ends(sector, azimuth, traced, rng, yaw, in_time)
 
 
-def _fine_yaws(sector: Sector) -> int:
-    """Number of yaws of the fine lines: on a track that wobbles, so many that they follow it as the beam turns."""
-    geometry = sector.geometry
-    if geometry.track.wobble is None or not geometry.collection.steered:
-        return FINE_NODES[1]
-    first, last = dwell_at(geometry, np.array([sector.low, sector.high]), np.array((sector.near + sector.far) / 2))
-    passed = float(np.ptp(first + last)) / 2 / geometry.track.wobble.step
-    return max(FINE_NODES[1], math.ceil(min(YAWS_PER_INTERVAL * passed, MOST_YAWS)))
+def _fine_yaws(sector: Sector) -> FloatArray:
+    """Yaws of the fine lines, rad: on a track that wobbles, so many that they follow it as the beam turns.
+
+    Series of so many terms do not go on beyond their nodes, but the tiles of pixels at a block's edge do: there are
+    lines as far as these reach.
+    """
+    geometry, n_yaw = sector.geometry, FINE_NODES[1]
+    if geometry.track.wobble is None:
+        return nodes_between(sector.low, sector.high, n_yaw)
+    near = max(sector.near, sector.region.limits(sector.low, sector.high)[0])
+    _, beyond = tile_extent(geometry, sector.low, sector.high, near, sector.far)
+    low, high = sector.low - beyond, sector.high + beyond
+    if geometry.collection.steered:
+        first, last = dwell_at(geometry, np.array([low, high]), np.array((sector.near + sector.far) / 2))
+        passed = float(np.ptp(first + last)) / 2 / geometry.track.wobble.step
+        n_yaw = max(n_yaw, math.ceil(min(YAWS_PER_INTERVAL * passed, MOST_YAWS)))
+    return nodes_between(low, high, n_yaw)
 
 
 def follow_terrain(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> FineLines:
