@@ -17,19 +17,22 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import AxisTaper
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.ground_map import tile_extent
-from blocksar.focusing.lines import Focus, Line, focus
+from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line, focus
 from blocksar.planning.apertures import level_aperture, levelled
 from blocksar.planning.binding import AzimuthPart
 from blocksar.planning.dwell_ends import DwellEnds, band_moves, full_dwells
-from blocksar.planning.dwell_weights import DwellWeights
+from blocksar.planning.dwell_weights import DwellWeights, beam_moves
 from blocksar.planning.nodes import nodes_between
 from blocksar.planning.sector import Sector
+from blocksar.planning.steadiness import scans_evenly
 from blocksar.planning.target_lines import Dwells
 from blocksar.planning.traced_targets import TracedTargets
 
 COARSE_NODES = 9, 15  # along range and yaw
 FINE_NODES, MORE_RANGES = (13, 33), 25
 YAWS_PER_INTERVAL, MOST_YAWS = 0.6, 129  # of fine lines, where a spline's intervals pass from yaw to yaw
+MOST_BESIDE = 2.0  # times as many yaws, where lines go on beside a block
+FOLDED = 1.0  # octaves of stretch, of lines that are not followed
 GATE_RANGES = 25  # of the lines that a dwell gate on a terrain follows
 
 
@@ -134,6 +137,32 @@ def _fine_yaws(sector: Sector) -> FloatArray:
         passed = float(np.ptp(first + last)) / 2 / geometry.track.wobble.step
         n_yaw = max(n_yaw, math.ceil(min(YAWS_PER_INTERVAL * passed, MOST_YAWS)))
     return nodes_between(low, high, n_yaw)
+
+
+def lit_beside(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> FineLines | None:
+    """The lines and those of all that is lit beside the block; None where its own are enough.
+
+    A pixel also sums what its pulses have of other targets, gated as is right for the Doppler at which those focus.
+    Windows with sharp ends make that count as far as the beam reaches, beyond the seams too. Ends of a beam that scans
+    evenly hardly bend along Doppler and are extrapolated. Lines end before targets beside the block that fold, as its
+    steps are not made for them.
+    """
+    collection, region = sector.geometry.collection, sector.region
+    if sector.fade or sector.gates_by_height or not beam_moves(collection) or scans_evenly(collection):
+        return None
+    reach, middle = collection.beam_width or 0.0, (sector.near + sector.far) / 2
+    if collection.has_axis:
+        reach *= middle / float(sector.ground_range.on_ground(np.array(middle)))
+    low = min(max(sector.low - reach, float(region.yaw[0])), float(lines.yaw[0]))
+    high = max(min(sector.high + reach, float(region.yaw[-1])), float(lines.yaw[-1]))
+    for _ in range(2):
+        more = min((high - low) / (sector.high - sector.low), MOST_BESIDE)
+        yaw = nodes_between(low, high, math.ceil(FINE_NODES[1] * more))
+        traced = _trace(sector, azimuth, lines.epoch_range, yaw)
+        folds = (np.abs(np.log2(np.maximum(traced.line.stretch, LEAST_STRETCH))) > FOLDED).any(axis=(0, 2))
+        low = float(yaw[np.flatnonzero(folds & (yaw < sector.low)).max(initial=-1) + 1])
+        high = float(yaw[np.flatnonzero(folds & (yaw > sector.high)).min(initial=yaw.size) - 1])
+    return _with_ends(sector, azimuth, traced, lines.epoch_range, yaw, lines.in_time)
 
 
 def follow_terrain(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> FineLines:

@@ -26,7 +26,7 @@ from blocksar.planning.planner import plan_collection
 from blocksar.simulation.scatterers import simulate_pulses
 
 CHIP = 40  # pixels along a side
-SHOWN = 0.3  # of a chip's pixels that have full dwell, at least
+SHOWN = 0.3  # of the pixels of a chip, and of a grid, that have full dwell, at least
 CELL = 0.7  # of a cell of resolution: the spacing of pixels
 DENSITY, MOST_SCATTERERS = 0.1, 10_000  # of clutter: in a cell of resolution, and in all
 MARGIN = 1.15  # of the ground with full dwell that the grid shows, and some where dwells are cut
@@ -92,9 +92,10 @@ def draw(seed: int) -> tuple[Drawn, Plan, list[str]]:
         except InputError as error:
             refused.append(str(error))
             continue
-        if plan.refusal is None:
+        if plan.refusal is not None:
+            refused.append(plan.refusal)
+        elif has_full_dwell(plan.geometry, *np.meshgrid(drawn.grid.x[::8], drawn.grid.y[::8])).mean() > SHOWN:
             return drawn, plan, refused
-        refused.append(plan.refusal)
     raise AssertionError(f"{platform}, {mode}: all of {MOST_DRAWS} draws were refused: {refused}")
 
 
