@@ -22,7 +22,7 @@ from blocksar.focusing.step import Constants, Stage, Step, stages
 from blocksar.kernels.fourier import Axis
 from blocksar.planning.binding import AzimuthPart, RangePart, Slab
 from blocksar.planning.block_ground import end_layers, map_loss, plan_ground, trace_for_map, usual_layer
-from blocksar.planning.block_lines import CoarseLines, FineLines, follow_terrain, lit_beside
+from blocksar.planning.block_lines import CoarseLines, FineLines, follow_terrain, lit_beside, under_tiles
 from blocksar.planning.block_sampling import plan_sampling, plan_slab
 from blocksar.planning.coefficients import Choice, choose
 from blocksar.planning.contrast import dark_contrast
@@ -179,9 +179,10 @@ def _plan_block(
         range_frequency=band if range_gate is None else range_gate.range_frequency, duration=coarse.duration,
     )  # fmt: skip
     sampling = _with_gate(sector, azimuth, sampling, lines)
+    mapped = under_tiles(sector, azimuth, lines)
     if sampling.gate is not None:
-        lines = lines.levelled_by(sampling.gate)
-    steps, ground = azimuth.sampled(sampling), plan_ground(sector, azimuth, sampling, lines)
+        lines, mapped = lines.levelled_by(sampling.gate), mapped.levelled_by(sampling.gate)
+    steps, ground = azimuth.sampled(sampling), plan_ground(sector, azimuth, sampling, mapped)
     return BlockPlan(
         index=index, part=part, low=sector.low, high=sector.high, first_bin=slab.first_bin, n_bin=slab.doppler.size,
         chain=steps if range_gate is None else (range_gate, *steps), sampling=sampling,
@@ -294,9 +295,8 @@ def _on(targets: TracedTargets, layer: Layer) -> TracedTargets:
 
 
 def _imaged(sector: Sector, lines: FineLines) -> tuple[ImageEdges, ImageEdges]:
-    """Where the block's image begins and ends along yaw and range among the targets of the lines."""
-    ends = max(sector.imaged[0], sector.low), min(sector.imaged[1], sector.high)
-    low, high = (np.full(lines.epoch_range.size, yaw) for yaw in ends)
+    """Where the image begins and ends along yaw and range among the targets of the lines."""
+    low, high = (np.full(lines.epoch_range.size, yaw) for yaw in sector.imaged)
     return (
         ImageEdges.between(lines.yaw, low, high, axis=1),
         ImageEdges.between(lines.epoch_range, *sector.region.at(lines.yaw), axis=0),

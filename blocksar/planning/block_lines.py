@@ -31,7 +31,7 @@ from blocksar.planning.traced_targets import TracedTargets
 COARSE_NODES = 9, 15  # along range and yaw
 FINE_NODES, MORE_RANGES = (13, 33), 25
 YAWS_PER_INTERVAL, MOST_YAWS = 0.6, 129  # of fine lines, where a spline's intervals pass from yaw to yaw
-MOST_BESIDE = 2.0  # times as many yaws, where lines go on beside a block
+MOST_WIDER = 2.0  # times as many yaws, where lines go on beyond a block
 FOLDED = 1.0  # octaves of stretch, of lines that are not followed
 GATE_RANGES = 25  # of the lines that a dwell gate on a terrain follows
 
@@ -111,7 +111,8 @@ def trace_finely(
     sector: Sector, azimuth: AzimuthPart, *, n_range: int = FINE_NODES[0]
 ) -> tuple[AzimuthPart, FineLines]:
     """The fine lines of a sector, and the steps; without steering under the taper that levels the aperture."""
-    rng, yaw = sector.ground_range.nodes(n_range), _fine_yaws(sector)
+    rng = sector.ground_range.nodes(n_range)
+    yaw = nodes_between(sector.low, sector.high, _fine_yaws(sector))
     traced = _trace(sector, azimuth, rng, yaw)
     in_time = azimuth.range_part.constants.in_time
     if in_time is not None:
@@ -120,23 +121,27 @@ def trace_finely(
     return azimuth, _with_ends(sector, azimuth, traced, rng, yaw, in_time)
 
 
-def _fine_yaws(sector: Sector) -> FloatArray:
-    """Yaws of the fine lines, rad: on a track that wobbles, so many that they follow it as the beam turns.
+def _fine_yaws(sector: Sector) -> int:
+    """Number of yaws of the fine lines: on a track that wobbles, so many that they follow it as the beam turns."""
+    geometry = sector.geometry
+    if geometry.track.wobble is None or not geometry.collection.steered:
+        return FINE_NODES[1]
+    first, last = dwell_at(geometry, np.array([sector.low, sector.high]), np.array((sector.near + sector.far) / 2))
+    passed = float(np.ptp(first + last)) / 2 / geometry.track.wobble.step
+    return max(FINE_NODES[1], math.ceil(min(YAWS_PER_INTERVAL * passed, MOST_YAWS)))
 
-    Series of so many terms do not go on beyond their nodes, but the tiles of pixels at a block's edge do: there are
-    lines as far as these reach.
+
+def under_tiles(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> FineLines:
+    """The lines as far beyond the block as its tiles of pixels reach, where a track wobbles; as they are elsewhere.
+
+    Tiles at its edge take what the map knows beyond it. Series of few terms can be asked there, but not those that
+    follow the waves of a track.
     """
-    geometry, n_yaw = sector.geometry, FINE_NODES[1]
-    if geometry.track.wobble is None:
-        return nodes_between(sector.low, sector.high, n_yaw)
+    if sector.geometry.track.wobble is None:
+        return lines
     near = max(sector.near, sector.region.limits(sector.low, sector.high)[0])
-    _, beyond = tile_extent(geometry, sector.low, sector.high, near, sector.far)
-    low, high = sector.low - beyond, sector.high + beyond
-    if geometry.collection.steered:
-        first, last = dwell_at(geometry, np.array([low, high]), np.array((sector.near + sector.far) / 2))
-        passed = float(np.ptp(first + last)) / 2 / geometry.track.wobble.step
-        n_yaw = max(n_yaw, math.ceil(min(YAWS_PER_INTERVAL * passed, MOST_YAWS)))
-    return nodes_between(low, high, n_yaw)
+    _, beyond = tile_extent(sector.geometry, sector.low, sector.high, near, sector.far)
+    return _trace_wider(sector, azimuth, lines, sector.low - beyond, sector.high + beyond)
 
 
 def lit_beside(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> FineLines | None:
@@ -153,16 +158,24 @@ def lit_beside(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> FineLi
     reach, middle = collection.beam_width or 0.0, (sector.near + sector.far) / 2
     if collection.has_axis:
         reach *= middle / float(sector.ground_range.on_ground(np.array(middle)))
-    low = min(max(sector.low - reach, float(region.yaw[0])), float(lines.yaw[0]))
-    high = max(min(sector.high + reach, float(region.yaw[-1])), float(lines.yaw[-1]))
-    for _ in range(2):
-        more = min((high - low) / (sector.high - sector.low), MOST_BESIDE)
-        yaw = nodes_between(low, high, math.ceil(FINE_NODES[1] * more))
-        traced = _trace(sector, azimuth, lines.epoch_range, yaw)
-        folds = (np.abs(np.log2(np.maximum(traced.line.stretch, LEAST_STRETCH))) > FOLDED).any(axis=(0, 2))
-        low = float(yaw[np.flatnonzero(folds & (yaw < sector.low)).max(initial=-1) + 1])
-        high = float(yaw[np.flatnonzero(folds & (yaw > sector.high)).min(initial=yaw.size) - 1])
-    return _with_ends(sector, azimuth, traced, lines.epoch_range, yaw, lines.in_time)
+    low = min(max(sector.low - reach, float(region.yaw[0])), sector.low)
+    high = max(min(sector.high + reach, float(region.yaw[-1])), sector.high)
+    wider = _trace_wider(sector, azimuth, lines, low, high)
+    folds = (np.abs(np.log2(np.maximum(wider.line.stretch, LEAST_STRETCH))) > FOLDED).any(axis=(0, 2))
+    if not folds.any():
+        return wider
+    before, behind = (np.flatnonzero(folds & beside) for beside in (wider.yaw < sector.low, wider.yaw > sector.high))
+    first, last = before.max(initial=-1) + 1, behind.min(initial=wider.yaw.size) - 1
+    ends = min(float(wider.yaw[first]), sector.low), max(float(wider.yaw[last]), sector.high)
+    return _trace_wider(sector, azimuth, lines, *ends)
+
+
+def _trace_wider(sector: Sector, azimuth: AzimuthPart, lines: FineLines, low: float, high: float) -> FineLines:
+    """Lines at the ranges of others, and at yaws from low to high, about as dense, rad."""
+    rng, wider = lines.epoch_range, (high - low) / (sector.high - sector.low)
+    yaw = nodes_between(low, high, math.ceil(min(wider, MOST_WIDER) * lines.yaw.size))
+    traced = _levelled(_trace(sector, azimuth, rng, yaw), lines.in_time)
+    return _with_ends(sector, azimuth, traced, rng, yaw, lines.in_time)
 
 
 def follow_terrain(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> FineLines:

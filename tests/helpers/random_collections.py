@@ -29,6 +29,7 @@ CHIP = 40  # pixels along a side
 SHOWN = 0.3  # of the pixels of a chip, and of a grid, that have full dwell, at least
 CELL = 0.7  # of a cell of resolution: the spacing of pixels
 DENSITY, MOST_SCATTERERS = 0.1, 10_000  # of clutter: in a cell of resolution, and in all
+WAVES = 1.0, 12.0  # of a track that wobbles, along the collection
 MARGIN = 1.15  # of the ground with full dwell that the grid shows, and some where dwells are cut
 BEYOND = 1.5  # of the grid's side, that clutter fills: the grid lies askew to the track
 EARTH = 6371e3  # m, its radius
@@ -62,7 +63,7 @@ MODES = ("stripmap", "yaw scan", "sliding", "unsteered", "tops", "spotlight")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drawn:
-    """A collection, the grid to image, clutter (x, y in m, and reflectivity), and the number of blocks to divide into."""
+    """A collection, the grid to image, clutter (x, y in m, and reflectivity), and the number of blocks."""
 
     title: str
     collection: Collection
@@ -176,12 +177,10 @@ def _draw(rng: np.random.Generator, platform: str, mode: str) -> Drawn:
         acceleration[2] -= speed**2 / (EARTH + height)
     smooth = np.outer(time, velocity) + np.outer(time**2 / 2, acceleration) + np.outer(time**3 / 6, jerk)
     smooth[:, 2] += height
-    wobbles = p.wobble > 0 and rng.random() < 0.5
-    waves = [
-        p.wobble * wavelength * between((0.05, 1.0)) * np.sin(2 * np.pi * (between((0.5, 5.0)) / duration * time + rng.random()))
-        for _ in range(3)
-    ]
-    track = smooth + np.stack(waves, axis=1) * wobbles
+    wobbles = p.wobble > 0 and rng.random() < 0.6
+    pace, size = 2 * np.pi * rng.uniform(*WAVES, 3) / duration, p.wobble * wavelength * rng.uniform(0.1, 1.0, 3)
+    waves = size * np.sin(np.outer(time, pace) + rng.uniform(0, 2 * np.pi, 3))
+    track = smooth + waves * wobbles
     side = rng.choice([-1.0, 1.0])
     ahead = (distance * np.sin(squint) + np.sin(climb) * height) / np.cos(climb)
     centre = np.array([side * np.sqrt(max((distance * ground) ** 2 - ahead**2, 1.0)), ahead, 0.0])
@@ -229,7 +228,7 @@ def _draw(rng: np.random.Generator, platform: str, mode: str) -> Drawn:
         collection=collection,
         grid=Grid(place[0] - size / 2, place[0] + size / 2, step, place[1] - size / 2, place[1] + size / 2, step),
         clutter=(x, y, rng.standard_normal(x.size) + 1j * rng.standard_normal(x.size)),
-        blocks="auto" if p.quick and rng.random() < 0.4 else int(rng.integers(2, 7)),
+        blocks="auto" if p.quick and rng.random() < 0.4 else 2 * int(rng.integers(1, 4)),
     )  # fmt: skip
 
 
