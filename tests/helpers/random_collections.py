@@ -29,6 +29,8 @@ CHIP = 40  # pixels along a side
 SHOWN = 0.3  # of the pixels of a chip, and of a grid, that have full dwell, at least
 CELL = 0.7  # of a cell of resolution: the spacing of pixels
 DENSITY, MOST_SCATTERERS = 0.1, 10_000  # of clutter: in a cell of resolution, and in all
+OVER = 1.2, 4.0  # PRF over the Doppler band that is lit at a time
+DWELL, BEYOND_DWELL = (150, 300), (140, 260)  # pulses, times the root of that
 WAVES = 1.0, 12.0  # of a track that wobbles, along the collection
 MARGIN = 1.15  # of the ground with full dwell that the grid shows, and some where dwells are cut
 BEYOND = 1.5  # of the grid's side, that clutter fills: the grid lies askew to the track
@@ -237,7 +239,8 @@ def _plan_beam(
     side: float,
 ) -> _Beam:  # fmt: skip
     """`side` is the part of the line of sight that is level and across the track."""
-    n_dwell, more, over = int(rng.integers(200, 400)), int(rng.integers(180, 320)), float(rng.uniform(1.25, 2.2))
+    over = float(np.exp(rng.uniform(*np.log(OVER))))
+    n_dwell, more = (int(rng.uniform(*ends) * np.sqrt(over)) for ends in (DWELL, BEYOND_DWELL))
     passing = speed * np.cos(squint) / distance  # rad/s, of the line of sight
     if mode in ("unsteered", "spotlight"):
         n_pulse = n_dwell + more
