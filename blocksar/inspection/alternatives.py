@@ -47,6 +47,8 @@ class Alternative(NamedTuple):
         Whether it changes what is lit.
     moves_in_range : bool
         Whether it brings echoes to other ranges than `signs` tells.
+    of_sign : bool
+        Whether it is a sign of the samples, which clutter tells best.
     """
 
     name: str
@@ -57,6 +59,7 @@ class Alternative(NamedTuple):
     changes: int = 1
     of_beam: bool = False
     moves_in_range: bool = False
+    of_sign: bool = False
 
     def echo(self, given: Echo) -> Echo:
         """The same echo in these samples; and back, as each alternative undoes itself."""
@@ -102,7 +105,9 @@ def _append(
 
 def _of_samples(collection: Collection) -> list[Alternative]:
     return [
-        Alternative("the signal is conjugated", "write its conjugate", collection, np.conj, signs=(1, -1, -1)),
+        Alternative(
+            "the signal is conjugated", "write its conjugate", collection, np.conj, signs=(1, -1, -1), of_sign=True
+        ),
         Alternative(
             "the range axis is reversed", "reverse signal along range_frequency", collection, lambda s: s[:, ::-1],
             signs=(1, -1, 1),
@@ -125,11 +130,12 @@ def _of_echoes(collection: Collection, raw: RawEcho) -> list[Alternative]:
     twice = np.exp(2j * np.angle(spectrum)).astype(np.complex64)
     return [
         Alternative(
-            "the chirp has the other sign", "negate chirp_rate", collection, lambda s: s * twice, moves_in_range=True
+            "the chirp has the other sign", "negate chirp_rate", collection, lambda s: s * twice, moves_in_range=True,
+            of_sign=True,
         ),
         Alternative(
             "the echo is conjugated", "write its conjugate", collection,
-            lambda s: np.conj(s[:, ::-1]) * np.conj(twice), signs=(1, 1, -1), moves_in_range=True,
+            lambda s: np.conj(s[:, ::-1]) * np.conj(twice), signs=(1, 1, -1), moves_in_range=True, of_sign=True,
         ),
         Alternative(
             "the phase of the carrier has the other sign, and the chirp too", "conjugate echo and negate chirp_rate",

@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from blocksar.arrays import ComplexArray
+from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.grid import Grid
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.collection.terrain import Terrain
 from blocksar.inspection.alternatives import Alternative, alternatives
-from blocksar.inspection.comparison import Ground, View, as_given, compare
+from blocksar.inspection.comparison import FEW_PATCHES, PATCHES, Ground, View, after_refocus, as_given, compare
+from blocksar.inspection.contrast import SIGNIFICANT
 from blocksar.inspection.pointing import point
 from blocksar.inspection.prominent import Line, Samples
 from blocksar.inspection.sharpness import Refocus, blurring_phase, concentration, explain, judged_by_others, refocus
@@ -87,43 +88,47 @@ def check(
         If the beam is not steered and there is no grid, or the grid lies outside the swath.
     """
     signal = _cleaned(signal)
-    ground = Ground(grid, terrain)
+    ground = Ground(grid, terrain, PATCHES if thorough else FEW_PATCHES)
     view = View(Alternative("as given", "", collection, None), Samples(signal, collection, threads=threads), ground)
     if not signal.any():
         return Findings((Trial("as given", ""),), empty="all samples are zeros or missing", steered=collection.steered)
     if view.outside is not None and not collection.steered:
         raise view.outside
-    findings = _of_the_track(view)
+    findings, phase = _of_the_track(view)
     pointing = point(view.samples, collection, ground.geometry, ground.region, thorough=thorough)
     moved = pointing.found if pointing is not None else None
     findings = replace(findings, pointing=pointing)
     if thorough or moved is not None or not findings.in_focus or findings.sharpness < SHARP:
         tried = alternatives(view.lines.geometry, view.region, raw)
+        tried = tried if thorough or moved is not None or not findings.clutter else [t for t in tried if t.of_sign]
         if moved is not None:
             tried = [*(other for other in tried if other.name != moved.name), moved]
         others = sorted((compare(view, other) for other in tried), key=lambda trial: -trial.gain)
+        gained = any(trial.deviations >= SIGNIFICANT for trial in others)
         findings = replace(
-            findings, trials=(findings.given, *others), mirrored=not collection.steered and terrain is None
-        )
+            findings, trials=(findings.given, *others), mirrored=not collection.steered and terrain is None,
+            refocus=after_refocus(view, phase) if gained and phase is not None else None,
+        )  # fmt: skip
     if view.outside is not None and findings.warning() is None:
         raise view.outside
     return findings
 
 
-def _of_the_track(view: View) -> Findings:
-    """What the prominent places tell of the track."""
+def _of_the_track(view: View) -> tuple[Findings, FloatArray | None]:
+    """What the prominent places tell of the track, and the phase error that a refocus removes, (n_pulse,) rad."""
     trial, collection, lines = as_given(view), view.lines.geometry.collection, [line for _, line in view.prominent]
-    empty = "" if trial.echoes else "the ground that was looked at returns hardly any of the energy"
+    empty = "" if trial.echoes else view.why_empty
     if len(lines) < FEWEST:
-        return Findings((trial,), trial.sharpness, steered=collection.steered, empty=empty)
+        return Findings((trial,), trial.sharpness, steered=collection.steered, empty=empty), None
     mended = refocus(lines, collection.n_pulse)
     good = [error for error in explain(lines, mended.phase, collection) if error.explained > EXPLAINED]
-    return Findings(
+    findings = Findings(
         (trial,), float(np.median(mended.concentration)), blurring_phase(lines, mended.phase),
         " or ".join(error.text for error in good),
         good[0].remedy if good else "mend the track from the data (autofocus)",
         points=_points(lines, mended, collection.n_pulse), steered=collection.steered,
     )  # fmt: skip
+    return findings, mended.phase
 
 
 def _points(lines: list[Line], mended: Refocus, n_pulse: int) -> Points:

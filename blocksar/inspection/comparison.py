@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from blocksar.arrays import FloatArray
 from blocksar.collection.beam import lit_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
@@ -16,21 +17,22 @@ from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError, OutsideSwath
 from blocksar.inspection.alternatives import Alternative
 from blocksar.inspection.contrast import SIGNIFICANT, UNLIT, Contrast, deviations
-from blocksar.inspection.prominent import Echo, Line, Lines, Place, Samples
+from blocksar.inspection.prominent import SHORT, Echo, Line, Lines, Place, Samples, Seeds
 from blocksar.inspection.sharpness import concentration
 from blocksar.inspection.verdict import Trial
 
 PLACES, CANDIDATES = 12, 24  # prominent ones that are compared, and that are looked at
-PATCHES = 4, 6  # yaws and ranges at which clutter is compared
+PATCHES, FEW_PATCHES = (4, 6), (3, 4)  # yaws and ranges at which clutter is compared; beside a run
 SETTLED = 3  # echoes that rule an alternative out, if they do beyond chance: no more are looked at
 
 
 @dataclass(frozen=True)
 class Ground:
-    """Where echoes come from."""
+    """Where echoes come from, and the yaws and ranges at which clutter is compared."""
 
     grid: Grid | None
     terrain: Terrain | None
+    patches: tuple[int, int] = PATCHES
 
     def geometry(self, collection: Collection) -> Geometry:
         return Geometry(collection=collection) if self.terrain is None else over_terrain(collection, self.terrain)
@@ -46,6 +48,18 @@ class View:
     alternative: Alternative
     samples: Samples
     ground: Ground
+
+    def under(self, other: Alternative) -> View:
+        """The view under an alternative to this one; where only samples differ, of the same ground."""
+        samples = self.samples
+        if other.samples is not None:
+            signal = np.ascontiguousarray(other.samples(samples.signal))
+            samples = Samples(signal, samples.collection, threads=samples.threads)
+        view = View(other, samples, self.ground)
+        if other.collection is self.alternative.collection:
+            vars(view)["lines"] = Lines(samples, self.lines.geometry)
+            vars(view)["_looked_at"], vars(view)["_seeds"] = self._looked_at, self._seeds
+        return view
 
     @cached_property
     def lines(self) -> Lines:
@@ -81,48 +95,55 @@ class View:
         if self.region is None or self.outside is not None:
             return found
         for place in self.lines.places(self.region, CANDIDATES):
-            echo = self.lines.echo(place)
-            line = self._sharpest([place] if self.ground.terrain is None else self._places(echo))
+            line = self.lines.line(place)
             if line is not None and not self.lines.known(line, [other for _, other in found]):
-                found.append((echo, line))
+                found.append((self.lines.echo(place), line))
             if len(found) == PLACES:
                 break
         return found
 
     def line(self, echo: Echo) -> Line | None:
         """The line of an echo; None if nothing lit has its range and Doppler."""
-        return self._sharpest(self._places(echo))
+        place = self._place(echo)
+        return None if place is None else self.lines.line(place)
 
     def surroundings(self, echo: Echo) -> Contrast:
         """The contrast of the clutter about an echo."""
-        places = self._places(echo)
-        return (self.lines.surroundings(places[0]) if places else None) or UNLIT
+        place = self._place(echo)
+        return (None if place is None else self.lines.surroundings(place)) or UNLIT
 
-    def _places(self, echo: Echo) -> list[Place]:
-        return [] if self.region is None else self.lines.places_of(echo, self.region)
+    def _place(self, echo: Echo) -> Place | None:
+        return None if self._seeds is None else self.lines.place(echo, self._seeds)
 
-    def _sharpest(self, places: list[Place]) -> Line | None:
-        lines = [line for line in map(self.lines.line, places) if line is not None]
-        return max(lines, key=lambda line: line.contrast.decibels, default=None)
+    @cached_property
+    def _seeds(self) -> Seeds | None:
+        return None if self.region is None else self.lines.seeds(self.region)
+
+    @property
+    def why_empty(self) -> str:
+        """Why there is no echo to compare."""
+        places = [] if self.region is None or self.outside is not None else self._cover(self.region)
+        if any(self.lines.lit(place) for place in places):
+            return "the ground that was looked at returns hardly any of the energy"
+        return f"no place that was looked at is lit by {SHORT} pulses or more"
 
     @cached_property
     def patches(self) -> list[tuple[Echo, Contrast]]:
-        """Echoes amid clutter that cover the region, in an order in which the first few do; none that are dark."""
-        region, geometry = self.region, self.lines.geometry
-        if region is None or self.outside is not None:
-            return []
-        yaws, shares = ((np.arange(n) + 0.5) / n for n in PATCHES)
+        """Echoes amid clutter that cover the region, and their contrast; none that are dark."""
+        places = [] if self.region is None or self.outside is not None else self._cover(self.region)
+        seen = [(place, self.lines.surroundings(place)) for place in places]
+        return [(self.lines.echo(place), contrast) for place, contrast in seen if contrast is not None]
+
+    def _cover(self, region: Region) -> list[Place]:
+        """Places over the region, in an order in which the first few cover it; each with a pulse amid its dwell."""
+        geometry = self.lines.geometry
+        yaws, shares = ((np.arange(n) + 0.5) / n for n in self.ground.patches)
         yaw = region.yaw[0] + (region.yaw[-1] - region.yaw[0]) * yaws
         near, far = region.at(yaw)
         point = geometry.ground_point(near + (far - near) * shares[:, None], yaw).reshape(-1, 3)
-        found = []
-        for x, y in point[np.random.default_rng(0).permutation(len(point)), :2]:
-            first, last = (int(v) for v in lit_interval(geometry, np.array(x), np.array(y)))
-            place = Place(float(x), float(y), 0.0, (first + last) // 2)
-            contrast = self.lines.surroundings(place)
-            if contrast is not None:
-                found.append((self.lines.echo(place), contrast))
-        return found
+        x, y = point[np.random.default_rng(0).permutation(len(point)), :2].T
+        first, last = lit_interval(geometry, x, y)
+        return [Place(float(a), float(b), 0.0, int(p)) for a, b, p in zip(x, y, (first + last) // 2, strict=True)]
 
 
 @dataclass
@@ -160,17 +181,23 @@ def as_given(view: View) -> Trial:
     return pairs.trial(view.alternative)
 
 
+def after_refocus(view: View, phase: FloatArray) -> Trial:
+    """The prominent echoes as given, and without a phase error (n_pulse,), rad."""
+    pairs = _Pairs()
+    for _, line in view.prominent:
+        mended = view.lines.line(line.place, phase=phase)
+        if mended is not None:
+            pairs.append(line.contrast, mended.contrast, mended)
+    return pairs.trial(view.alternative)
+
+
 def compare(given: View, other: Alternative) -> Trial:
     """The same echoes as given and under an alternative.
 
     Those are the prominent ones of either; if the alternative moves them in range, as the chirp's sign does, all that
     short apertures see; and patches of clutter if nothing is prominent.
     """
-    samples, pairs = given.samples, _Pairs()
-    if other.samples is not None:
-        signal = np.ascontiguousarray(other.samples(samples.signal))
-        samples = Samples(signal, samples.collection, threads=samples.threads)
-    view = View(other, samples, given.ground)
+    pairs, view = _Pairs(), given.under(other)
     try:
         if view.outside is None:
             _compare(given, view, pairs)
@@ -192,13 +219,14 @@ def _compare(given: View, view: View, pairs: _Pairs) -> None:
             pairs.append(mine.contrast, UNLIT if line is None else line.contrast, line)
         if pairs.settled:
             return
+    for echo, contrast in () if given.prominent else given.patches:
+        pairs.append(contrast, view.surroundings(other.echo(echo)))
+        if pairs.settled:
+            return
+    if view.prominent and not given.prominent:
+        pairs.given.clear()
+        pairs.other.clear()
     for echo, line in view.prominent:
         if not view.lines.known(line, pairs.lines):
             before = given.line(other.echo(echo))
             pairs.append(UNLIT if before is None else before.contrast, line.contrast, line)
-    if pairs.given:
-        return
-    for echo, contrast in given.patches:
-        pairs.append(contrast, view.surroundings(other.echo(echo)))
-        if pairs.settled:
-            return

@@ -47,11 +47,12 @@ WIDE_ROWS: FloatArray = np.arange(-32.0, 32.0)  # range cells about a place amid
 WIDE_BINS = 64
 DARK = 10**-2.5  # of the mean power over all ranges: with less, a place shows side lobes of others
 MOST_PULSES = 4096  # of its dwell, that are taken then
+FINE = 129  # ranges at which the steepness of a terrain is looked at
+MOST_PHASE = 0.5  # rad
 BASE = 8  # pulses to either side, between which Doppler is taken
 PULSES = 256  # whose range profiles are formed at a time
-NEWTON = 10  # steps to a place of another range and Doppler
+NEWTON, CONVERGED = 10, 1e-2  # steps to a place of another range and Doppler, and the cells left then
 SEEDS = 33, 65  # ranges and yaws of the ground, from the best of which they start
-PARTS = 8  # of a terrain's ranges, each of which may hold a place of the same range
 
 
 class Place(NamedTuple):
@@ -69,6 +70,15 @@ class Echo(NamedTuple):
     pulse: int
     offset: float
     doppler: float
+
+
+class Seeds(NamedTuple):
+    """Points of the ground, x, y and height over the plane (n,), m, and the depth of their region in range, m."""
+
+    x: FloatArray
+    y: FloatArray
+    height: FloatArray
+    depth: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +113,7 @@ class Samples:
     def __init__(self, signal: ComplexArray, collection: Collection, *, threads: int) -> None:
         self.signal, self.collection, self.threads = signal, collection, threads
         self._profiles: dict[tuple[int, int], Profiles] = {}
+        self._levels: dict[int, float] = {}
 
     def profiles(self, first: int, last: int) -> Profiles:
         """Range profiles of the pulses first .. last - 1."""
@@ -116,8 +127,10 @@ class Samples:
     def level(self, pulse: int) -> float:
         """Mean power over all ranges, of a group of pulses."""
         start = pulse // PULSES * PULSES
-        values = self.profiles(start, min(start + PULSES, self.collection.n_pulse)).values
-        return float((np.abs(values).astype(np.float64) ** 2).mean())
+        if start not in self._levels:
+            values = self.profiles(start, min(start + PULSES, self.collection.n_pulse)).values
+            self._levels[start] = float((np.abs(values).astype(np.float64) ** 2).mean())
+        return self._levels[start]
 
     def overview(self) -> list[Contrast]:
         """Contrast of all that short apertures see, over range and Doppler."""
@@ -187,7 +200,7 @@ class Lines:
         position = collection.antenna_position[pulses]
         near, far = region.limits(low, high)
         way = float(np.linalg.norm(position[-1] - position[0]))
-        ranges = np.arange(near, far, 0.7 * self.cell)
+        ranges = np.arange(near, far, ROW * self.cell / self._steepness(near, far, (low + high) / 2))
         yaws = np.linspace(low, high, max(int((high - low) * way / (0.35 * collection.wavelength)), 3))
         every = math.ceil(np.sqrt(max(ranges.size * yaws.size * position.shape[0] / MOST_UPDATES, 1.0)))
         ranges, yaws = ranges[::every], yaws[::every]  # of a large scene some places are missed
@@ -218,15 +231,26 @@ class Lines:
             power[max(row - APART, 0) : row + APART + 1, max(column - APART, 0) : column + APART + 1] = 0.0
         return places
 
-    def line(self, place: Place) -> Line | None:
+    def _steepness(self, near: float, far: float, yaw: float) -> float:
+        """By how much the range of a terrain changes faster than that of its smooth surface, about a yaw; 1 .. 3."""
+        if self.geometry.terrain is None:
+            return 1.0
+        ranges = np.linspace(near, far, FINE)
+        x, y = self.geometry.ground_axes(ranges, np.full(FINE, yaw))
+        change = np.diff(self._distance(x, y, self.geometry.collection.n_pulse // 2)) / np.diff(ranges)
+        return float(np.clip(np.nanmax(np.abs(change), initial=1.0), 1.0, 3.0))
+
+    def line(self, place: Place, *, phase: FloatArray | None = None) -> Line | None:
         """The line of a place, moved to where it is brightest as the aperture grows about the pulse that saw it.
 
-        None if it is not lit then.
+        None if it is not lit then. A phase error (n_pulse,), rad, is removed from its rows at last.
         """
-        interval = self._lit(place)
+        interval = self.lit(place)
         if interval is None:
             return None
         place, pulses, rows, row, shift = self._grown(place, *interval, place.pulse, ROWS)
+        if phase is not None:
+            rows = rows * np.exp(-1j * phase[pulses])[:, None]
         image = _small_image(rows, shift, min(BINS, rows.shape[0] // 4))
         line = Line(place, pulses, _demodulated(rows[:, row], shift))
         return replace(line, contrast=contrast(image, oversampling=2 / ROW), focus=_focus(image))
@@ -241,7 +265,7 @@ class Lines:
 
     def surroundings(self, place: Place) -> Contrast | None:
         """Contrast of a wide image about a place amid clutter, over its dwell; None if it is not lit, or dark."""
-        interval = self._lit(place)
+        interval = self.lit(place)
         if interval is None:
             return None
         size = min(interval[1] - interval[0], MOST_PULSES)
@@ -253,7 +277,7 @@ class Lines:
         spectrum = fft_rows(np.ascontiguousarray(rows.T), inverse=False)
         return contrast(np.abs(np.r_["1", spectrum[:, -bins:], spectrum[:, :bins]]) ** 2, oversampling=1.0)
 
-    def _lit(self, place: Place) -> tuple[int, int] | None:
+    def lit(self, place: Place) -> tuple[int, int] | None:
         """First and last (exclusive) of the pulses that light a place, among them that which saw it; None otherwise."""
         first, last = (int(v) for v in lit_interval(self.geometry, np.array(place.x), np.array(place.y)))
         return (first, last) if last - first >= SHORT and first - SHORT <= place.pulse <= last + SHORT else None
@@ -261,60 +285,60 @@ class Lines:
     def _grown(
         self, place: Place, first: int, last: int, middle: int, later: FloatArray
     ) -> tuple[Place, slice, Complex128Array, int, int]:
-        """A place moved by growing apertures; of the last its pulses, its rows, and the brightest's row and bin."""
-        size, offsets = SHORT, ROWS
+        """A place moved by growing apertures; of the last its pulses, its rows, and the brightest's row and bin.
+
+        Where the sight turns so far that a place half a cell away is out of focus, the last aperture is taken twice.
+        """
+        size, offsets, settled = SHORT, ROWS, not self._turns(place, first, last)
         while True:
+            settled |= size == last - first
             size = min(LONGER * size, last - first)
             begin = min(max(middle - size // 2, first), last - size)
             pulses = slice(begin, begin + size)
             rows = self._rows(place, pulses, offsets)
-            spectrum = fft_rows(np.ascontiguousarray(rows.T), inverse=False).T
+            power = np.abs(fft_rows(np.ascontiguousarray(rows.T), inverse=False).T) ** 2
             reach = min(3 * LONGER, size // 2 - 1)
-            near = np.r_[0 : reach + 1, size - reach : size]
-            bin_, row = np.unravel_index(int(np.argmax(np.abs(spectrum[near]))), (near.size, offsets.size))
-            shift = int(near[bin_] if near[bin_] <= reach else near[bin_] - size)
-            if size == last - first:
-                return place, pulses, rows, int(row), shift
+            near = np.r_[size - reach : size, 0 : reach + 1]
+            bin_, row = (int(i) for i in np.unravel_index(int(np.argmax(power[near])), (near.size, offsets.size)))
+            if size == last - first and settled:
+                return place, pulses, rows, row, bin_ - reach
+            shift = bin_ - reach + _vertex(power[near, row], bin_)
+            away = offsets[row] + ROW * _vertex(power[near[bin_]], row)
             middle_pulse = (pulses.start + pulses.stop) // 2
-            place = self._moved(
-                place, middle_pulse, np.array([offsets[row] * self.cell, shift / (size * self._interval)])
-            )
+            place = self._moved(place, middle_pulse, np.array([away * self.cell, shift / (size * self._interval)]))
             offsets = later
+
+    def _turns(self, place: Place, first: int, last: int) -> bool:
+        """Whether a range cell off a place means more phase than MOST_PHASE over its dwell, as the sight turns."""
+        position = self.geometry.collection.antenna_position[[first, (first + last) // 2, last - 1]]
+        sight = np.array([place.x, place.y, self.geometry.collection.ground_height]) - position
+        sight /= np.linalg.norm(sight, axis=1)[:, None]
+        turn = np.linalg.norm(sight[2] - sight[0])
+        return bool(2 * np.pi * self.turns * self.cell * turn**2 / 8 > MOST_PHASE)
 
     def echo(self, place: Place) -> Echo:
         """What the place's pulse sees of it."""
         offset, doppler = self._seen(np.array(place.x), np.array(place.y), place.pulse)
         return Echo(place.pulse, float(offset), float(doppler))
 
-    def places_of(self, echo: Echo, region: Region) -> list[Place]:
-        """Where an echo may come from: lit ground, in the region or near it, of its range and Doppler.
-
-        On a plane one place, or none. On a terrain that is steep a range may be seen at several places of a yaw; they
-        are searched in parts of the region.
-        """
-        geometry = self.geometry
+    def seeds(self, region: Region) -> Seeds:
+        """Points that cover a region, from which places are searched."""
         yaw = np.linspace(region.yaw[0], region.yaw[-1], SEEDS[1])
         near, far = region.at(yaw)
-        seeds = geometry.ground_point(near + (far - near) * np.linspace(0, 1, SEEDS[0])[:, None], yaw)
-        parts = np.array_split(seeds, 1 if geometry.terrain is None else PARTS)
-        found: list[Place] = []
-        for part in parts:
-            place = self._place(echo, part.reshape(-1, 3), float((far - near).max()))
-            if place is not None and not any(self._near(place, other) for other in found):
-                found.append(place)
-        return found
+        point = self.geometry.ground_point(near + (far - near) * np.linspace(0, 1, SEEDS[0])[:, None], yaw)
+        x, y = (point[..., axis][np.isfinite(point).all(axis=-1)] for axis in (0, 1))
+        return Seeds(x, y, np.broadcast_to(self._height(x, y), x.shape), float((far - near).max()))
 
-    def _place(self, echo: Echo, seeds: FloatArray, depth: float) -> Place | None:
-        """A place that an echo comes from, searched from the best of some points (n, 3); None if there is none."""
+    def place(self, echo: Echo, seeds: Seeds) -> Place | None:
+        """Where an echo comes from: lit ground of its range and Doppler, near a seed; None if there is none."""
         geometry, prf = self.geometry, self.geometry.collection.prf
-        x, y = seeds[:, 0], seeds[:, 1]
-        lit = np.isfinite(x) & np.isfinite(y)
+        x, y, height, depth = seeds
         if (width := geometry.collection.beam_width) is not None:
-            lit[lit] = np.abs(beam_offset(geometry, x[lit], y[lit], echo.pulse)) <= width / 2
-        if not lit.any():
+            lit = np.abs(beam_offset(geometry, x, y, echo.pulse)) <= width / 2
+            x, y, height = x[lit], y[lit], height[lit]
+        if not x.size:
             return None
-        x, y = x[lit], y[lit]
-        offset, doppler = self._seen(x, y, echo.pulse)
+        offset, doppler = self._seen(x, y, echo.pulse, height)
         further = echo.doppler - doppler
         further -= prf * np.rint(further / prf)
         best = int(np.argmin(((echo.offset - offset) / depth) ** 2 + (further / prf) ** 2))
@@ -329,21 +353,25 @@ class Lines:
 
     def _solved(self, place: Place, wanted: FloatArray) -> Place | None:
         """The place of an offset (m) and a Doppler (Hz) at its pulse, by Newton's method from a place near it."""
-        tolerance = np.array([self.cell, self.geometry.collection.prf / SHORT])
+        tolerance = np.array([self.cell, self.geometry.collection.prf / SHORT])  # what a short aperture tells apart
         for _ in range(NEWTON):
             left = wanted - self._seen(np.array(place.x), np.array(place.y), place.pulse)
+            if (np.abs(left) < CONVERGED * tolerance).all():
+                return place
             place = self._moved(place, place.pulse, left)
-        left = wanted - self._seen(np.array(place.x), np.array(place.y), place.pulse)
-        return place if (np.abs(left) < tolerance).all() else None
+        return None
 
     @property
     def _interval(self) -> float:
         return self.geometry.collection.pulse_interval
 
-    def _distance(self, x: FloatArray, y: FloatArray, pulses: slice | int) -> FloatArray:
+    def _distance(
+        self, x: FloatArray, y: FloatArray, pulses: slice | int, height: FloatArray | None = None
+    ) -> FloatArray:
         collection = self.geometry.collection
+        height = self._height(x, y) if height is None else height
         px, py, pz = np.moveaxis(collection.antenna_position[pulses], -1, 0)
-        return np.sqrt((px - x) ** 2 + (py - y) ** 2 + (pz - collection.ground_height - self._height(x, y)) ** 2)
+        return np.sqrt((px - x) ** 2 + (py - y) ** 2 + (pz - collection.ground_height - height) ** 2)
 
     def _height(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Height over the plane z = ground_height, m; 0 where it is unknown."""
@@ -376,12 +404,21 @@ class Lines:
         along_x, along_y = (change[0] * d - change[1] * c) / determinant, (a * change[1] - b * change[0]) / determinant
         return place._replace(x=place.x + step * float(along_x), y=place.y + step * float(along_y))
 
-    def _seen(self, x: FloatArray, y: FloatArray, pulse: int) -> FloatArray:
+    def _seen(self, x: FloatArray, y: FloatArray, pulse: int, height: FloatArray | None = None) -> FloatArray:
         """R - reference_range (m) and Doppler (Hz) of points, m, about a pulse: (2, ...)."""
         collection = self.geometry.collection
         first, last = max(pulse - BASE, 0), min(pulse + BASE, collection.n_pulse - 1)
-        before, after = (self._distance(x, y, p) - collection.reference_range[p] for p in (first, last))
+        height = self._height(x, y) if height is None else height
+        before, after = (self._distance(x, y, p, height) - collection.reference_range[p] for p in (first, last))
         return np.stack([(before + after) / 2, -self.turns * (after - before) / ((last - first) * self._interval)])
+
+
+def _vertex(power: FloatArray, peak: int) -> float:
+    """Where the parabola through a peak and its neighbours has its vertex, from the peak; 0 at the ends."""
+    if not 0 < peak < power.size - 1:
+        return 0.0
+    before, here, after = power[peak - 1 : peak + 2]
+    return float(np.clip((before - after) / (2 * min(before - 2 * here + after, -1e-30)), -0.5, 0.5))
 
 
 def _demodulated(values: Complex128Array, shift: int) -> Complex128Array:

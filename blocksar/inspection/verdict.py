@@ -11,7 +11,6 @@ from blocksar.inspection.contrast import SIGNIFICANT, Contrast, deviations
 from blocksar.inspection.pointing import Pointing
 
 IN_FOCUS = 0.5  # share of the energy near it that a point in focus holds; the largest of speckle holds a fifth
-AS_REFOCUSED = 0.95  # of the concentration after a refocus: an alternative with less is not believed, nor told apart
 AS_SHARP = 0.6  # of the best focus of any alternative: with less, one is not believed
 TIED = 0.75  # of the concentration as given: a beam that is moved is believed if places keep as much
 REFOCUSED = 0.15  # concentration that a refocus reaches where the track is doubted: what stays below is no point
@@ -119,6 +118,8 @@ class Findings:
     cause : str
         What explains that error, empty if nothing simple does.
     remedy : str
+    refocus : Trial or None
+        The prominent echoes after that refocus, if an alternative has to be compared with it.
     points : Points or None
         What judges the track.
     steered : bool
@@ -136,6 +137,7 @@ class Findings:
     track_phase: float = 0.0
     cause: str = ""
     remedy: str = ""
+    refocus: Trial | None = None
     points: Points | None = None
     steered: bool = True
     mirrored: bool = False
@@ -179,11 +181,12 @@ class Findings:
         Those are left out that an error of the track would explain as well, and what brings echoes much less into focus
         than something else.
         """
-        sharpest = AS_SHARP * max(trial.in_focus for trial in self.trials)
-        good = [t for t in self.trials[1:] if t.deviations >= SIGNIFICANT and t.in_focus >= sharpest]
+        good = [t for t in self.trials[1:] if t.deviations >= SIGNIFICANT]
         if self.mended:  # what sees a part of the dwell is less blurred
             good = [t for t in good if not t.of_beam]
-        return [t for t in good if not t.focus or t.sharpness >= AS_REFOCUSED * self.refocused]
+        focus = AS_SHARP * max(trial.in_focus for trial in self.trials)
+        good = [t for t in good if not t.focus or t.in_focus >= focus]
+        return [t for t in good if self.refocus is None or t.gain > self.refocus.gain or _tied(t, self.refocus)]
 
     @property
     def better(self) -> Trial | None:

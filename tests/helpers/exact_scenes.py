@@ -38,7 +38,8 @@ def exact_scene(seed: int) -> ExactScene:
     rng = np.random.default_rng([20, seed])
     kind, content = KINDS[seed % len(KINDS)], CONTENTS[seed // len(KINDS) % len(CONTENTS)]
     wide = kind in ("spotlight", "curved")
-    collection, centre, size = _unsteered(rng, curved=kind == "curved") if wide else _steered(rng, kind)
+    relief = float(rng.uniform(20, 120)) if content == "terrain" else 0.0
+    collection, centre, size = (_unsteered if wide else _steered)(rng, kind, relief)
     count = {"points": rng.integers(1, 13), "many points": rng.integers(30, 501), "points on clutter": 300,
              "clutter": 800, "terrain": rng.integers(4, 40)}[content]  # fmt: skip
     place = np.zeros((count, 3))
@@ -53,7 +54,7 @@ def exact_scene(seed: int) -> ExactScene:
             amplitude[: rng.integers(3, 13)] = 2.0
     terrain = None
     if content == "terrain":
-        terrain = _hill(centre, size, float(rng.uniform(20, 150)))
+        terrain = _hill(centre, size, relief)
         place[:, 2] = [terrain_height(terrain, x, y) for x, y in place[:, :2]]
     noise = rng.choice([0.0, 0.3, 1.0])
     signal = samples(collection, place, amplitude)
@@ -101,7 +102,7 @@ def _lit(collection: Collection, sight: FloatArray, target: FloatArray) -> np.nd
     return np.asarray(np.abs(away) <= collection.beam_width / 2)
 
 
-def _unsteered(rng: np.random.Generator, *, curved: bool) -> tuple[Collection, FloatArray, FloatArray]:
+def _unsteered(rng: np.random.Generator, kind: str, relief: float) -> tuple[Collection, FloatArray, FloatArray]:
     """A spotlight about the origin of 1 to 50 degrees, on a straight or a curved track."""
     angle = np.radians(np.exp(rng.uniform(0, np.log(50))))
     wavelength = 0.031 if angle < np.radians(8) else 0.06 if angle < np.radians(25) else 0.23
@@ -109,21 +110,22 @@ def _unsteered(rng: np.random.Generator, *, curved: bool) -> tuple[Collection, F
     distance, size = float(np.hypot(height, ground)), float(rng.uniform(25, 60))
     n = int(np.clip(SLOWEST * angle * 4 * size * np.sqrt(2) / wavelength, 300, 4000))
     half, time = distance * np.tan(angle / 2), (np.arange(n) - n // 2) / 400.0
-    along = np.linspace(-half, half, n) + (0.0 if curved else rng.choice([0.0, 0.2]) * distance)
+    along = np.linspace(-half, half, n) + (0.0 if kind == "curved" else rng.choice([0.0, 0.2]) * distance)
     track = np.stack([np.full(n, -ground), along, np.full(n, height)], axis=1)
-    if curved:  # about the scene's centre
+    if kind == "curved":  # about the scene's centre
         turn = np.linspace(-angle / 2, angle / 2, n)
         track = np.stack([-ground * np.cos(turn), ground * np.sin(turn), np.full(n, height)], axis=1)
     turn = rng.uniform(0, 2 * np.pi)
     track[:, :2] = track[:, :2] @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
     collection = _collection(
-        rng, wavelength, 3.2 * size, time=time, antenna_position=track, reference_range=np.linalg.norm(track, axis=1),
+        rng, wavelength, 3.2 * size + 2 * relief, time=time, antenna_position=track,
+        reference_range=np.linalg.norm(track, axis=1),
         beam_azimuth=np.full(n, np.nan),
     )  # fmt: skip
     return collection, np.zeros(2), np.full(2, size)
 
 
-def _steered(rng: np.random.Generator, kind: str) -> tuple[Collection, FloatArray, FloatArray]:
+def _steered(rng: np.random.Generator, kind: str, relief: float) -> tuple[Collection, FloatArray, FloatArray]:
     """A beam about its axis along the track, or by its yaw, with two dwells or more."""
     wavelength = float(rng.choice([0.031, 0.056]))
     height, ground, speed = rng.uniform(3000, 6000), rng.uniform(6000, 9000), rng.uniform(100, 220)
@@ -150,7 +152,7 @@ def _steered(rng: np.random.Generator, kind: str) -> tuple[Collection, FloatArra
     reach = abs(time[-1]) * (rate * ground if kind == "yaw" else speed + rate * distance)
     size = np.array([float(rng.uniform(40, 90)), float(np.clip(0.6 * reach, 30, 400))])
     curved = 0.5 * distance * (width / 2 + abs(rate * time[-1])) ** 2
-    swath = 2.2 * size[0] + 2 * curved + 2 * abs(np.sin(squint)) * (size[1] + distance * width)
+    swath = 2 * relief + 2.2 * size[0] + 2 * curved + 2 * abs(np.sin(squint)) * (size[1] + distance * width)
     collection = _collection(
         rng, wavelength, swath,
         time=time, antenna_position=track, reference_range=np.full(n, distance), beam_width=width, **beam,
@@ -162,9 +164,7 @@ def _collection(rng: np.random.Generator, wavelength: float, swath: float, **fie
     bandwidth = float(rng.uniform(60e6, 200e6))
     step = SPEED_OF_LIGHT / (2 * swath + 40 * SPEED_OF_LIGHT / (2 * bandwidth))  # and the ends, which are not imaged
     n = int(np.clip(bandwidth / step, 48, 200))
-    return Collection(
-        carrier=SPEED_OF_LIGHT / wavelength, range_frequency=(np.arange(n) - n // 2) * step, **fields
-    )  # type: ignore[arg-type]
+    return Collection(carrier=SPEED_OF_LIGHT / wavelength, range_frequency=(np.arange(n) - n // 2) * step, **fields)  # type: ignore[arg-type]
 
 
 def _hill(centre: FloatArray, size: FloatArray, height: float) -> Terrain:
