@@ -15,7 +15,7 @@ from blocksar.inspection.alternatives import Alternative, alternatives
 from blocksar.inspection.comparison import FEW_PATCHES, PATCHES, Ground, View, after_refocus, as_given, compare
 from blocksar.inspection.contrast import SIGNIFICANT
 from blocksar.inspection.pointing import point
-from blocksar.inspection.prominent import Line, Samples
+from blocksar.inspection.prominent import SHORT, Line, Samples
 from blocksar.inspection.sharpness import Refocus, blurring_phase, concentration, explain, judged_by_others, refocus
 from blocksar.inspection.verdict import FOCUSED, SHARP, Findings, Points, Trial
 
@@ -98,7 +98,8 @@ def check(
     pointing = point(view.samples, collection, ground.geometry, ground.region, thorough=thorough)
     moved = pointing.found if pointing is not None else None
     findings = replace(findings, pointing=pointing)
-    if thorough or moved is not None or not findings.in_focus or findings.sharpness < SHARP:
+    doubtful = moved is not None or not findings.in_focus or findings.sharpness < SHARP
+    if view.lit and (thorough or doubtful):
         tried = alternatives(view.lines.geometry, view.region, raw)
         tried = tried if thorough or moved is not None or not findings.clutter else [t for t in tried if t.of_sign]
         if moved is not None:
@@ -117,7 +118,8 @@ def check(
 def _of_the_track(view: View) -> tuple[Findings, FloatArray | None]:
     """What the prominent places tell of the track, and the phase error that a refocus removes, (n_pulse,) rad."""
     trial, collection, lines = as_given(view), view.lines.geometry.collection, [line for _, line in view.prominent]
-    empty = "" if trial.echoes else view.why_empty
+    dark = "the ground that was looked at returns hardly any of the energy"
+    empty = "" if trial.echoes else dark if view.lit else f"no place is lit by {SHORT} pulses or more"
     if len(lines) < FEWEST:
         return Findings((trial,), trial.sharpness, steered=collection.steered, empty=empty), None
     mended = refocus(lines, collection.n_pulse)

@@ -17,7 +17,7 @@ from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError, OutsideSwath
 from blocksar.inspection.alternatives import Alternative
 from blocksar.inspection.contrast import SIGNIFICANT, UNLIT, Contrast, deviations
-from blocksar.inspection.prominent import SHORT, Echo, Line, Lines, Place, Samples, Seeds
+from blocksar.inspection.prominent import Echo, Line, Lines, Place, Samples, Seeds
 from blocksar.inspection.sharpness import concentration
 from blocksar.inspection.verdict import Trial
 
@@ -119,13 +119,12 @@ class View:
     def _seeds(self) -> Seeds | None:
         return None if self.region is None else self.lines.seeds(self.region)
 
-    @property
-    def why_empty(self) -> str:
-        """Why there is no echo to compare."""
-        places = [] if self.region is None or self.outside is not None else self._cover(self.region)
-        if any(self.lines.lit(place) for place in places):
-            return "the ground that was looked at returns hardly any of the energy"
-        return f"no place that was looked at is lit by {SHORT} pulses or more"
+    @cached_property
+    def lit(self) -> bool:
+        """Whether the beam lights anything for long enough to be compared; or nothing of the grid at all."""
+        if self.outside is not None or self.region is None or self.prominent:
+            return True
+        return any(self.lines.lit(place) for place in self._cover(self.region))
 
     @cached_property
     def patches(self) -> list[tuple[Echo, Contrast]]:

@@ -15,7 +15,7 @@ their covariance 2/3 sum I^3. So
 
 which is 1 / N for homogeneous speckle, and grows as fewer cells dominate. A lone target has none of that; but the side
 lobes of others, of the amplitude a = 0.217 (-13.3 dB) for the first of a neighbour as strong, change its power by the
-factor 1 + 2 a cos(phase), of the variance 2 a^2. That adds 2 a^2 sum(I^4) / T^2, which gives 1.4 dB to a lone target.
+factor 1 + 2 a cos(phase), of the variance 2 a^2. That adds 2 a^2 sum(I^4) / T^2: 1.4 dB and more to a lone target.
 If an alternative is no better than what is given, the gains of n echoes have a mean of zero at most, and
 
     z = sum(gain) / sqrt(sum(var given + var alternative))

@@ -265,9 +265,7 @@ class Findings:
         if self.empty:
             return f"nothing was tested: {self.empty}"
         if not self.speaks:
-            what = (
-                f"{self.given.echoes} patches of clutter" if self.clutter else f"{self.given.echoes} prominent places"
-            )
+            what = "patches of clutter" if self.clutter else "prominent places"
             return (
                 f"nothing can be said of the samples' sign and order, or of errors of the track: "
                 f"{self.given.echoes} {what} are about as sharp whatever is tried"
@@ -301,7 +299,7 @@ class Findings:
     def _compared(self) -> str:
         """What was ruled out, and what is not told."""
         if len(self.trials) == 1:
-            return "; a mirrored image would be as sharp"
+            return "; a mirrored image, or one seen a PRF away, may be as sharp, which `blocksar check` tries"
         said = ""
         for verdict, lead in (("ruled out", "ruled out"), ("not told", "not told from what is given")):
             names = [t.name for t in self.trials[1:] if t.verdict == verdict]
