@@ -21,7 +21,7 @@ from blocksar.collection.terrain import Terrain
 from blocksar.graph.machine import resources
 from blocksar.ingestion.terrain.reading import Ground
 from blocksar.inspection import check as samples_check
-from blocksar.inspection.check import Findings
+from blocksar.inspection.verdict import Findings
 from blocksar.places import Location
 
 if TYPE_CHECKING:
@@ -38,11 +38,12 @@ def check(
     ground_height: float | None = None,
     threads: int | None = None,
 ) -> Report:
-    """Compare the sharpness of prominent places as given with what it would be if something were said wrongly.
+    """Compare the contrast of echoes as given with what it would be if something were said wrongly.
 
-    Tried are a conjugated signal, a reversed range axis, pulses or track in the opposite order, x and y swapped, a beam
-    that is reversed, negated, offset or narrower than it is said to be, and errors of the track. Reads a part of the
-    samples and writes nothing.
+    Tried are a conjugated signal, a reversed range axis, pulses or track in the opposite order, axes of the scene that
+    are swapped or have the other sign, of a raw echo the other sign of the chirp and delays that count from its start,
+    a beam that is reversed, negated, in degrees, off by an angle or by whole PRFs or narrower than it is said to be,
+    and errors of the track. Reads a part of the samples and writes nothing.
 
     Parameters
     ----------
@@ -67,9 +68,10 @@ def check(
     -------
     Report
         `tables` has one row for everything that was tried but for errors of the beam that were not found; `result` is
-        a dict of its figures and of the warning, which is None if the samples fit. In it `beam_places` is the number of
-        points that judged the beam, and `beam_tried` the largest error of its angle that was tried, rad; None if they
-        are too few.
+        a dict of its figures and of the warning, which is None if nothing seems wrong. In it `tested` says whether the
+        echoes tell anything, `beam_places` is the number of points that judged the beam, and `beam_tried` the largest
+        error of its angle that was tried, rad; None if they are too few. Each trial has the number of its echoes, their
+        mean gain of contrast against as given (dB), that over its standard deviation, and the verdict.
 
     Raises
     ------
@@ -81,19 +83,27 @@ def check(
     [history], points = on_ground([history_of(source)], ground_height, terrain=terrain), grid_of(grid)
     collection = history.collection.centred()
     heights = read_ground(ground, collection, points, source)
-    if points is not None:
+    findings = check_samples(history, points, threads=count, thorough=True, terrain=heights)
+    if points is not None and findings.warning() is None:
         geometry = geometry_over(collection, heights)
         grid_extent(geometry, plan_region(geometry, points), points)  # refuses a grid outside the swath
-    findings = check_samples(history, points, threads=count, thorough=True, terrain=heights)
     pointing = findings.pointing
     result = {
         "warning": findings.warning(),
+        "tested": findings.speaks,
         "sharpness": findings.sharpness if findings.speaks else None,
         "track_phase": findings.track_phase,
         "beam_places": pointing.places if pointing else 0,
         "beam_tried": pointing.reach if pointing and pointing.told else None,
         "trials": [
-            {"name": trial.name, "places": trial.places, "concentration": trial.sharpness} for trial in findings.trials
+            {
+                "name": trial.name,
+                "echoes": trial.echoes,
+                "gain": trial.gain,
+                "deviations": trial.deviations,
+                "verdict": trial.verdict,
+            }
+            for trial in findings.trials[1:]
         ],
     }
     return Report(
@@ -118,7 +128,9 @@ def check_samples(
     pulses, columns = samples_check.part_to_read(collection)
     signal = history.read(pulses, columns) if history.raw is None else _compressed(history, pulses, columns)
     part = samples_check.part_of(collection, pulses, columns)
-    return samples_check.check(signal, part, grid=grid, threads=threads, thorough=thorough, terrain=terrain)
+    return samples_check.check(
+        signal, part, grid=grid, threads=threads, thorough=thorough, terrain=terrain, raw=history.raw
+    )
 
 
 def _compressed(history: stores.PhaseHistory, pulses: slice, columns: slice) -> ComplexArray:
@@ -132,10 +144,9 @@ def _compressed(history: stores.PhaseHistory, pulses: slice, columns: slice) -> 
 
 
 def _table(findings: Findings) -> Table:
-    header = ("if", "prominent places", "concentration over the dwell", "against as given (dB)")
-    rows = []
-    for trial in findings.trials:
-        known = findings.given.sharpness and trial.sharpness
-        gain = f"{10 * np.log10(trial.sharpness / findings.given.sharpness):+.1f}" if known else "-"
-        rows.append([trial.name, str(trial.places), f"{trial.sharpness:.3f}", gain])
+    header = ("if", "echoes", "contrast against as given (dB)", "standard deviations", "verdict")
+    rows = [
+        [trial.name, str(trial.echoes), f"{trial.gain:+.2f}", f"{trial.deviations:+.1f}", trial.verdict]
+        for trial in findings.trials[1:]
+    ]
     return header, rows
