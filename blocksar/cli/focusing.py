@@ -37,6 +37,7 @@ from blocksar.cli.options import (
     Threads,
     VerticalOption,
     WeightingOption,
+    WholePulses,
     Workers,
     given,
     method_options,
@@ -62,6 +63,7 @@ def plan(
     terrain: TerrainOption = None,
     surface: SurfaceOption = "plane",
     vertical: VerticalOption = None,
+    whole_pulses: WholePulses = False,
     looks: LooksOption = None,
     workers: Workers = None,
     memory_limit: MemoryLimit = None,
@@ -85,8 +87,8 @@ def plan(
     from blocksar import api
 
     proposal = api.plan(
-        one_or_all(source), processor=processor, terrain=terrain, surface=surface, vertical=vertical, looks=looks,
-        **settings, **method,
+        one_or_all(source), processor=processor, terrain=terrain, surface=surface, vertical=vertical,
+        whole_pulses=whole_pulses, looks=looks, **settings, **method,
     )  # fmt: skip
     show(proposal, context)
     if proposal.refusal is not None:
@@ -135,6 +137,7 @@ def focus(
     terrain: TerrainOption = None,
     surface: SurfaceOption = "plane",
     vertical: VerticalOption = None,
+    whole_pulses: WholePulses = False,
     autofocus: AutofocusOption = False,
     control: Control = None,
     workers: Workers = None,
@@ -182,6 +185,7 @@ def focus(
             terrain=terrain,
             surface=surface,
             vertical=vertical,
+            whole_pulses=whole_pulses,
             **method,
             autofocus=autofocus,
             control=control,

@@ -8,7 +8,10 @@ from math import isfinite
 import numpy as np
 
 from blocksar.arrays import UNIFORM_TOLERANCE, FloatArray, check_axis
+from blocksar.collection.recorded import RecordedRanges
+from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
+from blocksar.kernels.fourier import fast_length
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,10 +71,29 @@ class RawEcho:
         """Bandwidth of the chirp, |K| T, Hz."""
         return abs(self.chirp_rate) * self.pulse_width
 
-    @property
-    def range_frequency(self) -> FloatArray:
-        """Frequencies of the transform over fast time, centred at 0 and limited to the band of the chirp, Hz."""
+    def transform_length(self, *, partial: bool) -> int:
+        """Samples N of the transform by which the echo is compressed: n, or n + T rate where parts of pulses count.
+
+        A transform of N samples is periodic in delay over N dt, and the n recorded ones hold echoes from n dt + T of
+        delay. With N = n, those beyond the window fold to its other end, at most T / 2 deep: into delays of which whole
+        pulses were not recorded either. The side lobes alone of what has folded reach ground with whole pulses, below
+        1 / (pi B T) of its amplitude. Padded by the pulse, no delay has two echoes, and side lobes of a target reach
+        the window's other end as they reach equal distances elsewhere.
+        """
         n = self.fast_time.size
+        return fast_length(n + self.pulse_width * self.sampling_rate) if partial else n
+
+    def range_frequency(self, *, partial: bool = False) -> FloatArray:
+        """Frequencies of that transform, centred at 0 and limited to the band of the chirp, Hz."""
+        n = self.transform_length(partial=partial)
         grid = (np.arange(n) - n // 2) * (self.sampling_rate / n)
         # A grid point may lie on the band's edge: the margin keeps rounding from deciding whether it is in.
         return grid[np.abs(grid) <= self.bandwidth / 2 * (1 + 1e-9)]
+
+    def recorded(self, *, partial: bool = False) -> RecordedRanges:
+        """The ranges that it holds."""
+        half, step = SPEED_OF_LIGHT / 2, 1 / self.sampling_rate
+        return RecordedRanges(
+            near=half * (float(self.fast_time[0]) - step / 2), far=half * (float(self.fast_time[-1]) + step / 2),
+            pulse=half * self.pulse_width, partial=partial,
+        )  # fmt: skip

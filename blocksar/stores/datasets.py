@@ -97,6 +97,8 @@ class DatasetHistory(PhaseHistory):
     def _content(self) -> str:
         digest, valid, nonzero = xxhash.xxh3_128(), False, False
         values = {**self.collection.as_dict(), **(vars(self.raw) if self.raw is not None else {})}
+        if self.raw is not None or values["recorded"] is None:
+            del values["recorded"]  # follows from the rest
         for name, value in sorted(values.items()):
             digest.update(f"{name} {np.shape(value)} ".encode())
             digest.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
@@ -223,7 +225,7 @@ def _checked(dataset: xr.Dataset) -> DatasetHistory:
     channels = _channels(dataset, samples.shape[0]) if samples.ndim > len(SCHEMA[names[0]].dims) else ()
     raw = raw_echo_from(read("fast_time"), attrs) if names == ["echo"] else None
     present = dataset.variables.__contains__
-    collection = collection_from(read, present, attrs, None if raw is None else raw.range_frequency)
+    collection = collection_from(read, present, attrs, raw)
     given = other_attrs(attrs, raw)
     if not channels and "channel" in dataset.variables and not dataset.variables["channel"].ndim:  # one taken out
         given = attrs_of_channel(given, check_channels([text(dataset.variables["channel"].values.item())]), 0)
