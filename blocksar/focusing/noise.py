@@ -26,7 +26,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.lit_sums import GAIN_PARTS
 from blocksar.collection.weighting import Weighting
 from blocksar.focusing.pattern_sums import mean_elevations
-from blocksar.focusing.recorded_pulses import recorded_means
+from blocksar.focusing.recorded_pulses import divide_by_recorded
 from blocksar.kernels.phase import Float32Array
 
 NODE_PIXELS = 16
@@ -136,10 +136,11 @@ class NoiseMap:
         lit = (squares > 0) & (gains > 0)
         with np.errstate(divide="ignore", invalid="ignore"):
             noise = np.where(lit, self.sample * squares / gains**2, np.nan).astype(np.float32)
-        if self.geometry.collection.recorded is not None:
-            recorded = recorded_means(self.geometry, *np.meshgrid(x, y), height, weighting=self.weighting)
-            noise *= (recorded.power / recorded.amplitude**2).astype(np.float32)
-            lit &= np.isfinite(noise)
+        divide_by_recorded(
+            noise, self.geometry, x, y[:, None], height, weighting=self.weighting,
+            divisor=lambda means: means.amplitude**2 / means.power,
+        )  # fmt: skip
+        lit = np.isfinite(noise)
         bits = noise.view(np.int32)  # a NaN stays one
         half = np.int32(1 << (SPARED_BITS - 1))
         return np.where(lit, (bits + half) & np.int32(-1 << SPARED_BITS), bits).view(np.float32)

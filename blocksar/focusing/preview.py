@@ -23,7 +23,7 @@ from blocksar.collection.grid import Grid, ground_resolution
 from blocksar.collection.weighting import Taper, Weighting
 from blocksar.focusing.backprojection import accumulate
 from blocksar.focusing.profiles import range_profiles
-from blocksar.focusing.recorded_pulses import recorded_means
+from blocksar.focusing.recorded_pulses import divide_by_recorded
 from blocksar.kernels.groups import run_groups
 from blocksar.kernels.phase import Float32Array
 
@@ -148,8 +148,10 @@ def form_preview(
         if progress is not None:
             progress(done, len(preview.apertures))
     power = np.where(weight > 0, power / np.maximum(weight, 1), np.nan).astype(np.float32)
-    if geometry.collection.recorded is not None:
-        power /= recorded_means(geometry, x, y, weighting=Weighting(range=TAPER)).amplitude.astype(np.float32) ** 2
+    divide_by_recorded(
+        power, geometry, x, y, weighting=Weighting(range=TAPER), threads=threads,
+        divisor=lambda means: means.amplitude**2,
+    )  # fmt: skip
     return power
 
 

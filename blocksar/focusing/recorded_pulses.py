@@ -7,6 +7,9 @@ taken at a few times.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -17,13 +20,16 @@ from blocksar.collection.beam import dwell, pattern_gain, pulse_weights
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import UNIFORM, Taper, Weighting
 from blocksar.kernels.groups import run_groups
+from blocksar.kernels.phase import Float32Array
+
+Tile = tuple[slice, slice]
 
 # Least share of a pulse that is divided by: noise then rises by 13 dB under equal weights, and responses are 20 times
 # as broad. Ground with less is NaN.
 LEAST_SHARE = 0.05
 TIMES = 9  # of a dwell, both ends among them
 ROUNDING = 1e-9  # of a share
-SIDE = 64  # pixels of a tile
+MOST = 4096  # pixels together
 
 
 class RecordedMeans(NamedTuple):
@@ -54,43 +60,61 @@ def recorded_means(
 
 
 def divide_by_recorded(
-    image: ComplexArray,
+    image: ComplexArray | Float32Array,
     geometry: Geometry,
     x: FloatArray,
     y: FloatArray,
     z: FloatArray | None = None,
     *,
     weighting: Weighting,
-    threads: int,
+    threads: int = 1,
+    divisor: Callable[[RecordedMeans], FloatArray] = attrgetter("amplitude"),
 ) -> None:
     """Divide pixels in place by the mean share of their pulses; NaN as for `recorded_means`.
 
     Parameters
     ----------
-    image : (n_row, n_column) complex64
+    image : (n_row, n_column) complex64 or float32
     geometry : Geometry
     x, y, z : float, optional z
         m, broadcast to the shape of the image; NaN heights where unknown.
+    divisor : callable
+        What of the means is divided by.
     """
     if geometry.collection.recorded is None:
         return
     points = [None if axis is None else np.broadcast_to(axis, image.shape) for axis in (x, y, z)]
-    height = SIDE if image.shape[0] > 1 else 1
-    width = SIDE**2 // height
 
-    def divide(tile: tuple[slice, slice]) -> None:
-        part, (of_x, of_y, of_z) = image[tile], (None if axis is None else axis[tile] for axis in points)
+    def divide(tile: Tile) -> None:
+        of_x, of_y, of_z = (None if axis is None else axis[tile] for axis in points)
         assert of_x is not None and of_y is not None
-        if np.isfinite(part.real).any() and not _all_whole(geometry, of_x, of_y, of_z):
-            share = recorded_means(geometry, of_x, of_y, of_z, weighting=weighting).amplitude
-            part[...] = np.where(np.isnan(share), complex(np.nan, np.nan), part / share.astype(np.float32))
+        share = divisor(recorded_means(geometry, of_x, of_y, of_z, weighting=weighting))
+        with np.errstate(invalid="ignore"):
+            image[tile] /= share.astype(np.float32)
 
-    rows, columns = (range(0, n, step) for n, step in zip(image.shape, (height, width), strict=True))
-    tiles = [(slice(row, row + height), slice(column, column + width)) for row in rows for column in columns]
-    run_groups(divide, tiles, threads)
+    whole = slice(0, image.shape[0]), slice(0, image.shape[1])
+    run_groups(divide, list(_doubtful(image, geometry, points, whole)), threads)
 
 
-def _all_whole(geometry: Geometry, x: FloatArray, y: FloatArray, z: FloatArray | None) -> bool:
+def _doubtful(
+    image: ComplexArray | Float32Array, geometry: Geometry, points: Sequence[FloatArray | None], tile: Tile
+) -> Iterator[Tile]:
+    """Small tiles of a tile, with a pixel of the image in them, not all of which surely have whole pulses."""
+    x, y, z = (None if axis is None else axis[tile] for axis in points)
+    assert x is not None and y is not None
+    if not np.isfinite(image[tile]).any() or _all_whole(geometry, x, y, z):
+        return
+    if x.size <= MOST:
+        yield tile
+        return
+    longer = int(x.shape[1] > x.shape[0])
+    ends = tile[longer].start, tile[longer].start + x.shape[longer] // 2, tile[longer].stop
+    for first, last in pairwise(ends):
+        part = slice(first, last)
+        yield from _doubtful(image, geometry, points, (tile[0], part) if longer else (part, tile[1]))
+
+
+def _all_whole(geometry: Geometry, x: FloatArray, y: FloatArray, z: FloatArray | None = None) -> bool:
     """Whether all points of a tile surely have whole pulses: no range differs from their middle's by more than they."""
     recorded = geometry.collection.recorded
     assert recorded is not None
