@@ -16,7 +16,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
-from blocksar.focusing.recorded_pulses import LEAST_SHARE, ROUNDING, recorded_means
+from blocksar.focusing.recorded_pulses import ROUNDING, recorded_means
 
 WHOLE, PARTS = "whole", "parts"
 LOOKED_AT = 64  # points along a side of a grid that are asked what was recorded of their pulses
@@ -73,34 +73,32 @@ def _shares(geometry: Geometry, grid: Grid) -> FloatArray:
 
 
 def recorded_text(geometry: Geometry) -> str | None:
-    """Of which ranges a raw echo has whole pulses, and parts of pulses, m of slant range and on the ground."""
+    """From which ranges a raw echo has whole pulses, m of slant range and on the ground, and from which parts."""
     recorded = geometry.collection.recorded
     if recorded is None:
         return None
     first, last = recorded.whole
-    parts = f"parts of pulses from {recorded.pulse:.5g} m more on either side"
+    parts = f"parts of pulses from {recorded.pulse:.5g} m farther on either side"
     if first >= last:
-        return f"of no range: the window of {recorded.far - recorded.near:.5g} m is no longer than the pulse; {parts}"
+        return f"from no range: the window of {recorded.far - recorded.near:.5g} m is shorter than the pulse; {parts}"
     height = float(geometry.epoch_position[2] - geometry.collection.ground_height)
     near, far = (math.sqrt(max(end**2 - height**2, 0.0)) for end in (first, last))
-    on_ground = f"{last - first:.5g} m, {far - near:.5g} m on the ground"
-    return f"from slant ranges {first:.7g} .. {last:.7g} m ({on_ground}); {parts}"
+    whole = f"{last - first:.5g} m of slant range ({first:.7g} .. {last:.7g} m), {far - near:.5g} m on the ground"
+    return f"from {whole}; {parts}"
 
 
 def recorded_lines(geometries: Sequence[Geometry], grid: Grid, *, swath: bool = True) -> list[str]:
     """Sentences on the whole pulses of raw echoes, if there are any, and on what a grid has of others."""
     geometries = [geometry for geometry in geometries if geometry.collection.recorded is not None]
     lines = [f"whole pulses {recorded_text(geometry)}" for geometry in geometries] if swath else []
-    shares = [share for geometry in geometries if (share := _shares(geometry, grid)).size]
-    found = np.concatenate([*shares, np.empty(0)])
-    if not found.size or not (found < 1 - ROUNDING).any():
+    shares = np.concatenate([_shares(geometry, grid) for geometry in geometries] or [np.ones(0)])
+    parts = shares[shares < 1 - ROUNDING]
+    if not parts.size:
         return lines
-    least = float(np.nanmin(found))
-    part, none = np.mean(found < 1 - ROUNDING), np.mean(np.isnan(found))
+    least = float(parts.min())
     return [
         *lines,
-        f"{100 * part:.2g} % of the grid's lit pixels have parts of pulses, down to {least:.2g} of them, by which they "
-        f"are divided: targets peak at 1, are up to {1 / least:.2g} times as broad in range, and noise rises by up to "
-        f"{-10 * math.log10(least):.2g} dB; --whole-pulses leaves them NaN",
-        *([f"{100 * none:.2g} % have less than {LEAST_SHARE:g} of a pulse and stay NaN"] if none else []),
+        f"{100 * parts.size / shares.size:.2g} % of the grid's lit pixels have parts of pulses, {least:.2g} at least, "
+        "and are divided by the part: targets peak at 1, but are broader in range by its inverse, and clutter and "
+        f"noise rise with that by up to {-10 * math.log10(least):.2g} dB; --whole-pulses leaves them NaN",
     ]

@@ -33,8 +33,6 @@ class RawCompression:
         s, two-way delay.
     length : int
         Samples N of the transform.
-    first : int
-        Index of the band's first frequency on the transform's centred grid.
     weight : (n_range_frequency,) complex
         Sampling interval over the chirp's spectrum.
     range_frequency : (n_range_frequency,) float
@@ -45,7 +43,6 @@ class RawCompression:
 
     fast_time: Axis
     length: int
-    first: int
     weight: NDArray[np.complex128]
     range_frequency: FloatArray
     reference_range: FloatArray
@@ -60,13 +57,12 @@ class RawCompression:
         range_frequency: FloatArray,
         reference_range: FloatArray,
     ) -> Self:
-        """Bind to an echo's axes; range_frequency must be the part |f| <= band / 2 of a centred transform grid."""
+        """Bind to an echo's axes; the sampling rate must be a whole multiple of the step of range_frequency."""
         step = float((fast_time[-1] - fast_time[0]) / (fast_time.size - 1))
         length = round((range_frequency.size - 1) / (float(range_frequency[-1] - range_frequency[0]) * step))
         return cls(
             fast_time=Axis(float(fast_time[0]), step, fast_time.size),
             length=length,
-            first=length // 2 + round(range_frequency[0] * length * step),
             weight=step / chirp_spectrum(range_frequency, chirp_rate=chirp_rate, pulse_width=pulse_width),
             range_frequency=range_frequency,
             reference_range=reference_range,
@@ -91,14 +87,13 @@ class RawCompression:
 
     def apply(self, echo: ComplexArray, *, pulses: slice, threads: int = 1) -> ComplexArray:
         """Compress pulses (n, n_fast_time) to (n, n_range_frequency) complex64; a pulse with a NaN comes out NaN."""
-        extent = self.length * self.fast_time.step
-        axis = Axis(-(self.length // 2) / extent, 1 / extent, self.length)
+        step = 1 / (self.length * self.fast_time.step)
+        axis = Axis(float(self.range_frequency[0]), step, self.range_frequency.size)
         reference_range = self.reference_range[pulses, None]
         out = np.empty((echo.shape[0], self.range_frequency.size), np.complex64)
         for first in range(0, echo.shape[0], COMPRESSED_ROWS):
             part = slice(first, first + COMPRESSED_ROWS)
-            spectrum = rows.transform(echo[part], self.fast_time, axis, inverse=False, threads=threads)
-            band = spectrum[:, self.first : self.first + self.range_frequency.size]
+            band = rows.transform(echo[part], self.fast_time, axis, inverse=False, threads=threads)
             cycles = 2 / SPEED_OF_LIGHT * reference_range[part] * self.range_frequency
             out[part] = band * self.weight * fourier.unit_phasor(cycles)
         return out

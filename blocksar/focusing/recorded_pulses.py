@@ -24,10 +24,10 @@ from blocksar.kernels.phase import Float32Array
 
 Tile = tuple[slice, slice]
 
-# Least share of a pulse that is divided by: noise then rises by 13 dB under equal weights, and responses are 20 times
-# as broad. Ground with less is NaN.
-LEAST_SHARE = 0.05
-TIMES = 9  # of a dwell, both ends among them
+# Least share of a pulse that is divided by: clutter and noise then rise by 10 dB under equal weights, and responses are
+# 10 times as broad. Ground with less, which is NaN, would show the side lobes of its neighbours.
+LEAST_SHARE = 0.1
+TIMES = 5  # of a dwell, both ends among them
 ROUNDING = 1e-9  # of a share
 MOST = 4096  # pixels together
 

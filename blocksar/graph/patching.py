@@ -149,8 +149,9 @@ class _Corrector:
         pixels = correct(self.values, ground, x=x, y=y, z=z, tiles=tiles, threads=threads, out=out)
         if edges is not None and self.kept is not None:
             edges.add(pixels, self.kept, ground, window, grid, height=z, threads=threads)
-        weighting = Weighting(ground.range_taper, ground.taper)
-        divide_by_recorded(pixels, ground.geometry, x, y[:, None], z, weighting=weighting, threads=threads)
+        if (recorded := ground.geometry.collection.recorded) is not None and recorded.partial:  # else all are whole
+            weighting = Weighting(ground.range_taper, ground.taper)
+            divide_by_recorded(pixels, ground.geometry, x, y[:, None], z, weighting=weighting, threads=threads)
         return _Corrected(turn, cell, z, pixels, _owner(pixels, self.block.index))
 
 
