@@ -136,11 +136,12 @@ class NoiseMap:
         lit = (squares > 0) & (gains > 0)
         with np.errstate(divide="ignore", invalid="ignore"):
             noise = np.where(lit, self.sample * squares / gains**2, np.nan).astype(np.float32)
-        divide_by_recorded(
-            noise, self.geometry, x, y[:, None], height, weighting=self.weighting,
-            divisor=lambda means: means.amplitude**2 / means.power,
-        )  # fmt: skip
-        lit = np.isfinite(noise)
+        if (recorded := self.geometry.collection.recorded) is not None and recorded.partial:
+            divide_by_recorded(
+                noise, self.geometry, x, y[:, None], height, weighting=self.weighting,
+                divisor=lambda means: means.amplitude**2 / means.power,
+            )  # fmt: skip
+            lit = np.isfinite(noise)
         bits = noise.view(np.int32)  # a NaN stays one
         half = np.int32(1 << (SPARED_BITS - 1))
         return np.where(lit, (bits + half) & np.int32(-1 << SPARED_BITS), bits).view(np.float32)

@@ -18,7 +18,7 @@ from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.stores.arrays import metadata_file
 from blocksar.stores.channels import attrs_of_channel, check_channels, number_of, text, unnamed_channels, with_channels
-from blocksar.stores.contract import SAMPLES, check_type, check_units, missing
+from blocksar.stores.contract import SAMPLES, check_type, check_units, missing, raw_echo_from
 from blocksar.stores.history_creation import create_phase_history, history_line
 from blocksar.stores.phase_history import (
     PhaseHistory,
@@ -26,7 +26,6 @@ from blocksar.stores.phase_history import (
     not_one_of_two,
     open_phase_history,
     other_attrs,
-    raw_echo_from,
 )
 from blocksar.stores.records import json_checksum, plain_value
 from blocksar.stores.regions import write_region

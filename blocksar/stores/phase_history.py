@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xxhash
 
-from blocksar.arrays import ComplexArray, FloatArray, check_axis
+from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection import sublooks
 from blocksar.collection.collection import Collection
 from blocksar.collection.georeference import Georeference
@@ -31,7 +31,7 @@ from blocksar.places.place import Place
 from blocksar.stores.arrays import metadata_file, open_variable, refuse_codecs
 from blocksar.stores.channels import attrs_of_channel, look_name, number_of, read_channels
 from blocksar.stores.chunk_files import refuse_odd_file
-from blocksar.stores.contract import checked, number, read_real
+from blocksar.stores.contract import checked, number, raw_echo_from, read_real
 from blocksar.stores.creation import UNFINISHED
 from blocksar.stores.faults import cause_of, unreachable
 from blocksar.stores.layout import METADATA, group_attrs
@@ -41,7 +41,6 @@ from blocksar.stores.schema import (
     COLLECTION_ATTRS,
     OPTIONAL,
     PHASE_HISTORY,
-    PULSE_REFERENCES,
     RAW_ATTRS,
     RAW_ECHO,
 )
@@ -296,7 +295,7 @@ def open_phase_history(path: Location) -> PhaseHistory:
         ):
             if (shape := checked(place, name).shape) != (n,):
                 raise InputError(f"{names[0]} has shape {samples.shape}, but {name} has {shape}; make them agree")
-        raw = _read_raw(place, attrs) if names == ["echo"] else None
+        raw = raw_echo_from(read_real(place, "fast_time"), attrs) if names == ["echo"] else None
         collection = _read_collection(place, attrs, raw)
         others = attrs_of_channel(other_attrs(attrs, raw), channels, 0)
         return PhaseHistory(path=place, collection=collection, raw=raw, attrs=others, channels=channels)
@@ -483,26 +482,4 @@ def collection_from(
         side_of_track=attrs.get("side_of_track"),
         recorded=RecordedRanges.among(attrs) if raw is None else raw.recorded(),
         **{name: read(name) for name in OPTIONAL if present(name)},  # type: ignore[arg-type]  # arrays, all of them
-    )
-
-
-def _read_raw(place: Place, attrs: Mapping[str, Any]) -> RawEcho:
-    return raw_echo_from(read_real(place, "fast_time"), attrs)
-
-
-def raw_echo_from(fast_time: FloatArray, attrs: Mapping[str, Any]) -> RawEcho:
-    """Return the raw echo that fast time (n_fast_time,), s, and attributes describe.
-
-    Its own fast time is the delay of the pulse's centre, whichever delay the store's is.
-    """
-    check_axis(fast_time, "fast_time", "s")
-    pulse_width = number(attrs, "pulse_width", "s")
-    reference = attrs.get("pulse_reference", PULSE_REFERENCES[0])
-    if reference not in PULSE_REFERENCES:
-        raise InputError(f"pulse_reference is {reference!r}; it must be 'centre' or 'start', or absent")
-    return RawEcho(
-        fast_time=fast_time - pulse_width / 2 if reference == "start" else fast_time,
-        chirp_rate=number(attrs, "chirp_rate", "Hz/s"),
-        pulse_width=pulse_width,
-        sampling_rate=float((fast_time.size - 1) / (fast_time[-1] - fast_time[0])),
     )

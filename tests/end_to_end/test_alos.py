@@ -126,9 +126,9 @@ def chips(measured: Measured) -> dict[int, NDArray[np.complex128]]:
     return {int(columns[k]): image[:, k : k + CHIP] for k in range(0, columns.size, CHIP)}
 
 
-@pytest.mark.parametrize(("processor", "least"), [("backprojection", 0.999), ("angular-division", 0.998)])
+@pytest.mark.parametrize("processor", ["backprojection", "angular-division"])
 def test_the_swath_is_that_of_a_padded_compression_up_to_both_edges(
-    measured: Measured, chips: dict[int, NDArray[np.complex128]], processor: Any, least: float, tmp_path: Path
+    measured: Measured, chips: dict[int, NDArray[np.complex128]], processor: Any, tmp_path: Path
 ) -> None:
     dataset = blocksar.collection(**measured.arguments)
     blocksar.focus(dataset, tmp_path / "run", grid=GRID, processor=processor, workers=0, progress=False)
@@ -137,5 +137,4 @@ def test_the_swath_is_that_of_a_padded_compression_up_to_both_edges(
         chip = image[:, start : start + CHIP]
         power = 10 * np.log10(np.mean(np.abs(chip) ** 2) / np.mean(np.abs(wanted) ** 2))
         coherence = abs(np.vdot(wanted, chip)) / np.linalg.norm(wanted) / np.linalg.norm(chip)
-        print(processor, start, power, coherence)
-        assert abs(power) < 0.5 and coherence >= least
+        assert abs(power) < 0.5 and coherence >= 0.999

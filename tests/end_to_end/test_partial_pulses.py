@@ -144,9 +144,8 @@ def test_ground_with_whole_pulses_needs_no_longer_transform(store: Path) -> None
     steps = [plan.result.geometry.collection.range_frequency_step for plan in (inside, beyond)]
     assert steps[0] == pytest.approx(raw_strips.SAMPLING / raw_strips.N_TIME)
     n = raw_strips.SAMPLING / steps[1]
-    assert (
-        raw_strips.N_TIME + PULSE * raw_strips.SAMPLING <= n < 1.05 * (raw_strips.N_TIME + PULSE * raw_strips.SAMPLING)
-    )
+    padded = raw_strips.N_TIME + 2 * PULSE * raw_strips.SAMPLING
+    assert padded <= n < 1.1 * padded  # a length that is fast to transform
 
 
 def test_noise_of_ground_with_parts_of_pulses_is_as_said() -> None:

@@ -51,7 +51,7 @@ def target_with(part: float, side: int, y: float) -> Target:
 
 TARGETS = (
     Target(0.0, 0.0, 1.0), target_with(0.5, -1, 4.0), target_with(0.6, 1, -6.0), target_with(0.3, 1, 10.0),
-    target_with(0.25, -1, -12.0),
+    target_with(0.28, -1, -12.0),
 )  # fmt: skip
 
 
