@@ -71,33 +71,31 @@ class RawEcho:
         """Bandwidth of the chirp, |K| T, Hz."""
         return abs(self.chirp_rate) * self.pulse_width
 
-    def transform_length(self, *, partial: bool) -> int:
-        """Samples N of the transform by which the echo is compressed: n, or n + 2 T rate where parts of pulses count.
+    @property
+    def range_frequency(self) -> FloatArray:
+        """Frequencies of the transform over fast time, centred at 0 and limited to the band of the chirp, Hz.
 
-        A transform of N samples is periodic in delay over N dt, and the n recorded ones hold echoes from n dt + T of
-        delay. With N = n, those beyond the window fold to its other end, at most T / 2 deep: onto delays of which whole
-        pulses were not recorded either. Ground with whole pulses has only the side lobes of what folds, below
-        1 / (pi B T) of a target. Where parts of pulses count, no two echoes may share a delay: N dt = n dt + T. Padded
-        by a pulse more, what folds stays as far from all ground as a pulse is long, and ground that is divided by a
-        small part does not show its side lobes.
+        A transform of the n samples is periodic in delay over n dt, and they hold echoes from n dt + T of delay. Those
+        beyond the window fold to its other end, at most T / 2 deep: onto delays of which whole pulses were not recorded
+        either. Ground with whole pulses has only the side lobes of what folds, below 1 / (pi B T) of a target.
         """
         n = self.fast_time.size
-        return fast_length(n + 2 * self.pulse_width * self.sampling_rate) if partial else n
-
-    def range_frequency(self, *, partial: bool = False) -> FloatArray:
-        """Frequencies at which that transform is taken, Hz, in steps of rate / N over the band of the chirp.
-
-        Those of the centred transform within the band. Where parts of pulses count, which are parts of the band, as
-        many as the band has steps, about its middle: the steps fill the band to half of one.
-        """
-        n = self.transform_length(partial=partial)
-        step = self.sampling_rate / n
-        if partial:
-            count = round(self.bandwidth / step)
-            return np.asarray((np.arange(count) - (count - 1) / 2) * step)
-        grid = (np.arange(n) - n // 2) * step
+        grid = (np.arange(n) - n // 2) * (self.sampling_rate / n)
         # A grid point may lie on the band's edge: the margin keeps rounding from deciding whether it is in.
         return grid[np.abs(grid) <= self.bandwidth / 2 * (1 + 1e-9)]
+
+    @property
+    def padded_range_frequency(self) -> FloatArray:
+        """The same where ground with parts of pulses is imaged as well, of a transform of n + 2 T rate samples, Hz.
+
+        No two echoes may share a delay there, which takes n dt + T. Padded by a pulse more, what folds stays as far
+        from all ground as a pulse is long, and ground that is divided by a small part does not show its side lobes. A
+        part of a pulse is a part of the band: there are as many frequencies as the band has steps, about its middle, so
+        that they fill it to half of a step.
+        """
+        step = self.sampling_rate / fast_length(self.fast_time.size + 2 * self.pulse_width * self.sampling_rate)
+        count = round(self.bandwidth / step)
+        return np.asarray((np.arange(count) - (count - 1) / 2) * step)
 
     def recorded(self, *, partial: bool = False) -> RecordedRanges:
         """The ranges that it holds."""

@@ -96,8 +96,10 @@ class DatasetHistory(PhaseHistory):
     def _content(self) -> str:
         digest, valid, nonzero = xxhash.xxh3_128(), False, False
         values = {**self.collection.as_dict(), **(vars(self.raw) if self.raw is not None else {})}
-        if self.raw is not None or values["recorded"] is None:
-            del values["recorded"]  # follows from the rest
+        if self.raw is not None:  # they follow from the rest, and from what is imaged
+            del values["range_frequency"], values["recorded"]
+        elif self.collection.recorded is None:
+            del values["recorded"]  # as before there was any
         for name, value in sorted(values.items()):
             digest.update(f"{name} {np.shape(value)} ".encode())
             digest.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())

@@ -59,7 +59,7 @@ class PhaseHistory:
     path : Place
         The store; `str` gives it as the user named it.
     collection : Collection
-        For a raw echo, its range_frequency is `raw.range_frequency()`: the axis that range compression leads to.
+        For a raw echo, its range_frequency is `raw.range_frequency`: the axis that range compression leads to.
     raw : RawEcho or None
         None if the samples are `signal`, over range frequency; otherwise they are `echo`, over fast time.
     attrs : dict
@@ -133,7 +133,7 @@ class PhaseHistory:
         """The same with ground of whose pulses a raw echo recorded only parts: its transform is longer."""
         if self.raw is None:
             return self
-        frequency, recorded = self.raw.range_frequency(partial=True), self.raw.recorded(partial=True)
+        frequency, recorded = self.raw.padded_range_frequency, self.raw.recorded(partial=True)
         return replace(self, collection=replace(self.collection, range_frequency=frequency, recorded=recorded))
 
     @property
@@ -471,7 +471,7 @@ def collection_from(
     return Collection(
         carrier=carrier,
         time=time,
-        range_frequency=read("range_frequency") if raw is None else raw.range_frequency(),
+        range_frequency=read("range_frequency") if raw is None else raw.range_frequency,
         reference_range=read("reference_range"),
         antenna_position=read("antenna_position"),
         beam_azimuth=beam_azimuth,

@@ -72,11 +72,11 @@ def test_without_a_grid_ground_with_whole_pulses_is_imaged(small_collection: Col
 
 def test_a_longer_transform_has_steps_that_fill_the_band() -> None:
     raw = RawEcho(fast_time=60e-6 + np.arange(999) / 60e6, chirp_rate=5e12, pulse_width=7e-6, sampling_rate=60e6)
-    frequency = raw.range_frequency(partial=True)
+    frequency = raw.padded_range_frequency
     step = frequency[1] - frequency[0]
     assert frequency[0] == -frequency[-1] and frequency.size * step == pytest.approx(35e6, abs=step / 2)
     assert 60e6 / step >= 999 + 2 * 7e-6 * 60e6
-    short = raw.range_frequency()
+    short = raw.range_frequency
     assert short[1] - short[0] == pytest.approx(60e6 / 999) and 0.0 in short
 
 
