@@ -46,21 +46,21 @@ def range_window(
     nearest, farthest = held.min(axis=2), held.max(axis=2)
     if half <= 0 or not np.isfinite(nearest).any(axis=1).all():
         raise OutsideSwath(_outside(collection, half, within, held, trial))
-    near, far = _between(nearest, farthest, trial, -half, half)
-    if within is not None:
-        near, far = np.maximum(near, within[0]), np.minimum(far, within[1])
-    if not (far > near).all():
-        raise OutsideSwath(_outside(collection, half, within, held, trial))
-    if (recorded := collection.recorded) is None:
-        return near, far
-    least, most = rng.min(axis=2), rng.max(axis=2)
-    if recorded.partial:
-        first, last = _between(most, least, trial, *recorded.reached)
-    else:
-        first, last = _between(least, most, trial, *recorded.whole)
+    ends = within or (float(trial[0]), float(trial[-1]))
+    near, far = (np.full(yaw.size, end) for end in ends)
+    if (recorded := collection.recorded) is not None:
+        least, most = rng.min(axis=2), rng.max(axis=2)
+        if recorded.partial:
+            nearest_held, farthest_held = _between(most, least, trial, *recorded.reached)
+        else:
+            nearest_held, farthest_held = _between(least, most, trial, *recorded.whole)
+        near, far = np.maximum(near, nearest_held), np.minimum(far, farthest_held)
+        if not (far > near).all():
+            raise OutsideSwath(_not_recorded(recorded, within))
+    first, last = _between(nearest, farthest, trial, -half, half)
     near, far = np.maximum(near, first), np.minimum(far, last)
     if not (far > near).all():
-        raise OutsideSwath(_not_recorded(recorded, within))
+        raise OutsideSwath(_outside(collection, half, within, held, trial))
     return near, far
 
 
@@ -78,13 +78,14 @@ def _between(
 def _not_recorded(recorded: RecordedRanges, within: tuple[float, float] | None) -> str:
     """Why a raw echo has no pulse of what is lit, or no whole one."""
     where = "" if within is None else f" (the grid's ranges are {within[0]:.6g} .. {within[1]:.6g} m at the epoch)"
-    first, last = recorded.reached
-    held = f"fast_time holds echoes from ranges {first:.6g} .. {last:.6g} m"
-    if recorded.partial:
+    (nearest, farthest), (first, last) = recorded.reached, recorded.whole
+    held = f"fast_time holds echoes from ranges {nearest:.6g} .. {farthest:.6g} m"
+    if recorded.partial or (within is not None and (within[1] < nearest or within[0] > farthest)):
         return f"grid lies outside the swath: {held}, and none of what is lit{where}; {MOVE}, or correct fast_time"
-    first, last = recorded.whole
     whole = f"whole pulses from {first:.6g} .. {last:.6g} m" if first < last else "of no range the whole pulse"
-    remedy = MOVE if within is not None else "give --grid for ground of which parts of pulses were recorded"
+    remedy = "give --grid for ground of which parts of pulses were recorded"
+    if within is not None:
+        remedy = f"{MOVE}, or leave out --whole-pulses"
     return f"grid lies outside the swath: {held}, {whole}, and no whole pulse of what is lit{where}; {remedy}"
 
 

@@ -23,8 +23,8 @@ COMPRESSED_ROWS = 32  # pulses with spectra in memory at a time, in double preci
 class RawCompression:
     """Range compression of a raw echo to the range-frequency signal (second factor of paper A (7)).
 
-    The echo is padded with zeros to the transform that has the range frequencies' step (`RawEcho.padded_range_frequency`).
-    The signal is divided by the chirp's own spectrum with its ripples, where (7) uses the stationary phase
+    The echo is padded with zeros to the transform that has the steps of the range frequencies, see `RawEcho`. The
+    signal is divided by the chirp's own spectrum with its ripples, where (7) uses the stationary phase
     exp(-j pi f^2 / K): a unit target's signal then has modulus 1 at every frequency of the band.
 
     Attributes
