@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from blocksar import stores
-from blocksar.api.arguments import Source, history_of, sources_of
+from blocksar.api.arguments import Source, history_of, on_ground, sources_of
 from blocksar.api.ground import geometry_over
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import dwell
@@ -41,12 +41,18 @@ def imaging_parts(
 
 
 def imaged_collections(
-    source: Source, collections: list[Collection], grid: Grid | None, terrain: Terrain | None, *, whole_pulses: bool
+    source: Source,
+    collections: list[Collection],
+    grid: Grid | None,
+    terrain: Terrain | None,
+    *,
+    ground_height: float | None,
+    whole_pulses: bool,
 ) -> list[Collection]:
     """The centred collections of a source as `imaging_parts` has them; those of scenes as they are."""
     if all(collection.recorded is None for collection in collections):
         return collections
-    histories = [history_of(each) for each in sources_of(source)]
+    histories = on_ground([history_of(each) for each in sources_of(source)], ground_height, terrain=terrain)
     imaged = imaging_parts(histories, grid, terrain, whole_pulses=whole_pulses)
     return [history.collection.centred() for history in imaged]
 

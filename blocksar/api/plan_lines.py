@@ -244,6 +244,9 @@ def outside_window(plans: Sequence[Plan]) -> list[str]:
     share = share_outside([(plan.geometry, plan.region) for plan in plans], grid)
     if share == 0:
         return []
+    terrain = plans[0].geometry.terrain
+    heights = "" if terrain is None else f", or correct the terrain's heights, z = {terrain.limits[0]:.6g} .. "
+    heights += "" if terrain is None else f"{terrain.limits[1]:.6g} m"
     window = max(plan.geometry.collection.range_window for plan in plans)
     unrecorded = {each.partial for plan in plans if (each := plan.geometry.collection.recorded) is not None}
     pulses = (
@@ -251,7 +254,7 @@ def outside_window(plans: Sequence[Plan]) -> list[str]:
     )
     return [
         f"{100 * share:.2g} % of the grid's pixels lie outside the range window ({window:.5g} m about the reference "
-        f"range){pulses} and stay NaN; move the grid, or give a smaller one"
+        f"range){pulses} and stay NaN; move the grid, or give a smaller one{heights}"
     ]
 
 

@@ -46,7 +46,7 @@ from blocksar.focusing.method import (
     method_of,
 )
 from blocksar.graph.machine import Resources, resources
-from blocksar.ingestion.terrain.reading import Ground, coverage_note
+from blocksar.ingestion.terrain.reading import Ground, terrain_notes
 from blocksar.places import Location
 from blocksar.planning import choice, effort
 from blocksar.planning.choice import Contender
@@ -76,6 +76,7 @@ def plan(
     surface: Surface = "plane",
     vertical: str | None = None,
     whole_pulses: bool = False,
+    ground_height: float | None = None,
     looks: int | None = None,
     workers: int | None = None,
     memory_limit: int | str | None = None,
@@ -124,6 +125,8 @@ def plan(
     whole_pulses : bool
         Of a raw echo, image only ground whose whole pulses were recorded; other ground stays NaN. Default: where `grid`
         has ground with parts of pulses, it is divided by the part; without a grid, only ground with whole pulses.
+    ground_height : float, optional
+        Height z of the imaged plane in the scene frame, m. Default: that of the phase history.
     looks : int, optional
         Number of parts of each target's dwell that `focus` makes images of: each is planned, beside whole dwells.
         Default: whole dwells only.
@@ -157,7 +160,7 @@ def plan(
     tapers = Weighting.parse(weighting, weighting_range, weighting_azimuth)
     points, n_blocks, least = grid_of(grid), blocks_of(blocks), fidelity_of(fidelity)
     limit = memory_of(memory_limit)
-    collections = collections_of(source if looks is None else one_source(source, looks))
+    collections = collections_of(source if looks is None else one_source(source, looks), ground_height, terrain=terrain)
     if automatic and method is not None:
         _check_automatic(method, collections, looks)
     parts = None if looks is None else divide_dwells(collections[0], looks, points)
@@ -171,9 +174,10 @@ def plan(
     if not ground.plane:
         points = points or joint_grid([Geometry(collection=each) for each in collections])
         heights = read_ground(ground, collections[0], points, sources_of(source)[0])
-        if heights is not None and (gaps := coverage_note(heights, points)) is not None:
-            of_each.append(gaps)
-    collections = imaged_collections(source, collections, grid_of(grid), heights, whole_pulses=whole_pulses)
+        of_each += [] if heights is None else terrain_notes(heights, points)
+    collections = imaged_collections(
+        source, collections, grid_of(grid), heights, ground_height=ground_height, whole_pulses=whole_pulses
+    )
     if method is None and parts is not None:
         return report_exact_looks(
             lambda seen: _plan_backprojection([seen], points, heights, assumed), collections[0], parts

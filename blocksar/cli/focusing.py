@@ -23,6 +23,7 @@ from blocksar.cli.options import (
     Explain,
     Fidelity,
     GridOption,
+    GroundHeight,
     JsonLog,
     LooksOption,
     MemoryLimit,
@@ -64,6 +65,7 @@ def plan(
     surface: SurfaceOption = "plane",
     vertical: VerticalOption = None,
     whole_pulses: WholePulses = False,
+    ground_height: GroundHeight = None,
     looks: LooksOption = None,
     workers: Workers = None,
     memory_limit: MemoryLimit = None,
@@ -88,7 +90,7 @@ def plan(
 
     proposal = api.plan(
         one_or_all(source), processor=processor, terrain=terrain, surface=surface, vertical=vertical,
-        whole_pulses=whole_pulses, looks=looks, **settings, **method,
+        ground_height=ground_height, whole_pulses=whole_pulses, looks=looks, **settings, **method,
     )  # fmt: skip
     show(proposal, context)
     if proposal.refusal is not None:
@@ -138,6 +140,7 @@ def focus(
     surface: SurfaceOption = "plane",
     vertical: VerticalOption = None,
     whole_pulses: WholePulses = False,
+    ground_height: GroundHeight = None,
     autofocus: AutofocusOption = False,
     control: Control = None,
     workers: Workers = None,
@@ -186,6 +189,7 @@ def focus(
             surface=surface,
             vertical=vertical,
             whole_pulses=whole_pulses,
+            ground_height=ground_height,
             **method,
             autofocus=autofocus,
             control=control,

@@ -16,7 +16,8 @@ from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.beam import dwell, dwell_at, has_full_dwell, lit_yaw, wrapped
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution, outline
-from blocksar.collection.range_window import MOVE, range_window
+from blocksar.collection.outside import remedied, remedy
+from blocksar.collection.range_window import range_window
 from blocksar.errors import InputError, OutsideSwath
 
 # Yaws of a grid at which a beam about its axis is asked what it lights, yaws beyond it that are asked at a time, and
@@ -95,16 +96,15 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
     if collection.has_axis:
         what = f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g}"
         ends = float(yaw.min()), float(yaw.max())
-        return _joined([_lit_region(level, what, *ends) for level in geometry.levels])
+        with remedied(geometry, grid):
+            return _joined([_lit_region(level, what, *ends) for level in geometry.levels])
     rng = geometry.epoch_range(*on_terrain(geometry, grid, x, y))
     slack = float(np.hypot(grid.dx, grid.dy))  # keeps the farthest pixel off the region's edge
     span, pixel = float(np.ptp(yaw)), slack / float(np.hypot(x - geometry.nadir[0], y - geometry.nadir[1]).min())
     pad = 0.01 * span if span > pixel else pixel  # a line of pixels along a ray spans no yaw
     nodes = np.linspace(yaw.min() - pad, yaw.max() + pad, 33)
-    try:
+    with remedied(geometry, grid):
         near, far = range_window(geometry, nodes, (float(rng.min()) - slack, float(rng.max()) + slack))
-    except OutsideSwath as error:
-        raise OutsideSwath(str(error).replace(MOVE, _remedy(geometry, grid))) from None
     return Region(yaw=nodes, near=near, far=far)
 
 
@@ -242,7 +242,7 @@ def grid_extent(geometry: Geometry, region: Region, grid: Grid, owned: Owned | N
             f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g} lies outside the swath: it spans yaw "
             f"{degrees[0]:.2f} .. {degrees[1]:.2f} degrees and range {rng.min():.0f} .. {rng.max():.0f} m, but lit are "
             f"{degrees[2]:.2f} .. {degrees[3]:.2f} degrees and {region.near.min():.0f} .. {region.far.max():.0f} m; "
-            f"{_remedy(geometry, grid)}"
+            f"{remedy(geometry, grid)}"
         )
     slack = step / np.hypot(x - geometry.nadir[0], y - geometry.nadir[1])[covered].min()
     return Extent(
@@ -306,15 +306,6 @@ def on_terrain(
     x, y, z = np.concatenate([x, mesh_x]), np.concatenate([y, mesh_y]), np.concatenate([terrain(x, y), samples])
     known = np.isfinite(z)
     return x[known], y[known], z[known]
-
-
-def _remedy(geometry: Geometry, grid: Grid) -> str:
-    """What to do about a grid outside the swath: its numbers may mean km, if its middle would then be in the swath."""
-    collection = geometry.collection
-    x, y = (500 * np.asarray(low + high) for low, high in ((grid.x0, grid.x1), (grid.y0, grid.y1)))
-    reference = np.interp(geometry.epoch, collection.time, collection.reference_range)
-    kilometres = abs(float(geometry.epoch_range(x, y)) - reference) <= collection.range_window / 2
-    return "it looks like km: give metres" if kilometres else MOVE
 
 
 def default_grid(geometry: Geometry, region: Region) -> Grid:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import xxhash
@@ -74,6 +74,8 @@ class PhaseHistory:
         Number of the channel that is read.
     look : (number, count, sign) or None
         Of a part of each dwell, see `of_look`.
+    ground_height : float or None
+        That of the imaged plane instead of the store's, m, see `on_ground`.
     """
 
     path: Place
@@ -85,6 +87,7 @@ class PhaseHistory:
     channels: tuple[str, ...] = ()
     channel: int = 0
     look: tuple[int, int, float] | None = None
+    ground_height: float | None = None
 
     @property
     def label(self) -> str:
@@ -136,6 +139,11 @@ class PhaseHistory:
         frequency, recorded = self.raw.padded_range_frequency, self.raw.recorded(partial=True)
         return replace(self, collection=replace(self.collection, range_frequency=frequency, recorded=recorded))
 
+    def on_ground(self, height: float | None) -> Self:
+        """The same over another plane, z = height, m; unchanged for None."""
+        other = self.collection if height is None else replace(self.collection, ground_height=height)
+        return self if height is None else replace(self, collection=other, ground_height=height)
+
     @property
     def part_of_a_beam(self) -> bool:
         """Whether this is a look of a steered beam, whose samples hold what the whole beam saw."""
@@ -149,7 +157,8 @@ class PhaseHistory:
         InputError
             As `open_phase_history`.
         """
-        history = open_phase_history(self.path).of_channel(self.channels[self.channel] if self.channels else None)
+        history = open_phase_history(self.path).on_ground(self.ground_height)
+        history = history.of_channel(self.channels[self.channel] if self.channels else None)
         return history if self.look is None else history.of_look(*self.look)
 
     def _region(self, pulses: slice, columns: slice) -> tuple[slice, ...]:
@@ -244,7 +253,8 @@ class PhaseHistory:
         InputError
             If a file cannot be read.
         """
-        digest = xxhash.xxh3_128(b"" if self.look is None else repr(self.look).encode())
+        ways = [repr(way) for way in (self.look, self.ground_height) if way is not None]
+        digest = xxhash.xxh3_128("".join(ways).encode())
         try:
             for name, chunk, file in self._files():
                 digest.update(os.fsencode(f"{name}\n"))
