@@ -24,32 +24,22 @@ def close() -> Any:
     return blocksar.collection(**{**made, "carrier_frequency": 4e9})
 
 
-@pytest.mark.parametrize("settings", [{}, {"blocks": 4}, {"processor": "auto"}], ids=str)
-def test_a_refusal_says_who_does_it_and_soon(
-    settings: dict[str, Any], close: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """No division into up to 64 x 8 parts does; 256 were planned to say so, then more blocks were advised."""
+def test_what_no_chain_forms_ends_with_who_does_it_and_its_time(close: Any) -> None:
+    few = blocksar.plan(close, grid=GRID, workers=0, blocks=4)
+    assert few.refusal is not None and re.search(END, few.refusal)
+    assert few.refusal.count("backprojection") == 1
+    assert not few.tables and not few.details and not few.summary
+
+
+def test_the_best_division_of_what_keeps_no_fidelity_is_found_soon(close: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Up to 64 x 8 parts were tried, 256 plans of blocks, to advise still more."""
     planned = []
     once = planner.plan_block
     monkeypatch.setattr(planner, "plan_block", lambda *args, **kw: planned.append(1) or once(*args, **kw))
-    report = blocksar.plan(close, grid=GRID, workers=0, **settings)
-    assert report.refusal is not None and re.search(END, report.refusal)
-    assert report.refusal.count("backprojection") == 1
-    assert not re.search(r"more --?blocks|--processor auto|blocks auto", report.refusal)
-    assert not report.tables and not report.details and not report.summary
-    assert len(planned) <= 40 * (3 if "processor" in settings else 1)
-
-
-def test_more_blocks_are_advised_where_they_help() -> None:
-    """With what is found then."""
-    along = np.linspace(-60, 60, 400)
-    made = near_range(n_frequency=64, track=np.stack([0 * along - 800.0, along, 0 * along + 300.0], axis=1))
-    dataset = blocksar.collection(**{**made, "range_frequency": made["range_frequency"] / 40, "reference_range": 854.0})
-    settings: dict[str, Any] = {"grid": "-60:60:1,-100:100:0.5", "workers": 0}
-    refused = blocksar.plan(dataset, blocks=1, **settings)
-    assert refused.refusal is not None
-    assert re.search(r"would keep .*; ask for more --blocks, or for --blocks auto; exact back-proj", refused.refusal)
-    assert blocksar.plan(dataset, **settings).refusal is None
+    said = "\n".join(blocksar.plan(close, grid=GRID, workers=0).summary)
+    assert "fidelity 0.999 is not kept by any division" in said and "more blocks" not in said
+    assert re.search(r"exact back-projection of this grid takes less, about \d+ s: --processor backprojection", said)
+    assert len(planned) <= 250, len(planned)
 
 
 def test_ranges_below_a_kilometre_are_told_in_metres(close: Any) -> None:
