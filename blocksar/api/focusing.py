@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -22,9 +23,11 @@ from blocksar.api.arguments import (
     grid_of,
     in_this_process,
     memory_of,
+    on_ground,
 )
 from blocksar.api.jobs import Job, Request
 from blocksar.api.joint import focus_members, members_of
+from blocksar.api.partial_pulses import recorded_lines
 from blocksar.api.plan_lines import (
     cut_dwells,
     missed_fidelity,
@@ -45,7 +48,8 @@ from blocksar.errors import InputError
 from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Processor, RangeModel, method_of
 from blocksar.graph import cluster, recording
 from blocksar.graph.machine import Resources, resources
-from blocksar.ingestion.terrain.reading import Ground, coverage_note
+from blocksar.ingestion.terrain.reading import Ground, terrain_notes
+from blocksar.loop_cache import compilation_seconds
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.place import Place
@@ -88,8 +92,10 @@ def focus(
     terrain: Location | None = None,
     surface: Surface = "plane",
     vertical: str | None = None,
+    ground_height: float | None = None,
     autofocus: bool = False,
     control: Location | Sequence[Target] | None = None,
+    whole_pulses: bool = False,
     looks: int | None = None,
     workers: int | None = None,
     threads: int | None = None,
@@ -146,10 +152,15 @@ def focus(
     vertical : str, optional
         What a GeoTIFF's heights are measured from, if it does not say so: "ellipsoid", "egm96" or "egm2008"; or
         "egm2008:FILE" with the geoid's grid. Needed for such a file only.
+    ground_height : float, optional
+        Height z of the imaged plane in the scene frame, m. Default: that of the phase history.
     autofocus : bool
         Correct the track from the samples first, as `autofocus` does. Default: False.
     control : path or sequence of Target, optional
         With `autofocus`: points at known places, which anchor the track. Default: none.
+    whole_pulses : bool
+        Of a raw echo, image only ground whose whole pulses were recorded; other ground stays NaN. Default: where `grid`
+        has ground with parts of pulses, it is divided by the part; without a grid, only ground with whole pulses.
     looks : int, optional
         Number of parts of each target's dwell, each of which becomes an image of its own: (look, y, x). Default: one
         image of whole dwells.
@@ -195,7 +206,8 @@ def focus(
     memory_limit = settings["memory_limit"] = memory_of(memory_limit)
     resources(workers, threads, memory_limit)  # refuses wrong numbers before anything is read
     check_cluster(client=client, scheduler=scheduler, workers=workers)
-    if (members := members_of(source, looks, grid)) is not None:
+    on = partial(on_ground, height=ground_height, terrain=terrain)
+    if (members := members_of(source, looks, grid, on)) is not None:
         return focus_members(_focus_image, members, place(out), settings)
     return _focus_image(source, place(out), None, **settings)
 
@@ -220,8 +232,10 @@ def _focus_image(
     terrain: Location | None,
     surface: Surface,
     vertical: str | None,
+    ground_height: float | None,
     autofocus: bool,
     control: Location | Sequence[Target] | None,
+    whole_pulses: bool,
     workers: int | None,
     threads: int | None,
     memory_limit: int | None,
@@ -234,7 +248,7 @@ def _focus_image(
     client: Client | None,
 ) -> RunReport:  # longer than most: it takes every setting by its name
     """Focus one image, of one channel; `track` is where others share the correction of its track, if they do."""
-    listener = as_listener(progress)
+    listener, compiled = as_listener(progress), compilation_seconds()
     profile = None if performance_report is None else Path(performance_report)
     method = method_of(
         processor,
@@ -253,11 +267,13 @@ def _focus_image(
         weighting=Weighting.parse(weighting, weighting_range, weighting_azimuth),
         grid=grid_of(grid),
         overwrite=overwrite,
+        whole_pulses=whole_pulses,
         discard=discard,
         ground=Ground(terrain=terrain, surface=surface, vertical=vertical),
+        ground_height=ground_height,
         autofocus=autofocus,
         track=track,
-        control=control_points(control, source, used=autofocus),
+        control=control_points(control, source, ground_height, used=autofocus),
     )
     if profile is not None:
         recording.check_recordable(profile, client)
@@ -298,7 +314,7 @@ def _focus_image(
 
             corrected = track_corrected(request, machine, connected, listener)
             request, said, connected = stack.enter_context(corrected)
-        report = _focus(request, record, machine, connected, listener, profile)
+        report = _focus(request, record, machine, connected, listener, profile, compiled)
         return replace(report, summary=[*said, *report.summary])
 
 
@@ -331,6 +347,7 @@ def _focus(
     client: Client | None,
     listener: Listener,
     profile: Path | None,
+    compiled: float,
 ) -> RunReport:
     """Plan and carry out a run in a folder that this process has claimed."""
     listener.update("plan", 0, 1)
@@ -342,14 +359,15 @@ def _focus(
         run = Run(folder=request.folder, identity=record.identity, threads=machine.threads)
         resumed = earlier is not None or run_folder.is_begun(request.folder, record)
         with run_folder.resumable():
-            finished = carry_out(job, run, record, workers, listener, profile, resumed=resumed)
+            finished = carry_out(job, run, record, workers, listener, profile, resumed=resumed, compiled=compiled)
     found = [
         next((line for plan in job.plans if (line := doubt(plan))), None)
         for doubt in (undersampling, short_dwells, cut_dwells, wobbling_beam, missed_fidelity)
     ]
+    found += recorded_lines([segment.geometry for segment in job.segments], job.grid, swath=False)
     found += outside_window(job.plans) if job.plans else []
     if request.terrain is not None:
-        found.append(coverage_note(request.terrain, job.grid))
+        found += terrain_notes(request.terrain, job.grid)
     if not (measurable := is_measurable(finished)):
         found.append("quality, report and export take images of at least 2 x 2 pixels; this one opens in Python only")
     notes = [f"note: {line}" for line in found if line]
@@ -381,7 +399,10 @@ def _start_workers(
 def _summary(folder: Place, record: RunRecord, planned: int, worker: str) -> list[str]:
     """Return the warnings, and sentences on resumed work, time and memory; `planned` is a worker's peak, bytes."""
     timings = record.timings
-    stages = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in timings.items() if name != "total")
+    once = {"compile": " once for an installation"}
+    stages = ", ".join(
+        f"{name} {seconds:.1f} s{once.get(name, '')}" for name, seconds in timings.items() if name != "total"
+    )
     peak = record.peak_memory or 0
     return [
         *(f"note: {line}" for line in record.warnings),

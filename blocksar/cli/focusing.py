@@ -23,6 +23,7 @@ from blocksar.cli.options import (
     Explain,
     Fidelity,
     GridOption,
+    GroundHeight,
     JsonLog,
     LooksOption,
     MemoryLimit,
@@ -37,6 +38,7 @@ from blocksar.cli.options import (
     Threads,
     VerticalOption,
     WeightingOption,
+    WholePulses,
     Workers,
     given,
     method_options,
@@ -62,6 +64,8 @@ def plan(
     terrain: TerrainOption = None,
     surface: SurfaceOption = "plane",
     vertical: VerticalOption = None,
+    whole_pulses: WholePulses = False,
+    ground_height: GroundHeight = None,
     looks: LooksOption = None,
     workers: Workers = None,
     memory_limit: MemoryLimit = None,
@@ -85,8 +89,8 @@ def plan(
     from blocksar import api
 
     proposal = api.plan(
-        one_or_all(source), processor=processor, terrain=terrain, surface=surface, vertical=vertical, looks=looks,
-        **settings, **method,
+        one_or_all(source), processor=processor, terrain=terrain, surface=surface, vertical=vertical,
+        ground_height=ground_height, whole_pulses=whole_pulses, looks=looks, **settings, **method,
     )  # fmt: skip
     show(proposal, context)
     if proposal.refusal is not None:
@@ -135,6 +139,8 @@ def focus(
     terrain: TerrainOption = None,
     surface: SurfaceOption = "plane",
     vertical: VerticalOption = None,
+    whole_pulses: WholePulses = False,
+    ground_height: GroundHeight = None,
     autofocus: AutofocusOption = False,
     control: Control = None,
     workers: Workers = None,
@@ -182,6 +188,8 @@ def focus(
             terrain=terrain,
             surface=surface,
             vertical=vertical,
+            whole_pulses=whole_pulses,
+            ground_height=ground_height,
             **method,
             autofocus=autofocus,
             control=control,

@@ -14,10 +14,10 @@ import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.beam import dwell, dwell_at, has_full_dwell, lit_yaw, wrapped
-from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution, outline
-from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.collection.outside import MOVE, remedied, remedy
+from blocksar.collection.range_window import range_window
 from blocksar.errors import InputError, OutsideSwath
 
 # Yaws of a grid at which a beam about its axis is asked what it lights, yaws beyond it that are asked at a time, and
@@ -27,9 +27,7 @@ FEW_RANGES, LIT_RANGES = 17, 129
 SIDE_ENDS = 0.02  # rad along the flight and against it, where nothing is imaged
 FULL_RANGES, FULL_YAWS = 33, 257  # at which the ground with full dwell is looked for
 MOST_SAMPLES = 1024  # of a terrain, along each axis, that are asked for their range
-MOVE = "move the grid"  # what to do about one outside the swath
 LOOKED_AT = 256  # points along a side of a grid, of which those outside the window are counted
-WINDOW_GUARD = 8  # range cells kept free at either end of the range window
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,7 +76,7 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
     collection = geometry.collection
     if collection.steered and not collection.has_axis:
         low, high = lit_yaw(collection)
-        near, far = _window(geometry, np.linspace(low, high, 65), None)
+        near, far = range_window(geometry, np.linspace(low, high, 65), None)
         return Region(yaw=np.linspace(low, high, 65), near=near, far=far)
     if grid is None and collection.has_axis:
         ends = _side_yaws(geometry)
@@ -98,16 +96,15 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
     if collection.has_axis:
         what = f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g}"
         ends = float(yaw.min()), float(yaw.max())
-        return _joined([_lit_region(level, what, *ends) for level in geometry.levels])
+        with remedied(geometry, grid):
+            return _joined([_lit_region(level, what, *ends) for level in geometry.levels])
     rng = geometry.epoch_range(*on_terrain(geometry, grid, x, y))
     slack = float(np.hypot(grid.dx, grid.dy))  # keeps the farthest pixel off the region's edge
     span, pixel = float(np.ptp(yaw)), slack / float(np.hypot(x - geometry.nadir[0], y - geometry.nadir[1]).min())
     pad = 0.01 * span if span > pixel else pixel  # a line of pixels along a ray spans no yaw
     nodes = np.linspace(yaw.min() - pad, yaw.max() + pad, 33)
-    try:
-        near, far = _window(geometry, nodes, (float(rng.min()) - slack, float(rng.max()) + slack))
-    except OutsideSwath as error:
-        raise OutsideSwath(str(error).replace(MOVE, _remedy(geometry, grid))) from None
+    with remedied(geometry, grid):
+        near, far = range_window(geometry, nodes, (float(rng.min()) - slack, float(rng.max()) + slack))
     return Region(yaw=nodes, near=near, far=far)
 
 
@@ -169,16 +166,16 @@ def _lit_region(geometry: Geometry, what: str, low: float, high: float) -> Regio
     if lit.size == 0:
         raise OutsideSwath(
             f"{what} lies outside the swath: the beam (beam_axis, beam_steering, beam_width) lights none of its yaws; "
-            "move the grid"
+            f"{MOVE}"
         )
     outer = first_unlit(inside[lit[0]], -1.0), first_unlit(inside[lit[-1]], 1.0)
     yaw = np.linspace(max(outer[0], side[0]), min(outer[1], side[1]), FINE_YAWS)
-    near, far = _window(geometry, yaw, None)
+    near, far = range_window(geometry, yaw, None)
     lit = np.flatnonzero(_lit_ranges(geometry, yaw, near, far, count=FEW_RANGES)[2])
     if lit.size == 0:
-        raise OutsideSwath("grid lies outside the swath: the beam lights nothing in the range window; move the grid")
+        raise OutsideSwath(f"grid lies outside the swath: the beam lights nothing in the range window; {MOVE}")
     yaw = np.linspace(yaw[max(lit[0] - 1, 0)], yaw[min(lit[-1] + 1, FINE_YAWS - 1)], 65)
-    near, far = _window(geometry, yaw, None)
+    near, far = range_window(geometry, yaw, None)
     nearest, farthest, any_lit = _lit_ranges(geometry, yaw, near, far, count=LIT_RANGES)
     nearest = np.pad(np.where(any_lit, nearest, np.inf), 1, mode="edge")
     farthest = np.pad(np.where(any_lit, farthest, -np.inf), 1, mode="edge")
@@ -221,71 +218,6 @@ def _lit_ranges(
     return nearest, farthest, np.asarray(lit.any(axis=0))
 
 
-def _window(geometry: Geometry, yaw: FloatArray, within: tuple[float, float] | None) -> tuple[FloatArray, FloatArray]:
-    """Nearest and farthest epoch range at each yaw whose echo stays in the unambiguous window over the dwell, m."""
-    collection = geometry.collection
-    half = collection.range_window / 2 - WINDOW_GUARD * SPEED_OF_LIGHT / (2 * collection.bandwidth)
-    reference = np.interp(geometry.epoch, collection.time, collection.reference_range)
-    floor = float(geometry.epoch_position[2] - collection.ground_height)
-    spread = np.ptp(collection.reference_range) + np.ptp(geometry.track.position(collection.time), axis=0).max()
-    low = max(reference - half - spread, floor * 1.0005)
-    trial = np.linspace(low, reference + half + spread, 41)
-    point = geometry.ground_point(trial[None, :], yaw[:, None])
-    first, last = dwell_at(geometry, yaw[:, None], trial[None, :])
-    u = np.linspace(0, 1, 9)
-    time = first[..., None] + (last - first)[..., None] * u
-    if collection.has_axis:  # where nothing is lit, times lie outside
-        time = np.clip(time, collection.time[0], collection.time[-1])
-    rng, _ = geometry.range_history(point[:, :, None, :], time)
-    held = rng - np.interp(time, collection.time, collection.reference_range)
-    nearest, farthest = held.min(axis=2), held.max(axis=2)
-    if half <= 0 or not np.isfinite(nearest).any(axis=1).all():
-        raise OutsideSwath(_outside(collection, half, within, held, trial))
-    near = np.array([np.interp(-half, row[np.isfinite(row)], trial[np.isfinite(row)]) for row in nearest])
-    far = np.array([np.interp(half, row[np.isfinite(row)], trial[np.isfinite(row)]) for row in farthest])
-    if within is not None:
-        near, far = np.maximum(near, within[0]), np.minimum(far, within[1])
-    if not (far > near).all():
-        raise OutsideSwath(_outside(collection, half, within, held, trial))
-    return near, far
-
-
-def _outside(
-    collection: Collection, half: float, within: tuple[float, float] | None, held: FloatArray, trial: FloatArray
-) -> str:
-    """Why no range stays in the range window while it is lit.
-
-    `held` (n_yaw, n_range, n_time) are ranges less the reference range, of points at epoch ranges `trial`.
-    """
-    low, high = within or (float(trial[0]), float(trial[-1]))
-    meant = (trial >= low) & (trial <= high)
-    change = np.ptp(held[:, meant] if meant.any() else held, axis=-1)
-    moves = float(np.min(change, where=np.isfinite(change), initial=np.inf))
-    still = np.ptp(collection.reference_range) == 0
-    swath = f"the range window of {collection.range_window:.6g} m about the reference range"
-    where = "" if within is None else f" (the grid's ranges are {low:.6g} .. {high:.6g} m at the epoch)"
-    if half <= 0:
-        return (
-            f"grid lies outside the swath: {swath} has {collection.n_range_frequency} range cells, of which "
-            f"{WINDOW_GUARD} at either end are left free for side lobes; sample range frequency more densely"
-        )
-    if 2 * half < moves < np.inf:
-        remedy = (
-            "re-reference the samples to a range that follows the scene, reference_range = distance to its centre"
-            if still
-            else "let reference_range follow the scene's centre"
-        )
-        return (
-            f"grid lies outside the swath: {swath} is shorter than the {moves:.4g} m by which ranges change while they "
-            f"are lit{where}, so every point leaves it; {remedy}, or cut the collection in time"
-        )
-    reference = collection.reference_range
-    return (
-        f"grid lies outside the swath: no range stays in {swath}, {reference.min():.6g} .. {reference.max():.6g} m, "
-        f"while it is lit{where}; {MOVE}"
-    )
-
-
 def grid_extent(geometry: Geometry, region: Region, grid: Grid, owned: Owned | None = None) -> Extent:
     """The part of the region that the grid covers, and of that the part which is `owned`, if that is given.
 
@@ -308,9 +240,9 @@ def grid_extent(geometry: Geometry, region: Region, grid: Grid, owned: Owned | N
         degrees = np.degrees([yaw.min(), yaw.max(), region.yaw[0], region.yaw[-1]])
         raise OutsideSwath(
             f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g} lies outside the swath: it spans yaw "
-            f"{degrees[0]:.2f} .. {degrees[1]:.2f} degrees and range {rng.min():.0f} .. {rng.max():.0f} m, but lit are "
-            f"{degrees[2]:.2f} .. {degrees[3]:.2f} degrees and {region.near.min():.0f} .. {region.far.max():.0f} m; "
-            f"{_remedy(geometry, grid)}"
+            f"{degrees[0]:.2f} .. {degrees[1]:.2f} degrees and range {rng.min():.6g} .. {rng.max():.6g} m, but lit are "
+            f"{degrees[2]:.2f} .. {degrees[3]:.2f} degrees and {region.near.min():.6g} .. {region.far.max():.6g} m; "
+            f"{remedy(geometry, grid)}"
         )
     slack = step / np.hypot(x - geometry.nadir[0], y - geometry.nadir[1])[covered].min()
     return Extent(
@@ -374,15 +306,6 @@ def on_terrain(
     x, y, z = np.concatenate([x, mesh_x]), np.concatenate([y, mesh_y]), np.concatenate([terrain(x, y), samples])
     known = np.isfinite(z)
     return x[known], y[known], z[known]
-
-
-def _remedy(geometry: Geometry, grid: Grid) -> str:
-    """What to do about a grid outside the swath: its numbers may mean km, if its middle would then be in the swath."""
-    collection = geometry.collection
-    x, y = (500 * np.asarray(low + high) for low, high in ((grid.x0, grid.x1), (grid.y0, grid.y1)))
-    reference = np.interp(geometry.epoch, collection.time, collection.reference_range)
-    kilometres = abs(float(geometry.epoch_range(x, y)) - reference) <= collection.range_window / 2
-    return "it looks like km: give metres" if kilometres else MOVE
 
 
 def default_grid(geometry: Geometry, region: Region) -> Grid:
@@ -461,7 +384,10 @@ def facing_grid(geometry: Geometry) -> Grid:
     direction = sight / distance[:, None]
     turn = np.linalg.norm(np.diff(direction, axis=0), axis=1).mean() / collection.pulse_interval  # rad/s
     slope = float(np.linalg.norm(direction[:, :2], axis=1).mean())
-    half = 0.9 * min(collection.range_window / 2 / slope, collection.prf * collection.wavelength / 4 / max(turn, 1e-12))
+    room = collection.range_window / 2
+    if (recorded := collection.recorded) is not None:
+        room = min(room, float(distance.min()) - recorded.whole[0], recorded.whole[1] - float(distance.max()))
+    half = 0.9 * min(room / slope, collection.prf * collection.wavelength / 4 / max(turn, 1e-12))
     rng, yaw = geometry.epoch_range(np.zeros(1), np.zeros(1)), geometry.yaw(np.zeros(1), np.zeros(1))
     step = _round_step(min(ground_resolution(geometry, float(rng[0]), float(yaw[0]))) / 2)
     half = max(float(np.floor(half / np.sqrt(2) / step) * step), step)

@@ -14,7 +14,8 @@ With an antenna pattern g (`collection.beam.pattern_gain`) the sum over lit puls
 their number, and under a weighting w by that of w g, so that a target of reflectivity 1 still has the value 1. NaN
 samples are excluded from the mean. The image is NaN where no valid sample is lit, where the pattern in elevation is too
 small for an image (`pattern_sums.LEAST_ELEVATION`), and where a lit pulse, missing or not, sees the pixel outside the
-unambiguous window |R_xy - reference_range| <= c / (4 df).
+unambiguous window |R_xy - reference_range| <= c / (4 df). Where a raw echo recorded parts of pulses only, the mean is
+divided by them (`recorded_pulses`).
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from blocksar.collection.weighting import FLAT, UNIFORM, Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.pattern_sums import add_gains, mean_elevations
 from blocksar.focusing.profiles import Profiles, profile_bins, range_profiles
+from blocksar.focusing.recorded_pulses import divide_by_recorded
 from blocksar.kernels.beam_weights import BeamTaper
 from blocksar.kernels.groups import GROUP_BYTES, run_groups
 from blocksar.kernels.phase import Float32Array
@@ -170,8 +172,8 @@ def form_points(
     Returns
     -------
     (...) complex64
-        1 + 0j at a target of reflectivity 1. NaN where no valid sample is lit or the pattern in elevation is too small,
-        outside the unambiguous window, or where the terrain has no height.
+        1 + 0j at a target of reflectivity 1. NaN where no valid sample is lit, the pattern in elevation or the recorded
+        part of pulses is too small, outside the unambiguous window, or where the terrain has no height.
 
     Raises
     ------
@@ -242,6 +244,7 @@ class PixelSums:
 
     def __init__(self, geometry: Geometry, x: FloatArray, y: FloatArray, weighting: Weighting, threads: int) -> None:
         self.geometry, self.x, self.y, self.threads, collection = geometry, x, y, threads, geometry.collection
+        self._weighting = weighting
         self.passes = _lit_passes(geometry, x, y, threads)
         self.image, self.outside = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.bool_)
         self.height = _relief(geometry, x, y, self.outside)
@@ -285,12 +288,20 @@ class PixelSums:
             weight = (self._gains / n_frequency).astype(np.float32)
         if weight is not None:
             _normalise_weighted(self.image, self.outside, weight)
-            return self.image
+            return self._divided()
         before = np.concatenate(([0], np.cumsum(self._valid)))
         count = np.zeros(self.image.shape, before.dtype)
         for part, first, last in self.passes:
             count[part] += before[last] - before[first]
         _normalise(self.image, self.outside, count, n_frequency)
+        return self._divided()
+
+    def _divided(self) -> ComplexArray:
+        """The means, those of ground of whose pulses a raw echo recorded only parts divided by the part."""
+        z = None if self.height is None else self.height + self.geometry.collection.ground_height
+        divide_by_recorded(
+            self.image, self.geometry, self.x, self.y, z, weighting=self._weighting, threads=self.threads
+        )
         return self.image
 
 
