@@ -132,6 +132,13 @@ class PhaseHistory:
         """Whether this is a look of a steered beam, whose samples hold what the whole beam saw."""
         return self.look is not None and self.collection.steered
 
+    @property
+    def whole_beam(self) -> Collection:
+        """The collection as the whole beam saw it, of which a look of a steered beam sees a part."""
+        if self.look is None or not self.part_of_a_beam:
+            return self.collection
+        return sublooks.widened(self.collection, *self.look)
+
     def opened_again(self) -> PhaseHistory:
         """The same channel and look of the store as it is now.
 
