@@ -352,7 +352,7 @@ def _impossible(modulus: Float32Array) -> BoolArray:
 
 
 def mask_outliers(signal: ComplexArray, inspection: Inspection, *, pulses: slice) -> None:
-    """Set outliers and infinities to NaN in place, for callers that read by pulse.
+    """Set outliers, infinities and missing pulses to NaN in place, for callers that read by pulse.
 
     Parameters
     ----------
@@ -364,6 +364,7 @@ def mask_outliers(signal: ComplexArray, inspection: Inspection, *, pulses: slice
         The n pulses of `signal`.
     """
     signal[np.isinf(signal)] = np.nan
+    signal[inspection.lit[pulses] == 0] = np.nan
     for pulse, columns in inspection.outliers.items():
         if pulses.start <= pulse < pulses.stop:
             signal[pulse - pulses.start, columns] = np.nan
