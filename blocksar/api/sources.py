@@ -109,8 +109,8 @@ def ingest(
     out : path
         Phase-history store to write.
     **options
-        Other arguments of the chosen function: `channel` (CPHD only), `collection_start`, `time_zero`, `overwrite`,
-        `progress`.
+        Other arguments of the chosen function: `channel`, `sgn`, `range_window` and `troposphere` (CPHD only),
+        `collection_start`, `time_zero`, `overwrite`, `progress`.
 
     Returns
     -------
@@ -136,6 +136,9 @@ def ingest_cphd(
     out: Location,
     *,
     channel: str | None = None,
+    sgn: int | None = None,
+    range_window: Literal["saved", "reference"] | None = None,
+    troposphere: Literal["file", "standard"] | None = None,
     collection_start: str | None = None,
     time_zero: float | None = None,
     overwrite: bool = False,
@@ -152,6 +155,14 @@ def ingest_cphd(
     channel : str, optional
         Identifier of the channel. Needed if the file has several. "all" makes a store with a channel for each of the
         file's, which must have the same geometry.
+    sgn : {-1, 1}, optional
+        Sign of the phase that the samples follow. Default: as declared.
+    range_window : {"saved", "reference"}, optional
+        The delays that are taken: those of TOA1 .. TOA2, or those about the reference point that the samples tell
+        apart. Default: "saved", and refused if none of them is of the image area.
+    troposphere : {"file", "standard"}, optional
+        The troposphere's delay that the samples still hold, and that is taken out: that of TDTropoSRP, or that of a
+        standard atmosphere. Default: none, as the standard has it.
     collection_start : str, optional
         UTC from which the collection's times count, ISO 8601, such as "2008-08-19T14:03:21.5Z"; for products.
         Default: the file's own.
@@ -175,8 +186,9 @@ def ingest_cphd(
     from blocksar.ingestion import cphd  # optional libraries, and slow to load
 
     history = cphd.ingest(
-        source, out, channel=channel, times=stated_times(collection_start, time_zero), overwrite=overwrite,
-        progress=only_stage(progress, "ingest"),
+        source, out, channel=channel,
+        choices=cphd.Choices(sgn=sgn, range_window=range_window, troposphere=troposphere),
+        times=stated_times(collection_start, time_zero), overwrite=overwrite, progress=only_stage(progress, "ingest"),
     )  # fmt: skip
     return Report(summary=[*history.messages, f"wrote {history.path}"], result=history.collection)
 

@@ -37,6 +37,23 @@ def ingest_cphd(
         str | None,
         typer.Option(metavar="NAME", help="Channel to read, if the file has several; all: one store of all of them."),
     ] = None,
+    sgn: Annotated[
+        int | None, typer.Option(metavar="-1|+1", help="Sign that the samples follow; default: as the file declares.")
+    ] = None,
+    range_window: Annotated[
+        str | None,
+        typer.Option(
+            metavar="saved|reference",
+            help="Delays to take: those of TOA1 .. TOA2, or those about the reference point that samples tell apart.",
+        ),
+    ] = None,
+    troposphere: Annotated[
+        str | None,
+        typer.Option(
+            metavar="file|standard",
+            help="Delay that the samples still hold, to take out: TDTropoSRP, or that of a standard atmosphere.",
+        ),
+    ] = None,
     collection_start: CollectionStart = None,
     time_zero: TimeZero = None,
     overwrite: Overwrite = False,
@@ -54,6 +71,9 @@ def ingest_cphd(
             source,
             out,
             channel=channel,
+            sgn=sgn,
+            range_window=range_window,  # type: ignore[arg-type]  # checked there
+            troposphere=troposphere,  # type: ignore[arg-type]
             collection_start=collection_start,
             time_zero=time_zero,
             overwrite=overwrite,

@@ -46,6 +46,6 @@ from __future__ import annotations
 
 from blocksar.ingestion.cphd.describing import describe
 from blocksar.ingestion.cphd.files import NAMESPACE, library
-from blocksar.ingestion.cphd.ingestion import ingest
+from blocksar.ingestion.cphd.ingestion import Choices, ingest
 
-__all__ = ["NAMESPACE", "describe", "ingest", "library"]
+__all__ = ["NAMESPACE", "Choices", "describe", "ingest", "library"]

@@ -9,7 +9,7 @@ import numpy as np
 
 from blocksar.collection.collection import Collection
 from blocksar.ingestion.cphd.files import library, open_file, reading_file
-from blocksar.ingestion.cphd.ingestion import prepare
+from blocksar.ingestion.cphd.ingestion import Choices, prepare
 from blocksar.places.local import LocalPlace
 
 
@@ -38,7 +38,7 @@ def describe(path: LocalPlace) -> Described:
     library()
     with reading_file(path), open(path.path, "rb") as stream, np.errstate(all="ignore"):
         file = open_file(stream, path.path, None, any_channel=True)
-        prepared = prepare(file)
+        prepared = prepare(file, Choices())
         nodes = file.root.findall("{*}Data/{*}Channel")
         channels = [
             (node.findtext("{*}Identifier"), int(node.findtext("{*}NumVectors")), int(node.findtext("{*}NumSamples")))
