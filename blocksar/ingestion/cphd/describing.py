@@ -17,7 +17,7 @@ from blocksar.places.local import LocalPlace
 class Described:
     """Version, domain and channels (identifier, vectors, samples) of a file, and the collection of its first channel.
 
-    `attributes` are those that the phase history would have.
+    `attributes` are those that the phase history would have, `notes` what is unusual about delays and places.
     """
 
     version: str
@@ -25,6 +25,7 @@ class Described:
     channels: list[tuple[str, int, int]]
     collection: Collection
     attributes: dict[str, Any]
+    notes: list[str]
 
 
 def describe(path: LocalPlace) -> Described:
@@ -46,5 +47,5 @@ def describe(path: LocalPlace) -> Described:
         ]
     return Described(
         version=file.version, domain=file.domain, channels=channels, collection=prepared.collection,
-        attributes=prepared.attributes,
+        attributes=prepared.attributes, notes=prepared.notes,
     )  # fmt: skip

@@ -15,7 +15,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.empty_pulses import missing_pulses
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.ingestion.cphd.delays import Delays
-from blocksar.ingestion.cphd.faults import ZEROS, Lost
+from blocksar.ingestion.cphd.faults import NOT_FINITE, ZEROS, Lost
 from blocksar.ingestion.cphd.files import CphdFile, reading_file
 from blocksar.ingestion.cphd.samples import Resampler, phasor
 from blocksar.ingestion.cphd.signs import MOST_ROWS, SignTest
@@ -27,7 +27,6 @@ from blocksar.progress.listening import Callback
 
 ROWS = TILE[0]  # pulses written at a time
 PART = 64  # vectors resampled in frequency at a time
-NOT_FINITE = "samples are not finite"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,13 +48,13 @@ class Echoes:
 
 
 class Reader:
-    """Reads pulses of a channel, and keeps in mind which vectors hold zeros, or samples that are not finite.
+    """Reads pulses of a channel, and keeps in mind which vectors hold nothing.
 
     Attributes
     ----------
     empty, broken : (n_vector,) bool
-        Vectors, of those read so far, whose samples are all zero; and at uneven times, from which pulses are sums of
-        vectors, those with a sample that is not finite, which count as zeros there.
+        Vectors, of those read so far, whose samples are all zero; and those without a finite sample. At uneven times,
+        where pulses are sums of vectors, those with any sample that is not finite, which count as zeros there.
     """
 
     def __init__(self, echoes: Echoes) -> None:
@@ -77,9 +76,7 @@ class Reader:
         cycles = 2 / SPEED_OF_LIGHT * echoes.resampler.frequency * slow_time.range_shift[inputs, None]
         used = slow_time.vector[inputs]
         rows = self._read_in_parts(stream, used)
-        broken = ~np.isfinite(rows).all(axis=1)
-        rows[broken] = 0
-        self.broken[used[broken]] = True
+        rows[self.broken[used]] = 0
         return slow_time.resampling.apply((rows * phasor(cycles)).astype(np.complex64), pulses)
 
     def _read_in_parts(self, stream: BinaryIO, vectors: IntArray) -> ComplexArray:
@@ -87,6 +84,8 @@ class Reader:
         for start in range(0, vectors.size, PART):
             out[start : start + PART] = self._read_vectors(stream, vectors[start : start + PART])
         self.empty[vectors] = ~out.any(axis=1)
+        finite = np.isfinite(out)
+        self.broken[vectors] = ~(finite.any(axis=1) if self._echoes.slow_time is None else finite.all(axis=1))
         return out
 
     def _read_vectors(self, stream: BinaryIO, rows: IntArray) -> ComplexArray:
@@ -115,7 +114,7 @@ class Reader:
         vectors[vector[zeros]] = True
         reasons = [Lost(ZEROS, vectors), Lost(NOT_FINITE, self.broken)]
         if echoes.slow_time is None:
-            return zeros, reasons
+            return zeros | (known & self.broken[vector]), reasons
         resampling = echoes.slow_time.resampling
         taps = resampling.first[:, None] + np.arange(resampling.weights.shape[1])
         gone = (vectors | self.broken)[echoes.slow_time.vector][taps]

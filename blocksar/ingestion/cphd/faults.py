@@ -24,6 +24,7 @@ LEAST = 8  # vectors
 PLACING = ("TxTime", "TxPos", "RcvTime", "RcvPos", "SRPPos")  # parameters that give a vector its time and place
 FLAG = "SIGNAL is not 1"
 ZEROS = "all samples are 0"
+NOT_FINITE = "samples are not finite"
 MOST_RANGES, MOST_NAMES = 8, 4  # in a message
 
 
@@ -165,9 +166,8 @@ def _neighbours(values: FloatArray, zero: BoolArray, others: IntArray) -> FloatA
 
 def describe_lost(lost: Sequence[Lost]) -> str:
     """Which vectors are lost and why, in words: ranges of vectors, then their reasons; empty if none are."""
-    count = lost[0].vectors.size if lost else 0
     reasons: dict[tuple[str, ...], list[int]] = {}
-    for vector in np.flatnonzero(np.any([each.vectors for each in lost], axis=0)) if count else ():
+    for vector in np.flatnonzero(np.any([each.vectors for each in lost], axis=0)):
         why = tuple(dict.fromkeys(each.reason for each in lost if each.vectors[vector]))
         reasons.setdefault(why, []).append(int(vector))
     return "; ".join(f"{_ranges(vectors)} ({_joined(why)})" for why, vectors in reasons.items())
@@ -175,10 +175,10 @@ def describe_lost(lost: Sequence[Lost]) -> str:
 
 def _joined(why: Iterable[str]) -> str:
     """Reasons in words: parameters by name."""
-    words = [reason for reason in why if reason in (FLAG, ZEROS)]
+    words = [reason for reason in why if reason in (FLAG, ZEROS, NOT_FINITE)]
     names = [reason for reason in why if reason not in words]
     more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-    return ", ".join([*words, *([f"PVP {', '.join(names[:MOST_NAMES])}{more}"] if names else [])])
+    return ", ".join([*words, *([f"invalid PVP {', '.join(names[:MOST_NAMES])}{more}"] if names else [])])
 
 
 def _ranges(vectors: Sequence[int]) -> str:

@@ -140,7 +140,8 @@ class Prepared:
     frame: Georeference
     bistatic: float  # m, see `_bistatic_error`
     attributes: dict[str, Any]
-    notes: list[str]  # on what was found beside the samples
+    notes: list[str]  # on delays, places and arrays
+    beam: list[str]  # on the beam
 
     @property
     def collection(self) -> Collection:
@@ -154,9 +155,10 @@ class Prepared:
         sign = found.signs.describe(file.sign, collector, given=choices.sgn is not None)
         return [
             *_describe(self.echoes, found.missing, self.bistatic),
-            *([f"vectors that are missing pulses: {lost}"] if lost else []),
+            *([f"lost vectors: {lost}; they are missing pulses, or left out at the ends"] if lost else []),
             *([sign] if sign else []),
             *self.notes,
+            *self.beam,
             _describe_frame(self.frame),
         ]
 
@@ -247,9 +249,11 @@ def prepare(file: CphdFile, choices: Choices) -> Prepared:
         },
     }
     slow = [slow_time.message] if slow_time else []
-    beside = [troposphere.message, area.message, *beam.messages, _same_samples(file)]
+    beside = [troposphere.message, area.message, _same_samples(file)]
     notes = [*delays.messages, *slow, *(text for text in beside if text)]
-    return Prepared(echoes=echoes, frame=frame, bistatic=bistatic, attributes=attributes, notes=notes)
+    return Prepared(
+        echoes=echoes, frame=frame, bistatic=bistatic, attributes=attributes, notes=notes, beam=beam.messages
+    )
 
 
 def _same_samples(file: CphdFile) -> str | None:

@@ -39,8 +39,8 @@ class SignTest:
             s: the delay of the reference range, TOA1 and TOA2.
         """
         n = rows.shape[1]
-        spectra = (rows * np.hanning(n + 2)[1:-1]).astype(np.complex128)
-        power = np.abs(fft_rows(np.nan_to_num(spectra, posinf=0, neginf=0), inverse=True)) ** 2
+        spectra = np.where(np.isfinite(rows), rows, 0).astype(np.complex128) * np.hanning(n + 2)[1:-1]
+        power = np.abs(fft_rows(spectra, inverse=True)) ** 2
         delay = np.arange(n) / (n * step) + middle[:, None]
         here, there = (np.mod(delay - first[:, None], 1 / step) <= (late - early)[:, None] for first in (early, -late))
         only = (here & ~there).mean(axis=1) >= LEAST_CELLS
