@@ -544,6 +544,27 @@ def test_two_channels(base: Base, tmp_path: Path) -> None:
     assert not (tmp_path / "x.zarr").exists()
 
 
+def test_channels_with_one_signal_array_are_told_and_overlapping_ones_refused(base: Base, tmp_path: Path) -> None:
+    path = with_two_channels(tmp_path / "two.cphd", base)
+    with open(path, "rb") as file:
+        root = skcphd.Reader(file).metadata.xmltree.getroot()
+    size = int(root.findall("{*}Data/{*}Channel/{*}SignalArrayByteOffset")[1].text)
+
+    def with_offset(name: str, offset: int) -> Path:
+        node = root.findall(f"{{*}}Data/{{*}}Channel/{{*}}{name}ArrayByteOffset")[1]
+        before, node.text = node.text, str(offset)
+        with_xml(path, tmp_path / f"{name}{offset}.cphd", etree.tostring(root))
+        node.text = before
+        return tmp_path / f"{name}{offset}.cphd"
+
+    said = ingested(with_offset("Signal", 0), channel="2")[2]
+    assert any("channel '2' has the signal array of '1' as well" in line for line in said)
+    assert not any("has the signal array" in line for line in ingested(path, channel="2")[2])
+    for name, offset in (("Signal", size // 2), ("PVP", 800)):
+        words = f"arrays of channels '1' and '2' overlap: bytes 0 .. .* and {offset} .. .*correct {name}ArrayByteOffset"
+        refused(with_offset(name, offset), words, channel="1")
+
+
 def test_all_channels_of_one_geometry_become_one_store(base: Base, tmp_path: Path) -> None:
     def lose(vectors: Array) -> None:  # a tenth of a millimetre off, and some signals
         vectors["TxPos"] += 1e-4
