@@ -156,6 +156,8 @@ def test_pulses_of_zeros_are_missing(processor: str | None, tmp_path: Path) -> N
     for target in TARGETS:
         assert abs(float(image.sel(x=target["x"], y=target["y"])) - 1) < 0.01
     assert float(image.sel(x=0, y=20).max()) < 0.1
+    chips = blocksar.quality(tmp_path / "run", reference=True).result["reference"] if not processor else []
+    assert all(abs(chip["gain"] - 1) < 0.01 for chip in chips if chip["power"] > 1e-3)
 
 
 def test_a_finished_run_of_the_same_data_is_known_again(dataset: xr.Dataset, tmp_path: Path) -> None:
