@@ -422,14 +422,18 @@ def area(parts: Parts, x1: float, y1: float, x2: float, y2: float) -> None:
     ("given", "said"),
     [
         ((-30, -60, 40, 80), None),
-        ((-60, -30, 80, 40), r"disagrees with its corner points, 70 x 140 m \(its x and y are swapped\): the corner"),
+        (
+            (-60, -30, 80, 40),
+            r"disagrees with its corner points, 70 x 140 m \(as if x and y were swapped\): the corner",
+        ),
         (
             (-1200, -300, 1600, 400),
             r"of 2800 x 700 m .*\(corners lie up to .* m apart\): the corner points are taken, as",
         ),
+        ((-30, -80, 40, 60), r"70 x 140 m \(as if an axis were reversed\): the corner points are taken"),
         ((40, 80, -30, -60), None),
     ],
-    ids=["as it is", "swapped", "samples, swapped", "the other way round"],
+    ids=["as it is", "swapped", "samples, swapped", "left-handed", "the other way round"],
 )
 def test_an_image_area_is_compared_with_its_corner_points(
     base: Base, tmp_path: Path, given: Any, said: str | None

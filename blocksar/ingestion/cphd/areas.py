@@ -18,16 +18,33 @@ from blocksar.errors import InputError
 from blocksar.ingestion.cphd.files import CphdFile, child_of, library, numbers_of
 
 ACROSS = 33  # points along either side of the image area
+AS_IT_IS, SWAPPED = np.eye(2), np.eye(2)[::-1]  # turns of image-area coordinates
+TURNS = [
+    turn * signs
+    for turn in (AS_IT_IS, SWAPPED)
+    for signs in ([[1.0], [1.0]], [[-1.0], [1.0]], [[1.0], [-1.0]], [[-1.0], [-1.0]])
+]
 AGREE = 0.1  # of the area's diagonal, by which corners may lie apart
 BEYOND = 0.25  # of the saved delays, by which a scene's ranges may exceed them
 
 
 class ImageArea(NamedTuple):
-    """The scene's rectangle, m in image-area coordinates, and what was wrong with it, in words; None if nothing."""
+    """The scene's rectangle, m in image-area coordinates, and what was wrong with it.
 
-    low: FloatArray  # (2,) x and y
+    Attributes
+    ----------
+    low, high : (2,) float
+        x and y.
+    message : str or None
+        What was wrong, in words; None if nothing.
+    turn : (2, 2) float
+        From image-area coordinates to those that the file's ImageArea is in: one of `TURNS`.
+    """
+
+    low: FloatArray
     high: FloatArray
     message: str | None = None
+    turn: FloatArray = AS_IT_IS
 
     @property
     def corners(self) -> FloatArray:
@@ -54,15 +71,17 @@ def read_area(file: CphdFile) -> ImageArea:
     apart = _apart(given.corners, corners)
     if apart <= AGREE * size or not size > 0:
         return given
-    swapped = _apart(given.corners[:, ::-1], corners) <= AGREE * size
-    why = "its x and y are swapped" if swapped else f"corners lie up to {apart:.4g} m apart"
+    turn = next((turn for turn in TURNS if _apart(given.corners, corners @ turn.T) <= AGREE * size), None)
+    why = f"corners lie up to {apart:.4g} m apart"
+    if turn is not None:
+        why = f"as if {describe_turn(turn)}"
     given_fits, told_fits = _fits(file, given), _fits(file, told)
     taken, which = (given, "ImageArea is") if given_fits and not told_fits else (told, "the corner points are")
     message = (
         f"ImageArea of {_size(given)} disagrees with its corner points, {_size(told)} ({why}): {which} taken"
         f"{', as the saved delays have it' if given_fits != told_fits else ''}"
     )
-    return taken._replace(message=message)
+    return taken._replace(message=message, turn=AS_IT_IS if turn is None or taken is given else turn)
 
 
 def area_points(file: CphdFile, area: ImageArea) -> tuple[FloatArray, FloatArray]:
@@ -132,6 +151,12 @@ def _corner_points(file: CphdFile) -> FloatArray | None:
     origin, x, y = ecef_of(file, np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     away = np.asarray(sarkit.wgs84.geodetic_to_cartesian(places)) - origin
     return np.stack([away @ (x - origin), away @ (y - origin)], axis=1)
+
+
+def describe_turn(turn: FloatArray) -> str:
+    """What is wrong with turned coordinates, in words."""
+    wrong = ["x and y were swapped"] if turn[0, 0] == 0 else []
+    return " and ".join([*wrong, *(["an axis were reversed"] if turn.sum() < 2 else [])])
 
 
 def _apart(first: FloatArray, second: FloatArray) -> float:

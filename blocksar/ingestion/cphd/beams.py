@@ -20,7 +20,7 @@ from blocksar.collection.beam_checks import check_axis_beam
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
 from blocksar.ingestion.cphd.antennas import Antenna, read_antenna, sampled
-from blocksar.ingestion.cphd.areas import ImageArea, area_points, ecef_of
+from blocksar.ingestion.cphd.areas import AS_IT_IS, SWAPPED, ImageArea, area_points, describe_turn, ecef_of
 from blocksar.ingestion.cphd.dwells import Dwells, read_dwells
 from blocksar.ingestion.cphd.files import CphdFile
 from blocksar.ingestion.cphd.vectors import Pulses
@@ -59,8 +59,8 @@ def fit_beam(
 ) -> Beam:
     """The beam of the store (see the module), and what was taken and left, one sentence each.
 
-    Where the image area is not as the file has it, the dwell polynomials may be in swapped coordinates as well: so they
-    are taken if they give a beam then and not otherwise.
+    Where the image area is not as the file has it, the dwell polynomials may be in the coordinates of ImageArea, or in
+    swapped ones: of these and of what the file says, the first that gives a beam is taken.
 
     Parameters
     ----------
@@ -75,13 +75,16 @@ def fit_beam(
         antenna = read_antenna(file, pulses, frame, position, carrier)
     except InputError as error:
         notes.append(f"the antenna's metadata cannot be used: {error}")
-    beam = _of_dwells(file, pulses, frame, position, area, antenna, notes, swapped=False)
-    if area.message is None or beam.width is not None:
-        return beam
-    other = _of_dwells(file, pulses, frame, position, area, antenna, notes, swapped=True)
-    if other.width is None:
-        return beam
-    return other._replace(messages=[*other.messages, "x and y of the dwell polynomials are swapped as well"])
+    turns = [AS_IT_IS] if area.message is None else [area.turn, AS_IT_IS, SWAPPED]
+    for turn in turns:
+        beam = _of_dwells(file, pulses, frame, position, area, antenna, notes, turn)
+        if beam.width is not None and not np.array_equal(turn, AS_IT_IS):
+            return beam._replace(
+                messages=[*beam.messages, f"the dwell polynomials are read as if {describe_turn(turn)}"]
+            )
+        if beam.width is not None:
+            return beam
+    return _of_dwells(file, pulses, frame, position, area, antenna, notes, AS_IT_IS)
 
 
 def _of_dwells(
@@ -92,13 +95,12 @@ def _of_dwells(
     area: ImageArea,
     antenna: Antenna | None,
     given: list[str],
-    *,
-    swapped: bool,
+    turn: FloatArray,
 ) -> Beam:
-    """The beam of the dwell polynomials and the antenna; `given` are notes so far."""
+    """The beam of the dwell polynomials, in turned coordinates, and the antenna; `given` are notes so far."""
     notes = list(given)
     try:
-        dwells = read_dwells(file, frame, area, swapped=swapped)
+        dwells = read_dwells(file, frame, area, turn)
     except InputError as error:
         without = f"dwell polynomials cannot be used ({error})"
         if antenna is None:

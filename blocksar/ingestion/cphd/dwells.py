@@ -22,8 +22,8 @@ class Dwells(NamedTuple):
     length: FloatArray
 
 
-def read_dwells(file: CphdFile, frame: Georeference, area: ImageArea, *, swapped: bool = False) -> Dwells:
-    """Evaluate the channel's polynomials; `swapped`, as polynomials in y and x.
+def read_dwells(file: CphdFile, frame: Georeference, area: ImageArea, turn: FloatArray) -> Dwells:
+    """Evaluate the channel's polynomials, in image-area coordinates turned by (2, 2) `turn`.
 
     Raises
     ------
@@ -42,7 +42,8 @@ def read_dwells(file: CphdFile, frame: Georeference, area: ImageArea, *, swapped
         node = child_of(root, f"{{*}}Dwell/{{*}}{kind}Time[{{*}}Identifier='{name}']", f"Dwell/{kind}Time")
         tables.append(polynomial_of(child_of(node, f"{{*}}{kind}TimePoly", f"{kind}TimePoly"), 2))
     x, y = area_points(file, area)
-    cod, dwell = (polynomial.polyval2d(*((y, x) if swapped else (x, y)), table) for table in tables)
+    along, across = turn @ np.stack([x, y])
+    cod, dwell = (polynomial.polyval2d(along, across, table) for table in tables)
     if not (np.isfinite(cod).all() and np.isfinite(dwell).all() and dwell.min() > 0):
         raise InputError("they are not finite and above 0 over the image area")
     return Dwells(frame.from_ecef(ecef_of(file, np.stack([x, y], axis=1))), np.asarray(cod), np.asarray(dwell))
