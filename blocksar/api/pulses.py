@@ -10,6 +10,7 @@ from blocksar import stores
 from blocksar.arrays import ComplexArray
 from blocksar.chunks import TILE
 from blocksar.collection.empty_pulses import missing_pulses
+from blocksar.collection.sublooks import whole_beam
 from blocksar.focusing.range_compression import RawCompression
 
 
@@ -30,7 +31,8 @@ def lit_pulse_reader(history: stores.PhaseHistory) -> Callable[[slice], ComplexA
         part = slice(start, min(start + TILE[0], empty.size))
         if empty[part].any():
             empty[part] &= ~history.read(part, slice(None)).any(axis=1)
-    lost = missing_pulses(empty, ~np.isnan(first), history.whole_beam, lambda pulse: read(slice(pulse, pulse + 1))[0])
+    beam = whole_beam(history.collection, history.look)
+    lost = missing_pulses(empty, ~np.isnan(first), beam, lambda pulse: read(slice(pulse, pulse + 1))[0])
 
     def read_lit(pulses: slice) -> ComplexArray:
         signal = read(pulses)

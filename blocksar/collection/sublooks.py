@@ -52,11 +52,15 @@ def narrowed(collection: Collection, number: int, count: int, sign: float) -> Co
     return replace(collection, **changes)
 
 
-def widened(collection: Collection, number: int, count: int, sign: float) -> Collection:
-    """The collection that `narrowed` made this one of, but for the rounding of its beam."""
-    assert collection.lit_width is not None
+def whole_beam(collection: Collection, look: tuple[int, int, float] | None) -> Collection:
+    """What the whole beam saw of which `narrowed` made a look (number, count, sign), but for the rounding of its beam.
+
+    A collection of no look, or of some pulses, is that itself.
+    """
+    if look is None or collection.lit_width is None:
+        return collection
     width, moved = collection.lit_width, "beam_steering" if collection.has_axis else "beam_azimuth"
-    centre = _centre(number, count, sign) * width
+    centre = _centre(*look) * width
     changes = {moved: getattr(collection, moved) - centre, "beam_width": width, "lit_width": None}
     if collection.beam_offset is not None:
         changes["beam_offset"] = collection.beam_offset + centre

@@ -25,6 +25,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.empty_pulses import missing_pulses
 from blocksar.collection.grid import Grid
 from blocksar.collection.ownership import margins_over
+from blocksar.collection.sublooks import whole_beam
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.noise import NoiseMap
@@ -429,7 +430,7 @@ def merge_inspections(receipts: Sequence[Receipt]) -> Inspection:
 def without_lost(history: stores.PhaseHistory, inspection: Inspection) -> Inspection:
     """An inspection with those pulses missing that were lost and hold zeros, see `collection.empty_pulses`."""
     lost = missing_pulses(
-        inspection.is_empty, inspection.lit > 0, history.whole_beam,
+        inspection.is_empty, inspection.lit > 0, whole_beam(history.collection, history.look),
         lambda pulse: history.read(slice(pulse, pulse + 1), slice(None))[0],
     )  # fmt: skip
     return inspection.without(lost)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, BinaryIO, Literal
 
 from blocksar.places.owners import describe_owner, this_process
 from blocksar.places.place import Held, Place
@@ -67,6 +67,9 @@ class LocalPlace(Place):
         with suppress(FileNotFoundError, NotADirectoryError):
             return file_version(os.stat(self.path))
         return ""
+
+    def open(self) -> BinaryIO:
+        return open(self.path, "rb")
 
     def read_bytes(self) -> bytes:
         return self.path.read_bytes()
@@ -142,6 +145,14 @@ class LocalPlace(Place):
                     raise Held(describe_owner(owner)) from None
                 raise
             os.close(descriptor)
+
+
+def free_bytes(place: LocalPlace) -> int:
+    """Bytes that the disk of a file or folder has free, which need not be there yet."""
+    path = place.path
+    while not path.exists():
+        path = path.parent
+    return shutil.disk_usage(path).free
 
 
 def file_version(status: os.stat_result) -> str:

@@ -12,7 +12,7 @@ from strips import strip_collection
 from blocksar.arrays import BoolArray, ComplexArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.empty_pulses import AT_THE_EDGE, missing_pulses
-from blocksar.collection.sublooks import narrowed, widened
+from blocksar.collection.sublooks import narrowed, whole_beam
 from blocksar.simulation.scatterers import simulate_pulses
 
 STRIP = strip_collection(1.0, prf=1000.0)  # a dwell of 150 pulses; targets at y = 0 are lit in pulses 424 .. 575
@@ -144,7 +144,7 @@ def test_pulses_that_are_missing_anyway_tell_nothing() -> None:
 
 def test_a_look_is_judged_by_its_whole_beam() -> None:
     for collection in (STRIP, replace(axis_collection("tops"), beam_width=0.02)):
-        again = widened(narrowed(collection, 2, 3, -1.0), 2, 3, -1.0)
+        again = whole_beam(narrowed(collection, 2, 3, -1.0), (2, 3, -1.0))
         assert again.beam_width == collection.beam_width
         assert again.lit_width is None
         assert again.beam_steering is not None

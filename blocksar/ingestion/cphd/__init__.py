@@ -1,4 +1,4 @@
-"""Ingestion of CPHD files (NGA.STND.0068, versions 1.0.1 and 1.1.0).
+"""Ingestion of CPHD files (NGA.STND.0068, versions 1.0 and 1.1).
 
 The standard's signal, for a target whose echo arrives dTOA seconds after that of the vector's stabilisation reference
 point (SRP), and for the absolute radio frequency fx, is
@@ -47,8 +47,9 @@ A file is read in blocks of vectors, and only the samples in the common band if 
 
 from __future__ import annotations
 
+from blocksar.ingestion.cphd.choices import Choices
 from blocksar.ingestion.cphd.describing import describe
 from blocksar.ingestion.cphd.files import NAMESPACE, library
-from blocksar.ingestion.cphd.ingestion import Choices, ingest
+from blocksar.ingestion.cphd.ingestion import ingest
 
 __all__ = ["NAMESPACE", "Choices", "describe", "ingest", "library"]

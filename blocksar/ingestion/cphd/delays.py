@@ -66,7 +66,7 @@ def find_delays(file: CphdFile, used: IntArray, area: ImageArea, window: RangeWi
         ends = [_metres(float(value[where])) for value in (early, late)]
         messages.append(
             f"the saved delays are not centred at the SRP, but run from {ends[0]:.6g} to {ends[1]:.6g} m of range "
-            f"after it (vector {where}): reference_range is at their middle"
+            f"after it (vector {file.first_vector + where}): reference_range is at their middle"
         )
     if fold > 1:
         messages.append(
@@ -110,6 +110,6 @@ def _reason(file: CphdFile, vector: int, area: ImageArea, unambiguous: float) ->
         )
     remedy = "--range-window reference takes those about the SRP" if apart else "correct TOA1 and TOA2"
     return (
-        f"PVP TOA1 .. TOA2 saves echoes from {early:.6g} to {late:.6g} m of range after the SRP (vector {vector}), and "
-        f"the image area lies {first:.6g} to {last:.6g} m after it{apart}: {remedy}"
+        f"PVP TOA1 .. TOA2 saves echoes from {early:.6g} to {late:.6g} m of range after the SRP (vector "
+        f"{file.first_vector + vector}), and the image area lies {first:.6g} to {last:.6g} m after it{apart}: {remedy}"
     )

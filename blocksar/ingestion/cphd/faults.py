@@ -71,7 +71,7 @@ def find_usable(file: CphdFile, origin: FloatArray) -> Usable:
     for name, wrong, words, remedy in chain(_not_finite(file), _out_of_range(file, origin)):
         count = np.count_nonzero(wrong & flagged)
         if count > MOST_LOST * np.count_nonzero(flagged):
-            first = int(np.argmax(wrong & flagged))
+            first = file.first_vector + int(np.argmax(wrong & flagged))
             raise InputError(f"PVP {words} in {count} of {wrong.size} vectors (first: vector {first}); {remedy}")
         if name in PLACING:
             placed = placed & ~wrong
@@ -80,7 +80,7 @@ def find_usable(file: CphdFile, origin: FloatArray) -> Usable:
     if np.count_nonzero(normal) < LEAST:
         raise InputError(
             f"only {np.count_nonzero(normal)} vectors have valid parameters and a normal signal; at least {LEAST} are "
-            f"needed ({describe_lost(lost)})"
+            f"needed ({describe_lost(lost, file.first_vector)})"
         )
     return Usable(normal, placed, lost)
 
@@ -164,12 +164,15 @@ def _neighbours(values: FloatArray, zero: BoolArray, others: IntArray) -> FloatA
     return np.where(zero, np.stack([padded[at], padded[at + 1]]), np.nan)
 
 
-def describe_lost(lost: Sequence[Lost]) -> str:
-    """Which vectors are lost and why, in words: ranges of vectors, then their reasons; empty if none are."""
+def describe_lost(lost: Sequence[Lost], first: int = 0) -> str:
+    """Which vectors are lost and why, in words: ranges of vectors, then their reasons; empty if none are.
+
+    `first` is the number of the first one in the file.
+    """
     reasons: dict[tuple[str, ...], list[int]] = {}
     for vector in np.flatnonzero(np.any([each.vectors for each in lost], axis=0)):
         why = tuple(dict.fromkeys(each.reason for each in lost if each.vectors[vector]))
-        reasons.setdefault(why, []).append(int(vector))
+        reasons.setdefault(why, []).append(first + int(vector))
     return "; ".join(f"{_ranges(vectors)} ({_joined(why)})" for why, vectors in reasons.items())
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from blocksar import stores
+from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
@@ -16,52 +17,25 @@ from blocksar.errors import InputError, printable
 from blocksar.ingestion.cphd.areas import ImageArea, ecef_of, read_area
 from blocksar.ingestion.cphd.beams import fit_beam
 from blocksar.ingestion.cphd.channels import check_same_geometry, names_of, open_channels
-from blocksar.ingestion.cphd.delays import Delays, RangeWindow, find_delays
+from blocksar.ingestion.cphd.choices import Choices
+from blocksar.ingestion.cphd.delays import Delays, find_delays
 from blocksar.ingestion.cphd.echoes import Echoes, Found, write_samples
 from blocksar.ingestion.cphd.faults import describe_lost
-from blocksar.ingestion.cphd.files import CphdFile, library, numbers_of, reading_file
+from blocksar.ingestion.cphd.files import CphdFile, library, numbers_of, opened, reading_file
 from blocksar.ingestion.cphd.samples import Interpolated, Resampler, Selected, Transformed, choose_resampler
-from blocksar.ingestion.cphd.troposphere import Troposphere, find_troposphere
+from blocksar.ingestion.cphd.signs import describe_sign
+from blocksar.ingestion.cphd.troposphere import find_troposphere
 from blocksar.ingestion.cphd.vectors import Pulses, VectorResampling, assign_pulses, resample_vectors
 from blocksar.ingestion.reading import Ingested
-from blocksar.places import Location, place
+from blocksar.places import Location, place, readable
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.progress.listening import Callback
 
 MAX_BISTATIC = 1 / 16  # wavelengths, largest difference between bistatic and monostatic range
+PARTS = "--area, --pulses, --frequencies"
 SAME_PLACE = 10.0  # m, largest distance between the two descriptions of the IARP
-
-
-@dataclass(frozen=True, kw_only=True)
-class Choices:
-    """What a user says of a file against what it says itself, or of what it leaves open; None: as the file has it.
-
-    Attributes
-    ----------
-    sgn : {-1, 1} or None
-        The sign that the samples follow.
-    range_window : {"saved", "reference"} or None
-        See `delays.find_delays`.
-    troposphere : {"file", "standard"} or None
-        The delay that the samples hold, see `troposphere`.
-
-    Raises
-    ------
-    InputError
-        If one has another value.
-    """
-
-    sgn: int | None = None
-    range_window: RangeWindow | None = None
-    troposphere: Troposphere | None = None
-
-    def __post_init__(self) -> None:
-        if self.sgn not in (None, -1, 1) or isinstance(self.sgn, bool):
-            raise InputError(f"--sgn is {self.sgn!r}; it must be -1 or +1")
-        for option, choices in (("range_window", ("saved", "reference")), ("troposphere", ("file", "standard"))):
-            if (value := getattr(self, option)) not in (None, *choices):
-                raise InputError(f"--{option.replace('_', '-')} is {value!r}; it must be {' or '.join(choices)}")
+AS_IT_IS = Choices()
 
 
 def ingest(
@@ -69,7 +43,7 @@ def ingest(
     out: Location,
     *,
     channel: str | None = None,
-    choices: Choices | None = None,
+    choices: Choices = AS_IT_IS,
     times: Mapping[str, Any] | None = None,
     overwrite: bool = False,
     progress: Callback | None = None,
@@ -79,14 +53,14 @@ def ingest(
     Parameters
     ----------
     source : path
-        A file of CPHD 1.0.1 or 1.1.0, monostatic, FX or TOA domain.
+        A file of CPHD 1.0 or 1.1, monostatic, FX or TOA domain.
     out : path, URL or Place
         Of the new store.
     channel : str, optional
         Identifier; optional if the file has only one. "all" makes a store with a channel for each of the file's, which
         must have one geometry.
-    choices : Choices, optional
-        What is not as the file says.
+    choices : Choices
+        What of it is read, and what is not as the file says.
     times : mapping, optional
         What `stated_times` gives, instead of the file's own.
     overwrite : bool
@@ -99,18 +73,13 @@ def ingest(
     InputError
         If the file is damaged, not supported or contradicts itself, or `out` exists and overwrite is False.
     """
-    where = place(source)
-    if not isinstance(where, LocalPlace):
-        raise InputError(f"{where} is in an object store, from which CPHD files are not read; copy it to a file first")
+    where, target = readable(source), place(out)
     library()
-    target, choices = place(out), choices or Choices()
-    with reading_file(where):
-        if where.exists() and not where.path.is_file():
-            raise InputError("it is no regular file; give the path of a CPHD file")
-        # Damaged numbers may cause floating-point warnings; the checks report them.
-        with open(where.path, "rb") as stream, np.errstate(all="ignore"):
-            prepared = [prepare(file, choices) for file in open_channels(stream, where.path, channel)]
-            names, attributes, notes = _combined(prepared)
+    # Damaged numbers may cause floating-point warnings; the checks report them.
+    with reading_file(where), opened(where) as stream, np.errstate(all="ignore"):
+        prepared = [prepare(file, choices) for file in open_channels(stream, where, channel)]
+        names, attributes, notes = _combined(prepared)
+    stores.refuse_full(target, prepared[0].collection, max(len(names), 1), f"read a part ({PARTS})")
     attributes = {
         **attributes,
         "source": {**attributes["source"], **(times or {})},
@@ -145,14 +114,14 @@ class Prepared:
 
     @property
     def collection(self) -> Collection:
-        return self.echoes.collection
+        return self.echoes.stored
 
     def messages(self, found: Found, choices: Choices) -> list[str]:
         """Describe the file and what was done to it, one sentence each."""
         file, pulses = self.echoes.file, self.echoes.pulses
-        lost = describe_lost([*pulses.lost, *found.lost])
+        lost = describe_lost([*pulses.lost, *found.lost], file.first_vector)
         collector = str(self.attributes.get("collector", "this maker"))
-        sign = found.signs.describe(file.sign, collector, given=choices.sgn is not None)
+        sign = describe_sign(found.sign, file.sign, collector, given=choices.sgn is not None)
         return [
             *_describe(self.echoes, found.missing, self.bistatic),
             *([f"lost vectors: {lost}; they are missing pulses, or left out at the ends"] if lost else []),
@@ -195,21 +164,17 @@ def _combined(prepared: Sequence[Prepared]) -> tuple[tuple[str, ...], dict[str, 
 def prepare(file: CphdFile, choices: Choices) -> Prepared:
     """Determine everything but the samples."""
     declared = file.sign
-    file = replace(file, sign=choices.sgn or declared)
+    file = replace(file.part(choices.pulses, choices.frequencies), sign=choices.sgn or declared)
     frame, area = _frame(file), read_area(file)
     pulses = assign_pulses(file, frame.origin)
-    lit = pulses.vector >= 0
-    used = pulses.vector[lit]
+    used = pulses.vector[pulses.vector >= 0]
     if used.size < 8:
         raise InputError(f"only {used.size} vectors hold a normal signal; at least 8 are needed")
     delays = find_delays(file, used, area, choices.range_window)
     resampler = choose_resampler(file, used, delays)
     cell = SPEED_OF_LIGHT / 2 / float(resampler.frequency[-1] - resampler.frequency[0])
     troposphere = find_troposphere(file, used, frame, choices.troposphere, cell)
-    later = np.zeros(pulses.vector.size)
-    later[lit] = SPEED_OF_LIGHT / 2 * delays.middle[used] - troposphere.removed[used]
-    later[~lit] = np.interp(np.flatnonzero(~lit), np.flatnonzero(lit), later[lit])
-    reference = np.linalg.norm(pulses.position - pulses.reference_point, axis=1) + later
+    reference = _reference_range(pulses, SPEED_OF_LIGHT / 2 * delays.middle - troposphere.removed)
     slow_time = None
     if not pulses.even:
         highest = float(resampler.frequency[-1])
@@ -227,7 +192,7 @@ def prepare(file: CphdFile, choices: Choices) -> Prepared:
             antenna_position=position,
             beam_azimuth=beam.azimuth,
             beam_width=beam.width,
-            ground_height=0.0,
+            ground_height=choices.ground_height,
             title=_title(file),
             **beam.antenna,
         )
@@ -235,8 +200,10 @@ def prepare(file: CphdFile, choices: Choices) -> Prepared:
         raise InputError(f"PVP TxPos, RcvPos, SRPPos, TOA1 and TOA2 make no phase history: {error}") from None
     bistatic = _bistatic_error(file, pulses, area, collection.wavelength)
     echoes = Echoes(
-        file=file, collection=collection, pulses=pulses, slow_time=slow_time, resampler=resampler, delays=delays
-    )
+        file=file, collection=collection, pulses=pulses, slow_time=slow_time, resampler=resampler, delays=delays,
+        area=choices.area,
+    )  # fmt: skip
+    cut = echoes.cut
     removed = float(troposphere.removed[used].mean()) if choices.troposphere else None
     attributes = {
         **_collected(file),
@@ -248,12 +215,21 @@ def prepare(file: CphdFile, choices: Choices) -> Prepared:
             **({"troposphere_removed": removed} if removed is not None else {}),
         },
     }
+    if cut is not None:
+        attributes["source"] |= {"area": choices.area, "time_zero": attributes["source"]["time_zero"] + cut.later}
     slow = [slow_time.message] if slow_time else []
-    beside = [troposphere.message, area.message, _same_samples(file)]
+    beside = [troposphere.message, area.message, _same_samples(file), cut.message if cut else None]
     notes = [*delays.messages, *slow, *(text for text in beside if text)]
     return Prepared(
         echoes=echoes, frame=frame, bistatic=bistatic, attributes=attributes, notes=notes, beam=beam.messages
     )
+
+
+def _reference_range(pulses: Pulses, later: FloatArray) -> FloatArray:
+    """That of all pulses, m: the SRP's range, and how much later (n_vector,) the vectors' is, m; linear in between."""
+    lit = np.flatnonzero(pulses.vector >= 0)
+    after = np.interp(np.arange(pulses.vector.size), lit, later[pulses.vector[lit]])
+    return np.asarray(np.linalg.norm(pulses.position - pulses.reference_point, axis=1) + after)
 
 
 def _same_samples(file: CphdFile) -> str | None:

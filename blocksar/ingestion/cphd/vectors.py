@@ -74,7 +74,7 @@ def _placed(file: CphdFile, normal: BoolArray, placed: BoolArray, lost: list[Los
     """Pulses of the vectors that have a time and positions; those whose signal is not normal are missing."""
     vector = np.asarray(np.flatnonzero(placed), dtype=np.int64)
     time = file.parameter("TxTime", vector)
-    index, step, off = _slots(time)
+    index, step, off = _slots(time, file.first_vector + vector)
     if off > UNIFORM_TOLERANCE:
         vector = vector[normal[vector]]
         time = file.parameter("TxTime", vector)
@@ -103,8 +103,10 @@ def _placed(file: CphdFile, normal: BoolArray, placed: BoolArray, lost: list[Los
     )
 
 
-def _slots(time: FloatArray) -> tuple[IntArray, float, float]:
+def _slots(time: FloatArray, number: IntArray) -> tuple[IntArray, float, float]:
     """Index of each vector's pulse on a uniform axis of slow time, the axis' step, s, and the largest deviation, steps.
+
+    `number` are those of the vectors in the file.
 
     Raises
     ------
@@ -115,7 +117,8 @@ def _slots(time: FloatArray) -> tuple[IntArray, float, float]:
         raise InputError(f"only {time.size} vectors have a time and positions; at least 8 are needed")
     steps = np.diff(time)
     if not (steps > 0).all():
-        raise InputError(f"PVP TxTime does not ascend at vector {int(np.argmin(steps > 0)) + 1}; sort the vectors")
+        where = number[1:][int(np.argmin(steps > 0))]
+        raise InputError(f"PVP TxTime does not ascend at vector {where}; sort the vectors")
     step = float(np.median(steps))
     for _ in range(3):
         index = np.rint((time - time[0]) / step)
