@@ -48,25 +48,30 @@ def ingest_cphd(
     area: Annotated[
         str | None,
         typer.Option(
-            metavar="x0:x1,y0:y1", help="Ground, m, of which the samples are kept, and no more.", show_default="all"
+            metavar="x0:x1,y0:y1",
+            help="Ground of the image, m: no more samples are kept than it needs.",
+            show_default="all",
         ),
     ] = None,
     ground_height: IngestedGround = 0.0,
     sgn: Annotated[
-        int | None, typer.Option(metavar="-1|+1", help="Sign that the samples follow; default: as the file declares.")
+        int | None,
+        typer.Option(metavar="-1|+1", help="Sign SGN that the samples follow.", show_default="as declared"),
     ] = None,
     range_window: Annotated[
         str | None,
         typer.Option(
             metavar="saved|reference",
-            help="Delays to take: those of TOA1 .. TOA2, or those about the reference point that samples tell apart.",
+            help="Delays to take: TOA1 .. TOA2, or those about the reference point that the samples tell apart.",
+            show_default="saved, if the image area has any",
         ),
     ] = None,
     troposphere: Annotated[
         str | None,
         typer.Option(
             metavar="file|standard",
-            help="Delay that the samples still hold, to take out: TDTropoSRP, or that of a standard atmosphere.",
+            help="Delay to take out of samples that hold it: TDTropoSRP, or that of a standard atmosphere.",
+            show_default="none",
         ),
     ] = None,
     collection_start: CollectionStart = None,
