@@ -10,6 +10,7 @@ from blocksar import stores
 from blocksar.api import definitions
 from blocksar.api.arguments import GridLike, grid_of, history_of, on_ground
 from blocksar.api.ground import geometry_over, read_ground
+from blocksar.api.partial_pulses import imaging_parts
 from blocksar.api.pulses import pulse_reader
 from blocksar.api.reports import Report, Table
 from blocksar.arrays import ComplexArray
@@ -80,7 +81,8 @@ def check(
     """
     ground = Ground(terrain=terrain, surface=surface, vertical=vertical)
     count = resources(1, threads, None).threads
-    [history], points = on_ground([history_of(source)], ground_height, terrain=terrain), grid_of(grid)
+    points = grid_of(grid)
+    (history,) = imaging_parts(on_ground([history_of(source)], ground_height, terrain=terrain), points)
     collection = history.collection.centred()
     heights = read_ground(ground, collection, points, source)
     findings = check_samples(history, points, threads=count, thorough=True, terrain=heights)

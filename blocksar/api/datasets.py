@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,6 +35,7 @@ def collection(
     fast_time: ArrayLike | None = None,
     chirp_rate: float | None = None,
     pulse_width: float | None = None,
+    pulse_reference: Literal["centre", "start"] | None = None,
     beam_azimuth: ArrayLike | None = None,
     beam_width: float | None = None,
     beam_axis: ArrayLike | None = None,
@@ -80,6 +81,9 @@ def collection(
         Hz/s; negative for a down-chirp. Needed with `echo`.
     pulse_width : float, optional
         s. Needed with `echo`.
+    pulse_reference : {"centre", "start"}, optional
+        What a target's delay 2 R / c in `fast_time` counts to: the centre of its pulse, or the start, as files of NISAR
+        and CEOS have it. Only with `echo`. Default: "centre".
     beam_azimuth : (n_pulse,) float, optional
         Yaw of the beam's centre about the platform's nadir at t = 0, from the x axis to the y axis, rad. Default: the
         beam is not steered, and all of the scene is lit all the time.
@@ -126,6 +130,8 @@ def collection(
         If an array has the wrong shape, kind or unit, something needed is missing, or no sample is finite.
     """
     _check_samples(signal, echo, range_frequency, fast_time)
+    if pulse_reference is not None and echo is None:
+        raise InputError(f"pulse_reference is {pulse_reference!r}, but signal has no pulses; leave it out")
     if time is None:
         raise InputError("time is None; give the times of the pulses, s")
     _check_reference(reference_range)
@@ -143,7 +149,7 @@ def collection(
     attrs: dict[str, Any] = {
         "carrier_frequency": carrier_frequency, "beam_width": beam_width, "ground_height": ground_height,
         "noise_power": noise_power, "side_of_track": side_of_track, "chirp_rate": chirp_rate,
-        "pulse_width": pulse_width, "title": title,
+        "pulse_width": pulse_width, "pulse_reference": pulse_reference, "title": title,
         "Conventions": stores.CONVENTIONS,
     }  # fmt: skip
     if targets is not None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from blocksar.api.partial_pulses import WHOLE, recorded_text
 from blocksar.budget import FIDELITY
 from blocksar.collection.beam import lit_yaw, wrapped
 from blocksar.collection.collection import Collection
@@ -29,7 +30,7 @@ Rows = list[tuple[str, str]]
 USUAL = {
     **{name: value for name, value in Method().as_settings().items() if name != "processor"},
     "blocks": "auto", "fidelity": FIDELITY, "weighting_range": FLAT.text, "weighting_azimuth": FLAT.text,
-    "surface": "plane",
+    "surface": "plane", "pulses": WHOLE,
 }  # fmt: skip
 NOT_STEERED = "not steered: it lights everything all the time, so that a grid is needed"
 HISTORY_LINES = 3  # the newest ones are shown
@@ -63,6 +64,7 @@ def collection_rows(collection: Collection) -> Rows:
         ("band", _band(collection)),
         *_track(geometry),
         ("beam", _beam(collection)),
+        *([] if (recorded := recorded_text(geometry)) is None else [("whole pulses", recorded)]),
         *_footprint(geometry),
     ]
 

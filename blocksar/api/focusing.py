@@ -27,6 +27,7 @@ from blocksar.api.arguments import (
 )
 from blocksar.api.jobs import Job, Request
 from blocksar.api.joint import focus_members, members_of
+from blocksar.api.partial_pulses import recorded_lines
 from blocksar.api.plan_lines import (
     cut_dwells,
     missed_fidelity,
@@ -93,6 +94,7 @@ def focus(
     ground_height: float | None = None,
     autofocus: bool = False,
     control: Location | Sequence[Target] | None = None,
+    whole_pulses: bool = False,
     looks: int | None = None,
     workers: int | None = None,
     threads: int | None = None,
@@ -155,6 +157,9 @@ def focus(
         Correct the track from the samples first, as `autofocus` does. Default: False.
     control : path or sequence of Target, optional
         With `autofocus`: points at known places, which anchor the track. Default: none.
+    whole_pulses : bool
+        Of a raw echo, image only ground whose whole pulses were recorded; other ground stays NaN. Default: where `grid`
+        has ground with parts of pulses, it is divided by the part; without a grid, only ground with whole pulses.
     looks : int, optional
         Number of parts of each target's dwell, each of which becomes an image of its own: (look, y, x). Default: one
         image of whole dwells.
@@ -229,6 +234,7 @@ def _focus_image(
     ground_height: float | None,
     autofocus: bool,
     control: Location | Sequence[Target] | None,
+    whole_pulses: bool,
     workers: int | None,
     threads: int | None,
     memory_limit: int | None,
@@ -260,6 +266,7 @@ def _focus_image(
         weighting=Weighting.parse(weighting, weighting_range, weighting_azimuth),
         grid=grid_of(grid),
         overwrite=overwrite,
+        whole_pulses=whole_pulses,
         discard=discard,
         ground=Ground(terrain=terrain, surface=surface, vertical=vertical),
         ground_height=ground_height,
@@ -355,6 +362,7 @@ def _focus(
         next((line for plan in job.plans if (line := doubt(plan))), None)
         for doubt in (undersampling, short_dwells, cut_dwells, wobbling_beam, missed_fidelity)
     ]
+    found += recorded_lines([segment.geometry for segment in job.segments], job.grid, swath=False)
     found += outside_window(job.plans) if job.plans else []
     if request.terrain is not None:
         found += terrain_notes(request.terrain, job.grid)

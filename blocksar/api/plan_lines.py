@@ -248,9 +248,13 @@ def outside_window(plans: Sequence[Plan]) -> list[str]:
     heights = "" if terrain is None else f", or correct the terrain's heights, z = {terrain.limits[0]:.6g} .. "
     heights += "" if terrain is None else f"{terrain.limits[1]:.6g} m"
     window = max(plan.geometry.collection.range_window for plan in plans)
+    unrecorded = {each.partial for plan in plans if (each := plan.geometry.collection.recorded) is not None}
+    pulses = (
+        "" if not unrecorded else ", or have no recorded pulse," if any(unrecorded) else ", or have no whole pulse,"
+    )
     return [
         f"{100 * share:.2g} % of the grid's pixels lie outside the range window ({window:.5g} m about the reference "
-        f"range) and stay NaN; move the grid, or give a smaller one{heights}"
+        f"range){pulses} and stay NaN; move the grid, or give a smaller one{heights}"
     ]
 
 

@@ -23,6 +23,7 @@ from blocksar.api.arguments import (
 from blocksar.api.ground import read_ground
 from blocksar.api.look_plans import report_exact_looks, report_looks
 from blocksar.api.looks import divide_dwells, one_source
+from blocksar.api.partial_pulses import imaged_collections, recorded_lines
 from blocksar.api.plan_lines import exact_line, lit_pulses, outside_window, plan_lines, time_line, workforce
 from blocksar.api.plan_tables import block_table, contender_table, plan_details
 from blocksar.api.shown import PlanReport
@@ -74,6 +75,7 @@ def plan(
     terrain: Location | None = None,
     surface: Surface = "plane",
     vertical: str | None = None,
+    whole_pulses: bool = False,
     ground_height: float | None = None,
     looks: int | None = None,
     workers: int | None = None,
@@ -120,6 +122,9 @@ def plan(
     vertical : str, optional
         What a GeoTIFF's heights are measured from, if it does not say so: "ellipsoid", "egm96" or "egm2008"; or
         "egm2008:FILE" with the geoid's grid. Needed for such a file only.
+    whole_pulses : bool
+        Of a raw echo, image only ground whose whole pulses were recorded; other ground stays NaN. Default: where `grid`
+        has ground with parts of pulses, it is divided by the part; without a grid, only ground with whole pulses.
     ground_height : float, optional
         Height z of the imaged plane in the scene frame, m. Default: that of the phase history.
     looks : int, optional
@@ -170,6 +175,9 @@ def plan(
         points = points or joint_grid([Geometry(collection=each) for each in collections])
         heights = read_ground(ground, collections[0], points, sources_of(source)[0])
         of_each += [] if heights is None else terrain_notes(heights, points)
+    collections = imaged_collections(
+        source, collections, grid_of(grid), heights, ground_height=ground_height, whole_pulses=whole_pulses
+    )
     if method is None and parts is not None:
         return report_exact_looks(
             lambda seen: _plan_backprojection([seen], points, heights, assumed), collections[0], parts
@@ -239,6 +247,7 @@ def _report_plan(plan: Plan, assumed: Resources, planning: float = 0.0) -> PlanR
         definitions=definitions.PLAN,
         summary=[
             *plan_lines(plan),
+            *recorded_lines([plan.geometry], plan.grid),
             *outside_window([plan]),
             time_line(work, assumed, planning),
             *exact_line([plan], work, assumed, planning),
@@ -263,6 +272,7 @@ def _report_segments(segments: Sequence[PlannedSegment], assumed: Resources, pla
     if refusal is None:
         work = effort.together([effort.of_plan(plan, workers=assumed.workers) for plan in plans])
         lines += [
+            *recorded_lines([plan.geometry for plan in plans], plans[0].grid),
             *outside_window(plans),
             time_line(work, assumed, planning),
             *exact_line(plans, work, assumed, planning),
@@ -306,6 +316,7 @@ def _plan_backprojection(
     lines = [
         f"exact back-projection of {grid.shape[1]} x {grid.shape[0]} pixels, {lit} lit pulses each: "
         f"{pixels * lit / 1e9:.3g} G updates at most, {workforce(assumed)}",
+        *recorded_lines(geometries, grid),
         f"peak memory of a worker {memory / MIB:.0f} MiB",
         f"a run writes at most {sum(written.values()) / MIB:.0f} MiB",
         time_line(effort.together([effort.of_backprojection(each, grid) for each in geometries]), assumed),

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from blocksar import stores
+from blocksar.api.partial_pulses import PARTS
 from blocksar.api.pulses import lit_pulse_reader
 from blocksar.api.reports import Table
 from blocksar.arrays import ComplexArray
@@ -105,6 +106,8 @@ def _open_inputs(run: FinishedRun) -> dict[str, stores.PhaseHistory]:
         moved = own / place(path).name if place(path).name != INPUT else own
         within = f"/{INPUT}" in path and moved.exists()
         history = stores.open_phase_history(moved if within else path)
+        if run.record.settings.get("pulses") == PARTS:
+            history = history.with_partial_pulses()
         inputs[path] = history.of_channel(run.attrs.get("channel") if history.channels else None)
     return inputs
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from blocksar.arrays import FloatArray, check_axis
 from blocksar.collection.beam_checks import check_axis_beam, check_cover, check_pattern
+from blocksar.collection.recorded import RecordedRanges
 from blocksar.collection.spline import smoothed
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
@@ -80,6 +81,8 @@ class Collection:
         On which side of the track the imaged ground lies, seen along the flight; None: unknown.
     lit_width : float or None
         Of a look of a steered beam: the width of the whole beam, whose echoes the samples hold, rad; None: beam_width.
+    recorded : RecordedRanges or None
+        Of a raw echo: from which ranges it recorded pulses, and which of them are imaged; None: from all in the window.
 
     Raises
     ------
@@ -107,6 +110,7 @@ class Collection:
     noise_power: float | None = None
     side_of_track: str | None = None
     lit_width: float | None = None
+    recorded: RecordedRanges | None = None
 
     def __post_init__(self) -> None:
         given = [name for name in OPTIONAL if getattr(self, name) is not None]

@@ -12,6 +12,7 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
+from blocksar.collection.recorded import RecordedRanges
 from blocksar.errors import OutsideSwath
 
 WINDOW_GUARD = 8  # range cells kept free at either end of the range window
@@ -52,6 +53,20 @@ def why_outside(
         f"grid lies outside the swath: no range stays in {swath}, {reference.min():.6g} .. {reference.max():.6g} m, "
         f"while it is lit{where}; {MOVE}"
     )
+
+
+def why_not_recorded(recorded: RecordedRanges, within: tuple[float, float] | None) -> str:
+    """Why a raw echo has no pulse of what is lit, or no whole one."""
+    where = "" if within is None else f" (the grid's ranges are {within[0]:.6g} .. {within[1]:.6g} m at the epoch)"
+    (nearest, farthest), (first, last) = recorded.reached, recorded.whole
+    held = f"fast_time holds echoes from ranges {nearest:.6g} .. {farthest:.6g} m"
+    if recorded.partial or (within is not None and (within[1] < nearest or within[0] > farthest)):
+        return f"grid lies outside the swath: {held}, and none of what is lit{where}; {MOVE}, or correct fast_time"
+    whole = f"whole pulses from {first:.6g} .. {last:.6g} m" if first < last else "of no range the whole pulse"
+    remedy = "give --grid for ground of which parts of pulses were recorded"
+    if within is not None:
+        remedy = f"{MOVE}, or leave out --whole-pulses"
+    return f"grid lies outside the swath: {held}, {whole}, and no whole pulse of what is lit{where}; {remedy}"
 
 
 @contextmanager

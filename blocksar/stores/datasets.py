@@ -18,7 +18,7 @@ from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.stores.arrays import metadata_file
 from blocksar.stores.channels import attrs_of_channel, check_channels, number_of, text, unnamed_channels, with_channels
-from blocksar.stores.contract import SAMPLES, check_type, check_units, missing
+from blocksar.stores.contract import SAMPLES, check_type, check_units, missing, raw_echo_from
 from blocksar.stores.history_creation import create_phase_history, history_line
 from blocksar.stores.phase_history import (
     PhaseHistory,
@@ -26,7 +26,6 @@ from blocksar.stores.phase_history import (
     not_one_of_two,
     open_phase_history,
     other_attrs,
-    raw_echo_from,
 )
 from blocksar.stores.records import json_checksum, plain_value
 from blocksar.stores.regions import write_region
@@ -97,6 +96,10 @@ class DatasetHistory(PhaseHistory):
     def _content(self) -> str:
         digest, valid, nonzero = xxhash.xxh3_128(), False, False
         values = {**self.collection.as_dict(), **(vars(self.raw) if self.raw is not None else {})}
+        if self.raw is not None:  # they follow from the rest, and from what is imaged
+            del values["range_frequency"], values["recorded"]
+        elif self.collection.recorded is None:
+            del values["recorded"]  # as before there was any
         for name, value in sorted(values.items()):
             digest.update(f"{name} {np.shape(value)} ".encode())
             digest.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
@@ -223,7 +226,7 @@ def _checked(dataset: xr.Dataset) -> DatasetHistory:
     channels = _channels(dataset, samples.shape[0]) if samples.ndim > len(SCHEMA[names[0]].dims) else ()
     raw = raw_echo_from(read("fast_time"), attrs) if names == ["echo"] else None
     present = dataset.variables.__contains__
-    collection = collection_from(read, present, attrs, None if raw is None else raw.range_frequency)
+    collection = collection_from(read, present, attrs, raw)
     given = other_attrs(attrs, raw)
     if not channels and "channel" in dataset.variables and not dataset.variables["channel"].ndim:  # one taken out
         given = attrs_of_channel(given, check_channels([text(dataset.variables["channel"].values.item())]), 0)
