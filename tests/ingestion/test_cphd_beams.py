@@ -412,7 +412,7 @@ WRONG: dict[str, tuple[Edit, str]] = {
     "quotation mark": (put("Antenna/AntPhaseCenter/ACFId", "a'b"), "without a quotation mark"),
     "frequency": (put("Antenna/AntPattern/FreqZero", "-1"), "FreqZero is -1"),
     "no number": (put("Antenna/AntPattern/FreqZero", "x"), "no number"),
-    "not finite": (vectors_of("TxACX", lambda v: np.where(v == v[7], np.nan, v)), "PVP TxACX is not finite in 1"),
+    "not finite": (vectors_of("TxACX", lambda v: v * np.nan), "PVP TxACX is not finite or 0 in 601 vectors (first"),
     "length": (vectors_of("RcvACY", lambda v: 2 * v), "RcvACY has a length of 2"),
     "angle": (vectors_of("TxACY", lambda v: v[::-1] * 0 + 1 / np.sqrt(3)), "not at a right angle"),
     "boresight": (vectors_of("TxEB", lambda v: v + 1), "TxEB has direction cosines of length"),
@@ -428,6 +428,26 @@ def test_a_wrong_antenna_is_named_and_the_dwells_are_used(name: str, stripmap: M
     collection, said = ingested(edited(stripmap, tmp_path / "wrong.cphd", edit))
     assert any(words in line for line in said), said
     assert collection.has_axis and differing(stripmap, collection) <= 2
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 0.0])
+def test_antennas_of_some_vectors_are_given_by_others(value: float, tops: Made, tmp_path: Path) -> None:
+    """At the ends and inside. A boresight that passes through 0 is none that was filled with zeros."""
+    lost = [0, 1, 100, 101, 102, 600]
+    names = [f"{side}{what}" for side in ("Tx", "Rcv") for what in ("ACX", "ACY", "EB")]
+
+    def lose(root: Any, vectors: Array) -> None:
+        for name in names:
+            vectors[name][lost] = value
+
+    whole, before = ingested(tops.path)
+    collection, said = ingested(edited(tops, tmp_path / "lost.cphd", lose))
+    assert not any("not finite" in line for line in before)
+    for name in names:
+        assert any(f"PVP {name} of 6 vectors (first: vector 0) that is not finite or 0" in line for line in said)
+    assert np.abs(collection.beam_axis - whole.beam_axis).max() < 1e-5  # of a width of 0.017 rad
+    assert np.abs(collection.beam_steering - whole.beam_steering).max() < 1e-5
+    assert collection.beam_width == pytest.approx(whole.beam_width, rel=1e-3) and differing(tops, collection) <= 2
 
 
 def texts(root: Any) -> Iterator[Any]:

@@ -51,6 +51,17 @@ def test_a_window_that_follows_the_pulses_is_taken() -> None:
     assert found.conjugated is False
 
 
+def test_a_window_beyond_the_ranges_that_are_told_apart_folds_back() -> None:
+    span = SPEED_OF_LIGHT / 2 / STEP
+    given, folded = (
+        energy_in_window(spotlight(clutter(1) + by), frequency_step=STEP, near=NEAR + by, far=FAR + by)
+        for by in (0.0, span)
+    )
+    assert folded == pytest.approx(given, rel=1e-3)
+    far = energy_in_window(spotlight(clutter(1) + 200.0), frequency_step=STEP, near=NEAR + 200.0, far=FAR + 200.0)
+    assert far.inside > 0.95 and far.conjugated is False
+
+
 @pytest.mark.parametrize("place", [-39.0, -20.0, 0.0, 31.0, 39.9])
 def test_targets_where_window_and_mirror_image_overlap_tell_nothing(place: float) -> None:
     """Their side lobes reach into either part, and more into the nearer one."""

@@ -19,7 +19,7 @@ from blocksar.places.ranges import Readable
 class Described:
     """Version, domain and channels (identifier, vectors, samples) of a file, and the collection of its first channel.
 
-    `attributes` are those that the phase history would have, `notes` what is unusual about delays and places.
+    `attributes` are those that the phase history would have, `notes` what is unusual about sign, delays and places.
     """
 
     version: str
@@ -43,6 +43,7 @@ def describe(path: Readable) -> Described:
     with reading_file(path), opened(path) as stream, np.errstate(all="ignore"):
         file = open_file(stream, path, None, any_channel=True)
         prepared = prepare(file, Choices())
+        sign = prepared.sign(None, Choices())
         nodes = file.root.findall("{*}Data/{*}Channel")
         channels = [
             (node.findtext("{*}Identifier"), int(node.findtext("{*}NumVectors")), int(node.findtext("{*}NumSamples")))
@@ -51,5 +52,5 @@ def describe(path: Readable) -> Described:
         size = stream.seek(0, os.SEEK_END)
     return Described(
         version=file.version, domain=file.domain, size=size, channels=channels, collection=prepared.collection,
-        attributes=prepared.attributes, notes=prepared.notes,
+        attributes=prepared.attributes, notes=[*([sign] if sign else []), *prepared.notes],
     )  # fmt: skip

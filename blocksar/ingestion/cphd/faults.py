@@ -130,7 +130,7 @@ def _out_of_range(file: CphdFile, origin: FloatArray) -> Iterator[_Fault]:
         yield _Fault("AmpSF", wrong, "AmpSF is no float32 above 0", "correct it")
     for low, high in (("FX1", "FX2"), ("TOA1", "TOA2")):
         first, last = file.parameter(low), file.parameter(high)
-        wrong = _finite(file, low, high) & ((first >= last) | _fills(first) | _fills(last))
+        wrong = _finite(file, low, high) & ((first >= last) | filled_with_zeros(first) | filled_with_zeros(last))
         yield _Fault(f"{low} or {high}", wrong, f"{low} is not below {high}", "correct them")
 
 
@@ -146,7 +146,7 @@ def _odd_zeros(time: FloatArray) -> BoolArray:
     return zero & ~((before < 0) & (before >= -near) & (after > 0) & (after <= near))
 
 
-def _fills(values: FloatArray) -> BoolArray:
+def filled_with_zeros(values: FloatArray) -> BoolArray:
     """Zeros that stand for no value: those whose next other values are of the usual size."""
     zero = values == 0
     others = np.asarray(np.flatnonzero(~zero & np.isfinite(values)), np.int64)

@@ -27,6 +27,7 @@ from blocksar.ingestion.cphd.signs import describe_sign
 from blocksar.ingestion.cphd.troposphere import find_troposphere
 from blocksar.ingestion.cphd.vectors import Pulses, VectorResampling, assign_pulses, resample_vectors
 from blocksar.ingestion.reading import Ingested
+from blocksar.measurement.window import WindowEnergy
 from blocksar.places import Location, place, readable
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
@@ -116,12 +117,16 @@ class Prepared:
     def collection(self) -> Collection:
         return self.echoes.stored
 
+    def sign(self, energy: WindowEnergy | None, choices: Choices) -> str | None:
+        """A sentence if the sign is wrong or doubtful, see `signs`; without `energy` by the maker alone."""
+        collector = str(self.attributes.get("collector", "this maker"))
+        return describe_sign(energy, self.echoes.file.sign, collector, given=choices.sgn is not None)
+
     def messages(self, found: Found, choices: Choices) -> list[str]:
         """Describe the file and what was done to it, one sentence each."""
         file, pulses = self.echoes.file, self.echoes.pulses
         lost = describe_lost([*pulses.lost, *found.lost], file.first_vector)
-        collector = str(self.attributes.get("collector", "this maker"))
-        sign = describe_sign(found.sign, file.sign, collector, given=choices.sgn is not None)
+        sign = self.sign(found.sign, choices)
         return [
             *_describe(self.echoes, found.missing, self.bistatic),
             *([f"lost vectors: {lost}; they are missing pulses, or left out at the ends"] if lost else []),
