@@ -18,7 +18,7 @@ from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid, ground_resolution
 from blocksar.collection.region import default_grid, plan_region
 from blocksar.collection.weighting import FLAT
-from blocksar.constants import GIB, MIB, SPEED_OF_LIGHT
+from blocksar.constants import GIB, MIB, SPEED_OF_LIGHT, unit_of_lengths
 from blocksar.errors import InputError
 from blocksar.focusing.method import Method
 from blocksar.places.local import LocalPlace
@@ -130,7 +130,9 @@ def _footprint(geometry: Geometry) -> Rows:
         region = plan_region(geometry, None)
         low, high = np.degrees(region.yaw[[0, -1]] if collection.has_axis else lit_yaw(collection))
         near, far = float(region.near.min()), float(region.far.max())
-        rows.append(("footprint", f"yaw {low:.2f} .. {high:.2f} degrees, range {near / 1e3:.3f} .. {far / 1e3:.3f} km"))
+        unit, metres = unit_of_lengths(far)
+        ranges = f"{near / metres:.3f} .. {far / metres:.3f} {unit}"
+        rows.append(("footprint", f"yaw {low:.2f} .. {high:.2f} degrees, range {ranges}"))
         middle = region.yaw.size // 2
         across, along = ground_resolution(
             geometry, float(region.near[middle] + region.far[middle]) / 2, float(region.yaw[middle])

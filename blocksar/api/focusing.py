@@ -49,6 +49,7 @@ from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Pro
 from blocksar.graph import cluster, recording
 from blocksar.graph.machine import Resources, resources
 from blocksar.ingestion.terrain.reading import Ground, terrain_notes
+from blocksar.loop_cache import compilation_seconds
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.place import Place
@@ -247,7 +248,7 @@ def _focus_image(
     client: Client | None,
 ) -> RunReport:  # longer than most: it takes every setting by its name
     """Focus one image, of one channel; `track` is where others share the correction of its track, if they do."""
-    listener = as_listener(progress)
+    listener, compiled = as_listener(progress), compilation_seconds()
     profile = None if performance_report is None else Path(performance_report)
     method = method_of(
         processor,
@@ -313,7 +314,7 @@ def _focus_image(
 
             corrected = track_corrected(request, machine, connected, listener)
             request, said, connected = stack.enter_context(corrected)
-        report = _focus(request, record, machine, connected, listener, profile)
+        report = _focus(request, record, machine, connected, listener, profile, compiled)
         return replace(report, summary=[*said, *report.summary])
 
 
@@ -346,6 +347,7 @@ def _focus(
     client: Client | None,
     listener: Listener,
     profile: Path | None,
+    compiled: float,
 ) -> RunReport:
     """Plan and carry out a run in a folder that this process has claimed."""
     listener.update("plan", 0, 1)
@@ -357,7 +359,7 @@ def _focus(
         run = Run(folder=request.folder, identity=record.identity, threads=machine.threads)
         resumed = earlier is not None or run_folder.is_begun(request.folder, record)
         with run_folder.resumable():
-            finished = carry_out(job, run, record, workers, listener, profile, resumed=resumed)
+            finished = carry_out(job, run, record, workers, listener, profile, resumed=resumed, compiled=compiled)
     found = [
         next((line for plan in job.plans if (line := doubt(plan))), None)
         for doubt in (undersampling, short_dwells, cut_dwells, wobbling_beam, missed_fidelity)
@@ -397,7 +399,10 @@ def _start_workers(
 def _summary(folder: Place, record: RunRecord, planned: int, worker: str) -> list[str]:
     """Return the warnings, and sentences on resumed work, time and memory; `planned` is a worker's peak, bytes."""
     timings = record.timings
-    stages = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in timings.items() if name != "total")
+    once = {"compile": " once for an installation"}
+    stages = ", ".join(
+        f"{name} {seconds:.1f} s{once.get(name, '')}" for name, seconds in timings.items() if name != "total"
+    )
     peak = record.peak_memory or 0
     return [
         *(f"note: {line}" for line in record.warnings),

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from blocksar import stores
 from blocksar.api.arguments import One, OnGround, Source, check_one_frame, history_of, on_ground, sources_of
+from blocksar.api.exact_way import naming_exact
 from blocksar.api.fingerprints import joint_fingerprint
 from blocksar.api.ground import PLANE, check_ground, geometry_over, ground_settings, read_ground
 from blocksar.api.partial_pulses import imaging_parts, pulses_of
@@ -22,7 +23,7 @@ from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import UNIFORM, Weighting
-from blocksar.errors import FolderError, InputError, ProcessingError, changes_while_read
+from blocksar.errors import FolderError, InputError, ProcessingError, Unfocusable, changes_while_read
 from blocksar.focusing.method import Method
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
@@ -305,9 +306,10 @@ class Job:
         grid = request.grid
         if request.terrain is not None:  # the grid that its heights were read for
             grid = grid or joint_grid([Geometry(collection=collection) for collection in collections])
-        planned = plan_segments(plan, collections, grid=grid, cut=request.blocks == "auto", like=_divided(earlier))
-        if (refusal := next(filter(None, (each.plan.refusal for each in planned)), None)) is not None:
-            raise InputError(refusal)
+        with naming_exact(collections, grid, machine):
+            planned = plan_segments(plan, collections, grid=grid, cut=request.blocks == "auto", like=_divided(earlier))
+            if (refusal := next(filter(None, (each.plan.refusal for each in planned)), None)) is not None:
+                raise Unfocusable(refusal)
         several = len(planned) > 1 or len(collections) > 1
         segments = tuple(
             Segment(

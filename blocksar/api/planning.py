@@ -20,6 +20,7 @@ from blocksar.api.arguments import (
     memory_of,
     sources_of,
 )
+from blocksar.api.exact_way import exact_way, naming_exact
 from blocksar.api.ground import read_ground
 from blocksar.api.look_plans import report_exact_looks, report_looks
 from blocksar.api.looks import divide_dwells, one_source
@@ -47,6 +48,7 @@ from blocksar.focusing.method import (
 )
 from blocksar.graph.machine import Resources, resources
 from blocksar.ingestion.terrain.reading import Ground, terrain_notes
+from blocksar.inspection.sentences import doubts_of_track
 from blocksar.places import Location
 from blocksar.planning import choice, effort
 from blocksar.planning.choice import Contender
@@ -195,13 +197,16 @@ def plan(
         return plan_segments(plan_by(method), collections, grid=points, cut=blocks == "auto")
 
     started = time.perf_counter()
-    if parts is not None:
-        report = report_looks(lambda seen: [each.plan for each in plan_all([seen])], collections[0], parts, assumed)
-    elif automatic:
-        contenders = choice.contend(lambda rival: plan_by(rival)(collections[0], grid=points))
-        report = _report_contenders(contenders, assumed)
-    else:
-        report = _report_segments(plan_all(collections), assumed, time.perf_counter() - started)
+    with naming_exact(collections, points, assumed):
+        if parts is not None:
+            report = report_looks(lambda seen: [each.plan for each in plan_all([seen])], collections[0], parts, assumed)
+        elif automatic:
+            contenders = choice.contend(lambda rival: plan_by(rival)(collections[0], grid=points))
+            report = _report_contenders(contenders, assumed)
+        else:
+            report = _report_segments(plan_all(collections), assumed, time.perf_counter() - started)
+    if report.refusal is not None:
+        return replace(report, refusal=report.refusal + exact_way(collections, points, assumed))
     return _told_first(report, of_each)
 
 
@@ -234,19 +239,16 @@ def _told_first(report: PlanReport, lines: Sequence[str]) -> PlanReport:
     return replace(report, summary=[*lines, *report.summary])
 
 
-def _report_plan(plan: Plan, assumed: Resources, planning: float = 0.0) -> PlanReport:
+def _report_plan(plan: Plan, assumed: Resources, planning: float = 0.0, *, compared: bool = False) -> PlanReport:
     if plan.refusal is not None:  # the samples of what does not focus may have no bounds
-        return PlanReport(
-            tables=[block_table([plan])], details=plan_details([plan]), definitions=definitions.PLAN,
-            refusal=plan.refusal, result=plan, geometry=plan.geometry,
-        )  # fmt: skip
+        return PlanReport(refusal=plan.refusal, result=plan, geometry=plan.geometry)
     work = effort.of_plan(plan, workers=assumed.workers)
     return PlanReport(
         tables=[block_table([plan])],
         details=plan_details([plan]),
         definitions=definitions.PLAN,
         summary=[
-            *plan_lines(plan),
+            *plan_lines(plan, compared=compared),
             *recorded_lines([plan.geometry], plan.grid),
             *outside_window([plan]),
             time_line(work, assumed, planning),
@@ -262,27 +264,26 @@ def _report_segments(segments: Sequence[PlannedSegment], assumed: Resources, pla
     plans = [segment.plan for segment in segments]
     if len(plans) == 1:
         return _report_plan(plans[0], assumed, planning)
+    if (refusal := next((plan.refusal for plan in plans if plan.refusal is not None), None)) is not None:
+        return PlanReport(refusal=refusal, result=tuple(plans))
     lines = []
     for number, segment in enumerate(segments):
         pulses = "" if segment.pulses is None else f", pulses {segment.pulses[0]} .. {segment.pulses[1] - 1}"
         blocks = f"blocks {segment.first_block} .. {segment.first_block + segment.plan.n_blocks - 1}"
         lines.append(f"segment {number} (collection {segment.collection}{pulses}, {blocks}):")
         lines += [f"  {line}" for line in plan_lines(segment.plan)]
-    refusal = next((plan.refusal for plan in plans if plan.refusal is not None), None)
-    if refusal is None:
-        work = effort.together([effort.of_plan(plan, workers=assumed.workers) for plan in plans])
-        lines += [
-            *recorded_lines([plan.geometry for plan in plans], plans[0].grid),
-            *outside_window(plans),
-            time_line(work, assumed, planning),
-            *exact_line(plans, work, assumed, planning),
-        ]
+    work = effort.together([effort.of_plan(plan, workers=assumed.workers) for plan in plans])
+    lines += [
+        *recorded_lines([plan.geometry for plan in plans], plans[0].grid),
+        *outside_window(plans),
+        time_line(work, assumed, planning),
+        *exact_line(plans, work, assumed, planning),
+    ]
     return PlanReport(
         tables=[block_table(plans)],
         details=plan_details(plans),
         definitions=definitions.PLAN,
         summary=lines,
-        refusal=refusal,
         result=tuple(plans),
     )
 
@@ -291,8 +292,8 @@ def _report_contenders(contenders: list[Contender], assumed: Resources) -> PlanR
     """Report all processors side by side, then the plan of the proposed one."""
     (best, reason), table = choice.propose(contenders), contender_table(contenders)
     if best is None or best.plan is None:
-        return PlanReport(tables=[table], summary=[reason], refusal=reason)
-    report = _report_plan(best.plan, assumed)
+        return PlanReport(refusal=reason)
+    report = _report_plan(best.plan, assumed, compared=True)
     return replace(
         report,
         tables=[table, *report.tables],
@@ -320,5 +321,6 @@ def _plan_backprojection(
         f"peak memory of a worker {memory / MIB:.0f} MiB",
         f"a run writes at most {sum(written.values()) / MIB:.0f} MiB",
         time_line(effort.together([effort.of_backprojection(each, grid) for each in geometries]), assumed),
+        *dict.fromkeys(doubt for each in collections for doubt in doubts_of_track(each, exact=True)),
     ]
     return PlanReport(summary=lines, result=grid, geometry=geometries[0])

@@ -16,7 +16,7 @@ from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.beam import dwell, dwell_at, has_full_dwell, lit_yaw, wrapped
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution, outline
-from blocksar.collection.outside import remedied, remedy
+from blocksar.collection.outside import MOVE, remedied, remedy
 from blocksar.collection.range_window import range_window
 from blocksar.errors import InputError, OutsideSwath
 
@@ -176,14 +176,14 @@ def _lit_region(geometry: Geometry, what: str, low: float, high: float) -> Regio
     if lit.size == 0:
         raise OutsideSwath(
             f"{what} lies outside the swath: the beam (beam_axis, beam_steering, beam_width) lights none of its yaws; "
-            "move the grid"
+            f"{MOVE}"
         )
     outer = first_unlit(inside[lit[0]], -1.0), first_unlit(inside[lit[-1]], 1.0)
     yaw = np.linspace(max(outer[0], side[0]), min(outer[1], side[1]), FINE_YAWS)
     near, far = range_window(geometry, yaw, None)
     lit = np.flatnonzero(_lit_ranges(geometry, yaw, near, far, count=FEW_RANGES)[2])
     if lit.size == 0:
-        raise OutsideSwath("grid lies outside the swath: the beam lights nothing in the range window; move the grid")
+        raise OutsideSwath(f"grid lies outside the swath: the beam lights nothing in the range window; {MOVE}")
     yaw = np.linspace(yaw[max(lit[0] - 1, 0)], yaw[min(lit[-1] + 1, FINE_YAWS - 1)], 65)
     near, far = range_window(geometry, yaw, None)
     nearest, farthest, any_lit = _lit_ranges(geometry, yaw, near, far, count=LIT_RANGES)
@@ -250,8 +250,8 @@ def grid_extent(geometry: Geometry, region: Region, grid: Grid, owned: Owned | N
         degrees = np.degrees([yaw.min(), yaw.max(), region.yaw[0], region.yaw[-1]])
         raise OutsideSwath(
             f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g} lies outside the swath: it spans yaw "
-            f"{degrees[0]:.2f} .. {degrees[1]:.2f} degrees and range {rng.min():.0f} .. {rng.max():.0f} m, but lit are "
-            f"{degrees[2]:.2f} .. {degrees[3]:.2f} degrees and {region.near.min():.0f} .. {region.far.max():.0f} m; "
+            f"{degrees[0]:.2f} .. {degrees[1]:.2f} degrees and range {rng.min():.6g} .. {rng.max():.6g} m, but lit are "
+            f"{degrees[2]:.2f} .. {degrees[3]:.2f} degrees and {region.near.min():.6g} .. {region.far.max():.6g} m; "
             f"{remedy(geometry, grid)}"
         )
     slack = step / np.hypot(x - geometry.nadir[0], y - geometry.nadir[1])[covered].min()

@@ -13,6 +13,7 @@ import xxhash
 
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.chunks import TILE
+from blocksar.collection.real_samples import find_real, real_numbers
 from blocksar.errors import InputError
 from blocksar.places import Location, place
 from blocksar.places.place import Place
@@ -113,6 +114,8 @@ class DatasetHistory(PhaseHistory):
             raise InputError(f"{self.variable} of {IN_MEMORY} holds no finite sample; check how it was computed")
         if not nonzero:
             raise InputError(f"{self.variable} of {IN_MEMORY} holds zeros only; fill it with the samples")
+        if (reason := find_real(self.variable, self.collection, self.parts())) is not None:
+            raise InputError(reason)
         return digest.hexdigest()
 
     def fingerprint(self) -> str:
@@ -121,7 +124,7 @@ class DatasetHistory(PhaseHistory):
         Raises
         ------
         InputError
-            If no sample is finite, or all are zero.
+            If no sample is finite, all are zero, or all are real.
         """
         return self._content
 
@@ -302,7 +305,9 @@ def _array(name: str, value: Any) -> Any:
         if array.dtype.kind in "mM":
             seconds = f'({name} - {name}[0]) / np.timedelta64(1, "s")'
             raise InputError(f"{name} is {array.dtype}; give seconds as numbers, such as {seconds}")
-        remedy = "give complex samples: the analytic signal" if dtype == "complex64" else "give real numbers"
+        if dtype == "complex64" and array.dtype.kind in "fiu":
+            raise InputError(real_numbers(name, str(array.dtype), float(np.nanmin(array)) if array.size else 0.0))
+        remedy = "give complex samples" if dtype == "complex64" else "give real numbers"
         raise InputError(f"{name} is {array.dtype}, but must be {dtype}; {remedy}")
     return array.astype(dtype, copy=False)
 

@@ -369,6 +369,9 @@ def open_dataset(path: Location) -> xr.Dataset:
             zarr_path = place.zarr_path()
             dataset = xr.open_zarr(zarr_path.store, group=zarr_path.path or None, consolidated=False, chunks=None)
         dataset.encoding["source"] = str(place)  # as xarray does for a path
+        for variable in dataset.variables.values():  # codecs of zarr 3 would keep it from being written as zarr 2
+            for codec in ("serializer", "compressors", "filters", "shards"):
+                variable.encoding.pop(codec, None)
         return dataset
 
 
