@@ -248,6 +248,7 @@ def _cphd(where: Readable) -> tuple[Rows, Following]:
         *facts.general_rows(found.attributes),
         *facts.collection_rows(found.collection),
     ]
+    rows += [("note", note) for note in found.notes]
     several = len(found.channels) > 1
     rows += [("note", f"what follows the channels is that of {found.channels[0][0]}")] if several else []
     chosen = ["--channel", found.channels[0][0]] if several else []

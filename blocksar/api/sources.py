@@ -11,7 +11,7 @@ from blocksar.api.parsing import parse_pulses, parse_span
 from blocksar.api.reports import Report, only_stage
 from blocksar.errors import InputError
 from blocksar.graph.machine import resources
-from blocksar.ingestion.reading import WHOLE, Part
+from blocksar.ingestion.reading import Part
 from blocksar.ingestion.timeline import stated_times
 from blocksar.places import Location
 from blocksar.places.place import Place
@@ -112,7 +112,7 @@ def ingest(
         Phase-history store to write.
     **options
         Other arguments of the chosen function: `ground_height`, `collection_start`, `time_zero`, `overwrite`,
-        `progress`; of CPHD also `channel`, `pulses`, `frequencies` and `area`.
+        `progress`; of CPHD also `channel`, `pulses`, `frequencies`, `area`, `sgn`, `range_window` and `troposphere`.
 
     Returns
     -------
@@ -142,6 +142,9 @@ def ingest_cphd(
     frequencies: str | tuple[float | None, float | None] | None = None,
     area: str | tuple[tuple[float, float], tuple[float, float]] | None = None,
     ground_height: float = 0.0,
+    sgn: int | None = None,
+    range_window: Literal["saved", "reference"] | None = None,
+    troposphere: Literal["file", "standard"] | None = None,
     collection_start: str | None = None,
     time_zero: float | None = None,
     overwrite: bool = False,
@@ -168,6 +171,14 @@ def ingest_cphd(
         is kept, after low-passes that stop the echoes of all else. Default: all.
     ground_height : float
         Height z of the imaged plane in the scene frame, m. Default: 0, that of the file's reference point.
+    sgn : {-1, 1}, optional
+        Sign of the phase that the samples follow. Default: as declared.
+    range_window : {"saved", "reference"}, optional
+        The delays that are taken: those of TOA1 .. TOA2, or those about the reference point that the samples tell
+        apart. Default: "saved", and refused if none of them is of the image area.
+    troposphere : {"file", "standard"}, optional
+        The troposphere's delay that the samples still hold, and that is taken out: that of TDTropoSRP, or that of a
+        standard atmosphere. Default: none, as the standard has it.
     collection_start : str, optional
         UTC from which the collection's times count, ISO 8601, such as "2008-08-19T14:03:21.5Z"; for products.
         Default: the file's own.
@@ -191,17 +202,20 @@ def ingest_cphd(
     from blocksar.ingestion import cphd  # optional libraries, and slow to load
     from blocksar.products.options import parse_crop
 
-    part = Part(
+    choices = cphd.Choices(
         pulses=(0, None) if pulses is None else parse_pulses(pulses),
-        frequencies=WHOLE.frequencies
+        frequencies=Part.frequencies
         if frequencies is None
         else parse_span(frequencies, "--frequencies", "--frequencies 9.5e9:9.7e9"),
         area=None if area is None else parse_crop(area, "area"),
         ground_height=ground_height,
+        sgn=sgn,
+        range_window=range_window,
+        troposphere=troposphere,
     )
     history = cphd.ingest(
-        source, out, channel=channel, times=stated_times(collection_start, time_zero), part=part, overwrite=overwrite,
-        progress=only_stage(progress, "ingest"),
+        source, out, channel=channel, choices=choices, times=stated_times(collection_start, time_zero),
+        overwrite=overwrite, progress=only_stage(progress, "ingest"),
     )  # fmt: skip
     return Report(summary=[*history.messages, f"wrote {history.path}"], result=history.collection)
 

@@ -48,10 +48,32 @@ def ingest_cphd(
     area: Annotated[
         str | None,
         typer.Option(
-            metavar="x0:x1,y0:y1", help="Ground, m, of which the samples are kept, and no more.", show_default="all"
+            metavar="x0:x1,y0:y1",
+            help="Ground of the image, m: no more samples are kept than it needs.",
+            show_default="all",
         ),
     ] = None,
     ground_height: IngestedGround = 0.0,
+    sgn: Annotated[
+        int | None,
+        typer.Option(metavar="-1|+1", help="Sign SGN that the samples follow.", show_default="as declared"),
+    ] = None,
+    range_window: Annotated[
+        str | None,
+        typer.Option(
+            metavar="saved|reference",
+            help="Delays to take: TOA1 .. TOA2, or those about the reference point that the samples tell apart.",
+            show_default="saved, if the image area has any",
+        ),
+    ] = None,
+    troposphere: Annotated[
+        str | None,
+        typer.Option(
+            metavar="file|standard",
+            help="Delay to take out of samples that hold it: TDTropoSRP, or that of a standard atmosphere.",
+            show_default="none",
+        ),
+    ] = None,
     collection_start: CollectionStart = None,
     time_zero: TimeZero = None,
     overwrite: Overwrite = False,
@@ -73,6 +95,9 @@ def ingest_cphd(
             frequencies=frequencies,
             area=area,
             ground_height=ground_height,
+            sgn=sgn,
+            range_window=range_window,  # type: ignore[arg-type]  # checked there
+            troposphere=troposphere,  # type: ignore[arg-type]
             collection_start=collection_start,
             time_zero=time_zero,
             overwrite=overwrite,

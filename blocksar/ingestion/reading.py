@@ -37,9 +37,6 @@ class Part:
     ground_height: float = 0.0
 
 
-WHOLE = Part()
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ingested:
     """A phase history made from files, and messages about it for the user."""

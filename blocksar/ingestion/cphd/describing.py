@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from blocksar.collection.collection import Collection
+from blocksar.ingestion.cphd.choices import Choices
 from blocksar.ingestion.cphd.files import library, open_file, opened, reading_file
 from blocksar.ingestion.cphd.ingestion import prepare
 from blocksar.places.ranges import Readable
@@ -18,7 +19,7 @@ from blocksar.places.ranges import Readable
 class Described:
     """Version, domain and channels (identifier, vectors, samples) of a file, and the collection of its first channel.
 
-    `attributes` are those that the phase history would have.
+    `attributes` are those that the phase history would have, `notes` what is unusual about sign, delays and places.
     """
 
     version: str
@@ -27,6 +28,7 @@ class Described:
     channels: list[tuple[str, int, int]]
     collection: Collection
     attributes: dict[str, Any]
+    notes: list[str]
 
 
 def describe(path: Readable) -> Described:
@@ -40,7 +42,8 @@ def describe(path: Readable) -> Described:
     library()
     with reading_file(path), opened(path) as stream, np.errstate(all="ignore"):
         file = open_file(stream, path, None, any_channel=True)
-        prepared = prepare(file)
+        prepared = prepare(file, Choices())
+        sign = prepared.sign(None, Choices())
         nodes = file.root.findall("{*}Data/{*}Channel")
         channels = [
             (node.findtext("{*}Identifier"), int(node.findtext("{*}NumVectors")), int(node.findtext("{*}NumSamples")))
@@ -49,5 +52,5 @@ def describe(path: Readable) -> Described:
         size = stream.seek(0, os.SEEK_END)
     return Described(
         version=file.version, domain=file.domain, size=size, channels=channels, collection=prepared.collection,
-        attributes=prepared.attributes,
+        attributes=prepared.attributes, notes=[*([sign] if sign else []), *prepared.notes],
     )  # fmt: skip
