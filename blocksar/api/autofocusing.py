@@ -21,7 +21,7 @@ from blocksar.autofocusing.finishing import Result
 from blocksar.collection.surface import Surface
 from blocksar.errors import InputError
 from blocksar.graph import cluster
-from blocksar.graph.machine import resources
+from blocksar.graph.machine import WAIT_WORKERS, resources
 from blocksar.graph.track_stages import copy_store
 from blocksar.ingestion.terrain.reading import Ground
 from blocksar.measurement.targets import Target
@@ -55,6 +55,7 @@ def autofocus(
     threads: int | None = None,
     memory_limit: int | str | None = None,
     scheduler: str | None = None,
+    wait_workers: float = WAIT_WORKERS,
     overwrite: bool = False,
     progress: Progress | None = None,
     client: Client | None = None,
@@ -91,6 +92,9 @@ def autofocus(
         Memory of each worker, bytes or a text such as "2GiB". Default: its share of the machine's memory.
     scheduler : str, optional
         Address of a running dask scheduler, used instead of a local cluster.
+    wait_workers : float
+        Time to wait for a worker of a running cluster as long as it has none, at the start and whenever the last one is
+        lost, s. 0: fail at once. Default: 60.
     overwrite : bool
         Replace what stands at `out`. Default: False.
     progress : object with a method update(stage, done, total), or False, optional
@@ -112,7 +116,7 @@ def autofocus(
     """
     listener, target = as_listener(progress), place(out)
     limit = memory_of(memory_limit)
-    check_cluster(client=client, scheduler=scheduler, workers=workers)
+    check_cluster(client=client, scheduler=scheduler, workers=workers, wait_workers=wait_workers)
     history = history_of(source)
     stored = not isinstance(history, stores.DatasetHistory)
     if stored and (lies_in(history.path, target) or lies_in(target, history.path)):
@@ -136,8 +140,9 @@ def autofocus(
     with ExitStack() as stack:
         connected = None
         if client is not None or scheduler is not None:
-            connected = stack.enter_context(cluster.open_client(scheduler=scheduler, client=client))
-            workers, limit = cluster.cluster_size(connected, workers=workers, memory_limit=limit)
+            opened = cluster.open_client(scheduler=scheduler, client=client, wait_workers=wait_workers)
+            connected = stack.enter_context(opened)
+            workers, limit = cluster.cluster_size(connected, workers=workers, memory_limit=limit, listener=listener)
         elif workers == 0:
             connected = cluster.open_here(listener)
         machine = resources(workers, threads, limit)

@@ -44,7 +44,7 @@ from blocksar.constants import MIB
 from blocksar.errors import InputError
 from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Processor, RangeModel, method_of
 from blocksar.graph import cluster, recording
-from blocksar.graph.machine import Resources, resources
+from blocksar.graph.machine import WAIT_WORKERS, Resources, resources
 from blocksar.ingestion.terrain.reading import Ground, coverage_note
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
@@ -95,6 +95,7 @@ def focus(
     threads: int | None = None,
     memory_limit: int | str | None = None,
     scheduler: str | None = None,
+    wait_workers: float = WAIT_WORKERS,
     overwrite: bool = False,
     discard: bool = False,
     dry_run: bool = False,
@@ -163,6 +164,9 @@ def focus(
         Memory of each worker, bytes or a text such as "2GiB". Default: its share of the machine's memory.
     scheduler : str, optional
         Address of a running dask scheduler, used instead of a local cluster.
+    wait_workers : float
+        Time to wait for a worker of a running cluster as long as it has none, at the start and whenever the last one is
+        lost, s. 0: fail at once. Default: 60.
     overwrite : bool
         Replace a run with other settings or another input. Default: False.
     discard : bool
@@ -194,7 +198,7 @@ def focus(
     settings = {name: value for name, value in given.items() if name not in ("source", "out", "looks")}
     memory_limit = settings["memory_limit"] = memory_of(memory_limit)
     resources(workers, threads, memory_limit)  # refuses wrong numbers before anything is read
-    check_cluster(client=client, scheduler=scheduler, workers=workers)
+    check_cluster(client=client, scheduler=scheduler, workers=workers, wait_workers=wait_workers)
     if (members := members_of(source, looks, grid)) is not None:
         return focus_members(_focus_image, members, place(out), settings)
     return _focus_image(source, place(out), None, **settings)
@@ -226,6 +230,7 @@ def _focus_image(
     threads: int | None,
     memory_limit: int | None,
     scheduler: str | None,
+    wait_workers: float,
     overwrite: bool,
     discard: bool,
     dry_run: bool,
@@ -279,8 +284,11 @@ def _focus_image(
                 "does; give workers, or leave it out"
             )
         if client is not None or scheduler is not None:
-            connected = stack.enter_context(cluster.open_client(scheduler=scheduler, client=client))
-            workers, memory_limit = cluster.cluster_size(connected, workers=workers, memory_limit=memory_limit)
+            opened = cluster.open_client(scheduler=scheduler, client=client, wait_workers=wait_workers)
+            connected = stack.enter_context(opened)
+            workers, memory_limit = cluster.cluster_size(
+                connected, workers=workers, memory_limit=memory_limit, listener=listener
+            )
             if profile is not None:
                 recording.check_recordable(profile, connected)
         machine = resources(0 if here else workers, threads, memory_limit)

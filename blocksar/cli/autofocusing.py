@@ -21,9 +21,11 @@ from blocksar.cli.options import (
     TerrainOption,
     Threads,
     VerticalOption,
+    WaitWorkers,
     Workers,
     given,
 )
+from blocksar.graph.machine import WAIT_WORKERS
 
 
 def autofocus(
@@ -39,6 +41,7 @@ def autofocus(
     threads: Threads = None,
     memory_limit: MemoryLimit = None,
     scheduler: Scheduler = None,
+    wait_workers: WaitWorkers = WAIT_WORKERS,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
@@ -74,6 +77,7 @@ def autofocus(
             threads=threads,
             memory_limit=memory,
             scheduler=scheduler,
+            wait_workers=wait_workers,
             overwrite=overwrite,
             progress=progress,
         )

@@ -36,6 +36,7 @@ from blocksar.cli.options import (
     TerrainOption,
     Threads,
     VerticalOption,
+    WaitWorkers,
     WeightingOption,
     Workers,
     given,
@@ -43,6 +44,7 @@ from blocksar.cli.options import (
     parse_settings,
 )
 from blocksar.focusing.method import PlannedProcessor
+from blocksar.graph.machine import WAIT_WORKERS
 
 
 @method_options
@@ -141,6 +143,7 @@ def focus(
     threads: Threads = None,
     memory_limit: MemoryLimit = None,
     scheduler: Scheduler = None,
+    wait_workers: WaitWorkers = WAIT_WORKERS,
     performance_report: PerformanceReport = None,
     overwrite: Overwrite = False,
     discard: Discard = False,
@@ -187,6 +190,7 @@ def focus(
             control=control,
             threads=threads,
             scheduler=scheduler,
+            wait_workers=wait_workers,
             overwrite=overwrite,
             discard=discard,
             progress=progress,

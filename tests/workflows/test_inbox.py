@@ -22,7 +22,7 @@ import psutil
 import pytest
 import typer
 import zarr
-from distributed import Client
+from distributed import Client, LocalCluster
 from faults import digests, members, until
 from repository import WORKFLOWS
 from scenes import scene, write_store
@@ -53,6 +53,7 @@ SETTINGS: dict[str, Any] = {  # fast to plan
     "workers": 1,
     "threads": 1,
     "memory_limit": 2 * 2**30,
+    "wait_workers": 0,
 }
 WORDS = (
     "--blocks", "1", "--coefficients", "closed-form", "--grid", "15900:16300:4,19000:19400:4", "--workers", "1",
@@ -481,11 +482,20 @@ def test_indirect_causes_of_an_error_are_examined(post: Post) -> None:
     assert post.module.is_external(error)
 
 
-def test_without_a_cluster_no_collection_is_quarantined(post: Post, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("there", [False, True])
+def test_without_a_cluster_no_collection_is_quarantined(
+    there: bool, post: Post, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither where no scheduler is there, nor where one has no workers."""
     monkeypatch.setattr(cluster, "CONNECT", 0.5)
     post.deliver("a", "b")
-    arguments = (str(post.inbox), str(post.outbox), SETTINGS, post.module.Hook([]))
-    assert post.module.sweep(*arguments, scheduler="tcp://127.0.0.1:9", quiet=True) == post.module.FAILED
+    with ExitStack() as stack:
+        address = "tcp://127.0.0.1:9"
+        if there:
+            settings: dict[str, Any] = {"processes": False, "dashboard_address": "127.0.0.1:0"}
+            address = stack.enter_context(LocalCluster(n_workers=0, **settings)).scheduler_address
+        arguments = (str(post.inbox), str(post.outbox), SETTINGS, post.module.Hook([]))
+        assert post.module.sweep(*arguments, scheduler=address, quiet=True) == post.module.FAILED
     assert post.status()["left"] == 2
     assert [entry["event"] for entry in post.log()] == ["sweep", "started", "no cluster", "end"]
     assert post.records("quarantine") == {} and post.records("done") == {}
