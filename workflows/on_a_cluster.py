@@ -46,9 +46,9 @@ from distributed.security import Security
 
 import blocksar
 from blocksar.api.parsing import parse_blocks, parse_grid
+from blocksar.budget import WAIT_WORKERS
 from blocksar.cli.options import WaitWorkers
 from blocksar.graph.admission import await_workers, waiting_for_workers
-from blocksar.graph.machine import WAIT_WORKERS
 from blocksar.progress import Listener
 from first_image import SCENE
 

@@ -48,9 +48,9 @@ from typing import Annotated, NoReturn
 import typer
 
 from blocksar.api import parsing
+from blocksar.budget import WAIT_WORKERS
 from blocksar.cli import endings, options
 from blocksar.errors import InputError, ProcessingError
-from blocksar.graph.machine import WAIT_WORKERS
 from blocksar.places import place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Held

@@ -18,15 +18,18 @@ from blocksar.api.reports import Report
 from blocksar.api.track_places import TrackPlace
 from blocksar.api.tracks import TrackEstimate
 from blocksar.autofocusing.finishing import Result
+from blocksar.budget import WAIT_WORKERS
+from blocksar.chunks import stored_bytes
 from blocksar.collection.surface import Surface
 from blocksar.errors import InputError
 from blocksar.graph import cluster
-from blocksar.graph.machine import WAIT_WORKERS, resources
+from blocksar.graph.machine import resources
 from blocksar.graph.track_stages import copy_store
 from blocksar.ingestion.terrain.reading import Ground
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, lies_in, place
 from blocksar.places.place import Place
+from blocksar.places.room import check_room
 from blocksar.progress import Listener, as_listener
 from blocksar.progress import Wanted as Progress
 from blocksar.runs import folder as run_folder
@@ -147,6 +150,8 @@ def autofocus(
             connected = cluster.open_here(listener)
         machine = resources(workers, threads, limit)
         memory = estimate.checked_memory(machine)
+        if target.free() is not None:
+            check_room(target, estimate.room(_copied(history)))
         stack.enter_context(run_folder.claim(estimate.folder))
         stores.refuse_existing(target, overwrite=overwrite)  # again: another process may have written it meanwhile
         clock = time.perf_counter()
@@ -174,6 +179,13 @@ def _finished(target: Place, estimate: TrackEstimate) -> dict[str, Any] | None:
     except InputError:
         return None
     return attribute if isinstance(attribute, dict) and attribute.get("identity") == estimate.identity else None
+
+
+def _copied(history: stores.PhaseHistory) -> int:
+    """Bytes of the copy of a phase history."""
+    if isinstance(history, stores.DatasetHistory):
+        return stored_bytes(history.shape)
+    return sum(size for _, size, _ in history.path.files())
 
 
 def _write(

@@ -34,17 +34,18 @@ from blocksar.api.plan_lines import (
     wobbling_beam,
 )
 from blocksar.api.rehearsing import rehearse
+from blocksar.api.room import Beside, check_room_for_run
 from blocksar.api.run_stages import carry_out
 from blocksar.api.shown import RunReport, is_measurable
 from blocksar.api.track_places import TrackPlace
-from blocksar.budget import FIDELITY
+from blocksar.budget import FIDELITY, WAIT_WORKERS
 from blocksar.collection.surface import Surface
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
 from blocksar.errors import InputError
 from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Processor, RangeModel, method_of
 from blocksar.graph import cluster, recording
-from blocksar.graph.machine import WAIT_WORKERS, Resources, resources
+from blocksar.graph.machine import Resources, resources
 from blocksar.ingestion.terrain.reading import Ground, coverage_note
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
@@ -209,6 +210,7 @@ def _focus_image(
     out: Place,
     track: TrackPlace | None,
     *,
+    following: int = 0,
     processor: Processor,
     blocks: int | Literal["auto"],
     fidelity: float,
@@ -238,7 +240,10 @@ def _focus_image(
     performance_report: str | Path | None,
     client: Client | None,
 ) -> RunReport:  # longer than most: it takes every setting by its name
-    """Focus one image, of one channel; `track` is where others share the correction of its track, if they do."""
+    """Focus one image, of one channel; `track` is where others share the correction of its track, if they do.
+
+    As many like it are `following`, in folders of their own.
+    """
     listener = as_listener(progress)
     profile = None if performance_report is None else Path(performance_report)
     method = method_of(
@@ -293,7 +298,7 @@ def _focus_image(
                 recording.check_recordable(profile, connected)
         machine = resources(0 if here else workers, threads, memory_limit)
         if dry_run:
-            return rehearse(request, record, machine)
+            return rehearse(request, record, machine, _beside(request, following))
         stack.enter_context(run_folder.claim(request.folder))
         record = request.find_run()  # again: another process may have written it in the meantime
         if record is not None and record.finished:
@@ -304,10 +309,36 @@ def _focus_image(
         if request.track is not None:
             from blocksar.api.tracks import track_corrected  # with all of `autofocusing`, which takes 20 ms to load
 
+            _check_room_before_track(request, record, machine, following)
             corrected = track_corrected(request, machine, connected, listener)
             request, said, connected = stack.enter_context(corrected)
-        report = _focus(request, record, machine, connected, listener, profile)
+        report = _focus(request, record, machine, connected, listener, profile, following)
         return replace(report, summary=[*said, *report.summary])
+
+
+def _beside(request: Request, following: int) -> Beside:
+    """What a run needs room for besides its own stores: so many that follow, and the correction of its track."""
+    if request.track is None:
+        return Beside(following)
+    from blocksar.api.tracks import estimates_of
+
+    return Beside(following, sum(estimate.room() for estimate in estimates_of(request, request.track)))
+
+
+def _check_room_before_track(request: Request, earlier: RunRecord | None, machine: Resources, following: int) -> None:
+    """Check that a run fits the disk, by its plan with the track as it is, which needs as much as the corrected one.
+
+    Raises
+    ------
+    NoRoom
+        If it does not.
+    """
+    beside = _beside(request, following)
+    try:
+        job = Job.of(request, earlier, machine)
+    except InputError:  # there may be a plan once the track is corrected
+        return
+    check_room_for_run(job, beside, resumed=earlier is not None)
 
 
 def _report_finished(folder: Place, record: RunRecord, *, discard: bool, claimed: bool = False) -> RunReport:
@@ -339,6 +370,7 @@ def _focus(
     client: Client | None,
     listener: Listener,
     profile: Path | None,
+    following: int,
 ) -> RunReport:
     """Plan and carry out a run in a folder that this process has claimed."""
     listener.update("plan", 0, 1)
@@ -349,6 +381,7 @@ def _focus(
         record = job.record()
         run = Run(folder=request.folder, identity=record.identity, threads=machine.threads)
         resumed = earlier is not None or run_folder.is_begun(request.folder, record)
+        check_room_for_run(job, Beside(following), resumed=resumed)
         with run_folder.resumable():
             finished = carry_out(job, run, record, workers, listener, profile, resumed=resumed)
     found = [

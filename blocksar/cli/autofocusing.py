@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from blocksar.api.parsing import parse_grid, parse_memory
+from blocksar.budget import WAIT_WORKERS
 from blocksar.cli.display import hint, show
 from blocksar.cli.listening import listening
 from blocksar.cli.options import (
@@ -25,7 +26,6 @@ from blocksar.cli.options import (
     Workers,
     given,
 )
-from blocksar.graph.machine import WAIT_WORKERS
 
 
 def autofocus(

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from blocksar.budget import FIDELITY
+from blocksar.budget import FIDELITY, WAIT_WORKERS
 from blocksar.cli.configuration import ConfigOption, PrintConfig, configuration
 from blocksar.cli.display import hint, show
 from blocksar.cli.endings import WRONG_INPUT, complain
@@ -44,7 +44,6 @@ from blocksar.cli.options import (
     parse_settings,
 )
 from blocksar.focusing.method import PlannedProcessor
-from blocksar.graph.machine import WAIT_WORKERS
 
 
 @method_options

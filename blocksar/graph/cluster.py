@@ -26,12 +26,13 @@ import dask
 import distributed.utils
 from distributed import Client, LocalCluster
 
+from blocksar.budget import WAIT_WORKERS
 from blocksar.errors import InputError, ProcessingError
 from blocksar.graph.admission import NO_WORKER, await_workers, waiting_for_workers
 from blocksar.graph.compiling import By, compile_kernels, kernels_cached
 from blocksar.graph.forking import start_fork_server, worker_environment
 from blocksar.graph.here import Here
-from blocksar.graph.machine import WAIT_WORKERS, machine
+from blocksar.graph.machine import machine
 from blocksar.graph.recording import serve_dashboard
 from blocksar.progress import Listener
 from blocksar.version import __version__

@@ -28,7 +28,6 @@ def machine() -> tuple[int, int]:
     return _cores(), _memory()
 
 
-WAIT_WORKERS = 60.0  # s that a run waits for a worker of a running cluster that has none
 PACE_SAMPLES, PACE_TRIALS = 1 << 16, 8
 PACE_SECONDS = 1.9e-3  # that a trial takes on the machine of the constants in `planning.effort`
 

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from zarr.storage import StorePath
 
 
+def _allocated(status: os.stat_result) -> int:
+    return 512 * status.st_blocks
+
+
 @dataclass(frozen=True)
 class LocalPlace(Place):
     """A file or folder; os and pathlib accept it as a path."""
@@ -92,6 +96,18 @@ class LocalPlace(Place):
             for name in filter(is_temporary, names):
                 with suppress(OSError):
                     os.unlink(os.path.join(parent, name))
+
+    def free(self) -> int | None:
+        with suppress(OSError):
+            there = next(path for path in (self.path, *self.path.absolute().parents) if path.exists())
+            return shutil.disk_usage(there).free
+        return None
+
+    def taken(self) -> int:
+        if self.path.is_file():
+            return _allocated(os.stat(self.path))
+        files = (os.stat(self.path / name) for name, _, _ in self.files())
+        return sum({(status.st_dev, status.st_ino): _allocated(status) for status in files}.values())
 
     def settle(self) -> None:
         descriptor = os.open(self.path, os.O_RDONLY)

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from blocksar.chunks import TILE
+from blocksar.chunks import TILE, stored_bytes
 from blocksar.collection.collection import Collection
 from blocksar.collection.raw_echo import RawEcho
-from blocksar.places import Location
+from blocksar.places import Location, place
 from blocksar.places.place import Place
+from blocksar.places.room import check_room
 from blocksar.stores.channels import check_channels, with_channels
 from blocksar.stores.contract import stated
 from blocksar.stores.creation import create
@@ -49,7 +50,7 @@ def create_phase_history(
     Raises
     ------
     InputError, ProcessingError
-        As for `create`.
+        As for `create`, and if the disk has no room for the samples that are filled in.
     """
     column, axis = ("range_frequency", collection.range_frequency) if raw is None else ("fast_time", raw.fast_time)
     schema, angles, variables = stated(collection, PHASE_HISTORY if raw is None else RAW_ECHO)
@@ -57,6 +58,8 @@ def create_phase_history(
     if channels:
         schema = with_channels(schema, "signal" if raw is None else "echo")
         named = {"channel": np.asarray(check_channels(channels), "T")}
+    if fill is not None:
+        check_room(place(path), max(len(channels), 1) * stored_bytes((collection.n_pulse, axis.size)))
     create(
         path,
         schema,

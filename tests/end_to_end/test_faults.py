@@ -419,7 +419,8 @@ def test_a_run_resumes_after_the_disk_was_full(
     else:
         size = sizes(undisturbed.run)[stage]
     disk.resize(size)
-    process = launcher.start("blocksar", *words(store, disk.folder / "run", *given))
+    # As if others filled it in the meantime: a run that does not fit is refused.
+    process = launcher.start("blocksar", *words(store, disk.folder / "run", *given), FREE=64 << 20)
     assert process.wait() == 1, process.stderr
     assert "No space left on device" in one_sentence(process)
     reached = [line.split(":")[0] for line in process.stderr.splitlines() if " of " in line][:-1][-1]
@@ -429,13 +430,21 @@ def test_a_run_resumes_after_the_disk_was_full(
     assert again(disk.folder / "run") == set()
 
 
+def test_a_run_that_does_not_fit_the_disk_is_refused(launcher: Launcher, store: Path, disk: Disk) -> None:
+    disk.resize(1 << 20)
+    process = launcher.start("blocksar", *words(store, disk.folder / "run", "--workers", "0"))
+    assert process.wait() == 2, process.stderr
+    assert re.search(r"run needs .* MiB of disk, and 1\.0 MiB are free there; ", one_sentence(process))
+    assert not list(disk.view.iterdir())
+
+
 @pytest.mark.slow  # a disk that fills up later is reported in the same way
 def test_a_disk_full_from_the_start_is_reported(
     launcher: Launcher, store: Path, disk: Disk, dask_cluster: Cluster, again: Callable[[Path], set[str]]
 ) -> None:
     disk.resize(2 * PAGE)
     given = ("--scheduler", dask_cluster.address)
-    process = launcher.start("blocksar", *words(store, disk.folder / "run", *given))
+    process = launcher.start("blocksar", *words(store, disk.folder / "run", *given), FREE=64 << 20)
     assert process.wait() in (1, 2), process.stderr
     assert "No space left on device" in one_sentence(process)
     disk.resize(64 << 20)
