@@ -8,7 +8,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,6 +15,7 @@ import numpy as np
 import pytest
 import wrong_tracks
 from distributed import Client
+from faults import until
 
 import blocksar
 from blocksar import stores
@@ -116,9 +116,7 @@ def test_a_killed_command_goes_on_to_the_same_bytes(
     process = subprocess.Popen(
         [sys.executable, "-m", "blocksar", "autofocus", *words, "--quiet"], stdout=subprocess.DEVNULL
     )
-    until = time.monotonic() + 300
-    while time.monotonic() < until and process.poll() is None and not any(receipts.glob(f"{unit}*")):
-        time.sleep(0.001)
+    until(lambda: process.poll() is not None or any(receipts.glob(f"{unit}*")), unit)
     os.kill(process.pid, signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL and not out.exists()
     report = blocksar.autofocus(corrected.source, out, grid=wrong_tracks.GRID, control=corrected.control, client=client)

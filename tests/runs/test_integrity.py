@@ -392,7 +392,7 @@ def test_a_script_without_the_guard_is_told_at_once(store: Path, tmp_path: Path)
     script = tmp_path / "script.py"
     call = f"blocksar.focus({str(store)!r}, {str(tmp_path / 'run')!r}, blocks=1, grid={GRID!r}, workers=1)\n"
     script.write_text(f"import blocksar\ndef main():\n    {call}\nmain()\n")
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=100, check=False)
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
     assert done.returncode == 1 and not (tmp_path / "run").exists()
     last = done.stderr.strip().splitlines()[-1]
     assert "script.py, line 5: workers import this script" in last and "__main__" in last and last.endswith("workers=0")

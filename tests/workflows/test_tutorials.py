@@ -38,7 +38,7 @@ def run(name: str, *words: str, cwd: Path, status: int = 0) -> subprocess.Comple
     """Run a tutorial's command line in a folder, and check its exit status."""
     command = [sys.executable, str(WORKFLOWS / f"{name}.py"), *words]
     env = os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"}
-    done = subprocess.run(command, cwd=cwd, env=env, capture_output=True, text=True, timeout=250, check=False)
+    done = subprocess.run(command, cwd=cwd, env=env, capture_output=True, text=True, check=False)
     assert done.returncode == status, done.stdout + done.stderr
     assert "Traceback" not in done.stderr and "Warning" not in done.stderr, done.stderr
     return done
