@@ -20,6 +20,8 @@ from blocksar import stores
 from blocksar.api import joint
 from blocksar.errors import FolderError, InputError, ProcessingError
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 TARGETS = """
 [[targets]]
 name = "T"

@@ -25,6 +25,8 @@ from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_image
 from blocksar.measurement.coherence import coherence
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 CHANNELS = 'channels = ["HH", "HV"]\n'
 GRID = ((-45.0, 45.0, 0.75), (-45.0, 45.0, 0.75))
 SETTINGS: dict[str, Any] = {"grid": GRID, "blocks": 2, "autofocus": True, "workers": 0}

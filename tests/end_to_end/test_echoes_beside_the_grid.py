@@ -6,6 +6,8 @@ from pathlib import Path
 
 from beside_exact import beside_exact
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 SQUINTED = """
 [radar]
 carrier = 9.6e9

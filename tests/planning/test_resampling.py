@@ -12,6 +12,8 @@ from blocksar.focusing.azimuth_steps import DopplerResampling
 from blocksar.kernels.phase import unit
 from blocksar.planning.plan import Plan
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 # Targets of a block reach over a tenth of its Doppler bins: a beam of 1.7 degrees that turns fast, 40 pulses a dwell.
 NARROW = """
 [radar]
