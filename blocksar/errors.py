@@ -10,7 +10,9 @@ from typing import Any
 
 FLAGS = ("overwrite", "reference", "dry-run", "raw", "cphd", "autofocus", "discard")  # options without a value
 LONG_WORD, SHORT = re.compile(r"\S{300,}"), 60  # in a message, of which as many characters at either end are shown
-OPTION = re.compile(r"`blocksar [^`]*`|(?<![^\s(\[\"'`>])--([a-z]+(?:-[a-z]+)*)")  # those of a whole command stay
+OPTION = re.compile(
+    r"`(?:blocksar|rio|pyproj) [^`]*`|(?<![^\s(\[\"'`>])--([a-z]+(?:-[a-z]+)*)"
+)  # those of a whole command stay
 
 
 def printable(text: str) -> str:

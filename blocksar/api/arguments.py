@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 One: TypeAlias = "Location | xr.Dataset | stores.PhaseHistory"
 Source: TypeAlias = "One | Sequence[One]"
+OnGround: TypeAlias = "Callable[[Sequence[stores.PhaseHistory]], list[stores.PhaseHistory]]"
 SMALL = 1 << 24  # samples, 128 MiB: for less, a cluster takes longer to start than it saves
 GridLike = Grid | str | tuple[tuple[float, float, float], tuple[float, float, float]]
 
@@ -199,19 +200,23 @@ def check_one_frame(histories: Sequence[stores.PhaseHistory]) -> None:
             )
 
 
-def collections_of(source: Source) -> list[Collection]:
+def collections_of(source: Source, ground_height: float | None, *, terrain: object) -> list[Collection]:
     """Return the collections of scenes or phase histories, centred; several phase histories are of one frame."""
     sources = sources_of(source)
-    collections = [collection_of(each) for each in sources]
-    if len(sources) > 1:
-        stored = [each for each in sources if not is_scene(each)]
-        if scenes := [each for each in sources if is_scene(each)] if stored else []:
-            raise InputError(
-                f"{scenes[0]} is a scene among phase histories, whose frames nothing compares; plan it alone, or "
-                "simulate it first"
-            )
-        check_one_frame([history_of(each) for each in stored])
-    return collections
+    scenes = [each for each in sources if is_scene(each)]
+    stored = [history_of(each) for each in sources if not is_scene(each)]
+    if scenes and stored:
+        raise InputError(
+            f"{scenes[0]} is a scene among phase histories, whose frames nothing compares; plan it alone, or "
+            "simulate it first"
+        )
+    if scenes and ground_height is not None:
+        raise InputError(
+            f"--ground-height is given for {scenes[0]}, a scene on z = 0; simulate it first, or leave it out"
+        )
+    histories = on_ground(stored, ground_height, terrain=terrain)
+    check_one_frame(histories)
+    return [collection_of(each) for each in [*scenes, *histories]]
 
 
 def is_scene(source: One) -> bool:
@@ -252,6 +257,25 @@ def history_of(source: One) -> stores.PhaseHistory:
     )
 
 
+def on_ground(histories: Sequence[stores.PhaseHistory], height: Any, *, terrain: object) -> list[stores.PhaseHistory]:
+    """Put phase histories over the plane at a height that the user gives, m; None: at that of the stores.
+
+    Raises
+    ------
+    InputError
+        If it is no finite number, not below the antenna, or a terrain is given as well.
+    """
+    if height is None:
+        return list(histories)
+    if isinstance(height, bool) or not isinstance(height, int | float | np.number) or not np.isfinite(height):
+        raise InputError(f"--ground-height is {quoted(height)}; give a finite number of m, such as 30")
+    if terrain is not None:
+        raise InputError(
+            f"--ground-height {height:g} is given together with --terrain, which has heights; leave one out"
+        )
+    return [history.on_ground(float(height)) for history in histories]
+
+
 def channels_of(source: Source) -> tuple[str, ...]:
     """Names of the channels of phase histories that are paths or datasets; none of others."""
     first = sources_of(source)[0]
@@ -263,9 +287,15 @@ def channels_of(source: Source) -> tuple[str, ...]:
 
 
 def control_points(
-    control: Location | Sequence[Target] | None, source: Source, *, used: bool = True
+    control: Location | Sequence[Target] | None,
+    source: Source,
+    ground_height: float | None = None,
+    *,
+    used: bool = True,
 ) -> tuple[Target, ...]:
     """Read control points in the frame of a phase history, as targets of `quality` are read; none by default.
+
+    Without heights they lie at `ground_height`, m, by default that of the phase history.
 
     Raises
     ------
@@ -279,7 +309,8 @@ def control_points(
     from blocksar.api.target_files import Frame, targets_of  # with SciPy, slow to load
 
     history = history_of(sources_of(source)[0])
-    frame = Frame(Georeference.among(history.attrs), history.collection.ground_height)
+    level = history.collection.ground_height if ground_height is None else ground_height
+    frame = Frame(Georeference.among(history.attrs), level)
     found = tuple(targets_of(control, {}, frame))
     if not found:
         raise InputError(f"control {control} names no points; give some, or leave it out")

@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from blocksar import stores
-from blocksar.api.arguments import GridLike, check_cluster, control_points, grid_of, history_of, memory_of
+from blocksar.api.arguments import GridLike, check_cluster, control_points, grid_of, history_of, memory_of, on_ground
 from blocksar.api.ground import read_ground
 from blocksar.api.reports import Report
 from blocksar.api.track_places import TrackPlace
@@ -53,6 +53,7 @@ def autofocus(
     terrain: Location | None = None,
     surface: Surface = "plane",
     vertical: str | None = None,
+    ground_height: float | None = None,
     control: Location | Sequence[Target] | None = None,
     workers: int | None = None,
     threads: int | None = None,
@@ -83,6 +84,8 @@ def autofocus(
         "ellipsoid": WGS 84 at ground_height, which needs a georeference. Default: "plane".
     vertical : str, optional
         What a GeoTIFF's heights are measured from, as in `focus`. Needed where the file does not say so.
+    ground_height : float, optional
+        Height z of the imaged plane in the scene frame, m. Default: that of the phase history.
     control : path or sequence of Target, optional
         Points at known places, as `quality` takes targets: they anchor place and phase, which the samples alone do not
         tell. Default: none, and the track is moved by nothing that the samples do not tell.
@@ -120,7 +123,7 @@ def autofocus(
     listener, target = as_listener(progress), place(out)
     limit = memory_of(memory_limit)
     check_cluster(client=client, scheduler=scheduler, workers=workers, wait_workers=wait_workers)
-    history = history_of(source)
+    [history] = on_ground([history_of(source)], ground_height, terrain=terrain)
     stored = not isinstance(history, stores.DatasetHistory)
     if stored and (lies_in(history.path, target) or lies_in(target, history.path)):
         raise InputError(f"--out {target} and the input {history.path} lie in each other; choose another place")
@@ -128,7 +131,7 @@ def autofocus(
     work = TrackPlace.of(place(f"{target}.autofocus"), [history])
     estimate = TrackEstimate(
         channels=work.channels[0], folder=work.folder, fingerprint=work.fingerprints[0], grid=within,
-        control=control_points(control, source), ground=ground,
+        control=control_points(control, source, ground_height), ground=ground,
         terrain=read_ground(ground, history.collection.centred(), within, dict(history.attrs)),
     )  # fmt: skip
     if (attribute := _finished(target, estimate)) is not None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from blocksar import stores
 from blocksar.api import definitions
-from blocksar.api.arguments import GridLike, grid_of, history_of
+from blocksar.api.arguments import GridLike, grid_of, history_of, on_ground
 from blocksar.api.ground import geometry_over, read_ground
 from blocksar.api.pulses import pulse_reader
 from blocksar.api.reports import Report, Table
@@ -21,7 +21,7 @@ from blocksar.collection.terrain import Terrain
 from blocksar.graph.machine import resources
 from blocksar.ingestion.terrain.reading import Ground
 from blocksar.inspection import check as samples_check
-from blocksar.inspection.check import Findings
+from blocksar.inspection.verdict import Findings
 from blocksar.places import Location
 
 if TYPE_CHECKING:
@@ -35,13 +35,15 @@ def check(
     terrain: Location | None = None,
     surface: Surface = "plane",
     vertical: str | None = None,
+    ground_height: float | None = None,
     threads: int | None = None,
 ) -> Report:
-    """Compare the sharpness of prominent places as given with what it would be if something were said wrongly.
+    """Compare the contrast of echoes as given with what it would be if something were said wrongly.
 
-    Tried are a conjugated signal, a reversed range axis, pulses or track in the opposite order, x and y swapped, a beam
-    that is reversed, negated, offset or narrower than it is said to be, and errors of the track. Reads a part of the
-    samples and writes nothing.
+    Tried are a conjugated signal, a reversed range axis, pulses or track in the opposite order, axes of the scene that
+    are swapped or have the other sign, of a raw echo the other sign of the chirp and delays that count from its start,
+    a beam that is reversed, negated, in degrees, off by an angle or by whole PRFs or narrower than it is said to be,
+    and errors of the track. Reads a part of the samples and writes nothing.
 
     Parameters
     ----------
@@ -57,6 +59,8 @@ def check(
         The ground without a terrain, as in `focus`. Default: "plane".
     vertical : str, optional
         What the terrain's heights are measured from, as in `focus`. Needed where the file does not say so.
+    ground_height : float, optional
+        Height z of the imaged plane in the scene frame, m. Default: that of the phase history.
     threads : int, optional
         Default: the number of cores.
 
@@ -64,9 +68,10 @@ def check(
     -------
     Report
         `tables` has one row for everything that was tried but for errors of the beam that were not found; `result` is
-        a dict of its figures and of the warning, which is None if the samples fit. In it `beam_places` is the number of
-        points that judged the beam, and `beam_tried` the largest error of its angle that was tried, rad; None if they
-        are too few.
+        a dict of its figures and of the warning, which is None if nothing seems wrong. In it `tested` says whether the
+        echoes tell anything, `beam_places` is the number of points that judged the beam, and `beam_tried` the largest
+        error of its angle that was tried, rad; None if they are too few. Each trial has the number of its echoes, their
+        mean gain of contrast against as given (dB), that over its standard deviation, and the verdict.
 
     Raises
     ------
@@ -75,26 +80,37 @@ def check(
     """
     ground = Ground(terrain=terrain, surface=surface, vertical=vertical)
     count = resources(1, threads, None).threads
-    history, points = history_of(source), grid_of(grid)
+    [history], points = on_ground([history_of(source)], ground_height, terrain=terrain), grid_of(grid)
     collection = history.collection.centred()
     heights = read_ground(ground, collection, points, source)
-    if points is not None:
+    findings = check_samples(history, points, threads=count, thorough=True, terrain=heights)
+    if points is not None and findings.warning() is None:
         geometry = geometry_over(collection, heights)
         grid_extent(geometry, plan_region(geometry, points), points)  # refuses a grid outside the swath
-    findings = check_samples(history, points, threads=count, thorough=True, terrain=heights)
     pointing = findings.pointing
     result = {
         "warning": findings.warning(),
+        "tested": findings.speaks,
         "sharpness": findings.sharpness if findings.speaks else None,
         "track_phase": findings.track_phase,
         "beam_places": pointing.places if pointing else 0,
         "beam_tried": pointing.reach if pointing and pointing.told else None,
         "trials": [
-            {"name": trial.name, "places": trial.places, "concentration": trial.sharpness} for trial in findings.trials
+            {
+                "name": trial.name,
+                "echoes": trial.echoes,
+                "gain": trial.gain,
+                "deviations": trial.deviations,
+                "verdict": trial.verdict,
+            }
+            for trial in findings.trials[1:]
         ],
     }
     return Report(
-        tables=[_table(findings)], definitions=definitions.CHECK, summary=[findings.sentence()], result=result
+        tables=[_table(findings)],
+        definitions=definitions.CHECK,
+        summary=[*(heights.remarks if heights is not None else ()), findings.sentence()],
+        result=result,
     )
 
 
@@ -112,7 +128,9 @@ def check_samples(
     pulses, columns = samples_check.part_to_read(collection)
     signal = history.read(pulses, columns) if history.raw is None else _compressed(history, pulses, columns)
     part = samples_check.part_of(collection, pulses, columns)
-    return samples_check.check(signal, part, grid=grid, threads=threads, thorough=thorough, terrain=terrain)
+    return samples_check.check(
+        signal, part, grid=grid, threads=threads, thorough=thorough, terrain=terrain, raw=history.raw
+    )
 
 
 def _compressed(history: stores.PhaseHistory, pulses: slice, columns: slice) -> ComplexArray:
@@ -126,10 +144,9 @@ def _compressed(history: stores.PhaseHistory, pulses: slice, columns: slice) -> 
 
 
 def _table(findings: Findings) -> Table:
-    header = ("if", "prominent places", "concentration over the dwell", "against as given (dB)")
-    rows = []
-    for trial in findings.trials:
-        known = findings.given.sharpness and trial.sharpness
-        gain = f"{10 * np.log10(trial.sharpness / findings.given.sharpness):+.1f}" if known else "-"
-        rows.append([trial.name, str(trial.places), f"{trial.sharpness:.3f}", gain])
+    header = ("if", "echoes", "contrast against as given (dB)", "standard deviations", "verdict")
+    rows = [
+        [trial.name, str(trial.echoes), f"{trial.gain:+.2f}", f"{trial.deviations:+.1f}", trial.verdict]
+        for trial in findings.trials[1:]
+    ]
     return header, rows

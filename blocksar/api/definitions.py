@@ -19,11 +19,14 @@ PLAN = (
     "bias: range acceleration that the time perturbation adds; 0 is the chain as the papers print it.",
 )
 CHECK = (
-    "if: what was changed, one thing at a time; the first row is the collection as given.",
-    "prominent places: places of the scene that stand out in short apertures, which hardly depend on what is wrong.",
-    "concentration: power at the peak of a place's line over the power of the line, after its whole dwell; 1 for a "
-    "lone point in focus.",
-    "against as given: ratio of the concentrations; more than 0 dB speaks for the change.",
+    "if: what was changed, one thing at a time.",
+    "echoes: of prominent places, which stand out in short apertures that hardly depend on what is wrong; without "
+    "any, of patches of clutter. The same echoes are compared with what is given; no more where the first decide.",
+    "contrast: N sum(I^2) / (sum I)^2 over the N cells of a small image about an echo, formed over its whole dwell: "
+    "3 dB for speckle, 20 dB and more for a point in focus. More than 0 dB against as given speaks for the change.",
+    "standard deviations: the gain over what speckle and side lobes give it by chance.",
+    "verdict: sharper above 5 of these, ruled out below -5, otherwise not told: then the image is as sharp, as is a "
+    "mirrored one.",
 )
 
 

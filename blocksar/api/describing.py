@@ -16,9 +16,12 @@ from blocksar.api.reports import Report
 from blocksar.api.shown import is_measurable
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError
-from blocksar.places import Location, place
+from blocksar.ingestion import kinds
+from blocksar.ingestion.kinds import found_at
+from blocksar.places import Location, place, readable
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
+from blocksar.places.ranges import Readable, WebFile
 from blocksar.places.room import size_text
 from blocksar.runs.folder import member
 from blocksar.runs.record import RECORD, RunRecord
@@ -61,6 +64,8 @@ def info(path: Location | xr.Dataset) -> Report:
     """
     if is_dataset(path):
         return _dataset(path)
+    if isinstance(file := readable(path), WebFile):
+        return _file(file)
     where = place(path)
     if isinstance(where, LocalPlace) and not where.exists() and str(path) in shipped_scenes():
         return _report("shipped scene", str(path), *_scene(str(path)))
@@ -72,23 +77,25 @@ def info(path: Location | xr.Dataset) -> Report:
         return _run(where)
     if "zarr.json" in names or ".zgroup" in names:
         return _store(where, names)
-    if isinstance(where, LocalPlace):
-        if where.path.is_file():
-            return _file(where)
+    if isinstance(where, LocalPlace) and not where.path.is_file():
         if files := sorted(name for name in names if name.lower().endswith(".mat")):
             return _report(
                 "folder of the AFRL Gotcha set",
                 str(where),
                 *_gotcha([where / name for name in files], f"{where / '*.mat'}"),
             )
-    if not names and not where.exists():
-        raise InputError(f"{where} does not exist; check the path")
+        if not where.exists():
+            raise InputError(f"{where} does not exist; check the path")
+    elif not names:
+        return _file(where)
     raise _unknown(where, names)
 
 
 def _unknown(where: Place, names: list[str]) -> InputError:
     holds = f" (it holds {', '.join(names[:3])}{' ...' if len(names) > 3 else ''})" if names else ""
     inside = [name for name in names if name.endswith(".zarr") or (where / name / RECORD).exists()]
+    if not inside and (found := found_at(where)) is not None:
+        return InputError(found.sentence(where))
     remedy = f"look at {where / inside[0]}" if inside else (
         "give a phase history, a run folder, an image.zarr, a CPHD file, files of the Gotcha set, or a scene"
     )  # fmt: skip
@@ -213,26 +220,28 @@ def _run(where: Place) -> Report:
 # ---------------------------------------------------------------- files
 
 
-def _file(where: LocalPlace) -> Report:
-    if where.name.lower().endswith(".mat"):
-        return _report("file of the AFRL Gotcha set", str(where), *_gotcha([where], str(where)))
-    if where.name.lower().endswith(".toml"):
-        return _report("scene", str(where), *_scene(where.path))
+def _file(where: Readable) -> Report:
     try:
-        with open(where.path, "rb") as file:
-            start = file.read(8)
+        found = found_at(where)
     except OSError as error:
         raise InputError(f"{where} cannot be read ({error.strerror or error}); check its permissions") from error
-    if start.startswith(b"CPHD/"):
-        return _report("CPHD file", str(where), *_cphd(where))
-    raise _unknown(where, [])
+    if found is None:
+        raise InputError(f"{where} does not exist, or is no file; check the path")
+    match found.kind.name:
+        case kinds.CPHD:
+            return _report("CPHD file", str(where), *_cphd(where))
+        case kinds.MATLAB if isinstance(where, Place):
+            return _report("file of the AFRL Gotcha set", str(where), *_gotcha([where], str(where)))
+        case kinds.SCENE if isinstance(where, LocalPlace):
+            return _report("scene", str(where), *_scene(where.path))
+    raise InputError(found.sentence(where))
 
 
-def _cphd(where: LocalPlace) -> tuple[Rows, Following]:
+def _cphd(where: Readable) -> tuple[Rows, Following]:
     from blocksar.ingestion import cphd  # optional libraries, and slow to load
 
     found = cphd.describe(where)
-    size = size_text(facts.disk_size(where) or 0)
+    size = size_text(found.size)
     rows: Rows = [
         ("title", found.collection.title),
         ("format", f"CPHD {found.version}, {found.domain} domain, {size}"),
@@ -243,7 +252,7 @@ def _cphd(where: LocalPlace) -> tuple[Rows, Following]:
     several = len(found.channels) > 1
     rows += [("note", f"what follows the channels is that of {found.channels[0][0]}")] if several else []
     chosen = ["--channel", found.channels[0][0]] if several else []
-    return rows, [["ingest", "cphd", str(where), *chosen, "--out", f"{where.path.stem}.zarr"]]
+    return rows, [["ingest", "cphd", str(where), *chosen, "--out", f"{where.name.partition('.')[0]}.zarr"]]
 
 
 def _gotcha(files: list[Place], pattern: str) -> tuple[Rows, Following]:

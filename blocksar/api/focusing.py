@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -22,6 +23,7 @@ from blocksar.api.arguments import (
     grid_of,
     in_this_process,
     memory_of,
+    on_ground,
 )
 from blocksar.api.jobs import Job, Request
 from blocksar.api.joint import focus_members, members_of
@@ -46,7 +48,7 @@ from blocksar.errors import InputError
 from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Processor, RangeModel, method_of
 from blocksar.graph import cluster, recording
 from blocksar.graph.machine import Resources, resources
-from blocksar.ingestion.terrain.reading import Ground, coverage_note
+from blocksar.ingestion.terrain.reading import Ground, terrain_notes
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.place import Place
@@ -89,6 +91,7 @@ def focus(
     terrain: Location | None = None,
     surface: Surface = "plane",
     vertical: str | None = None,
+    ground_height: float | None = None,
     autofocus: bool = False,
     control: Location | Sequence[Target] | None = None,
     looks: int | None = None,
@@ -148,6 +151,8 @@ def focus(
     vertical : str, optional
         What a GeoTIFF's heights are measured from, if it does not say so: "ellipsoid", "egm96" or "egm2008"; or
         "egm2008:FILE" with the geoid's grid. Needed for such a file only.
+    ground_height : float, optional
+        Height z of the imaged plane in the scene frame, m. Default: that of the phase history.
     autofocus : bool
         Correct the track from the samples first, as `autofocus` does. Default: False.
     control : path or sequence of Target, optional
@@ -200,7 +205,8 @@ def focus(
     memory_limit = settings["memory_limit"] = memory_of(memory_limit)
     resources(workers, threads, memory_limit)  # refuses wrong numbers before anything is read
     check_cluster(client=client, scheduler=scheduler, workers=workers, wait_workers=wait_workers)
-    if (members := members_of(source, looks, grid)) is not None:
+    on = partial(on_ground, height=ground_height, terrain=terrain)
+    if (members := members_of(source, looks, grid, on)) is not None:
         return focus_members(_focus_image, members, place(out), settings)
     return _focus_image(source, place(out), None, **settings)
 
@@ -226,6 +232,7 @@ def _focus_image(
     terrain: Location | None,
     surface: Surface,
     vertical: str | None,
+    ground_height: float | None,
     autofocus: bool,
     control: Location | Sequence[Target] | None,
     workers: int | None,
@@ -265,9 +272,10 @@ def _focus_image(
         overwrite=overwrite,
         discard=discard,
         ground=Ground(terrain=terrain, surface=surface, vertical=vertical),
+        ground_height=ground_height,
         autofocus=autofocus,
         track=track,
-        control=control_points(control, source, used=autofocus),
+        control=control_points(control, source, ground_height, used=autofocus),
     )
     if profile is not None:
         recording.check_recordable(profile, client)
@@ -390,7 +398,7 @@ def _focus(
     ]
     found += outside_window(job.plans) if job.plans else []
     if request.terrain is not None:
-        found.append(coverage_note(request.terrain, job.grid))
+        found += terrain_notes(request.terrain, job.grid)
     if not (measurable := is_measurable(finished)):
         found.append("quality, report and export take images of at least 2 x 2 pixels; this one opens in Python only")
     notes = [f"note: {line}" for line in found if line]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import metadata
 from typing import Any, Literal
 
 from blocksar import stores
-from blocksar.api.arguments import One, Source, check_one_frame, history_of, sources_of
+from blocksar.api.arguments import One, OnGround, Source, check_one_frame, history_of, on_ground, sources_of
 from blocksar.api.fingerprints import joint_fingerprint
 from blocksar.api.ground import PLANE, check_ground, geometry_over, ground_settings, read_ground
 from blocksar.api.surroundings import read_surroundings
@@ -109,6 +109,7 @@ class Request:
         overwrite: bool,
         discard: bool = False,
         ground: Ground = PLANE,
+        ground_height: float | None = None,
         autofocus: bool = False,
         track: TrackPlace | None = None,
         control: Sequence[Target] = (),
@@ -124,7 +125,8 @@ class Request:
             other; if the grid is missing or lies outside the swath; or the ground cannot be read.
         """
         sources = sources_of(source)
-        opened = [_open(each, folder, i if len(sources) > 1 else None) for i, each in enumerate(sources)]
+        over = partial(on_ground, height=ground_height, terrain=ground.terrain)
+        opened = [_open(each, over, folder, i if len(sources) > 1 else None) for i, each in enumerate(sources)]
         histories = tuple(history for history, _ in opened)
         check_one_frame(histories)
         for history in histories:
@@ -174,6 +176,7 @@ class Request:
             "grid": None if self.grid is None else list(grid_numbers(self.grid)),
             **ground_settings(self.ground, self.terrain, self.surroundings),
             # Not in runs without them, also those of earlier versions.
+            **({} if self.history.ground_height is None else {"ground_height": self.history.ground_height}),
             **(self.track.settings(self.fingerprint) if self.track is not None else {}),
             **({"control": records_of(self.control)} if self.control else {}),
         }
@@ -215,12 +218,12 @@ def division_of(record: RunRecord, *, exact: bool) -> Division:
     return None if exact else (record.plan.blocks, record.plan.parts)
 
 
-def _open(source: One, folder: Place, number: int | None) -> tuple[stores.PhaseHistory, str]:
-    """Open a phase history in the state that it has now, with its fingerprint.
+def _open(source: One, over: OnGround, folder: Place, number: int | None) -> tuple[stores.PhaseHistory, str]:
+    """Open a phase history in the state that it has now, over its ground, with its fingerprint.
 
     One in memory gets the place in the run folder where its samples will be written; `number` is that of several.
     """
-    history = history_of(source).pinned()
+    [history] = over([history_of(source).pinned()])
     fingerprint = history.fingerprint()
     if isinstance(history, stores.DatasetHistory):
         if (opened := getattr(source, "encoding", {}).get("source")) is not None:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from blocksar import stores
-from blocksar.api.arguments import GridLike, Source, grid_of, history_of, sources_of
+from blocksar.api.arguments import GridLike, OnGround, Source, grid_of, history_of, sources_of
 from blocksar.api.findings import without_samples
 from blocksar.api.fingerprints import fingerprint_of_members, joint_fingerprint
 from blocksar.api.ground import image_grid
@@ -78,7 +78,7 @@ class Members:
         return str(next(iter(self.histories.values()))[0].path)
 
 
-def members_of(source: Source, looks: int | None, grid: GridLike | None) -> Members | None:
+def members_of(source: Source, looks: int | None, grid: GridLike | None, on_ground: OnGround) -> Members | None:
     """Return the channels, or the looks that are asked for; None if there is one image only.
 
     Raises
@@ -87,11 +87,11 @@ def members_of(source: Source, looks: int | None, grid: GridLike | None) -> Memb
         If several phase histories do not have the same channels, or looks cannot be formed.
     """
     if looks is not None:
-        return _looks_of(source, looks, grid)
+        return _looks_of(source, looks, grid, on_ground)
     sources = sources_of(source)
     if any(isinstance(each, stores.PhaseHistory) for each in sources):
         return None
-    histories = [history_of(each) for each in sources]
+    histories = on_ground([history_of(each) for each in sources])
     first = histories[0]
     for other in histories:
         if other.channels != first.channels:
@@ -106,8 +106,8 @@ def members_of(source: Source, looks: int | None, grid: GridLike | None) -> Memb
     return Members("channel", of, tuple(histories))
 
 
-def _looks_of(source: Source, count: int, grid: GridLike | None) -> Members:
-    history = history_of(one_source(source, count))
+def _looks_of(source: Source, count: int, grid: GridLike | None, on_ground: OnGround) -> Members:
+    [history] = on_ground([history_of(one_source(source, count))])
     if isinstance(history, stores.DatasetHistory):
         raise InputError(f"looks = {count}: looks are formed of a phase history in a store; write it (blocksar.write)")
     looks = divide_dwells(history.collection.centred(), count, grid)

@@ -158,3 +158,46 @@ def parse_blocks(text: str) -> int | Literal["auto"]:
             f"--blocks {quoted(text)} is neither 'auto' nor a whole number from 1 to {MOST_BLOCKS}; try --blocks auto"
         )
     return int(text)
+
+
+def parse_span(span: Any, option: str, example: str) -> tuple[float, float]:
+    """Read `a:b`, of which either may be left out, or a pair of numbers or None.
+
+    Returns
+    -------
+    (low, high), infinite where left out
+
+    Raises
+    ------
+    InputError
+        If it is none, or empty.
+
+    Examples
+    --------
+    >>> parse_span("9.5e9:9.7e9", "--frequencies", ""), parse_span((5, None), "--frequencies", "")
+    ((9500000000.0, 9700000000.0), (5.0, inf))
+    """
+    try:
+        first, last = span.split(":") if isinstance(span, str) else span
+        low = -math.inf if first in ("", None) else float(first)
+        high = math.inf if last in ("", None) else float(last)
+    except (TypeError, ValueError):
+        low = high = math.nan
+    if not low < high:
+        raise InputError(f"{option} {quoted(span)} is not two numbers, the lower first; give them as {example}")
+    return low, high
+
+
+def parse_pulses(span: Any) -> tuple[int, int | None]:
+    """Read the pulses a:b, from a to the one before b, counted from 0; either may be left out.
+
+    Raises
+    ------
+    InputError
+        As `parse_span`, and if they are no whole numbers from 0.
+    """
+    low, high = parse_span(span, "--pulses", "--pulses 0:4096")
+    low = 0.0 if low == -math.inf else low
+    if low < 0 or not low.is_integer() or not (high == math.inf or high.is_integer()):
+        raise InputError(f"--pulses {quoted(span)} is not two whole numbers from 0; give them as --pulses 0:4096")
+    return int(low), None if high == math.inf else int(high)

@@ -244,10 +244,13 @@ def outside_window(plans: Sequence[Plan]) -> list[str]:
     share = share_outside([(plan.geometry, plan.region) for plan in plans], grid)
     if share == 0:
         return []
+    terrain = plans[0].geometry.terrain
+    heights = "" if terrain is None else f", or correct the terrain's heights, z = {terrain.limits[0]:.6g} .. "
+    heights += "" if terrain is None else f"{terrain.limits[1]:.6g} m"
     window = max(plan.geometry.collection.range_window for plan in plans)
     return [
         f"{100 * share:.2g} % of the grid's pixels lie outside the range window ({window:.5g} m about the reference "
-        "range) and stay NaN; move the grid, or give a smaller one"
+        f"range) and stay NaN; move the grid, or give a smaller one{heights}"
     ]
 
 

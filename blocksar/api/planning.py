@@ -45,7 +45,7 @@ from blocksar.focusing.method import (
     method_of,
 )
 from blocksar.graph.machine import Resources, resources
-from blocksar.ingestion.terrain.reading import Ground, coverage_note
+from blocksar.ingestion.terrain.reading import Ground, terrain_notes
 from blocksar.places import Location
 from blocksar.planning import choice, effort
 from blocksar.planning.choice import Contender
@@ -74,6 +74,7 @@ def plan(
     terrain: Location | None = None,
     surface: Surface = "plane",
     vertical: str | None = None,
+    ground_height: float | None = None,
     looks: int | None = None,
     workers: int | None = None,
     memory_limit: int | str | None = None,
@@ -119,6 +120,8 @@ def plan(
     vertical : str, optional
         What a GeoTIFF's heights are measured from, if it does not say so: "ellipsoid", "egm96" or "egm2008"; or
         "egm2008:FILE" with the geoid's grid. Needed for such a file only.
+    ground_height : float, optional
+        Height z of the imaged plane in the scene frame, m. Default: that of the phase history.
     looks : int, optional
         Number of parts of each target's dwell that `focus` makes images of: each is planned, beside whole dwells.
         Default: whole dwells only.
@@ -152,7 +155,7 @@ def plan(
     tapers = Weighting.parse(weighting, weighting_range, weighting_azimuth)
     points, n_blocks, least = grid_of(grid), blocks_of(blocks), fidelity_of(fidelity)
     limit = memory_of(memory_limit)
-    collections = collections_of(source if looks is None else one_source(source, looks))
+    collections = collections_of(source if looks is None else one_source(source, looks), ground_height, terrain=terrain)
     if automatic and method is not None:
         _check_automatic(method, collections, looks)
     parts = None if looks is None else divide_dwells(collections[0], looks, points)
@@ -166,8 +169,7 @@ def plan(
     if not ground.plane:
         points = points or joint_grid([Geometry(collection=each) for each in collections])
         heights = read_ground(ground, collections[0], points, sources_of(source)[0])
-        if heights is not None and (gaps := coverage_note(heights, points)) is not None:
-            of_each.append(gaps)
+        of_each += [] if heights is None else terrain_notes(heights, points)
     if method is None and parts is not None:
         return report_exact_looks(
             lambda seen: _plan_backprojection([seen], points, heights, assumed), collections[0], parts

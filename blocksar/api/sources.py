@@ -7,9 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+from blocksar.api.parsing import parse_pulses, parse_span
 from blocksar.api.reports import Report, only_stage
 from blocksar.errors import InputError
 from blocksar.graph.machine import resources
+from blocksar.ingestion.reading import WHOLE, Part
 from blocksar.ingestion.timeline import stated_times
 from blocksar.places import Location
 from blocksar.places.place import Place
@@ -109,8 +111,8 @@ def ingest(
     out : path
         Phase-history store to write.
     **options
-        Other arguments of the chosen function: `channel` (CPHD only), `collection_start`, `time_zero`, `overwrite`,
-        `progress`.
+        Other arguments of the chosen function: `ground_height`, `collection_start`, `time_zero`, `overwrite`,
+        `progress`; of CPHD also `channel`, `pulses`, `frequencies` and `area`.
 
     Returns
     -------
@@ -136,6 +138,10 @@ def ingest_cphd(
     out: Location,
     *,
     channel: str | None = None,
+    pulses: str | tuple[int | None, int | None] | None = None,
+    frequencies: str | tuple[float | None, float | None] | None = None,
+    area: str | tuple[tuple[float, float], tuple[float, float]] | None = None,
+    ground_height: float = 0.0,
     collection_start: str | None = None,
     time_zero: float | None = None,
     overwrite: bool = False,
@@ -146,12 +152,22 @@ def ingest_cphd(
     Parameters
     ----------
     source : path
-        Local CPHD file, version 1.0.1 or 1.1.0, monostatic.
+        CPHD file, version 1.0 or 1.1, monostatic: a path, s3://bucket/name, or the URL of a web server that sends parts
+        of files.
     out : path
         Phase-history store to write.
     channel : str, optional
         Identifier of the channel. Needed if the file has several. "all" makes a store with a channel for each of the
         file's, which must have the same geometry.
+    pulses : str or (int, int), optional
+        Vectors "a:b" of the file that are read, from a to the one before b; either may be left out. Default: all.
+    frequencies : str or (float, float), optional
+        Band "f1:f2" that is read, Hz; either may be left out. Default: all.
+    area : str or ((float, float), (float, float)), optional
+        Ground "x0:x1,y0:y1", m in the scene frame, that images will show: of pulses and frequencies only what it needs
+        is kept, after low-passes that stop the echoes of all else. Default: all.
+    ground_height : float
+        Height z of the imaged plane in the scene frame, m. Default: 0, that of the file's reference point.
     collection_start : str, optional
         UTC from which the collection's times count, ISO 8601, such as "2008-08-19T14:03:21.5Z"; for products.
         Default: the file's own.
@@ -173,9 +189,18 @@ def ingest_cphd(
         If the file is damaged, contradicts itself or is not supported, or `out` exists and `overwrite` is False.
     """
     from blocksar.ingestion import cphd  # optional libraries, and slow to load
+    from blocksar.products.options import parse_crop
 
+    part = Part(
+        pulses=(0, None) if pulses is None else parse_pulses(pulses),
+        frequencies=WHOLE.frequencies
+        if frequencies is None
+        else parse_span(frequencies, "--frequencies", "--frequencies 9.5e9:9.7e9"),
+        area=None if area is None else parse_crop(area, "area"),
+        ground_height=ground_height,
+    )
     history = cphd.ingest(
-        source, out, channel=channel, times=stated_times(collection_start, time_zero), overwrite=overwrite,
+        source, out, channel=channel, times=stated_times(collection_start, time_zero), part=part, overwrite=overwrite,
         progress=only_stage(progress, "ingest"),
     )  # fmt: skip
     return Report(summary=[*history.messages, f"wrote {history.path}"], result=history.collection)
@@ -185,6 +210,7 @@ def ingest_gotcha(
     source: Location | Sequence[Location],
     out: Location,
     *,
+    ground_height: float = 0.0,
     collection_start: str | None = None,
     time_zero: float | None = None,
     overwrite: bool = False,
@@ -199,6 +225,8 @@ def ingest_gotcha(
         the same places.
     out : path
         Phase-history store to write.
+    ground_height : float
+        Height z of the imaged plane in the scene frame, m. Default: 0, that of the scene's centre.
     collection_start : str, optional
         UTC from which the collection's times count, ISO 8601, such as "2008-08-19T14:03:21.5Z"; for products. Default:
         unknown.
@@ -222,7 +250,7 @@ def ingest_gotcha(
     from blocksar.ingestion.gotcha import ingestion
 
     history = ingestion.ingest(
-        source, out, times=stated_times(collection_start, time_zero), overwrite=overwrite,
+        source, out, times=stated_times(collection_start, time_zero), ground_height=ground_height, overwrite=overwrite,
         progress=only_stage(progress, "ingest"),
     )  # fmt: skip
     return Report(summary=[*history.messages, f"wrote {history.path}"], result=history.collection)

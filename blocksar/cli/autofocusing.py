@@ -13,6 +13,7 @@ from blocksar.cli.listening import listening
 from blocksar.cli.options import (
     Control,
     GridOption,
+    GroundHeight,
     JsonLog,
     MemoryLimit,
     Overwrite,
@@ -36,6 +37,7 @@ def autofocus(
     terrain: TerrainOption = None,
     surface: SurfaceOption = "plane",
     vertical: VerticalOption = None,
+    ground_height: GroundHeight = None,
     control: Control = None,
     workers: Workers = None,
     threads: Threads = None,
@@ -72,6 +74,7 @@ def autofocus(
             terrain=terrain,
             surface=surface,
             vertical=vertical,
+            ground_height=ground_height,
             control=control,
             workers=workers,
             threads=threads,

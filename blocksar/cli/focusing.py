@@ -23,6 +23,7 @@ from blocksar.cli.options import (
     Explain,
     Fidelity,
     GridOption,
+    GroundHeight,
     JsonLog,
     LooksOption,
     MemoryLimit,
@@ -63,6 +64,7 @@ def plan(
     terrain: TerrainOption = None,
     surface: SurfaceOption = "plane",
     vertical: VerticalOption = None,
+    ground_height: GroundHeight = None,
     looks: LooksOption = None,
     workers: Workers = None,
     memory_limit: MemoryLimit = None,
@@ -86,7 +88,8 @@ def plan(
     from blocksar import api
 
     proposal = api.plan(
-        one_or_all(source), processor=processor, terrain=terrain, surface=surface, vertical=vertical, looks=looks,
+        one_or_all(source), processor=processor, terrain=terrain, surface=surface, vertical=vertical,
+        ground_height=ground_height, looks=looks,
         **settings, **method,
     )  # fmt: skip
     show(proposal, context)
@@ -136,6 +139,7 @@ def focus(
     terrain: TerrainOption = None,
     surface: SurfaceOption = "plane",
     vertical: VerticalOption = None,
+    ground_height: GroundHeight = None,
     autofocus: AutofocusOption = False,
     control: Control = None,
     workers: Workers = None,
@@ -184,6 +188,7 @@ def focus(
             terrain=terrain,
             surface=surface,
             vertical=vertical,
+            ground_height=ground_height,
             **method,
             autofocus=autofocus,
             control=control,

@@ -18,6 +18,7 @@ CollectionStart = Annotated[
 TimeZero = Annotated[
     float | None, typer.Option(metavar="S", help="Seconds from --collection-start to slow time 0, for products.")
 ]
+IngestedGround = Annotated[float, typer.Option(metavar="M", help="Height z of the imaged plane in the scene frame.")]
 
 ingest = typer.Typer(
     name="ingest",
@@ -31,12 +32,26 @@ ingest = typer.Typer(
 @ingest.command("cphd")
 def ingest_cphd(
     context: typer.Context,
-    source: Annotated[str, typer.Argument(metavar="SOURCE.cphd", help="CPHD file, version 1.0.1 or 1.1.0.")],
+    source: Annotated[str, typer.Argument(metavar="SOURCE.cphd", help="CPHD file, version 1.0 or 1.1; or its URL.")],
     out: StoreOut,
     channel: Annotated[
         str | None,
         typer.Option(metavar="NAME", help="Channel to read, if the file has several; all: one store of all of them."),
     ] = None,
+    pulses: Annotated[
+        str | None,
+        typer.Option(metavar="A:B", help="Vectors that are read: A to the one before B.", show_default="all"),
+    ] = None,
+    frequencies: Annotated[
+        str | None, typer.Option(metavar="F1:F2", help="Band that is read, Hz.", show_default="all")
+    ] = None,
+    area: Annotated[
+        str | None,
+        typer.Option(
+            metavar="x0:x1,y0:y1", help="Ground, m, of which the samples are kept, and no more.", show_default="all"
+        ),
+    ] = None,
+    ground_height: IngestedGround = 0.0,
     collection_start: CollectionStart = None,
     time_zero: TimeZero = None,
     overwrite: Overwrite = False,
@@ -54,6 +69,10 @@ def ingest_cphd(
             source,
             out,
             channel=channel,
+            pulses=pulses,
+            frequencies=frequencies,
+            area=area,
+            ground_height=ground_height,
             collection_start=collection_start,
             time_zero=time_zero,
             overwrite=overwrite,
@@ -71,6 +90,7 @@ def ingest_gotcha(
         typer.Argument(metavar="SOURCE.mat...", help="MATLAB files of one pass, of one or more polarisations."),
     ],
     out: StoreOut,
+    ground_height: IngestedGround = 0.0,
     collection_start: CollectionStart = None,
     time_zero: TimeZero = None,
     overwrite: Overwrite = False,
@@ -87,7 +107,8 @@ def ingest_gotcha(
 
     with listening(context) as progress:
         report = api.ingest_gotcha(
-            source, out, collection_start=collection_start, time_zero=time_zero, overwrite=overwrite, progress=progress
-        )
+            source, out, ground_height=ground_height, collection_start=collection_start, time_zero=time_zero,
+            overwrite=overwrite, progress=progress,
+        )  # fmt: skip
     show(report)
     hint(context, "info", out)

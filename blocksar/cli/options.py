@@ -75,6 +75,10 @@ VerticalOption = Annotated[
     str | None,
     typer.Option(metavar="DATUM", help="Of a GeoTIFF's heights: ellipsoid, egm96, egm2008, or egm2008:FILE."),
 ]
+GroundHeight = Annotated[
+    float | None,
+    typer.Option(metavar="M", help="Height z of the imaged plane in the scene frame; default: the store's."),
+]
 LooksOption = Annotated[
     int | None, typer.Option(metavar="N", help="Form N images, each of a part of every target's dwell.")
 ]

@@ -16,6 +16,7 @@ from blocksar.cli.options import (
     ColourRange,
     Explain,
     GridOption,
+    GroundHeight,
     JsonLog,
     Overwrite,
     OwnThreads,
@@ -87,6 +88,7 @@ def check(
     terrain: TerrainOption = None,
     surface: SurfaceOption = "plane",
     vertical: VerticalOption = None,
+    ground_height: GroundHeight = None,
     threads: OwnThreads = None,
     explain: Explain = False,
     quiet: Quiet = False,
@@ -102,7 +104,15 @@ def check(
 
     from blocksar import api
 
-    report = api.check(source, grid=points, terrain=terrain, surface=surface, vertical=vertical, threads=threads)
+    report = api.check(
+        source,
+        grid=points,
+        terrain=terrain,
+        surface=surface,
+        vertical=vertical,
+        ground_height=ground_height,
+        threads=threads,
+    )
     show(report, context)
     hint(context, "plan", source, *given(context, "threads", "explain"))
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.beam import dwell, dwell_at, has_full_dwell, lit_yaw, wrapped
-from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution, outline
+from blocksar.collection.outside import WINDOW_GUARD, remedied, remedy, why_outside
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, OutsideSwath
 
@@ -27,9 +27,7 @@ FEW_RANGES, LIT_RANGES = 17, 129
 SIDE_ENDS = 0.02  # rad along the flight and against it, where nothing is imaged
 FULL_RANGES, FULL_YAWS = 33, 257  # at which the ground with full dwell is looked for
 MOST_SAMPLES = 1024  # of a terrain, along each axis, that are asked for their range
-MOVE = "move the grid"  # what to do about one outside the swath
 LOOKED_AT = 256  # points along a side of a grid, of which those outside the window are counted
-WINDOW_GUARD = 8  # range cells kept free at either end of the range window
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,16 +96,15 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
     if collection.has_axis:
         what = f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g}"
         ends = float(yaw.min()), float(yaw.max())
-        return _joined([_lit_region(level, what, *ends) for level in geometry.levels])
+        with remedied(geometry, grid):
+            return _joined([_lit_region(level, what, *ends) for level in geometry.levels])
     rng = geometry.epoch_range(*on_terrain(geometry, grid, x, y))
     slack = float(np.hypot(grid.dx, grid.dy))  # keeps the farthest pixel off the region's edge
     span, pixel = float(np.ptp(yaw)), slack / float(np.hypot(x - geometry.nadir[0], y - geometry.nadir[1]).min())
     pad = 0.01 * span if span > pixel else pixel  # a line of pixels along a ray spans no yaw
     nodes = np.linspace(yaw.min() - pad, yaw.max() + pad, 33)
-    try:
+    with remedied(geometry, grid):
         near, far = _window(geometry, nodes, (float(rng.min()) - slack, float(rng.max()) + slack))
-    except OutsideSwath as error:
-        raise OutsideSwath(str(error).replace(MOVE, _remedy(geometry, grid))) from None
     return Region(yaw=nodes, near=near, far=far)
 
 
@@ -240,50 +237,14 @@ def _window(geometry: Geometry, yaw: FloatArray, within: tuple[float, float] | N
     held = rng - np.interp(time, collection.time, collection.reference_range)
     nearest, farthest = held.min(axis=2), held.max(axis=2)
     if half <= 0 or not np.isfinite(nearest).any(axis=1).all():
-        raise OutsideSwath(_outside(collection, half, within, held, trial))
+        raise OutsideSwath(why_outside(collection, half, within, held, trial))
     near = np.array([np.interp(-half, row[np.isfinite(row)], trial[np.isfinite(row)]) for row in nearest])
     far = np.array([np.interp(half, row[np.isfinite(row)], trial[np.isfinite(row)]) for row in farthest])
     if within is not None:
         near, far = np.maximum(near, within[0]), np.minimum(far, within[1])
     if not (far > near).all():
-        raise OutsideSwath(_outside(collection, half, within, held, trial))
+        raise OutsideSwath(why_outside(collection, half, within, held, trial))
     return near, far
-
-
-def _outside(
-    collection: Collection, half: float, within: tuple[float, float] | None, held: FloatArray, trial: FloatArray
-) -> str:
-    """Why no range stays in the range window while it is lit.
-
-    `held` (n_yaw, n_range, n_time) are ranges less the reference range, of points at epoch ranges `trial`.
-    """
-    low, high = within or (float(trial[0]), float(trial[-1]))
-    meant = (trial >= low) & (trial <= high)
-    change = np.ptp(held[:, meant] if meant.any() else held, axis=-1)
-    moves = float(np.min(change, where=np.isfinite(change), initial=np.inf))
-    still = np.ptp(collection.reference_range) == 0
-    swath = f"the range window of {collection.range_window:.6g} m about the reference range"
-    where = "" if within is None else f" (the grid's ranges are {low:.6g} .. {high:.6g} m at the epoch)"
-    if half <= 0:
-        return (
-            f"grid lies outside the swath: {swath} has {collection.n_range_frequency} range cells, of which "
-            f"{WINDOW_GUARD} at either end are left free for side lobes; sample range frequency more densely"
-        )
-    if 2 * half < moves < np.inf:
-        remedy = (
-            "re-reference the samples to a range that follows the scene, reference_range = distance to its centre"
-            if still
-            else "let reference_range follow the scene's centre"
-        )
-        return (
-            f"grid lies outside the swath: {swath} is shorter than the {moves:.4g} m by which ranges change while they "
-            f"are lit{where}, so every point leaves it; {remedy}, or cut the collection in time"
-        )
-    reference = collection.reference_range
-    return (
-        f"grid lies outside the swath: no range stays in {swath}, {reference.min():.6g} .. {reference.max():.6g} m, "
-        f"while it is lit{where}; {MOVE}"
-    )
 
 
 def grid_extent(geometry: Geometry, region: Region, grid: Grid, owned: Owned | None = None) -> Extent:
@@ -310,7 +271,7 @@ def grid_extent(geometry: Geometry, region: Region, grid: Grid, owned: Owned | N
             f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g} lies outside the swath: it spans yaw "
             f"{degrees[0]:.2f} .. {degrees[1]:.2f} degrees and range {rng.min():.0f} .. {rng.max():.0f} m, but lit are "
             f"{degrees[2]:.2f} .. {degrees[3]:.2f} degrees and {region.near.min():.0f} .. {region.far.max():.0f} m; "
-            f"{_remedy(geometry, grid)}"
+            f"{remedy(geometry, grid)}"
         )
     slack = step / np.hypot(x - geometry.nadir[0], y - geometry.nadir[1])[covered].min()
     return Extent(
@@ -374,15 +335,6 @@ def on_terrain(
     x, y, z = np.concatenate([x, mesh_x]), np.concatenate([y, mesh_y]), np.concatenate([terrain(x, y), samples])
     known = np.isfinite(z)
     return x[known], y[known], z[known]
-
-
-def _remedy(geometry: Geometry, grid: Grid) -> str:
-    """What to do about a grid outside the swath: its numbers may mean km, if its middle would then be in the swath."""
-    collection = geometry.collection
-    x, y = (500 * np.asarray(low + high) for low, high in ((grid.x0, grid.x1), (grid.y0, grid.y1)))
-    reference = np.interp(geometry.epoch, collection.time, collection.reference_range)
-    kilometres = abs(float(geometry.epoch_range(x, y)) - reference) <= collection.range_window / 2
-    return "it looks like km: give metres" if kilometres else MOVE
 
 
 def default_grid(geometry: Geometry, region: Region) -> Grid:

@@ -40,6 +40,8 @@ class Terrain:
         Of the first sample, counted in the whole terrain: not 0 in a window of it.
     refined : int
         Samples to one of what the terrain was made of, along each axis, see `thinned`.
+    remarks : tuple of str
+        Sentences about what its file may not mean.
 
     Raises
     ------
@@ -55,6 +57,7 @@ class Terrain:
     row: int = 0
     column: int = 0
     refined: int = 1
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not (self.dx > 0 and self.dy > 0 and np.isfinite([self.x0, self.dx, self.y0, self.dy]).all()):

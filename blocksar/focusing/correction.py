@@ -20,7 +20,7 @@ from numba import types
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.collection.grid import spacing
 from blocksar.focusing.aperture_waves import sum_waves
-from blocksar.focusing.ground_map import GroundMap
+from blocksar.focusing.ground_map import GroundMap, tile_extent
 from blocksar.focusing.pixel_rows import (
     DOPPLER_UNIT,
     N_CARRIER,
@@ -51,7 +51,6 @@ from blocksar.kernels.signatures import COMPILED, FLOATS_IN, PAIR, POWERS, REAL_
 from blocksar.solvers import product
 
 TILE_PIXELS = 128
-TILE_EXTENT = 150.0  # m: the largest tile over which its polynomials hold to a millicycle
 MANY_ABSENT = 64  # tiles of a window without owned pixels, from which on all of it is cleared
 TILE_GROUP = 16  # tiles per call of the compiled loop
 
@@ -267,12 +266,8 @@ def _correct_on_relief(
 
 def _tile_sides(ground: GroundMap, windows: Sequence[tuple[FloatArray, FloatArray]]) -> list[int]:
     """Pixels along the side of the tiles of each window."""
-    # Tiles overlap the block's edges; a surface must not be evaluated far beyond its domain.
-    narrow = ground.geometry.ground_point(
-        np.array(max(ground.near, float(ground.near_limit.min()))), np.array(ground.middle_yaw)
-    )
-    across = (ground.high - ground.low) * float(np.hypot(*(narrow[:2] - ground.geometry.nadir)))
-    reach = min(TILE_EXTENT, across / 8, (ground.far - ground.near) / 8)
+    near = max(ground.near, float(ground.near_limit.min()))
+    reach, _ = tile_extent(ground.geometry, ground.low, ground.high, near, ground.far)
     steps = [max(abs(spacing(x)), abs(spacing(y))) for x, y in windows]
     return [int(np.clip(reach / step, 1, TILE_PIXELS)) if step else 1 for step in steps]
 

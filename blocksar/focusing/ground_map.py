@@ -26,6 +26,7 @@ LEAST_LIT = 0.3  # pulses at the peak of the pattern: with a smaller sum a pixel
 LEAST_WEIGHT = 0.007  # of a whole dwell under a taper: a share of 10 % under hann, 4 % under hamming, 2 % under taylor
 WHOLE_DWELLS = 64  # directions in which the longest dwell is looked for
 ELEVATIONS_AT_ONCE = 1 << 16  # points at which means of a pattern in elevation are taken together
+TILE_EXTENT, TILE_SHARE = 150.0, 1 / 8  # m, and of a block along range and yaw: see `tile_extent`
 YAW_STEPS = 4096  # of the range window's limits and the number of lit pulses along yaw
 
 
@@ -285,6 +286,18 @@ class GroundMap:
             turn,
             time * self.doppler.step,
         )
+
+
+def tile_extent(geometry: Geometry, low: float, high: float, near: float, far: float) -> tuple[float, float]:
+    """The side of a block's tiles of pixels at most, m, and by how much they reach beyond its yaws low .. high, rad.
+
+    Over a tile each quantity of the map is a polynomial of `pixel_rows.TILE_DEGREE`, which holds to a millicycle over
+    TILE_EXTENT. It goes through places anywhere in the tile, of which the block may own a corner only.
+    """
+    point = geometry.ground_point(np.array(near), np.array((low + high) / 2))
+    narrow = float(np.hypot(*(point[:2] - geometry.nadir)))
+    side = min(TILE_EXTENT, TILE_SHARE * (high - low) * narrow, TILE_SHARE * (far - near))
+    return side, float(np.arcsin(min(np.sqrt(2) * side / narrow, 1.0)))
 
 
 def by_range(geometry: Geometry) -> bool:

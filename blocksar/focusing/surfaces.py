@@ -31,17 +31,18 @@ class GroundRange:
 
     def place(self, epoch_range: FloatArray) -> FloatArray:
         """From -1, at `near`, to 1, at `far`, linear in ground range."""
-        near, far = (float(self._ground(np.array(end))) for end in (self.near, self.far))
-        return (2 * self._ground(epoch_range) - near - far) / (far - near)
+        near, far = (float(self.on_ground(np.array(end))) for end in (self.near, self.far))
+        return (2 * self.on_ground(epoch_range) - near - far) / (far - near)
 
     def nodes(self, count: int) -> FloatArray:
         """Epoch ranges (count,), m, whose places are `solvers.end_nodes`."""
-        near, far = (float(self._ground(np.array(end))) for end in (self.near, self.far))
+        near, far = (float(self.on_ground(np.array(end))) for end in (self.near, self.far))
         nodes = np.hypot(self.height, near + (far - near) * (1 + solvers.end_nodes(count)) / 2)
         nodes[[0, -1]] = self.near, self.far
         return nodes
 
-    def _ground(self, epoch_range: FloatArray) -> FloatArray:
+    def on_ground(self, epoch_range: FloatArray) -> FloatArray:
+        """Ground ranges, m."""
         return np.sqrt(np.maximum(epoch_range**2 - self.height**2, 0.0))
 
 

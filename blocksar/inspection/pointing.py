@@ -25,7 +25,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
 from blocksar.errors import InputError
-from blocksar.inspection.alternatives import Alternative
+from blocksar.inspection.alternatives import Alternative, doppler_period
 from blocksar.inspection.prominent import EDGE, FEW_ROWS, SHORT, Line, Lines, Place, Samples
 
 CANDIDATES = 16  # places that are looked at
@@ -110,7 +110,7 @@ def point(
         return None
     try:
         geometry = geometry_of(collection)
-        period = _period(geometry, region_of(geometry))
+        period = doppler_period(geometry, region_of(geometry))
         furthest = min(period / 2, FURTHEST * collection.beam_width)
         wide = replace(collection, beam_width=furthest / EDGE, beam_offset=None, beam_pattern=None)
         source = Lines(samples, geometry_of(wide))
@@ -139,21 +139,6 @@ def point(
 
 def _apart(one: Place, other: Place) -> float:
     return float(np.hypot(one.x - other.x, one.y - other.y))
-
-
-def _period(geometry: Geometry, region: Region) -> float:
-    """Angle of the beam over which Doppler changes by the PRF, rad, in the middle of the region."""
-    collection, p = geometry.collection, geometry.collection.n_pulse // 2
-    track, time = collection.antenna_position, collection.time
-    velocity = (track[p + 1] - track[p - 1]) / (time[p + 1] - time[p - 1])
-    yaw = (region.yaw[0] + region.yaw[-1]) / 2 + np.array([-1e-3, 1e-3])
-    near, far = region.at(yaw)
-    point = geometry.ground_point((near + far) / 2, yaw)
-    sight = point - track[p]
-    approach = sight @ velocity / np.linalg.norm(sight, axis=1)
-    angle = beam_offset(geometry, point[:, 0], point[:, 1], p)
-    slope = abs(float(np.diff(approach)[0] / wrapped(np.diff(angle))[0]))
-    return collection.wavelength * collection.prf / 2 / max(slope, 1e-12)
 
 
 def _beam(collection: Collection) -> FloatArray:

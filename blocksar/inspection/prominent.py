@@ -3,12 +3,16 @@
 A short aperture has so coarse a resolution that it hardly depends on what is wrong with a collection: bright points
 are found, perhaps at a wrong place. Their lines - the samples at the point's range, with the point's phase removed,
 pulse by pulse - are constant if the long aperture is right too.
+
+What was found is an echo: a pulse, and at it a range and a Doppler. Those are in the samples, and whatever is said of
+them places the same echo somewhere on its own ground.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +25,7 @@ from blocksar.collection.region import Region
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.backprojection import accumulate
 from blocksar.focusing.profiles import Profiles, range_profiles
+from blocksar.inspection.contrast import UNLIT, Contrast, contrast
 from blocksar.kernels.fourier import fft_rows
 
 APERTURES = 6  # short ones, spread over the collection
@@ -29,12 +34,25 @@ LONGER = 6  # times: growth of the aperture from one refinement of a place to th
 MOST_UPDATES = 1.5e6  # points times pulses of a short aperture's map
 EDGE = 0.42  # of the beam's width: angles to either side of its middle that are searched
 STANDS_OUT = 50.0  # times the median power: in clutter alone one cell of 1e15 does
+# Of the power of the strongest range bin: less may be side lobes, which a sinc has at -28 dB APART cells away.
+SIDE_LOBES = 10**-2.5
 APART = 12  # cells between prominent places of one map
+SAME = 4.0  # range cells between places: nearer ones are the same, seen in two apertures
 EACH = 4  # places taken from one map
-ROWS: FloatArray = np.arange(-8.0, 9.0) * 0.7  # range cells about a place at which lines are taken
+ROW = 0.7  # range cells between rows
+ROWS: FloatArray = np.arange(-8.0, 9.0) * ROW  # range cells about a place at which lines are taken
 FEW_ROWS = ROWS[5:12]  # about one that a shorter aperture has been moved to
+BINS = 16  # of Doppler to either side of a place, that belong to its small image
+WIDE_ROWS: FloatArray = np.arange(-32.0, 32.0)  # range cells about a place amid clutter, and its bins of Doppler
+WIDE_BINS = 64
+DARK = 10**-2.5  # of the mean power over all ranges: with less, a place shows side lobes of others
+MOST_PULSES = 4096  # of its dwell, that are taken then
+FINE = 129  # ranges at which the steepness of a terrain is looked at
+MOST_PHASE = 0.5  # rad
+BASE = 8  # pulses to either side, between which Doppler is taken
 PULSES = 256  # whose range profiles are formed at a time
-NEWTON = 6  # steps to a place of another Doppler
+NEWTON, CONVERGED = 10, 1e-2  # steps to a place of another range and Doppler, and the cells left then
+SEEDS = 33, 65  # ranges and yaws of the ground, from the best of which they start
 
 
 class Place(NamedTuple):
@@ -44,6 +62,23 @@ class Place(NamedTuple):
     y: float
     prominence: float
     pulse: int = 0
+
+
+class Echo(NamedTuple):
+    """What a pulse sees of a place: R - reference_range, m, and Doppler, Hz, of which the samples leave PRFs open."""
+
+    pulse: int
+    offset: float
+    doppler: float
+
+
+class Seeds(NamedTuple):
+    """Points of the ground, x, y and height over the plane (n,), m, and the depth of their region in range, m."""
+
+    x: FloatArray
+    y: FloatArray
+    height: FloatArray
+    depth: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,11 +91,17 @@ class Line:
     pulses : slice
     values : (n,) complex
         At the range and Doppler where the place is brightest.
+    contrast : Contrast
+        Of its small image over these pulses.
+    focus : float
+        Share of the energy near the peak, along the track or in range, that the peak holds: 1 for a lone point.
     """
 
     place: Place
     pulses: slice
     values: Complex128Array
+    contrast: Contrast = UNLIT
+    focus: float = 0.0
 
 
 class Samples:
@@ -72,6 +113,7 @@ class Samples:
     def __init__(self, signal: ComplexArray, collection: Collection, *, threads: int) -> None:
         self.signal, self.collection, self.threads = signal, collection, threads
         self._profiles: dict[tuple[int, int], Profiles] = {}
+        self._levels: dict[int, float] = {}
 
     def profiles(self, first: int, last: int) -> Profiles:
         """Range profiles of the pulses first .. last - 1."""
@@ -81,6 +123,38 @@ class Samples:
                 self.signal[pulses], collection=self.collection, pulses=pulses, threads=self.threads
             )
         return self._profiles[first, last]
+
+    def level(self, pulse: int) -> float:
+        """Mean power over all ranges, of a group of pulses."""
+        start = pulse // PULSES * PULSES
+        if start not in self._levels:
+            values = self.profiles(start, min(start + PULSES, self.collection.n_pulse)).values
+            self._levels[start] = float((np.abs(values).astype(np.float64) ** 2).mean())
+        return self._levels[start]
+
+    def overview(self) -> list[Contrast]:
+        """Contrast of all that short apertures see, over range and Doppler."""
+        seen = []
+        for pulses in short_apertures(self.collection.n_pulse):
+            profiles = self.profiles(pulses.start, pulses.stop)
+            bins = max(int(self.cell / profiles.spacing / 2), 1)  # two to a range cell
+            image = np.zeros((2 * (pulses.stop - pulses.start), -(-profiles.values.shape[1] // bins)), np.complex64)
+            image[: len(profiles.values)] = profiles.values[:, ::bins]
+            power = np.abs(fft_rows(np.ascontiguousarray(image.T), inverse=False)).astype(np.float64) ** 2
+            seen.append(contrast(power, oversampling=2 * self.cell / (bins * profiles.spacing)))
+        return seen
+
+    @property
+    def cell(self) -> float:
+        """A range cell, m."""
+        return SPEED_OF_LIGHT / (2 * self.collection.bandwidth)
+
+
+def short_apertures(n_pulse: int) -> list[slice]:
+    """Pulses of short apertures, spread over all."""
+    size = min(SHORT, n_pulse)
+    starts = [round((k + 0.5) / APERTURES * (n_pulse - size)) for k in range(APERTURES)]
+    return [slice(start, start + size) for start in starts]
 
 
 class Lines:
@@ -96,19 +170,23 @@ class Lines:
     def __init__(self, samples: Samples, geometry: Geometry) -> None:
         self.samples, self.geometry = samples, geometry
         collection = geometry.collection
-        self.cell = SPEED_OF_LIGHT / (2 * collection.bandwidth)
+        self.cell = samples.cell
         middle = collection.range_frequency[collection.n_range_frequency // 2]
         self.turns = 2 * (collection.carrier + middle) / SPEED_OF_LIGHT
 
     def places(self, region: Region, count: int) -> list[Place]:
         """The most prominent places, at most `count`, from all short apertures."""
         found: list[Place] = []
-        n = self.geometry.collection.n_pulse
-        size = min(SHORT, n)
-        for k in range(APERTURES):
-            first = round((k + 0.5) / APERTURES * (n - size))
-            found += self._bright(region, slice(first, first + size))
+        for pulses in short_apertures(self.geometry.collection.n_pulse):
+            found += self._bright(region, pulses)
         return sorted(found, key=lambda place: -place.prominence)[:count]
+
+    def known(self, line: Line, others: Sequence[Line]) -> bool:
+        """Whether a line is of a place that others are of."""
+        return any(self._near(line.place, other.place) for other in others)
+
+    def _near(self, place: Place, other: Place) -> bool:
+        return bool(np.hypot(place.x - other.x, place.y - other.y) < SAME * self.cell)
 
     def _bright(self, region: Region, pulses: slice) -> list[Place]:
         """Prominent places in the map of a short aperture."""
@@ -122,7 +200,7 @@ class Lines:
         position = collection.antenna_position[pulses]
         near, far = region.limits(low, high)
         way = float(np.linalg.norm(position[-1] - position[0]))
-        ranges = np.arange(near, far, 0.7 * self.cell)
+        ranges = np.arange(near, far, ROW * self.cell / self._steepness(near, far, (low + high) / 2))
         yaws = np.linspace(low, high, max(int((high - low) * way / (0.35 * collection.wavelength)), 3))
         every = math.ceil(np.sqrt(max(ranges.size * yaws.size * position.shape[0] / MOST_UPDATES, 1.0)))
         ranges, yaws = ranges[::every], yaws[::every]  # of a large scene some places are missed
@@ -132,17 +210,20 @@ class Lines:
         first, last = np.full(x.shape, pulses.start, np.int64), np.full(x.shape, pulses.stop, np.int64)
         profiles = self.samples.profiles(pulses.start, pulses.stop)
         accumulate(
-            image, outside, profiles, geometry=geometry, x=x, y=y, first=first, last=last, threads=self.samples.threads
-        )
+            image, outside, profiles, geometry=geometry, x=x, y=y, first=first, last=last,
+            threads=self.samples.threads, height=None if geometry.terrain is None else self._height(x, y),
+        )  # fmt: skip
         if collection.has_axis:  # its edges are no yaws: beyond them lie only ambiguities of what it lights
             away = beam_offset(geometry, x, y, (pulses.start + pulses.stop) // 2)
             outside |= ~(np.abs(away) <= EDGE * (collection.beam_width or 0.0))  # NaN where no height is known
         power = np.where(outside, 0.0, np.nan_to_num(np.abs(image).astype(np.float64) ** 2))
         typical = float(np.median(power[power > 0])) if (power > 0).any() else 0.0
+        strongest = float((np.abs(profiles.values).astype(np.float64) ** 2).sum(axis=0).max()) * len(position)
+        least = max(STANDS_OUT * typical, SIDE_LOBES * strongest)
         places: list[Place] = []
         while typical > 0 and len(places) < EACH:
             row, column = np.unravel_index(int(np.argmax(power)), power.shape)
-            if power[row, column] < STANDS_OUT * typical:
+            if power[row, column] < least:
                 break
             prominence = float(power[row, column] / typical)
             middle = (pulses.start + pulses.stop) // 2
@@ -150,53 +231,151 @@ class Lines:
             power[max(row - APART, 0) : row + APART + 1, max(column - APART, 0) : column + APART + 1] = 0.0
         return places
 
-    def line(self, place: Place) -> Line | None:
-        """The line of a place, which is moved to where it is brightest as the aperture grows; None if it is not lit."""
-        first, last = (int(v) for v in lit_interval(self.geometry, np.array(place.x), np.array(place.y)))
-        if last - first < SHORT:
+    def _steepness(self, near: float, far: float, yaw: float) -> float:
+        """By how much the range of a terrain changes faster than that of its smooth surface, about a yaw; 1 .. 3."""
+        if self.geometry.terrain is None:
+            return 1.0
+        ranges = np.linspace(near, far, FINE)
+        x, y = self.geometry.ground_axes(ranges, np.full(FINE, yaw))
+        change = np.diff(self._distance(x, y, self.geometry.collection.n_pulse // 2)) / np.diff(ranges)
+        return float(np.clip(np.nanmax(np.abs(change), initial=1.0), 1.0, 3.0))
+
+    def line(self, place: Place, *, phase: FloatArray | None = None) -> Line | None:
+        """The line of a place, moved to where it is brightest as the aperture grows about the pulse that saw it.
+
+        None if it is not lit then. A phase error (n_pulse,), rad, is removed from its rows at last.
+        """
+        interval = self.lit(place)
+        if interval is None:
             return None
-        return self.line_about(place, first, last, (first + last) // 2)
+        place, pulses, rows, row, shift = self._grown(place, *interval, place.pulse, ROWS)
+        if phase is not None:
+            rows = rows * np.exp(-1j * phase[pulses])[:, None]
+        image = _small_image(rows, shift, min(BINS, rows.shape[0] // 4))
+        line = Line(place, pulses, _demodulated(rows[:, row], shift))
+        return replace(line, contrast=contrast(image, oversampling=2 / ROW), focus=_focus(image))
 
     def line_about(self, place: Place, first: int, last: int, middle: int, *, later: FloatArray = ROWS) -> Line:
         """The line of a place over the pulses first .. last - 1, found by apertures that grow about `middle`.
 
         The first of them looks at all ROWS, and those after it at `later`.
         """
-        size, offsets = SHORT, ROWS
+        place, pulses, rows, row, shift = self._grown(place, first, last, middle, later)
+        return Line(place, pulses, _demodulated(rows[:, row], shift))
+
+    def surroundings(self, place: Place) -> Contrast | None:
+        """Contrast of a wide image about a place amid clutter, over its dwell; None if it is not lit, or dark."""
+        interval = self.lit(place)
+        if interval is None:
+            return None
+        size = min(interval[1] - interval[0], MOST_PULSES)
+        first = min(max(place.pulse - size // 2, interval[0]), interval[1] - size)
+        rows = self._rows(place, slice(first, first + size), WIDE_ROWS)
+        if (np.abs(rows) ** 2).mean() < DARK * self.samples.level(first):
+            return None
+        bins = min(WIDE_BINS, rows.shape[0] // 4)
+        spectrum = fft_rows(np.ascontiguousarray(rows.T), inverse=False)
+        return contrast(np.abs(np.r_["1", spectrum[:, -bins:], spectrum[:, :bins]]) ** 2, oversampling=1.0)
+
+    def lit(self, place: Place) -> tuple[int, int] | None:
+        """First and last (exclusive) of the pulses that light a place, among them that which saw it; None otherwise."""
+        first, last = (int(v) for v in lit_interval(self.geometry, np.array(place.x), np.array(place.y)))
+        return (first, last) if last - first >= SHORT and first - SHORT <= place.pulse <= last + SHORT else None
+
+    def _grown(
+        self, place: Place, first: int, last: int, middle: int, later: FloatArray
+    ) -> tuple[Place, slice, Complex128Array, int, int]:
+        """A place moved by growing apertures; of the last its pulses, its rows, and the brightest's row and bin.
+
+        Where the sight turns so far that a place half a cell away is out of focus, the last aperture is taken twice.
+        """
+        size, offsets, settled = SHORT, ROWS, not self._turns(place, first, last)
         while True:
+            settled |= size == last - first
             size = min(LONGER * size, last - first)
             begin = min(max(middle - size // 2, first), last - size)
             pulses = slice(begin, begin + size)
             rows = self._rows(place, pulses, offsets)
-            spectrum = fft_rows(np.ascontiguousarray(rows.T), inverse=False).T
+            power = np.abs(fft_rows(np.ascontiguousarray(rows.T), inverse=False).T) ** 2
             reach = min(3 * LONGER, size // 2 - 1)
-            near = np.r_[0 : reach + 1, size - reach : size]
-            bin_, row = np.unravel_index(int(np.argmax(np.abs(spectrum[near]))), (near.size, offsets.size))
-            shift = near[bin_] if near[bin_] <= reach else near[bin_] - size
-            if size == last - first:
-                turn = np.exp(-2j * np.pi * shift / size * np.arange(size))
-                return Line(place, pulses, rows[:, row] * turn)
-            place = self._moved(place, pulses, offsets[row] * self.cell, shift / (size * self._interval))
+            near = np.r_[size - reach : size, 0 : reach + 1]
+            bin_, row = (int(i) for i in np.unravel_index(int(np.argmax(power[near])), (near.size, offsets.size)))
+            if size == last - first and settled:
+                return place, pulses, rows, row, bin_ - reach
+            shift = bin_ - reach + _vertex(power[near, row], bin_)
+            away = offsets[row] + ROW * _vertex(power[near[bin_]], row)
+            middle_pulse = (pulses.start + pulses.stop) // 2
+            place = self._moved(place, middle_pulse, np.array([away * self.cell, shift / (size * self._interval)]))
             offsets = later
+
+    def _turns(self, place: Place, first: int, last: int) -> bool:
+        """Whether a range cell off a place means more phase than MOST_PHASE over its dwell, as the sight turns."""
+        position = self.geometry.collection.antenna_position[[first, (first + last) // 2, last - 1]]
+        sight = np.array([place.x, place.y, self.geometry.collection.ground_height]) - position
+        sight /= np.linalg.norm(sight, axis=1)[:, None]
+        turn = np.linalg.norm(sight[2] - sight[0])
+        return bool(2 * np.pi * self.turns * self.cell * turn**2 / 8 > MOST_PHASE)
+
+    def echo(self, place: Place) -> Echo:
+        """What the place's pulse sees of it."""
+        offset, doppler = self._seen(np.array(place.x), np.array(place.y), place.pulse)
+        return Echo(place.pulse, float(offset), float(doppler))
+
+    def seeds(self, region: Region) -> Seeds:
+        """Points that cover a region, from which places are searched."""
+        yaw = np.linspace(region.yaw[0], region.yaw[-1], SEEDS[1])
+        near, far = region.at(yaw)
+        point = self.geometry.ground_point(near + (far - near) * np.linspace(0, 1, SEEDS[0])[:, None], yaw)
+        x, y = (point[..., axis][np.isfinite(point).all(axis=-1)] for axis in (0, 1))
+        return Seeds(x, y, np.broadcast_to(self._height(x, y), x.shape), float((far - near).max()))
+
+    def place(self, echo: Echo, seeds: Seeds) -> Place | None:
+        """Where an echo comes from: lit ground of its range and Doppler, near a seed; None if there is none."""
+        geometry, prf = self.geometry, self.geometry.collection.prf
+        x, y, height, depth = seeds
+        if (width := geometry.collection.beam_width) is not None:
+            lit = np.abs(beam_offset(geometry, x, y, echo.pulse)) <= width / 2
+            x, y, height = x[lit], y[lit], height[lit]
+        if not x.size:
+            return None
+        offset, doppler = self._seen(x, y, echo.pulse, height)
+        further = echo.doppler - doppler
+        further -= prf * np.rint(further / prf)
+        best = int(np.argmin(((echo.offset - offset) / depth) ** 2 + (further / prf) ** 2))
+        wanted = np.array([echo.offset, doppler[best] + further[best]])
+        return self._solved(Place(float(x[best]), float(y[best]), 0.0, echo.pulse), wanted)
 
     def ambiguous(self, place: Place, turns: int) -> Place:
         """The place at the same range whose Doppler is `turns` times the PRF higher, seen from the place's pulse."""
-        n = self.geometry.collection.n_pulse
-        pulses = slice(max(place.pulse - 1, 0), min(place.pulse + 1, n))
-        wanted = self._seen(place.x, place.y, pulses) + np.array([0.0, turns * self.geometry.collection.prf])
+        echo = self.echo(place)
+        wanted = np.array([echo.offset, echo.doppler + turns * self.geometry.collection.prf])
+        return self._solved(place, wanted) or place
+
+    def _solved(self, place: Place, wanted: FloatArray) -> Place | None:
+        """The place of an offset (m) and a Doppler (Hz) at its pulse, by Newton's method from a place near it."""
+        tolerance = np.array([self.cell, self.geometry.collection.prf / SHORT])  # what a short aperture tells apart
         for _ in range(NEWTON):
-            further, doppler = wanted - self._seen(place.x, place.y, pulses)
-            place = self._moved(place, pulses, float(further), float(doppler))
-        return place
+            left = wanted - self._seen(np.array(place.x), np.array(place.y), place.pulse)
+            if (np.abs(left) < CONVERGED * tolerance).all():
+                return place
+            place = self._moved(place, place.pulse, left)
+        return None
 
     @property
     def _interval(self) -> float:
         return self.geometry.collection.pulse_interval
 
-    def _distance(self, x: FloatArray, y: FloatArray, pulses: slice) -> FloatArray:
-        position = self.geometry.collection.antenna_position[pulses]
-        height = np.nan_to_num(self.geometry.height(x, y), nan=self.geometry.collection.ground_height)
-        return np.sqrt((position[:, 0] - x) ** 2 + (position[:, 1] - y) ** 2 + (position[:, 2] - height) ** 2)
+    def _distance(
+        self, x: FloatArray, y: FloatArray, pulses: slice | int, height: FloatArray | None = None
+    ) -> FloatArray:
+        collection = self.geometry.collection
+        height = self._height(x, y) if height is None else height
+        px, py, pz = np.moveaxis(collection.antenna_position[pulses], -1, 0)
+        return np.sqrt((px - x) ** 2 + (py - y) ** 2 + (pz - collection.ground_height - height) ** 2)
+
+    def _height(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Height over the plane z = ground_height, m; 0 where it is unknown."""
+        return np.nan_to_num(np.asarray(self.geometry.height(x, y)) - self.geometry.collection.ground_height)
 
     def _rows(self, place: Place, pulses: slice, offsets: FloatArray) -> Complex128Array:
         """(n, n_row): the samples at offsets (n_row,) in range cells from a place, with its phase removed."""
@@ -213,23 +392,51 @@ class Lines:
         cycles = self.turns * offset
         return np.asarray(rows * np.exp(2j * np.pi * (cycles - np.rint(cycles)))[:, None])
 
-    def _moved(self, place: Place, pulses: slice, further: float, doppler: float) -> Place:
-        """The place that lies `further` m in range and has `doppler` Hz more, at the middle of some pulses."""
+    def _moved(self, place: Place, pulse: int, change: FloatArray) -> Place:
+        """The place that at a pulse has a `change` of offset (m) and Doppler (Hz)."""
         step = 1.0  # m
-        middle = slice((pulses.start + pulses.stop) // 2 - 1, (pulses.start + pulses.stop) // 2 + 1)
-
-        here = self._seen(place.x, place.y, middle)
-        by_x = self._seen(place.x + step, place.y, middle) - here
-        by_y = self._seen(place.x, place.y + step, middle) - here
-        determinant = by_x[0] * by_y[1] - by_x[1] * by_y[0]
+        x, y = place.x + step * np.array([0.0, 1.0, 0.0]), place.y + step * np.array([0.0, 0.0, 1.0])
+        here, by_x, by_y = self._seen(x, y, pulse).T
+        (a, b), (c, d) = by_x - here, by_y - here
+        determinant = a * d - b * c
         if abs(determinant) < 1e-12:
             return place
-        x = (further * by_y[1] - doppler * by_y[0]) / determinant
-        y = (doppler * by_x[0] - further * by_x[1]) / determinant
-        return place._replace(x=place.x + step * x, y=place.y + step * y)
+        along_x, along_y = (change[0] * d - change[1] * c) / determinant, (a * change[1] - b * change[0]) / determinant
+        return place._replace(x=place.x + step * float(along_x), y=place.y + step * float(along_y))
 
-    def _seen(self, x: float, y: float, pulses: slice) -> FloatArray:
-        """Range (m) and Doppler (Hz) of a point, m, between two pulses."""
-        distance = self._distance(np.array(x), np.array(y), pulses)
-        rate = (distance[1] - distance[0]) / self._interval
-        return np.array([distance.mean(), -2 / self.geometry.collection.wavelength * rate])
+    def _seen(self, x: FloatArray, y: FloatArray, pulse: int, height: FloatArray | None = None) -> FloatArray:
+        """R - reference_range (m) and Doppler (Hz) of points, m, about a pulse: (2, ...)."""
+        collection = self.geometry.collection
+        first, last = max(pulse - BASE, 0), min(pulse + BASE, collection.n_pulse - 1)
+        height = self._height(x, y) if height is None else height
+        before, after = (self._distance(x, y, p, height) - collection.reference_range[p] for p in (first, last))
+        return np.stack([(before + after) / 2, -self.turns * (after - before) / ((last - first) * self._interval)])
+
+
+def _vertex(power: FloatArray, peak: int) -> float:
+    """Where the parabola through a peak and its neighbours has its vertex, from the peak; 0 at the ends."""
+    if not 0 < peak < power.size - 1:
+        return 0.0
+    before, here, after = power[peak - 1 : peak + 2]
+    return float(np.clip((before - after) / (2 * min(before - 2 * here + after, -1e-30)), -0.5, 0.5))
+
+
+def _demodulated(values: Complex128Array, shift: int) -> Complex128Array:
+    """A line with its peak moved to zero Doppler."""
+    return np.asarray(values * np.exp(-2j * np.pi * shift / values.size * np.arange(values.size)))
+
+
+def _small_image(rows: Complex128Array, shift: int, reach: int) -> FloatArray:
+    """(n_bin, n_row): power about a bin of Doppler, at every half bin."""
+    size = rows.shape[0]
+    near = (shift + np.arange(-reach, reach)) % size
+    between = rows * np.exp(-1j * np.pi / size * np.arange(size))[:, None]
+    whole, half = (fft_rows(np.ascontiguousarray(part.T), inverse=False).T[near] for part in (rows, between))
+    return np.asarray(np.abs(np.stack([whole, half], axis=1).reshape(-1, rows.shape[1])) ** 2)
+
+
+def _focus(image: FloatArray) -> float:
+    """Share that the peak of a small image holds of the energy along the track or in range, whichever is less."""
+    bin_, row = np.unravel_index(int(np.argmax(image)), image.shape)
+    peak = float(image[bin_, row])
+    return min(1.0, peak / max(float(image[:, row].sum()) / 2, float(image[bin_].sum()) * ROW, 1e-300))

@@ -113,37 +113,48 @@ class TrackError(NamedTuple):
 
 
 def explain(lines: Sequence[Line], phase: FloatArray, collection: Collection) -> list[TrackError]:
-    """How well simple errors of the track explain a phase error: a velocity, or an offset along an axis.
+    """How well simple errors explain a phase error: of the velocity, of the carrier, or an offset along an axis.
 
     The phase of a line is 4 pi / lambda (d - e) . u, with the track's error e: a place is found where range and Doppler
-    fit, displaced by d on the ground, so that constant and line vanish over its dwell. What is left blurs. Errors that
-    would have to be implausibly large are left out.
+    fit, displaced by d on the ground, so that constant and line vanish over its dwell. What is left blurs. A carrier
+    that is too high by a share has the same share of R - reference_range for (d - e) . u. Errors that would have to be
+    implausibly large are left out.
     """
     position, time = collection.antenna_position, collection.time - collection.time.mean()
     velocity = (position[-1] - position[0]) / (collection.time[-1] - collection.time[0])
-    kinds: list[tuple[str, FloatArray]] = [("velocity", np.outer(time, velocity))]
+    kinds: list[tuple[str, FloatArray | None]] = [("velocity", np.outer(time, velocity)), ("carrier", None)]
     kinds += [(axis, np.tile(unit, (time.size, 1))) for axis, unit in zip("xyz", np.eye(3), strict=True)]
-    errors, limit = [], {"velocity": IMPLAUSIBLE}
+    errors, furthest = [], IMPLAUSIBLE * float(collection.reference_range.mean())
     for kind, error in kinds:
         above, below, total = 0.0, 0.0, 1e-30
         for line in lines:
             sight = np.array([line.place.x, line.place.y, collection.ground_height]) - position[line.pulses]
-            sight /= np.linalg.norm(sight, axis=1, keepdims=True)
-            model = 4 * np.pi / collection.wavelength * _blur(-(error[line.pulses] * sight).sum(axis=1), sight[:, :2])
+            distance = np.linalg.norm(sight, axis=1)
+            sight /= distance[:, None]
+            if error is None:
+                away = distance - collection.reference_range[line.pulses]
+            else:
+                away = -(error[line.pulses] * sight).sum(axis=1)
+            model = 4 * np.pi / collection.wavelength * _blur(away, sight[:, :2])
             wanted = _level(phase[line.pulses])
             above += float(model @ wanted)
             below += float(model @ model)
             total += float(wanted @ wanted)
         size = above / max(below, 1e-30)
-        if abs(size) > limit.get(kind, IMPLAUSIBLE * float(collection.reference_range.mean())):
-            continue
-        if kind == "velocity":
-            text = f"a velocity that is about {abs(100 * size):.2g} % too {'high' if size > 0 else 'low'}"
-            errors.append(TrackError(text, "check the velocity and the time between pulses", size * above / total))
-        else:
-            text = f"an offset of about {abs(size):.2g} m towards {'+' if size > 0 else '-'}{kind}"
-            errors.append(TrackError(text, "check antenna_position", size * above / total))
+        if abs(size) <= (furthest if kind in "xyz" else IMPLAUSIBLE):
+            errors.append(_track_error(kind, size, size * above / total))
     return errors
+
+
+def _track_error(kind: str, size: float, explained: float) -> TrackError:
+    """An error of a kind and size, a share or m, as a statement and its remedy."""
+    much = f"about {abs(100 * size):.2g} % too {'high' if size > 0 else 'low'}"
+    if kind == "velocity":
+        return TrackError(f"a velocity that is {much}", "check the velocity and the time between pulses", explained)
+    if kind == "carrier":
+        return TrackError(f"a carrier that is {much}", "check carrier_frequency", explained)
+    text = f"an offset of about {abs(size):.2g} m towards {'+' if size > 0 else '-'}{kind}"
+    return TrackError(text, "check antenna_position", explained)
 
 
 def _blur(distance: FloatArray, ground: FloatArray) -> FloatArray:

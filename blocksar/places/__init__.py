@@ -19,6 +19,7 @@ from blocksar.errors import InputError
 from blocksar.places.local import LocalPlace
 from blocksar.places.objects import ObjectPlace
 from blocksar.places.place import Place
+from blocksar.places.ranges import Readable, WebFile
 
 Location = str | os.PathLike[str] | Place  # as users give it: a path, the URL of an object store, or a place
 
@@ -60,6 +61,19 @@ def place(path: Location) -> Place:
         raise InputError(f"{text} needs obstore, which is not installed; install blocksar[s3]") from None
     _check_endpoint(os.environ.get("AWS_ENDPOINT_URL", ""))
     return ObjectPlace(bucket, key)
+
+
+def readable(path: Location) -> Readable:
+    """Return the file that a path or URL names, also one on a web server, of which only parts are read.
+
+    Raises
+    ------
+    InputError
+        As `place`.
+    """
+    if isinstance(path, str) and re.match(r"https?://[^/]+/.", path):
+        return WebFile(path)
+    return place(path)
 
 
 def lies_at(place: Place) -> str:

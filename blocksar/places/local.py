@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, BinaryIO, Literal
 
 from blocksar.places.owners import describe_owner, this_process
 from blocksar.places.place import Held, Place
@@ -71,6 +71,9 @@ class LocalPlace(Place):
         with suppress(FileNotFoundError, NotADirectoryError):
             return file_version(os.stat(self.path))
         return ""
+
+    def open(self) -> BinaryIO:
+        return open(self.path, "rb")
 
     def read_bytes(self) -> bytes:
         return self.path.read_bytes()

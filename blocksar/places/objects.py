@@ -13,10 +13,12 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
+from blocksar.errors import changes_while_read
 from blocksar.places.owners import describe_owner, is_alive, this_process
 from blocksar.places.place import Held, Place
+from blocksar.places.ranges import in_ranges
 
 if TYPE_CHECKING:
     from obstore.store import S3Store
@@ -79,6 +81,22 @@ class ObjectPlace(Place):
             entry = obstore.head(open_bucket(self.bucket), self.key)
             return f"{entry['size']} {entry['e_tag']}"
         return ""
+
+    def open(self) -> BinaryIO:
+        import obstore
+
+        with os_errors(self):
+            found = obstore.head(open_bucket(self.bucket), self.key)
+
+        def fetch(start: int, stop: int) -> bytes:
+            options: Any = {"range": (start, stop), "if_match": found["e_tag"]}
+            try:
+                with os_errors(self):
+                    return bytes(obstore.get(open_bucket(self.bucket), self.key, options=options).bytes())
+            except FileExistsError as error:  # what `os_errors` makes of a tag that does not match
+                raise changes_while_read(self) from error
+
+        return in_ranges(int(found["size"]), fetch)
 
     def read_bytes(self) -> bytes:
         import obstore

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from blocksar.errors import printable
+from blocksar.places.ranges import Readable
 
 if TYPE_CHECKING:
     from zarr.storage import StorePath
@@ -20,17 +20,8 @@ class Held(Exception):
         super().__init__(owner)
 
 
-class Place(ABC):
+class Place(Readable):
     """The location of a store, a run, or a file in either. All methods raise OSError if reading or writing fails."""
-
-    def __format__(self, spec: str) -> str:
-        """Format the name for messages: printable, on one line."""
-        return printable(str(self)).replace("\n", "\\n")
-
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """The last part of the name."""
 
     @abstractmethod
     def __truediv__(self, name: str) -> Place:

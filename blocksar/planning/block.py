@@ -22,7 +22,7 @@ from blocksar.focusing.step import Constants, Stage, Step, stages
 from blocksar.kernels.fourier import Axis
 from blocksar.planning.binding import AzimuthPart, RangePart, Slab
 from blocksar.planning.block_ground import end_layers, map_loss, plan_ground, trace_for_map, usual_layer
-from blocksar.planning.block_lines import CoarseLines, FineLines, follow_terrain
+from blocksar.planning.block_lines import CoarseLines, FineLines, follow_terrain, lit_beside, under_tiles
 from blocksar.planning.block_sampling import plan_sampling, plan_slab
 from blocksar.planning.coefficients import Choice, choose
 from blocksar.planning.contrast import dark_contrast
@@ -179,9 +179,10 @@ def _plan_block(
         range_frequency=band if range_gate is None else range_gate.range_frequency, duration=coarse.duration,
     )  # fmt: skip
     sampling = _with_gate(sector, azimuth, sampling, lines)
+    mapped = under_tiles(sector, azimuth, lines)
     if sampling.gate is not None:
-        lines = lines.levelled_by(sampling.gate)
-    steps, ground = azimuth.sampled(sampling), plan_ground(sector, azimuth, sampling, lines)
+        lines, mapped = lines.levelled_by(sampling.gate), mapped.levelled_by(sampling.gate)
+    steps, ground = azimuth.sampled(sampling), plan_ground(sector, azimuth, sampling, mapped)
     return BlockPlan(
         index=index, part=part, low=sector.low, high=sector.high, first_bin=slab.first_bin, n_bin=slab.doppler.size,
         chain=steps if range_gate is None else (range_gate, *steps), sampling=sampling,
@@ -253,8 +254,9 @@ def _plan_azimuth(
 def _with_gate(sector: Sector, azimuth: AzimuthPart, sampling: Sampling, lines: FineLines) -> Sampling:
     """The sampling with the dwell gate, and with its parts over the band."""
     gated = follow_terrain(sector, azimuth, lines) if sector.gates_by_height else lines
-    gate = plan_dwell_gate(sector, sampling, gated)
-    over_band = () if gate is None else plan_over_band(sector, sampling, gated, gate)
+    beside = lit_beside(sector, azimuth, gated)
+    gate = plan_dwell_gate(sector, sampling, gated, beside)
+    over_band = () if gate is None else plan_over_band(sector, sampling, gated, beside, gate)
     return replace(sampling, gate=gate, over_band=over_band)
 
 

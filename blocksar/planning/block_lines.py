@@ -16,19 +16,23 @@ from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import AxisTaper
 from blocksar.focusing.dwell_gate import DwellGate
-from blocksar.focusing.lines import Focus, Line, focus
+from blocksar.focusing.ground_map import tile_extent
+from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line, focus
 from blocksar.planning.apertures import level_aperture, levelled
 from blocksar.planning.binding import AzimuthPart
 from blocksar.planning.dwell_ends import DwellEnds, band_moves, full_dwells
-from blocksar.planning.dwell_weights import DwellWeights
+from blocksar.planning.dwell_weights import DwellWeights, beam_moves
 from blocksar.planning.nodes import nodes_between
 from blocksar.planning.sector import Sector
+from blocksar.planning.steadiness import scans_evenly
 from blocksar.planning.target_lines import Dwells
 from blocksar.planning.traced_targets import TracedTargets
 
 COARSE_NODES = 9, 15  # along range and yaw
 FINE_NODES, MORE_RANGES = (13, 33), 25
 YAWS_PER_INTERVAL, MOST_YAWS = 0.6, 129  # of fine lines, where a spline's intervals pass from yaw to yaw
+MOST_WIDER = 2.0  # times as many yaws, where lines go on beyond a block
+FOLDED = 1.0  # octaves of stretch, of lines that are not followed
 GATE_RANGES = 25  # of the lines that a dwell gate on a terrain follows
 
 
@@ -125,6 +129,53 @@ def _fine_yaws(sector: Sector) -> int:
     first, last = dwell_at(geometry, np.array([sector.low, sector.high]), np.array((sector.near + sector.far) / 2))
     passed = float(np.ptp(first + last)) / 2 / geometry.track.wobble.step
     return max(FINE_NODES[1], math.ceil(min(YAWS_PER_INTERVAL * passed, MOST_YAWS)))
+
+
+def under_tiles(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> FineLines:
+    """The lines as far beyond the block as its tiles of pixels reach, where a track wobbles; as they are elsewhere.
+
+    Tiles at its edge take what the map knows beyond it. Series of few terms can be asked there, but not those that
+    follow the waves of a track.
+    """
+    if sector.geometry.track.wobble is None:
+        return lines
+    near = max(sector.near, sector.region.limits(sector.low, sector.high)[0])
+    _, beyond = tile_extent(sector.geometry, sector.low, sector.high, near, sector.far)
+    return _trace_wider(sector, azimuth, lines, sector.low - beyond, sector.high + beyond)
+
+
+def lit_beside(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> FineLines | None:
+    """The lines and those of all that is lit beside the block; None where its own are enough.
+
+    A pixel also sums what its pulses have of other targets, gated as is right for the Doppler at which those focus.
+    Windows with sharp ends make that count as far as the beam reaches, beyond the seams too. Ends of a beam that scans
+    evenly hardly bend along Doppler and are extrapolated. Lines end before targets beside the block that fold, as its
+    steps are not made for them.
+    """
+    collection, region = sector.geometry.collection, sector.region
+    if sector.fade or sector.gates_by_height or not beam_moves(collection) or scans_evenly(collection):
+        return None
+    reach, middle = collection.beam_width or 0.0, (sector.near + sector.far) / 2
+    if collection.has_axis:
+        reach *= middle / float(sector.ground_range.on_ground(np.array(middle)))
+    low = min(max(sector.low - reach, float(region.yaw[0])), sector.low)
+    high = max(min(sector.high + reach, float(region.yaw[-1])), sector.high)
+    wider = _trace_wider(sector, azimuth, lines, low, high)
+    folds = (np.abs(np.log2(np.maximum(wider.line.stretch, LEAST_STRETCH))) > FOLDED).any(axis=(0, 2))
+    if not folds.any():
+        return wider
+    before, behind = (np.flatnonzero(folds & beside) for beside in (wider.yaw < sector.low, wider.yaw > sector.high))
+    first, last = before.max(initial=-1) + 1, behind.min(initial=wider.yaw.size) - 1
+    ends = min(float(wider.yaw[first]), sector.low), max(float(wider.yaw[last]), sector.high)
+    return _trace_wider(sector, azimuth, lines, *ends)
+
+
+def _trace_wider(sector: Sector, azimuth: AzimuthPart, lines: FineLines, low: float, high: float) -> FineLines:
+    """Lines at the ranges of others, and at yaws from low to high, about as dense, rad."""
+    rng, wider = lines.epoch_range, (high - low) / (sector.high - sector.low)
+    yaw = nodes_between(low, high, math.ceil(min(wider, MOST_WIDER) * lines.yaw.size))
+    traced = _levelled(_trace(sector, azimuth, rng, yaw), lines.in_time)
+    return _with_ends(sector, azimuth, traced, rng, yaw, lines.in_time)
 
 
 def follow_terrain(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> FineLines:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from blocksar.kernels import fourier
 from blocksar.planning.band_parts import NO_SCALING, Scaling, gate_parts
 from blocksar.planning.block_lines import FineLines
 from blocksar.planning.dwell_ends import LitTimes, Moments, end_smear
-from blocksar.planning.dwell_taper import divide_dwells, plan_taper, stretch_levels
+from blocksar.planning.dwell_taper import Half, divide_dwells, plan_taper, stretch_levels
 from blocksar.planning.dwell_weights import beam_moves
 from blocksar.planning.end_windows import band_spread, end_lift, gate_blur
 from blocksar.planning.relief import FINE_DEGREE
@@ -35,9 +36,11 @@ UNEVEN_SHARE = 0.1  # of the allowed loss, that the stretch of lines may cost be
 
 
 def plan_dwell_gate(
-    sector: Sector, sampling: Sampling, lines: FineLines, scaling: Scaling = NO_SCALING
+    sector: Sector, sampling: Sampling, lines: FineLines, beside: FineLines | None, scaling: Scaling = NO_SCALING
 ) -> DwellGate | None:
     """The gate that follows the ends of the dwells along Doppler, at a range frequency with a `scaling` by a keystone.
+
+    It follows those of the lines, and `beside` the block too where that has some (`block_lines.lit_beside`).
 
     Dwells that the ends of the collection cut are gated as if they continued: nothing lies beyond. None where all is
     lit all the time, and where all targets dwell at the same time: a gate could not separate them. Without a gate the
@@ -48,22 +51,17 @@ def plan_dwell_gate(
     line, spots, taper, fade = lines.line, lines.spots, sector.taper, sector.fade
     weighed = fade > 0 or not taper.uniform
 
-    # When dwells begin and end after all steps, uncut, and when the beam's centre passes in between.
-    times = LitTimes.of(lines.lit, line)
-    cut = times.first - lines.ends.uncut[0], lines.ends.uncut[1] - times.last
-    uncut = scaling(lines.ends.uncut[0]), scaling(lines.ends.uncut[1])
-    passing = lines.ends.passing.scaled(scaling)
-    middle = (uncut[0] + uncut[1]) / 2 if passing.centre is None else passing.centre
-    begins, ends = times.ends(uncut)
+    dwells = _dwells_of(lines, scaling, weighed=weighed)
+    times, begins, ends = dwells.times, *dwells.ends
     lengths = ends - begins
     if np.ptp((begins + ends) / 2) < LEAST_SPREAD * lengths.max() and not weighed:  # a taper needs its windows anyway
         return None
-    halves = divide_dwells(times, (begins, ends), passing, middle) if weighed else ()
 
     # Both ends and the lengths of halves along Doppler; phases that move the ends, and all dwells, to t = 0.
-    fit, length = RowFit.over(sampling.rows, spots), float(lengths.mean())
-    values = [begins + length / 2, ends - length / 2, *(half.length for half in halves)]
-    begin, end, *fitted = _fit_ends(sector, fit, lines, np.stack(values), cut=cut, length=length)
+    length, followed = float(lengths.mean()), lines if beside is None else beside
+    fit = RowFit.over(sampling.rows, followed.spots)
+    shown = dwells if beside is None else _dwells_of(beside, scaling, weighed=weighed)
+    begin, end, *fitted = _fit_ends(sector, fit, followed, shown, length=length)
     phases = fit.integral(begin), fit.integral(end)
     at_middle = fit.integral((begin + end) / 2).coefficients(np.array((fit.near + fit.far) / 2))[None]
     common = fit.polynomial(at_middle)
@@ -84,7 +82,7 @@ def plan_dwell_gate(
     size = min(fourier.fast_length((room + 2 * apart) / sampling.long_time.step), sampling.long_time.size)
 
     full, uneven = lines.ends.full, UNEVEN_SHARE * (1 - sector.fidelity)
-    levels = stretch_levels(times, middle, full, uneven=uneven) if fade else (0.0, 0.0)
+    levels = stretch_levels(times, dwells.middle, full, uneven=uneven) if fade else (0.0, 0.0)
     polynomials = [fit.polynomial(series) for series in fitted]
     spread = band_spread(sector.geometry.collection, lines.ends.uncut, scaled_about=lines.ends.scaled_about)
     blur = gate_blur(sector.geometry.collection, spread)
@@ -99,7 +97,7 @@ def plan_dwell_gate(
         lift=lift,
         length=length,
         time=fourier.centred(0.0, sampling.long_time.step, size),
-        taper=plan_taper(taper, fade, halves, polynomials, full=full, levels=levels) if weighed else None,
+        taper=plan_taper(taper, fade, dwells.halves, polynomials, full=full, levels=levels) if weighed else None,
     )
 
 
@@ -108,17 +106,36 @@ def faded_room(length: float, slope: float) -> float:
     return length + 2 * FADE_ROOM * math.sqrt(slope)
 
 
-def _fit_ends(
-    sector: Sector, fit: RowFit, lines: FineLines, values: FloatArray, *, cut: Moments, length: float
-) -> list[FloatArray]:
+class _Dwells(NamedTuple):
+    """Dwells of lines after all steps."""
+
+    times: LitTimes
+    ends: Moments  # (n_range, n_yaw), s, uncut
+    middle: FloatArray  # when the beam's centre passes, s from the epoch
+    halves: tuple[Half, ...]  # both of them, where dwells are weighed
+
+
+def _dwells_of(lines: FineLines, scaling: Scaling, *, weighed: bool) -> _Dwells:
+    times = LitTimes.of(lines.lit, lines.line)
+    uncut = scaling(lines.ends.uncut[0]), scaling(lines.ends.uncut[1])
+    passing = lines.ends.passing.scaled(scaling)
+    middle = (uncut[0] + uncut[1]) / 2 if passing.centre is None else passing.centre
+    ends = times.ends(uncut)
+    return _Dwells(times, ends, middle, divide_dwells(times, ends, passing, middle) if weighed else ())
+
+
+def _fit_ends(sector: Sector, fit: RowFit, lines: FineLines, dwells: _Dwells, *, length: float) -> list[FloatArray]:
     """Fit begins and ends, and under a weighting the lengths of halves: (2 or 4, n_range, n_yaw), s.
 
-    Where edges fade out, those that the collection cuts off, by the times `cut`, are left to the others: there is
-    nothing to gate where they lie.
+    Where edges fade out, those that the collection cuts off are left to the others: there is nothing to gate where
+    they lie.
     """
     spots, degree = lines.spots, FINE_DEGREE if sector.gates_by_height else GATE_DEGREES
+    begins, ends = dwells.ends
+    values = np.stack([begins + length / 2, ends - length / 2, *(half.length for half in dwells.halves)])
     if not sector.fade:
         return fit.fit(spots, values, degree, known=np.ones(values.shape[1:], np.bool_))
+    cut = dwells.times.first - lines.ends.uncut[0], lines.ends.uncut[1] - dwells.times.last
     known = [time < UNCUT * length for time in cut]
     known = [each if each.any() else np.ones_like(each) for each in known]
     precision = FIT_PRECISION * length / (2 * sector.fade)
@@ -138,7 +155,9 @@ def _end_slope(fit: RowFit, series: FloatArray, lines: FineLines, slopes: FloatA
     return slope
 
 
-def plan_over_band(sector: Sector, sampling: Sampling, lines: FineLines, gate: DwellGate) -> tuple[DwellGate, ...]:
+def plan_over_band(
+    sector: Sector, sampling: Sampling, lines: FineLines, beside: FineLines | None, gate: DwellGate
+) -> tuple[DwellGate, ...]:
     """The gate's parts over the band, with the samples of `gate`; none where it serves all of it."""
     if sector.gate_parts == 1 or lines.ends.scaled_about is None:
         return ()
@@ -147,7 +166,7 @@ def plan_over_band(sector: Sector, sampling: Sampling, lines: FineLines, gate: D
     factors = 1 + (middle + half * places.nodes) / collection.carrier
     parts = []
     for factor, share in zip(factors.tolist(), places.series, strict=True):
-        part = plan_dwell_gate(sector, sampling, lines, Scaling(lines.ends.scaled_about, factor))
+        part = plan_dwell_gate(sector, sampling, lines, beside, Scaling(lines.ends.scaled_about, factor))
         if part is not None:
             level = AxisTaper(FLAT, float(middle), half, tuple(share.tolist()))
             parts.append(replace(part, common=gate.common, time=gate.time, share=level))

@@ -107,9 +107,18 @@ def _check_prf(geometry: Geometry, method: Method, spread: float) -> None:
             f"PRF {collection.prf:.6g} Hz is too low: after {method.derotation} derotation the lit scene still spans "
             f"{spread:.6g} Hz of Doppler, so a PRF of at least {needed:.6g} Hz is needed; collect with a higher PRF or "
             + ("a narrower beam" if collection.steered else "image a smaller grid")
+            + _of_terrain(geometry)
             + "; `blocksar check` tells whether the track fits the samples",
             needed,
         )
+
+
+def _of_terrain(geometry: Geometry) -> str:
+    """That a terrain may be wrong, if there is one: on ground that is too high or low, all moves otherwise."""
+    if geometry.terrain is None:
+        return ""
+    low, high = geometry.terrain.limits
+    return f", or correct the terrain's heights (unit, datum) if they are not z = {low:.6g} .. {high:.6g} m"
 
 
 def _plan_spectrum(

@@ -31,7 +31,7 @@ from blocksar.stores.copying import (
 )
 from blocksar.stores.creation import UNFINISHED, create, refuse_existing
 from blocksar.stores.datasets import CONTENT, DatasetHistory, dataset_of, history_in_memory, history_of
-from blocksar.stores.history_creation import create_phase_history, history_line, write_collection
+from blocksar.stores.history_creation import create_phase_history, history_line, refuse_full, write_collection
 from blocksar.stores.phase_history import PhaseHistory, open_dataset, open_phase_history, read_collection
 from blocksar.stores.records import checksum, checksum_bytes, file_checksum, json_checksum, read_json, write_json
 from blocksar.stores.regions import chunk_shape, read_region, share_region, write_region
@@ -103,6 +103,7 @@ __all__ = [
     "read_region",
     "read_terrain",
     "refuse_existing",
+    "refuse_full",
     "same_files",
     "share_region",
     "terrain_fingerprint",

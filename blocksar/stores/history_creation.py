@@ -11,9 +11,10 @@ import numpy as np
 from blocksar.chunks import TILE, stored_bytes
 from blocksar.collection.collection import Collection
 from blocksar.collection.raw_echo import RawEcho
-from blocksar.places import Location, place
+from blocksar.places import Location
+from blocksar.places import place as place_of
 from blocksar.places.place import Place
-from blocksar.places.room import check_room
+from blocksar.places.room import REMEDY, check_room
 from blocksar.stores.channels import check_channels, with_channels
 from blocksar.stores.contract import stated
 from blocksar.stores.creation import create
@@ -52,14 +53,14 @@ def create_phase_history(
     InputError, ProcessingError
         As for `create`, and if the disk has no room for the samples that are filled in.
     """
+    if fill is not None:
+        refuse_full(path, collection, max(len(channels), 1), raw=raw)
     column, axis = ("range_frequency", collection.range_frequency) if raw is None else ("fast_time", raw.fast_time)
     schema, angles, variables = stated(collection, PHASE_HISTORY if raw is None else RAW_ECHO)
     named: dict[str, Any] = {}
     if channels:
         schema = with_channels(schema, "signal" if raw is None else "echo")
         named = {"channel": np.asarray(check_channels(channels), "T")}
-    if fill is not None:
-        check_room(place(path), max(len(channels), 1) * stored_bytes((collection.n_pulse, axis.size)))
     create(
         path,
         schema,
@@ -71,6 +72,21 @@ def create_phase_history(
         overwrite=overwrite,
         fill=fill,
     )
+
+
+def refuse_full(
+    path: Location, collection: Collection, n_channel: int, other: str = "", *, raw: RawEcho | None = None
+) -> None:
+    """Check that the disk has room for a phase history; `other` is what else would make it fit.
+
+    Raises
+    ------
+    InputError
+        If it has not, with both figures.
+    """
+    columns = collection.n_range_frequency if raw is None else raw.fast_time.size
+    remedy = f"make room, choose another place, or {other}" if other else REMEDY
+    check_room(place_of(path), n_channel * stored_bytes((collection.n_pulse, columns)), remedy)
 
 
 def write_collection(path: Location, collection: Collection, attrs: Mapping[str, Any] | None = None) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import xxhash
@@ -72,6 +72,8 @@ class PhaseHistory:
         Number of the channel that is read.
     look : (number, count, sign) or None
         Of a part of each dwell, see `of_look`.
+    ground_height : float or None
+        That of the imaged plane instead of the store's, m, see `on_ground`.
     """
 
     path: Place
@@ -83,6 +85,7 @@ class PhaseHistory:
     channels: tuple[str, ...] = ()
     channel: int = 0
     look: tuple[int, int, float] | None = None
+    ground_height: float | None = None
 
     @property
     def label(self) -> str:
@@ -127,6 +130,11 @@ class PhaseHistory:
             look=(number, count, sign), attrs={**attrs, "look": look_name(number)},
         )  # fmt: skip
 
+    def on_ground(self, height: float | None) -> Self:
+        """The same over another plane, z = height, m; unchanged for None."""
+        other = self.collection if height is None else replace(self.collection, ground_height=height)
+        return self if height is None else replace(self, collection=other, ground_height=height)
+
     @property
     def part_of_a_beam(self) -> bool:
         """Whether this is a look of a steered beam, whose samples hold what the whole beam saw."""
@@ -140,7 +148,8 @@ class PhaseHistory:
         InputError
             As `open_phase_history`.
         """
-        history = open_phase_history(self.path).of_channel(self.channels[self.channel] if self.channels else None)
+        history = open_phase_history(self.path).on_ground(self.ground_height)
+        history = history.of_channel(self.channels[self.channel] if self.channels else None)
         return history if self.look is None else history.of_look(*self.look)
 
     def _region(self, pulses: slice, columns: slice) -> tuple[slice, ...]:
@@ -235,7 +244,8 @@ class PhaseHistory:
         InputError
             If a file cannot be read.
         """
-        digest = xxhash.xxh3_128(b"" if self.look is None else repr(self.look).encode())
+        ways = [repr(way) for way in (self.look, self.ground_height) if way is not None]
+        digest = xxhash.xxh3_128("".join(ways).encode())
         try:
             for name, chunk, file in self._files():
                 digest.update(os.fsencode(f"{name}\n"))
@@ -286,7 +296,7 @@ def open_phase_history(path: Location) -> PhaseHistory:
         ):
             if (shape := checked(place, name).shape) != (n,):
                 raise InputError(f"{names[0]} has shape {samples.shape}, but {name} has {shape}; make them agree")
-        raw = _read_raw(place, attrs) if names == ["echo"] else None
+        raw = raw_echo_from(read_real(place, "fast_time"), attrs) if names == ["echo"] else None
         collection = _read_collection(place, attrs, None if raw is None else raw.range_frequency)
         others = attrs_of_channel(other_attrs(attrs, raw), channels, 0)
         return PhaseHistory(path=place, collection=collection, raw=raw, attrs=others, channels=channels)
@@ -475,10 +485,6 @@ def collection_from(
         side_of_track=attrs.get("side_of_track"),
         **{name: read(name) for name in OPTIONAL if present(name)},  # type: ignore[arg-type]  # arrays, all of them
     )
-
-
-def _read_raw(place: Place, attrs: Mapping[str, Any]) -> RawEcho:
-    return raw_echo_from(read_real(place, "fast_time"), attrs)
 
 
 def raw_echo_from(fast_time: FloatArray, attrs: Mapping[str, Any]) -> RawEcho:

@@ -127,7 +127,8 @@ def test_focus_passes_every_option(api: Calls) -> None:
     words += " --weighting hann --weighting-azimuth taylor:4:-35"
     words += " --fidelity 0.9995 --perturbation none --no-keystone --derotation linear --range-model conventional"
     words += (
-        " --terrain dem.tif --surface ellipsoid --vertical egm96 --looks 3 --autofocus --control points.json"
+        " --terrain dem.tif --surface ellipsoid --vertical egm96 --ground-height 30 --looks 3 --autofocus"
+        " --control points.json"
         " --grid -10:10:0.5,100:200:1 --workers 3 --threads 2 --memory-limit 2GiB --scheduler tcp://a:1 --overwrite"
         " --discard"
     )
@@ -139,6 +140,7 @@ def test_focus_passes_every_option(api: Calls) -> None:
         "terrain": "dem.tif",
         "surface": "ellipsoid",
         "vertical": "egm96",
+        "ground_height": 30.0,
         "looks": 3,
         "autofocus": True,
         "control": "points.json",
@@ -174,6 +176,7 @@ def test_defaults(api: Calls) -> None:
             "terrain": None,
             "surface": "plane",
             "vertical": None,
+            "ground_height": None,
             "looks": None,
             "blocks": "auto",
             "fidelity": 0.999,

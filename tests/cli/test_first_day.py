@@ -21,15 +21,15 @@ from blocksar.graph import cluster
 MISTAKES = {
     "a scene for a phase history": (
         "focus scene.toml --out new",
-        "is a scene, not a phase history; write one first: blocksar simulate scene.toml --out scene.zarr",
+        "is a scene, not a phase history; write one first: `blocksar simulate scene.toml --out scene.zarr`",
     ),
     "a shipped scene for a phase history": (
         "focus table1 --out new",
-        "table1 is a shipped scene, not a phase history; write one first: blocksar simulate table1 --out table1.zarr",
+        "table1 is a shipped scene, not a phase history; write one first: `blocksar simulate table1 --out table1.zarr`",
     ),
     "a file that is to be ingested": (
         "focus collect.cphd --out new",
-        "is a CPHD file; turn it into a phase history first: blocksar ingest cphd collect.cphd --out collect.zarr",
+        "is a CPHD file; turn it into a phase history first: `blocksar ingest cphd collect.cphd --out collect.zarr`",
     ),
     "a MATLAB file that is to be ingested": (
         "plan az001_HH.mat",

@@ -189,9 +189,9 @@ def test_the_cell_size_is_that_of_the_bandwidth(store: Path) -> None:
     [
         ("nothing", "does not exist; check the path"),
         ("folder", "is nothing that blocksar reads or writes (it holds inside.zarr); look at"),
-        ("picture.png", "is nothing that blocksar reads or writes; give a phase history"),
+        ("picture.png", "is of no kind that blocksar knows (it begins with"),
         ("broken.toml", "give a scene file in UTF-8"),
-        ("broken.mat", "broken.mat"),
+        ("broken.mat", "broken.mat is of no kind"),
     ],
 )
 def test_other_paths_are_refused_in_one_sentence(name: str, sentence: str, tmp_path: Path) -> None:

@@ -375,8 +375,8 @@ def with_rows(count: int) -> Callable[[Record], bytes]:
 
 
 MUTATIONS: dict[str, tuple[Callable[[Record], bytes], str]] = {
-    "empty": (lambda _: b"", "MATLAB"),
-    "text": (lambda _: b"x" * 5000, "MATLAB"),
+    "empty": (lambda _: b"", "is an empty file"),
+    "text": (lambda _: b"x" * 5000, "is a text file"),
     "header only": (cut(0.002), "MATLAB|no variable"),
     "half": (cut(0.5), "truncated"),
     "nearly whole": (cut(0.99), "truncated"),

@@ -22,7 +22,7 @@ from blocksar.ingestion.terrain.datum import datum_of
 from blocksar.ingestion.terrain.earth import ellipsoid, read_geotiff
 from blocksar.ingestion.terrain.frame_grid import read_frame_grid
 from blocksar.ingestion.terrain.nodata import refuse_untagged
-from blocksar.ingestion.terrain.reading import Ground, coverage_note
+from blocksar.ingestion.terrain.reading import Ground, terrain_notes
 from blocksar.places import place
 
 HERE = Georeference(latitude=47.0, longitude=11.0, height=600.0, rotation=25.0)
@@ -227,8 +227,8 @@ def test_what_is_no_terrain_is_refused_with_figures(tmp_path: Path) -> None:
         read_frame_grid(tmp_path / "text.nc", X, Y)
     with pytest.raises(InputError, match="does not exist"):
         read_frame_grid(tmp_path / "absent.nc", X, Y)
-    with pytest.raises(InputError, match="heights in foot"):
-        read_geotiff(geotiff(tmp_path / "f.tif", "EPSG:4326", plane_of, units="foot"), "ellipsoid", HERE, X, Y)
+    with pytest.raises(InputError, match="heights in fathom"):
+        read_geotiff(geotiff(tmp_path / "f.tif", "EPSG:4326", plane_of, units="fathom"), "ellipsoid", HERE, X, Y)
     with pytest.raises(InputError, match=r"is in NAD27, whose datum PROJ cannot tie to WGS 84 at longitude"):
         read_geotiff(geotiff(tmp_path / "n.tif", "EPSG:4267", plane_of), "ellipsoid", HERE, X, Y)
     far = Georeference(latitude=-20.0, longitude=100.0, height=0.0)
@@ -265,13 +265,13 @@ def test_a_surface_on_the_earth_needs_a_georeference_and_gaps_are_told(tmp_path:
     assert Ground().read(None, 0.0, GRID) is None
     path = frame_file(tmp_path / "dem.nc")
     whole = Ground(terrain=path).read(None, 0.0, GRID)
-    assert whole is not None and coverage_note(whole, GRID) is None
+    assert whole is not None and terrain_notes(whole, GRID) == []
     beyond = Grid(4000.0, 8000.0, 50.0, *Y, 50.0)
     half = Ground(terrain=path).read(None, 0.0, beyond)
     assert half is not None
-    assert "no height at 51" in (coverage_note(half, beyond) or "")
+    assert "no height at 51" in terrain_notes(half, beyond)[0]
     empty = Terrain(x0=-3e3, dx=100.0, y0=-2e3, dy=100.0, heights=np.full((80, 80), np.nan))
-    assert "100 %" in (coverage_note(empty, GRID) or "")
+    assert "100 %" in terrain_notes(empty, GRID)[0]
 
 
 @pytest.mark.parametrize(("value", "said"), [(-9999.0, "-9999"), (-32768.0, "-32768"), (1e30, r"1e\+30")])

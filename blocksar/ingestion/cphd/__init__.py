@@ -1,4 +1,4 @@
-"""Ingestion of CPHD files (NGA.STND.0068, versions 1.0.1 and 1.1.0).
+"""Ingestion of CPHD files (NGA.STND.0068, versions 1.0 and 1.1).
 
 The standard's signal, for a target whose echo arrives dTOA seconds after that of the vector's stabilisation reference
 point (SRP), and for the absolute radio frequency fx, is

@@ -19,7 +19,7 @@ ALL = "all"
 SAME_PLACE = 1 / 100  # wavelengths: 0.13 rad
 SAME_BEAM = 1 / 100  # of its width
 SAME_PATTERN = 0.01  # of the amplitude at the peak
-LETTERS = {"H": "H", "V": "V", "X": "X", "Y": "Y", "RHC": "R", "LHC": "L"}
+LETTERS = {name: name[0] for name in ("H", "V", "X", "Y", "S", "E", "RHC", "LHC")}  # of the standard's polarisations
 ALONE = "give --channel an identifier, and ingest each by itself"
 Prepared = tuple[Collection, Pulses]
 
@@ -50,6 +50,8 @@ def names_of(identifiers: Sequence[str], polarizations: Sequence[Mapping[str, st
     --------
     >>> names_of(["1", "2"], [{"transmit": "H", "receive": "H"}, {"transmit": "H", "receive": "V"}])
     ('HH', 'HV')
+    >>> names_of(["Ch 1", "Ch 2"], [{"transmit": "S", "receive": "S"}, {"transmit": "S", "receive": "E"}])
+    ('SS', 'SE')
     >>> names_of(["SWATH 1/HH", "SWATH 2/HH"], [None, None])
     ('SWATH_1_HH', 'SWATH_2_HH')
     """

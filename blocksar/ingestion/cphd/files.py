@@ -5,9 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
@@ -15,13 +14,14 @@ from numpy.typing import NDArray
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.errors import InputError, library_for
+from blocksar.ingestion.kinds import CPHD, refuse_others
 from blocksar.ingestion.reading import reading
-from blocksar.places.place import Place
+from blocksar.places.ranges import Readable
 
 if TYPE_CHECKING:
     from types import ModuleType
 
-VERSIONS = ("1.0.1", "1.1.0")
+KNOWN = ("1.0.1", "1.1.0")  # versions that sarkit knows
 NAMESPACE = "http://api.nsgreg.nga.mil/schema/cphd/"
 END_OF_SECTION = b"\f\n"
 MAX_HEADER = 1 << 16  # bytes
@@ -51,7 +51,7 @@ def library() -> ModuleType:
 class CphdFile:
     """One channel of a CPHD file, its structure checked."""
 
-    path: Path
+    path: Readable
     version: str
     tree: Any  # of the XML
     channel: str
@@ -62,6 +62,7 @@ class CphdFile:
     first_byte: int  # of the channel's signal array
     unnamed: int  # bytes of the signal block behind the last signal array of all channels
     vectors: NDArray[Any]  # per-vector parameters
+    band: tuple[float, float] = (-np.inf, np.inf)  # of the frequencies that are wanted, Hz
 
     @cached_property
     def root(self) -> Any:
@@ -70,6 +71,25 @@ class CphdFile:
     def parameter(self, name: str, rows: IntArray | slice = slice(None)) -> FloatArray:
         """A per-vector parameter of some vectors."""
         return np.asarray(self.vectors[name][rows], dtype=np.float64)
+
+    def part(self, pulses: tuple[int, int | None], band: tuple[float, float]) -> CphdFile:
+        """The same with some of the vectors, first and the one behind the last, and frequencies of a band, Hz.
+
+        Raises
+        ------
+        InputError
+            If fewer than 8 vectors are left.
+        """
+        first, stop, _ = slice(*pulses).indices(self.shape[0])
+        if stop - first < 8:
+            raise InputError(
+                f"--pulses {pulses[0]}:{'' if pulses[1] is None else pulses[1]} leaves {max(stop - first, 0)} of "
+                f"{self.shape[0]} vectors; at least 8 are needed"
+            )
+        return replace(
+            self, vectors=self.vectors[first:stop], shape=(stop - first, self.shape[1]), band=band,
+            first_byte=self.first_byte + first * self.shape[1] * self.dtype.itemsize,
+        )  # fmt: skip
 
     def read(self, file: BinaryIO, first: int, stop: int, samples: slice) -> ComplexArray:
         """Read some samples of the vectors first .. stop - 1, (n_vector, n_sample) complex64, not scaled.
@@ -107,12 +127,26 @@ def _complex(raw: NDArray[Any]) -> ComplexArray:
     return out
 
 
-def reading_file(path: Place) -> AbstractContextManager[None]:
+def reading_file(path: Readable) -> AbstractContextManager[None]:
     """Turn errors of reading a CPHD file into an InputError that names it."""
     return reading(path, damaged="damaged, or no CPHD file", remedy="get it again")
 
 
-def open_file(file: BinaryIO, path: Path, channel: str | None, *, any_channel: bool = False) -> CphdFile:
+def opened(path: Readable) -> BinaryIO:
+    """Open a CPHD file.
+
+    Raises
+    ------
+    InputError
+        If it is of another kind, or none.
+    OSError
+        If it cannot be opened.
+    """
+    refuse_others(path, CPHD)
+    return path.open()
+
+
+def open_file(file: BinaryIO, path: Readable, channel: str | None, *, any_channel: bool = False) -> CphdFile:
     """Check header, XML and per-vector parameters, and that the samples are present.
 
     Without `channel` the file must have one only, or its first is taken if `any_channel`.
@@ -134,6 +168,7 @@ def open_file(file: BinaryIO, path: Path, channel: str | None, *, any_channel: b
     root = tree.getroot()
     if root.tag != f"{{{NAMESPACE}{version}}}CPHD":
         raise InputError(f"the XML's root is {root.tag!r}, but the header says CPHD/{version}; make them agree")
+    _name_known_version(tree, version)
     _check_supported(root)
     identifier = _choose_channel(root, channel, any_channel=any_channel)
     data = child_of(root, f"{{*}}Data/{{*}}Channel[{{*}}Identifier='{identifier}']", "Data/Channel")
@@ -172,14 +207,13 @@ def _signal_bytes(root: Any, item: int, length: int) -> int:
 
 
 def _header(file: BinaryIO) -> tuple[str, dict[str, str]]:
-    """The version, keys and values of the header; checked first, because it gives the sizes of all blocks."""
+    """The version, keys and values of the header; checked first, because it gives the sizes of all blocks.
+
+    Versions 1.0 and 1.1 are laid out alike; `kinds` tells them from others.
+    """
     file.seek(0)
     start = file.read(MAX_HEADER)
     line = start.split(b"\n", 1)[0][:40].decode("ascii", errors="backslashreplace")
-    if not line.startswith("CPHD/"):
-        raise InputError(f"it begins with {line[:12]!r} instead of 'CPHD/', so it is no CPHD file; check the path")
-    if line.removeprefix("CPHD/") not in VERSIONS:
-        raise InputError(f"it is of version {line!r}; supported are {' and '.join(VERSIONS)}")
     if END_OF_SECTION not in start:
         raise InputError(f"its header does not end within {MAX_HEADER} bytes; get the file again")
     pairs = {}
@@ -217,6 +251,14 @@ def _check_inside(what: str, start: int, size: int, block: range) -> None:
             f"{what} needs bytes {start} .. {start + size - 1}, but its block ends at {block.stop - 1}; "
             "header and XML disagree: get the file again"
         )
+
+
+def _name_known_version(tree: Any, version: str) -> None:
+    """Put all elements into the namespace of the version that sarkit knows; 1.0.0 and 1.0.1 are laid out alike."""
+    known = next((each for each in KNOWN if each[:4] == version[:4]), KNOWN[-1])
+    if version != known:
+        for node in tree.iter("{*}*"):
+            node.tag = f"{{{NAMESPACE}{known}}}{node.tag.rpartition('}')[2]}"
 
 
 def _check_supported(root: Any) -> None:

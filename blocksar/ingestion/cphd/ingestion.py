@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -15,9 +16,10 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, printable
+from blocksar.ingestion.area import Cut, plan_cut
 from blocksar.ingestion.cphd.beams import fit_beam
 from blocksar.ingestion.cphd.channels import check_same_geometry, names_of, open_channels
-from blocksar.ingestion.cphd.files import CphdFile, library, numbers_of, reading_file
+from blocksar.ingestion.cphd.files import CphdFile, library, numbers_of, opened, reading_file
 from blocksar.ingestion.cphd.samples import (
     Delays,
     Interpolated,
@@ -28,8 +30,8 @@ from blocksar.ingestion.cphd.samples import (
     phasor,
 )
 from blocksar.ingestion.cphd.vectors import Pulses, VectorResampling, assign_pulses, resample_vectors
-from blocksar.ingestion.reading import Ingested
-from blocksar.places import Location, place
+from blocksar.ingestion.reading import WHOLE, Ingested, Part
+from blocksar.places import Location, place, readable
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.progress.listening import Callback
@@ -38,6 +40,7 @@ ROWS = TILE[0]  # pulses written at a time
 PART = 64  # vectors resampled in frequency at a time
 MAX_BISTATIC = 1 / 16  # wavelengths, largest difference between bistatic and monostatic range
 FARTHEST_SRP = 1e6  # m, largest distance of the SRP from the IARP
+PARTS = "--area, --pulses, --frequencies"
 SAME_PLACE = 10.0  # m, largest distance between the two descriptions of the IARP
 
 
@@ -47,6 +50,7 @@ def ingest(
     *,
     channel: str | None = None,
     times: Mapping[str, Any] | None = None,
+    part: Part = WHOLE,
     overwrite: bool = False,
     progress: Callback | None = None,
 ) -> Ingested:
@@ -55,7 +59,7 @@ def ingest(
     Parameters
     ----------
     source : path
-        A file of CPHD 1.0.1 or 1.1.0, monostatic, FX or TOA domain.
+        A file of CPHD 1.0 or 1.1, monostatic, FX or TOA domain.
     out : path, URL or Place
         Of the new store.
     channel : str, optional
@@ -63,6 +67,8 @@ def ingest(
         must have one geometry.
     times : mapping, optional
         What `stated_times` gives, instead of the file's own.
+    part : Part
+        What of it is read.
     overwrite : bool
         Replace an existing store.
     progress : callable (done, total)
@@ -73,19 +79,14 @@ def ingest(
     InputError
         If the file is damaged, not supported or contradicts itself, or `out` exists and overwrite is False.
     """
-    where = place(source)
-    if not isinstance(where, LocalPlace):
-        raise InputError(f"{where} is in an object store, from which CPHD files are not read; copy it to a file first")
+    where, target = readable(source), place(out)
     library()
-    target = place(out)
-    with reading_file(where):
-        if where.exists() and not where.path.is_file():
-            raise InputError("it is no regular file; give the path of a CPHD file")
-        # Damaged numbers may cause floating-point warnings; the checks report them.
-        with open(where.path, "rb") as stream, np.errstate(all="ignore"):
-            files = open_channels(stream, where.path, channel)
-            prepared = [prepare(file) for file in files]
-            names, attributes, messages = _combined(files, prepared)
+    # Damaged numbers may cause floating-point warnings; the checks report them.
+    with reading_file(where), opened(where) as stream, np.errstate(all="ignore"):
+        files = [file.part(part.pulses, part.frequencies) for file in open_channels(stream, where, channel)]
+        prepared = [prepare(file, part) for file in files]
+        names, attributes, messages = _combined(files, prepared)
+    stores.refuse_full(target, prepared[0].collection, max(len(names), 1), f"read a part ({PARTS})")
     write = _writer(files, prepared, names, progress)
     attributes = {
         **attributes,
@@ -108,6 +109,7 @@ class _Prepared:
     slow_time: VectorResampling | None  # None if times are uniform
     resampler: Resampler
     delays: Delays
+    cut: Cut | None  # None: not of an area
     attributes: dict[str, Any]
     messages: list[str]
 
@@ -144,7 +146,7 @@ def _combined(
     return names, attributes, [f"channels {listed} have one geometry", *first.messages, *dict.fromkeys(more), *notes]
 
 
-def prepare(file: CphdFile) -> _Prepared:
+def prepare(file: CphdFile, part: Part = WHOLE) -> _Prepared:
     """Determine everything but the samples."""
     frame = _frame(file)
     pulses = assign_pulses(file)
@@ -183,7 +185,7 @@ def prepare(file: CphdFile) -> _Prepared:
             antenna_position=position,
             beam_azimuth=beam.azimuth,
             beam_width=beam.width,
-            ground_height=0.0,
+            ground_height=part.ground_height,
             title=printable(name)[:200],
             **beam.antenna,
         )
@@ -196,10 +198,14 @@ def prepare(file: CphdFile) -> _Prepared:
         "source": _source(file, pulses, resampler, slow_time, bistatic),
     }
     messages = _describe(file, pulses, resampler, delays, bistatic, collection.wavelength)
+    messages += [*([slow_time.message] if slow_time else []), *beam.messages, _describe_frame(frame)]
+    cut = None if part.area is None else plan_cut(collection, part.area, pulses.vector >= 0)
+    if cut is not None:
+        attributes["source"] |= {"area": part.area, "time_zero": attributes["source"]["time_zero"] + cut.later}
+        messages.append(cut.message)
     return _Prepared(
-        collection=collection, pulses=pulses, slow_time=slow_time, resampler=resampler, delays=delays,
-        attributes=attributes,
-        messages=[*messages, *([slow_time.message] if slow_time else []), *beam.messages, _describe_frame(frame)],
+        collection=collection if cut is None else cut.collection, pulses=pulses, slow_time=slow_time,
+        resampler=resampler, delays=delays, cut=cut, attributes=attributes, messages=messages,
     )  # fmt: skip
 
 
@@ -329,15 +335,19 @@ def _writer(
     files: Sequence[CphdFile], prepared: Sequence[_Prepared], names: Sequence[str], progress: Callback | None
 ) -> Callable[[Place], None]:
     """Make the function that fills the store with samples, channel by channel."""
-    total, columns = prepared[0].pulses.vector.size, slice(0, prepared[0].resampler.frequency.size)
+    collection = prepared[0].collection
+    total, columns = collection.n_pulse, slice(0, collection.n_range_frequency)
 
     def write(store: Place) -> None:
         for number, (file, each) in enumerate(zip(files, prepared, strict=True)):
-            lead, read = (slice(number, number + 1),) if names else (), _reader(file, each)
-            with reading_file(LocalPlace(file.path)), open(file.path, "rb") as stream:
+            lead = (slice(number, number + 1),) if names else ()
+            with reading_file(file.path), file.path.open() as stream:
+                read: Callable[[slice], ComplexArray] = partial(_reader(file, each), stream)
+                if each.cut is not None:
+                    read = each.cut.reader(read, each.resampler.frequency)
                 for first in range(0, total, ROWS):
                     pulses = slice(first, min(first + ROWS, total))
-                    block = read(stream, pulses)
+                    block = read(pulses)
                     stores.write_region(store, "signal", (*lead, pulses, columns), block[None] if lead else block)
                     if progress is not None:
                         progress(number * total + pulses.stop, len(files) * total)

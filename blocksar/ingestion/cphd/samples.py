@@ -162,7 +162,7 @@ def choose_resampler(file: CphdFile, used: IntArray, delays: Delays) -> Resample
     low, high = file.parameter("FX1"), file.parameter("FX2")
     n = file.shape[1]
     if file.domain == "TOA":
-        first, last = _common(low[used], high[used])
+        first, last = _common(low[used], high[used], file.band)
         span = float((step[used] * n).max())
         early, late = (start - delays.middle)[used], (start + (n - 1) * step - delays.middle)[used]
         window = max(span, 2 * float(np.abs(early).max()), 2 * float(np.abs(late).max()))
@@ -183,7 +183,7 @@ def choose_resampler(file: CphdFile, used: IntArray, delays: Delays) -> Resample
             "PVP FX1 .. FX2 does not meet the samples that SC0 and SCSS give in every vector; correct them"
         )
     df = float(step[used].min())
-    first, last = _common(low[used], high[used])
+    first, last = _common(low[used], high[used], file.band)
     reference = used[0]
     places = (start - start[reference]) / df
     off = np.abs(places - np.rint(places))[used]
@@ -209,15 +209,20 @@ def choose_resampler(file: CphdFile, used: IntArray, delays: Delays) -> Resample
     )  # fmt: skip
 
 
-def _common(low: FloatArray, high: FloatArray) -> tuple[float, float]:
-    """The band common to all vectors."""
+def _common(low: FloatArray, high: FloatArray, wanted: tuple[float, float]) -> tuple[float, float]:
+    """The band common to all vectors, as far as it is wanted."""
     first, last, own = float(low.max()), float(high.min()), float(np.median(high - low))
     if last - first < LEAST_BAND * own:
         raise InputError(
             f"PVP FX1 and FX2 (within SC0 and SCSS) leave only {max(last - first, 0.0):.6g} Hz in common to all "
             f"vectors, of {own:.6g} Hz that one has; cut the collection into parts with similar bands"
         )
-    return first, last
+    if not max(first, wanted[0]) < min(last, wanted[1]):
+        raise InputError(
+            f"--frequencies {wanted[0]:.10g}:{wanted[1]:.10g} has nothing of what all vectors have, {first:.10g} .. "
+            f"{last:.10g} Hz; give a part of that"
+        )
+    return max(first, wanted[0]), min(last, wanted[1])
 
 
 def _check_count(count: int) -> None:

@@ -16,6 +16,7 @@ from blocksar.collection.beam import wrapped
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.ingestion.gotcha.matfile import Value, read_struct
+from blocksar.ingestion.kinds import MATLAB, refuse_others
 from blocksar.ingestion.reading import reading
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
@@ -129,6 +130,7 @@ def read_file(path: Place) -> _Contents:
 
 def _read_bytes(path: Place) -> bytes:
     """All bytes of a file that is not too large."""
+    refuse_others(path, MATLAB)
     if isinstance(path, LocalPlace):
         status = os.stat(path.path)
         if not stat.S_ISREG(status.st_mode):

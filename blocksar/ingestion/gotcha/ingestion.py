@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -51,6 +51,7 @@ def ingest(
     out: Location,
     *,
     times: Mapping[str, Any] | None = None,
+    ground_height: float = 0.0,
     overwrite: bool = False,
     progress: Callback | None = None,
 ) -> Ingested:
@@ -65,6 +66,8 @@ def ingest(
         Of the new store.
     times : mapping, optional
         What `stated_times` gives: the files themselves have no times.
+    ground_height : float
+        z of the imaged plane, m.
     overwrite : bool
         Replace an existing store.
     progress : callable (done, total)
@@ -86,6 +89,7 @@ def ingest(
     channels = {name: join(some) for name, some in by_polarisation(files).items()}
     check_same_geometry(channels)
     layout = lay_out(channels)
+    collection = replace(layout.collection, ground_height=ground_height)
     target = place(out)
     given = {"time_zero": 0.0, **times} if times else {}
     source_text = {"format": "AFRL Gotcha", "files": [file.path.name for file in files], **given}
@@ -95,12 +99,12 @@ def ingest(
         "history": stores.history_line(f"ingested by blocksar from {len(files)} files"),
     }
     stores.create_phase_history(
-        target, layout.collection, channels=layout.names, attrs=attributes, overwrite=overwrite,
+        target, collection, channels=layout.names, attrs=attributes, overwrite=overwrite,
         fill=_writer(layout, progress),
     )  # fmt: skip
     return Ingested(
         path=target.path if isinstance(target, LocalPlace) else target,
-        collection=layout.collection,
+        collection=collection,
         messages=layout.messages,
     )
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blocksar.errors import InputError
+from blocksar.ingestion.kinds import ARRAYS
 
 MAX_BYTES = 1 << 28  # of a decompressed variable
 HEADER = 128  # bytes
@@ -28,6 +29,7 @@ NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8
 CLASSES = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
 OTHERS = {1: "a cell array", 3: "an object", 4: "text", 5: "a sparse matrix", 16: "a function", 17: "an object"}
 STRUCT = 2
+FOREIGN = f"so it is not of the Gotcha set; read it with scipy.io.loadmat, and {ARRAYS}"
 IS_COMPLEX, IS_LOGICAL = 0x0800, 0x0200
 
 Value = NDArray[Any] | str  # an array of numbers, or a description of anything else
@@ -84,7 +86,7 @@ def read_struct(data: bytes, name: str) -> dict[str, Value]:
         parts = _elements(body, endian)
         if len(parts) >= 3 and bytes(parts[2].data) == name.encode():
             return _fields(parts, name, endian)
-    raise InputError(f"it has no variable `{name}`; check which file it is")
+    raise InputError(f"it has no variable `{name}`, {FOREIGN}")
 
 
 def _elements(data: memoryview, endian: str) -> list[_Element]:
@@ -132,7 +134,7 @@ def _fields(parts: list[_Element], name: str, endian: str) -> dict[str, Value]:
     """The fields of a struct of one row, from the elements of its array."""
     kind, _, shape = _class(parts, endian)
     if kind != STRUCT or prod(shape) != 1 or len(parts) < 5:
-        raise InputError(f"its variable `{name}` is no struct of one row; check which file it is")
+        raise InputError(f"its variable `{name}` is no struct of one row, {FOREIGN}")
     lengths = parts[3].numbers(endian)
     length = int(lengths[0]) if lengths.size else 0
     text = bytes(parts[4].data)

@@ -70,8 +70,8 @@ class Datum:
             )
         except ProjError as error:
             raise InputError(
-                f"vertical = {self.name}: PROJ has no grid {grid}; install it (projsync --file {GRIDS[self.name]}), or "
-                f"name a file: --vertical {self.name}:FILE"
+                f"vertical = {self.name}: PROJ has no grid {grid}; install it "
+                f"(`pyproj sync --file {GRIDS[self.name]}`), or name a file: --vertical {self.name}:FILE"
             ) from error
 
         def undulation(longitude: FloatArray, latitude: FloatArray) -> FloatArray:

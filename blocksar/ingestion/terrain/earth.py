@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +19,7 @@ from blocksar.ingestion.reading import reading
 from blocksar.ingestion.terrain.datum import datum_of
 from blocksar.ingestion.terrain.frame_grid import MOST_HEIGHTS
 from blocksar.ingestion.terrain.nodata import refuse_untagged
+from blocksar.ingestion.terrain.remarks import FEET, remarks_on
 from blocksar.ingestion.terrain.resampling import STEPS, lattice, resample
 from blocksar.places import Location, place
 from blocksar.places.place import Place
@@ -46,9 +49,11 @@ def ellipsoid(
 
 def read_geotiff(
     source: Location, vertical: str | None, georeference: Georeference, x: tuple[float, float], y: tuple[float, float],
-    *, refine: bool = True,
+    *, refine: bool = True, level: float | None = None,
 ) -> Terrain:  # fmt: skip
     """Read the heights of a GeoTIFF on a grid of the frame over a box; `refine` as in `resample`.
+
+    They are compared with the scene's plane z = level, m, if it is given, for the terrain's remarks.
 
     Raises
     ------
@@ -66,8 +71,12 @@ def read_geotiff(
         raise InputError(f"{path} does not exist; {REMEDY}")
     with reading(path, damaged="not a GeoTIFF of heights", remedy=REMEDY), rasterio.open(str(path)) as file:
         if file.crs is None:
-            raise InputError(f"{path} has no coordinate reference system; {REMEDY}")
-        if (unit := str(file.units[0] or "").lower()) not in METRES:
+            raise InputError(
+                f"{path} has no coordinate reference system; state it (`rio edit-info --crs EPSG:4326 "
+                f"{shlex.quote(str(path))}`, if it is in degrees of WGS 84), or {REMEDY}"
+            )
+        unit = str(file.units[0] or "").lower()
+        if unit not in METRES and unit not in FEET:
             raise InputError(f"{path} has heights in {unit}; convert them to m")
         crs = CRS.from_wkt(file.crs.to_wkt())
         _refuse_untied(crs, georeference, path)
@@ -75,6 +84,7 @@ def read_geotiff(
         to_pixel = _pixels_of(file, crs)
         step = _spacing(georeference, to_pixel, x, y)
         posts = _window(file, georeference, to_pixel, x, y, margin=MARGIN * step, label=str(path))
+        posts = replace(posts, heights=posts.heights * FEET.get(unit, 1.0))
         refuse_untagged(np.asarray(posts.heights), path)
 
     def to_file(x: FloatArray, y: FloatArray, z: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -82,7 +92,11 @@ def read_geotiff(
         column, row = to_pixel(longitude, latitude)
         return row - posts.row, column - posts.column, height - undulation(longitude, latitude)
 
-    return resample(posts.heights, to_file, step, (x, y), refine=refine)
+    terrain = resample(posts.heights, to_file, step, (x, y), refine=refine)
+    if level is None:
+        return terrain
+    plane = float(to_file(np.array([sum(x) / 2]), np.array([sum(y) / 2]), level)[2][0])
+    return replace(terrain, remarks=remarks_on(posts.heights, plane, path, feet=unit in FEET))
 
 
 def _refuse_untied(crs: CRS, georeference: Georeference, path: Place) -> None:
@@ -177,7 +191,10 @@ def _window(
     low = [int(np.floor(axis.min())) - MARGIN for axis in (columns, rows)]
     high = [int(np.ceil(axis.max())) + MARGIN + 1 for axis in (columns, rows)]
     if not (low[0] < file.width and high[0] > 0 and low[1] < file.height and high[1] > 0):
-        raise InputError(f"terrain {label} lies elsewhere: {_extents(file, at)}; give one that covers it")
+        remedy = "give one that covers it"
+        if file.crs.is_geographic and _exchanged(file, at):
+            remedy = "its longitudes and latitudes are exchanged, it seems: write it with longitudes as x"
+        raise InputError(f"terrain {label} lies elsewhere: {_extents(file, at)}; {remedy}")
     column, row = (
         min(max(value, 0), max(size - LEAST, 0)) for value, size in zip(low, (file.width, file.height), strict=True)
     )
@@ -189,6 +206,13 @@ def _window(
     scale, offset = file.scales[0], file.offsets[0]
     filled = np.ma.filled(values, np.nan) * scale + offset
     return Terrain(x0=0.0, dx=1.0, y0=0.0, dy=1.0, heights=np.ascontiguousarray(filled), row=row, column=column)
+
+
+def _exchanged(file: DatasetReader, image: FloatArray) -> bool:
+    """Whether a file in degrees would cover places of the image (..., 3), latitude first, with its axes exchanged."""
+    west, south, east, north = file.bounds
+    latitude, longitude = image[..., 0], image[..., 1]
+    return bool(((west <= latitude) & (latitude <= east) & (south <= longitude) & (longitude <= north)).any())
 
 
 def _extents(file: DatasetReader, image: FloatArray) -> str:

@@ -70,7 +70,7 @@ class Ground:
             return None
         x, y = (float(grid.x[0]), float(grid.x[-1])), (float(grid.y[0]), float(grid.y[-1]))
         if self.terrain is not None and (georeference is not None or not self.geotiff):
-            terrain = self.read_box(georeference, x, y)
+            terrain = self.read_box(georeference, x, y, level=ground_height)
         elif georeference is None:
             if self.terrain is not None and not place(self.terrain).exists():
                 raise InputError(f"terrain {self.terrain} does not exist; check the path")
@@ -83,15 +83,20 @@ class Ground:
             terrain = ellipsoid(georeference, ground_height, x, y)
         if covered(terrain, grid) == 0:
             where = f"x {x[0]:.6g} .. {x[1]:.6g} m and y {y[0]:.6g} .. {y[1]:.6g} m"
-            raise InputError(f"terrain {self.terrain} has no height under the grid, {where}; give one that covers it")
+            raise InputError(
+                f"terrain {self.terrain} has no height under the grid, {where}; fill the hole "
+                "(rasterio.fill.fillnodata), or give one that has heights there"
+            )
         return terrain
 
     def read_box(
-        self, georeference: Georeference | None, x: tuple[float, float], y: tuple[float, float], *, refine: bool = True
-    ) -> Terrain:
+        self, georeference: Georeference | None, x: tuple[float, float], y: tuple[float, float], *, refine: bool = True,
+        level: float | None = None,
+    ) -> Terrain:  # fmt: skip
         """The part of the file about a box, x and y from .. to, m; a GeoTIFF needs the georeference.
 
-        Without `refine` a GeoTIFF's heights are as dense as in the file: enough for what they hide.
+        Without `refine` a GeoTIFF's heights are as dense as in the file: enough for what they hide. With the scene's
+        plane z = level, m, the terrain has remarks on them.
 
         Raises
         ------
@@ -102,7 +107,7 @@ class Ground:
         if not self.geotiff:
             return read_frame_grid(self.terrain, x, y)
         assert georeference is not None
-        return read_geotiff(self.terrain, self.vertical, georeference, x, y, refine=refine)
+        return read_geotiff(self.terrain, self.vertical, georeference, x, y, refine=refine, level=level)
 
 
 def covered(terrain: Terrain, grid: Grid) -> float:
@@ -111,12 +116,13 @@ def covered(terrain: Terrain, grid: Grid) -> float:
     return float(np.isfinite(terrain.on_grid(x, y)).mean())
 
 
-def coverage_note(terrain: Terrain, grid: Grid) -> str | None:
-    """A sentence if a part of a grid has no height, else None."""
+def terrain_notes(terrain: Terrain, grid: Grid) -> list[str]:
+    """Sentences on what a terrain may not mean, and on a part of a grid without heights."""
     share = covered(terrain, grid)
     if share >= 1 - UNTOLD:
-        return None
-    return (
+        return list(terrain.remarks)
+    return [
+        *terrain.remarks,
         f"the terrain has no height at {100 * (1 - share):.3g} % of the grid (holes, or beyond its edge): these pixels "
-        "are not covered"
-    )
+        "are not covered",
+    ]

@@ -1,0 +1,214 @@
+"""The part of a collection that an area needs: the pulses that light it, and of these and of frequencies every n-th.
+
+With R(n) the distance of the antenna at pulse n from a point p of the area and R_c(n) that from its middle, samples
+times exp(4j pi f/c (R_c - reference_range)) are sigma exp(-4j pi f/c (R - R_c)) of p: over frequencies an oscillation
+of the delay 2 (R - R_c)/c, over pulses one of the Doppler frequency -2 f/c d(R - R_c)/dt. The area's corners, and those
+of its prisms ROOM above and below the ground, bound both. What lies beyond is stopped by low-passes (`lowpass`), first
+over frequencies, then over pulses, and as many samples are left out as the bounds allow. The samples kept have the
+antenna's positions at their own pulses and R_c as their reference range, so that phases are exact: nothing is
+interpolated. Under a steered beam as many pulses are kept as hold all that it lights at once, since that is what
+processing takes it to light.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from blocksar.arrays import BoolArray, ComplexArray, FloatArray
+from blocksar.collection.beam import lit_passes
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError
+from blocksar.ingestion.lowpass import TAPS, LowPass, plan_lowpass, steps_of
+
+Area = tuple[tuple[float, float], tuple[float, float]]  # x and y, from .. to, m in the scene frame
+ROOM = 50.0  # m by which the ground of an area may lie off the plane
+PLACES = 9  # along each side, at which it is asked who lights the area
+LEAST = 256  # pulses, and frequencies, that are left at least: one or two at either end have no sum that is good
+PART = 64  # pulses whose frequencies are filtered at a time
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cut:
+    """How the samples of an area come from those of a collection.
+
+    Attributes
+    ----------
+    collection : Collection
+        Of what is kept; it counts time from its middle pulse.
+    first : int
+        First pulse of the original that is used.
+    pulses, frequencies : LowPass
+        Pulses are counted from `first`.
+    kept : (slice, slice)
+        Sums of the two that are kept: those at the ends are not good.
+    shift : (n_pulse,) float or None
+        Reference range of the area less that of the samples, m, from `first` on; None: it stays.
+    later : float
+        By how much its slow time 0 lies later, s.
+    message : str
+    """
+
+    collection: Collection
+    first: int
+    pulses: LowPass
+    frequencies: LowPass
+    kept: tuple[slice, slice]
+    shift: FloatArray | None
+    later: float
+    message: str
+
+    def reader(self, read: Callable[[slice], ComplexArray], frequency: FloatArray) -> Callable[[slice], ComplexArray]:
+        """A function that reads some of the pulses kept, from one that reads some of the original.
+
+        `frequency` (n,) are those of the original, Hz, absolute.
+        """
+
+        def part(pulses: slice) -> ComplexArray:
+            block = read(slice(self.first + pulses.start, self.first + pulses.stop))
+            if self.shift is not None:
+                block = block * _phasors(2 / SPEED_OF_LIGHT * self.shift[pulses, None], frequency)
+            return self.frequencies.along_rows(block)[:, self.kept[1]]
+
+        def rows(pulses: slice) -> ComplexArray:
+            starts = range(pulses.start, pulses.stop, PART)
+            return np.concatenate([part(slice(start, min(start + PART, pulses.stop))) for start in starts])
+
+        def read_kept(pulses: slice) -> ComplexArray:
+            first = self.kept[0].start
+            return self.pulses.over_rows(rows, slice(first + pulses.start, first + pulses.stop))
+
+        return read_kept
+
+
+def _phasors(rate: FloatArray, frequency: FloatArray) -> ComplexArray:
+    """exp(2j pi rate frequency), (n_row, n) complex64, of rates (n_row, 1), s, and uniform frequencies (n,), Hz.
+
+    Products of two tables, of every width-th frequency and of the steps between: of the exact ones, to rounding.
+    """
+    width = math.isqrt(frequency.size) + 1
+    steps = (frequency[-1] - frequency[0]) / max(frequency.size - 1, 1) * np.arange(width)
+    coarse, fine = (
+        np.exp(2j * np.pi * (cycles - np.rint(cycles))).astype(np.complex64)
+        for cycles in (rate * frequency[::width], rate * steps)
+    )
+    return (coarse[:, :, None] * fine[:, None, :]).reshape(rate.shape[0], -1)[:, : frequency.size]
+
+
+def plan_cut(collection: Collection, area: Area, present: BoolArray) -> Cut:
+    """Find what of a collection an area needs; `present` (n_pulse,) tells which pulses are not missing.
+
+    Raises
+    ------
+    InputError
+        If the beam lights nothing of the area, its echoes were not recorded, or too few pulses are left.
+    """
+    shown = f"--area {area[0][0]:g}:{area[0][1]:g},{area[1][0]:g}:{area[1][1]:g}"
+    by_yaw = collection.steered and not collection.has_axis  # its angles are about the nadir at t = 0, which stays
+    lit = slice(0, collection.n_pulse) if by_yaw else _lit(collection, area, shown)
+    frequency, step = collection.carrier + collection.range_frequency, collection.range_frequency_step
+    away, rate = _extents(collection, area, lit)
+    band = 4 * float(frequency[-1]) / SPEED_OF_LIGHT * max(rate, _beam_rate(collection))
+    delays = 4 * away / SPEED_OF_LIGHT
+    steps = [
+        min(steps_of(width, sampled), max(size // LEAST, 1))
+        for width, sampled, size in ((band, collection.prf, lit.stop - lit.start), (delays, 1 / step, frequency.size))
+    ]
+    asked, lit = lit, _with_room(lit, steps[0], collection.n_pulse)
+    antenna = collection.antenna_position[lit]
+    centre = np.array([sum(area[0]) / 2, sum(area[1]) / 2, collection.ground_height])
+    reference = np.linalg.norm(antenna - centre, axis=1)
+    shift = reference - collection.reference_range[lit]
+    half = collection.range_window / 2
+    if float(np.abs(shift).min()) - away > half:
+        raise InputError(
+            f"{shown} lies {np.abs(shift).min():.6g} m in range from the middle of what was recorded, which reaches "
+            f"{half:.6g} m; give an area that it covers"
+        )
+    pulses = plan_lowpass(len(antenna), steps[0], band / collection.prf, present[lit])
+    frequencies = plan_lowpass(frequency.size, steps[1], delays * step)
+    within = (asked.start - lit.start - steps[0], asked.stop - lit.start + steps[0])
+    kept = _good(pulses, shown, within), _good(frequencies, shown)
+    at, f = pulses.places[kept[0]], frequency[frequencies.places[kept[1]]]
+    changed = max(steps) > 1
+    carrier = float(f[0] + f[-1]) / 2
+    time = collection.time[lit][at]
+    later = 0.0 if by_yaw else float(time[time.size // 2])
+    own = {
+        name: values[lit][at]
+        for name in ("antenna_position", "beam_azimuth", "beam_axis", "beam_steering")
+        if (values := getattr(collection, name)) is not None
+    }
+    new = replace(
+        collection, carrier=carrier, time=time - later, range_frequency=f - carrier,
+        reference_range=(reference if changed else collection.reference_range[lit])[at], **own,
+    )  # fmt: skip
+    message = (
+        f"{shown}: {_of_pulses(asked, collection.n_pulse)}; of these {_every(steps[0], 'pulse')} ({new.prf:.6g} Hz for "
+        f"{band:.4g} Hz of Doppler), {_every(steps[1], 'frequency')} (a range window of {new.range_window:.6g} m for "
+        f"{2 * away:.4g} m); echoes change by at most {max(pulses.error, frequencies.error):.2g} of themselves, those "
+        f"from beyond fall to as much; ground to {ROOM:g} m off the plane stays"
+    )
+    return Cut(
+        collection=new, first=lit.start, pulses=pulses, frequencies=frequencies, kept=kept,
+        shift=shift if changed else None, later=later, message=message,
+    )  # fmt: skip
+
+
+def _lit(collection: Collection, area: Area, shown: str) -> slice:
+    """The pulses from the first to the last that lights a place of the area."""
+    x, y = np.meshgrid(*(np.linspace(*side, PLACES) for side in area))
+    first, last = lit_passes(Geometry(collection=collection), x, y)
+    lit = last > first
+    if not lit.any():
+        raise InputError(f"{shown} is lit at no time; give an area that the beam passes")
+    return slice(int(first[lit].min()), int(last[lit].max()))
+
+
+def _extents(collection: Collection, area: Area, lit: slice) -> tuple[float, float]:
+    """Largest |R - R_c|, m, and |d(R - R_c)/dt|, m/s, of points of an area and ROOM above and below it."""
+    antenna, time, ground = collection.antenna_position[lit], collection.time[lit], collection.ground_height
+    middle = np.linalg.norm(antenna - [sum(area[0]) / 2, sum(area[1]) / 2, ground], axis=1)
+    away = rate = 0.0
+    for x, y, z in product(*(np.linspace(*side, 3) for side in (*area, (ground - ROOM, ground + ROOM)))):
+        difference = np.linalg.norm(antenna - [x, y, z], axis=1) - middle
+        away = max(away, float(np.abs(difference).max()))
+        rate = max(rate, float(np.abs(np.gradient(difference, time)).max()))
+    return away, rate
+
+
+def _beam_rate(collection: Collection) -> float:
+    """A bound on |dR/dt|, m/s, between the middle and the edge of the beam: processing takes all that it lights."""
+    if collection.beam_width is None:
+        return 0.0
+    speed = np.linalg.norm(np.gradient(collection.antenna_position, collection.time, axis=0), axis=1).max()
+    return float(speed) * (collection.lit_width or collection.beam_width) / 2
+
+
+def _with_room(lit: slice, steps: int, total: int) -> slice:
+    """Pulses with those on either side that sums at their ends need, as far as there are any."""
+    room = TAPS * steps // 2 if steps > 1 else 0
+    return slice(max(lit.start - room, 0), min(lit.stop + room, total))
+
+
+def _good(filtered: LowPass, shown: str, within: tuple[float, float] = (-np.inf, np.inf)) -> slice:
+    """The sums from the first to the last good one at places from .. to."""
+    inside = (filtered.places > within[0]) & (filtered.places < within[1])
+    good = np.flatnonzero(filtered.good & inside)
+    if good.size < 8:
+        raise InputError(f"{shown} leaves {good.size} pulses or frequencies; at least 8 are needed: give a larger one")
+    return slice(int(good[0]), int(good[-1]) + 1)
+
+
+def _of_pulses(lit: slice, total: int) -> str:
+    return f"pulses {lit.start} .. {lit.stop - 1} of {total} light it" if lit.stop - lit.start < total else "all pulses"
+
+
+def _every(steps: int, what: str) -> str:
+    return f"every {what}" if steps == 1 else f"one {what} of {steps}"

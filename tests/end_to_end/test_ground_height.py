@@ -1,0 +1,116 @@
+"""The height of the imaged plane as an option: targets above the stored plane lie at their places only with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import blocksar
+from blocksar import stores
+from blocksar.cli import commands
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import FolderError, InputError
+
+HEIGHT = 30.0  # m over the stored plane: layover of 30 m x 9 / 12
+TARGETS = ((0.0, 0.0), (12.0, 9.0), (-11.0, 14.0))
+GRID = "-20:20:0.5,-20:20:0.5"
+N = 256
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A pass 12 km west of the scene and 9 km above it; its targets stand at HEIGHT."""
+    time = (np.arange(N) - N // 2) / 150.0
+    antenna = np.stack([np.full(N, -12000.0), 150 * time, np.full(N, 9000.0)], axis=1)
+    frequency = (np.arange(N) - N // 2) * 390625.0
+    reference = np.linalg.norm(antenna, axis=1)
+    signal = np.zeros((N, N), complex)
+    for x, y in TARGETS:
+        path = np.linalg.norm(antenna - [x, y, HEIGHT], axis=1) - reference
+        signal += np.exp(-4j * np.pi * (9.65e9 + frequency) * path[:, None] / SPEED_OF_LIGHT)
+    history = blocksar.collection(
+        time=time, antenna_position=antenna, reference_range=reference, carrier_frequency=9.65e9,
+        range_frequency=frequency, signal=signal.astype(np.complex64),
+    )  # fmt: skip
+    path = tmp_path_factory.mktemp("height") / "ph.zarr"
+    blocksar.write(history, path)
+    return path
+
+
+def misplaced(run: Any) -> float:
+    """Largest distance of a target from the brightest pixel within 4 m, or of that from a peak of 1, m."""
+    image = blocksar.open(run).image
+    worst = 0.0
+    for x, y in TARGETS:
+        part = np.abs(image.sel(x=slice(x - 4, x + 4), y=slice(y - 4, y + 4)))
+        peak = part.values.max()
+        row, column = np.unravel_index(int(part.values.argmax()), part.shape)
+        off = float(np.hypot(part.x[column] - x, part.y[row] - y))
+        worst = max(worst, off if peak > 0.8 else 4.0)
+    return worst
+
+
+@pytest.mark.parametrize("processor", ["backprojection", "high-order-phase"])
+def test_targets_lie_at_their_places_only_at_their_height(store: Path, tmp_path: Path, processor: Any) -> None:
+    assert misplaced(blocksar.focus(store, tmp_path / "a", grid=GRID, processor=processor, workers=0).folder) == 4.0
+    run = blocksar.focus(store, tmp_path / "b", grid=GRID, processor=processor, workers=0, ground_height=HEIGHT).folder
+    assert misplaced(run) <= 0.5  # a pixel
+    again = blocksar.focus(store, run, grid=GRID, processor=processor, workers=0, ground_height=HEIGHT)
+    assert "nothing to do" in again.summary[0] or again.result["settings"]["ground_height"] == HEIGHT
+    with pytest.raises(FolderError):
+        blocksar.focus(store, run, grid=GRID, processor=processor, workers=0, ground_height=HEIGHT + 1)
+    assert stores.read_collection(run / "collection.zarr")[0].ground_height == HEIGHT
+
+
+def test_the_stored_height_is_the_default(store: Path, tmp_path: Path) -> None:
+    """The same as an attribute, and of a dataset in memory."""
+    dataset = blocksar.open(store).load()
+    dataset.attrs["ground_height"] = HEIGHT
+    options: dict[str, Any] = {"grid": GRID, "processor": "backprojection", "workers": 0}
+    stated = blocksar.open(blocksar.focus(dataset, tmp_path / "a", **options).folder).image.values
+    run = blocksar.focus(blocksar.open(store).load(), tmp_path / "b", **options, ground_height=HEIGHT).folder
+    np.testing.assert_array_equal(blocksar.open(run).image.values, stated)
+    np.testing.assert_array_equal(
+        blocksar.open(blocksar.focus(dataset, tmp_path / "c", **options, ground_height=0.0).folder).image.values,
+        blocksar.open(blocksar.focus(store, tmp_path / "d", **options).folder).image.values,
+    )
+
+
+def test_plan_and_check_take_it(store: Path) -> None:
+    plans = [blocksar.plan(store, grid=GRID, ground_height=height).result for height in (None, 0.0, HEIGHT)]
+    heights = [plan.geometry.collection.ground_height for plan in plans]  # type: ignore[union-attr]
+    assert heights == [0.0, 0.0, HEIGHT]
+    assert blocksar.check(store, grid=GRID, ground_height=HEIGHT).result["warning"] is None
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"ground_height": np.nan}, "give a finite number of m"),
+        ({"ground_height": "30"}, "give a finite number of m"),
+        ({"ground_height": 9500.0}, "z must point up"),
+        ({"ground_height": 30.0, "terrain": "dem.tif"}, "which has heights; leave one out"),
+    ],
+)
+def test_wrong_heights_are_refused(store: Path, tmp_path: Path, options: dict[str, Any], sentence: str) -> None:
+    for command in (blocksar.plan, blocksar.check):
+        with pytest.raises(InputError, match=sentence):
+            command(store, grid=GRID, **options)
+    for command in (blocksar.focus, blocksar.autofocus):
+        with pytest.raises(InputError, match=sentence):
+            command(store, tmp_path / "new", grid=GRID, **options)
+    with pytest.raises(InputError, match="a scene on z = 0"):
+        blocksar.plan("table1", ground_height=30.0)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_commands_take_it(store: Path) -> None:
+    for command in ("plan", "check"):
+        done = CliRunner().invoke(commands.app, [command, str(store), f"--grid={GRID}", "--ground-height", "30"])
+        assert done.exit_code == 0, done.stderr
+    for command in ("focus", "autofocus", "ingest cphd", "ingest gotcha"):
+        assert "--ground-height" in CliRunner().invoke(commands.app, [*command.split(), "--help"]).stdout

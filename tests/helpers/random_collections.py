@@ -1,0 +1,271 @@
+"""Small collections drawn at random, over platforms, modes of the beam and tracks, and what their images are like.
+
+A draw begins with what decides the size of a collection: the pulses of a dwell, those beyond it, and by how much the
+PRF exceeds the Doppler band that is lit at a time. Width and pace of the beam follow from these, so that an image has
+some hundred cells of resolution along a side, from a drone as from a satellite.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from plan_images import focus
+
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.beam import has_full_dwell
+from blocksar.collection.collection import Collection
+from blocksar.collection.grid import Grid
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError
+from blocksar.focusing.backprojection import form_image
+from blocksar.measurement.coherence import coherence
+from blocksar.planning.plan import Plan
+from blocksar.planning.planner import plan_collection
+from blocksar.simulation.scatterers import simulate_pulses
+
+CHIP = 40  # pixels along a side
+SHOWN = 0.3  # of the pixels of a chip, and of a grid, that have full dwell, at least
+CELL = 0.7  # of a cell of resolution: the spacing of pixels
+DENSITY, MOST_SCATTERERS = 0.1, 10_000  # of clutter: in a cell of resolution, and in all
+OVER = 1.2, 4.0  # PRF over the Doppler band that is lit at a time
+DWELL, BEYOND_DWELL = (150, 300), (140, 260)  # pulses, times the root of that
+WAVES = 1.0, 12.0  # of a track that wobbles, along the collection
+MARGIN = 1.15  # of the ground with full dwell that the grid shows, and some where dwells are cut
+BEYOND = 1.5  # of the grid's side, that clutter fills: the grid lies askew to the track
+EARTH = 6371e3  # m, its radius
+MOST_DRAWS = 30  # for one seed, of which plans refuse some
+
+
+class Platform(NamedTuple):
+    """Limits between which a platform is drawn."""
+
+    height: tuple[float, float]  # m
+    speed: tuple[float, float]  # m/s
+    away: tuple[float, float]  # slant range over height
+    carrier: tuple[float, float]  # Hz
+    band: float  # Hz, the widest
+    squint: float  # rad, the largest
+    acceleration: float  # m/s^2, the largest along an axis,
+    turn: float  # and as a change of the velocity, of the speed
+    wobble: float  # wavelengths, the largest of a wave
+    aperture: tuple[float, float]  # rad, of a beam that stays
+    quick: bool  # whether `auto` finds few blocks: close by it may try up to a hundred, for minutes
+
+
+PLATFORMS = {
+    "drone": Platform((60, 400), (8, 30), (1.5, 5), (5e9, 35e9), 1.2e9, 0.8, 1.0, 0.08, 0.5, (0.02, 0.12), False),
+    "aircraft": Platform((1e3, 1e4), (70, 250), (1.3, 4), (3e9, 18e9), 500e6, 0.9, 4.0, 0.1, 0.5, (0.01, 0.1), False),
+    "maneuvering": Platform((8e3, 25e3), (400, 1500), (1.2, 2.5), (8e9, 18e9), 3e8, 0.9, 40.0, 0.15, 0.5, (0.01, 0.06),
+                            True),
+    "satellite": Platform((4.5e5, 7.5e5), (7400, 7700), (1.1, 1.7), (1.2e9, 1e10), 3e8, 0.05, 0.02, 1e-3, 0.0,
+                          (2e-3, 0.01), True),
+}  # fmt: skip
+MODES = ("stripmap", "yaw scan", "sliding", "unsteered", "tops", "spotlight")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Drawn:
+    """A collection, the grid to image, clutter (x, y in m, and reflectivity), and the number of blocks."""
+
+    title: str
+    collection: Collection
+    grid: Grid
+    clutter: tuple[FloatArray, FloatArray, ComplexArray]
+    blocks: int | Literal["auto"]
+
+
+class Figures(NamedTuple):
+    """Predicted coherence, and the least measured one of chips at some places; NaN where there is none."""
+
+    predicted: float
+    seams: float
+    centres: float
+    ends: float
+    everywhere: float
+
+
+def draw(seed: int) -> tuple[Drawn, Plan, list[str]]:
+    """The collection of a seed with its plan, and why plans refused those that were drawn before it."""
+    rng, refused = np.random.default_rng([1977, seed]), []
+    platform, mode = list(PLATFORMS)[seed % len(PLATFORMS)], MODES[seed // len(PLATFORMS) % len(MODES)]
+    for _ in range(MOST_DRAWS):
+        drawn = _draw(rng, platform, mode)
+        try:
+            plan = plan_collection(drawn.collection, grid=drawn.grid, blocks=drawn.blocks)
+        except InputError as error:
+            refused.append(str(error))
+            continue
+        if plan.refusal is not None:
+            refused.append(plan.refusal)
+        elif has_full_dwell(plan.geometry, *np.meshgrid(drawn.grid.x[::8], drawn.grid.y[::8])).mean() > SHOWN:
+            return drawn, plan, refused
+    raise AssertionError(f"{platform}, {mode}: all of {MOST_DRAWS} draws were refused: {refused}")
+
+
+def judge(drawn: Drawn, plan: Plan) -> Figures:
+    """What the image of a plan is like beside exact back-projection of the same samples."""
+    x, y, sigma = drawn.clutter
+    signal = simulate_pulses(drawn.collection, x, y, sigma, threads=2)
+    exact = form_image(lambda pulses: signal[pulses], plan.geometry, drawn.grid.x, drawn.grid.y, threads=2)
+    return compare(focus(plan, signal), exact, plan)
+
+
+def compare(image: ComplexArray, exact: ComplexArray, plan: Plan) -> Figures:
+    """Chips of an image (n_y, n_x) beside those of the exact one, where targets have full dwell."""
+    x, y = np.meshgrid(plan.grid.x, plan.grid.y)
+    full = has_full_dwell(plan.geometry, x, y)
+    block, share = np.zeros(x.shape, np.intp), np.zeros(x.shape)
+    for one in plan.blocks:
+        turn = one.ground.relative_yaw(x, y) / (one.high - one.low)
+        mine = np.abs(turn) <= 0.5
+        block[mine], share[mine] = one.index + 1, turn[mine]
+    found: dict[str, list[float]] = {name: [] for name in Figures._fields[1:]}
+    for rows in _cuts(x.shape[0]):
+        for columns in _cuts(x.shape[1]):
+            chip = rows, columns
+            shown = full[chip] & np.isfinite(exact[chip])
+            if shown.mean() < SHOWN:
+                continue
+            # A pixel that should be there and is not counts as zero.
+            filled = np.where(np.isfinite(image[chip]), image[chip], 0)
+            value = abs(coherence(np.where(shown, filled, np.nan), exact[chip]).coherence)
+            found["everywhere"].append(value)
+            if len(np.unique(block[chip][shown])) > 1:
+                found["seams"].append(value)
+            elif share[chip].min() <= 0 <= share[chip].max():
+                found["centres"].append(value)
+            if not full[chip].all():
+                found["ends"].append(value)
+    return Figures(plan.coherence, *(min(values, default=float("nan")) for values in found.values()))
+
+
+def _cuts(n: int) -> list[slice]:
+    """A side of n pixels in chips."""
+    return [slice(i, i + CHIP) for i in range(0, n - CHIP + 1, CHIP)]
+
+
+class _Beam(NamedTuple):
+    """What a mode makes of a draw."""
+
+    n_pulse: int
+    prf: float
+    width: float | None  # rad
+    pace: float  # rad/s: of steering, or of yaw
+    resolution: float  # m, along the track
+    extent: float  # m, with full dwell, along the track
+    spill: float  # m, by which what is lit goes beyond that
+
+
+def _draw(rng: np.random.Generator, platform: str, mode: str) -> Drawn:
+    p = PLATFORMS[platform]
+
+    def between(ends: tuple[float, float]) -> float:
+        return float(np.exp(rng.uniform(*np.log(ends))))
+
+    height, speed, carrier = between(p.height), between(p.speed), between(p.carrier)
+    distance, wavelength = height * between(p.away), SPEED_OF_LIGHT / carrier
+    ground = np.sqrt(1 - (height / distance) ** 2)  # of the range
+    squint = float(np.clip(rng.uniform(-p.squint, p.squint), -np.arcsin(0.8 * ground), np.arcsin(0.8 * ground)))
+    beam = _plan_beam(
+        rng, p, mode, speed, distance, wavelength, squint, float(np.sqrt(ground**2 - np.sin(squint) ** 2))
+    )
+    time = (np.arange(beam.n_pulse) - beam.n_pulse // 2) / beam.prf
+
+    # The track, along y before the frame is turned.
+    duration = beam.n_pulse / beam.prf
+    climb = 0.0 if platform == "satellite" else rng.uniform(-0.1, 0.1)
+    velocity = speed * np.array([0.0, np.cos(climb), np.sin(climb)])
+    bound = min(p.acceleration, p.turn * speed / duration)
+    acceleration, jerk = rng.uniform(-bound, bound, 3), rng.uniform(-bound, bound, 3) / duration
+    if platform == "satellite":
+        acceleration[2] -= speed**2 / (EARTH + height)
+    smooth = np.outer(time, velocity) + np.outer(time**2 / 2, acceleration) + np.outer(time**3 / 6, jerk)
+    smooth[:, 2] += height
+    wobbles = p.wobble > 0 and rng.random() < 0.6
+    pace, size = 2 * np.pi * rng.uniform(*WAVES, 3) / duration, p.wobble * wavelength * rng.uniform(0.1, 1.0, 3)
+    waves = size * np.sin(np.outer(time, pace) + rng.uniform(0, 2 * np.pi, 3))
+    track = smooth + waves * wobbles
+    side = rng.choice([-1.0, 1.0])
+    ahead = (distance * np.sin(squint) + np.sin(climb) * height) / np.cos(climb)
+    centre = np.array([side * np.sqrt(max((distance * ground) ** 2 - ahead**2, 1.0)), ahead, 0.0])
+
+    # The band, and as many samples of it as hold the ranges of the grid, whose sides are parallel to the track's frame.
+    cell = beam.resolution * float(rng.uniform(0.7, 1.4)) * ground
+    band = min(SPEED_OF_LIGHT / (2 * cell), p.band, 0.1 * carrier)
+    across = SPEED_OF_LIGHT / (2 * band) / ground  # m of ground
+    size = MARGIN * beam.extent
+    step = CELL * min(beam.resolution, across)
+    window = (1.1 * BEYOND * size + 40 * across) * ground
+    n_frequency = int(np.ceil(window * 2 * band / SPEED_OF_LIGHT))
+
+    # The frame.
+    angle = rng.uniform(-np.pi, np.pi)
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
+    flown = np.gradient(smooth, time, axis=0) if rng.random() < 0.5 else np.tile(velocity, (time.size, 1))
+    axis = flown / np.linalg.norm(flown, axis=1, keepdims=True)
+    sight = centre - track
+    steering = squint + beam.pace * time
+    if mode == "spotlight":
+        steering = np.arcsin((sight * axis).sum(axis=1) / np.linalg.norm(sight, axis=1))
+    sides = np.array([BEYOND * size, BEYOND * size + 2 * beam.spill])
+    count = min(DENSITY * sides.prod() / (beam.resolution * across), MOST_SCATTERERS)
+    points = rng.uniform(-0.5, 0.5, (int(count), 2)) * sides + centre[:2]
+    x, y = turn[:2, :2] @ points.T
+    place = turn @ centre
+    how = {"beam_azimuth": np.full(time.size, np.nan)}
+    if mode == "yaw scan":
+        how["beam_azimuth"] = np.arctan2(place[1], place[0]) + beam.pace * time
+    elif mode != "unsteered":
+        how |= {"beam_axis": axis @ turn.T, "beam_steering": steering}
+    collection = Collection(
+        title=f"{platform}, {mode}",
+        carrier=carrier,
+        time=time,
+        range_frequency=(np.arange(n_frequency) - n_frequency // 2) * band / n_frequency,
+        reference_range=np.linalg.norm(centre - (track if rng.random() < 0.7 else smooth), axis=1),
+        antenna_position=track @ turn.T,
+        beam_width=beam.width,
+        **how,
+    ).centred()
+    return Drawn(
+        title=f"{platform}, {mode}{', wobble' if wobbles else ''}, squint {np.degrees(squint):.0f}",
+        collection=collection,
+        grid=Grid(place[0] - size / 2, place[0] + size / 2, step, place[1] - size / 2, place[1] + size / 2, step),
+        clutter=(x, y, rng.standard_normal(x.size) + 1j * rng.standard_normal(x.size)),
+        blocks="auto" if p.quick and rng.random() < 0.4 else 2 * int(rng.integers(1, 4)),
+    )  # fmt: skip
+
+
+def _plan_beam(
+    rng: np.random.Generator, p: Platform, mode: str, speed: float, distance: float, wavelength: float, squint: float,
+    side: float,
+) -> _Beam:  # fmt: skip
+    """`side` is the part of the line of sight that is level and across the track."""
+    over = float(np.exp(rng.uniform(*np.log(OVER))))
+    n_dwell, more = (int(rng.uniform(*ends) * np.sqrt(over)) for ends in (DWELL, BEYOND_DWELL))
+    passing = speed * np.cos(squint) / distance  # rad/s, of the line of sight
+    if mode in ("unsteered", "spotlight"):
+        n_pulse = n_dwell + more
+        aperture = float(np.exp(rng.uniform(*np.log(p.aperture))))
+        resolution = wavelength / (2 * aperture) / np.cos(squint)
+        extent = n_pulse / over * wavelength / (2 * aperture) / np.cos(squint) / 2
+        width = None if mode == "unsteered" else float(rng.uniform(1.0, 2.0)) * extent * np.cos(squint) / distance
+        return _Beam(n_pulse, n_pulse * passing / aperture, width, 0.0, resolution, extent, 0.1 * extent)
+    if mode == "yaw scan":
+        # A dwell lasts until the line of sight has turned by an aperture.
+        width = float(np.exp(rng.uniform(np.log(0.005), np.log(0.1))))
+        width = max(width, n_dwell * wavelength / (2 * over * side * 0.06 * distance))
+        prf = over * 2 * speed * side * width / wavelength
+        pace = float(rng.choice([-1.0, 1.0])) * width * prf / n_dwell
+        resolution = wavelength * distance / (2 * speed * side * n_dwell / prf)
+        extent = distance * width * more / n_dwell
+        return _Beam(n_dwell + more, prf, width, pace, resolution, extent, distance * width)
+    relative = {"stripmap": 0.0, "sliding": -rng.uniform(0.3, 0.7), "tops": rng.uniform(0.5, 2.0)}[mode]
+    width = float(np.sqrt(n_dwell * wavelength * (1 + relative) / (2 * over * distance)))
+    prf = over * 2 * speed * np.cos(squint) * width / wavelength
+    resolution = wavelength / (2 * passing * n_dwell / prf) / np.cos(squint)
+    footprint = distance * width / np.cos(squint)
+    extent = footprint * more / n_dwell
+    return _Beam(n_dwell + more, float(prf), width, float(relative * passing), resolution, extent, footprint)
