@@ -32,6 +32,7 @@ from blocksar.errors import FolderError, InputError, NoRoom
 from blocksar.graph import cluster
 from blocksar.graph.machine import resources
 from blocksar.places.place import Place
+from blocksar.planning.memory import PROCESS_MEMORY, checked_memory
 from blocksar.progress import as_listener
 from blocksar.runs import folder as run_folder
 from blocksar.runs.record import FINISHED, FORMAT, RECORD, UNFINISHED, Receipt, RunRecord, Written
@@ -235,6 +236,7 @@ def _own_workers(folder: Place, settings: Mapping[str, Any]) -> Iterator[dict[st
         yield {}
         return
     machine = resources(settings["workers"], settings["threads"], settings["memory_limit"])
+    checked_memory("a worker without samples", PROCESS_MEMORY, machine.memory_limit)  # or dask kills it for ever
     scratch, listener = run_folder.scratch(folder), as_listener(settings["progress"])
     try:
         with cluster.open_client(**machine._asdict(), scratch=scratch, listener=listener) as client:
