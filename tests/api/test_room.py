@@ -90,8 +90,8 @@ def needs(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     "settings",
     [
         {},
-        {"discard": True},
-        {"raw": True, "discard": True},
+        pytest.param({"discard": True}, marks=pytest.mark.slow),  # raw echoes show the same
+        {"raw": True, "discard": True, "grid": PART},
         {"raw": True, "processor": "backprojection", "grid": PART},
         {"looks": 2, "grid": PART},
         pytest.param({"memory": True}, marks=pytest.mark.slow),
@@ -132,7 +132,7 @@ def test_what_would_make_a_run_fit_does(store: Path, needs: list[int], free: Any
     free(0)
     for name, settings in variants.items():
         for discard in (False, True):
-            refusal(store, run, discard=discard, **settings)
+            refusal(store, run, grid=PART, discard=discard, **settings)
             sizes[name, discard] = needs[-1]
     for size in (*sizes.values(), min(sizes.values()) - 1):
         if size >= sizes["", False]:
@@ -144,12 +144,12 @@ def test_what_would_make_a_run_fit_does(store: Path, needs: list[int], free: Any
                 words = f"{name} discard=True".strip() if discard else name
                 named.append(f"{words} ({size_text(sizes[name, discard])})")
         free(size)
-        said = refusal(store, run)
+        said = refusal(store, run, grid=PART)
         assert said.startswith(f"{run} needs {size_text(sizes['', False])} of disk, and {size_text(size)} are free ")
         remedy = f"{' or '.join(named)} would fit; else" if named else "no option but a smaller grid makes it fit:"
         assert said.endswith(f"; {remedy} make room, or choose another out")
     free(sizes["blocks 1", True])
-    blocksar.focus(store, run, **SETTINGS | {"blocks": 1, "discard": True})
+    blocksar.focus(store, run, **PARTLY | {"blocks": 1, "discard": True})
     assert blocksar.info(run).result["facts"]["state"].startswith("finished")
 
 
