@@ -16,7 +16,7 @@ import pytest
 import xarray as xr
 from distributed import Client
 from quality_bar import check_targets, coarse_grid, planned
-from scenes import GEOMETRIES, UNSTEERED_SCENE, scene, write_store
+from scenes import GEOMETRIES, SMALL_SCAN, UNSTEERED_SCENE, one_target, scene, write_store
 
 import blocksar
 from blocksar import api, stores
@@ -209,9 +209,9 @@ def test_results_do_not_depend_on_workers_or_threads(client: Client, tmp_path: P
     assert len(sums) == 1
 
 
-def test_a_dataset_is_accepted_and_returned(table1: Path, tmp_path: Path) -> None:
-    grid = ((16000.0, 16200.0, 1.0), (19100.0, 19300.0, 1.0))
-    with xr.open_zarr(table1) as source:
+def test_a_dataset_is_accepted_and_returned(tmp_path: Path) -> None:
+    grid = ((16000.0, 16200.0, 2.0), (19100.0, 19300.0, 2.0))
+    with xr.open_zarr(one_target(tmp_path)) as source:
         blocksar.focus(source, tmp_path / "run", blocks=3, grid=grid, workers=0)
     image = blocksar.open(tmp_path / "run")
     assert image.image.dtype == np.complex64
@@ -224,10 +224,10 @@ def test_a_dataset_is_accepted_and_returned(table1: Path, tmp_path: Path) -> Non
 def test_a_phase_history_written_by_another_program_is_accepted(tmp_path: Path) -> None:
     """xarray writes the store with other chunks and compression; the image must be the same."""
     target = '[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.5\n'
-    (tmp_path / "scene.toml").write_text(scene(swath=[29800.0, 30200.0], more=target))
+    (tmp_path / "scene.toml").write_text(scene(**SMALL_SCAN, more=target))
     ours = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "ours.zarr")
     with xr.open_zarr(ours) as source:
-        chunks = {"signal": {"chunks": (700, 999)}}
+        chunks = {"signal": {"chunks": (700, 299)}}
         source.load().drop_encoding().to_zarr(
             tmp_path / "foreign.zarr", zarr_format=3, encoding=chunks, consolidated=False
         )
