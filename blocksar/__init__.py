@@ -2,8 +2,9 @@
 
 The functions correspond to the commands: `simulate`, `ingest`, `info`, `preview`, `check`, `autofocus`, `plan`,
 `focus`, `quality`, `report`, `export` and `compile`; `open` returns a finished image; `collection` builds a phase
-history from arrays, and `write` stores it. They are loaded on first use, so that `import blocksar` is fast. They raise
-`InputError` if the input is wrong, and `ProcessingError` if processing failed and the same call can resume it.
+history from arrays, `scene_centre` finds its place on the Earth, and `write` stores it. They are loaded on first use,
+so that `import blocksar` is fast. They raise `InputError` if the input is wrong, and `ProcessingError` if processing
+failed and the same call can resume it.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
         preview,
         quality,
         report,
+        scene_centre,
         simulate,
         write,
     )
@@ -55,6 +57,7 @@ __all__ = [
     "preview",
     "quality",
     "report",
+    "scene_centre",
     "simulate",
     "write",
 ]

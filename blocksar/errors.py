@@ -46,7 +46,11 @@ class InputError(ValueError):
         super().__init__(LONG_WORD.sub(lambda word: f"{word[0][:SHORT]}...{word[0][-SHORT:]}", printable(message)))
 
 
-class PrfTooLow(InputError):
+class Unfocusable(InputError):
+    """No chain forms the image that is asked for, although the input is right: exact back-projection does."""
+
+
+class PrfTooLow(Unfocusable):
     """The PRF does not hold the Doppler band of the lit scene.
 
     Attributes

@@ -1,4 +1,4 @@
-"""The folder in which compiled loops are kept, where that cannot be the package's own."""
+"""The folder in which compiled loops are kept, where that cannot be the package's own, and the time to compile them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,19 @@ import sys
 
 VARIABLE = "NUMBA_CACHE_DIR"
 MODULES = os.path.join(os.path.dirname(os.path.abspath(__file__)), "kernels")  # as other folders with loops
+
+
+_spent = [0.0]
+
+
+def note_compilation(seconds: float) -> None:
+    """Count seconds in which this process compiled loops, or waited for others that did."""
+    _spent[0] += seconds
+
+
+def compilation_seconds() -> float:
+    """Seconds that were counted since this process began."""
+    return _spent[0]
 
 
 def choose_cache() -> None:

@@ -1,5 +1,5 @@
 """The commands as functions: simulate, ingest, check, autofocus, plan, focus, quality, report, export, open, info,
-preview, demo, compile; and collection and write, for data in memory.
+preview, demo, compile; and collection, scene_centre and write, for data in memory.
 
 One module for each stage: `sources`, `datasets`, `describing` (with `facts`), `previewing`, `checking`, `autofocusing`
 (with `tracks`), `planning`, `focusing` (with `jobs`), `measuring`, `reporting`, `exporting`, `demonstrating`,
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from blocksar.api.autofocusing import autofocus
     from blocksar.api.checking import check
     from blocksar.api.compiling import compile
-    from blocksar.api.datasets import collection, write
+    from blocksar.api.datasets import collection, scene_centre, write
     from blocksar.api.demonstrating import demo
     from blocksar.api.describing import info
     from blocksar.api.exporting import export, open
@@ -36,7 +36,8 @@ _HOMES = {
     "collection": "datasets", "compile": "compiling", "demo": "demonstrating", "export": "exporting",
     "focus": "focusing", "info": "describing", "ingest": "sources", "ingest_cphd": "sources",
     "ingest_gotcha": "sources", "open": "exporting", "plan": "planning", "preview": "previewing",
-    "quality": "measuring", "report": "reporting", "simulate": "sources", "write": "datasets",
+    "quality": "measuring", "report": "reporting", "scene_centre": "datasets", "simulate": "sources",
+    "write": "datasets",
 }  # fmt: skip
 __all__ = [
     "PlanReport",
@@ -58,6 +59,7 @@ __all__ = [
     "preview",
     "quality",
     "report",
+    "scene_centre",
     "simulate",
     "write",
 ]

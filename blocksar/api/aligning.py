@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from blocksar.api.reference_chips import DARK
 from blocksar.api.reports import Table
 from blocksar.errors import InputError
 from blocksar.measurement.alignment import align
@@ -15,6 +14,7 @@ from blocksar.runs.finished import FinishedRun
 
 CHIPS = 6  # along either axis, evenly over the image; at most, and no more than it has room for
 SIDE = 64  # pixels
+DARK = 20.0  # dB below the brightest chip
 COVERED = 0.5  # of a chip's pixels that both images have, at least
 FIGURES = (
     ("as_is", "as they are"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,14 +11,17 @@ from blocksar import stores
 from blocksar.api import definitions
 from blocksar.api.arguments import GridLike, grid_of, history_of, on_ground
 from blocksar.api.ground import geometry_over, read_ground
+from blocksar.api.partial_pulses import imaging_parts
 from blocksar.api.pulses import pulse_reader
 from blocksar.api.reports import Report, Table
 from blocksar.arrays import ComplexArray
 from blocksar.chunks import TILE
 from blocksar.collection.grid import Grid
+from blocksar.collection.real_samples import find_real
 from blocksar.collection.region import grid_extent, plan_region
 from blocksar.collection.surface import Surface
 from blocksar.collection.terrain import Terrain
+from blocksar.errors import InputError
 from blocksar.graph.machine import resources
 from blocksar.ingestion.terrain.reading import Ground
 from blocksar.inspection import check as samples_check
@@ -76,12 +80,15 @@ def check(
     Raises
     ------
     InputError
-        If the source is no phase history, a grid is missing or lies outside the swath, or the terrain cannot be taken.
+        If the source is no phase history, its samples are real, a grid is missing or lies outside the swath, or the
+        terrain cannot be taken.
     """
     ground = Ground(terrain=terrain, surface=surface, vertical=vertical)
     count = resources(1, threads, None).threads
-    [history], points = on_ground([history_of(source)], ground_height, terrain=terrain), grid_of(grid)
+    points = grid_of(grid)
+    (history,) = imaging_parts(on_ground([history_of(source)], ground_height, terrain=terrain), points)
     collection = history.collection.centred()
+    refuse_real(history)
     heights = read_ground(ground, collection, points, source)
     findings = check_samples(history, points, threads=count, thorough=True, terrain=heights)
     if points is not None and findings.warning() is None:
@@ -112,6 +119,21 @@ def check(
         summary=[*(heights.remarks if heights is not None else ()), findings.sentence()],
         result=result,
     )
+
+
+def refuse_real(history: stores.PhaseHistory) -> None:
+    """Refuse real samples; reads no more than the first chunk that tells.
+
+    Raises
+    ------
+    InputError
+        If they are real.
+    """
+    sides = zip(history.shape, TILE, strict=True)
+    spans = ([slice(first, min(first + step, n)) for first in range(0, n, step)] for n, step in sides)
+    parts = ((region, history.read(*region)) for region in product(*spans))
+    if (reason := find_real(history.variable, history.collection, parts)) is not None:
+        raise InputError(f"{history.label}: {reason}")
 
 
 def check_samples(

@@ -1,10 +1,11 @@
-"""collection, write: phase histories from arrays, and datasets to stores."""
+"""collection, scene_centre, write: phase histories from arrays, and datasets to stores."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +14,10 @@ from blocksar import stores
 from blocksar.api.arguments import is_dataset
 from blocksar.arrays import FloatArray
 from blocksar.collection.georeference import Georeference
+from blocksar.collection.scene_centre import find_scene_centre
+from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
+from blocksar.ingestion.timeline import stated_times
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, lies_at, place
 from blocksar.places.local import LocalPlace
@@ -35,6 +39,7 @@ def collection(
     fast_time: ArrayLike | None = None,
     chirp_rate: float | None = None,
     pulse_width: float | None = None,
+    pulse_reference: Literal["centre", "start"] | None = None,
     beam_azimuth: ArrayLike | None = None,
     beam_width: float | None = None,
     beam_axis: ArrayLike | None = None,
@@ -51,6 +56,10 @@ def collection(
     georeference: Mapping[str, Any] | None = None,
     earth_centred: bool = False,
     channel: Sequence[str] | None = None,
+    polarization: str | None = None,
+    collection_start: str | datetime | None = None,
+    time_zero: float = 0.0,
+    source: str | None = None,
 ) -> xr.Dataset:
     """Build a phase history from arrays, and check it against the contract of its store.
 
@@ -80,6 +89,9 @@ def collection(
         Hz/s; negative for a down-chirp. Needed with `echo`.
     pulse_width : float, optional
         s. Needed with `echo`.
+    pulse_reference : {"centre", "start"}, optional
+        What a target's delay 2 R / c in `fast_time` counts to: the centre of its pulse, or the start, as files of NISAR
+        and CEOS have it. Only with `echo`. Default: "centre".
     beam_azimuth : (n_pulse,) float, optional
         Yaw of the beam's centre about the platform's nadir at t = 0, from the x axis to the y axis, rad. Default: the
         beam is not steered, and all of the scene is lit all the time.
@@ -114,6 +126,14 @@ def collection(
     channel : (n_channel,) str, optional
         Names of channels, such as polarisations, where `signal` or `echo` is (n_channel, n_pulse, ...). Default: one
         without a name.
+    polarization : str, optional
+        Of transmitter and receiver, such as "HV" or "RHC:H". Default: unknown, or what the names of channels say.
+    collection_start : str or datetime, optional
+        UTC, a text in ISO 8601 or a datetime; without a zone it is taken for UTC. Default: unknown.
+    time_zero : float
+        Seconds from `collection_start` to t = 0. Default: 0.
+    source : str, optional
+        Where the data come from, such as the sensor and the name of its file. Default: unknown.
 
     Returns
     -------
@@ -126,9 +146,11 @@ def collection(
         If an array has the wrong shape, kind or unit, something needed is missing, or no sample is finite.
     """
     _check_samples(signal, echo, range_frequency, fast_time)
+    if pulse_reference is not None and echo is None:
+        raise InputError(f"pulse_reference is {pulse_reference!r}, but signal has no pulses; leave it out")
     if time is None:
         raise InputError("time is None; give the times of the pulses, s")
-    _check_reference(reference_range)
+    _check_reference(reference_range, range_frequency, antenna_position, ground_height)
     if earth_centred:
         antenna_position, beam_axis = _into_frame(georeference, antenna_position, beam_axis)
     if np.ndim(reference_range) == 0:
@@ -143,7 +165,7 @@ def collection(
     attrs: dict[str, Any] = {
         "carrier_frequency": carrier_frequency, "beam_width": beam_width, "ground_height": ground_height,
         "noise_power": noise_power, "side_of_track": side_of_track, "chirp_rate": chirp_rate,
-        "pulse_width": pulse_width, "title": title,
+        "pulse_width": pulse_width, "pulse_reference": pulse_reference, "title": title,
         "Conventions": stores.CONVENTIONS,
     }  # fmt: skip
     if targets is not None:
@@ -152,9 +174,14 @@ def collection(
         attrs["targets"] = [_target_record(target) for target in targets]
     if georeference is not None:
         attrs["georeference"] = Georeference.from_attribute(georeference).as_attribute()
-    from blocksar.products import dataset  # noqa: F401  (registers the accessor)
+    attrs["polarization"] = _polarization(polarization, channel)
+    origin = {"format": source} if source is not None else {}
+    if collection_start is not None:
+        origin |= stated_times(str(collection_start), time_zero)
+    attrs["source"] = origin or None
+    from blocksar.products import dataset  # registers the accessor, and loads xarray
 
-    return stores.dataset_of(variables, attrs)
+    return dataset.prepare(stores.dataset_of(variables, attrs))
 
 
 def _into_frame(georeference: Any, position: ArrayLike, axis: ArrayLike | None) -> tuple[FloatArray, FloatArray | None]:
@@ -167,6 +194,71 @@ def _into_frame(georeference: Any, position: ArrayLike, axis: ArrayLike | None) 
     if places.ndim != 2 or places.shape[1] != 3:
         raise InputError(f"antenna_position has the shape {places.shape}; give (n_pulse, 3): x, y and z, m")
     return frame.from_ecef(places), None if axis is None else np.asarray(axis, np.float64) @ frame.axes.T
+
+
+def scene_centre(
+    antenna_position: ArrayLike,
+    slant_range: float,
+    *,
+    side_of_track: str,
+    height: float = 0.0,
+    squint: float = 0.0,
+    pulse: int | None = None,
+) -> dict[str, Any]:
+    """Find the place on the Earth at a range to one side of a track, and the scene frame about it.
+
+    Parameters
+    ----------
+    antenna_position : (n_pulse, 3) float
+        Earth-centred, Earth-fixed (WGS 84), m; n_pulse at least 3.
+    slant_range : float
+        Range from the antenna to the place, such as that of the middle of the swath, m.
+    side_of_track : {"left", "right"}
+        Where the place lies, seen along the flight.
+    height : float
+        Height of the place above WGS 84, m. Default: 0.
+    squint : float
+        Angle of the line of sight ahead of the plane normal to the track, rad. Default: 0, where Doppler is zero.
+    pulse : int, optional
+        Pulse from which the place is seen so. Default: the middle one.
+
+    Returns
+    -------
+    dict
+        The `georeference` of a scene frame with its origin there, x east and y north: "latitude", "longitude",
+        "height", "ecef" and more. `collection` takes it, and with `earth_centred=True` the same track.
+
+    Raises
+    ------
+    InputError
+        If no ground lies there, or the track has another shape.
+    """
+    track = np.asarray(antenna_position, np.float64)
+    if track.ndim != 2 or track.shape[0] < 3 or track.shape[1] != 3:
+        raise InputError(f"antenna_position has the shape {track.shape}; give (n_pulse, 3) of at least three pulses")
+    if side_of_track not in ("left", "right"):
+        raise InputError(f"side_of_track is {side_of_track!r}; it must be 'left' or 'right'")
+    at = min(max(track.shape[0] // 2 if pulse is None else pulse, 1), track.shape[0] - 2)
+    place = track[at if pulse is None else pulse]
+    frame = find_scene_centre(
+        place, track[at + 1] - track[at - 1], slant_range=slant_range, side=side_of_track, height=height, squint=squint
+    )
+    return frame.as_attribute()
+
+
+def _polarization(text: str | None, channel: Any) -> dict[str, str] | None:
+    """The attribute `polarization`; None where it is not given."""
+    if text is None:
+        return None
+    if channel is not None:
+        raise InputError(f"polarization is {text!r}, but channels are given; name each by its own, such as HH and HV")
+    parts = tuple(str(text).upper().split(":")) if ":" in str(text) else tuple(str(text).upper())
+    if len(parts) != 2 or not set(parts) <= set(stores.POLARIZATIONS):
+        raise InputError(
+            f"polarization is {text!r}; give those of transmitter and receiver, such as 'HV' or 'RHC:H', of "
+            f"{', '.join(stores.POLARIZATIONS)}"
+        )
+    return {"transmit": parts[0], "receive": parts[1]}
 
 
 def _check_samples(signal: Any, echo: Any, range_frequency: Any, fast_time: Any) -> None:
@@ -185,17 +277,20 @@ def _check_samples(signal: Any, echo: Any, range_frequency: Any, fast_time: Any)
             raise InputError(f"{other} is given, but {name} lies over {axis}; leave {other} out")
 
 
-def _check_reference(reference_range: Any) -> None:
-    """Check that the reference range is one: zero would be right for samples that no range window can hold."""
+def _check_reference(reference_range: Any, range_frequency: Any, position: Any, ground_height: Any) -> None:
+    """Check that the reference range is one: zero is right only where half a range window reaches the ground."""
     try:
         least = float(np.nanmin(np.asarray(reference_range, np.float64)))
-    except (TypeError, ValueError):
+        height = float(np.nanmin(np.asarray(position, np.float64)[..., 2])) - ground_height
+        step = 0.0 if range_frequency is None else abs(float(np.diff(np.asarray(range_frequency, np.float64)[:2])[0]))
+    except (TypeError, ValueError, IndexError):
         return  # said later, with the shape
-    if least <= 0:
-        raise InputError(
-            f"reference_range is {least:g} m; give R0, the range of the middle of the swath, and multiply samples "
-            "whose phase nobody has removed by exp(4j pi (carrier_frequency + range_frequency) R0 / c)"
-        )
+    if least > 0 or (least == 0 and step and SPEED_OF_LIGHT / (4 * step) > height):
+        return
+    raise InputError(
+        f"reference_range is {least:g} m; give R0, the range of the middle of the swath, and multiply samples "
+        "whose phase nobody has removed by exp(4j pi (carrier_frequency + range_frequency) R0 / c)"
+    )
 
 
 def _target_record(target: Target | Mapping[str, Any]) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from blocksar import stores
 from blocksar.api.reports import Report, only_stage
 from blocksar.errors import InputError, library_for
+from blocksar.measurement.looks import checked_looks
 from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.products import geotiff
@@ -67,7 +68,7 @@ def export(
     crs: str | None = None,
     colour_map: str | None = None,
     size: int | None = None,
-    composite: Literal["pauli"] | None = None,
+    composite: Literal["pauli", "mean"] | None = None,
     channel: str | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -87,8 +88,9 @@ def export(
         "gamma" is the power without what slopes do to it. Default: "amplitude", or "db" with `scale`. Only for
         `kind="geotiff"`.
     looks : (int, int) or str, optional
-        Pixels along y and along x of the cells over which a GeoTIFF averages power, such as (4, 2) or "4x2". Cells that
-        are not covered as a whole are no data. Default: no averaging.
+        Pixels along y and along x of the cells over which a GeoTIFF or a PNG averages power, such as (4, 2) or "4x2".
+        Cells that are not covered as a whole are no data in a GeoTIFF. Default: no averaging; in a PNG cells that suit
+        its size.
     scale : {"uint8", "uint16"}, optional
         Whole numbers in which a GeoTIFF stores dB: 1 at the lower end of `range`, 0 where not covered. Default:
         float32.
@@ -104,9 +106,10 @@ def export(
         Of a PNG, by matplotlib's name. Default: "gray".
     size : int, optional
         Pixels of a PNG along its longer side. Default: by the image, up to about 1700.
-    composite : {"pauli"}, optional
-        Colours of a PNG from the channels HH, VV and HV or VH of one run: |HH - VV|, |HV + VH| and |HH + VV|, each over
-        sqrt(2), as red, green and blue. Default: one channel, in grey.
+    composite : {"pauli", "mean"}, optional
+        A PNG of several channels or looks of one run. "pauli": colours from HH, VV and HV or VH, |HH - VV|, |HV + VH|
+        and |HH + VV|, each over sqrt(2), as red, green and blue. "mean": their mean power, which has less speckle.
+        Default: one channel or look.
     channel : str, optional
         Of a run of several channels. Default: the first.
     overwrite : bool
@@ -141,10 +144,15 @@ def export(
     callback = only_stage(progress, "export")
 
     if composite is not None:
-        sources = _composed(place(run), composite, crop, {"channel": channel, "colour_map": colour_map})
-        lines = _pictures("composite").write(
-            sources, out, limits=limits, size=size, overwrite=overwrite, progress=callback
-        )
+        own = {"channel": channel, **({"colour_map": colour_map} if composite != "mean" else {})}
+        sources = _composed(place(run), composite, crop, own)
+        cell = _cell(looks, next(iter(sources.values())))
+        drawn = {"limits": limits, "size": size, "cell": cell, "overwrite": overwrite, "progress": callback}
+        if composite == "mean":
+            first, *others = sources.values()
+            lines = _pictures("quicklook").write(first, out, others=others, colour_map=colour_map, **drawn)
+        else:
+            lines = _pictures("composite").write(sources, out, **drawn)
         return Report(summary=[*lines, f"wrote {place(out)}"])
     source = _opened(place(run), channel, crop)
     if kind == "sicd":
@@ -156,9 +164,15 @@ def export(
         lines = geotiff.write(pixels, out, crs=crs, overwrite=overwrite, progress=callback)
     else:
         lines = _pictures("quicklook").write(
-            source, out, limits=limits, colour_map=colour_map, size=size, overwrite=overwrite, progress=callback
-        )
+            source, out, cell=_cell(looks, source), limits=limits, colour_map=colour_map, size=size,
+            overwrite=overwrite, progress=callback,
+        )  # fmt: skip
     return Report(summary=[*member_line(place(run), channel), *lines, f"wrote {place(out)}"])
+
+
+def _cell(looks: Any, source: FinishedRun) -> tuple[int, int]:
+    """Pixels along y and along x of the cells of a picture, or of their parts."""
+    return (1, 1) if looks is None else checked_looks(parse_looks(looks), (source.y.size, source.x.size))
 
 
 def _opened(run: Place, channel: str | None, crop: Any) -> FinishedRun:
@@ -168,13 +182,18 @@ def _opened(run: Place, channel: str | None, crop: Any) -> FinishedRun:
 
 
 def _composed(run: Place, composite: str, crop: Any, others: dict[str, Any]) -> dict[str, FinishedRun]:
-    """Open the channels of a composite, by polarisation; `others` are options that must be None beside it."""
-    if composite != "pauli":
-        raise InputError(f"composite is {composite!r}; it must be 'pauli'")
+    """Open the channels or looks of a composite by name; `others` are options that must be None beside it."""
+    if composite not in ("pauli", "mean"):
+        raise InputError(f"composite is {composite!r}; it must be 'pauli' or 'mean'")
     for name, value in others.items():
         if value is not None:
             raise InputError(f"{name} is {value!r}, but a composite has channels and colours of its own; leave it out")
-    taken = _pictures("composite").pauli_channels(finished_record(run).channels, str(run))
+    names = finished_record(run).channels
+    if composite == "mean":
+        if not names:
+            raise InputError(f"composite mean takes the looks or channels of a run, and {run} has none; leave it out")
+        return {name: _opened(run, name, crop) for name in names}
+    taken = _pictures("composite").pauli_channels(names, str(run))
     return {name: _opened(run, channel, crop) for name, channel in taken.items()}
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from blocksar.api.partial_pulses import WHOLE, recorded_text
 from blocksar.budget import FIDELITY
 from blocksar.collection.beam import lit_yaw, wrapped
 from blocksar.collection.collection import Collection
@@ -17,7 +18,7 @@ from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid, ground_resolution
 from blocksar.collection.region import default_grid, plan_region
 from blocksar.collection.weighting import FLAT
-from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.constants import SPEED_OF_LIGHT, unit_of_lengths
 from blocksar.errors import InputError
 from blocksar.focusing.method import Method
 from blocksar.places.local import LocalPlace
@@ -30,7 +31,7 @@ Rows = list[tuple[str, str]]
 USUAL = {
     **{name: value for name, value in Method().as_settings().items() if name != "processor"},
     "blocks": "auto", "fidelity": FIDELITY, "weighting_range": FLAT.text, "weighting_azimuth": FLAT.text,
-    "surface": "plane",
+    "surface": "plane", "pulses": WHOLE,
 }  # fmt: skip
 NOT_STEERED = "not steered: it lights everything all the time, so that a grid is needed"
 HISTORY_LINES = 3  # the newest ones are shown
@@ -49,6 +50,7 @@ def collection_rows(collection: Collection) -> Rows:
         ("band", _band(collection)),
         *_track(geometry),
         ("beam", _beam(collection)),
+        *([] if (recorded := recorded_text(geometry)) is None else [("whole pulses", recorded)]),
         *_footprint(geometry),
     ]
 
@@ -114,7 +116,9 @@ def _footprint(geometry: Geometry) -> Rows:
         region = plan_region(geometry, None)
         low, high = np.degrees(region.yaw[[0, -1]] if collection.has_axis else lit_yaw(collection))
         near, far = float(region.near.min()), float(region.far.max())
-        rows.append(("footprint", f"yaw {low:.2f} .. {high:.2f} degrees, range {near / 1e3:.3f} .. {far / 1e3:.3f} km"))
+        unit, metres = unit_of_lengths(far)
+        ranges = f"{near / metres:.3f} .. {far / metres:.3f} {unit}"
+        rows.append(("footprint", f"yaw {low:.2f} .. {high:.2f} degrees, range {ranges}"))
         middle = region.yaw.size // 2
         across, along = ground_resolution(
             geometry, float(region.near[middle] + region.far[middle]) / 2, float(region.yaw[middle])

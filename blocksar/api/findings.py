@@ -12,8 +12,9 @@ from itertools import chain
 from typing import NamedTuple
 
 from blocksar import stores
-from blocksar.api.checking import check_samples
+from blocksar.api.checking import check_samples, refuse_real
 from blocksar.api.jobs import Job
+from blocksar.collection.track_shape import find_flaw
 from blocksar.errors import InputError
 from blocksar.graph.segments import Segment, by_collection
 from blocksar.graph.stages import Recovered
@@ -93,7 +94,7 @@ def _of_collection(
     if not inspections[-1].valid:
         raise InputError(without_samples(history, zeros=True))
     lines = [line for each in inspections for line in sentences.describe(each)]
-    lines += [doubt] if (doubt := sentences.doubted_time(history.collection)) else []
+    lines += sentences.doubts_of_track(history.collection, exact=segments[0].plan is None)
     missing, size = sum(inspections[-1].missing.values()), math.prod(history.shape)
     if missing > MANY_MISSING * size and any(segment.plan is not None for segment in segments):
         lines.append(
@@ -164,6 +165,9 @@ def _check_samples(job: Job, segments: Sequence[Segment]) -> Check:
     """
     if segments[0].source.part_of_a_beam:
         return None, ""
+    refuse_real(segments[0].source)
+    if (flaw := find_flaw(segments[0].source.collection)) is not None and flaw.ways > 1:
+        return None, ""  # a place has several lines, which a check does not follow
     try:
         middle = segments[len(segments) // 2]
         findings = check_samples(

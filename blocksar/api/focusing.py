@@ -27,6 +27,7 @@ from blocksar.api.arguments import (
 )
 from blocksar.api.jobs import Job, Request
 from blocksar.api.joint import focus_members, members_of
+from blocksar.api.partial_pulses import recorded_lines
 from blocksar.api.plan_lines import (
     cut_dwells,
     missed_fidelity,
@@ -49,6 +50,7 @@ from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Pro
 from blocksar.graph import cluster, recording
 from blocksar.graph.machine import Resources, resources
 from blocksar.ingestion.terrain.reading import Ground, terrain_notes
+from blocksar.loop_cache import compilation_seconds
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.place import Place
@@ -94,6 +96,7 @@ def focus(
     ground_height: float | None = None,
     autofocus: bool = False,
     control: Location | Sequence[Target] | None = None,
+    whole_pulses: bool = False,
     looks: int | None = None,
     workers: int | None = None,
     threads: int | None = None,
@@ -157,6 +160,9 @@ def focus(
         Correct the track from the samples first, as `autofocus` does. Default: False.
     control : path or sequence of Target, optional
         With `autofocus`: points at known places, which anchor the track. Default: none.
+    whole_pulses : bool
+        Of a raw echo, image only ground whose whole pulses were recorded; other ground stays NaN. Default: where `grid`
+        has ground with parts of pulses, it is divided by the part; without a grid, only ground with whole pulses.
     looks : int, optional
         Number of parts of each target's dwell, each of which becomes an image of its own: (look, y, x). Default: one
         image of whole dwells.
@@ -235,6 +241,7 @@ def _focus_image(
     ground_height: float | None,
     autofocus: bool,
     control: Location | Sequence[Target] | None,
+    whole_pulses: bool,
     workers: int | None,
     threads: int | None,
     memory_limit: int | None,
@@ -251,7 +258,7 @@ def _focus_image(
 
     As many like it are `following`, in folders of their own.
     """
-    listener = as_listener(progress)
+    listener, compiled = as_listener(progress), compilation_seconds()
     profile = None if performance_report is None else Path(performance_report)
     method = method_of(
         processor,
@@ -270,6 +277,7 @@ def _focus_image(
         weighting=Weighting.parse(weighting, weighting_range, weighting_azimuth),
         grid=grid_of(grid),
         overwrite=overwrite,
+        whole_pulses=whole_pulses,
         discard=discard,
         ground=Ground(terrain=terrain, surface=surface, vertical=vertical),
         ground_height=ground_height,
@@ -320,7 +328,7 @@ def _focus_image(
             _check_room_before_track(request, record, machine, following)
             corrected = track_corrected(request, machine, connected, listener)
             request, said, connected = stack.enter_context(corrected)
-        report = _focus(request, record, machine, connected, listener, profile, following)
+        report = _focus(request, record, machine, connected, listener, profile, following, compiled)
         return replace(report, summary=[*said, *report.summary])
 
 
@@ -379,6 +387,7 @@ def _focus(
     listener: Listener,
     profile: Path | None,
     following: int,
+    compiled: float,
 ) -> RunReport:
     """Plan and carry out a run in a folder that this process has claimed."""
     listener.update("plan", 0, 1)
@@ -391,11 +400,12 @@ def _focus(
         resumed = earlier is not None or run_folder.is_begun(request.folder, record)
         check_room_for_run(job, Beside(following), resumed=resumed)
         with run_folder.resumable():
-            finished = carry_out(job, run, record, workers, listener, profile, resumed=resumed)
+            finished = carry_out(job, run, record, workers, listener, profile, resumed=resumed, compiled=compiled)
     found = [
         next((line for plan in job.plans if (line := doubt(plan))), None)
         for doubt in (undersampling, short_dwells, cut_dwells, wobbling_beam, missed_fidelity)
     ]
+    found += recorded_lines([segment.geometry for segment in job.segments], job.grid, swath=False)
     found += outside_window(job.plans) if job.plans else []
     if request.terrain is not None:
         found += terrain_notes(request.terrain, job.grid)
@@ -430,7 +440,10 @@ def _start_workers(
 def _summary(folder: Place, record: RunRecord, planned: int, worker: str) -> list[str]:
     """Return the warnings, and sentences on resumed work, time and memory; `planned` is a worker's peak, bytes."""
     timings = record.timings
-    stages = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in timings.items() if name != "total")
+    once = {"compile": " once for an installation"}
+    stages = ", ".join(
+        f"{name} {seconds:.1f} s{once.get(name, '')}" for name, seconds in timings.items() if name != "total"
+    )
     peak = record.peak_memory or 0
     return [
         *(f"note: {line}" for line in record.warnings),

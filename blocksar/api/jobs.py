@@ -10,8 +10,10 @@ from typing import Any, Literal
 
 from blocksar import stores
 from blocksar.api.arguments import One, OnGround, Source, check_one_frame, history_of, on_ground, sources_of
+from blocksar.api.exact_way import naming_exact
 from blocksar.api.fingerprints import joint_fingerprint
 from blocksar.api.ground import PLANE, check_ground, geometry_over, ground_settings, read_ground
+from blocksar.api.partial_pulses import imaging_parts, pulses_of
 from blocksar.api.surroundings import read_surroundings
 from blocksar.api.track_places import TrackPlace
 from blocksar.arrays import FloatArray
@@ -21,7 +23,7 @@ from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import UNIFORM, Weighting
-from blocksar.errors import FolderError, InputError, ProcessingError, changes_while_read
+from blocksar.errors import FolderError, InputError, ProcessingError, Unfocusable, changes_while_read
 from blocksar.focusing.method import Method
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
@@ -69,6 +71,8 @@ class Request:
         The ground itself, under the grid; None for the plane.
     surroundings : Terrain or None
         The ground as far as it hides or overlies places of the grid; None if that is under it.
+    whole_pulses : bool
+        Of raw echoes, whether only ground with whole pulses is imaged.
     overwrite : bool
         Whether to replace a run of other settings or another input.
     discard : bool
@@ -88,6 +92,7 @@ class Request:
     grid: Grid | None
     fingerprints: tuple[str, ...]
     overwrite: bool
+    whole_pulses: bool = False
     discard: bool = False
     ground: Ground = PLANE
     terrain: Terrain | None = None
@@ -107,6 +112,7 @@ class Request:
         weighting: Weighting = UNIFORM,
         grid: Grid | None,
         overwrite: bool,
+        whole_pulses: bool = False,
         discard: bool = False,
         ground: Ground = PLANE,
         ground_height: float | None = None,
@@ -132,6 +138,7 @@ class Request:
         for history in histories:
             if not isinstance(history, stores.DatasetHistory):
                 run_folder.refuse_overlap(place(history.path), folder)
+        histories = imaging_parts(histories, grid, whole_pulses=whole_pulses)
         centred = [history.collection.centred() for history in histories]
         check_ground(centred, grid, any_grid=method is None or not ground.plane)
         terrain, around = None, None
@@ -144,12 +151,13 @@ class Request:
             terrain = read[0]
             if terrain is not None:
                 around = read_surroundings(ground, terrain, centred, under, Georeference.among(histories[0].attrs))
+            histories = imaging_parts(histories, grid, terrain, whole_pulses=whole_pulses)
         fingerprints = tuple(fingerprint for _, fingerprint in opened)
         if autofocus and track is None:
             track = TrackPlace.of(folder / run_folder.TRACK, histories, fingerprints)
         return cls(
             histories=histories, folder=folder, method=method, blocks=blocks, fidelity=fidelity, weighting=weighting,
-            grid=grid, fingerprints=fingerprints, overwrite=overwrite,
+            grid=grid, fingerprints=fingerprints, overwrite=overwrite, whole_pulses=whole_pulses,
             discard=discard, ground=ground, terrain=terrain, surroundings=around, track=track, control=control,
         )  # fmt: skip
 
@@ -179,6 +187,7 @@ class Request:
             **({} if self.history.ground_height is None else {"ground_height": self.history.ground_height}),
             **(self.track.settings(self.fingerprint) if self.track is not None else {}),
             **({"control": records_of(self.control)} if self.control else {}),
+            **({} if (pulses := pulses_of(self.histories)) is None else {"pulses": pulses}),
         }
 
     def identity(self, division: Division) -> str:
@@ -297,9 +306,10 @@ class Job:
         grid = request.grid
         if request.terrain is not None:  # the grid that its heights were read for
             grid = grid or joint_grid([Geometry(collection=collection) for collection in collections])
-        planned = plan_segments(plan, collections, grid=grid, cut=request.blocks == "auto", like=_divided(earlier))
-        if (refusal := next(filter(None, (each.plan.refusal for each in planned)), None)) is not None:
-            raise InputError(refusal)
+        with naming_exact(collections, grid, machine):
+            planned = plan_segments(plan, collections, grid=grid, cut=request.blocks == "auto", like=_divided(earlier))
+            if (refusal := next(filter(None, (each.plan.refusal for each in planned)), None)) is not None:
+                raise Unfocusable(refusal)
         several = len(planned) > 1 or len(collections) > 1
         segments = tuple(
             Segment(
@@ -361,9 +371,10 @@ class Job:
             return self
         try:
             histories = tuple(
-                history.stored(history.path).pinned() if isinstance(history, stores.DatasetHistory) else history
+                replace(history.stored(history.path).pinned(), collection=history.collection)
+                if isinstance(history, stores.DatasetHistory) else history
                 for history in self.request.histories
-            )
+            )  # fmt: skip
         except InputError as error:  # about the run's own store, not about the input
             raise ProcessingError(str(error)) from error
         segments = tuple(replace(segment, source=histories[segment.collection or 0]) for segment in self.segments)
@@ -388,7 +399,9 @@ class Job:
         """Predict the relative cost of the stages."""
         histories = {segment.collection: segment.source for segment in self.segments}
         echoes = {
-            number: 0 if history.raw is None else history.raw.fast_time.size * history.collection.n_pulse
+            number: 0
+            if history.raw is None
+            else RawCompression.of_echo(history.raw, history.collection).length * history.collection.n_pulse
             for number, history in histories.items()
         }
         works = []

@@ -149,6 +149,7 @@ def _focus_members(focus: Focus, members: Members, folder: Place, settings: Mapp
     shared = dict(settings)
     if members.dimension == "look":  # their beams differ, but not the ground that they show
         shared["grid"] = image_grid(members.whole[0].collection.centred(), grid_of(settings["grid"]))
+        shared["whole_pulses"] = settings["whole_pulses"] or settings["grid"] is None
 
     track = TrackPlace.of(folder / run_folder.TRACK, members.whole) if settings["autofocus"] else None
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
 from blocksar.api.reports import Table, finite, rounded
 from blocksar.measurement.scenery import measure_area
 from blocksar.products.look_spectra import measure_looks
 from blocksar.products.options import parse_crop
+from blocksar.products.pictures.overview import mean_of
 from blocksar.runs.finished import FinishedRun
 
 
@@ -36,12 +35,7 @@ def describe_looks(looks: Sequence[FinishedRun], area: Any) -> dict[str, Any]:
 
 def _of_mean(parts: Sequence[FinishedRun]) -> float:
     """Equivalent number of looks of the mean power of several images, NaN where not covered by all."""
-
-    def read(rows: slice, columns: slice) -> Any:
-        power = sum(np.abs(part.read(rows, columns).astype(np.complex128)) ** 2 for part in parts)
-        return np.sqrt(power / len(parts)).astype(np.complex64)
-
-    return measure_area(read, parts[0].strips(0)).looks
+    return measure_area(mean_of([part.read for part in parts]), parts[0].strips(0)).looks
 
 
 def looks_table(described: dict[str, Any]) -> Table:

@@ -10,6 +10,7 @@ from typing import TypeVar
 
 from blocksar.api import definitions
 from blocksar.api.looks import Looks
+from blocksar.api.partial_pulses import recorded_lines
 from blocksar.api.plan_lines import exact_line, outside_window, plan_lines, time_line
 from blocksar.api.plan_tables import block_table, digits, plan_details
 from blocksar.api.reports import Table
@@ -58,6 +59,7 @@ def report_looks(
     if refused is None:
         work = effort.together([effort.of_plan(each, workers=assumed.workers) for each in every])
         lines += [
+            *recorded_lines([first[0].geometry], first[0].grid),
             *outside_window(whole or first),
             time_line(work, assumed, planning),
             *exact_line(every, work, assumed, planning),

@@ -114,11 +114,11 @@ def measure(
     run = FinishedRun.open(folder)
     listed = targets_of(targets, run.attrs, run)
     measured = measure_targets(run, listed)
-    responses = measured.responses
+    responses, asked = measured.responses, reference or found or area is not None or against or looks
     parts = [
-        _about_targets(run, listed, measured), _about_track(run), _beside_table3(run, responses), _about_noise(run),
-        _about_area(run, area), _about_found(run, found), _about_looks(looks, area), _beside_exact(run, reference),
-        _beside_another(run, against),
+        _about_targets(run, listed, measured, alone=not asked), _about_track(run), _beside_table3(run, responses),
+        _about_noise(run), _about_area(run, area), _about_found(run, found), _about_looks(looks, area),
+        _beside_exact(run, reference), _beside_another(run, against),
     ]  # fmt: skip
     drawn = [response for target in listed if target.name in TABLE3 and (response := read_target(run, target))]
     result = {name: value for part in parts for name, value in part.result.items()}
@@ -181,14 +181,14 @@ def measure_targets(run: FinishedRun, targets: Sequence[Target]) -> Measured:
     return Measured(lit, seen, dark)
 
 
-def _about_targets(run: FinishedRun, listed: Sequence[Target], measured: Measured) -> Part:
-    """The responses, and which targets are measured elsewhere, or not judged."""
+def _about_targets(run: FinishedRun, listed: Sequence[Target], measured: Measured, *, alone: bool) -> Part:
+    """The responses, and which targets are measured elsewhere, or not judged; `alone`: nothing else is asked for."""
     responses, lines = measured.responses, []
     if responses:
         lines += _weighting_lines(run.weighting, run.collection.has_pattern)
         lines += [*_count_line(responses), *_unjudged_lines(run, responses)]
     lines += raised_line(listed, measured.seen)
-    if not responses:
+    if alone and not responses:
         lines.append("the collection names no targets: give --targets FILE to measure some, or --found N to find some")
     if dark := [target.name for target, hidden in zip(listed, measured.dark, strict=True) if hidden]:
         lines.append(f"in shadow of the terrain, and not judged: {len(dark)} of {len(listed)} targets ({_first(dark)})")

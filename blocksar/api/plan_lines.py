@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 
 import numpy as np
 
@@ -17,7 +18,8 @@ from blocksar.collection.lit_sums import most_lit_pulses
 from blocksar.collection.region import default_grid, share_outside
 from blocksar.constants import MIB
 from blocksar.graph.machine import Resources, machine, pace
-from blocksar.inspection.sentences import doubted_time
+from blocksar.inspection.sentences import doubts_of_track
+from blocksar.measurement.axes import MIN_OVERSAMPLING, response_axes
 from blocksar.planning import effort
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.disk import run_bytes
@@ -27,14 +29,15 @@ from blocksar.progress import Work
 
 TRACK_TOLD = 0.01  # rad: noise of the track that leaves less is not mentioned
 PLACES = 9  # of a block along range and yaw, at which full dwells are looked for
+MEASURED_AT = 5  # points along a side of a grid, whose responses tell which steps they are measured on
 LOOKED_AT = 64  # points along a side of a grid at which lit pulses are counted, and full dwells looked for
 PLANNING_TOLD = 1.0  # s to plan, which are counted in the time of a run
 EXACT_TOLD, EXACT_GAIN = 5.0, 1.5  # s of a run, and times less that back-projection takes, from which on it is told
 SHORT_DWELL = 12  # pulses, below which a coherence of up to 0.002 less than is predicted was measured
 
 
-def plan_lines(plan: Plan) -> list[str]:
-    """What there is to say of a plan besides its tables."""
+def plan_lines(plan: Plan, *, compared: bool = False) -> list[str]:
+    """What there is to say of a plan besides its tables; `compared` as for `describe_shortfall`."""
     recovery, collection, grid = plan.recovery, plan.geometry.collection, plan.grid
     spectrum = recovery.doppler.size * collection.n_range_frequency * 8
     blocks = f"{plan.n_blocks} block{'s' if plan.n_blocks > 1 else ''}"
@@ -72,8 +75,7 @@ def plan_lines(plan: Plan) -> list[str]:
     if (parts := max(len(block.sampling.over_band) for block in plan.blocks)) > 1:
         lines.append(f"dwells are gated in {parts} parts over the band, which are focused one after the other")
     lines.append(_disk_line(plan))
-    if (doubt := doubted_time(plan.geometry.collection)) is not None:
-        lines.append(doubt)
+    lines += doubts_of_track(plan.geometry.collection)
     doubts = undersampling, short_dwells, cut_dwells, cut_lobes, wobbling_beam
     lines += [line for doubt in doubts if (line := doubt(plan)) is not None]
     noise = max(block.prediction.track_phase for block in plan.blocks)
@@ -82,7 +84,7 @@ def plan_lines(plan: Plan) -> list[str]:
             f"the noise of the track leaves a phase of {noise:.2g} rad r.m.s. over a dwell; smooth the positions"
         )
     if not plan.faithful:
-        lines.append(describe_shortfall(plan))
+        lines.append(describe_shortfall(plan, compared=compared))
     return lines
 
 
@@ -135,7 +137,7 @@ def time_line(work: Work, assumed: Resources, planning: float = 0.0) -> str:
 
     `planning` is what the plan took, s, which a run makes again: told where it is long.
     """
-    seconds = _stage_seconds(work, assumed, planning)
+    seconds = stage_seconds(work, assumed, planning)
     return (
         f"a run takes about {time_text(sum(seconds.values()))} on this machine {workforce(assumed)} "
         f"({_shares(seconds)}), more where others use it, the disk is slow, or loops are not compiled"
@@ -144,17 +146,17 @@ def time_line(work: Work, assumed: Resources, planning: float = 0.0) -> str:
 
 def exact_line(plans: Sequence[Plan], work: Work, assumed: Resources, planning: float) -> list[str]:
     """A sentence if exact back-projection would take less time than the `work` of some plans, else none."""
-    seconds = sum(_stage_seconds(work, assumed, planning).values())
+    seconds = sum(stage_seconds(work, assumed, planning).values())
     if seconds < EXACT_TOLD:
         return []
     summed = effort.together([effort.of_backprojection(plan.geometry, plan.grid) for plan in plans])
-    exact = sum(_stage_seconds(summed, assumed, 0.0).values())
+    exact = sum(stage_seconds(summed, assumed).values())
     if exact > seconds / EXACT_GAIN:
         return []
     return [f"exact back-projection of this grid takes less, about {time_text(exact)}: --processor backprojection"]
 
 
-def _stage_seconds(work: Work, assumed: Resources, planning: float) -> dict[str, float]:
+def stage_seconds(work: Work, assumed: Resources, planning: float = 0.0) -> dict[str, float]:
     """Seconds of a run by stage, as in `time_line`."""
     workers = min(assumed.workers, machine()[0])  # more than there are cores gain nothing
     seconds = effort.seconds_of(work, workers=workers, threads=assumed.threads, pace=pace())
@@ -200,17 +202,42 @@ def time_text(seconds: float) -> str:
 
 
 def undersampling(plan: Plan) -> str | None:
-    """A sentence if spectra fold on the grid in the middle of any block, else None."""
+    """A sentence if spectra fold on the grid in the middle of any block, or are too wide to be measured; else None."""
     grid, places = plan.grid, [((b.ground.near + b.ground.far) / 2, (b.low + b.high) / 2) for b in plan.blocks]
-    spectra = [ground_spectrum(plan.geometry, *place) for place in places]
-    if not any(folds(sides, grid.dx, grid.dy) for sides in spectra):
+    folded = any(folds(ground_spectrum(plan.geometry, *place), grid.dx, grid.dy) for place in places)
+    if not (bands := list(_bands(plan))):
         return None
-    # Steps that suit the box about a spectrum suit the spectrum.
-    dx, dy = (0.99 / max(float(abs(a[axis]) + abs(b[axis])) for a, b in spectra) for axis in (0, 1))
-    return (
-        f"the grid's steps of {grid.dx:g} x {grid.dy:g} m undersample the image: spectra fold, and targets between its "
-        f"points are lost; steps of {dx:.2g} m in x and {dy:.2g} m in y show everything"
-    )
+    needed = [_rounded_down(1 / (2 * MIN_OVERSAMPLING * max(each))) for each in zip(*bands, strict=True)]
+    if not folded and grid.dx <= needed[0] and grid.dy <= needed[1]:
+        return None
+    steps = f"the grid's steps of {grid.dx:g} x {grid.dy:g} m"
+    enough = f"{needed[0]:.2g} m in x and {needed[1]:.2g} m in y"
+    if folded:
+        return (
+            f"{steps} undersample the image: spectra fold, and targets between its points are lost; steps of {enough} "
+            "show everything"
+        )
+    return f"{steps} hold the image, but `blocksar quality` measures responses on steps of at most {enough}"
+
+
+def _bands(plan: Plan) -> Iterator[tuple[float, float]]:
+    """Largest wavenumbers in x and y, cycles/m, of responses at some points of the grid that are lit."""
+    x, y = (np.linspace(axis[0], axis[-1], MEASURED_AT) for axis in (plan.grid.x, plan.grid.y))
+    for at in product(x.tolist(), y.tolist()):
+        if (axes := response_axes(plan.geometry, *at)) is not None:
+            yield float(axes.band[0]), float(axes.band[1])
+
+
+def _rounded_down(value: float) -> float:
+    """A number with two digits, not above the value.
+
+    Examples
+    --------
+    >>> _rounded_down(0.0159), _rounded_down(3.0)
+    (0.015, 3.0)
+    """
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{math.floor(value / unit * (1 + 1e-12)) * unit:.2g}")
 
 
 def short_dwells(plan: Plan) -> str | None:
@@ -248,9 +275,13 @@ def outside_window(plans: Sequence[Plan]) -> list[str]:
     heights = "" if terrain is None else f", or correct the terrain's heights, z = {terrain.limits[0]:.6g} .. "
     heights += "" if terrain is None else f"{terrain.limits[1]:.6g} m"
     window = max(plan.geometry.collection.range_window for plan in plans)
+    unrecorded = {each.partial for plan in plans if (each := plan.geometry.collection.recorded) is not None}
+    pulses = (
+        "" if not unrecorded else ", or have no recorded pulse," if any(unrecorded) else ", or have no whole pulse,"
+    )
     return [
         f"{100 * share:.2g} % of the grid's pixels lie outside the range window ({window:.5g} m about the reference "
-        f"range) and stay NaN; move the grid, or give a smaller one{heights}"
+        f"range){pulses} and stay NaN; move the grid, or give a smaller one{heights}"
     ]
 
 

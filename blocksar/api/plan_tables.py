@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from blocksar.api.reports import Table
-from blocksar.constants import MIB
+from blocksar.constants import MIB, unit_of_lengths
 from blocksar.focusing.relief_correction import bend_scale
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.choice import Contender
@@ -15,8 +15,9 @@ from blocksar.planning.plan import Plan
 from blocksar.planning.prediction import Prediction
 
 FEW_BLOCKS, WORST = 12, 10  # most blocks that are all shown, and how many are of more
+RANGE = "range"  # whose unit the ranges decide
 BLOCK_HEADER = (
-    "block", "yaw (deg)", "range (km)", "Doppler bins", "padded", "bias (m/s2)", "residual phase (rad)",
+    "block", "yaw (deg)", RANGE, "Doppler bins", "padded", "bias (m/s2)", "residual phase (rad)",
     "quadratic (rad)", "PSLR (dB)", "width / limit", "azimuth width (m)", "migration (cells)", "memory (MiB)",
 )  # fmt: skip
 FINE = 0.9999  # coherence from which on it is shown with six decimals
@@ -28,15 +29,24 @@ def block_table(plans: Sequence[Plan]) -> Table:
     few, divided = len(blocks) <= FEW_BLOCKS, any(plan.parts > 1 for plan in plans)
     worst = sorted(blocks, key=lambda block: block.prediction.coherence)[:WORST]
     header = [
-        "block" if few else f"worst {WORST} of {len(blocks)}", "yaw (deg)", *(["range (km)"] if divided else []),
+        "block" if few else f"worst {WORST} of {len(blocks)}", "yaw (deg)", *([RANGE] if divided else []),
         "coherence", *([] if divided else ["residual phase (rad)", "PSLR (dB)"]), "width / limit", "memory (MiB)",
     ]  # fmt: skip
-    rows = []
+    rows, unit = [], _unit(plans)
     for block in blocks:
         if few or block in worst:
-            own, p = dict(zip(BLOCK_HEADER, _block_row(block), strict=True)), block.prediction
+            own, p = dict(zip(BLOCK_HEADER, _block_row(block, unit[1]), strict=True)), block.prediction
             rows.append([block.name, *(own.get(name, digits(p.coherence)) for name in header[1:])])
-    return header, rows
+    return _with_unit(header, unit), rows
+
+
+def _unit(plans: Sequence[Plan]) -> tuple[str, float]:
+    """The unit of all ranges, and its metres."""
+    return unit_of_lengths(max(block.ground.far for plan in plans for block in plan.blocks))
+
+
+def _with_unit(header: Sequence[str], unit: tuple[str, float]) -> list[str]:
+    return [f"{RANGE} ({unit[0]})" if name == RANGE else name for name in header]
 
 
 def plan_details(plans: Sequence[Plan]) -> list[Table]:
@@ -59,7 +69,8 @@ def _relief_table(plans: Sequence[Plan]) -> Table:
 
 
 def _all_blocks(plans: Sequence[Plan]) -> Table:
-    return BLOCK_HEADER, [_block_row(block) for plan in plans for block in plan.blocks]
+    unit = _unit(plans)
+    return _with_unit(BLOCK_HEADER, unit), [_block_row(block, unit[1]) for plan in plans for block in plan.blocks]
 
 
 def _coherence_table(plans: Sequence[Plan]) -> Table:
@@ -76,13 +87,13 @@ def _coherence_row(name: str, p: Prediction) -> list[str]:
     return [name, digits(p.coherence), *(f"{loss:.{places}f}" for loss in losses)]
 
 
-def _block_row(block: BlockPlan) -> list[str]:
+def _block_row(block: BlockPlan, metres: float) -> list[str]:
     low, high = np.degrees([block.low, block.high])
     p = block.prediction
     return [
         block.name,
         f"{low:.3f} .. {high:.3f}",
-        f"{block.ground.near / 1e3:.3f} .. {block.ground.far / 1e3:.3f}",
+        f"{block.ground.near / metres:.3f} .. {block.ground.far / metres:.3f}",
         f"{block.first_bin} .. {block.first_bin + block.n_bin}",
         str(block.ground.doppler.size),
         f"{block.choice.candidate.bias:.1f}",

@@ -20,9 +20,11 @@ from blocksar.api.arguments import (
     memory_of,
     sources_of,
 )
+from blocksar.api.exact_way import exact_way, naming_exact
 from blocksar.api.ground import read_ground
 from blocksar.api.look_plans import report_exact_looks, report_looks
 from blocksar.api.looks import divide_dwells, one_source
+from blocksar.api.partial_pulses import imaged_collections, recorded_lines
 from blocksar.api.plan_lines import exact_line, lit_pulses, outside_window, plan_lines, time_line, workforce
 from blocksar.api.plan_tables import block_table, contender_table, plan_details
 from blocksar.api.shown import PlanReport
@@ -46,6 +48,7 @@ from blocksar.focusing.method import (
 )
 from blocksar.graph.machine import Resources, resources
 from blocksar.ingestion.terrain.reading import Ground, terrain_notes
+from blocksar.inspection.sentences import doubts_of_track
 from blocksar.places import Location
 from blocksar.planning import choice, effort
 from blocksar.planning.choice import Contender
@@ -74,6 +77,7 @@ def plan(
     terrain: Location | None = None,
     surface: Surface = "plane",
     vertical: str | None = None,
+    whole_pulses: bool = False,
     ground_height: float | None = None,
     looks: int | None = None,
     workers: int | None = None,
@@ -120,6 +124,9 @@ def plan(
     vertical : str, optional
         What a GeoTIFF's heights are measured from, if it does not say so: "ellipsoid", "egm96" or "egm2008"; or
         "egm2008:FILE" with the geoid's grid. Needed for such a file only.
+    whole_pulses : bool
+        Of a raw echo, image only ground whose whole pulses were recorded; other ground stays NaN. Default: where `grid`
+        has ground with parts of pulses, it is divided by the part; without a grid, only ground with whole pulses.
     ground_height : float, optional
         Height z of the imaged plane in the scene frame, m. Default: that of the phase history.
     looks : int, optional
@@ -170,6 +177,9 @@ def plan(
         points = points or joint_grid([Geometry(collection=each) for each in collections])
         heights = read_ground(ground, collections[0], points, sources_of(source)[0])
         of_each += [] if heights is None else terrain_notes(heights, points)
+    collections = imaged_collections(
+        source, collections, grid_of(grid), heights, ground_height=ground_height, whole_pulses=whole_pulses
+    )
     if method is None and parts is not None:
         return report_exact_looks(
             lambda seen: _plan_backprojection([seen], points, heights, assumed), collections[0], parts
@@ -187,13 +197,16 @@ def plan(
         return plan_segments(plan_by(method), collections, grid=points, cut=blocks == "auto")
 
     started = time.perf_counter()
-    if parts is not None:
-        report = report_looks(lambda seen: [each.plan for each in plan_all([seen])], collections[0], parts, assumed)
-    elif automatic:
-        contenders = choice.contend(lambda rival: plan_by(rival)(collections[0], grid=points))
-        report = _report_contenders(contenders, assumed)
-    else:
-        report = _report_segments(plan_all(collections), assumed, time.perf_counter() - started)
+    with naming_exact(collections, points, assumed):
+        if parts is not None:
+            report = report_looks(lambda seen: [each.plan for each in plan_all([seen])], collections[0], parts, assumed)
+        elif automatic:
+            contenders = choice.contend(lambda rival: plan_by(rival)(collections[0], grid=points))
+            report = _report_contenders(contenders, assumed)
+        else:
+            report = _report_segments(plan_all(collections), assumed, time.perf_counter() - started)
+    if report.refusal is not None:
+        return replace(report, refusal=report.refusal + exact_way(collections, points, assumed))
     return _told_first(report, of_each)
 
 
@@ -226,19 +239,17 @@ def _told_first(report: PlanReport, lines: Sequence[str]) -> PlanReport:
     return replace(report, summary=[*lines, *report.summary])
 
 
-def _report_plan(plan: Plan, assumed: Resources, planning: float = 0.0) -> PlanReport:
+def _report_plan(plan: Plan, assumed: Resources, planning: float = 0.0, *, compared: bool = False) -> PlanReport:
     if plan.refusal is not None:  # the samples of what does not focus may have no bounds
-        return PlanReport(
-            tables=[block_table([plan])], details=plan_details([plan]), definitions=definitions.PLAN,
-            refusal=plan.refusal, result=plan, geometry=plan.geometry,
-        )  # fmt: skip
+        return PlanReport(refusal=plan.refusal, result=plan, geometry=plan.geometry)
     work = effort.of_plan(plan, workers=assumed.workers)
     return PlanReport(
         tables=[block_table([plan])],
         details=plan_details([plan]),
         definitions=definitions.PLAN,
         summary=[
-            *plan_lines(plan),
+            *plan_lines(plan, compared=compared),
+            *recorded_lines([plan.geometry], plan.grid),
             *outside_window([plan]),
             time_line(work, assumed, planning),
             *exact_line([plan], work, assumed, planning),
@@ -253,26 +264,26 @@ def _report_segments(segments: Sequence[PlannedSegment], assumed: Resources, pla
     plans = [segment.plan for segment in segments]
     if len(plans) == 1:
         return _report_plan(plans[0], assumed, planning)
+    if (refusal := next((plan.refusal for plan in plans if plan.refusal is not None), None)) is not None:
+        return PlanReport(refusal=refusal, result=tuple(plans))
     lines = []
     for number, segment in enumerate(segments):
         pulses = "" if segment.pulses is None else f", pulses {segment.pulses[0]} .. {segment.pulses[1] - 1}"
         blocks = f"blocks {segment.first_block} .. {segment.first_block + segment.plan.n_blocks - 1}"
         lines.append(f"segment {number} (collection {segment.collection}{pulses}, {blocks}):")
         lines += [f"  {line}" for line in plan_lines(segment.plan)]
-    refusal = next((plan.refusal for plan in plans if plan.refusal is not None), None)
-    if refusal is None:
-        work = effort.together([effort.of_plan(plan, workers=assumed.workers) for plan in plans])
-        lines += [
-            *outside_window(plans),
-            time_line(work, assumed, planning),
-            *exact_line(plans, work, assumed, planning),
-        ]
+    work = effort.together([effort.of_plan(plan, workers=assumed.workers) for plan in plans])
+    lines += [
+        *recorded_lines([plan.geometry for plan in plans], plans[0].grid),
+        *outside_window(plans),
+        time_line(work, assumed, planning),
+        *exact_line(plans, work, assumed, planning),
+    ]
     return PlanReport(
         tables=[block_table(plans)],
         details=plan_details(plans),
         definitions=definitions.PLAN,
         summary=lines,
-        refusal=refusal,
         result=tuple(plans),
     )
 
@@ -281,8 +292,8 @@ def _report_contenders(contenders: list[Contender], assumed: Resources) -> PlanR
     """Report all processors side by side, then the plan of the proposed one."""
     (best, reason), table = choice.propose(contenders), contender_table(contenders)
     if best is None or best.plan is None:
-        return PlanReport(tables=[table], summary=[reason], refusal=reason)
-    report = _report_plan(best.plan, assumed)
+        return PlanReport(refusal=reason)
+    report = _report_plan(best.plan, assumed, compared=True)
     return replace(
         report,
         tables=[table, *report.tables],
@@ -306,8 +317,10 @@ def _plan_backprojection(
     lines = [
         f"exact back-projection of {grid.shape[1]} x {grid.shape[0]} pixels, {lit} lit pulses each: "
         f"{pixels * lit / 1e9:.3g} G updates at most, {workforce(assumed)}",
+        *recorded_lines(geometries, grid),
         f"peak memory of a worker {memory / MIB:.0f} MiB",
         f"a run writes at most {sum(written.values()) / MIB:.0f} MiB",
         time_line(effort.together([effort.of_backprojection(each, grid) for each in geometries]), assumed),
+        *dict.fromkeys(doubt for each in collections for doubt in doubts_of_track(each, exact=True)),
     ]
     return PlanReport(summary=lines, result=grid, geometry=geometries[0])

@@ -10,6 +10,7 @@ from blocksar import stores
 from blocksar.api.arguments import GridLike, grid_of, history_of
 from blocksar.api.facts import grid_text
 from blocksar.api.parsing import quoted
+from blocksar.api.partial_pulses import imaging_parts
 from blocksar.api.pulses import pulse_reader
 from blocksar.api.reports import Report, only_stage
 from blocksar.arrays import ComplexArray
@@ -101,6 +102,7 @@ def preview(
     history = history_of(source)
     if channel is not None:
         history = history.of_channel(channel)
+    (history,) = imaging_parts([history], grid_of(grid))
     geometry = Geometry(collection=history.collection.centred())
     chosen, proposed = _ground(geometry, grid_of(grid))
     planned = coarse.plan_preview(geometry, chosen, size=size)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from blocksar import stores
+from blocksar.api.partial_pulses import PARTS
 from blocksar.api.pulses import pulse_reader
 from blocksar.api.reports import Table
 from blocksar.arrays import ComplexArray
@@ -21,6 +22,7 @@ from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_chips
 from blocksar.graph.machine import machine
 from blocksar.measurement.coherence import ChipComparison, coherence, joint_coherence
+from blocksar.measurement.reach import power_within_reach, referred
 from blocksar.places import place
 from blocksar.runs.finished import FinishedRun
 from blocksar.runs.folder import INPUT
@@ -28,11 +30,12 @@ from blocksar.runs.record import RunPlan
 
 FULL_DWELL_YAWS = 257  # at which full dwells are looked for under a beam about its axis
 RANGES_COMPARED = (("near", 0.1), ("middle", 0.5), ("far", 0.9))  # name, share of the swath
-DARK = 20.0  # dB below the brightest chip
+SURROUNDINGS = 256  # pixels about a chip, whose side lobes and errors may reach it
 
+FIGURES = {"coherence": 5, "judged": 5, "gain": 4, "phase": 4}  # of a chip, and their decimals
 SPREAD = 1 / 6, 1 / 2, 5 / 6  # of an image's sides, where no place of the plan lies in it
 
-Compared = list[tuple[str, float, float, ChipComparison]]
+Compared = list[tuple[str, float, float, ChipComparison, float]]  # the last: power within reach over that of the chip
 Chips = list[tuple[str, float, float, ComplexArray, slice, slice]]
 
 
@@ -49,9 +52,10 @@ def compare_with_exact(run: FinishedRun, result: dict[str, Any]) -> tuple[Table,
     chips: list[dict[str, Any]] = [
         {
             "place": name, "x": x, "y": y, "full_dwell": bool(has_full_dwell(run.geometry_at(x, y), x, y)),
-            "coherence": abs(c.coherence), "gain": c.gain, "phase": c.phase, "power": c.power,
+            "coherence": abs(c.coherence), "judged": referred(abs(c.coherence), ratio), "gain": c.gain,
+            "phase": c.phase, "power": c.power, "power_within_reach": ratio * c.power,
         }
-        for name, x, y, c in compared
+        for name, x, y, c, ratio in compared
     ]  # fmt: skip
     result["reference"] = chips
     lines = ["reference: exact back-projection of the same samples; chips of 64 x 64 pixels"]
@@ -61,33 +65,18 @@ def compare_with_exact(run: FinishedRun, result: dict[str, Any]) -> tuple[Table,
     if not chips:
         lines.append("nothing was compared: the image is too small, or hardly covered")
     predicted = min((block.coherence for block in run.record.plan.predicted), default=math.nan)
-    bright, dark = full_dwell_coherence(chips)
-    if bright and not math.isnan(predicted):
-        full = [c for chip, (*_, c) in zip(chips, compared, strict=True) if chip["full_dwell"]]
-        result["least_coherence"] = {"measured": min(bright), "predicted": predicted}
-        result["joint_coherence"] = joint_coherence(full)
+    full = [chip for chip in chips if chip["full_dwell"] and not math.isnan(chip["coherence"])]
+    if full and not math.isnan(predicted):
+        worst = min(full, key=lambda chip: chip["judged"])
+        result["least_coherence"] = {"measured": worst["judged"], "predicted": predicted}
+        result["joint_coherence"] = joint_coherence(
+            each[3] for chip, each in zip(chips, compared, strict=True) if chip["full_dwell"]
+        )
         lines.append(
-            f"least coherence at full dwells: {min(bright):.4f} measured, {predicted:.4f} predicted; "
+            f"least coherence at full dwells: {worst['judged']:.4f} measured, {predicted:.4f} predicted; "
             f"all their chips as one, each by its power: {result['joint_coherence']:.4f}"
         )
-    if dark:
-        lines.append(
-            f"not judged, as side lobes of other places count there: {len(dark)} of {len(bright) + len(dark)} chips, "
-            f"which are more than {DARK:g} dB below the brightest (coherence {min(dark):.4f} and more)"
-        )
     return _table(chips), lines
-
-
-def full_dwell_coherence(chips: list[dict[str, Any]]) -> tuple[list[float], list[float]]:
-    """Coherence of chips with full dwells, of those that hold echoes and of dark ones.
-
-    A prediction tells what a pixel loses of the echoes that are lit with it. In a chip without any of its own both
-    images hold the side lobes of other places, and differ by what each of them loses of these.
-    """
-    least = max((chip["power"] for chip in chips), default=0.0) * 10 ** (-DARK / 10)
-    full = [chip for chip in chips if chip["full_dwell"] and not math.isnan(chip["coherence"])]
-    dark = [chip["coherence"] for chip in full if chip["power"] < least]
-    return [chip["coherence"] for chip in full if chip["power"] >= least], dark
 
 
 def _open_inputs(run: FinishedRun) -> dict[str, stores.PhaseHistory]:
@@ -105,6 +94,8 @@ def _open_inputs(run: FinishedRun) -> dict[str, stores.PhaseHistory]:
         moved = own / place(path).name if place(path).name != INPUT else own
         within = f"/{INPUT}" in path and moved.exists()
         history = stores.open_phase_history(moved if within else path)
+        if run.record.settings.get("pulses") == PARTS:
+            history = history.with_partial_pulses()
         inputs[path] = history.of_channel(run.attrs.get("channel") if history.channels else None)
     return inputs
 
@@ -136,9 +127,25 @@ def _compare(run: FinishedRun, inputs: Mapping[str, stores.PhaseHistory]) -> Com
         chips = _chips(run, path, geometry)
         read, axes = pulse_reader(history), [(run.x[columns], run.y[rows]) for *_, rows, columns in chips]
         exact = form_chips(read, geometry, axes, threads=machine()[0], weighting=run.weighting)
-        for (name, x, y, chip, *_), one in zip(chips, exact, strict=True):
-            compared.append((name, x, y, coherence(chip, one)))
+        for (name, x, y, chip, rows, columns), one in zip(chips, exact, strict=True):
+            found = coherence(chip, one)
+            ratio = _within_reach(run, rows, columns) / found.power if found.power else 1.0
+            compared.append((name, x, y, found, max(ratio, 1.0)))
     return compared
+
+
+def _within_reach(run: FinishedRun, rows: slice, columns: slice) -> float:
+    """The power within reach of a chip of the image; see `measurement.reach`."""
+    spans = [
+        slice(max(span.start - SURROUNDINGS, 0), min(span.stop + SURROUNDINGS, size))
+        for span, size in ((rows, run.y.size), (columns, run.x.size))
+    ]
+    pixels = run.read(*spans)
+    chip = (
+        slice(span.start - around.start, span.stop - around.start)
+        for span, around in zip((rows, columns), spans, strict=True)
+    )
+    return power_within_reach(pixels.real.astype(np.float64) ** 2 + pixels.imag.astype(np.float64) ** 2, *chip)
 
 
 def whole_geometry(run: FinishedRun, history: stores.PhaseHistory) -> Geometry:
@@ -247,11 +254,17 @@ def _window_at(geometry: Geometry, plan: RunPlan, yaw: Sequence[float]) -> tuple
 
 
 def _table(chips: list[dict[str, Any]]) -> Table:
-    header = ("place", "x (m)", "y (m)", "full dwell", "power (dB)", "coherence", "gain", "phase (rad)")
+    header = (
+        "place", "x (m)", "y (m)", "full dwell", "power (dB)", "within reach (dB)", "coherence", "judged", "gain",
+        "phase (rad)",
+    )  # fmt: skip
     brightest = max((chip["power"] for chip in chips), default=0.0)
     rows = []
     for c in chips:
-        power = f"{10 * math.log10(c['power'] / brightest):.1f}" if c["power"] > 0 else "-"
-        figures = (power, f"{c['coherence']:.5f}", f"{c['gain']:.4f}", f"{c['phase']:.4f}")
+        powers = [
+            f"{10 * math.log10(c[name] / brightest):.1f}" if c[name] > 0 else "-"
+            for name in ("power", "power_within_reach")
+        ]
+        figures = (*powers, *(f"{c[name]:.{digits}f}" for name, digits in FIGURES.items()))
         rows.append([c["place"], f"{c['x']:.0f}", f"{c['y']:.0f}", "yes" if c["full_dwell"] else "no", *figures])
     return header, rows

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from blocksar.api.jobs import Job, Request
+from blocksar.api.partial_pulses import recorded_lines
 from blocksar.api.plan_lines import outside_window, plan_lines, time_line, workforce
 from blocksar.api.plan_tables import block_table, plan_details
 from blocksar.api.room import Beside, needed, remedy
@@ -41,6 +42,7 @@ def rehearse(request: Request, earlier: RunRecord | None, machine: Resources, be
         details=plan_details(plans) if plans else [],
         summary=[
             *(line for plan in plans for line in plan_lines(plan)),
+            *recorded_lines([segment.geometry for segment in job.segments], job.grid),
             *(outside_window(plans) if plans else []),
             time_line(job.predict_effort(), machine),
             cluster,

@@ -223,7 +223,8 @@ class TrackEstimate:
     def corrected(self, history: stores.PhaseHistory, result: Result) -> Collection:
         """The collection of a channel, or of a look at it, with the corrected track."""
         whole = self.history if history.look is not None else history
-        moved = Collection(**{**whole.collection.as_dict(), "antenna_position": result.antenna_position})
+        band = {name: getattr(history.collection, name) for name in ("range_frequency", "recorded")}
+        moved = Collection(**{**whole.collection.as_dict(), **band, "antenna_position": result.antenna_position})
         if history.look is None or history.look == self.history.look:
             return moved
         return replace(whole, collection=moved).of_look(*history.look).collection

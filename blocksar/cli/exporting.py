@@ -16,6 +16,13 @@ Crop = Annotated[
     typer.Option(metavar="x0:x1,y0:y1", help="Write only this part of the ground, m.", show_default="the whole image"),
 ]
 
+Looks = Annotated[
+    str | None,
+    typer.Option(
+        metavar="AxB", help="Average power over cells of A pixels along y and B along x.", show_default="by the product"
+    ),
+]
+
 export = typer.Typer(
     name="export",
     cls=Commands,
@@ -62,12 +69,7 @@ def export_geotiff(
             show_default="amplitude; db with --scale",
         ),
     ] = None,
-    looks: Annotated[
-        str | None,
-        typer.Option(
-            metavar="AxB", help="Average power over cells of A pixels along y and B along x.", show_default="1x1"
-        ),
-    ] = None,
+    looks: Looks = None,
     scale: Annotated[
         Literal["uint8", "uint16"] | None,
         typer.Option(
@@ -118,9 +120,13 @@ def export_png(
         typer.Option(metavar="PIXELS", help="Longer side of the picture.", show_default="by the image, up to 1700"),
     ] = None,
     crop: Crop = None,
+    looks: Looks = None,
     composite: Annotated[
-        Literal["pauli"] | None,
-        typer.Option(help="Colours from HH, VV and HV or VH of one run.", show_default="one channel, in grey"),
+        Literal["pauli", "mean"] | None,
+        typer.Option(
+            help="Colours from HH, VV and HV or VH of one run; or the mean power of its looks or channels.",
+            show_default="one channel or look",
+        ),
     ] = None,
     channel: Channel = None,
     overwrite: Overwrite = False,
@@ -137,7 +143,7 @@ def export_png(
 
     with listening(context) as progress:
         report = api.export(
-            "png", run, out, range=range, colour_map=colour_map, size=size, crop=crop, composite=composite,
+            "png", run, out, looks=looks, range=range, colour_map=colour_map, size=size, crop=crop, composite=composite,
             channel=channel, overwrite=overwrite, progress=progress,
         )  # fmt: skip
     show(report)

@@ -39,6 +39,7 @@ from blocksar.cli.options import (
     VerticalOption,
     WaitWorkers,
     WeightingOption,
+    WholePulses,
     Workers,
     given,
     method_options,
@@ -64,6 +65,7 @@ def plan(
     terrain: TerrainOption = None,
     surface: SurfaceOption = "plane",
     vertical: VerticalOption = None,
+    whole_pulses: WholePulses = False,
     ground_height: GroundHeight = None,
     looks: LooksOption = None,
     workers: Workers = None,
@@ -89,8 +91,7 @@ def plan(
 
     proposal = api.plan(
         one_or_all(source), processor=processor, terrain=terrain, surface=surface, vertical=vertical,
-        ground_height=ground_height, looks=looks,
-        **settings, **method,
+        ground_height=ground_height, whole_pulses=whole_pulses, looks=looks, **settings, **method,
     )  # fmt: skip
     show(proposal, context)
     if proposal.refusal is not None:
@@ -139,6 +140,7 @@ def focus(
     terrain: TerrainOption = None,
     surface: SurfaceOption = "plane",
     vertical: VerticalOption = None,
+    whole_pulses: WholePulses = False,
     ground_height: GroundHeight = None,
     autofocus: AutofocusOption = False,
     control: Control = None,
@@ -188,6 +190,7 @@ def focus(
             terrain=terrain,
             surface=surface,
             vertical=vertical,
+            whole_pulses=whole_pulses,
             ground_height=ground_height,
             **method,
             autofocus=autofocus,

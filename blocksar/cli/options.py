@@ -75,6 +75,9 @@ VerticalOption = Annotated[
     str | None,
     typer.Option(metavar="DATUM", help="Of a GeoTIFF's heights: ellipsoid, egm96, egm2008, or egm2008:FILE."),
 ]
+WholePulses = Annotated[
+    bool, typer.Option("--whole-pulses", help="Of a raw echo: leave ground NaN of which parts of pulses were recorded.")
+]
 GroundHeight = Annotated[
     float | None,
     typer.Option(metavar="M", help="Height z of the imaged plane in the scene frame; default: the store's."),

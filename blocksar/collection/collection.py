@@ -15,6 +15,7 @@ import numpy as np
 
 from blocksar.arrays import FloatArray, check_axis
 from blocksar.collection.beam_checks import check_axis_beam, check_cover, check_pattern
+from blocksar.collection.recorded import RecordedRanges
 from blocksar.collection.spline import smoothed
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
@@ -24,7 +25,7 @@ FARTHEST = 1e9  # m: largest coordinate; beyond the moon, and float64 still reso
 TWO_TURNS = 4 * np.pi  # rad: where all beam azimuths are larger, they are taken for degrees
 MAX_YAW = 100.0  # rad: likewise where any is larger
 GRAZING = 2e-3  # rad: least angle at which the ground is seen, about a tenth of a degree
-SPEEDS = (0.1, 20e3)  # m/s: of platforms, from one that hovers to a satellite on a high orbit
+SPEEDS = (1e-3, 20e3)  # m/s: of platforms, from a carriage on a rail to a satellite on a high orbit
 SPIKE = 1.0  # m: a single pulse that deviates more than this from its neighbours is corrupt
 BENT = 5.0  # times the usual change of steps from pulse to pulse: a bent track deviates by less at its ends and turns
 JUMP = 50.0  # times the median step between pulses: a larger step is a gap between two passes
@@ -80,6 +81,8 @@ class Collection:
         On which side of the track the imaged ground lies, seen along the flight; None: unknown.
     lit_width : float or None
         Of a look of a steered beam: the width of the whole beam, whose echoes the samples hold, rad; None: beam_width.
+    recorded : RecordedRanges or None
+        Of a raw echo: from which ranges it recorded pulses, and which of them are imaged; None: from all in the window.
 
     Raises
     ------
@@ -107,6 +110,7 @@ class Collection:
     noise_power: float | None = None
     side_of_track: str | None = None
     lit_width: float | None = None
+    recorded: RecordedRanges | None = None
 
     def __post_init__(self) -> None:
         given = [name for name in OPTIONAL if getattr(self, name) is not None]
@@ -135,29 +139,7 @@ class Collection:
         way = np.linalg.norm(np.diff(self.antenna_position, axis=0), axis=1)
         self._check_jumps(way)
         self._check_speed(way)
-        if not (np.isfinite(self.carrier) and self.carrier > 0):
-            raise InputError(f"carrier_frequency must be a positive number of Hz, got {self.carrier!r}")
-        if not CARRIERS[0] <= self.carrier <= CARRIERS[1]:
-            raise InputError(
-                f"carrier_frequency is {self.carrier:.6g} Hz, but must lie between {CARRIERS[0]:g} and "
-                f"{CARRIERS[1]:g} Hz; correct it, or its unit"
-            )
-        self._check_size("range_frequency", "Hz", CARRIERS[1])
-        if self.range_window > FARTHEST:
-            raise InputError(
-                f"range_frequency is spaced by {self.range_frequency_step:.3g} Hz, for a range window of "
-                f"{self.range_window:.3g} m, beyond the {FARTHEST:g} m that can be meant; correct it, or its unit"
-            )
-        if self.carrier + self.range_frequency[0] <= 0:
-            raise InputError(
-                f"range_frequency starts at {self.range_frequency[0]:.6g} Hz, below minus the carrier "
-                f"({self.carrier:.6g} Hz); it must be baseband, relative to carrier_frequency"
-            )
-        if self.range_frequency[0] > self.carrier / 2:
-            raise InputError(
-                f"range_frequency is {self.range_frequency[0]:.6g} .. {self.range_frequency[-1]:.6g} Hz with "
-                f"carrier_frequency = {self.carrier:.6g} Hz: it looks absolute; subtract the carrier"
-            )
+        self._check_band()
         self._check_cells()
         if not np.isfinite(self.ground_height):
             raise InputError(f"ground_height must be a finite number of m, got {self.ground_height!r}")
@@ -202,9 +184,13 @@ class Collection:
             )
 
     def _check_jumps(self, way: FloatArray) -> None:
-        """Refuse a track with a jump, as two passes joined into one collection have; way between pulses (n - 1,), m."""
+        """Refuse a track with a jump, as two passes joined into one collection have; way between pulses (n - 1,), m.
+
+        Not the rows of a raster, which are as long as each other.
+        """
         usual, where = float(np.median(way)), int(way.argmax())
-        if way[where] > max(SPIKE, JUMP * usual):
+        jumps = np.flatnonzero(way > max(SPIKE, JUMP * usual))
+        if jumps.size == 1 or (jumps.size and np.ptp(np.diff([-1, *jumps, way.size])) > 1):
             raise InputError(
                 f"antenna_position moves {way[where]:.6g} m from pulse {where} to {where + 1}, and {usual:.3g} m "
                 "between pulses otherwise; correct it there, or give each part as a collection of its own"
@@ -220,7 +206,34 @@ class Collection:
         if speed < SPEEDS[0]:
             raise InputError(
                 f"antenna_position moves at {speed:.6g} m/s, but an aperture needs at least {SPEEDS[0]:g} m/s: correct "
-                "the unit of antenna_position (it looks like km) or of time (it looks like ms or us)"
+                "the unit of antenna_position (it looks like km) or of time (it looks like ms, us or pulse numbers)"
+            )
+
+    def _check_band(self) -> None:
+        if not (np.isfinite(self.carrier) and self.carrier > 0):
+            raise InputError(f"carrier_frequency must be a positive number of Hz, got {self.carrier!r}")
+        if not CARRIERS[0] <= self.carrier <= CARRIERS[1]:
+            unit = " (it looks like GHz or MHz)" if self.carrier < CARRIERS[0] else ""
+            raise InputError(
+                f"carrier_frequency is {self.carrier:.6g} Hz, but must lie between {CARRIERS[0]:g} and "
+                f"{CARRIERS[1]:g} Hz; correct it, or its unit{unit}"
+            )
+        self._check_size("range_frequency", "Hz", CARRIERS[1])
+        if self.range_window > FARTHEST:
+            raise InputError(
+                f"range_frequency is spaced by {self.range_frequency_step:.3g} Hz, for a range window of "
+                f"{self.range_window:.3g} m, beyond the {FARTHEST:g} m that can be meant; correct it, or its unit"
+            )
+        if self.carrier + self.range_frequency[0] <= 0:
+            raise InputError(
+                f"range_frequency starts at {self.range_frequency[0]:.6g} Hz, below minus the carrier "
+                f"({self.carrier:.6g} Hz); it must be baseband, relative to carrier_frequency"
+            )
+        low, high = self.range_frequency[[0, -1]]
+        if low > self.carrier / 2 or 0 < low <= self.carrier <= high:
+            raise InputError(
+                f"range_frequency is {low:.6g} .. {high:.6g} Hz with carrier_frequency = {self.carrier:.6g} Hz: it "
+                "looks absolute; subtract the carrier"
             )
 
     def _check_cells(self) -> None:

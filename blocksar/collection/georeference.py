@@ -120,9 +120,8 @@ class Georeference:
     @classmethod
     def at(cls, ecef: FloatArray, *, rotation: float = 0.0) -> Georeference:
         """The frame with its origin at a point (3,), ECEF, m."""
-        x, y, z = (float(value) for value in ecef)
-        longitude, latitude, height = _geodetic_of_ecef().transform(x, y, z, direction="INVERSE")
-        return cls(latitude=float(latitude), longitude=float(longitude), height=float(height), rotation=rotation)
+        latitude, longitude, height = geodetic_of(ecef).tolist()
+        return cls(latitude=latitude, longitude=longitude, height=height, rotation=rotation)
 
     def as_attribute(self) -> dict[str, Any]:
         """The attribute `georeference` of stores, JSON-serialisable."""
@@ -172,9 +171,7 @@ class Georeference:
 
     def to_geodetic(self, points: FloatArray) -> FloatArray:
         """Latitude, longitude (degrees) and height (m) of points (..., 3) of the frame: (..., 3)."""
-        x, y, z = np.moveaxis(self.to_ecef(points), -1, 0)
-        longitude, latitude, height = _geodetic_of_ecef().transform(x, y, z, direction="INVERSE")
-        return np.stack([latitude, longitude, height], axis=-1)
+        return geodetic_of(self.to_ecef(points))
 
     def from_geodetic(self, points: FloatArray) -> FloatArray:
         """Points (..., 3) given as latitude, longitude (degrees) and height (m), in the frame, m."""
@@ -207,6 +204,13 @@ class Georeference:
         geodetic = self.to_geodetic(points)
         to_map = Transformer.from_crs("EPSG:4326", crs, always_xy=True)
         return np.stack(to_map.transform(geodetic[..., 1], geodetic[..., 0]), axis=-1)
+
+
+def geodetic_of(ecef: FloatArray) -> FloatArray:
+    """Latitude, longitude (degrees) and height above WGS 84 (m) of points (..., 3) in ECEF, m: (..., 3)."""
+    x, y, z = np.moveaxis(np.asarray(ecef, np.float64), -1, 0)
+    longitude, latitude, height = _geodetic_of_ecef().transform(x, y, z, direction="INVERSE")
+    return np.stack([latitude, longitude, height], axis=-1)
 
 
 def datum_tie(crs: CRS, longitude: float, latitude: float) -> tuple[float, str]:

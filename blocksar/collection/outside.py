@@ -12,6 +12,8 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
+from blocksar.collection.recorded import RecordedRanges
+from blocksar.collection.units import describe_pointing, find_meant
 from blocksar.errors import OutsideSwath
 
 WINDOW_GUARD = 8  # range cells kept free at either end of the range window
@@ -54,28 +56,43 @@ def why_outside(
     )
 
 
+def why_not_recorded(recorded: RecordedRanges, within: tuple[float, float] | None) -> str:
+    """Why a raw echo has no pulse of what is lit, or no whole one."""
+    where = "" if within is None else f" (the grid's ranges are {within[0]:.6g} .. {within[1]:.6g} m at the epoch)"
+    (nearest, farthest), (first, last) = recorded.reached, recorded.whole
+    held = f"fast_time holds echoes from ranges {nearest:.6g} .. {farthest:.6g} m"
+    if recorded.partial or (within is not None and (within[1] < nearest or within[0] > farthest)):
+        return f"grid lies outside the swath: {held}, and none of what is lit{where}; {MOVE}, or correct fast_time"
+    whole = f"whole pulses from {first:.6g} .. {last:.6g} m" if first < last else "of no range the whole pulse"
+    remedy = "give --grid for ground of which parts of pulses were recorded"
+    if within is not None:
+        remedy = f"{MOVE}, or leave out --whole-pulses"
+    return f"grid lies outside the swath: {held}, {whole}, and no whole pulse of what is lit{where}; {remedy}"
+
+
 @contextmanager
 def remedied(geometry: Geometry, grid: Grid) -> Iterator[None]:
     """Say what to do about a grid that is found outside the swath."""
     try:
         yield
     except OutsideSwath as error:
-        raise OutsideSwath(str(error).replace(MOVE, remedy(geometry, grid))) from None
+        pointing = f"{describe_pointing(geometry, grid)}; " if geometry.collection.has_axis else ""
+        raise OutsideSwath(str(error).replace(MOVE, pointing + remedy(geometry, grid))) from None
 
 
 def remedy(geometry: Geometry, grid: Grid) -> str:
     """What to do about a grid outside the swath.
 
-    Its numbers may mean km, if its middle would then be in the swath. On a terrain these may be wrong heights: of those
-    in the swath the middle is told, z = height of the antenna - sqrt(reference range^2 - distance^2).
+    A unit may be wrong (`units.find_meant`). On a terrain these may be wrong heights: of those in the swath the middle
+    is told, z = height of the antenna - sqrt(reference range^2 - distance^2).
     """
     collection = geometry.collection
-    x, y = (500 * np.asarray(low + high) for low, high in ((grid.x0, grid.x1), (grid.y0, grid.y1)))
+    meant = find_meant(collection, grid)
+    if meant is not None or geometry.terrain is None:
+        return meant or MOVE
+    x, y = (np.asarray(low + high) / 2 for low, high in ((grid.x0, grid.x1), (grid.y0, grid.y1)))
     reference = np.interp(geometry.epoch, collection.time, collection.reference_range)
-    kilometres = abs(float(geometry.epoch_range(x, y)) - reference) <= collection.range_window / 2
-    if kilometres or geometry.terrain is None:
-        return "it looks like km: give metres" if kilometres else MOVE
-    squares = reference**2 - float(np.sum((np.array([x, y]) / 1000 - geometry.nadir[:2]) ** 2))
+    squares = reference**2 - float(np.sum((np.array([x, y]) - geometry.nadir[:2]) ** 2))
     if squares <= 0:
         return MOVE
     low, high = geometry.terrain.limits

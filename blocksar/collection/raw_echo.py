@@ -8,7 +8,10 @@ from math import isfinite
 import numpy as np
 
 from blocksar.arrays import UNIFORM_TOLERANCE, FloatArray, check_axis
+from blocksar.collection.recorded import RecordedRanges
+from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
+from blocksar.kernels.fourier import fast_length
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,8 +73,34 @@ class RawEcho:
 
     @property
     def range_frequency(self) -> FloatArray:
-        """Frequencies of the transform over fast time, centred at 0 and limited to the band of the chirp, Hz."""
+        """Frequencies of the transform over fast time, centred at 0 and limited to the band of the chirp, Hz.
+
+        A transform of the n samples is periodic in delay over n dt, and they hold echoes from n dt + T of delay. Those
+        beyond the window fold to its other end, at most T / 2 deep: onto delays of which whole pulses were not recorded
+        either. Ground with whole pulses has only the side lobes of what folds, below 1 / (pi B T) of a target.
+        """
         n = self.fast_time.size
         grid = (np.arange(n) - n // 2) * (self.sampling_rate / n)
         # A grid point may lie on the band's edge: the margin keeps rounding from deciding whether it is in.
         return grid[np.abs(grid) <= self.bandwidth / 2 * (1 + 1e-9)]
+
+    @property
+    def padded_range_frequency(self) -> FloatArray:
+        """The same where ground with parts of pulses is imaged as well, of a transform of n + 2 T rate samples, Hz.
+
+        No two echoes may share a delay there, which takes n dt + T. Padded by a pulse more, what folds stays as far
+        from all ground as a pulse is long, and ground that is divided by a small part does not show its side lobes. A
+        part of a pulse is a part of the band: there are as many frequencies as the band has steps, about its middle, so
+        that they fill it to half of a step.
+        """
+        step = self.sampling_rate / fast_length(self.fast_time.size + 2 * self.pulse_width * self.sampling_rate)
+        count = round(self.bandwidth / step)
+        return np.asarray((np.arange(count) - (count - 1) / 2) * step)
+
+    def recorded(self, *, partial: bool = False) -> RecordedRanges:
+        """The ranges that it holds."""
+        half, step = SPEED_OF_LIGHT / 2, 1 / self.sampling_rate
+        return RecordedRanges(
+            near=half * (float(self.fast_time[0]) - step / 2), far=half * (float(self.fast_time[-1]) + step / 2),
+            pulse=half * self.pulse_width, partial=partial,
+        )  # fmt: skip

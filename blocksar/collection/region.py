@@ -16,8 +16,8 @@ from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.beam import dwell, dwell_at, has_full_dwell, lit_yaw, wrapped
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution, outline
-from blocksar.collection.outside import WINDOW_GUARD, remedied, remedy, why_outside
-from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.collection.outside import MOVE, remedied, remedy
+from blocksar.collection.range_window import range_window
 from blocksar.errors import InputError, OutsideSwath
 
 # Yaws of a grid at which a beam about its axis is asked what it lights, yaws beyond it that are asked at a time, and
@@ -76,7 +76,7 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
     collection = geometry.collection
     if collection.steered and not collection.has_axis:
         low, high = lit_yaw(collection)
-        near, far = _window(geometry, np.linspace(low, high, 65), None)
+        near, far = range_window(geometry, np.linspace(low, high, 65), None)
         return Region(yaw=np.linspace(low, high, 65), near=near, far=far)
     if grid is None and collection.has_axis:
         ends = _side_yaws(geometry)
@@ -104,7 +104,7 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
     pad = 0.01 * span if span > pixel else pixel  # a line of pixels along a ray spans no yaw
     nodes = np.linspace(yaw.min() - pad, yaw.max() + pad, 33)
     with remedied(geometry, grid):
-        near, far = _window(geometry, nodes, (float(rng.min()) - slack, float(rng.max()) + slack))
+        near, far = range_window(geometry, nodes, (float(rng.min()) - slack, float(rng.max()) + slack))
     return Region(yaw=nodes, near=near, far=far)
 
 
@@ -166,16 +166,16 @@ def _lit_region(geometry: Geometry, what: str, low: float, high: float) -> Regio
     if lit.size == 0:
         raise OutsideSwath(
             f"{what} lies outside the swath: the beam (beam_axis, beam_steering, beam_width) lights none of its yaws; "
-            "move the grid"
+            f"{MOVE}"
         )
     outer = first_unlit(inside[lit[0]], -1.0), first_unlit(inside[lit[-1]], 1.0)
     yaw = np.linspace(max(outer[0], side[0]), min(outer[1], side[1]), FINE_YAWS)
-    near, far = _window(geometry, yaw, None)
+    near, far = range_window(geometry, yaw, None)
     lit = np.flatnonzero(_lit_ranges(geometry, yaw, near, far, count=FEW_RANGES)[2])
     if lit.size == 0:
-        raise OutsideSwath("grid lies outside the swath: the beam lights nothing in the range window; move the grid")
+        raise OutsideSwath(f"grid lies outside the swath: the beam lights nothing in the range window; {MOVE}")
     yaw = np.linspace(yaw[max(lit[0] - 1, 0)], yaw[min(lit[-1] + 1, FINE_YAWS - 1)], 65)
-    near, far = _window(geometry, yaw, None)
+    near, far = range_window(geometry, yaw, None)
     nearest, farthest, any_lit = _lit_ranges(geometry, yaw, near, far, count=LIT_RANGES)
     nearest = np.pad(np.where(any_lit, nearest, np.inf), 1, mode="edge")
     farthest = np.pad(np.where(any_lit, farthest, -np.inf), 1, mode="edge")
@@ -218,35 +218,6 @@ def _lit_ranges(
     return nearest, farthest, np.asarray(lit.any(axis=0))
 
 
-def _window(geometry: Geometry, yaw: FloatArray, within: tuple[float, float] | None) -> tuple[FloatArray, FloatArray]:
-    """Nearest and farthest epoch range at each yaw whose echo stays in the unambiguous window over the dwell, m."""
-    collection = geometry.collection
-    half = collection.range_window / 2 - WINDOW_GUARD * SPEED_OF_LIGHT / (2 * collection.bandwidth)
-    reference = np.interp(geometry.epoch, collection.time, collection.reference_range)
-    floor = float(geometry.epoch_position[2] - collection.ground_height)
-    spread = np.ptp(collection.reference_range) + np.ptp(geometry.track.position(collection.time), axis=0).max()
-    low = max(reference - half - spread, floor * 1.0005)
-    trial = np.linspace(low, reference + half + spread, 41)
-    point = geometry.ground_point(trial[None, :], yaw[:, None])
-    first, last = dwell_at(geometry, yaw[:, None], trial[None, :])
-    u = np.linspace(0, 1, 9)
-    time = first[..., None] + (last - first)[..., None] * u
-    if collection.has_axis:  # where nothing is lit, times lie outside
-        time = np.clip(time, collection.time[0], collection.time[-1])
-    rng, _ = geometry.range_history(point[:, :, None, :], time)
-    held = rng - np.interp(time, collection.time, collection.reference_range)
-    nearest, farthest = held.min(axis=2), held.max(axis=2)
-    if half <= 0 or not np.isfinite(nearest).any(axis=1).all():
-        raise OutsideSwath(why_outside(collection, half, within, held, trial))
-    near = np.array([np.interp(-half, row[np.isfinite(row)], trial[np.isfinite(row)]) for row in nearest])
-    far = np.array([np.interp(half, row[np.isfinite(row)], trial[np.isfinite(row)]) for row in farthest])
-    if within is not None:
-        near, far = np.maximum(near, within[0]), np.minimum(far, within[1])
-    if not (far > near).all():
-        raise OutsideSwath(why_outside(collection, half, within, held, trial))
-    return near, far
-
-
 def grid_extent(geometry: Geometry, region: Region, grid: Grid, owned: Owned | None = None) -> Extent:
     """The part of the region that the grid covers, and of that the part which is `owned`, if that is given.
 
@@ -269,8 +240,8 @@ def grid_extent(geometry: Geometry, region: Region, grid: Grid, owned: Owned | N
         degrees = np.degrees([yaw.min(), yaw.max(), region.yaw[0], region.yaw[-1]])
         raise OutsideSwath(
             f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g} lies outside the swath: it spans yaw "
-            f"{degrees[0]:.2f} .. {degrees[1]:.2f} degrees and range {rng.min():.0f} .. {rng.max():.0f} m, but lit are "
-            f"{degrees[2]:.2f} .. {degrees[3]:.2f} degrees and {region.near.min():.0f} .. {region.far.max():.0f} m; "
+            f"{degrees[0]:.2f} .. {degrees[1]:.2f} degrees and range {rng.min():.6g} .. {rng.max():.6g} m, but lit are "
+            f"{degrees[2]:.2f} .. {degrees[3]:.2f} degrees and {region.near.min():.6g} .. {region.far.max():.6g} m; "
             f"{remedy(geometry, grid)}"
         )
     slack = step / np.hypot(x - geometry.nadir[0], y - geometry.nadir[1])[covered].min()
@@ -413,7 +384,10 @@ def facing_grid(geometry: Geometry) -> Grid:
     direction = sight / distance[:, None]
     turn = np.linalg.norm(np.diff(direction, axis=0), axis=1).mean() / collection.pulse_interval  # rad/s
     slope = float(np.linalg.norm(direction[:, :2], axis=1).mean())
-    half = 0.9 * min(collection.range_window / 2 / slope, collection.prf * collection.wavelength / 4 / max(turn, 1e-12))
+    room = collection.range_window / 2
+    if (recorded := collection.recorded) is not None:
+        room = min(room, float(distance.min()) - recorded.whole[0], recorded.whole[1] - float(distance.max()))
+    half = 0.9 * min(room / slope, collection.prf * collection.wavelength / 4 / max(turn, 1e-12))
     rng, yaw = geometry.epoch_range(np.zeros(1), np.zeros(1)), geometry.yaw(np.zeros(1), np.zeros(1))
     step = _round_step(min(ground_resolution(geometry, float(rng[0]), float(yaw[0]))) / 2)
     half = max(float(np.floor(half / np.sqrt(2) / step) * step), step)

@@ -14,7 +14,8 @@ With an antenna pattern g (`collection.beam.pattern_gain`) the sum over lit puls
 their number, and under a weighting w by that of w g, so that a target of reflectivity 1 still has the value 1. NaN
 samples are excluded from the mean. The image is NaN where no valid sample is lit, where the pattern in elevation is too
 small for an image (`pattern_sums.LEAST_ELEVATION`), and where a lit pulse, missing or not, sees the pixel outside the
-unambiguous window |R_xy - reference_range| <= c / (4 df).
+unambiguous window |R_xy - reference_range| <= c / (4 df). Where a raw echo recorded parts of pulses only, the mean is
+divided by them (`recorded_pulses`).
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from blocksar.collection.weighting import FLAT, UNIFORM, Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.pattern_sums import add_gains, mean_elevations
 from blocksar.focusing.profiles import Profiles, profile_bins, range_profiles
+from blocksar.focusing.recorded_pulses import divide_by_recorded
 from blocksar.kernels.beam_weights import BeamTaper
 from blocksar.kernels.groups import GROUP_BYTES, run_groups
 from blocksar.kernels.phase import Float32Array
@@ -170,8 +172,8 @@ def form_points(
     Returns
     -------
     (...) complex64
-        1 + 0j at a target of reflectivity 1. NaN where no valid sample is lit or the pattern in elevation is too small,
-        outside the unambiguous window, or where the terrain has no height.
+        1 + 0j at a target of reflectivity 1. NaN where no valid sample is lit, the pattern in elevation or the recorded
+        part of pulses is too small, outside the unambiguous window, or where the terrain has no height.
 
     Raises
     ------
@@ -230,6 +232,8 @@ def form_points(
         for part, first, last in passes:
             count[part] += before[last] - before[first]
         _normalise(image, outside, count, collection.n_range_frequency)
+    z = None if height is None else height + collection.ground_height
+    divide_by_recorded(image, geometry, x, y, z, weighting=weighting, threads=threads)
     return image.reshape(shape)
 
 

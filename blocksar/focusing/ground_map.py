@@ -86,8 +86,8 @@ class GroundMap:
         Uniform yaws from low to high, rad, for the two limits and the number of lit pulses.
     near_limit, far_limit : (n,) float
         Epoch ranges at the ends of the range window at each yaw, m.
-    taper : Taper
-        Weighting over the dwells.
+    taper, range_taper : Taper
+        Weighting over the dwells, and over the band.
     stays : bool
         From `planning.staying`: whether all pulses are summed, lit or not.
     scale : float
@@ -127,6 +127,7 @@ class GroundMap:
     near_limit: FloatArray
     far_limit: FloatArray
     taper: Taper
+    range_taper: Taper
     stays: bool
     scale: float
     range_taps: tuple[int, float]

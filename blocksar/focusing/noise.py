@@ -8,7 +8,8 @@ gives a pixel
 over its lit valid pulses and all range frequencies, whichever processor computes it. Both sums over pulses are smooth
 over the ground, apart from bends where dwells begin to be cut: they are computed at every NODE_PIXELS-th pixel. On a
 terrain they lie at their heights, which count under a beam about its axis. The mean of a pattern in elevation, which
-may have zeros, is computed at every pixel.
+may have zeros, is computed at every pixel. Where a raw echo recorded parts of pulses, the noise is times the mean share
+of W^2 over the square of that of W (`recorded_pulses`).
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.lit_sums import GAIN_PARTS
 from blocksar.collection.weighting import Weighting
 from blocksar.focusing.pattern_sums import mean_elevations
+from blocksar.focusing.recorded_pulses import divide_by_recorded
 from blocksar.kernels.phase import Float32Array
 
 NODE_PIXELS = 16
@@ -134,6 +136,12 @@ class NoiseMap:
         lit = (squares > 0) & (gains > 0)
         with np.errstate(divide="ignore", invalid="ignore"):
             noise = np.where(lit, self.sample * squares / gains**2, np.nan).astype(np.float32)
+        if (recorded := self.geometry.collection.recorded) is not None and recorded.partial:
+            divide_by_recorded(
+                noise, self.geometry, x, y[:, None], height, weighting=self.weighting,
+                divisor=lambda means: means.amplitude**2 / means.power,
+            )  # fmt: skip
+            lit = np.isfinite(noise)
         bits = noise.view(np.int32)  # a NaN stays one
         half = np.int32(1 << (SPARED_BITS - 1))
         return np.where(lit, (bits + half) & np.int32(-1 << SPARED_BITS), bits).view(np.float32)

@@ -20,9 +20,10 @@ from blocksar.collection.beam import lit_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution
-from blocksar.collection.weighting import Taper
+from blocksar.collection.weighting import Taper, Weighting
 from blocksar.focusing.backprojection import accumulate
 from blocksar.focusing.profiles import range_profiles
+from blocksar.focusing.recorded_pulses import divide_by_recorded
 from blocksar.kernels.groups import run_groups
 from blocksar.kernels.phase import Float32Array
 
@@ -146,7 +147,12 @@ def form_preview(
             _add_look(power[box], weight[box], read, preview, pulses, x[box], y[box], first[box], last[box], threads)
         if progress is not None:
             progress(done, len(preview.apertures))
-    return np.where(weight > 0, power / np.maximum(weight, 1), np.nan).astype(np.float32)
+    power = np.where(weight > 0, power / np.maximum(weight, 1), np.nan).astype(np.float32)
+    divide_by_recorded(
+        power, geometry, x, y, weighting=Weighting(range=TAPER), threads=threads,
+        divisor=lambda means: means.amplitude**2,
+    )  # fmt: skip
+    return power
 
 
 def _lit(geometry: Geometry, x: FloatArray, y: FloatArray, threads: int) -> tuple[IntArray, IntArray]:

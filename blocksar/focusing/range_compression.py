@@ -23,15 +23,16 @@ COMPRESSED_ROWS = 32  # pulses with spectra in memory at a time, in double preci
 class RawCompression:
     """Range compression of a raw echo to the range-frequency signal (second factor of paper A (7)).
 
-    The signal is divided by the chirp's own spectrum with its ripples, where (7) uses the stationary phase
+    The echo is padded with zeros to the transform that has the steps of the range frequencies, see `RawEcho`. The
+    signal is divided by the chirp's own spectrum with its ripples, where (7) uses the stationary phase
     exp(-j pi f^2 / K): a unit target's signal then has modulus 1 at every frequency of the band.
 
     Attributes
     ----------
     fast_time : Axis
         s, two-way delay.
-    first : int
-        Index of the band's first frequency on the transform's centred grid.
+    length : int
+        Samples N of the transform.
     weight : (n_range_frequency,) complex
         Sampling interval over the chirp's spectrum.
     range_frequency : (n_range_frequency,) float
@@ -41,7 +42,7 @@ class RawCompression:
     """
 
     fast_time: Axis
-    first: int
+    length: int
     weight: NDArray[np.complex128]
     range_frequency: FloatArray
     reference_range: FloatArray
@@ -56,13 +57,12 @@ class RawCompression:
         range_frequency: FloatArray,
         reference_range: FloatArray,
     ) -> Self:
-        """Bind to an echo's axes; range_frequency must be the part |f| <= band / 2 of the centred transform grid."""
+        """Bind to an echo's axes; the sampling rate must be a whole multiple of the step of range_frequency."""
         step = float((fast_time[-1] - fast_time[0]) / (fast_time.size - 1))
-        axis = Axis(float(fast_time[0]), step, fast_time.size)
-        grid_step = 1 / axis.extent
+        length = round((range_frequency.size - 1) / (float(range_frequency[-1] - range_frequency[0]) * step))
         return cls(
-            fast_time=axis,
-            first=fast_time.size // 2 + round(range_frequency[0] / grid_step),
+            fast_time=Axis(float(fast_time[0]), step, fast_time.size),
+            length=length,
             weight=step / chirp_spectrum(range_frequency, chirp_rate=chirp_rate, pulse_width=pulse_width),
             range_frequency=range_frequency,
             reference_range=reference_range,
@@ -78,18 +78,22 @@ class RawCompression:
 
     @property
     def noise_spectrum(self) -> FloatArray:
-        """Mean squared noise of samples of the signal, over that of a sample of the echo: (n_range_frequency,)."""
-        return np.asarray(self.fast_time.size * np.abs(self.weight) ** 2)
+        """Mean squared noise of samples of the signal, over that of a sample of the echo: (n_range_frequency,).
+
+        As if all N samples of the transform had noise: a pixel sums neighbouring frequencies, whose noise is not
+        independent where only n of N have, so that as much of it comes from the delays that were recorded.
+        """
+        return np.asarray(self.length * np.abs(self.weight) ** 2)
 
     def apply(self, echo: ComplexArray, *, pulses: slice, threads: int = 1) -> ComplexArray:
         """Compress pulses (n, n_fast_time) to (n, n_range_frequency) complex64; a pulse with a NaN comes out NaN."""
-        axis = Axis(-(self.fast_time.size // 2) / self.fast_time.extent, 1 / self.fast_time.extent, self.fast_time.size)
+        step = 1 / (self.length * self.fast_time.step)
+        axis = Axis(float(self.range_frequency[0]), step, self.range_frequency.size)
         reference_range = self.reference_range[pulses, None]
         out = np.empty((echo.shape[0], self.range_frequency.size), np.complex64)
         for first in range(0, echo.shape[0], COMPRESSED_ROWS):
             part = slice(first, first + COMPRESSED_ROWS)
-            spectrum = rows.transform(echo[part], self.fast_time, axis, inverse=False, threads=threads)
-            band = spectrum[:, self.first : self.first + self.range_frequency.size]
+            band = rows.transform(echo[part], self.fast_time, axis, inverse=False, threads=threads)
             cycles = 2 / SPEED_OF_LIGHT * reference_range[part] * self.range_frequency
             out[part] = band * self.weight * fourier.unit_phasor(cycles)
         return out

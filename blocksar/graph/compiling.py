@@ -15,10 +15,12 @@ from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Literal
 
 from blocksar.garbage import uncollected
 from blocksar.graph.machine import machine
+from blocksar.loop_cache import note_compilation
 
 if TYPE_CHECKING:
     from blocksar.kernels.loops import Loop, Tally
@@ -94,7 +96,7 @@ def compile_modules(names: Sequence[str], by: By = "this") -> Tally:
     """
     from blocksar.kernels.loops import tally
 
-    lacking = [] if by == "this" else missing(names)
+    started, lacking = perf_counter(), [] if by == "this" else missing(names)
     # What is little to compile is not worth the start of another process, unless this one must not.
     helpers = _start_helpers(lacking, machine()[0] - (by == "all")) if len(lacking) > (by == "all") else []
     try:
@@ -107,6 +109,8 @@ def compile_modules(names: Sequence[str], by: By = "this") -> Tally:
     finally:
         for helper in helpers:
             helper.kill()
+        if lacking:
+            note_compilation(perf_counter() - started)
     loaded = tally("blocksar")
     return loaded._replace(compiled=loaded.compiled + sum(int(count) for count in printed if count.isdigit()))
 

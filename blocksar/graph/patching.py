@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.chunks import TILED_CHUNKS
 from blocksar.collection.grid import Grid
+from blocksar.collection.weighting import Weighting
 from blocksar.focusing.correction import Tiles, correct, tiles_of
 from blocksar.focusing.dwell_edges import KeptProfiles
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.noise import NoiseMap
+from blocksar.focusing.recorded_pulses import divide_by_recorded
 from blocksar.focusing.terrain_layers import Sight
 from blocksar.graph.alike import AlikeChunks
 from blocksar.graph.edges import Edges, by_yaw
@@ -147,6 +149,9 @@ class _Corrector:
         pixels = correct(self.values, ground, x=x, y=y, z=z, tiles=tiles, threads=threads, out=out)
         if edges is not None and self.kept is not None:
             edges.add(pixels, self.kept, ground, window, grid, height=z, threads=threads)
+        if (recorded := ground.geometry.collection.recorded) is not None and recorded.partial:  # else all are whole
+            weighting = Weighting(ground.range_taper, ground.taper)
+            divide_by_recorded(pixels, ground.geometry, x, y[:, None], z, weighting=weighting, threads=threads)
         return _Corrected(turn, cell, z, pixels, _owner(pixels, self.block.index))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from blocksar.collection.collection import Collection
+from blocksar.collection.track_shape import find_flaw
 from blocksar.inspection.samples import Inspection
 from blocksar.inspection.scan import STANDS_OUT
 
@@ -64,8 +65,15 @@ def _samples(count: int, more: str) -> str:
     return f"{count}{more} {'sample is' if count == 1 else 'samples are'}"
 
 
+def doubts_of_track(collection: Collection, *, exact: bool = False) -> list[str]:
+    """What is unusual about the track, a sentence each; `exact`: for back-projection, which takes any."""
+    flaw = find_flaw(collection)
+    doubts = [doubted_time(collection), None if flaw is None else flaw.fact if exact else str(flaw)]
+    return [doubt for doubt in doubts if doubt is not None]
+
+
 def doubted_time(collection: Collection) -> str | None:
-    """A sentence if the platform is too slow for its height, as it is with times in ms; else None.
+    """A sentence if the platform is too slow for its height, as it is with times in ms or pulse numbers; else None.
 
     An image does not depend on the unit of time if all times have the same; its products do.
     """
@@ -74,7 +82,8 @@ def doubted_time(collection: Collection) -> str | None:
     height = float(np.median(collection.antenna_position[:, 2])) - collection.ground_height
     if speed >= SLOW or height < HIGH:
         return None
+    numbered = abs(collection.pulse_interval - 1) < 1e-9
     return (
         f"antenna_position moves at {speed:.3g} m/s, {height:.5g} m above the ground, which no aircraft does: time "
-        "looks like ms; give it in s"
+        + ("looks like pulse numbers; divide it by the PRF" if numbered else "looks like ms; give it in s")
     )

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
 from threading import Lock
+from time import perf_counter
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -20,6 +21,7 @@ from numba.core.dispatcher import Dispatcher  # type: ignore[attr-defined, unuse
 from numba.core.runtime.nrt import rtsys
 
 from blocksar.errors import InputError
+from blocksar.loop_cache import note_compilation
 from blocksar.places.shared_work import locked
 
 
@@ -63,7 +65,10 @@ class Loop:
 
     def __call__(self, *arguments: Any) -> Any:
         if not self._ready:
+            started = perf_counter()
             self.compile()
+            if self.dispatcher.stats.cache_misses:
+                note_compilation(perf_counter() - started)
         return self.dispatcher(*arguments)
 
 

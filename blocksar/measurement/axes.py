@@ -13,6 +13,8 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import NODES, UNIFORM, DwellShape, Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 
+MIN_OVERSAMPLING = 1.2  # of a response's band by pixels: the taps to interpolate it grow without bound towards 1
+
 
 @dataclass(frozen=True, kw_only=True)
 class ResponseAxes:

@@ -17,7 +17,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import CUT_WIDTHS, UNIFORM, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.measurement.axes import ResponseAxes, response_axes
+from blocksar.measurement.axes import MIN_OVERSAMPLING, ResponseAxes, response_axes
 from blocksar.measurement.targets import Target
 
 ReadChip = Callable[[slice, slice], ComplexArray]  # (slice of y, slice of x) -> pixels
@@ -26,7 +26,6 @@ SEARCH_WIDTHS = 2.0  # widths searched for the peak on either side of the true p
 MIN_HALF_TAPS = 12
 KAISER_BETA = 12.0  # interpolation error about exp(-12) = 6e-6 of the peak
 NO_WEIGHT = 1e-6  # of taps that may be missing: those of a point on a pixel, all but this pixel's own
-MIN_OVERSAMPLING = 1.2  # the number of taps grows without bound as this approaches 1
 MAX_CHIP = 1024  # pixels per side: a target lit so briefly that it needs more has no usable response
 
 

@@ -72,6 +72,7 @@ def _on_smooth_ground(sector: Sector, sampling: Sampling, lines: FineLines) -> G
         near_limit=near_limit,
         far_limit=far_limit,
         taper=sector.taper,
+        range_taper=sector.weighting.range,
         stays=sector.staying is not None,
         scale=range_scale(collection, sampling.range_frequency, sampling.range_period, sector.weighting.range),
         range_taps=(taps_needed(sampling.range_occupancy, error=sector.tap_error), sampling.range_occupancy),

@@ -74,8 +74,10 @@ def propose(contenders: list[Contender]) -> tuple[Contender | None, str]:
     """The proposed processor and the reason; None if none qualifies."""
     feasible = [c for c in contenders if c.plan is not None and c.refusal is None]
     if not feasible:
-        reasons = "; ".join(f"{c.processor}: {c.refusal}" for c in contenders)
-        return None, f"no chain focuses this collection ({reasons}); backprojection does"
+        reasons = {str(contender.refusal): "" for contender in contenders}
+        for contender in contenders if len(reasons) > 1 else []:
+            reasons[str(contender.refusal)] += f"{contender.processor}: "
+        return None, f"no chain focuses this collection ({'; '.join(of + reason for reason, of in reasons.items())})"
     good = [c for c in feasible if c.serves]
     if not good:
         best = min(feasible, key=_excess)

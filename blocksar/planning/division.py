@@ -28,6 +28,7 @@ FALL, PATIENCE = 0.97, 3  # factor by which the excess has to fall, and so many 
 ALIKE = 1.03  # times the least excess: among divisions within that, the one with the fewest blocks is taken
 MOST_DIVIDED = 2 * MAX_BLOCKS  # that `auto` tries where blocks and range sub-blocks have to reduce migration together
 MOST_TRIES = 3  # of these
+REFUSED = 2  # divisions in a row, after which the finest one tells whether any will do
 RESERVE, MORE = 1.03, 1.1  # of blocks, over those that the two parts of migration ask for; and from try to try
 # The same on a terrain: each division is predicted at other places of it, so that predictions scatter by this factor
 # (excess 1.5 .. 3.0 from 1 to 10 blocks of hills of 60 m every 450 m under Table 1, without a trend).
@@ -57,6 +58,7 @@ def find_division(
     scattered: bool = False,
     jointly: bool = False,
     exceeds: Callable[[int, int, float], bool] | None = None,
+    refuses: Callable[[int, int], bool] | None = None,
 ) -> P:
     """The plan with the fewest blocks that keep the fidelity, at least one a worker; without one, the closest.
 
@@ -78,10 +80,13 @@ def find_division(
         Whether to try more blocks, of range sub-blocks, where neither keep the fidelity by themselves.
     exceeds : callable, optional
         Whether the excess of a probe is above a limit, by fewer blocks where these tell.
+    refuses : callable, optional
+        Whether a probe is refused, likewise.
     """
     plan = cache(plan)
     exceeds = exceeds or (lambda count, n_parts, limit: plan(count, n_parts, True).excess() > limit)
-    search = _Search(plan=plan, exceeds=exceeds, parts=parts, scattered=scattered, jointly=jointly)
+    refuses = refuses or (lambda count, n_parts: plan(count, n_parts, True).refusal is not None)
+    search = _Search(plan=plan, exceeds=exceeds, refuses=refuses, parts=parts, scattered=scattered, jointly=jointly)
     return search.find(min(max(workers, 1), MAX_BLOCKS))
 
 
@@ -112,6 +117,7 @@ class _Search(Generic[P]):
 
     plan: Callable[[int, int, bool], P]
     exceeds: Callable[[int, int, float], bool]
+    refuses: Callable[[int, int], bool]
     parts: int | None
     scattered: bool
     jointly: bool
@@ -132,10 +138,10 @@ class _Search(Generic[P]):
             if not self.sound and find_folding(division.blocks) is not None:  # more blocks share their Doppler as well
                 return self.plan(count, n_parts, False)
             self._note(_Tried(division.excess(), count, n_parts))
-            if self.stale == PATIENCE or count == MAX_BLOCKS:
+            if self.stale == PATIENCE or count == MAX_BLOCKS or (len(self.tried) == REFUSED and self._is_refused()):
                 return self._closest()
             by_migration = self._is_by_migration(division, count)
-            if self.scattered and len(self.tried) == 1 and not by_migration and self._is_in_vain(count, n_parts):
+            if self.scattered and len(self.tried) == 1 and not by_migration and self._gains_nothing(count, n_parts):
                 return self.plan(count, n_parts, False)
             more = self._divided(division, count, n_parts) if by_migration else n_parts
             if more > n_parts:  # as many blocks once more, divided in range
@@ -148,6 +154,15 @@ class _Search(Generic[P]):
         """Factor by which the excess has to fall."""
         return 1 / SCATTER if self.scattered else FALL
 
+    @property
+    def _finest(self) -> int:
+        """The most blocks that are tried."""
+        return MOST_DIVIDED if self.jointly and self.parts is None else MAX_BLOCKS
+
+    def _is_refused(self) -> bool:
+        """Whether all divisions are refused, and the finest one would be."""
+        return not self.sound and self.refuses(self._finest, self.parts or MOST_REFERENCES)
+
     def _note(self, division: _Tried) -> None:
         gained = not self.tried or division.excess <= self._fall * min(self.tried).excess
         self.stale = 0 if gained else self.stale + 1
@@ -156,6 +171,8 @@ class _Search(Generic[P]):
     def _closest(self) -> P:
         """The plan that comes closest to the fidelity; among those alike, the one with the fewest blocks."""
         least, count, n_parts = min(self.tried)
+        if self._is_refused():
+            return self.plan(count, n_parts, True)  # which has the reason, and nothing else is asked of it
         most = (SCATTER if self.scattered else ALIKE) * least
         if self.jointly and self.parts is None and (joint := _divide_jointly(self.plan, least)) is not None:
             return joint
@@ -172,7 +189,7 @@ class _Search(Generic[P]):
             and division.excess(migration=False) < division.excess() / 2
         )
 
-    def _is_in_vain(self, count: int, n_parts: int) -> bool:
+    def _gains_nothing(self, count: int, n_parts: int) -> bool:
         """Whether the last of PATIENCE numbers of blocks after the first gains nothing."""
         excess = self.tried[0].excess
         far = min(math.ceil(count * _growth(excess) ** PATIENCE), MAX_BLOCKS)

@@ -19,7 +19,7 @@ from blocksar.collection.raw_echo import RawEcho
 from blocksar.constants import MIB
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import image_memory
-from blocksar.focusing.range_compression import COMPRESSED_ROWS
+from blocksar.focusing.range_compression import COMPRESSED_ROWS, RawCompression
 from blocksar.focusing.range_gate import RangeGate
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.groups import GROUP_BYTES
@@ -66,9 +66,10 @@ def compression_memory(collection: Collection, raw: RawEcho | None) -> int:
     """Peak memory of a worker that range-compresses a raw echo, bytes; 0 without one."""
     if raw is None:
         return 0
-    echo, band = raw.fast_time.size, collection.range_frequency.size
+    echo, band = raw.fast_time.size, collection.n_range_frequency
+    length = RawCompression.of_echo(raw, collection).length
     pulses = 8 * TILE[0] * (2 * echo + 2 * band)  # as arrays, and as chunks read and written
-    return PROCESS_MEMORY + pulses + COMPRESSED_ROWS * (8 * echo + 5 * 16 * band)
+    return PROCESS_MEMORY + pulses + COMPRESSED_ROWS * (8 * length + 5 * 16 * band)
 
 
 def track_memory(collection: Collection, n_pulse: int, chips: int) -> int:

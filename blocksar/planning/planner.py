@@ -22,22 +22,23 @@ from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import Extent, Owned, Region, block_seams, default_grid, grid_extent, plan_region
 from blocksar.collection.terrain import Terrain
+from blocksar.collection.track_shape import find_flaw
 from blocksar.collection.weighting import UNIFORM, Weighting
 from blocksar.constants import MIB, SPEED_OF_LIGHT
-from blocksar.errors import InputError, OutsideSwath, PrfTooLow
+from blocksar.errors import InputError, OutsideSwath, Unfocusable
 from blocksar.focusing.chains import steps_of
 from blocksar.focusing.method import DEFAULT, Method
 from blocksar.focusing.range_steps import Keystone
 from blocksar.focusing.recovery import Recovery
 from blocksar.planning.block import BlockPlan, plan_block
 from blocksar.planning.coefficients import Choice
-from blocksar.planning.division import MAX_BLOCKS, find_division
+from blocksar.planning.division import MAX_BLOCKS, MOST_DIVIDED, MOST_REFERENCES, find_division
 from blocksar.planning.edge_search import find_edges
 from blocksar.planning.edges import Edges, plan_edges
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY
 from blocksar.planning.plan import Plan
 from blocksar.planning.recovery import plan_recovery
-from blocksar.planning.refusal import find_refusal
+from blocksar.planning.refusal import find_blur, find_refusal
 from blocksar.planning.relief import Relief, Samples, find_relief, sample_terrain
 from blocksar.planning.sector import Sector, ground_range
 from blocksar.planning.segments import Divided, Planner
@@ -88,7 +89,7 @@ def plan_collection(
     def follow(gated: Gated) -> Callable[[float], DivisionPlanner]:
         """Planners for edges of several lengths, of a gate that follows a beam."""
         summed = gated.over(geometry)
-        recovery = plan_recovery(summed, region, method, stays=stays)
+        recovery = plan_recovery(summed, region, method, stays=stays, beam_width=collection.beam_width)
         edges = partial(
             plan_edges, summed, region, fidelity=fidelity, weighting=weighting,
             band=recovery.band[1] - recovery.band[0], keystone=Keystone in steps_of(method),
@@ -102,7 +103,7 @@ def plan_collection(
     def excess(gated: Gated) -> float:
         try:
             probe = follow(gated)(0.0).plan(PROBED, 1, True)
-        except PrfTooLow:
+        except Unfocusable:
             return math.inf
         except InputError:  # no block of so many holds a point of the grid
             return 0.0
@@ -115,19 +116,35 @@ def plan_collection(
             return find_division(
                 planner(times).plan, workers=workers, parts=None if parts == "auto" else parts,
                 scattered=terrain is not None, jointly=terrain is None and not collection.has_axis,
-                exceeds=planner(times).exceeds,
+                exceeds=planner(times).exceeds, refuses=planner(times).refuses,
             )  # fmt: skip
         return planner(times).plan(blocks, 1 if parts == "auto" else parts, False)
 
     times, first = find_edges(lambda times, count, n_parts, probe: planner(times).plan(count, n_parts, probe), choose)
     first = replace(first, searched=blocks == "auto")
-    if memory_limit is None or first.refusal is not None:
+    if first.refusal is not None:
+        return replace(first, refusal=_explain(first, planner(times)))
+    if memory_limit is None:
         return first
 
     def divide(n_parts: int) -> Plan:
         return replace(planner(times).plan(first.n_blocks, n_parts, False), searched=first.searched)
 
     return _fewest_parts(divide, first, memory_limit, fixed=parts != "auto")
+
+
+def _explain(refused: Plan, planner: DivisionPlanner) -> str:
+    """Why a plan is refused: the track, if that has a flaw, or else its own reason, with what more blocks do to it."""
+    if (flaw := find_flaw(refused.geometry.collection)) is not None:
+        return str(flaw)
+    reason = str(refused.refusal)
+    if refused.method.rival or reason != find_blur(refused.blocks):
+        return reason
+    if refused.searched:
+        return f"{reason}, and too much of it in every division that was tried"
+    if planner.refuses(MOST_DIVIDED, MOST_REFERENCES):
+        return f"{reason}, and too much of it with {MOST_DIVIDED} blocks"
+    return f"{reason}; ask for more --blocks, or for --blocks auto"
 
 
 def planner_of(
@@ -243,6 +260,12 @@ class DivisionPlanner:
         touched = touched[middle : middle + 1] + touched[:middle] + touched[middle + 1 :]
         planned = chain.from_iterable(self._plan_index(seams, index, n_parts, None) for index in touched)
         return any(block.prediction.excess(self.fidelity) > limit for block in planned)
+
+    def refuses(self, count: int, n_parts: int) -> bool:
+        """Whether a block of a probe is refused, an outermost one first; none is planned after that."""
+        seams, touched = self._touched(count, probe=True)
+        planned = (self._plan_index(seams, index, n_parts, None) for index in touched)
+        return any(find_refusal(blocks, self.method, self.gated) is not None for blocks in planned)
 
     def _touched(self, count: int, probe: bool) -> tuple[FloatArray, list[int]]:
         """The seams of so many blocks, rad, and the indices of those that the grid touches, for a probe of some."""

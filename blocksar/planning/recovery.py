@@ -12,8 +12,10 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.beam import centre_yaw, dwell_at
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
+from blocksar.collection.track_shape import find_flaw
+from blocksar.collection.units import doubt_width
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.errors import PrfTooLow
+from blocksar.errors import InputError, PrfTooLow, Unfocusable
 from blocksar.focusing.lines import Line
 from blocksar.focusing.method import DEFAULT, Method
 from blocksar.focusing.recovery import NO_COMMON_RANGE, CommonRange, Recovery
@@ -29,15 +31,24 @@ AXIS_NODES = (
 WINDOW_EDGE = 0.05  # of the range window at either end, for which the PRF need not suffice: echoes only pass through
 
 
-def plan_recovery(geometry: Geometry, region: Region, method: Method = DEFAULT, *, stays: bool = False) -> Recovery:
+def plan_recovery(
+    geometry: Geometry,
+    region: Region,
+    method: Method = DEFAULT,
+    *,
+    stays: bool = False,
+    beam_width: float | None = None,
+) -> Recovery:
     """Plan unified walk, derotation and padding, and check the PRF; `stays` is from `planning.staying`.
+
+    `beam_width` is that of the beam that there is, rad, which is doubted where a unit explains that the PRF is too low.
 
     A method with linear derotation removes one Doppler rate only (paper A, Figure 6 b), and needs a higher PRF.
 
     Raises
     ------
-    PrfTooLow
-        If the derotated band exceeds the PRF.
+    PrfTooLow, Unfocusable, InputError
+        If the derotated band exceeds the PRF: for that reason, because of the track, or of the beam's unit.
     """
     collection = geometry.collection
     middle_yaw = (region.yaw[0] + region.yaw[-1]) / 2
@@ -52,7 +63,7 @@ def plan_recovery(geometry: Geometry, region: Region, method: Method = DEFAULT, 
     line = _lit_lines(geometry, region, origin, walk, common, margin=0.0)
     inner = _lit_lines(geometry, region, origin, walk, common, margin=WINDOW_EDGE)
     derotation, band = _plan_derotation(pulses, inner, linear=method.derotation == "linear")
-    _check_prf(geometry, method, (band[1] - band[0]) * (1 + band_edge))
+    _check_prf(geometry, method, (band[1] - band[0]) * (1 + band_edge), beam_width)
     padded = fourier.fast_length((1.02 + band_edge) * pulses.size + 16)  # the keystone scales time by the band
     doppler = _plan_spectrum(geometry, region, line, padded=padded, band_edge=band_edge, stays=stays)
     recovery = Recovery(
@@ -98,17 +109,22 @@ def _plan_derotation(pulses: Axis, line: Line, *, linear: bool) -> tuple[FloatAr
     return np.asarray(chebyshev.chebint(series) * half), (low, high)
 
 
-def _check_prf(geometry: Geometry, method: Method, spread: float) -> None:
-    """Raise PrfTooLow if the derotated band, `spread` Hz at all range frequencies, exceeds the PRF."""
+def _check_prf(geometry: Geometry, method: Method, spread: float, beam_width: float | None) -> None:
+    """Raise PrfTooLow, or what is wrong with track or beam, if the derotated band, `spread` Hz, exceeds the PRF."""
     collection = geometry.collection
     if collection.prf < spread:
+        if (flaw := find_flaw(collection)) is not None:
+            raise Unfocusable(str(flaw))
+        if (doubt := doubt_width(beam_width, collection.prf, spread)) is not None:
+            raise InputError(doubt)
         needed = float(10 * np.ceil(1.002 * spread / 10))  # another PRF cuts the dwells a little differently
+        remedy = (
+            f"collect with a higher PRF or {'a narrower beam' if collection.steered else 'image a smaller grid'}"
+            f"{_of_terrain(geometry)}; `blocksar check` tells whether the track fits the samples"
+        )
         raise PrfTooLow(
             f"PRF {collection.prf:.6g} Hz is too low: after {method.derotation} derotation the lit scene still spans "
-            f"{spread:.6g} Hz of Doppler, so a PRF of at least {needed:.6g} Hz is needed; collect with a higher PRF or "
-            + ("a narrower beam" if collection.steered else "image a smaller grid")
-            + _of_terrain(geometry)
-            + "; `blocksar check` tells whether the track fits the samples",
+            f"{spread:.6g} Hz of Doppler, so a PRF of at least {needed:.6g} Hz is needed; {remedy}",
             needed,
         )
 

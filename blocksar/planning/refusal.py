@@ -1,4 +1,7 @@
-"""Reasons to refuse a plan: targets that share their Doppler, or that stay blurred."""
+"""Reasons to refuse a plan: targets that share their Doppler, or that stay blurred.
+
+Exact back-projection has none of them; who shows a reason adds that, with its time.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import aperture, dwell_at
-from blocksar.focusing.method import Method
+from blocksar.focusing.method import DEFAULT, Method
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.staying import MOST_DWELL, longest_stay
 from blocksar.planning.steadiness import Gated
@@ -16,8 +19,8 @@ from blocksar.planning.steadiness import Gated
 
 def find_refusal(blocks: Sequence[BlockPlan], method: Method, gated: Gated) -> str | None:
     """The reason why a plan cannot be carried out, or None. Rivals may blur: they are built to show it."""
-    blur = None if method.rival else _find_blur(blocks)
-    return _find_lingering(blocks, gated) or find_folding(blocks) or _find_uneven(blocks) or blur
+    blur = None if method.rival else find_blur(blocks)
+    return _find_lingering(blocks, gated) or find_folding(blocks, method) or _find_uneven(blocks) or blur
 
 
 def _find_lingering(blocks: Sequence[BlockPlan], gated: Gated) -> str | None:
@@ -34,12 +37,12 @@ def _find_lingering(blocks: Sequence[BlockPlan], gated: Gated) -> str | None:
             return (
                 f"{_describe_block(block)}: beam_steering turns with the line of sight of some ground, so that the "
                 f"beam would stay on it {stays}, beyond the {stop - start:.3g} s of the collection, and passes over "
-                "more; cut the collection, image a smaller grid, or use --processor backprojection"
+                "more; cut the collection, or image a smaller grid"
             )
     return None
 
 
-def find_folding(blocks: Sequence[BlockPlan]) -> str | None:
+def find_folding(blocks: Sequence[BlockPlan], method: Method = DEFAULT) -> str | None:
     """The reason why yaws of a block share their Doppler, so that no transform separates them, or None.
 
     Yaws along the velocity share it in the echo itself. Where the platform's acceleration cancels the Doppler rate, as
@@ -54,12 +57,12 @@ def find_folding(blocks: Sequence[BlockPlan]) -> str | None:
         if echo.min() * echo.max() <= 0:
             return (
                 f"{_describe_block(block)} looks along the velocity: {change}, so yaws cannot be told apart; image "
-                "ground away from the direction of flight, or use --processor backprojection"
+                "ground away from the direction of flight"
             )
-        return (
-            f"{_describe_block(block)}: {change}, after its last step, as acceleration cancels the Doppler rate; use "
-            "--processor angular-division, which may add a bias chirp, or backprojection"
-        )
+        cause = f"{change}, after its last step, as acceleration cancels the Doppler rate"
+        biased = method.processor == DEFAULT.processor
+        remedy = "" if biased else f"; --processor {DEFAULT.processor} may add a bias chirp"
+        return f"{_describe_block(block)}: {cause}{remedy}"
     return None
 
 
@@ -69,7 +72,7 @@ def _find_uneven(blocks: Sequence[BlockPlan]) -> str | None:
         if not block.even:
             return (
                 f"{_describe_block(block)} would resample Doppler by more than a factor of two, or too unevenly, "
-                "beyond its targets; use --coefficients fitted, --processor angular-division, or backprojection"
+                "beyond its targets; use --coefficients fitted, or --processor angular-division"
             )
     return None
 
@@ -84,7 +87,7 @@ def _echo_slope(block: BlockPlan) -> FloatArray:
     return np.gradient(rate, yaw, axis=1)
 
 
-def _find_blur(blocks: Sequence[BlockPlan]) -> str | None:
+def find_blur(blocks: Sequence[BlockPlan]) -> str | None:
     """The reason why a block cannot be in focus, or None."""
     for block in blocks:
         phase, migration = block.prediction.residual_phase, block.prediction.migration
@@ -94,10 +97,7 @@ def _find_blur(blocks: Sequence[BlockPlan]) -> str | None:
         elif not migration < 1.0:
             error = f"a range migration of {migration:.3g} resolution cells"
         if error is not None:
-            return (
-                f"{_describe_block(block)} would keep {error} over the dwell; ask for more --blocks, or see what "
-                "`blocksar plan --processor auto` proposes"
-            )
+            return f"{_describe_block(block)} would keep {error} over the dwell"
     return None
 
 

@@ -12,7 +12,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import Owned, default_grid, plan_region
-from blocksar.errors import InputError, OutsideSwath
+from blocksar.errors import InputError, OutsideSwath, Unfocusable
 from blocksar.planning.plan import Plan
 from blocksar.planning.strips import Span, cuts, longest_dwell, owned_by, within
 
@@ -123,9 +123,8 @@ def plan_segments(
         except InputError as error:
             if len(collections) == 1:
                 raise
-            raise InputError(
-                f"collection {number}{f' ({collection.title})' if collection.title else ''}: {error}"
-            ) from None
+            kind = Unfocusable if isinstance(error, Unfocusable) else InputError
+            raise kind(f"collection {number}{f' ({collection.title})' if collection.title else ''}: {error}") from None
         segments = _cut(plan, collection, whole, number) if cut and collection.has_axis else []
         planned += segments or [PlannedSegment(collection=number, pulses=None, plan=whole)]
     if not planned:

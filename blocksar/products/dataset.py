@@ -35,14 +35,28 @@ Span = tuple[float | None, float | None]
 _ENDS = (-np.inf, np.inf)  # in place of ends that are None
 
 
+class Dataset(xr.Dataset):  # type: ignore[no-untyped-call]
+    """A dataset that `to_netcdf` writes as `SarAccessor.netcdf` makes it, so that netCDF can hold it.
+
+    What xarray derives from it is one as well.
+    """
+
+    __slots__ = ()
+
+    def to_netcdf(self, *arguments: Any, **settings: Any) -> Any:
+        """As in xarray, of the dataset that `sar.netcdf` returns."""
+        return xr.Dataset.to_netcdf(self.sar.netcdf(), *arguments, **settings)
+
+
 def prepare(dataset: xr.Dataset) -> xr.Dataset:
-    """Give an image CF metadata: its axes and, if it is georeferenced, its map projection.
+    """Make a dataset one of the class above, and give an image CF metadata: its axes and, if known, its map projection.
 
     Raises
     ------
     InputError
         If its georeference is wrong.
     """
+    dataset.__class__ = Dataset
     if "image" not in dataset or not {"x", "y"} <= set(dataset.coords):
         return dataset
     frame = _frame(dataset.attrs)
@@ -228,15 +242,19 @@ class SarAccessor:
     def netcdf(self) -> xr.Dataset:
         """Convert the dataset to what netCDF can store, for `to_netcdf`.
 
-        netCDF has no complex numbers, so `image` becomes `image_real` and `image_imag`. Attributes other than numbers
-        and text (settings, predicted, warnings, georeference) become JSON text. Reads the whole image unless the
+        netCDF has no complex numbers, so `image` becomes `image_real` and `image_imag`, and likewise the samples of a
+        phase history. Attributes other than numbers and text (settings, predicted, warnings, georeference) become JSON
+        text. What `blocksar.open` and `collection` return does this in `to_netcdf`. Reads the whole image unless the
         dataset has chunks; to read less, `crop` first.
         """
-        image = self._images
-        converted = self._dataset.drop_vars("image")
-        for name, part in (("real", image.real), ("imag", image.imag)):
-            attrs = image.attrs | {"long_name": f"{image.attrs.get('long_name', 'image')}, {name} part"}
-            converted[f"image_{name}"] = part.assign_attrs(attrs)
+        converted = self._dataset
+        for name, variable in self._dataset.data_vars.items():
+            if variable.dtype.kind != "c":
+                continue
+            converted = converted.drop_vars([name])
+            for word, part in (("real", variable.real), ("imag", variable.imag)):
+                attrs = variable.attrs | {"long_name": f"{variable.attrs.get('long_name', name)}, {word} part"}
+                converted[f"{name}_{word}"] = part.assign_attrs(attrs)
         return converted.assign_attrs(
             {
                 name: value

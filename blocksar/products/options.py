@@ -13,7 +13,7 @@ from blocksar.errors import InputError, printable
 OPTIONS: dict[str, tuple[str, ...]] = {
     "sicd": (),
     "geotiff": ("content", "looks", "scale", "range", "crop", "crs"),
-    "png": ("range", "crop", "colour_map", "size", "composite"),
+    "png": ("looks", "range", "crop", "colour_map", "size", "composite"),
 }
 ENDINGS = {
     "sicd": (".nitf", ".ntf", ".nsf"),

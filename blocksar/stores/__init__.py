@@ -17,7 +17,7 @@ A store is a folder or a prefix in an object store: every path may be an `s3://`
 
 from __future__ import annotations
 
-from blocksar.stores.channels import check_channels, look_name, number_of, with_channels, without_unseen
+from blocksar.stores.channels import POLARIZATIONS, check_channels, look_name, number_of, with_channels, without_unseen
 from blocksar.stores.chunk_files import Array, Region
 from blocksar.stores.copying import (
     ORIGINAL,
@@ -66,6 +66,7 @@ __all__ = [
     "ORIGINAL",
     "PATCH",
     "PHASE_HISTORY",
+    "POLARIZATIONS",
     "RAW_ECHO",
     "SPECTRUM",
     "TRACK_AND_BEAM",

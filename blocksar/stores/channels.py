@@ -21,6 +21,7 @@ NAMED = {
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_+-]{0,31}")  # also the name of a folder
 MOST = 64
 REMEDY = "give each a short name of letters, digits, _, + and -, such as HH"
+POLARIZATIONS = ("V", "H", "X", "Y", "S", "E", "RHC", "LHC")  # of transmitter or receiver
 
 
 def with_channels(schema: Mapping[str, Variable], *names: str, dimension: str = "channel") -> dict[str, Variable]:

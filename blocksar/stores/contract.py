@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from blocksar.arrays import FloatArray
+from blocksar.arrays import FloatArray, check_axis
 from blocksar.collection.collection import Collection
+from blocksar.collection.raw_echo import RawEcho
 from blocksar.errors import InputError
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
@@ -23,7 +24,16 @@ from blocksar.stores.arrays import (
 )
 from blocksar.stores.chunk_files import ChunkFiles
 from blocksar.stores.regions import read_array
-from blocksar.stores.schema import OPTIONAL, PATTERNS, PHASE_HISTORY, RAW_ECHO, TRACK_AND_BEAM, UNITS, Variable
+from blocksar.stores.schema import (
+    OPTIONAL,
+    PATTERNS,
+    PHASE_HISTORY,
+    PULSE_REFERENCES,
+    RAW_ECHO,
+    TRACK_AND_BEAM,
+    UNITS,
+    Variable,
+)
 
 if TYPE_CHECKING:
     import zarr
@@ -124,3 +134,21 @@ def read_real(place: Place, name: str) -> FloatArray:
     array = checked(place, name)
     values = read_array(array, (slice(None),) * array.ndim, place, name, label=name)
     return np.asarray(values, dtype=np.float64)
+
+
+def raw_echo_from(fast_time: FloatArray, attrs: Mapping[str, Any]) -> RawEcho:
+    """Return the raw echo that fast time (n_fast_time,), s, and attributes describe.
+
+    Its own fast time is the delay of the pulse's centre, whichever delay the store's is.
+    """
+    check_axis(fast_time, "fast_time", "s")
+    pulse_width = number(attrs, "pulse_width", "s")
+    reference = attrs.get("pulse_reference", PULSE_REFERENCES[0])
+    if reference not in PULSE_REFERENCES:
+        raise InputError(f"pulse_reference is {reference!r}; it must be 'centre' or 'start', or absent")
+    return RawEcho(
+        fast_time=fast_time - pulse_width / 2 if reference == "start" else fast_time,
+        chirp_rate=number(attrs, "chirp_rate", "Hz/s"),
+        pulse_width=pulse_width,
+        sampling_rate=float((fast_time.size - 1) / (fast_time[-1] - fast_time[0])),
+    )

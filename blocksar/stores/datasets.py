@@ -13,12 +13,13 @@ import xxhash
 
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.chunks import TILE
+from blocksar.collection.real_samples import find_real, real_numbers
 from blocksar.errors import InputError
 from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.stores.arrays import metadata_file
 from blocksar.stores.channels import attrs_of_channel, check_channels, number_of, text, unnamed_channels, with_channels
-from blocksar.stores.contract import SAMPLES, check_type, check_units, missing
+from blocksar.stores.contract import SAMPLES, check_type, check_units, missing, raw_echo_from
 from blocksar.stores.history_creation import create_phase_history, history_line
 from blocksar.stores.phase_history import (
     PhaseHistory,
@@ -26,7 +27,6 @@ from blocksar.stores.phase_history import (
     not_one_of_two,
     open_phase_history,
     other_attrs,
-    raw_echo_from,
 )
 from blocksar.stores.records import json_checksum, plain_value
 from blocksar.stores.regions import write_region
@@ -97,6 +97,10 @@ class DatasetHistory(PhaseHistory):
     def _content(self) -> str:
         digest, valid, nonzero = xxhash.xxh3_128(), False, False
         values = {**self.collection.as_dict(), **(vars(self.raw) if self.raw is not None else {})}
+        if self.raw is not None:  # they follow from the rest, and from what is imaged
+            del values["range_frequency"], values["recorded"]
+        elif self.collection.recorded is None:
+            del values["recorded"]  # as before there was any
         for name, value in sorted(values.items()):
             digest.update(f"{name} {np.shape(value)} ".encode())
             digest.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
@@ -110,6 +114,8 @@ class DatasetHistory(PhaseHistory):
             raise InputError(f"{self.variable} of {IN_MEMORY} holds no finite sample; check how it was computed")
         if not nonzero:
             raise InputError(f"{self.variable} of {IN_MEMORY} holds zeros only; fill it with the samples")
+        if (reason := find_real(self.variable, self.collection, self.parts())) is not None:
+            raise InputError(reason)
         return digest.hexdigest()
 
     def fingerprint(self) -> str:
@@ -118,7 +124,7 @@ class DatasetHistory(PhaseHistory):
         Raises
         ------
         InputError
-            If no sample is finite, or all are zero.
+            If no sample is finite, all are zero, or all are real.
         """
         return self._content
 
@@ -223,7 +229,7 @@ def _checked(dataset: xr.Dataset) -> DatasetHistory:
     channels = _channels(dataset, samples.shape[0]) if samples.ndim > len(SCHEMA[names[0]].dims) else ()
     raw = raw_echo_from(read("fast_time"), attrs) if names == ["echo"] else None
     present = dataset.variables.__contains__
-    collection = collection_from(read, present, attrs, None if raw is None else raw.range_frequency)
+    collection = collection_from(read, present, attrs, raw)
     given = other_attrs(attrs, raw)
     if not channels and "channel" in dataset.variables and not dataset.variables["channel"].ndim:  # one taken out
         given = attrs_of_channel(given, check_channels([text(dataset.variables["channel"].values.item())]), 0)
@@ -299,7 +305,9 @@ def _array(name: str, value: Any) -> Any:
         if array.dtype.kind in "mM":
             seconds = f'({name} - {name}[0]) / np.timedelta64(1, "s")'
             raise InputError(f"{name} is {array.dtype}; give seconds as numbers, such as {seconds}")
-        remedy = "give complex samples: the analytic signal" if dtype == "complex64" else "give real numbers"
+        if dtype == "complex64" and array.dtype.kind in "fiu":
+            raise InputError(real_numbers(name, str(array.dtype), float(np.nanmin(array)) if array.size else 0.0))
+        remedy = "give complex samples" if dtype == "complex64" else "give real numbers"
         raise InputError(f"{name} is {array.dtype}, but must be {dtype}; {remedy}")
     return array.astype(dtype, copy=False)
 

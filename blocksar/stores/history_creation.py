@@ -11,6 +11,7 @@ import numpy as np
 from blocksar.chunks import TILE, stored_bytes
 from blocksar.collection.collection import Collection
 from blocksar.collection.raw_echo import RawEcho
+from blocksar.collection.recorded import ATTRIBUTE as RECORDED
 from blocksar.places import Location
 from blocksar.places import place as place_of
 from blocksar.places.place import Place
@@ -18,7 +19,7 @@ from blocksar.places.room import REMEDY, check_room
 from blocksar.stores.channels import check_channels, with_channels
 from blocksar.stores.contract import stated
 from blocksar.stores.creation import create
-from blocksar.stores.schema import COLLECTION, COLLECTION_ATTRS, CONVENTIONS, PHASE_HISTORY, RAW_ATTRS, RAW_ECHO
+from blocksar.stores.schema import COLLECTION, COLLECTION_ATTRS, CONVENTIONS, PHASE_HISTORY, RAW_ECHO
 
 
 def create_phase_history(
@@ -113,7 +114,9 @@ def write_collection(path: Location, collection: Collection, attrs: Mapping[str,
 def _collection_attrs(collection: Collection, raw: RawEcho | None, attrs: Mapping[str, Any] | None) -> dict[str, Any]:
     own = {name: getattr(collection, field) for name, field in COLLECTION_ATTRS.items()}
     if raw is not None:
-        own |= {name: getattr(raw, name) for name in RAW_ATTRS}
+        own |= {name: getattr(raw, name) for name in ("chirp_rate", "pulse_width")}
+    elif collection.recorded is not None:
+        own[RECORDED] = collection.recorded.as_attribute()
     general = {
         "Conventions": CONVENTIONS,
         "title": collection.title,

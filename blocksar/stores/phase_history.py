@@ -15,11 +15,13 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 import xxhash
 
-from blocksar.arrays import ComplexArray, FloatArray, check_axis
+from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection import sublooks
 from blocksar.collection.collection import Collection
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.raw_echo import RawEcho
+from blocksar.collection.recorded import ATTRIBUTE as RECORDED
+from blocksar.collection.recorded import RecordedRanges
 from blocksar.errors import InputError, changes_while_read
 from blocksar.places import Location
 from blocksar.places import place as place_of
@@ -29,7 +31,7 @@ from blocksar.places.place import Place
 from blocksar.stores.arrays import metadata_file, open_variable, refuse_codecs
 from blocksar.stores.channels import attrs_of_channel, look_name, number_of, read_channels
 from blocksar.stores.chunk_files import refuse_odd_file
-from blocksar.stores.contract import checked, number, read_real
+from blocksar.stores.contract import checked, number, raw_echo_from, read_real
 from blocksar.stores.creation import UNFINISHED
 from blocksar.stores.faults import cause_of, unreachable
 from blocksar.stores.layout import METADATA, group_attrs
@@ -129,6 +131,13 @@ class PhaseHistory:
             self, collection=collection, cut=self.cut if self.collection.steered else (first, n_pulse),
             look=(number, count, sign), attrs={**attrs, "look": look_name(number)},
         )  # fmt: skip
+
+    def with_partial_pulses(self) -> PhaseHistory:
+        """The same with ground of whose pulses a raw echo recorded only parts: its transform is longer."""
+        if self.raw is None:
+            return self
+        frequency, recorded = self.raw.padded_range_frequency, self.raw.recorded(partial=True)
+        return replace(self, collection=replace(self.collection, range_frequency=frequency, recorded=recorded))
 
     def on_ground(self, height: float | None) -> Self:
         """The same over another plane, z = height, m; unchanged for None."""
@@ -297,7 +306,7 @@ def open_phase_history(path: Location) -> PhaseHistory:
             if (shape := checked(place, name).shape) != (n,):
                 raise InputError(f"{names[0]} has shape {samples.shape}, but {name} has {shape}; make them agree")
         raw = raw_echo_from(read_real(place, "fast_time"), attrs) if names == ["echo"] else None
-        collection = _read_collection(place, attrs, None if raw is None else raw.range_frequency)
+        collection = _read_collection(place, attrs, raw)
         others = attrs_of_channel(other_attrs(attrs, raw), channels, 0)
         return PhaseHistory(path=place, collection=collection, raw=raw, attrs=others, channels=channels)
 
@@ -312,7 +321,7 @@ def not_one_of_two(names: Sequence[str], variables: Iterable[str]) -> InputError
 
 def other_attrs(attrs: Mapping[str, Any], raw: RawEcho | None) -> dict[str, Any]:
     """The attributes of a store that neither its collection nor its raw echo has."""
-    own = (*COLLECTION_ATTRS, *(RAW_ATTRS if raw is not None else ()))
+    own = (*COLLECTION_ATTRS, *(RAW_ATTRS if raw is not None else (RECORDED,)))
     return {name: value for name, value in attrs.items() if name not in own}
 
 
@@ -335,7 +344,7 @@ def read_collection(path: Location) -> tuple[Collection, dict[str, Any]]:
     with _reading(path) as place:
         attrs = _attrs(place)
         collection = _read_collection(place, attrs, None)
-        return collection, {name: value for name, value in attrs.items() if name not in COLLECTION_ATTRS}
+        return collection, other_attrs(attrs, None)
 
 
 def open_dataset(path: Location) -> xr.Dataset:
@@ -360,6 +369,9 @@ def open_dataset(path: Location) -> xr.Dataset:
             zarr_path = place.zarr_path()
             dataset = xr.open_zarr(zarr_path.store, group=zarr_path.path or None, consolidated=False, chunks=None)
         dataset.encoding["source"] = str(place)  # as xarray does for a path
+        for variable in dataset.variables.values():  # codecs of zarr 3 would keep it from being written as zarr 2
+            for codec in ("serializer", "compressors", "filters", "shards"):
+                variable.encoding.pop(codec, None)
         return dataset
 
 
@@ -434,17 +446,15 @@ def _attrs(place: Place) -> dict[str, Any]:
     return {name: value for name, value in attrs.items() if name != "coordinates"}
 
 
-def _read_collection(place: Place, attrs: Mapping[str, Any], range_frequency: FloatArray | None) -> Collection:
-    return collection_from(
-        partial(read_real, place), lambda name: bool(metadata_file(place / name)), attrs, range_frequency
-    )
+def _read_collection(place: Place, attrs: Mapping[str, Any], raw: RawEcho | None) -> Collection:
+    return collection_from(partial(read_real, place), lambda name: bool(metadata_file(place / name)), attrs, raw)
 
 
 def collection_from(
     read: Callable[[str], FloatArray],
     present: Callable[[str], bool],
     attrs: Mapping[str, Any],
-    range_frequency: FloatArray | None,
+    raw: RawEcho | None,
 ) -> Collection:
     """Return the collection that variables and attributes describe.
 
@@ -454,8 +464,8 @@ def collection_from(
         Reads a variable of the contract; tells whether there is one.
     attrs : dict
         All attributes of the store.
-    range_frequency : (n_range_frequency,) float or None
-        Hz, of a raw echo; None to read it.
+    raw : RawEcho or None
+        Whose range frequencies are those of the collection; None to read them.
 
     Raises
     ------
@@ -474,7 +484,7 @@ def collection_from(
     return Collection(
         carrier=carrier,
         time=time,
-        range_frequency=read("range_frequency") if range_frequency is None else range_frequency,
+        range_frequency=read("range_frequency") if raw is None else raw.range_frequency,
         reference_range=read("reference_range"),
         antenna_position=read("antenna_position"),
         beam_azimuth=beam_azimuth,
@@ -483,16 +493,6 @@ def collection_from(
         title=str(attrs.get("title") or ""),
         noise_power=number(attrs, "noise_power", "the square of signal's", None),
         side_of_track=attrs.get("side_of_track"),
+        recorded=RecordedRanges.among(attrs) if raw is None else raw.recorded(),
         **{name: read(name) for name in OPTIONAL if present(name)},  # type: ignore[arg-type]  # arrays, all of them
-    )
-
-
-def raw_echo_from(fast_time: FloatArray, attrs: Mapping[str, Any]) -> RawEcho:
-    """Return the raw echo that fast time (n_fast_time,), s, and attributes describe."""
-    check_axis(fast_time, "fast_time", "s")
-    return RawEcho(
-        fast_time=fast_time,
-        chirp_rate=number(attrs, "chirp_rate", "Hz/s"),
-        pulse_width=number(attrs, "pulse_width", "s"),
-        sampling_rate=float((fast_time.size - 1) / (fast_time[-1] - fast_time[0])),
     )

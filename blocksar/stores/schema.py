@@ -115,12 +115,14 @@ COLLECTION_NUMBER = {
     )
 }
 CONVENTIONS = "CF-1.11"
-# Attributes of a collection with their fields of `Collection`; those of a raw echo, which are fields of `RawEcho`.
+# Attributes of a collection with their fields of `Collection`; those of a raw echo. What its delays count from is kept
+# in no store that blocksar writes: they count from the centre there.
 COLLECTION_ATTRS = {
     "carrier_frequency": "carrier",
     **{name: name for name in ("beam_width", "ground_height", "noise_power", "side_of_track")},
 }
-RAW_ATTRS = ("chirp_rate", "pulse_width")
+RAW_ATTRS = ("chirp_rate", "pulse_width", "pulse_reference")
+PULSE_REFERENCES = ("centre", "start")  # the first is the default
 UNITS = {  # accepted spellings of the contract's units
     "s": ("s", "sec", "second", "seconds"),
     "Hz": ("hz", "hertz", "s-1", "1/s"),

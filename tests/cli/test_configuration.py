@@ -46,6 +46,7 @@ threads = 2
 memory-limit = "2GiB"
 scheduler = "tcp://a:1"
 wait-workers = 5.0
+whole-pulses = true
 performance-report = "report.html"
 overwrite = true
 discard = true
@@ -60,7 +61,7 @@ range-model = "conventional"
 AS_WORDS = (
     "focus ph.zarr --out run --processor high-order-phase --blocks 5 --fidelity 0.9995 --weighting hann "
     "--weighting-range taylor:4:-35 --weighting-azimuth kaiser:2.5 --grid -10:10:0.5,100:200:1 "
-    "--terrain dem.tif --surface ellipsoid --vertical egm96 --ground-height 30 --looks 3 --autofocus "
+    "--terrain dem.tif --surface ellipsoid --vertical egm96 --ground-height 30 --whole-pulses --looks 3 --autofocus "
     "--control points.json "
     "--workers 3 --threads 2 --memory-limit 2GiB --scheduler tcp://a:1 --wait-workers 5 "
     "--performance-report report.html --overwrite --discard --quiet --json-log log.jsonl "

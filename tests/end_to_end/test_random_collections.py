@@ -1,4 +1,4 @@
-"""Images of collections drawn at random beside exact back-projection of the same samples, and their own plans."""
+"""Images of collections drawn at random beside exact back-projection of the samples, and beside their own plans."""
 
 from __future__ import annotations
 

@@ -57,10 +57,12 @@ class Platform(NamedTuple):
 PLATFORMS = {
     "drone": Platform((60, 400), (8, 30), (1.5, 5), (5e9, 35e9), 1.2e9, 0.8, 1.0, 0.08, 0.5, (0.02, 0.12), False),
     "aircraft": Platform((1e3, 1e4), (70, 250), (1.3, 4), (3e9, 18e9), 500e6, 0.9, 4.0, 0.1, 0.5, (0.01, 0.1), False),
-    "maneuvering": Platform((8e3, 25e3), (400, 1500), (1.2, 2.5), (8e9, 18e9), 3e8, 0.9, 40.0, 0.15, 0.5, (0.01, 0.06),
-                            True),
-    "satellite": Platform((4.5e5, 7.5e5), (7400, 7700), (1.1, 1.7), (1.2e9, 1e10), 3e8, 0.05, 0.02, 1e-3, 0.0,
-                          (2e-3, 0.01), True),
+    "maneuvering": Platform(
+        (8e3, 25e3), (400, 1500), (1.2, 2.5), (8e9, 18e9), 3e8, 0.9, 40.0, 0.15, 0.5, (0.01, 0.06), True
+    ),
+    "satellite": Platform(
+        (4.5e5, 7.5e5), (7400, 7700), (1.1, 1.7), (1.2e9, 1e10), 3e8, 0.05, 0.02, 1e-3, 0.0, (2e-3, 0.01), True
+    ),
 }  # fmt: skip
 MODES = ("stripmap", "yaw scan", "sliding", "unsteered", "tops", "spotlight")
 

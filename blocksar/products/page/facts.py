@@ -153,4 +153,5 @@ def _centroid(record: RunRecord) -> str:
 
 def _chip(record: Mapping[str, Any]) -> dict[str, Any]:
     numbers = {name: _float(record[name]) for name in ("x", "y", "coherence", "gain", "phase")}
+    numbers["judged"] = _float(record.get("judged", record["coherence"]))  # quality.json of earlier versions lacks it
     return {"place": str(record["place"]), **numbers}

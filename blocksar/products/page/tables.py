@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from blocksar.budget import FIDELITY, side_lobe_budget
-from blocksar.constants import MIB
+from blocksar.constants import MIB, unit_of_lengths
 from blocksar.measurement.bar import excess, worst_excess
 from blocksar.measurement.figures import PointResponse
 from blocksar.products.page.facts import MOST_ROWS, Facts
@@ -96,6 +96,7 @@ def plan_table(run: Facts) -> Table | None:
     """Predictions for each block beside the worst figures measured in it; None without a plan."""
     if not run.predicted:
         return None
+    unit, metres = unit_of_lengths(max(block.range[1] for block in run.predicted))
     columns = [
         Column("block"),
         Column("coherence planned", f"\N{GREATER-THAN OR EQUAL TO} {_fidelity(run):g}"),
@@ -109,9 +110,9 @@ def plan_table(run: Facts) -> Table | None:
         Column("memory measured", "MiB, peak of its worker so far"),
         Column("migration planned", "cells"),
         Column("yaw", "degrees"),
-        Column("range", "km"),
+        Column("range", unit),
     ]
-    rows = [_plan_row(run, block) for block in run.predicted[:MOST_ROWS]]
+    rows = [_plan_row(run, block, metres) for block in run.predicted[:MOST_ROWS]]
     if run.record.segments:
         columns.insert(1, Column("segment"))
         for row, block in zip(rows, run.predicted, strict=False):
@@ -119,15 +120,15 @@ def plan_table(run: Facts) -> Table | None:
     return Table("plan", "Planned and measured figures of every block", columns, rows, note=_left_out(run.predicted))
 
 
-def _plan_row(run: Facts, block: PredictedBlock) -> Row:
-    """Predicted and measured figures of one block."""
+def _plan_row(run: Facts, block: PredictedBlock, metres: float) -> Row:
+    """Predicted and measured figures of one block, with ranges in units of so many metres."""
     judged = [r for r in run.judged if run.places[id(r)] == block.name]
     pslr, width = _worst_of(judged, "azimuth_pslr"), _worst_of(judged, "azimuth_irw")
     fidelity, predicted = _fidelity(run), block.pslr
     receipt = run.receipt(block)
     peak = None if receipt is None else receipt.peak_memory
     low, high = np.degrees(block.yaw)
-    near, far = (distance / 1e3 for distance in block.range)
+    near, far = (distance / metres for distance in block.range)
     return Row([
         Cell(block.name),
         _cell(block.coherence, 4, off=block.coherence < fidelity),
@@ -237,13 +238,14 @@ def reference_table(run: Facts) -> Table | None:
         Column("x", "m"),
         Column("y", "m"),
         Column("coherence"),
+        Column("judged", "by the power within reach"),
         Column("gain"),
         Column("phase", "rad"),
     ]
     rows = [
         Row([
             Cell(c["place"], c["place"]), _cell(c["x"], 0), _cell(c["y"], 0), _cell(c["coherence"], 5),
-            _cell(c["gain"], 4), _cell(c["phase"], 4),
+            _cell(c["judged"], 5), _cell(c["gain"], 4), _cell(c["phase"], 4),
         ])
         for c in chips[:MOST_ROWS]
     ]  # fmt: skip

@@ -77,6 +77,7 @@ def write(
     *,
     limits: tuple[float, float] | None = None,
     size: int | None = None,
+    cell: tuple[int, int] = (1, 1),
     overwrite: bool = False,
     progress: Callback | None = None,
 ) -> list[str]:
@@ -86,7 +87,7 @@ def write(
     ----------
     sources : mapping of polarisation to FinishedRun
         HH, VV, and HV or VH or both, on one grid.
-    limits, size, progress
+    limits, size, cell, progress
         As for the picture of one channel (`quicklook.write`).
 
     Returns
@@ -103,22 +104,26 @@ def write(
     source = sources["HH"]
     source.coverage()  # raises if no pixel is covered
     with replacing(out, overwrite=overwrite) as part:
-        reduced, power = pauli_powers(sources, max_pixels=max(PIXELS, size or 0), progress=progress)
+        reduced, power = pauli_powers(sources, max_pixels=max(PIXELS, size or 0), cell=cell, progress=progress)
         figure, axes = new_figure(reduced, size)
         arrows, labels = scene_arrows(reduced, source.geometry, source.georeference), labels_of(sources)
         low, high = draw(axes, reduced, power, arrows=arrows, labels=labels, limits=limits)
         axes.set_title(f"{source.scene_title}, Pauli composite", fontsize=11)
         figure.supxlabel(caption_of(source), fontsize=8, color="#5a6676")
         figure.savefig(part, format="png")
-    cell = float(reduced.x_edges[1] - reduced.x_edges[0]), float(reduced.y_edges[1] - reduced.y_edges[0])
+    side = float(reduced.x_edges[1] - reduced.x_edges[0]), float(reduced.y_edges[1] - reduced.y_edges[0])
     listed = ", ".join(f"{name} {label}" for name, label in zip(("red", "green", "blue"), labels, strict=True))
     with np.errstate(divide="ignore"):
         notes = range_notes(10 * np.log10(power), (low, high))
-    return [f"cells of {cell[0]:.4g} m x {cell[1]:.4g} m; {listed}, each from {low:.1f} to {high:.1f} dB", *notes]
+    return [f"cells of {side[0]:.4g} m x {side[1]:.4g} m; {listed}, each from {low:.1f} to {high:.1f} dB", *notes]
 
 
 def pauli_powers(
-    sources: Mapping[str, FinishedRun], *, max_pixels: int, progress: Callback | None = None
+    sources: Mapping[str, FinishedRun],
+    *,
+    max_pixels: int,
+    cell: tuple[int, int] = (1, 1),
+    progress: Callback | None = None,
 ) -> tuple[Overview, FloatArray]:
     """Mean powers of the colours over the cells of a picture, (n_y, n_x, 3), and its cells, with the power of red.
 
@@ -127,7 +132,7 @@ def pauli_powers(
     colours, rows = [], sources["HH"].y.size
     for number, weights in enumerate((RED, _green(sources), BLUE)):
         told = None if progress is None else _of_three(progress, number, rows)
-        colours.append(_reduced(sources, weights, max_pixels, told))
+        colours.append(_reduced(sources, weights, max_pixels, cell, told))
     power = np.stack([colour.power for colour in colours], axis=-1)
     power[~np.isfinite(power).all(axis=-1)] = np.nan
     return colours[0]._replace(power=power[..., 0]), power
@@ -175,7 +180,11 @@ def labels_of(sources: Mapping[str, FinishedRun]) -> list[str]:
 
 
 def _reduced(
-    sources: Mapping[str, FinishedRun], weights: Mapping[str, float], pixels: int, progress: Callback | None
+    sources: Mapping[str, FinishedRun],
+    weights: Mapping[str, float],
+    pixels: int,
+    cell: tuple[int, int],
+    progress: Callback | None,
 ) -> Overview:
     """A weighted sum of channels, reduced to the cells of a picture."""
     first = sources["HH"]
@@ -188,7 +197,7 @@ def _reduced(
             total = total + other
         return total
 
-    return overview(read, first.x, first.y, max_pixels=pixels, looks="mean", strip=STRIP)
+    return overview(read, first.x, first.y, max_pixels=pixels, looks="mean", cell=cell, strip=STRIP)
 
 
 def _of_three(progress: Callback, number: int, rows: int) -> Callback:

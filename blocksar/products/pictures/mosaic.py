@@ -14,6 +14,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from blocksar.arrays import FloatArray
+from blocksar.constants import unit_of_lengths
 from blocksar.measurement.targets import Target
 from blocksar.products.pictures.figures import MARK, new_figure, save
 from blocksar.products.pictures.overview import NOT_COVERED, ReadBlock, ReadImage, overview, stretch
@@ -36,7 +37,7 @@ def plot_mosaic(
     looks: Literal["max", "mean"] = "max",
     max_pixels: int = 1400,
 ) -> None:
-    """Write a PNG of the mosaic: dB against km, block borders, target marks, colour bar.
+    """Write a PNG of the mosaic: dB against places, block borders, target marks, colour bar.
 
     Parameters
     ----------
@@ -54,15 +55,16 @@ def plot_mosaic(
     with np.errstate(divide="ignore"):
         decibel = 10 * np.log10(reduced.power)
     low, high = stretch(decibel)
-    x_km, y_km = reduced.x_edges / 1e3, reduced.y_edges / 1e3
-    width, height = float(np.ptp(x_km)), float(np.ptp(y_km))
+    unit, metres = unit_of_lengths(float(max(np.abs(reduced.x_edges).max(), np.abs(reduced.y_edges).max())))
+    x, y = reduced.x_edges / metres, reduced.y_edges / metres
+    width, height = float(np.ptp(x)), float(np.ptp(y))
     scale = 8.5 / max(width, height)
     figure = new_figure(max(4.0, width * scale) + 2.0, max(3.0, height * scale) + 1.0)
     axes = figure.add_subplot()
     axes.set_facecolor(NOT_COVERED)
     picture = axes.imshow(
         np.ma.masked_invalid(np.where(np.isneginf(decibel), low, decibel)),
-        extent=(x_km[0], x_km[-1], y_km[0], y_km[-1]),
+        extent=(x[0], x[-1], y[0], y[-1]),
         origin="lower",
         cmap="gray",
         vmin=low,
@@ -70,12 +72,12 @@ def plot_mosaic(
         interpolation="nearest",
     )
     if reduced.block is not None:
-        borders = _borders(reduced.block, x_km, y_km)
+        borders = _borders(reduced.block, x, y)
         axes.add_collection(LineCollection(borders, colors=BORDER, linewidths=0.8, label="block border"))
     if 0 < len(targets) <= MOST_MARKS:
         axes.scatter(
-            [t.x / 1e3 for t in targets],
-            [t.y / 1e3 for t in targets],
+            [t.x / metres for t in targets],
+            [t.y / metres for t in targets],
             s=70,
             facecolors="none",
             edgecolors=MARK,
@@ -86,10 +88,10 @@ def plot_mosaic(
         labels = [t.name for t in targets] if len(targets) <= MOST_NAMES else []
     for target in targets:
         if target.name in labels:
-            _label_target(axes, target)
-    axes.set(xlabel="x (km)", ylabel="y (km)", title=title or "Mosaic")
-    axes.set_xlim(x_km[0], x_km[-1])
-    axes.set_ylim(y_km[0], y_km[-1])
+            _label_target(axes, target, metres)
+    axes.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})", title=title or "Mosaic")
+    axes.set_xlim(x[0], x[-1])
+    axes.set_ylim(y[0], y[-1])
     bar = figure.colorbar(picture, ax=axes, extend="both", shrink=0.85, pad=0.02)
     bar.set_label("power (dB, unit reflectivity = 0)" + (", strongest pixel of a cell" if looks == "max" else ""))
     handles, labels = axes.get_legend_handles_labels()
@@ -101,11 +103,11 @@ def plot_mosaic(
     save(figure, path)
 
 
-def _label_target(axes: Axes, target: Target) -> None:
-    """Write a target's name beside its place."""
+def _label_target(axes: Axes, target: Target, metres: float) -> None:
+    """Write a target's name beside its place; axes count so many metres."""
     text = axes.annotate(
         target.name,
-        (target.x / 1e3, target.y / 1e3),
+        (target.x / metres, target.y / metres),
         xytext=(6, 5),
         textcoords="offset points",
         color=MARK,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -25,6 +25,16 @@ def reader_of(source: FinishedRun, progress: Callback | None) -> ReadImage:
         if progress is not None:
             progress(min(rows.stop, source.y.size), source.y.size)
         return source.read(rows, columns)
+
+    return read
+
+
+def mean_of(reads: Sequence[ReadImage]) -> ReadImage:
+    """Read the square root of the mean power of images of one grid; NaN where not covered by all."""
+
+    def read(rows: slice, columns: slice) -> ComplexArray:
+        power = sum(np.abs(each(rows, columns).astype(np.complex128)) ** 2 for each in reads)
+        return np.sqrt(power / len(reads)).astype(np.complex64)
 
     return read
 
@@ -56,6 +66,7 @@ def overview(
     read_block: ReadBlock | None = None,
     max_pixels: int = 1400,
     looks: Literal["max", "mean"] = "max",
+    cell: tuple[int, int] = (1, 1),
     strip: int = 2**22,
 ) -> Overview:
     """Decimate |image|^2 to at most `max_pixels` a side, reading a bounded strip of samples at a time.
@@ -73,30 +84,35 @@ def overview(
     looks : "max" or "mean"
         Power of a cell: that of its strongest pixel, which keeps every point target, or the mean, which has the least
         speckle.
+    cell : (int, int)
+        Pixels along y and along x of a cell, or of the parts of one where the result would have more cells.
     strip : int
         Pixels to read at once, at most; but always a whole row of cells.
     """
-    factor = max(1, -(-max(image_x.size, image_y.size) // max_pixels))
-    n_y, n_x = -(-image_y.size // factor), -(-image_x.size // factor)
+    parts = -(-image_y.size // cell[0]), -(-image_x.size // cell[1])
+    times = max(1, -(-max(parts) // max_pixels))
+    tall, wide = times * cell[0], times * cell[1]
+    n_y, n_x = -(-image_y.size // tall), -(-image_x.size // wide)
     power = np.full((n_y, n_x), np.nan)
     block = np.full((n_y, n_x), -1, dtype=np.int16) if read_block is not None else None
-    rows_at_once = max(1, strip // (factor * image_x.size))
+    rows_at_once = max(1, strip // (tall * image_x.size))
     for first in range(0, n_y, rows_at_once):
         cells = slice(first, min(first + rows_at_once, n_y))
-        rows = slice(cells.start * factor, min(cells.stop * factor, image_y.size))
+        rows = slice(cells.start * tall, min(cells.stop * tall, image_y.size))
         pixels = read_image(rows, slice(0, image_x.size))
-        power[cells] = _reduce(pixels.real**2 + pixels.imag**2, factor, looks)
+        power[cells] = _reduce(pixels.real**2 + pixels.imag**2, (tall, wide), looks)
         if block is not None and read_block is not None:
-            block[cells] = _reduce(read_block(rows, slice(0, image_x.size)), factor, "max")
-    return Overview(power, block, cell_edges(image_x, n_x, factor), cell_edges(image_y, n_y, factor))
+            block[cells] = _reduce(read_block(rows, slice(0, image_x.size)), (tall, wide), "max")
+    return Overview(power, block, cell_edges(image_x, n_x, wide), cell_edges(image_y, n_y, tall))
 
 
-def _reduce(values: NDArray[np.float32] | NDArray[np.int16], factor: int, looks: Literal["max", "mean"]) -> FloatArray:
-    """Reduce to cells of factor x factor pixels, fewer at the ends; NaN only where all pixels of a cell are NaN."""
-    padded = np.pad(
-        values.astype(np.float32), [(0, -n % factor) for n in values.shape], constant_values=np.float32(np.nan)
-    )
-    cells = padded.reshape(padded.shape[0] // factor, factor, padded.shape[1] // factor, factor)
+def _reduce(
+    values: NDArray[np.float32] | NDArray[np.int16], cell: tuple[int, int], looks: Literal["max", "mean"]
+) -> FloatArray:
+    """Reduce to cells of pixels along y and x, fewer at the ends; NaN only where all pixels of a cell are NaN."""
+    beyond = [(0, -n % side) for n, side in zip(values.shape, cell, strict=True)]
+    padded = np.pad(values.astype(np.float32), beyond, constant_values=np.float32(np.nan))
+    cells = padded.reshape(padded.shape[0] // cell[0], cell[0], padded.shape[1] // cell[1], cell[1])
     present = np.isfinite(cells)
     count = present.sum(axis=(1, 3))
     if looks == "max":

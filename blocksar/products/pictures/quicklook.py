@@ -33,6 +33,7 @@ from blocksar.products.pictures.overview import (
     NOT_COVERED,
     Overview,
     ReadImage,
+    mean_of,
     overview,
     range_notes,
     reader_of,
@@ -63,6 +64,8 @@ def write(
     source: FinishedRun,
     out: Location,
     *,
+    others: Sequence[FinishedRun] = (),
+    cell: tuple[int, int] = (1, 1),
     limits: tuple[float, float] | None = None,
     colour_map: str | None = None,
     size: int | None = None,
@@ -73,6 +76,10 @@ def write(
 
     Parameters
     ----------
+    others : sequence of FinishedRun
+        Looks or channels whose mean power with that of `source` is drawn.
+    cell : (int, int)
+        As for `overview`.
     limits : (float, float), optional
         dB drawn in the first and the last colour. Default: by the image.
     colour_map : str, optional
@@ -97,20 +104,24 @@ def write(
     caption = caption_of(source)
     source.coverage()  # raises if no pixel is covered
     with replacing(out, overwrite=overwrite) as part:
+        read, title = reader_of(source, progress), source.title
+        if others:
+            read = mean_of([read, *(other.read for other in others)])
+            kind = "looks" if "look" in source.attrs else "channels"
+            title = f"{source.scene_title}, mean power of {len(others) + 1} {kind}"
         reduced = overview(
-            reader_of(source, progress), source.x, source.y, max_pixels=max(PIXELS, size or 0), looks="mean",
-            strip=STRIP,
-        )  # fmt: skip
+            read, source.x, source.y, max_pixels=max(PIXELS, size or 0), looks="mean", cell=cell, strip=STRIP
+        )
         arrows = scene_arrows(reduced, source.geometry, source.georeference)
         low, high = save(
-            part, reduced, title=source.title, caption=caption, arrows=arrows, limits=limits, colour_map=colour_map,
+            part, reduced, title=title, caption=caption, arrows=arrows, limits=limits, colour_map=colour_map,
             size=size,
         )  # fmt: skip
-    cell = float(reduced.x_edges[1] - reduced.x_edges[0]), float(reduced.y_edges[1] - reduced.y_edges[0])
+    side = float(reduced.x_edges[1] - reduced.x_edges[0]), float(reduced.y_edges[1] - reduced.y_edges[0])
     scale = "grey" if colour_map == GREY else colour_map
     with np.errstate(divide="ignore"):
         notes = range_notes(10 * np.log10(reduced.power), (low, high))
-    return [f"cells of {cell[0]:.4g} m x {cell[1]:.4g} m, {scale} from {low:.1f} to {high:.1f} dB", *notes]
+    return [f"cells of {side[0]:.4g} m x {side[1]:.4g} m, {scale} from {low:.1f} to {high:.1f} dB", *notes]
 
 
 def save(

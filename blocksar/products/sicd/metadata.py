@@ -20,6 +20,7 @@ from blocksar.products.sicd.plane_image import PlaneImage
 from blocksar.products.sicd.polynomials import Poly2D, arp_polynomial, fit_poly2d
 from blocksar.runs.finished import Coverage, FinishedRun
 from blocksar.runs.track import ATTRIBUTE
+from blocksar.stores import POLARIZATIONS
 from blocksar.version import __version__
 
 if TYPE_CHECKING:
@@ -35,7 +36,6 @@ NOISE_ACCURACY = 0.1  # dB, that NoisePoly may be off
 WEIGHTS = 65  # samples of WgtFunct
 STILL = 0.1  # of its width, by which the beam of a strip map may turn
 NEAR_ZERO = 1e-12  # degrees: sarkit 1.8 writes no NITF header of a corner on the equator or the meridian of Greenwich
-POLARIZATIONS = ("V", "H", "X", "Y", "S", "E", "RHC", "LHC")
 
 
 class Metadata(NamedTuple):

@@ -1,0 +1,163 @@
+"""Pixels of ground of whose pulses a raw echo recorded only parts: what all processors divide them by.
+
+The mean over a pixel's dwell of `RecordedRanges.share`, under the weights of the image's sum, is what a target's peak
+is too low by. Ranges change little over a dwell against the length of a pulse, over which the share falls: the mean is
+taken at a few times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
+from operator import attrgetter
+from typing import NamedTuple
+
+import numpy as np
+
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.axis_beam import Height
+from blocksar.collection.beam import dwell, pattern_gain, pulse_weights
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.weighting import UNIFORM, Taper, Weighting
+from blocksar.kernels.groups import run_groups
+from blocksar.kernels.phase import Float32Array
+
+Tile = tuple[slice, slice]
+
+# Least share of a pulse that is divided by: clutter and noise then rise by 10 dB under equal weights, and responses are
+# 10 times as broad. Ground with less, which is NaN, would show the side lobes of its neighbours.
+LEAST_SHARE = 0.1
+TIMES = 5  # of a dwell, both ends among them
+ROUNDING = 1e-9  # of a share
+MOST = 4096  # pixels together
+
+
+class RecordedMeans(NamedTuple):
+    """Means over the dwells of points (...): of the share under W, and under W^2; NaN where the image has none."""
+
+    amplitude: FloatArray
+    power: FloatArray
+
+
+def recorded_means(
+    geometry: Geometry, x: FloatArray, y: FloatArray, z: Height | None = None, *, weighting: Weighting = UNIFORM
+) -> RecordedMeans:
+    """The means at points x, y (...), m, of the ground, or at heights z, m, of a collection that was a raw echo.
+
+    NaN where the first is below LEAST_SHARE, or below 1 where only ground with whole pulses is imaged.
+    """
+    recorded = geometry.collection.recorded
+    assert recorded is not None
+    with np.errstate(invalid="ignore", divide="ignore"):  # of points that are not lit
+        time = _times(geometry, x, y, z)
+        distance, weight = _distances(geometry, x, y, z, time), _weights(geometry, x, y, z, time, weighting.azimuth)
+        amplitude, power = (
+            (weight * recorded.share(distance, weighting.range, power)).sum(axis=0) / weight.sum(axis=0)
+            for power in (1, 2)
+        )
+    imaged = amplitude >= (LEAST_SHARE if recorded.partial else 1 - ROUNDING)
+    return RecordedMeans(np.where(imaged, amplitude, np.nan), np.where(imaged, power, np.nan))
+
+
+def divide_by_recorded(
+    image: ComplexArray | Float32Array,
+    geometry: Geometry,
+    x: FloatArray,
+    y: FloatArray,
+    z: FloatArray | None = None,
+    *,
+    weighting: Weighting,
+    threads: int = 1,
+    divisor: Callable[[RecordedMeans], FloatArray] = attrgetter("amplitude"),
+) -> None:
+    """Divide pixels in place by the mean share of their pulses; NaN as for `recorded_means`.
+
+    Parameters
+    ----------
+    image : (n_row, n_column) complex64 or float32
+    geometry : Geometry
+    x, y, z : float, optional z
+        m, broadcast to the shape of the image; NaN heights where unknown.
+    divisor : callable
+        What of the means is divided by.
+    """
+    if geometry.collection.recorded is None:
+        return
+    points = [None if axis is None else np.broadcast_to(axis, image.shape) for axis in (x, y, z)]
+
+    def divide(tile: Tile) -> None:
+        of_x, of_y, of_z = (None if axis is None else axis[tile] for axis in points)
+        assert of_x is not None and of_y is not None
+        share = divisor(recorded_means(geometry, of_x, of_y, of_z, weighting=weighting))
+        with np.errstate(invalid="ignore"):
+            image[tile] /= share.astype(np.float32)
+
+    whole = slice(0, image.shape[0]), slice(0, image.shape[1])
+    run_groups(divide, list(_doubtful(image, geometry, points, whole)), threads)
+
+
+def _doubtful(
+    image: ComplexArray | Float32Array, geometry: Geometry, points: Sequence[FloatArray | None], tile: Tile
+) -> Iterator[Tile]:
+    """Small tiles of a tile, with a pixel of the image in them, not all of which surely have whole pulses."""
+    x, y, z = (None if axis is None else axis[tile] for axis in points)
+    assert x is not None and y is not None
+    if not np.isfinite(image[tile]).any() or _all_whole(geometry, x, y, z):
+        return
+    if x.size <= MOST:
+        yield tile
+        return
+    longer = int(x.shape[1] > x.shape[0])
+    ends = tile[longer].start, tile[longer].start + x.shape[longer] // 2, tile[longer].stop
+    for first, last in pairwise(ends):
+        part = slice(first, last)
+        yield from _doubtful(image, geometry, points, (tile[0], part) if longer else (part, tile[1]))
+
+
+def _all_whole(geometry: Geometry, x: FloatArray, y: FloatArray, z: FloatArray | None = None) -> bool:
+    """Whether all points of a tile surely have whole pulses: no range differs from their middle's by more than they."""
+    recorded = geometry.collection.recorded
+    assert recorded is not None
+    if geometry.terrain is not None and z is None:
+        z = np.asarray(geometry.height(x, y))
+    ends = [np.array([np.nanmin(axis), np.nanmax(axis)]) for axis in ((x, y) if z is None else (x, y, z))]
+    away = float(np.linalg.norm([np.ptp(end) for end in ends])) / 2
+    corners = np.meshgrid(*ends)
+    with np.errstate(invalid="ignore"):
+        first, last = dwell(geometry, corners[0], corners[1], z=None if z is None else corners[2])
+    if not (np.isfinite(first).all() and np.isfinite(last).all()):
+        return False
+    middle = [np.full((), end.mean()) for end in ends]
+    time = np.linspace(first.min(), last.max(), TIMES)
+    distance = _distances(geometry, middle[0], middle[1], None if z is None else middle[2], time)
+    away += float(np.abs(np.diff(distance)).max())  # between two times
+    nearest, farthest = recorded.whole
+    return bool(distance.min() - away >= nearest and distance.max() + away <= farthest)
+
+
+def _times(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height | None) -> FloatArray:
+    """TIMES of the dwells of points (...), s: (TIMES, ...)."""
+    time = geometry.collection.time
+    first, last = (np.broadcast_to(np.clip(end, time[0], time[-1]), np.shape(x)) for end in dwell(geometry, x, y, z=z))
+    return np.asarray(np.linspace(first, last, TIMES))
+
+
+def _distances(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height | None, time: FloatArray) -> FloatArray:
+    """Ranges of points (...) at times (TIMES, ...), m."""
+    px, py, pz = np.moveaxis(geometry.track.position(time), -1, 0)
+    height = geometry.height(x, y) if z is None else z
+    return np.asarray(np.sqrt((x - px) ** 2 + (y - py) ** 2 + (height - pz) ** 2))
+
+
+def _weights(
+    geometry: Geometry, x: FloatArray, y: FloatArray, z: Height | None, time: FloatArray, taper: Taper
+) -> FloatArray:
+    """Weights of times (TIMES, ...) in the sum to the image of points (...): a trapezoid's, times w g."""
+    collection = geometry.collection
+    weight = np.ones(time.shape)
+    weight[[0, -1]] = 0.5
+    if taper.uniform and not collection.has_pattern:
+        return weight
+    place = np.rint((time - collection.time[0]) * collection.prf)
+    pulse = np.clip(np.nan_to_num(place), 0, collection.n_pulse - 1).astype(np.int64)
+    return weight * pulse_weights(geometry, x, y, pulse, taper, z) * pattern_gain(geometry, x, y, pulse, z)
