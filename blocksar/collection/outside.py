@@ -87,7 +87,7 @@ def remedy(geometry: Geometry, grid: Grid) -> str:
     is told, z = height of the antenna - sqrt(reference range^2 - distance^2).
     """
     collection = geometry.collection
-    meant = find_meant(collection, grid)
+    meant = find_meant(collection, grid, on_terrain=geometry.terrain is not None)
     if meant is not None or geometry.terrain is None:
         return meant or MOVE
     x, y = (np.asarray(low + high) / 2 for low, high in ((grid.x0, grid.x1), (grid.y0, grid.y1)))

@@ -25,8 +25,11 @@ DEGREES = "degrees"
 BAND = 4.0  # times the PRF, from which on a band of Doppler is no matter of the PRF alone
 
 
-def find_meant(collection: Collection, grid: Grid) -> str | None:
-    """What to do about a grid outside the swath if a wrong unit explains it, else None."""
+def find_meant(collection: Collection, grid: Grid, *, on_terrain: bool) -> str | None:
+    """What to do about a grid outside the swath if a wrong unit explains it, else None.
+
+    On a terrain units of heights and ranges are not tried: its own heights are as likely to be wrong.
+    """
     x, y = (grid.x0 + grid.x1) / 2, (grid.y0 + grid.y1) / 2
     if _holds(collection, 1000 * x, 1000 * y):
         return "it looks like km: give metres"
@@ -34,7 +37,8 @@ def find_meant(collection: Collection, grid: Grid) -> str | None:
         wide = collection.beam_width is not None and collection.beam_width > WIDE
         looks = "and beam_width look" if wide and units[0] == DEGREES else "looks"
         return f"beam_steering {looks} like {' or '.join(units)}: give radians"
-    return next((text for text, changes in _candidates(collection) if _would_hold(collection, changes, x, y)), None)
+    candidates = [] if on_terrain else _candidates(collection)
+    return next((text for text, changes in candidates if _would_hold(collection, changes, x, y)), None)
 
 
 def _of_steering(collection: Collection) -> Iterator[tuple[str, dict[str, Any]]]:
