@@ -90,6 +90,10 @@ class FolderError(InputError):
         return type(self), (str(self), self.replaceable)
 
 
+class NoRoom(FolderError):
+    """What is to be written will not fit the disk; nothing of it is written yet."""
+
+
 def in_the_way(path: object, state: str = "exists") -> InputError:
     """The error about a file or store that is there, and is replaced only if that is asked for."""
     return InputError(f"{path} {state}; choose another name, or have it overwritten (--overwrite)")

@@ -22,6 +22,7 @@ from blocksar.places import Location, place, readable
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.places.ranges import Readable, WebFile
+from blocksar.places.room import size_text
 from blocksar.runs.folder import member
 from blocksar.runs.record import RECORD, RunRecord
 from blocksar.simulation.scene import Scene
@@ -133,7 +134,7 @@ def _store(where: Place, names: list[str]) -> Report:
 
 def _size(where: Place) -> Rows:
     size = facts.disk_size(where)
-    return [] if size is None else [("on disk", facts.size_text(size))]
+    return [] if size is None else [("on disk", size_text(size))]
 
 
 def _dataset(dataset: Any) -> Report:
@@ -142,7 +143,7 @@ def _dataset(dataset: Any) -> Report:
         x, y = dataset["x"].values, dataset["y"].values
         rows = [
             *facts.general_rows(dataset.attrs), ("grid", _pixels(x, y)),
-            ("in memory", facts.size_text(dataset["image"].nbytes)), *facts.history_rows(dataset.attrs),
+            ("in memory", size_text(dataset["image"].nbytes)), *facts.history_rows(dataset.attrs),
         ]  # fmt: skip
         return _report("image", f"{dataset.encoding.get('source', 'a dataset')}", rows, [])
     history = history_of(dataset)
@@ -158,7 +159,7 @@ def _phase_history(history: stores.PhaseHistory, where: Place | None) -> Report:
     rows = [
         *facts.general_rows(history.attrs),
         *([("channels", ", ".join(history.channels))] if history.channels else []),
-        ("samples", f"{pulses} pulses x {columns} {axis}, {facts.size_text(8 * pulses * columns * count)} in memory"),
+        ("samples", f"{pulses} pulses x {columns} {axis}, {size_text(8 * pulses * columns * count)} in memory"),
         *([] if where is None else _size(where)),
         *facts.collection_rows(history.collection),
         *facts.history_rows(history.attrs),
@@ -240,7 +241,7 @@ def _cphd(where: Readable) -> tuple[Rows, Following]:
     from blocksar.ingestion import cphd  # optional libraries, and slow to load
 
     found = cphd.describe(where)
-    size = facts.size_text(found.size)
+    size = size_text(found.size)
     rows: Rows = [
         ("title", found.collection.title),
         ("format", f"CPHD {found.version}, {found.domain} domain, {size}"),
@@ -266,7 +267,7 @@ def _gotcha(files: list[Place], pattern: str) -> tuple[Rows, Following]:
     passes = sorted({file.pass_ for file in read if file.pass_})
     size = sum(facts.disk_size(path) or 0 for path in files)
     rows: Rows = [
-        ("files", f"{len(files)}, {facts.size_text(size)}" + ("" if len(read) == len(files) else
+        ("files", f"{len(files)}, {size_text(size)}" + ("" if len(read) == len(files) else
                   "; the first and the last were read"))
     ]  # fmt: skip
     rows += [("pass", ", ".join(passes))] if passes else []
@@ -299,7 +300,7 @@ def _scene(source: str | Path) -> tuple[Rows, Following]:
         *([] if place is None else facts.general_rows({"georeference": place.as_attribute()})),
         ("holds", ", ".join(holds) or "nothing"),
         ("samples", f"{collection.n_pulse} pulses x {collection.n_range_frequency} range frequencies, "
-                    f"{facts.size_text(size)}"),
+                    f"{size_text(size)}"),
         *facts.collection_rows(collection),
     ]  # fmt: skip
     name = scene.name or "scene"

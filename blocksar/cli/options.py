@@ -108,6 +108,9 @@ Control = Annotated[
 Scheduler = Annotated[
     str | None, typer.Option(metavar="ADDRESS", help="Use this dask scheduler instead of a local cluster.")
 ]
+WaitWorkers = Annotated[
+    float, typer.Option(metavar="SECONDS", help="Time to wait for workers while the scheduler has none; 0: none.")
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing output.")]
 Discard = Annotated[
     bool, typer.Option("--discard", help="Remove spectrum and patches once the run needs them no more.")

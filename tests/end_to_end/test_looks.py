@@ -23,6 +23,8 @@ from blocksar.places import place
 from blocksar.products.sicd.aperture import find_support
 from blocksar.runs.record import RunRecord
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 SETTINGS: dict[str, Any] = {"workers": 0}
 CLUTTER = "[clutter]\nscatterers = 500\npower = 1e-3\nseed = 3\n"
 
