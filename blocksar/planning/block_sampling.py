@@ -69,8 +69,8 @@ def plan_sampling(
     time = _plan_time(sector.recovery, slab, straight, bandwidth=bandwidth, duration=duration)
 
     # Slow time before the final transform: the lines and what is smeared beyond them, room for resampling and windows.
-    # Without a gate there is room that is not summed: steps in Doppler delay echoes from beside a block into it, round
-    # the end of time, from where the deramp would take them to the block's Doppler.
+    # Without a gate half of the room beyond is not summed: steps in Doppler delay echoes from beside a block into it, or
+    # round the end of time, from where the deramp would take them to the block's Doppler.
     guard, gated = GUARD * duration, beam_moves(sector.geometry.collection)
     if not gated:  # all is summed, to the end of the smear
         guard += smear_room(focused, biased.rate) * (IMAGE_TAP_ERROR / sector.tap_error) ** (2 / 3)
@@ -81,7 +81,8 @@ def plan_sampling(
     held = _held_time(sector, lines.ends, time, slope=slope)
     padded = (ROOM if roomy else 1.0) * time.size
     n_padded = fourier.fast_length(max((end - begin) / time.step, padded, held / time.step))
-    long_time = Axis(begin, time.step, n_padded)
+    beyond = 0.0 if gated else n_padded * time.step - (end - begin)
+    long_time = Axis(begin - beyond / 2, time.step, n_padded)
 
     middle = azimuth.polynomials.middle
     reach = 2 * max(time.start + time.extent - middle, middle - time.start)
@@ -100,7 +101,7 @@ def plan_sampling(
             long_time, size=n_padded, centre=float((spots.doppler.min() + spots.doppler.max()) / 2)
         ),
         gate=None,
-        summed=(begin, end) if not gated else None,
+        summed=None if gated else (begin - beyond / 4, end + beyond / 4),
     )
 
 
