@@ -26,7 +26,8 @@ def lit_pulse_reader(history: stores.PhaseHistory) -> Callable[[slice], ComplexA
     """The same, with NaN in pulses that were lost and hold zeros (`collection.empty_pulses`), as runs take them."""
     read = pulse_reader(history)
     first = history.read(slice(None), slice(0, 1))[:, 0]
-    empty = first == 0
+    with np.errstate(invalid="ignore"):  # garbage may have signalling NaN
+        empty = first == 0
     for start in range(0, empty.size, TILE[0]):
         part = slice(start, min(start + TILE[0], empty.size))
         if empty[part].any():

@@ -243,7 +243,8 @@ def inspect(
         raise ValueError(f"{signal.dtype} samples {signal.shape} of {range_frequency.shape=} must be C-contiguous")
     if recovery is not None and recovery.pulses.size != n_pulse:
         raise ValueError(f"{signal.shape=}, but the recovery is of {recovery.pulses.size} pulses")
-    empty = signal[:, 0] == 0  # of few pulses, so that the others are not read once more
+    with np.errstate(invalid="ignore"):  # garbage may have signalling NaN
+        empty = signal[:, 0] == 0  # of few pulses, so that the others are not read once more
     empty[empty] = ~signal[empty].any(axis=1)
     scan = _scan(signal, range_frequency, recovery, threads)
     missing, outliers = scan.missing, {}
