@@ -69,8 +69,8 @@ def plan_sampling(
     time = _plan_time(sector.recovery, slab, straight, bandwidth=bandwidth, duration=duration)
 
     # Slow time before the final transform: the lines and what is smeared beyond them, room for resampling and windows.
-    # Without a gate half of the room beyond is not summed: steps in Doppler delay echoes from beside a block into it, or
-    # round the end of time, from where the deramp would take them to the block's Doppler.
+    # Without a gate half of the room beyond is not summed: steps in Doppler delay echoes from beside a block into it,
+    # or round the end of time, from where the deramp would take them to the block's Doppler.
     guard, gated = GUARD * duration, beam_moves(sector.geometry.collection)
     if not gated:  # all is summed, to the end of the smear
         guard += smear_room(focused, biased.rate) * (IMAGE_TAP_ERROR / sector.tap_error) ** (2 / 3)
