@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-import reprlib
 from collections.abc import Sequence
 from typing import Any, Literal
 
 from blocksar.budget import MOST_BLOCKS
-from blocksar.errors import InputError
+from blocksar.errors import InputError, quoted
 
 EXAMPLE = "give --grid x0:x1:dx,y0:y1:dy in metres, such as --grid -2500:2500:1,18000:23000:1"
 LEAST_MEMORY = 1 << 20  # bytes of a worker; fewer are a number whose unit was forgotten
@@ -65,13 +64,6 @@ def read_grid(grid: Any) -> tuple[Axis, Axis]:
         ) from None
     x, y = (_parse_axis(name, axis, axis) for name, axis in axes.items())
     return x, y
-
-
-def quoted(text: object) -> str:
-    """Quote user input for a message, shortened to 80 characters."""
-    short = reprlib.Repr()
-    short.maxstring = short.maxother = 80
-    return short.repr(text)
 
 
 def _parse_axis(name: str, numbers: Sequence[Any], shown: object) -> Axis:

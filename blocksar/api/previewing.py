@@ -9,7 +9,6 @@ import numpy as np
 from blocksar import stores
 from blocksar.api.arguments import GridLike, grid_of, history_of
 from blocksar.api.facts import grid_text
-from blocksar.api.parsing import quoted
 from blocksar.api.partial_pulses import imaging_parts
 from blocksar.api.pulses import pulse_reader
 from blocksar.api.reports import Report, only_stage
@@ -18,7 +17,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import default_grid, facing_grid, grid_extent, plan_region
-from blocksar.errors import InputError, library_for
+from blocksar.errors import InputError, library_for, quoted
 from blocksar.focusing import preview as coarse
 from blocksar.graph.machine import resources
 from blocksar.kernels.phase import Float32Array
