@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from functools import cached_property
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
@@ -40,7 +41,10 @@ class Registry(Generic[Part]):
         return (*self.own, *sorted(self._installed))
 
     def __iter__(self) -> Iterator[Part]:
-        return map(self.get, self.names())
+        """All parts; those that cannot be loaded are left out, and told by `get`."""
+        for name in self.names():
+            with suppress(InputError):
+                yield self.get(name)
 
     def get(self, name: Any) -> Part:
         """The part of a name.

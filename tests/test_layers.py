@@ -27,7 +27,7 @@ PACKAGE = ROOT / "blocksar"
 # no other room of its own layer.
 LAYERS = (
     {"errors", "constants", "budget", "garbage", "loop_cache", "version"},
-    {"places", "progress", "arrays", "solvers", "chunks", "options", "plugins"},
+    {"places", "progress", "arrays", "solvers", "chunks", "options", "plugins", "spans"},
     {"kernels"},
     {"collection"},
     {"stores", "measurement", "focusing"},

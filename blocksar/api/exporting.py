@@ -12,12 +12,13 @@ from blocksar.measurement.looks import checked_looks
 from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.products import geotiff
-from blocksar.products.options import OPTIONS, check_ending, parse_crop, parse_looks, parse_range
+from blocksar.products.options import OPTIONS, check_ending, parse_looks, parse_range
 from blocksar.products.pixels import Content, Scale, checked_limits, pixels_of
 from blocksar.products.sicd import nitf as sicd
 from blocksar.progress import Wanted as Progress
 from blocksar.runs.finished import FinishedRun, finished_record, folder_of, member_line
 from blocksar.runs.record import RECORD
+from blocksar.spans import parse_crop
 
 if TYPE_CHECKING:
     import xarray as xr

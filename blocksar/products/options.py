@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import os
 import re
 from collections.abc import Iterable
 from typing import Any
 
 from blocksar.errors import InputError, printable
+from blocksar.spans import numbers_of
 
 OPTIONS: dict[str, tuple[str, ...]] = {
     "sicd": (),
@@ -79,40 +79,7 @@ def parse_range(limits: Any) -> Any:
     """
     if not isinstance(limits, str):
         return limits
-    ends = _numbers(limits)
+    ends = numbers_of(limits)
     if len(ends) != 2:
         raise InputError(f"range = {limits[:80]!r}: give two ends in dB, the lower first, such as -40:0")
     return ends
-
-
-def parse_crop(crop: Any, name: str = "crop") -> tuple[tuple[float, float], tuple[float, float]]:
-    """Read a part of the ground, such as `0:500,18000:18500` or ((0, 500), (18000, 18500)), m; `name` is its option's.
-
-    Raises
-    ------
-    InputError
-        If it is none, or an axis is empty.
-
-    Examples
-    --------
-    >>> parse_crop("0:500,18e3:18500")
-    ((0.0, 500.0), (18000.0, 18500.0))
-    """
-    given = [_numbers(axis) for axis in crop.split(",")] if isinstance(crop, str) else crop
-    try:
-        (x0, x1), (y0, y1) = ((float(low), float(high)) for low, high in given)
-    except (TypeError, ValueError):
-        x0 = x1 = y0 = y1 = math.nan
-    if not (x0 < x1 and y0 < y1 and all(map(math.isfinite, (x0, x1, y0, y1)))):
-        raise InputError(
-            f"{name} = {str(crop)[:80]!r}: give the ends of x and of y in metres, the lower first, such as "
-            "0:500,18000:18500"
-        )
-    return (x0, x1), (y0, y1)
-
-
-def _numbers(text: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(number) for number in text.split(":"))
-    except ValueError:
-        return ()
