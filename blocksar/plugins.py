@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
@@ -25,10 +25,14 @@ class Registry(Generic[Part]):
         What a part is, for messages.
     own : mapping of str to str
         "module:attribute" by name.
+    check : callable, optional
+        Raises an error if a part of another package is not what it should be.
     """
 
-    def __init__(self, group: str, noun: str, own: Mapping[str, str]) -> None:
-        self.group, self.noun, self.own = group, noun, dict(own)
+    def __init__(
+        self, group: str, noun: str, own: Mapping[str, str], check: Callable[[Part], object] = lambda part: None
+    ) -> None:
+        self.group, self.noun, self.own, self.check = group, noun, dict(own), check
 
     @cached_property
     def _installed(self) -> dict[str, EntryPoint]:
@@ -38,6 +42,18 @@ class Registry(Generic[Part]):
     def names(self) -> tuple[str, ...]:
         """The own parts, then those of other packages."""
         return (*self.own, *sorted(self._installed))
+
+    def __contains__(self, name: Any) -> bool:
+        return isinstance(name, str) and (name in self.own or name in self._installed)
+
+    def sound(self) -> Iterator[tuple[str, Part]]:
+        """The parts by name, one after the other, without those that cannot be loaded."""
+        for name in self.names():
+            try:
+                part = self.get(name)
+            except InputError:
+                continue
+            yield name, part
 
     def __iter__(self) -> Iterator[Part]:
         return map(self.get, self.names())
@@ -59,7 +75,9 @@ class Registry(Generic[Part]):
             hint = f"did you mean {close[0]}? Known are" if close else "use"
             raise InputError(f"{self.noun} {quoted(name)} is unknown; {hint} {', '.join(self.names())}")
         try:
-            return cast(Part, found.load())
+            part = cast(Part, found.load())
+            self.check(part)
+            return part
         except Exception as error:
             package = found.dist.name if found.dist is not None else found.value
             raise InputError(
