@@ -14,8 +14,6 @@ from blocksar.cli.endings import Commands
 from blocksar.errors import InputError
 from blocksar.options import Option, Stated, options_of
 
-LENIENT: dict[str, Any] = {"ignore_unknown_options": True, "allow_extra_args": True}
-
 
 class Plugged(Commands):
     """A group with a command for each part of a registry, made when it is asked for."""
@@ -56,15 +54,23 @@ class _Made(Mapping[str, Any]):
         return self._made[name]
 
     def _command(self, name: str) -> Any:
-        """The command of a part; of one that cannot be loaded, one that says so, as its help does."""
-        settings = {"help_option_names": ["-h", "--help"]}
+        """The command of a part; of one that cannot have any, one that says so, as its help does."""
         try:
-            function = self._group.command_of(name)
+            return _command(name, self._group.command_of(name))
         except InputError as error:
-            function, settings = _refusing(error), settings | LENIENT
-        single = typer.Typer(rich_markup_mode="rich", context_settings=settings, add_completion=False)
-        single.command(name)(function)
-        return typer.main.get_command(single)
+            refusal = error
+        except Exception as error:  # its options are none for a command line
+            refusal = InputError(
+                f"{name} has no command ({type(error).__name__}: {error}); repair or remove the package that adds it"
+            )
+        return _command(name, _refusing(refusal), ignore_unknown_options=True, allow_extra_args=True)
+
+
+def _command(name: str, function: Callable[..., None], **settings: bool) -> Any:
+    settings_of_all = {"help_option_names": ["-h", "--help"]}
+    single = typer.Typer(rich_markup_mode="rich", context_settings=settings_of_all | settings, add_completion=False)
+    single.command(name)(function)
+    return typer.main.get_command(single)
 
 
 def _refusing(error: InputError) -> Callable[..., None]:
