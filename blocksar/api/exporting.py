@@ -72,6 +72,17 @@ def export(
         Folder of a finished run.
     out : path
         Local file to write.
+    channel : str, optional
+        Of a run of several channels. Default: the first.
+    overwrite : bool
+        Replace what stands at `out`. Default: False.
+    progress : object with a method update(stage, done, total), or False, optional
+        As in `focus`. Default: bars in a notebook, silence elsewhere.
+    **options
+        Those of the product, as below; those of another package's, as `blocksar export NAME --help` lists them.
+
+    Other Parameters
+    ----------------
     content : {"amplitude", "power", "db", "complex", "height", "incidence", "visibility", "gamma"}, optional
         Pixels of a GeoTIFF: float32, or complex64, or uint8 flags. Those from "height" on are of images on a terrain;
         "gamma" is the power without what slopes do to it. Default: "amplitude", or "db" with `scale`. Only for
@@ -99,14 +110,6 @@ def export(
         A PNG of several channels or looks of one run. "pauli": colours from HH, VV and HV or VH, |HH - VV|, |HV + VH|
         and |HH + VV|, each over sqrt(2), as red, green and blue. "mean": their mean power, which has less speckle.
         Default: one channel or look.
-    channel : str, optional
-        Of a run of several channels. Default: the first.
-    overwrite : bool
-        Replace what stands at `out`. Default: False.
-    progress : object with a method update(stage, done, total), or False, optional
-        As in `focus`. Default: bars in a notebook, silence elsewhere.
-    **options
-        Those of a product of another package; `blocksar export NAME --help` lists them.
 
     Returns
     -------
