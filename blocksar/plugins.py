@@ -6,10 +6,12 @@ import difflib
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from blocksar.errors import InputError, quoted
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 Part = TypeVar("Part")
 
@@ -37,6 +39,8 @@ class Registry(Generic[Part]):
     @cached_property
     def _installed(self) -> dict[str, EntryPoint]:
         """Entry points of other packages by name; an own part keeps its name."""
+        from importlib.metadata import entry_points  # takes longer to load than all other imports here
+
         return {each.name: each for each in entry_points(group=self.group) if each.name not in self.own}
 
     def names(self) -> tuple[str, ...]:
