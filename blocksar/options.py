@@ -61,10 +61,9 @@ def options_of(model: type) -> tuple[Stated, ...]:
 
     Examples
     --------
+    >>> from dataclasses import make_dataclass
     >>> from typing import Annotated
-    >>> @dataclass(frozen=True, kw_only=True)
-    ... class TableOptions:
-    ...     digits: Annotated[int, Option("Significant digits.")] = 4
+    >>> TableOptions = make_dataclass("TableOptions", [("digits", Annotated[int, Option("Significant digits.")], 4)])
     >>> [(each.name, each.type, each.default) for each in options_of(TableOptions)]
     [('digits', <class 'int'>, 4)]
     """
