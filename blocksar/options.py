@@ -10,13 +10,15 @@ Command lines, the keywords of functions and the sentences about wrong ones foll
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
+from inspect import Parameter, signature
 from typing import Any, NamedTuple, TypeVar, get_type_hints
 
 from blocksar.errors import InputError, quoted
 
 Model = TypeVar("Model")
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True)
@@ -34,12 +36,15 @@ class Option:
     read : callable or None
         Turns a text of the command line, or a value of Python, into that of the field; raises InputError. Without it
         the command line has the field's own type.
+    flags : tuple of str
+        Its spellings there. Default: its name.
     """
 
     help: str
     metavar: str | None = None
     default: str | None = None
     read: Callable[[Any], Any] | None = None
+    flags: tuple[str, ...] = ()
 
 
 class Stated(NamedTuple):
@@ -56,10 +61,9 @@ def options_of(model: type) -> tuple[Stated, ...]:
 
     Examples
     --------
+    >>> from dataclasses import make_dataclass
     >>> from typing import Annotated
-    >>> @dataclass(frozen=True, kw_only=True)
-    ... class TableOptions:
-    ...     digits: Annotated[int, Option("Significant digits.")] = 4
+    >>> TableOptions = make_dataclass("TableOptions", [("digits", Annotated[int, Option("Significant digits.")], 4)])
     >>> [(each.name, each.type, each.default) for each in options_of(TableOptions)]
     [('digits', <class 'int'>, 4)]
     """
@@ -71,7 +75,7 @@ def options_of(model: type) -> tuple[Stated, ...]:
     return tuple(found)
 
 
-def read_options(model: type[Model], given: Mapping[str, Any], of: str, elsewhere: Mapping[str, type]) -> Model:
+def read_options(model: type[Model], given: Mapping[str, Any], of: str, elsewhere: Iterable[tuple[str, type]]) -> Model:
     """Make a model of what is given by name; None stands for a default.
 
     Parameters
@@ -80,8 +84,8 @@ def read_options(model: type[Model], given: Mapping[str, Any], of: str, elsewher
     given : mapping
     of : str
         What has the options, for messages.
-    elsewhere : mapping
-        Models of others of its kind, by their names: an option that is one of theirs is said to be.
+    elsewhere : iterable of (str, type)
+        Others of its kind with their models: an option that is one of theirs is said to be. Asked only then.
 
     Raises
     ------
@@ -100,9 +104,26 @@ def read_options(model: type[Model], given: Mapping[str, Any], of: str, elsewher
     return model(**values)
 
 
-def _not_one(name: str, value: Any, of: str, known: Mapping[str, Stated], elsewhere: Mapping[str, type]) -> str:
+def showing_options(*models: type) -> Callable[[Function], Function]:
+    """Decorate a function with **options: its signature, for people and editors, has the options of models as well."""
+
+    def decorate(function: Function) -> Function:
+        plain = signature(function)
+        *own, rest = plain.parameters.values()
+        stated = {each.name: each for model in models for each in options_of(model)}
+        options = [
+            Parameter(each.name, Parameter.KEYWORD_ONLY, default=each.default, annotation=each.type)
+            for each in stated.values()
+        ]
+        function.__signature__ = plain.replace(parameters=[*own, *options, rest])  # type: ignore[attr-defined]
+        return function
+
+    return decorate
+
+
+def _not_one(name: str, value: Any, of: str, known: Mapping[str, Stated], elsewhere: Iterable[tuple[str, type]]) -> str:
     """Why an option cannot be given."""
-    others = [other for other, model in elsewhere.items() if name in (each.name for each in options_of(model))]
+    others = [other for other, model in elsewhere if name in (each.name for each in options_of(model))]
     if others:
         return f"{name} is {value!r}, but it is an option of {' and '.join(others)} only; leave it out"
     close = difflib.get_close_matches(name, known, n=1)

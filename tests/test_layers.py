@@ -73,7 +73,7 @@ IMPURE_LIBRARIES = {"io", "json", "logging", "os", "pathlib", "shutil", "tempfil
 OWN_TRANSFORMS = {"simulation/scatterers.py"}
 
 # Libraries that `import blocksar` and `blocksar --help` must not load.
-HEAVY = ("dask", "distributed", "finufft", "matplotlib", "numba", "scipy", "xarray", "zarr")
+HEAVY = ("dask", "distributed", "finufft", "importlib.metadata", "matplotlib", "numba", "scipy", "xarray", "zarr")
 
 # ---------------------------------------------------------------- reading the modules
 

@@ -78,10 +78,10 @@ def info(path: Location | xr.Dataset) -> Report:
     if "zarr.json" in names or ".zgroup" in names:
         return _store(where, names)
     if isinstance(where, LocalPlace) and not where.path.is_file():
-        if (found := found_at(where)) is not None and (reader := found.reader) is not None and reader.several:
+        if (found := found_at(where)) is not None and (name := found.reader) is not None and READERS.get(name).several:
             ending = Path(found.file.name).suffix
             files = [where / name for name in sorted(names) if name.endswith(ending)]
-            return _described(reader, files, str(where), f"{where / f'*{ending}'}")
+            return _described(READERS.get(name), files, str(where), f"{where / f'*{ending}'}")
         if not where.exists():
             raise InputError(f"{where} does not exist; check the path")
     elif not names:
@@ -225,8 +225,8 @@ def _file(where: Readable) -> Report:
         raise InputError(f"{where} cannot be read ({error.strerror or error}); check its permissions") from error
     if found is None:
         raise InputError(f"{where} does not exist, or is no file; check the path")
-    if (reader := found.reader) is not None:
-        return _described(reader, [where], str(where), str(where))
+    if (name := found.reader) is not None:
+        return _described(READERS.get(name), [where], str(where), str(where))
     if found.kind is SCENE and isinstance(where, LocalPlace):
         return _report("scene", str(where), *_scene(where.path))
     raise InputError(found.sentence(where))

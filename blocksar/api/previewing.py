@@ -22,9 +22,9 @@ from blocksar.focusing import preview as coarse
 from blocksar.graph.machine import resources
 from blocksar.kernels.phase import Float32Array
 from blocksar.places import Location, place
-from blocksar.products.options import check_ending, parse_range
+from blocksar.products.options import parse_range
 from blocksar.products.pictures.overview import Overview, cell_edges, range_notes
-from blocksar.products.pixels import checked_limits
+from blocksar.products.registry import check_ending
 from blocksar.products.writing import replacing
 from blocksar.progress import Wanted as Progress
 
@@ -95,7 +95,7 @@ def preview(
     if isinstance(pixels, bool) or not isinstance(pixels, int | np.integer) or not 50 <= pixels <= LARGEST:
         raise InputError(f"size = {quoted(size)}: give 50 to {LARGEST} pixels along the longer side of the picture")
     count = resources(1, threads, None).threads
-    limits = None if range is None else checked_limits(parse_range(range))
+    limits = None if range is None else parse_range(range)
     if out is not None:
         check_ending("png", str(place(out)))
     history = history_of(source)

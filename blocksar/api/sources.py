@@ -12,7 +12,7 @@ from blocksar.errors import InputError
 from blocksar.graph.machine import resources
 from blocksar.ingestion import readers
 from blocksar.ingestion.found import found_at
-from blocksar.ingestion.readers import READERS, Reader
+from blocksar.ingestion.readers import READERS
 from blocksar.ingestion.timeline import stated_times
 from blocksar.options import read_options
 from blocksar.places import Location, readable
@@ -148,10 +148,15 @@ def ingest(
     if not isinstance(source, str | os.PathLike | Place | Sequence):
         raise InputError(f"source is {source!r}; give the path of a file, or a list of paths")
     sources = [source] if isinstance(source, str | os.PathLike | Place) else list(source)
-    reader = _reader(kind, sources)
+    name = kind if kind is not None or not sources else reader_of(sources[0])
+    if name not in READERS:
+        raise InputError(f"kind is {kind!r}; it must be {' or '.join(map(repr, READERS.names()))}")
+    reader = READERS.get(name)
     if not sources or (len(sources) > 1 and not reader.several):
         raise InputError(f"source is a list of {len(sources)}; {reader.kind.name} is ingested by itself")
-    choices: Any = read_options(reader.options, options, reader.name, {each.name: each.options for each in READERS})
+    choices: Any = read_options(
+        reader.options, options, str(name), ((other, each.options) for other, each in READERS.sound())
+    )
     history = readers.ingest(
         reader, sources, out, choices, times=stated_times(collection_start, time_zero), overwrite=overwrite,
         progress=only_stage(progress, "ingest"),
@@ -159,17 +164,8 @@ def ingest(
     return Report(summary=[*history.messages, f"wrote {history.path}"], result=history.collection)
 
 
-def _reader(kind: str | None, sources: Sequence[Location]) -> Reader:
-    """The reader of a name, or that which knows the first file."""
-    if kind is None and sources:
-        return reader_of(sources[0])
-    if kind not in READERS.names():
-        raise InputError(f"kind is {kind!r}; it must be {' or '.join(map(repr, READERS.names()))}")
-    return READERS.get(kind)
-
-
-def reader_of(source: Location) -> Reader:
-    """The reader that knows a file by its first bytes.
+def reader_of(source: Location) -> str:
+    """The name of the reader that knows a file by its first bytes.
 
     Raises
     ------

@@ -40,7 +40,7 @@ class Readers(Plugged):
 
         def ingest_files(
             context: typer.Context,
-            source: Annotated[kind, typer.Argument(metavar=metavar, help=text)],
+            source: str,
             out: StoreOut,
             collection_start: CollectionStart = None,
             time_zero: TimeZero = None,
@@ -59,6 +59,7 @@ class Readers(Plugged):
             show(report)
             hint(context, "info", out)
 
+        ingest_files.__annotations__["source"] = Annotated[kind, typer.Argument(metavar=metavar, help=text)]
         doc = f"{reader.summary}\n\nExample: [bold]blocksar ingest {name} {reader.example}[/bold]"
         return with_options(ingest_files, reader.options, doc)
 
@@ -66,7 +67,7 @@ class Readers(Plugged):
         from blocksar.api.sources import reader_of
 
         if args and not args[0].startswith("-") and args[0] not in self.names():
-            name = reader_of(args[0]).name
+            name = reader_of(args[0])
             return name, self.get_command(ctx, name), args
         return super().resolve_command(ctx, args)
 

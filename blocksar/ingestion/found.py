@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from blocksar.errors import InputError
 from blocksar.ingestion.kinds import NOTHING, OTHERS, SAFE_ECHOES, SAFE_IMAGES, SCENE, START, Kind, Start
-from blocksar.ingestion.readers import READERS, Reader
+from blocksar.ingestion.readers import READERS
 from blocksar.places.local import LocalPlace
 from blocksar.places.ranges import Readable
 
@@ -27,9 +27,9 @@ class Found(NamedTuple):
     file: Readable
 
     @property
-    def reader(self) -> Reader | None:
-        """What reads it, if anything does."""
-        return next((reader for reader in READERS if reader.kind is self.kind), None)
+    def reader(self) -> str | None:
+        """The name of what reads it, if anything does."""
+        return next((name for name, reader in READERS.sound() if reader.kind is self.kind), None)
 
     def sentence(self, asked: Readable, given: str | None = None) -> str:
         """What it is, and what leads from there to a phase history; `given` is the path as the user gave it."""

@@ -92,10 +92,9 @@ class Reader(Protocol):
 
     Attributes
     ----------
-    name : str
-        As in `blocksar ingest NAME`.
     summary : str
-        The help of that command: a sentence, and after an empty line more.
+        The help of its command, `blocksar ingest NAME`, with the name under which it is registered: a sentence, and
+        after an empty line more.
     example : str
         Its words after the name, for the help.
     source : (str, str)
@@ -108,7 +107,6 @@ class Reader(Protocol):
         A model of `blocksar.options`, with the fields of `ReaderOptions`.
     """
 
-    name: str
     summary: str
     example: str
     source: tuple[str, str]

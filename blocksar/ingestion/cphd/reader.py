@@ -16,7 +16,6 @@ from blocksar.places.ranges import Readable
 class CphdReader:
     """CPHD 1.0 and 1.1 (NGA.STND.0068)."""
 
-    name = "cphd"
     summary = "Convert a CPHD file to a phase history, in the tangent frame at its scene's reference point."
     example = "collect.cphd --out collect.zarr"
     source = "SOURCE.cphd", "CPHD file, version 1.0 or 1.1; or its URL."

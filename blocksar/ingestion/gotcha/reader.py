@@ -14,7 +14,6 @@ from blocksar.places.ranges import Readable
 class GotchaReader:
     """MATLAB files of the AFRL Gotcha volumetric SAR data set."""
 
-    name = "gotcha"
     summary = (
         "Join MATLAB files of the AFRL Gotcha data set, in azimuth, into a phase history.\n\n"
         "The phase history keeps the scene-centred frame of the files."
