@@ -13,9 +13,11 @@ from blocksar.arrays import ComplexArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import plan_region
-from blocksar.inspection.check import Findings, Trial, check
+from blocksar.inspection.check import check
+from blocksar.inspection.contrast import Contrast
 from blocksar.inspection.pointing import Pointing, point
 from blocksar.inspection.prominent import Samples
+from blocksar.inspection.verdict import Findings, Trial
 from blocksar.simulation.phase_history import sampler
 from blocksar.simulation.scene import Scene
 
@@ -134,18 +136,21 @@ def test_of_a_conjugated_signal_the_simplest_cause_is_named_and_the_tie_said(kin
     signal, collection = made(kind)
     warning = found(np.conj(signal), collection, thorough=True).warning() or ""
     assert warning.startswith("the signal is conjugated")
-    assert "These places do not tell whether the phase of the carrier has the other sign" in warning
+    assert "They do not tell whether the phase of the carrier has the other sign" in warning
 
 
 def test_of_tied_alternatives_that_with_fewest_changes_is_believed() -> None:
-    trials = (
-        Trial("as given", "", (0.05,) * 12, 100.0),
-        Trial("two things are wrong", "mend both", (0.73,) * 12, 100.0, changes=2),
-        Trial("one thing is wrong", "mend it", (0.63,) * 12, 100.0),
-    )
-    warning = Findings(trials, 0.1, 0.1, "", "").warning() or ""
+    given = (Contrast(3.0, 1.0),) * 12
+
+    def trial(name: str, remedy: str, gain: float, changes: int = 1) -> Trial:
+        return Trial(name, remedy, given, (Contrast(3.0 + gain, 1.0),) * 12, (0.9,) * 12, (0.7,) * 12, changes)
+
+    trials = trial("as given", "", 0.0), trial("two things are wrong", "mend both", 12.0, 2)
+    warning = Findings((*trials, trial("one thing is wrong", "mend it", 11.0)), 0.7).warning() or ""
     assert warning.startswith("one thing is wrong, it seems") and "mend it. " in warning
     assert "do not tell whether two things are wrong" in warning
+    warning = Findings((*trials, trial("one thing is wrong", "mend it", 10.0)), 0.7).warning() or ""
+    assert warning.startswith("two things are wrong")
 
 
 def judged(signal: ComplexArray, collection: Collection) -> Pointing | None:
