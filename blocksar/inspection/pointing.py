@@ -58,6 +58,8 @@ class Pointing(NamedTuple):
         By which places are brighter with it, dB in the median.
     rival : str
         Another error that these places do not tell from it, as one a PRF away; empty if there is none.
+    narrower : bool
+        Whether a narrower beam fits better, though by less than a pattern's nulls or cut dwells may give.
     """
 
     places: int
@@ -65,6 +67,7 @@ class Pointing(NamedTuple):
     found: Alternative | None = None
     gain: float = 0.0
     rival: str = ""
+    narrower: bool = False
 
     @property
     def told(self) -> bool:
@@ -213,7 +216,7 @@ def _judged(
         or np.mean(gain > 0) < SHARE
         or np.median(scores[:, best]) < AGREED
     ):
-        return Pointing(len(scores), reach)
+        return Pointing(len(scores), reach, narrower=bool(hypotheses.width[best] < width))
     try:
         found = _alternative(collection, hypotheses, best)
     except InputError:  # it would be refused

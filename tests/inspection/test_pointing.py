@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from axis_beams import axis_scene
+from exact_scenes import exact_scene
 
 from blocksar.arrays import ComplexArray
 from blocksar.collection.collection import Collection
@@ -100,6 +101,14 @@ def test_a_beam_of_half_the_width_is_found(kind: str) -> None:
     warning = found(signal, replace(collection, beam_width=2 * width)).warning() or ""
     assert warning.startswith("the beam has about 0.5 of the ")
     assert f"give beam_width as {width:.3g} rad" in warning
+
+
+def test_of_cut_dwells_a_narrower_beam_is_said_to_be_possible() -> None:
+    """Where the collection ends within dwells of twice the width, these lose less than the half that is empty."""
+    scene = exact_scene(4)
+    said = replace(scene.collection, beam_width=2 * (scene.collection.beam_width or 0.0)).centred()
+    sentence = check(scene.signal, said, grid=scene.grid, threads=2, thorough=False).sentence()
+    assert "the beam lights them when it should, and may be narrower than said" in sentence
 
 
 def test_a_beam_about_its_axis_that_turns_the_other_way_is_found() -> None:
