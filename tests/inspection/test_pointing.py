@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from axis_beams import axis_scene
-from exact_scenes import exact_scene
+from exact_scenes import exact_scene, samples
 
 from blocksar.arrays import ComplexArray
 from blocksar.collection.collection import Collection
@@ -112,13 +112,18 @@ def test_a_beam_of_half_the_width_is_found_where_the_collection_cuts_dwells() ->
 
 
 def test_a_beam_between_the_nulls_of_its_pattern_is_not_called_too_wide() -> None:
-    """A part of it is brighter a pulse, by 1.7 dB; if it was dark beyond, by 3."""
-    beam, shape, _ = BEAMS["strip"]
-    rows = "".join(f'[[targets]]\nname = "{i}"\nx = {8960 + 20 * i}.0\ny = {-70 + 20 * i}.0\n' for i in range(5))
-    scene = Scene.parse(axis_scene(f'{beam}\npattern = "sinc2"', more=rows, **shape))
-    patterned = scene.collection()
-    signal = sampler(scene, patterned)(slice(0, patterned.n_pulse))
-    told = judged(signal, replace(patterned.centred(), beam_offset=None, beam_pattern=None))
+    """Its middle is brighter a pulse, by 1.7 dB; if the rest was dark, by 3."""
+    scene = exact_scene(2)
+    collection, width = scene.collection, scene.collection.beam_width
+    assert collection.beam_axis is not None and collection.beam_steering is not None and width is not None
+    signal = np.zeros_like(scene.signal)
+    for dx, dy in ((-20, -12), (-10, 12), (0, 0), (10, -6), (20, 6)):
+        place = np.array([scene.targets[:, 0].mean() + dx, dy, 0.0])
+        sight = place - collection.antenna_position
+        sine = (sight * collection.beam_axis).sum(axis=1) / np.linalg.norm(sight, axis=1)
+        two_way = np.sinc(2 * (np.arcsin(sine) - collection.beam_steering) / width) ** 2
+        signal += (two_way[:, None] * samples(collection, place[None], np.ones(1))).astype(np.complex64)
+    told = judged(signal, collection.centred())
     assert told is not None and told.told and told.found is None and told.narrower
 
 
