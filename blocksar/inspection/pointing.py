@@ -149,13 +149,13 @@ def _apart(one: Place, other: Place) -> float:
     return float(np.hypot(one.x - other.x, one.y - other.y))
 
 
-def _beam(collection: Collection) -> FloatArray:
+def beam_angle(collection: Collection) -> FloatArray:
     """Angle of the beam's centre, (n_pulse,) rad."""
     return collection.beam_azimuth if collection.beam_steering is None else collection.beam_steering
 
 
 def _hypotheses(collection: Collection, reach: float) -> _Hypotheses:
-    beam, width = _beam(collection), collection.beam_width or 0.0
+    beam, width = beam_angle(collection), collection.beam_width or 0.0
     count = round(reach / (STEP * width))
     errors = np.arange(-count, count + 1) * STEP * width
     errors = errors[np.argsort(np.abs(errors), kind="stable")]  # as said first
@@ -187,7 +187,7 @@ def _line(source: Lines, place: Place, turns: int, collection: Collection) -> Li
 
 def _captured(source: Lines, line: Line, collection: Collection, hypotheses: _Hypotheses) -> FloatArray:
     """|sum|^2 / n of a line under each hypothesis, its concentration there, and n, (3, n_hypothesis)."""
-    geometry, said = source.geometry, _beam(collection)[line.pulses]
+    geometry, said = source.geometry, beam_angle(collection)[line.pulses]
     offset = beam_offset(geometry, np.array(line.place.x), np.array(line.place.y), line.pulses)
     energy, focus, n = np.zeros((3, hypotheses.law.size))
     for number, law in enumerate(hypotheses.laws):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from axis_beams import axis_scene
+from exact_scenes import exact_scene
 from scenes import PAPERS, scene, write_store
 from typer.testing import CliRunner
 
@@ -329,6 +330,13 @@ def test_a_track_is_doubted_only_where_a_refocus_makes_points(refocused: float, 
     """At 20 % of bandwidth points of an exact track reached 0.046 as given, and 0.08: 5 rad were said."""
     found = Findings((given(sharpness=0.5 * refocused),), refocused, 5.0)
     assert (found.warning() is not None) == doubted
+
+
+def test_of_a_beam_in_degrees_that_lights_nothing_for_long_the_unit_is_doubted() -> None:
+    scene = exact_scene(11)
+    said = replace(scene.collection, beam_azimuth=np.degrees(scene.collection.beam_azimuth)).centred()
+    sentence = run(scene.signal, said, scene.grid, thorough=True).sentence()
+    assert sentence.startswith("nothing was tested: no place is lit by 64 pulses or more, as if the angles of the beam")
 
 
 def test_where_nothing_can_be_compared_nothing_is_said_to_fit() -> None:
