@@ -161,8 +161,8 @@ def focus(
     control : path or sequence of Target, optional
         With `autofocus`: points at known places, which anchor the track. Default: none.
     whole_pulses : bool
-        Of a raw echo, image only ground whose whole pulses were recorded; other ground stays NaN. Default: where `grid`
-        has ground with parts of pulses, it is divided by the part; without a grid, only ground with whole pulses.
+        Of a raw echo, image only ground whose whole pulses were recorded; other ground stays NaN, as it does without a
+        grid. Default: False, so that where `grid` has ground with parts of pulses, it is divided by the part.
     looks : int, optional
         Number of parts of each target's dwell, each of which becomes an image of its own: (look, y, x). Default: one
         image of whole dwells.

@@ -125,8 +125,8 @@ def plan(
         What a GeoTIFF's heights are measured from, if it does not say so: "ellipsoid", "egm96" or "egm2008"; or
         "egm2008:FILE" with the geoid's grid. Needed for such a file only.
     whole_pulses : bool
-        Of a raw echo, image only ground whose whole pulses were recorded; other ground stays NaN. Default: where `grid`
-        has ground with parts of pulses, it is divided by the part; without a grid, only ground with whole pulses.
+        Of a raw echo, image only ground whose whole pulses were recorded; other ground stays NaN, as it does without a
+        grid. Default: False, so that where `grid` has ground with parts of pulses, it is divided by the part.
     ground_height : float, optional
         Height z of the imaged plane in the scene frame, m. Default: that of the phase history.
     looks : int, optional

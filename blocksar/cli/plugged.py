@@ -103,7 +103,7 @@ def typer_option(option: Option, default: object = None) -> Any:
 
 
 def _parameter(stated: Stated) -> Parameter:
-    typed = stated.option.read is None
-    kind, default = (stated.type, stated.default) if typed else (str | None, None)
+    kind = stated.type if stated.option.read is None else str | None
+    default = stated.default if stated.option.default is None else None
     annotation = Annotated[kind, typer_option(stated.option, default)]  # type: ignore[valid-type]
     return Parameter(stated.name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple, Protocol
 
+import numpy as np
+
 from blocksar import stores
 from blocksar.arrays import ComplexArray
+from blocksar.chunks import TILE
 from blocksar.collection.collection import Collection
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.ingestion.kinds import Kind
@@ -51,7 +54,7 @@ class Reading:
     collection : Collection
     pieces : callable ()
         Begins to read the samples, a piece at a time: range-frequency samples, or echoes over the fast time of `raw`.
-        A piece may be given again, with what is known better then.
+        Pieces follow each other from pulse to pulse; whole chunks may be given again, with what is known better then.
     attributes : mapping
         Of the store: `source`, `georeference`, `polarization`, ... (`stores.schema`).
     messages : callable ()
@@ -206,7 +209,7 @@ def store(
 
     def fill(place: Place) -> None:
         done = 0
-        for piece in reading.pieces():
+        for piece in _by_chunks(reading.pieces(), collection.n_pulse):
             columns = slice(0, piece.samples.shape[1])
             if names:
                 region: tuple[slice, ...] = (slice(piece.channel, piece.channel + 1), piece.pulses, columns)
@@ -225,3 +228,15 @@ def store(
         path=target.path if isinstance(target, LocalPlace) else target, collection=collection,
         messages=list(reading.messages()),
     )  # fmt: skip
+
+
+def _by_chunks(pieces: Iterable[Piece], n_pulse: int) -> Iterator[Piece]:
+    """The same samples in pieces that end where chunks of the store do."""
+    rest: Piece | None = None
+    for channel, pulses, samples in pieces:
+        first, last = pulses.start if rest is None else rest.pulses.start, pulses.stop
+        joined = samples if rest is None else np.concatenate([rest.samples, samples])
+        whole = last if last == n_pulse else max(last - last % TILE[0], first)
+        if whole > first:
+            yield Piece(channel, slice(first, whole), joined[: whole - first])
+        rest = Piece(channel, slice(whole, last), joined[whole - first :]) if last > whole else None

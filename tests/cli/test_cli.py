@@ -130,7 +130,7 @@ def test_focus_passes_every_option(api: Calls) -> None:
         " --terrain dem.tif --surface ellipsoid --vertical egm96 --ground-height 30 --looks 3 --autofocus"
         " --control points.json"
         " --grid -10:10:0.5,100:200:1 --workers 3 --threads 2 --memory-limit 2GiB --scheduler tcp://a:1 --overwrite"
-        " --discard"
+        " --discard --wait-workers 5 --whole-pulses"
     )
     assert run(*words.split()).exit_code == 0
     args, kwargs = api.seen["focus"]
@@ -164,6 +164,8 @@ def test_focus_passes_every_option(api: Calls) -> None:
         "discard": True,
         "performance_report": None,
         "dry_run": False,
+        "wait_workers": 5.0,
+        "whole_pulses": True,
     }
 
 
@@ -177,6 +179,7 @@ def test_defaults(api: Calls) -> None:
             "surface": "plane",
             "vertical": None,
             "ground_height": None,
+            "whole_pulses": False,
             "looks": None,
             "blocks": "auto",
             "fidelity": 0.999,

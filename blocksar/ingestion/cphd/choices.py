@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 from blocksar.errors import InputError
 from blocksar.ingestion.cphd.delays import RangeWindow
@@ -12,6 +12,14 @@ from blocksar.ingestion.cphd.troposphere import Troposphere
 from blocksar.ingestion.readers import ReaderOptions
 from blocksar.options import Option
 from blocksar.spans import parse_crop, parse_pulses, parse_span
+
+
+def _read_band(span: Any) -> tuple[float, float]:
+    return parse_span(span, "--frequencies", "--frequencies 9.5e9:9.7e9")
+
+
+def _read_area(crop: Any) -> tuple[tuple[float, float], tuple[float, float]]:
+    return parse_crop(crop, "area")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,12 +60,12 @@ class Choices(ReaderOptions):
     frequencies: Annotated[
         tuple[float, float],
         Option("Band that is read, Hz.", metavar="F1:F2", default="all",
-               read=lambda span: parse_span(span, "--frequencies", "--frequencies 9.5e9:9.7e9")),
+               read=_read_band),
     ] = (-math.inf, math.inf)  # fmt: skip
     area: Annotated[
         tuple[tuple[float, float], tuple[float, float]] | None,
         Option("Ground of the image, m: no more samples are kept than it needs.", metavar="x0:x1,y0:y1", default="all",
-               read=lambda crop: parse_crop(crop, "area")),
+               read=_read_area),
     ] = None  # fmt: skip
     sgn: Annotated[int | None, Option("Sign SGN that the samples follow.", metavar="-1|+1", default="as declared")] = (
         None
