@@ -178,7 +178,8 @@ def reader_of(source: Location) -> str:
     except OSError as error:
         raise InputError(f"{where} cannot be read ({error.strerror or error}); check its permissions") from error
     if found is None:
-        raise InputError(f"{where} does not exist, or is no file; check the path")
+        kinds = ", ".join(READERS.names())
+        raise InputError(f"{where} does not exist, or is no file; check the path (kinds of files are {kinds})")
     if found.reader is None:
         raise InputError(found.sentence(where))
     return found.reader

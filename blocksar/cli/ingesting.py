@@ -66,7 +66,8 @@ class Readers(Plugged):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         from blocksar.api.sources import reader_of
 
-        if args and not args[0].startswith("-") and args[0] not in self.names():
+        named = not args or args[0].startswith("-") or args[0] in self.names()
+        if not (named or ctx.resilient_parsing):  # which completes words
             name = reader_of(args[0])
             return name, self.get_command(ctx, name), args
         return super().resolve_command(ctx, args)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from blocksar.errors import InputError
 from blocksar.ingestion.cphd.choices import Choices
 from blocksar.ingestion.cphd.files import KIND
 from blocksar.ingestion.kinds import Kind
@@ -26,8 +25,6 @@ class CphdReader:
     def read(self, sources: Sequence[Location], options: Choices) -> Reading:
         from blocksar.ingestion.cphd.ingestion import begin
 
-        if len(sources) != 1:
-            raise InputError(f"source is a list of {len(sources)}; a CPHD file is ingested by itself")
         return begin(sources[0], options)
 
     def describe(self, files: Sequence[Readable], given: str) -> Described:
