@@ -76,7 +76,7 @@ class Readers(Plugged):
 ingest = typer.Typer(
     name="ingest",
     cls=Readers,
-    help="Convert measured data to a phase history.\n\n"
-    "Example: [bold]blocksar ingest collect.cphd --out collect.zarr[/bold]",
+    help="Convert measured data to a phase history. Without the name of a command, the file's first bytes tell it.\n\n"
+    "Example: [bold]blocksar ingest cphd collect.cphd --out collect.zarr[/bold]",
     no_args_is_help=True,
 )
