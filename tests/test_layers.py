@@ -27,7 +27,7 @@ PACKAGE = ROOT / "blocksar"
 # no other room of its own layer.
 LAYERS = (
     {"errors", "constants", "budget", "garbage", "loop_cache", "version"},
-    {"places", "progress", "arrays", "solvers", "chunks"},
+    {"places", "progress", "arrays", "solvers", "chunks", "options", "plugins", "spans"},
     {"kernels"},
     {"collection"},
     {"stores", "measurement", "focusing"},
@@ -73,7 +73,7 @@ IMPURE_LIBRARIES = {"io", "json", "logging", "os", "pathlib", "shutil", "tempfil
 OWN_TRANSFORMS = {"simulation/scatterers.py"}
 
 # Libraries that `import blocksar` and `blocksar --help` must not load.
-HEAVY = ("dask", "distributed", "finufft", "matplotlib", "numba", "scipy", "xarray", "zarr")
+HEAVY = ("dask", "distributed", "finufft", "importlib.metadata", "matplotlib", "numba", "scipy", "xarray", "zarr")
 
 # ---------------------------------------------------------------- reading the modules
 

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 from blocksar import stores
-from blocksar.api.parsing import LEAST_MEMORY, parse_blocks, parse_grid, parse_memory, quoted, read_grid
+from blocksar.api.parsing import LEAST_MEMORY, parse_blocks, parse_grid, parse_memory, read_grid
 from blocksar.budget import FIDELITY, LEAST_FIDELITY
 from blocksar.collection.collection import Collection
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
-from blocksar.errors import InputError
+from blocksar.errors import InputError, quoted
 from blocksar.places import Location, lies_at, place
 from blocksar.places.place import Place
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from blocksar.api.partial_pulses import WHOLE, recorded_text
 from blocksar.budget import FIDELITY
-from blocksar.collection.beam import lit_yaw, wrapped
+from blocksar.collection.beam import NOT_STEERED, lit_yaw, wrapped
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
@@ -33,7 +33,6 @@ USUAL = {
     "blocks": "auto", "fidelity": FIDELITY, "weighting_range": FLAT.text, "weighting_azimuth": FLAT.text,
     "surface": "plane", "pulses": WHOLE,
 }  # fmt: skip
-NOT_STEERED = "not steered: it lights everything all the time, so that a grid is needed"
 HISTORY_LINES = 3  # the newest ones are shown
 
 

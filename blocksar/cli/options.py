@@ -10,25 +10,14 @@ from typing import Annotated, Any, Literal, TypedDict, get_args, get_type_hints
 import typer
 
 from blocksar.api.parsing import Axis, parse_blocks, parse_grid, parse_memory
+from blocksar.cli.plugged import typer_option
 from blocksar.collection.surface import Surface
 from blocksar.focusing.method import Coefficients, Method, Processor
+from blocksar.products.options import COLOUR_MAP, COLOUR_RANGE
 
 Channel = Annotated[str | None, typer.Option(metavar="NAME", help="Of several channels.", show_default="the first")]
-ColourMap = Annotated[
-    str | None,
-    typer.Option(
-        "--colour-map", "--color-map", metavar="NAME", help="One of matplotlib's colour maps.", show_default="gray"
-    ),
-]
-
-
-def _decibels(of: str) -> Any:
-    """The option --range of what decibels are mapped to."""
-    return typer.Option("--range", metavar="LOW:HIGH", help=f"dB at the ends of {of}.", show_default="by the image")
-
-
-ColourRange = Annotated[str | None, _decibels("the colours")]
-ScaleRange = Annotated[str | None, _decibels("--scale")]
+ColourMap = Annotated[str | None, typer_option(COLOUR_MAP)]
+ColourRange = Annotated[str | None, typer_option(COLOUR_RANGE)]
 Run = Annotated[str, typer.Argument(metavar="RUN", help="Folder of a finished run.")]
 StoreOut = Annotated[str, typer.Option(metavar="STORE", help="Phase-history store to write.")]
 ALTERNATIVES = "Alternative methods, for comparison"  # title of a panel in the help

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +19,10 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.ingestion import cphd
+from blocksar.ingestion import readers
+from blocksar.ingestion.cphd import Choices
+from blocksar.ingestion.cphd.reader import CPHD
+from blocksar.ingestion.reading import Ingested
 from blocksar.simulation import cphd as cphd_simulation
 from blocksar.simulation.scatterers import simulate_pulses
 from blocksar.simulation.scene import Scene
@@ -173,9 +177,16 @@ def expected(collection: Collection, base: Base) -> Array:
     return simulate_pulses(collection, base.targets[:, 0], base.targets[:, 1], base.sigma)
 
 
+def ingest(path: Path, out: Path, *, overwrite: bool = False, progress: Any = None, **options: Any) -> Ingested:
+    """Ingest a file by its reader."""
+    choices = options.pop("choices", Choices())
+    choices = replace(choices, **options)
+    return readers.ingest(CPHD, [path], out, choices, overwrite=overwrite, progress=progress)
+
+
 def ingested(path: Path, **options: Any) -> tuple[Collection, Array, list[str], dict[str, Any]]:
     out = path.with_suffix(".zarr")
-    made = cphd.ingest(path, out, overwrite=True, **options)
+    made = ingest(path, out, overwrite=True, **options)
     history = stores.open_phase_history(out)
     return history.collection, history.read(slice(None), slice(None)), made.messages, history.attrs
 
@@ -184,7 +195,7 @@ def refused(path: Path, match: str, **options: Any) -> str:
     """Check that the error is one sentence that names the file, and that nothing is written."""
     out = path.parent / "refused.zarr"
     with pytest.raises(InputError, match=match) as caught:
-        cphd.ingest(path, out, **options)
+        ingest(path, out, **options)
     text = str(caught.value)
     assert "\n" not in text
     assert len(text) < 500

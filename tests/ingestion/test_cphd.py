@@ -24,6 +24,7 @@ from cphd_files import (
     expected,
     failures,
     grid_of,
+    ingest,
     ingested,
     parts_of,
     refused,
@@ -46,7 +47,6 @@ from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_image
-from blocksar.ingestion import cphd
 from blocksar.ingestion.cphd import channels, echoes, ingestion
 from blocksar.ingestion.cphd.files import CphdFile, open_file
 from blocksar.ingestion.cphd.samples import ACCURACY
@@ -581,7 +581,7 @@ def test_all_channels_of_one_geometry_become_one_store(base: Base, tmp_path: Pat
 
     path = with_two_channels(tmp_path / "pair.cphd", base, change=lose, polarizations=("HH", "HV"))
     told: list[tuple[int, int]] = []
-    made = cphd.ingest(path, tmp_path / "ph.zarr", channel="all", progress=lambda *n: told.append(n))
+    made = ingest(path, tmp_path / "ph.zarr", channel="all", progress=lambda *n: told.append(n))
     assert made.messages[0] == "channels HH (1), HV (2) have one geometry"
     assert told == [(160, 320), (320, 320)]
     both = stores.open_phase_history(tmp_path / "ph.zarr")
@@ -597,9 +597,9 @@ def test_all_channels_of_one_geometry_become_one_store(base: Base, tmp_path: Pat
     np.testing.assert_array_equal(second.read(slice(None), slice(None)), alone)
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(alone[:, 0])), [7, 8, 9])
     # A file of one channel has no channels, unless one of two is called so.
-    assert stores.open_phase_history(cphd.ingest(base.path, tmp_path / "a.zarr", channel="all").path).channels == ()
+    assert stores.open_phase_history(ingest(base.path, tmp_path / "a.zarr", channel="all").path).channels == ()
     called = with_two_channels(tmp_path / "called.cphd", base, names=("all", "b"))
-    assert stores.open_phase_history(cphd.ingest(called, tmp_path / "b.zarr", channel="all").path).channels == ()
+    assert stores.open_phase_history(ingest(called, tmp_path / "b.zarr", channel="all").path).channels == ()
 
 
 @pytest.mark.parametrize(
@@ -643,7 +643,7 @@ def test_channels_of_other_geometry_are_refused(
 ) -> None:
     path = with_two_channels(tmp_path / "two.cphd", base, change=change)
     with pytest.raises(InputError, match=rf"two.cphd: channels '1' and '2' differ in {said}.*; give --channel") as no:
-        cphd.ingest(path, tmp_path / "ph.zarr", channel="all")
+        ingest(path, tmp_path / "ph.zarr", channel="all")
     assert "\n" not in str(no.value) and not (tmp_path / "ph.zarr").exists()
 
 
@@ -937,7 +937,7 @@ def test_flipped_bytes_of_header_xml_and_vectors(base: Base, tmp_path: Path) -> 
             changed[place] ^= 1 << int(rng.integers(8)) if trial % 2 else int(rng.integers(1, 256))
         path.write_bytes(changed)
         try:
-            cphd.ingest(path, out, overwrite=True)
+            ingest(path, out, overwrite=True)
         except InputError as error:
             told += 1
             assert "\n" not in str(error), trial
@@ -974,7 +974,7 @@ def test_a_file_that_shrinks_during_reading(base: Base, tmp_path: Path, monkeypa
 def test_paths_that_are_not_regular_files(base: Base, tmp_path: Path) -> None:
     for name, match in {"nowhere.cphd": "does not exist", "": "no regular file"}.items():
         with pytest.raises(InputError, match=match):
-            cphd.ingest(tmp_path / name, tmp_path / "out.zarr")
+            ingest(tmp_path / name, tmp_path / "out.zarr")
     with pytest.raises(InputError, match="object store"):
         cphd_simulation.simulate(Scene.parse(SCENE), "s3://bucket/a.cphd")
     assert not (tmp_path / "out.zarr").exists()
@@ -996,13 +996,13 @@ def test_existing_files_are_kept(base: Base, tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.cphd"]
     ingested(path)
     with pytest.raises(InputError, match="exists; choose another name"):
-        cphd.ingest(path, tmp_path / "a.zarr")
+        ingest(path, tmp_path / "a.zarr")
 
 
 def test_without_sarkit_the_error_names_the_extra(base: Base, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "sarkit.cphd", None)
     with pytest.raises(InputError, match=r"install blocksar\[formats\]"):
-        cphd.ingest(base.path, tmp_path / "out.zarr")
+        ingest(base.path, tmp_path / "out.zarr")
 
 
 # ---------------------------------------------------------------- Commands

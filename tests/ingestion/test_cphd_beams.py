@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from axis_beams import axis_scene
-from cphd_files import failures
+from cphd_files import failures, ingest
 from lxml import etree
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
@@ -22,7 +22,6 @@ from blocksar.collection.beam import is_lit, pattern_gain
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
-from blocksar.ingestion import cphd
 from blocksar.simulation import cphd as cphd_simulation
 from blocksar.simulation.cphd_beam import GAIN_ERROR
 from blocksar.simulation.scene import Scene
@@ -86,7 +85,7 @@ def tops(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 def ingested(path: Path) -> tuple[Collection, list[str]]:
     out = path.with_suffix(".zarr")
-    said = cphd.ingest(path, out, overwrite=True).messages
+    said = ingest(path, out, overwrite=True).messages
     return stores.open_phase_history(out).collection, said
 
 

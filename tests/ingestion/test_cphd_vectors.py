@@ -31,8 +31,9 @@ from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_image
-from blocksar.ingestion.cphd import Choices, describe
+from blocksar.ingestion.cphd import Choices
 from blocksar.ingestion.cphd.areas import read_area
+from blocksar.ingestion.cphd.describing import describe
 from blocksar.ingestion.cphd.faults import Lost, describe_lost
 from blocksar.ingestion.cphd.files import NEEDED, CphdFile, open_file
 from blocksar.ingestion.cphd.ingestion import Prepared, prepare
@@ -243,7 +244,7 @@ def test_a_scene_about_the_srp_tells_nothing_of_the_sign_but_its_maker_may(base:
     path = write(tmp_path / "two.cphd", parts)
     assert any("SGN +1 is doubtful: files of capella-radar-13" in line for line in ingested(path)[2])
     assert not any("doubtful" in line for line in ingested(path, choices=Choices(sgn=-1))[2])
-    assert any("SGN +1 is doubtful" in line for line in describe(LocalPlace(path)).notes)
+    assert any("SGN +1 is doubtful" in line for line in describe(LocalPlace(path), "").notes)
     assert describe_sign(None, -1, "capella", given=False) is None
 
 

@@ -48,8 +48,6 @@ A file is read in blocks of vectors, and only the samples in the common band if 
 from __future__ import annotations
 
 from blocksar.ingestion.cphd.choices import Choices
-from blocksar.ingestion.cphd.describing import describe
 from blocksar.ingestion.cphd.files import NAMESPACE, library
-from blocksar.ingestion.cphd.ingestion import ingest
 
-__all__ = ["NAMESPACE", "Choices", "describe", "ingest", "library"]
+__all__ = ["NAMESPACE", "Choices", "library"]

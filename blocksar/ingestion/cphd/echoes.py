@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import BinaryIO
 
 import numpy as np
 
-from blocksar import stores
 from blocksar.arrays import BoolArray, ComplexArray, IntArray
 from blocksar.chunks import TILE
 from blocksar.collection.collection import Collection
@@ -21,10 +20,9 @@ from blocksar.ingestion.cphd.faults import NOT_FINITE, ZEROS, Lost
 from blocksar.ingestion.cphd.files import CphdFile, reading_file
 from blocksar.ingestion.cphd.samples import Resampler, phasor
 from blocksar.ingestion.cphd.vectors import Pulses, VectorResampling
+from blocksar.ingestion.readers import Piece
 from blocksar.ingestion.resampling import MOST_ERROR
 from blocksar.measurement.window import WindowEnergy, energy_in_window
-from blocksar.places.place import Place
-from blocksar.progress.listening import Callback
 
 ROWS = TILE[0]  # pulses written at a time
 PART = 64  # vectors resampled in frequency at a time
@@ -174,40 +172,28 @@ class Found:
     sign: WindowEnergy | None  # see `signs`
 
 
-def write_samples(store: Place, channels: Sequence[Echoes], *, named: bool, progress: Callback | None) -> list[Found]:
-    """Write the samples of channels to a store, one block of pulses at a time; lost pulses are missing.
+def read_samples(channels: Sequence[Echoes], found: list[Found]) -> Iterator[Piece]:
+    """Read the samples of channels, one block of pulses at a time; lost pulses are missing.
 
-    Parameters
-    ----------
-    named : bool
-        Whether samples of the store have a dimension of channels.
+    Blocks that change with what is known of lost pulses at the end are given again. What is found is added to a list.
     """
-    found, stored = [], channels[0].stored
+    stored = channels[0].stored
     blocks = [slice(first, min(first + ROWS, stored.n_pulse)) for first in range(0, stored.n_pulse, ROWS)]
-    columns = slice(0, stored.n_range_frequency)
     for number, echoes in enumerate(channels):
-        lead = (slice(number, number + 1),) if named else ()
         with reading_file(echoes.file.path), echoes.file.path.open() as stream:
             reader = Reader(echoes, stream)
             read = reader.stored(echoes.cut)
             for pulses in blocks:
-                _put(store, (*lead, pulses, columns), read(pulses))
-                if progress is not None:
-                    progress(number * stored.n_pulse + pulses.stop, len(channels) * stored.n_pulse)
+                yield Piece(number, pulses, read(pulses))
             reader.missing, lost = reader.lost()
             if reader.missing.any():
                 cut = echoes.cut_without(reader.missing)
                 affected, read = _affected(reader.missing, cut), reader.stored(cut)
                 for pulses in blocks:
                     if affected[pulses].any():
-                        _put(store, (*lead, pulses, columns), read(pulses))
+                        yield Piece(number, pulses, read(pulses))
         missing = int(np.count_nonzero(reader.missing & (echoes.pulses.vector >= 0)))
         found.append(Found(lost=lost, missing=missing, sign=reader.sign()))
-    return found
-
-
-def _put(store: Place, region: tuple[slice, ...], block: ComplexArray) -> None:
-    stores.write_region(store, "signal", region, block[None] if len(region) > block.ndim else block)
 
 
 def _affected(missing: BoolArray, cut: Cut | None) -> BoolArray:

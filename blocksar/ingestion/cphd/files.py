@@ -15,13 +15,18 @@ from numpy.typing import NDArray
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.errors import InputError, library_for
-from blocksar.ingestion.kinds import CPHD, refuse_others
+from blocksar.ingestion.found import refuse_others
+from blocksar.ingestion.kinds import Kind, matches
 from blocksar.ingestion.reading import reading
 from blocksar.places.ranges import Readable
 
 if TYPE_CHECKING:
     from types import ModuleType
 
+KIND = Kind(
+    "a CPHD file", matches(rb"CPHD/1\.[01](\.\d+)?\n"),
+    "turn it into a phase history first: `blocksar ingest cphd {path} --out {store}`",
+)  # fmt: skip
 KNOWN = ("1.0.1", "1.1.0")  # versions that sarkit knows
 NAMESPACE = "http://api.nsgreg.nga.mil/schema/cphd/"
 END_OF_SECTION = b"\f\n"
@@ -151,7 +156,7 @@ def opened(path: Readable) -> BinaryIO:
     OSError
         If it cannot be opened.
     """
-    refuse_others(path, CPHD)
+    refuse_others(path, KIND)
     return path.open()
 
 

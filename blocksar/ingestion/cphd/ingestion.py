@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from blocksar import stores
 from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.georeference import Georeference
@@ -19,86 +18,47 @@ from blocksar.ingestion.cphd.beams import fit_beam
 from blocksar.ingestion.cphd.channels import check_same_geometry, names_of, open_channels
 from blocksar.ingestion.cphd.choices import Choices
 from blocksar.ingestion.cphd.delays import Delays, find_delays
-from blocksar.ingestion.cphd.echoes import Echoes, Found, write_samples
+from blocksar.ingestion.cphd.echoes import Echoes, Found, read_samples
 from blocksar.ingestion.cphd.faults import describe_lost
 from blocksar.ingestion.cphd.files import CphdFile, library, numbers_of, opened, reading_file
 from blocksar.ingestion.cphd.samples import Interpolated, Resampler, Selected, Transformed, choose_resampler
 from blocksar.ingestion.cphd.signs import describe_sign
 from blocksar.ingestion.cphd.troposphere import find_troposphere
 from blocksar.ingestion.cphd.vectors import Pulses, VectorResampling, assign_pulses, resample_vectors
-from blocksar.ingestion.reading import Ingested
+from blocksar.ingestion.readers import Reading
 from blocksar.measurement.window import WindowEnergy
-from blocksar.places import Location, place, readable
-from blocksar.places.local import LocalPlace
-from blocksar.places.place import Place
-from blocksar.progress.listening import Callback
+from blocksar.places import Location, readable
 
 MAX_BISTATIC = 1 / 16  # wavelengths, largest difference between bistatic and monostatic range
 PARTS = "--area, --pulses, --frequencies"
 SAME_PLACE = 10.0  # m, largest distance between the two descriptions of the IARP
-AS_IT_IS = Choices()
 
 
-def ingest(
-    source: Location,
-    out: Location,
-    *,
-    channel: str | None = None,
-    choices: Choices = AS_IT_IS,
-    times: Mapping[str, Any] | None = None,
-    overwrite: bool = False,
-    progress: Callback | None = None,
-) -> Ingested:
-    """Turn one channel of a CPHD file, or all of them, into a phase-history store, one block of vectors at a time.
-
-    Parameters
-    ----------
-    source : path
-        A file of CPHD 1.0 or 1.1, monostatic, FX or TOA domain.
-    out : path, URL or Place
-        Of the new store.
-    channel : str, optional
-        Identifier; optional if the file has only one. "all" makes a store with a channel for each of the file's, which
-        must have one geometry.
-    choices : Choices
-        What of it is read, and what is not as the file says.
-    times : mapping, optional
-        What `stated_times` gives, instead of the file's own.
-    overwrite : bool
-        Replace an existing store.
-    progress : callable (done, total)
-        Called after each block, with numbers of pulses.
+def begin(source: Location, choices: Choices) -> Reading:
+    """Read all of a CPHD file but its samples: those of one channel, or of all of them.
 
     Raises
     ------
     InputError
-        If the file is damaged, not supported or contradicts itself, or `out` exists and overwrite is False.
+        If the file is damaged, not supported or contradicts itself.
     """
-    where, target = readable(source), place(out)
+    where = readable(source)
     library()
     # Damaged numbers may cause floating-point warnings; the checks report them.
     with reading_file(where), opened(where) as stream, np.errstate(all="ignore"):
-        prepared = [prepare(file, choices) for file in open_channels(stream, where, channel)]
+        prepared = [prepare(file, choices) for file in open_channels(stream, where, choices.channel)]
         names, attributes, notes = _combined(prepared)
-    stores.refuse_full(target, prepared[0].collection, max(len(names), 1), f"read a part ({PARTS})")
-    attributes = {
-        **attributes,
-        "source": {**attributes["source"], **(times or {})},
-        "history": stores.history_line(f"ingested by blocksar from {where.name}"),
-    }
-    collection, found = prepared[0].collection, list[Found]()
+    found: list[Found] = []
 
-    def fill(store: Place) -> None:
-        echoes = [each.echoes for each in prepared]
-        found.extend(write_samples(store, echoes, named=bool(names), progress=progress))
+    def messages() -> list[str]:
+        told = [each.messages(some, choices) for each, some in zip(prepared, found, strict=True)]
+        first, *others = told
+        more = dict.fromkeys(line for some in others for line in some if line not in first)
+        return [*notes[:1], *first, *more, *notes[1:]]
 
-    stores.create_phase_history(target, collection, channels=names, attrs=attributes, overwrite=overwrite, fill=fill)
-    told = [each.messages(some, choices) for each, some in zip(prepared, found, strict=True)]
-    first, *others = told
-    more = dict.fromkeys(line for some in others for line in some if line not in first)
-    return Ingested(
-        path=target.path if isinstance(target, LocalPlace) else target, collection=collection,
-        messages=[*notes[:1], *first, *more, *notes[1:]],
+    return Reading(
+        collection=prepared[0].collection, pieces=lambda: read_samples([each.echoes for each in prepared], found),
+        attributes=attributes, messages=messages, channels=names, parts=PARTS,
     )  # fmt: skip
 
 
