@@ -186,7 +186,7 @@ def check_reference(names: dict[str, Any]) -> None:
 
 
 def check_reader(names: dict[str, Any]) -> None:
-    reader = names["MadeUp"]
+    reader = names["MADEUP"]
     assert {*Reader.__annotations__, "read", "describe"} <= set(dir(reader))
     assert [field.name for field in fields(reader.options)] == ["ground_height", "gain"]
     assert reader.kind.mark(Start("flight.madeup", b"MADEUP 1\n", whole=True))
