@@ -28,14 +28,6 @@ from blocksar.api.arguments import (
 from blocksar.api.jobs import Job, Request
 from blocksar.api.joint import focus_members, members_of
 from blocksar.api.partial_pulses import recorded_lines
-from blocksar.api.plan_lines import (
-    cut_dwells,
-    missed_fidelity,
-    outside_window,
-    short_dwells,
-    undersampling,
-    wobbling_beam,
-)
 from blocksar.api.rehearsing import rehearse
 from blocksar.api.room import Beside, check_room_for_run
 from blocksar.api.run_stages import carry_out
@@ -46,7 +38,7 @@ from blocksar.collection.surface import Surface
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
 from blocksar.errors import InputError
-from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Processor, RangeModel, method_of
+from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Processor, RangeModel
 from blocksar.graph import cluster, recording
 from blocksar.graph.machine import Resources, resources
 from blocksar.ingestion.terrain.reading import Ground, terrain_notes
@@ -54,6 +46,7 @@ from blocksar.loop_cache import compilation_seconds
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.place import Place
+from blocksar.processors import options_for
 from blocksar.progress import Listener, as_listener
 from blocksar.progress import Wanted as Progress
 from blocksar.runs import folder as run_folder
@@ -260,18 +253,18 @@ def _focus_image(
     """
     listener, compiled = as_listener(progress), compilation_seconds()
     profile = None if performance_report is None else Path(performance_report)
-    method = method_of(
+    options = options_for(
         processor,
-        coefficients=coefficients,
-        perturbation=perturbation,
-        keystone=keystone,
-        derotation=derotation,
-        range_model=range_model,
-    )
+        {
+            "coefficients": coefficients, "perturbation": perturbation, "keystone": keystone,
+            "derotation": derotation, "range_model": range_model,
+        },
+    )  # fmt: skip
     request = Request.open(
         source,
         out,
-        method=method,
+        processor=processor,
+        options=options,
         blocks=blocks_of(blocks),
         fidelity=fidelity_of(fidelity),
         weighting=Weighting.parse(weighting, weighting_range, weighting_azimuth),
@@ -401,17 +394,12 @@ def _focus(
         check_room_for_run(job, Beside(following), resumed=resumed)
         with run_folder.resumable():
             finished = carry_out(job, run, record, workers, listener, profile, resumed=resumed, compiled=compiled)
-    found = [
-        next((line for plan in job.plans if (line := doubt(plan))), None)
-        for doubt in (undersampling, short_dwells, cut_dwells, wobbling_beam, missed_fidelity)
-    ]
-    found += recorded_lines([segment.geometry for segment in job.segments], job.grid, swath=False)
-    found += outside_window(job.plans) if job.plans else []
+    found = [*job.plan.notes(), *recorded_lines([piece.geometry for piece in job.plan.pieces], job.grid, swath=False)]
     if request.terrain is not None:
         found += terrain_notes(request.terrain, job.grid)
     if not (measurable := is_measurable(finished)):
         found.append("quality, report and export take images of at least 2 x 2 pixels; this one opens in Python only")
-    notes = [f"note: {line}" for line in found if line]
+    notes = [f"note: {line}" for line in found]
     worker = "this process" if cluster.is_here(client) else "a worker"
     lines = [*_summary(request.folder, finished, job.memory, worker), *notes]
     return RunReport(summary=lines, result=finished.as_json(), folder=request.folder, measurable=measurable)

@@ -12,7 +12,8 @@ import typer
 from blocksar.api.parsing import Axis, parse_blocks, parse_grid, parse_memory
 from blocksar.cli.plugged import typer_option
 from blocksar.collection.surface import Surface
-from blocksar.focusing.method import Coefficients, Method, Processor
+from blocksar.focusing.method import ChainOptions, Coefficients, Method, Processor
+from blocksar.options import options_of
 from blocksar.products.options import COLOUR_MAP, COLOUR_RANGE
 
 Channel = Annotated[str | None, typer.Option(metavar="NAME", help="Of several channels.", show_default="the first")]
@@ -22,14 +23,7 @@ Run = Annotated[str, typer.Argument(metavar="RUN", help="Folder of a finished ru
 StoreOut = Annotated[str, typer.Option(metavar="STORE", help="Phase-history store to write.")]
 ALTERNATIVES = "Alternative methods, for comparison"  # title of a panel in the help
 PROCESSORS = f"{', '.join(get_args(Processor)[:-1])}, or backprojection, exact but slow"
-# Help of each option of the method; a field of `Method` becomes an option of `plan` and `focus` by its entry here.
-METHOD_HELP = {
-    "coefficients": "Fitted to time-frequency lines, or by the paper's closed forms.",
-    "perturbation": "All of the processor's, the one in Doppler only, or none: deramp only.",
-    "keystone": "Without keystone: RCMC by one reference in time.",
-    "derotation": "Linear: a single Doppler rate, which needs a higher PRF.",
-    "range_model": "Conventional: substitute variables after RWC; needs closed-form.",
-}
+METHOD_HELP = {each.name: each.option.help for each in options_of(ChainOptions)}
 
 # Of the method's options the only one that scripts in workflows/ and deploy/ have; `plan` and `focus` have all.
 CoefficientsOption = Annotated[
