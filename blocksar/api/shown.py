@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from blocksar.api.reports import Report
+from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError, library_for
 from blocksar.places.place import Place
@@ -28,6 +29,11 @@ class PlanReport(Report):
     """
 
     plan: ImagePlan | None = None
+
+    @property
+    def geometry(self) -> Geometry | None:
+        """Track and ground of the collection, or of the first of several; None without a plan."""
+        return None if self.plan is None else self.plan.pieces[0].geometry
 
     def headline(self) -> str:
         if self.plan is None or self.refusal is not None:

@@ -6,11 +6,13 @@ unless the record has its checksum. As a run folder may come from elsewhere, no 
 
 from __future__ import annotations
 
+import copyreg
 import io
 import pickle
 import zlib
 from dataclasses import is_dataclass
 from enum import Enum
+from functools import cached_property
 from typing import Any, TypeVar
 
 from blocksar import stores
@@ -29,7 +31,9 @@ _BUILTINS = {"complex", "frozenset", "range", "set", "slice"}
 
 def pack(plan: object) -> bytes:
     """A plan as it is written."""
-    return zlib.compress(pickle.dumps(plan, protocol=5), level=1)
+    file = io.BytesIO()
+    _Pickler(file, protocol=5).dump(plan)
+    return zlib.compress(file.getvalue(), level=1)
 
 
 def write(folder: Place, packed: bytes) -> None:
@@ -72,6 +76,21 @@ def damaged(folder: Place) -> FolderError:
         "--overwrite to begin it again",
         replaceable=True,
     )
+
+
+class _Pickler(pickle.Pickler):
+    """Leaves out what objects have only computed: the bytes do not depend on what was asked of a plan."""
+
+    def reducer_override(self, obj: Any) -> Any:
+        if not is_dataclass(obj) or isinstance(obj, type):
+            return NotImplemented
+        computed = {
+            name
+            for each in type(obj).__mro__
+            for name, value in vars(each).items()
+            if isinstance(value, cached_property)
+        }
+        return copyreg.__newobj__, (type(obj),), {k: v for k, v in vars(obj).items() if k not in computed}  # type: ignore[attr-defined]
 
 
 class _Unpickler(pickle.Unpickler):
