@@ -22,6 +22,7 @@ from blocksar.collection.grid import Grid
 from blocksar.errors import InputError
 from blocksar.graph.machine import resources
 from blocksar.places import place
+from blocksar.processors import options_for
 from blocksar.runs.record import FINISHED, RunRecord
 
 EVERY = """
@@ -183,7 +184,7 @@ def test_a_dry_run_says_what_would_be_done_and_writes_nothing(table1: Path, tmp_
 def test_a_dry_run_of_back_projection_names_memory_and_disk(table1: Path, tmp_path: Path) -> None:
     grid = ((16000.0, 16256.0, 1.0), (19000.0, 19256.0, 1.0))
     report = blocksar.focus(table1, tmp_path / "run", processor="backprojection", grid=grid, dry_run=True)
-    assert "about 0.5 MiB" in report.summary[-2] and report.tables == []  # 256 x 256 pixels of 8 bytes
+    assert "about 0.6 MiB" in report.summary[-2] and report.tables == []  # 256 x 256 pixels of 8 bytes, and the plan
     assert not (tmp_path / "run").exists()
 
 
@@ -201,7 +202,8 @@ def test_a_finished_run_needs_nothing() -> None:
 
 def test_a_request_that_replaces_a_run_says_so(table1: Path, tmp_path: Path) -> None:
     (tmp_path / "run.json").write_text("{}")
-    exact: dict[str, Any] = {"method": None, "blocks": "auto", "fidelity": 0.999, "overwrite": True}
+    exact: dict[str, Any] = {"blocks": "auto", "fidelity": 0.999, "overwrite": True}
+    exact |= {"processor": "backprojection", "options": options_for("backprojection", {})}
     request = Request.open(table1, place(tmp_path), grid=Grid(16000, 16032, 1, 19000, 19032, 1), **exact)
     report = rehearse(request, None, resources(1, 1, None), Beside())
     assert f"would replace what is in {tmp_path}" in report.summary[-2]
