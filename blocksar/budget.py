@@ -1,4 +1,4 @@
-"""Limits of error: how far a planned image may deviate from the ideal one."""
+"""Limits of error, how far a planned image may deviate from the ideal one; and of the time that a run waits."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ UNIFORM_SIDE_LOBES = -13.26  # dB, of an image without weighting
 WEIGHTED_SIDE_LOBE_BUDGET = 0.5  # dB, of an image whose weighting has lower side lobes
 AZIMUTH_TAP_ERROR = 1e-4  # of the interpolation along azimuth: keystone and Doppler resampling
 IMAGE_TAP_ERROR = 1e-3  # of the interpolation of focused blocks
+WAIT_WORKERS = 60.0  # s that a run waits for a worker of a running cluster that has none, unless told otherwise
 
 
 def image_tap_error(fidelity: float) -> float:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 from blocksar.constants import MIB
 
+SAMPLE = 8  # bytes of a sample or pixel, complex64
 MOSAIC_CHUNKS = 4  # output chunks merged by a task: a single one takes no longer than the scheduler's reply
 LAYER_CHUNKS = 16  # output chunks whose layers are added by a task
 BACKPROJECTION_CHUNK = 512  # pixels on a side that are back-projected in one pass over the pulses
@@ -23,3 +26,15 @@ WRITES_AT_ONCE = 2  # chunks that a task of one thread writes while it computes 
 WRITES_PER_THREAD = 2 / 3  # and of several threads, for each: writing takes up to so much of the time of computing
 IMAGE_PIXELS = IMAGE_CHUNK**2
 TILE = (512, 1024)  # pulses by columns in a chunk of a phase history: 4 MiB, efficient to read along both axes
+
+
+def stored_bytes(shape: tuple[int, ...], chunks: tuple[int, ...] = TILE) -> int:
+    """Bytes of an array of complex64 samples in chunks, which are stored whole also where they stand out of it.
+
+    Examples
+    --------
+    >>> stored_bytes((1200, 451)) // 8, 3 * 512 * 451
+    (692736, 692736)
+    """
+    sides = [(n, max(min(n, chunk), 1)) for n, chunk in zip(shape, chunks, strict=True)]
+    return SAMPLE * math.prod(-(-n // side) * side for n, side in sides)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import re
+import reprlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -18,6 +19,13 @@ OPTION = re.compile(
 def printable(text: str) -> str:
     """Return text that is safe on a terminal: unprintable characters except line ends become escape sequences."""
     return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
+
+
+def quoted(text: object) -> str:
+    """Quote user input for a message, shortened to 80 characters."""
+    short = reprlib.Repr()
+    short.maxstring = short.maxother = 80
+    return short.repr(text)
 
 
 def in_python(text: str) -> str:
@@ -88,6 +96,10 @@ class FolderError(InputError):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (str(self), self.replaceable)
+
+
+class NoRoom(FolderError):
+    """What is to be written will not fit the disk; nothing of it is written yet."""
 
 
 def in_the_way(path: object, state: str = "exists") -> InputError:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import dask
@@ -13,6 +14,9 @@ import pytest
 from distributed import Client
 
 import blocksar
+from blocksar.api import run_stages
+from blocksar.api.findings import Check
+from blocksar.api.jobs import Job
 from blocksar.collection.collection import Collection
 from blocksar.graph.cluster import open_client
 
@@ -60,6 +64,21 @@ def small_collection() -> Collection:
         ground_height=0.0,
         title="small squint-TOPS collection",
     )
+
+
+@pytest.fixture
+def unchecked(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the samples of runs in this process unchecked, but for tests marked `checked`.
+
+    The check takes more than half of a small run. Modules that focus one scene again and again use this fixture.
+    """
+
+    @contextmanager
+    def checking(job: Job, *, beside: bool) -> Iterator[Callable[[], list[Check]]]:
+        yield lambda: [(None, "")] * len(job.request.histories)
+
+    if request.node.get_closest_marker("checked") is None:
+        monkeypatch.setattr(run_stages, "checking", checking)
 
 
 @pytest.fixture(scope="session")

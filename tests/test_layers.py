@@ -27,12 +27,13 @@ PACKAGE = ROOT / "blocksar"
 # no other room of its own layer.
 LAYERS = (
     {"errors", "constants", "budget", "garbage", "loop_cache", "version"},
-    {"places", "progress", "arrays", "solvers", "chunks"},
+    {"places", "progress", "arrays", "solvers", "chunks", "options", "plugins", "spans", "tables"},
     {"kernels"},
     {"collection"},
     {"stores", "measurement", "focusing"},
     {"ingestion", "runs", "planning", "inspection", "autofocusing"},
     {"simulation", "graph", "products"},
+    {"processors"},
     {"api"},
     {"cli", "accessor", "__init__"},
     {"__main__"},
@@ -53,10 +54,10 @@ HOMES: dict[str, set[str] | None] = {
     "xxhash": {"stores"},
     "xarray": {"stores", "products", "api", "ingestion"},
     "dask": {"graph"},
-    "distributed": {"graph", "api"},  # api: types
+    "distributed": {"graph", "processors", "api"},  # processors, api: types
     "typer": {"cli"},
     "rich": {"cli", "progress"},
-    "matplotlib": {"products", "api"},  # api: types
+    "matplotlib": {"products", "processors", "api"},  # processors, api: types
     "jinja2": {"products"},
     "rasterio": {"products", "ingestion"},
     "shapely": {"products"},
@@ -73,7 +74,7 @@ IMPURE_LIBRARIES = {"io", "json", "logging", "os", "pathlib", "shutil", "tempfil
 OWN_TRANSFORMS = {"simulation/scatterers.py"}
 
 # Libraries that `import blocksar` and `blocksar --help` must not load.
-HEAVY = ("dask", "distributed", "finufft", "matplotlib", "numba", "scipy", "xarray", "zarr")
+HEAVY = ("dask", "distributed", "finufft", "importlib.metadata", "matplotlib", "numba", "scipy", "xarray", "zarr")
 
 # ---------------------------------------------------------------- reading the modules
 

@@ -10,6 +10,7 @@ import re
 import shlex
 import tomllib
 from collections.abc import Callable, Iterator
+from dataclasses import fields
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,8 @@ import blocksar
 from blocksar.api import parsing
 from blocksar.cli import commands
 from blocksar.errors import InputError
+from blocksar.ingestion.kinds import Start
+from blocksar.ingestion.readers import Reader
 
 ROOT = Path(__file__).resolve().parents[1]
 BUILT = {"build", "dist", "node_modules"}  # folders to skip at any depth, as hidden ones
@@ -182,6 +185,13 @@ def check_reference(names: dict[str, Any]) -> None:
     assert 0.5 < float(abs(names["image"]).max()) < 1.1  # the target has reflectivity 1 and lies between pixels
 
 
+def check_reader(names: dict[str, Any]) -> None:
+    reader = names["MADEUP"]
+    assert {*Reader.__annotations__, "read", "describe"} <= set(dir(reader))
+    assert [field.name for field in fields(reader.options)] == ["ground_height", "gain"]
+    assert reader.kind.mark(Start("flight.madeup", b"MADEUP 1\n", whole=True))
+
+
 def check_arrays(names: dict[str, Any]) -> None:
     assert names["run"].open()["image"].sel(x=30, y=-24).item() == pytest.approx(1, abs=0.01)
     assert Path("arrays.png").stat().st_size > 10_000
@@ -189,6 +199,7 @@ def check_arrays(names: dict[str, Any]) -> None:
 
 CHECKS: dict[str, Callable[[dict[str, Any]], None]] = {
     "README.md": check_arrays,
+    "blocksar/ingestion/README.md": check_reader,
     "blocksar/products/README.md": check_xarray,
     "blocksar/stores/README.md": check_own_data,
     "deploy/site/pages/reference.md": check_reference,

@@ -38,7 +38,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
 import typer
 from distributed import Client, LocalCluster, Worker
@@ -46,6 +46,10 @@ from distributed.security import Security
 
 import blocksar
 from blocksar.api.parsing import parse_blocks, parse_grid
+from blocksar.budget import WAIT_WORKERS
+from blocksar.cli.options import WaitWorkers
+from blocksar.graph.admission import await_workers, waiting_for_workers
+from blocksar.progress import Listener
 from first_image import SCENE
 
 PACKAGES = ["blocksar", "dask", "distributed", "numba", "numpy", "zarr"]
@@ -71,11 +75,17 @@ def connect(scheduler: str, ca: Path | None, cert: Path | None, key: Path | None
         raise blocksar.InputError(f"no dask scheduler answers at {scheduler} ({cause}); check --scheduler") from None
 
 
-def print_workers(client: Client) -> None:
-    """Print one line per worker."""
-    workers = client.sync(cast(Any, client.scheduler).identity, n_workers=-1)["workers"]
-    if not workers:
-        raise blocksar.InputError("the scheduler has no worker; start one: dask worker ADDRESS --nthreads 1")
+class Notes(Listener):
+    """A progress listener that prints the notes."""
+
+    def note(self, text: str, *, again: bool = False) -> None:
+        print(f"note: {text}", flush=True)
+
+
+def print_workers(client: Client, wait_workers: float) -> None:
+    """Print one line per worker, once there is one."""
+    with waiting_for_workers(wait_workers):
+        workers = await_workers(client, Notes())
     for address, worker in workers.items():
         print(f"worker {address}: {worker['nthreads']} threads, memory limit {worker['memory_limit'] / GIB:.2f} GiB")
     print(f"dashboard: {client.dashboard_link}")
@@ -171,6 +181,7 @@ def main(
         str, typer.Option(metavar="RUN", help="Folder of the run, at a path shared with the workers.")
     ] = "cluster-run",
     scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Address of the dask scheduler.")] = None,
+    wait_workers: WaitWorkers = WAIT_WORKERS,
     tls_ca: Annotated[Path | None, typer.Option(metavar="PEM", help="Certificate of the authority.")] = None,
     tls_cert: Annotated[Path | None, typer.Option(metavar="PEM", help="Own certificate.")] = None,
     tls_key: Annotated[Path | None, typer.Option(metavar="PEM", help="Its key.")] = None,
@@ -183,15 +194,19 @@ def main(
 
     Example: python workflows/on_a_cluster.py ph.zarr --out run --scheduler tcp://10.0.0.1:8786 --report run.html
     """
-    settings: dict[str, Any] = {"blocks": parse_blocks(blocks), "grid": None if grid is None else parse_grid(grid)}
-    progress = None
+    settings: dict[str, Any] = {
+        "blocks": parse_blocks(blocks),
+        "grid": None if grid is None else parse_grid(grid),
+        "wait_workers": wait_workers,
+    }
+    progress: Listener | Fault = Notes()
     with ExitStack() as stack:
         if local_test:
             scheduler = stack.enter_context(two_workers()).scheduler_address
         elif not source or scheduler is None:
             raise blocksar.InputError("PH.zarr or --scheduler is missing; give both, or --local-test alone")
         client = stack.enter_context(connect(scheduler, tls_ca, tls_cert, tls_key))
-        print_workers(client)
+        print_workers(client, wait_workers)
         check_versions(client)
         if "://" not in out:  # a bucket has one address for all
             check_folder(client, Path(out).absolute().parent)

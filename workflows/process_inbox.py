@@ -48,6 +48,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from blocksar.api import parsing
+from blocksar.budget import WAIT_WORKERS
 from blocksar.cli import endings, options
 from blocksar.errors import InputError, ProcessingError
 from blocksar.places import place
@@ -76,6 +77,7 @@ def main(
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="A running dask scheduler; default: a cluster of its own.")
     ] = None,
+    wait_workers: options.WaitWorkers = WAIT_WORKERS,
     notify: Annotated[
         str | None, typer.Option(metavar="COMMAND", help="Run for each result, with the event as JSON on stdin.")
     ] = None,
@@ -101,6 +103,7 @@ def main(
             "workers": workers,
             "threads": threads,
             "memory_limit": None if memory_limit is None else parsing.parse_memory(memory_limit),
+            "wait_workers": wait_workers,
         }
         status = sweep(
             inbox, outbox, settings, Hook.parse(notify), scheduler=scheduler, group=parse_group(group), quiet=quiet

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 from blocksar import stores
-from blocksar.api.parsing import LEAST_MEMORY, parse_blocks, parse_grid, parse_memory, quoted, read_grid
+from blocksar.api.parsing import LEAST_MEMORY, parse_blocks, parse_grid, parse_memory, read_grid
 from blocksar.budget import FIDELITY, LEAST_FIDELITY
 from blocksar.collection.collection import Collection
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
-from blocksar.errors import InputError
+from blocksar.errors import InputError, quoted
 from blocksar.places import Location, lies_at, place
 from blocksar.places.place import Place
 
@@ -78,14 +78,16 @@ def in_this_process(workers: int | None, collections: Sequence[Collection]) -> b
     return workers == 0
 
 
-def check_cluster(*, client: object, scheduler: str | None, workers: int | None) -> None:
-    """Check that one cluster is asked for.
+def check_cluster(*, client: object, scheduler: str | None, workers: int | None, wait_workers: Any) -> None:
+    """Check that one cluster is asked for, and that its workers are waited for.
 
     Raises
     ------
     InputError
-        If two running ones are, or one and none at all.
+        If two running ones are, or one and none at all; or if the time to wait is none.
     """
+    if isinstance(wait_workers, bool) or not isinstance(wait_workers, int | float | np.number) or not wait_workers >= 0:
+        raise InputError(f"--wait-workers {quoted(wait_workers)} is no time; give seconds, or 0 to wait for no worker")
     if client is not None and scheduler is not None:
         raise InputError(f"--scheduler {quoted(scheduler)} is given together with a client; leave one out")
     if workers == 0 and (client is not None or scheduler is not None):

@@ -18,6 +18,8 @@ from blocksar.api.reports import Report
 from blocksar.api.track_places import TrackPlace
 from blocksar.api.tracks import TrackEstimate
 from blocksar.autofocusing.finishing import Result
+from blocksar.budget import WAIT_WORKERS
+from blocksar.chunks import stored_bytes
 from blocksar.collection.surface import Surface
 from blocksar.errors import InputError
 from blocksar.graph import cluster
@@ -27,6 +29,7 @@ from blocksar.ingestion.terrain.reading import Ground
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, lies_in, place
 from blocksar.places.place import Place
+from blocksar.places.room import check_room
 from blocksar.progress import Listener, as_listener
 from blocksar.progress import Wanted as Progress
 from blocksar.runs import folder as run_folder
@@ -56,6 +59,7 @@ def autofocus(
     threads: int | None = None,
     memory_limit: int | str | None = None,
     scheduler: str | None = None,
+    wait_workers: float = WAIT_WORKERS,
     overwrite: bool = False,
     progress: Progress | None = None,
     client: Client | None = None,
@@ -94,6 +98,9 @@ def autofocus(
         Memory of each worker, bytes or a text such as "2GiB". Default: its share of the machine's memory.
     scheduler : str, optional
         Address of a running dask scheduler, used instead of a local cluster.
+    wait_workers : float
+        Time to wait for a worker of a running cluster as long as it has none, at the start and whenever the last one is
+        lost, s. 0: fail at once. Default: 60.
     overwrite : bool
         Replace what stands at `out`. Default: False.
     progress : object with a method update(stage, done, total), or False, optional
@@ -115,7 +122,7 @@ def autofocus(
     """
     listener, target = as_listener(progress), place(out)
     limit = memory_of(memory_limit)
-    check_cluster(client=client, scheduler=scheduler, workers=workers)
+    check_cluster(client=client, scheduler=scheduler, workers=workers, wait_workers=wait_workers)
     [history] = on_ground([history_of(source)], ground_height, terrain=terrain)
     stored = not isinstance(history, stores.DatasetHistory)
     if stored and (lies_in(history.path, target) or lies_in(target, history.path)):
@@ -139,12 +146,15 @@ def autofocus(
     with ExitStack() as stack:
         connected = None
         if client is not None or scheduler is not None:
-            connected = stack.enter_context(cluster.open_client(scheduler=scheduler, client=client))
-            workers, limit = cluster.cluster_size(connected, workers=workers, memory_limit=limit)
+            opened = cluster.open_client(scheduler=scheduler, client=client, wait_workers=wait_workers)
+            connected = stack.enter_context(opened)
+            workers, limit = cluster.cluster_size(connected, workers=workers, memory_limit=limit, listener=listener)
         elif workers == 0:
             connected = cluster.open_here(listener)
         machine = resources(workers, threads, limit)
         memory = estimate.checked_memory(machine)
+        if target.free() is not None:
+            check_room(target, estimate.room(_copied(history)))
         stack.enter_context(run_folder.claim(estimate.folder))
         stores.refuse_existing(target, overwrite=overwrite)  # again: another process may have written it meanwhile
         clock = time.perf_counter()
@@ -172,6 +182,13 @@ def _finished(target: Place, estimate: TrackEstimate) -> dict[str, Any] | None:
     except InputError:
         return None
     return attribute if isinstance(attribute, dict) and attribute.get("identity") == estimate.identity else None
+
+
+def _copied(history: stores.PhaseHistory) -> int:
+    """Bytes of the copy of a phase history."""
+    if isinstance(history, stores.DatasetHistory):
+        return stored_bytes(history.shape)
+    return sum(size for _, size, _ in history.path.files())
 
 
 def _write(

@@ -20,6 +20,7 @@ from blocksar.measurement.table3 import TABLE3
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
+from blocksar.places.room import check_room
 from blocksar.planning import effort
 from blocksar.progress import Wanted as Progress
 from blocksar.progress import as_listener
@@ -82,6 +83,7 @@ def demo(
         raise InputError(f"{folder} exists and is not a demonstration run; choose another --out")
     simulated = history.exists() and not overwrite
     if not simulated:
+        check_room(folder, demonstration.ROOM - folder.taken())
         listener.note(f"{folder} will take 0.3 GB, and 0.6 GB while the demonstration runs")
     listener.expect(effort.of_demo(simulated=simulated, compiled=compiling.kernels_cached()), 1)
     if not simulated:

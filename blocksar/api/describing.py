@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,12 +16,14 @@ from blocksar.api.reports import Report
 from blocksar.api.shown import is_measurable
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError
-from blocksar.ingestion import kinds
-from blocksar.ingestion.kinds import found_at
+from blocksar.ingestion.found import found_at
+from blocksar.ingestion.kinds import SCENE
+from blocksar.ingestion.readers import READERS, Reader
 from blocksar.places import Location, place, readable
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.places.ranges import Readable, WebFile
+from blocksar.places.room import size_text
 from blocksar.runs.folder import member
 from blocksar.runs.record import RECORD, RunRecord
 from blocksar.simulation.scene import Scene
@@ -36,7 +38,6 @@ PARTS = {
     "antenna_position": "the track as flown, beside a simulated phase history",
 }  # fmt: skip
 MADE = ("quality.json", "report.html", "mosaic.png", "contours.png")  # in a run folder, by other commands
-MOST_READ = 16  # files of the Gotcha set that are read; of more, the first and the last
 
 
 def info(path: Location | xr.Dataset) -> Report:
@@ -77,12 +78,10 @@ def info(path: Location | xr.Dataset) -> Report:
     if "zarr.json" in names or ".zgroup" in names:
         return _store(where, names)
     if isinstance(where, LocalPlace) and not where.path.is_file():
-        if files := sorted(name for name in names if name.lower().endswith(".mat")):
-            return _report(
-                "folder of the AFRL Gotcha set",
-                str(where),
-                *_gotcha([where / name for name in files], f"{where / '*.mat'}"),
-            )
+        if (found := found_at(where)) is not None and (name := found.reader) is not None and READERS.get(name).several:
+            ending = Path(found.file.name).suffix
+            files = [where / name for name in sorted(names) if name.endswith(ending)]
+            return _described(READERS.get(name), files, str(where), f"{where / f'*{ending}'}")
         if not where.exists():
             raise InputError(f"{where} does not exist; check the path")
     elif not names:
@@ -95,9 +94,9 @@ def _unknown(where: Place, names: list[str]) -> InputError:
     inside = [name for name in names if name.endswith(".zarr") or (where / name / RECORD).exists()]
     if not inside and (found := found_at(where)) is not None:
         return InputError(found.sentence(where))
-    remedy = f"look at {where / inside[0]}" if inside else (
-        "give a phase history, a run folder, an image.zarr, a CPHD file, files of the Gotcha set, or a scene"
-    )  # fmt: skip
+    files = ", ".join(reader.kind.name for reader in READERS)
+    remedy = f"give a phase history, a run folder, an image.zarr, {files}, or a scene"
+    remedy = f"look at {where / inside[0]}" if inside else remedy
     return InputError(f"{where} is nothing that blocksar reads or writes{holds}; {remedy}")
 
 
@@ -133,7 +132,7 @@ def _store(where: Place, names: list[str]) -> Report:
 
 def _size(where: Place) -> Rows:
     size = facts.disk_size(where)
-    return [] if size is None else [("on disk", facts.size_text(size))]
+    return [] if size is None else [("on disk", size_text(size))]
 
 
 def _dataset(dataset: Any) -> Report:
@@ -142,7 +141,7 @@ def _dataset(dataset: Any) -> Report:
         x, y = dataset["x"].values, dataset["y"].values
         rows = [
             *facts.general_rows(dataset.attrs), ("grid", _pixels(x, y)),
-            ("in memory", facts.size_text(dataset["image"].nbytes)), *facts.history_rows(dataset.attrs),
+            ("in memory", size_text(dataset["image"].nbytes)), *facts.history_rows(dataset.attrs),
         ]  # fmt: skip
         return _report("image", f"{dataset.encoding.get('source', 'a dataset')}", rows, [])
     history = history_of(dataset)
@@ -158,7 +157,7 @@ def _phase_history(history: stores.PhaseHistory, where: Place | None) -> Report:
     rows = [
         *facts.general_rows(history.attrs),
         *([("channels", ", ".join(history.channels))] if history.channels else []),
-        ("samples", f"{pulses} pulses x {columns} {axis}, {facts.size_text(8 * pulses * columns * count)} in memory"),
+        ("samples", f"{pulses} pulses x {columns} {axis}, {size_text(8 * pulses * columns * count)} in memory"),
         *([] if where is None else _size(where)),
         *facts.collection_rows(history.collection),
         *facts.history_rows(history.attrs),
@@ -226,60 +225,23 @@ def _file(where: Readable) -> Report:
         raise InputError(f"{where} cannot be read ({error.strerror or error}); check its permissions") from error
     if found is None:
         raise InputError(f"{where} does not exist, or is no file; check the path")
-    match found.kind.name:
-        case kinds.CPHD:
-            return _report("CPHD file", str(where), *_cphd(where))
-        case kinds.MATLAB if isinstance(where, Place):
-            return _report("file of the AFRL Gotcha set", str(where), *_gotcha([where], str(where)))
-        case kinds.SCENE if isinstance(where, LocalPlace):
-            return _report("scene", str(where), *_scene(where.path))
+    if (name := found.reader) is not None:
+        return _described(READERS.get(name), [where], str(where), str(where))
+    if found.kind is SCENE and isinstance(where, LocalPlace):
+        return _report("scene", str(where), *_scene(where.path))
     raise InputError(found.sentence(where))
 
 
-def _cphd(where: Readable) -> tuple[Rows, Following]:
-    from blocksar.ingestion import cphd  # optional libraries, and slow to load
-
-    found = cphd.describe(where)
-    size = facts.size_text(found.size)
-    rows: Rows = [
-        ("title", found.collection.title),
-        ("format", f"CPHD {found.version}, {found.domain} domain, {size}"),
-        ("channels", ", ".join(f"{name} ({n} vectors x {m} samples)" for name, n, m in found.channels)),
+def _described(reader: Reader, files: Sequence[Readable], name: str, given: str) -> Report:
+    """What a reader says of files, which lie at a place of this name, and are given so to its command."""
+    found = reader.describe(files, given)
+    rows = [
+        *found.rows,
         *facts.general_rows(found.attributes),
-        *facts.collection_rows(found.collection),
+        *([] if found.collection is None else facts.collection_rows(found.collection)),
+        *(("note", note) for note in found.notes),
     ]
-    several = len(found.channels) > 1
-    rows += [("note", f"what follows the channels is that of {found.channels[0][0]}")] if several else []
-    chosen = ["--channel", found.channels[0][0]] if several else []
-    return rows, [["ingest", "cphd", str(where), *chosen, "--out", f"{where.name.partition('.')[0]}.zarr"]]
-
-
-def _gotcha(files: list[Place], pattern: str) -> tuple[Rows, Following]:
-    from blocksar.ingestion.gotcha.files import read_headers
-
-    read = [read_headers(path) for path in (files if len(files) <= MOST_READ else [files[0], files[-1]])]
-    azimuths = [np.degrees(np.arctan2(file.position[:, 1], file.position[:, 0])) for file in read]
-    frequency = read[0].frequency
-    position = np.concatenate([file.position for file in read])
-    polarisations = sorted({file.polarisation for file in read if file.polarisation})
-    passes = sorted({file.pass_ for file in read if file.pass_})
-    size = sum(facts.disk_size(path) or 0 for path in files)
-    rows: Rows = [
-        ("files", f"{len(files)}, {facts.size_text(size)}" + ("" if len(read) == len(files) else
-                  "; the first and the last were read"))
-    ]  # fmt: skip
-    rows += [("pass", ", ".join(passes))] if passes else []
-    rows += [("polarization", ", ".join(polarisations))] if polarisations else []
-    rows += [
-        ("azimuth", f"{azimuths[0].min():.2f} .. {azimuths[-1].max():.2f} degrees"),
-        ("pulses", f"{sum(len(file.checksums) for file in read)} in the files that were read"),
-        ("band", f"{(frequency[0] + frequency[-1]) / 2e9:.5g} GHz; {(frequency[-1] - frequency[0]) / 1e6:.4g} MHz in "
-                 f"{frequency.size} frequencies"),
-        ("track", f"{np.linalg.norm(position, axis=1).mean():.5g} m from the scene's centre, "
-                  f"{position[:, 2].mean():.5g} m above it"),
-        ("beam", facts.NOT_STEERED),
-    ]  # fmt: skip
-    return rows, [["ingest", "gotcha", pattern, "--out", "gotcha.zarr"]]
+    return _report(found.kind, name, rows, [found.command])
 
 
 def _scene(source: str | Path) -> tuple[Rows, Following]:
@@ -298,7 +260,7 @@ def _scene(source: str | Path) -> tuple[Rows, Following]:
         *([] if place is None else facts.general_rows({"georeference": place.as_attribute()})),
         ("holds", ", ".join(holds) or "nothing"),
         ("samples", f"{collection.n_pulse} pulses x {collection.n_range_frequency} range frequencies, "
-                    f"{facts.size_text(size)}"),
+                    f"{size_text(size)}"),
         *facts.collection_rows(collection),
     ]  # fmt: skip
     name = scene.name or "scene"

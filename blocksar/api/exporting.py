@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from blocksar import stores
 from blocksar.api.reports import Report, only_stage
-from blocksar.errors import InputError, library_for
-from blocksar.measurement.looks import checked_looks
+from blocksar.errors import InputError
+from blocksar.options import read_options, showing_options
 from blocksar.places import Location, place
-from blocksar.places.place import Place
-from blocksar.products import geotiff
-from blocksar.products.options import OPTIONS, check_ending, parse_crop, parse_looks, parse_range
-from blocksar.products.pixels import Content, Scale, checked_limits, pixels_of
-from blocksar.products.sicd import nitf as sicd
+from blocksar.products.registry import PRODUCTS, check_ending
 from blocksar.progress import Wanted as Progress
-from blocksar.runs.finished import FinishedRun, finished_record, folder_of, member_line
+from blocksar.runs.finished import finished_record
 from blocksar.runs.record import RECORD
 
 if TYPE_CHECKING:
@@ -55,34 +50,39 @@ def open(run: Location) -> xr.Dataset:
     return dataset.prepare(stores.open_dataset(folder / "image.zarr"))
 
 
+@showing_options(*(PRODUCTS.get(name).options for name in PRODUCTS.own))
 def export(
-    kind: Literal["sicd", "geotiff", "png"],
+    kind: str,
     run: Location,
     out: Location,
     *,
-    content: Content | None = None,
-    looks: tuple[int, int] | str | None = None,
-    scale: Scale | None = None,
-    range: tuple[float, float] | str | None = None,
-    crop: tuple[tuple[float, float], tuple[float, float]] | str | None = None,
-    crs: str | None = None,
-    colour_map: str | None = None,
-    size: int | None = None,
-    composite: Literal["pauli", "mean"] | None = None,
     channel: str | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
+    **options: Any,
 ) -> Report:
     """Write the image of a finished run as one file that other programs read.
 
     Parameters
     ----------
     kind : {"sicd", "geotiff", "png"}
-        Complex image on its ground plane; cloud-optimised GeoTIFF; picture in decibels.
+        Complex image on its ground plane; cloud-optimised GeoTIFF; picture in decibels. Or a product that another
+        package adds, by its name.
     run : path
         Folder of a finished run.
     out : path
         Local file to write.
+    channel : str, optional
+        Of a run of several channels. Default: the first.
+    overwrite : bool
+        Replace what stands at `out`. Default: False.
+    progress : object with a method update(stage, done, total), or False, optional
+        As in `focus`. Default: bars in a notebook, silence elsewhere.
+    **options
+        Those of the product, as below; those of another package's, as `blocksar export NAME --help` lists them.
+
+    Other Parameters
+    ----------------
     content : {"amplitude", "power", "db", "complex", "height", "incidence", "visibility", "gamma"}, optional
         Pixels of a GeoTIFF: float32, or complex64, or uint8 flags. Those from "height" on are of images on a terrain;
         "gamma" is the power without what slopes do to it. Default: "amplitude", or "db" with `scale`. Only for
@@ -110,12 +110,6 @@ def export(
         A PNG of several channels or looks of one run. "pauli": colours from HH, VV and HV or VH, |HH - VV|, |HV + VH|
         and |HH + VV|, each over sqrt(2), as red, green and blue. "mean": their mean power, which has less speckle.
         Default: one channel or look.
-    channel : str, optional
-        Of a run of several channels. Default: the first.
-    overwrite : bool
-        Replace what stands at `out`. Default: False.
-    progress : object with a method update(stage, done, total), or False, optional
-        As in `focus`. Default: bars in a notebook, silence elsewhere.
 
     Returns
     -------
@@ -131,73 +125,14 @@ def export(
     ProcessingError
         If writing fails; what stood at `out` stays.
     """
-    if kind not in tuple(OPTIONS):  # which need not be hashable
-        raise InputError(f"kind is {kind!r}; it must be 'sicd', 'geotiff' or 'png'")
-    given = {"content": content, "looks": looks, "scale": scale, "range": range, "crop": crop, "crs": crs,
-             "colour_map": colour_map, "size": size, "composite": composite}  # fmt: skip
-    for name, value in given.items():
-        if value is not None and name not in OPTIONS[kind]:
-            kinds = [other for other, names in OPTIONS.items() if name in names]
-            raise InputError(f"{name} is {value!r}, but it is an option of {' and '.join(kinds)} only; leave it out")
+    if kind not in PRODUCTS:
+        *names, last = map(repr, PRODUCTS.names())
+        raise InputError(f"kind is {kind!r}; it must be {', '.join(names)} or {last}")
+    product = PRODUCTS.get(kind)
+    read: Any = read_options(
+        product.options, options, kind, ((name, other.options) for name, other in PRODUCTS.sound())
+    )
     check_ending(kind, str(place(out)))
-    limits = None if range is None else checked_limits(parse_range(range))
     callback = only_stage(progress, "export")
-
-    if composite is not None:
-        own = {"channel": channel, **({"colour_map": colour_map} if composite != "mean" else {})}
-        sources = _composed(place(run), composite, crop, own)
-        cell = _cell(looks, next(iter(sources.values())))
-        drawn = {"limits": limits, "size": size, "cell": cell, "overwrite": overwrite, "progress": callback}
-        if composite == "mean":
-            first, *others = sources.values()
-            lines = _pictures("quicklook").write(first, out, others=others, colour_map=colour_map, **drawn)
-        else:
-            lines = _pictures("composite").write(sources, out, **drawn)
-        return Report(summary=[*lines, f"wrote {place(out)}"])
-    source = _opened(place(run), channel, crop)
-    if kind == "sicd":
-        lines = sicd.write(source, out, overwrite=overwrite, progress=callback)
-    elif kind == "geotiff":
-        pixels = pixels_of(
-            source, content=content, looks=parse_looks((1, 1) if looks is None else looks), scale=scale, limits=limits
-        )
-        lines = geotiff.write(pixels, out, crs=crs, overwrite=overwrite, progress=callback)
-    else:
-        lines = _pictures("quicklook").write(
-            source, out, cell=_cell(looks, source), limits=limits, colour_map=colour_map, size=size,
-            overwrite=overwrite, progress=callback,
-        )  # fmt: skip
-    return Report(summary=[*member_line(place(run), channel), *lines, f"wrote {place(out)}"])
-
-
-def _cell(looks: Any, source: FinishedRun) -> tuple[int, int]:
-    """Pixels along y and along x of the cells of a picture, or of their parts."""
-    return (1, 1) if looks is None else checked_looks(parse_looks(looks), (source.y.size, source.x.size))
-
-
-def _opened(run: Place, channel: str | None, crop: Any) -> FinishedRun:
-    """Open a channel of a run, or a part of it."""
-    source = FinishedRun.open(folder_of(run, channel))
-    return source if crop is None else source.cropped(*parse_crop(crop))
-
-
-def _composed(run: Place, composite: str, crop: Any, others: dict[str, Any]) -> dict[str, FinishedRun]:
-    """Open the channels or looks of a composite by name; `others` are options that must be None beside it."""
-    if composite not in ("pauli", "mean"):
-        raise InputError(f"composite is {composite!r}; it must be 'pauli' or 'mean'")
-    for name, value in others.items():
-        if value is not None:
-            raise InputError(f"{name} is {value!r}, but a composite has channels and colours of its own; leave it out")
-    names = finished_record(run).channels
-    if composite == "mean":
-        if not names:
-            raise InputError(f"composite mean takes the looks or channels of a run, and {run} has none; leave it out")
-        return {name: _opened(run, name, crop) for name in names}
-    taken = _pictures("composite").pauli_channels(names, str(run))
-    return {name: _opened(run, channel, crop) for name, channel in taken.items()}
-
-
-def _pictures(name: str) -> Any:
-    """Import a module of pictures: optional, and slow to load."""
-    with library_for("PNG needs", "plots"):
-        return import_module(f"blocksar.products.pictures.{name}")
+    lines = product.write(place(run), out, read, channel=channel, overwrite=overwrite, progress=callback)
+    return Report(summary=[*lines, f"wrote {place(out)}"])

@@ -11,18 +11,19 @@ import numpy as np
 
 from blocksar.api.partial_pulses import WHOLE, recorded_text
 from blocksar.budget import FIDELITY
-from blocksar.collection.beam import lit_yaw, wrapped
+from blocksar.collection.beam import NOT_STEERED, lit_yaw, wrapped
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid, ground_resolution
 from blocksar.collection.region import default_grid, plan_region
 from blocksar.collection.weighting import FLAT
-from blocksar.constants import GIB, MIB, SPEED_OF_LIGHT, unit_of_lengths
+from blocksar.constants import SPEED_OF_LIGHT, unit_of_lengths
 from blocksar.errors import InputError
 from blocksar.focusing.method import Method
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
+from blocksar.places.room import size_text
 from blocksar.runs.record import RunRecord
 
 Rows = list[tuple[str, str]]
@@ -32,28 +33,12 @@ USUAL = {
     "blocks": "auto", "fidelity": FIDELITY, "weighting_range": FLAT.text, "weighting_azimuth": FLAT.text,
     "surface": "plane", "pulses": WHOLE,
 }  # fmt: skip
-NOT_STEERED = "not steered: it lights everything all the time, so that a grid is needed"
 HISTORY_LINES = 3  # the newest ones are shown
 
 
-def size_text(size: float) -> str:
-    """A number of bytes in MiB or GiB.
-
-    Examples
-    --------
-    >>> size_text(3 * 2**20), size_text(5.5 * 2**30)
-    ('3.0 MiB', '5.5 GiB')
-    """
-    return f"{size / GIB:.1f} GiB" if size >= GIB else f"{size / MIB:.{0 if size >= 100 * MIB else 1}f} MiB"
-
-
 def disk_size(path: Place) -> int | None:
-    """Bytes of all files below a local path; None in an object store, where listing them may take minutes."""
-    if not isinstance(path, LocalPlace):
-        return None
-    if path.path.is_file():
-        return path.path.stat().st_size
-    return sum(size for _, size, _ in path.files())
+    """Bytes that all files below a local path take; None in an object store, where listing them may take minutes."""
+    return path.taken() if isinstance(path, LocalPlace) else None
 
 
 def collection_rows(collection: Collection) -> Rows:

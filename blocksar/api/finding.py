@@ -13,8 +13,8 @@ from blocksar.measurement.figures import measure
 from blocksar.measurement.response import read_response
 from blocksar.measurement.scenery import Bright
 from blocksar.measurement.targets import Target
-from blocksar.products.options import parse_crop
 from blocksar.runs.finished import FinishedRun
+from blocksar.spans import parse_crop
 
 MOST_FOUND = 1000
 ORDERS = (-1, 1)  # of azimuth ambiguities, PRFs

@@ -28,24 +28,17 @@ from blocksar.api.arguments import (
 from blocksar.api.jobs import Job, Request
 from blocksar.api.joint import focus_members, members_of
 from blocksar.api.partial_pulses import recorded_lines
-from blocksar.api.plan_lines import (
-    cut_dwells,
-    missed_fidelity,
-    outside_window,
-    short_dwells,
-    undersampling,
-    wobbling_beam,
-)
 from blocksar.api.rehearsing import rehearse
+from blocksar.api.room import Beside, check_room_for_run
 from blocksar.api.run_stages import carry_out
 from blocksar.api.shown import RunReport, is_measurable
 from blocksar.api.track_places import TrackPlace
-from blocksar.budget import FIDELITY
+from blocksar.budget import FIDELITY, WAIT_WORKERS
 from blocksar.collection.surface import Surface
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
 from blocksar.errors import InputError
-from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Processor, RangeModel, method_of
+from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Processor, RangeModel
 from blocksar.graph import cluster, recording
 from blocksar.graph.machine import Resources, resources
 from blocksar.ingestion.terrain.reading import Ground, terrain_notes
@@ -53,6 +46,7 @@ from blocksar.loop_cache import compilation_seconds
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.place import Place
+from blocksar.processors import options_for
 from blocksar.progress import Listener, as_listener
 from blocksar.progress import Wanted as Progress
 from blocksar.runs import folder as run_folder
@@ -101,6 +95,7 @@ def focus(
     threads: int | None = None,
     memory_limit: int | str | None = None,
     scheduler: str | None = None,
+    wait_workers: float = WAIT_WORKERS,
     overwrite: bool = False,
     discard: bool = False,
     dry_run: bool = False,
@@ -159,8 +154,8 @@ def focus(
     control : path or sequence of Target, optional
         With `autofocus`: points at known places, which anchor the track. Default: none.
     whole_pulses : bool
-        Of a raw echo, image only ground whose whole pulses were recorded; other ground stays NaN. Default: where `grid`
-        has ground with parts of pulses, it is divided by the part; without a grid, only ground with whole pulses.
+        Of a raw echo, image only ground whose whole pulses were recorded; other ground stays NaN, as it does without a
+        grid. Default: False, so that where `grid` has ground with parts of pulses, it is divided by the part.
     looks : int, optional
         Number of parts of each target's dwell, each of which becomes an image of its own: (look, y, x). Default: one
         image of whole dwells.
@@ -174,6 +169,9 @@ def focus(
         Memory of each worker, bytes or a text such as "2GiB". Default: its share of the machine's memory.
     scheduler : str, optional
         Address of a running dask scheduler, used instead of a local cluster.
+    wait_workers : float
+        Time to wait for a worker of a running cluster as long as it has none, at the start and whenever the last one is
+        lost, s. 0: fail at once. Default: 60.
     overwrite : bool
         Replace a run with other settings or another input. Default: False.
     discard : bool
@@ -205,7 +203,7 @@ def focus(
     settings = {name: value for name, value in given.items() if name not in ("source", "out", "looks")}
     memory_limit = settings["memory_limit"] = memory_of(memory_limit)
     resources(workers, threads, memory_limit)  # refuses wrong numbers before anything is read
-    check_cluster(client=client, scheduler=scheduler, workers=workers)
+    check_cluster(client=client, scheduler=scheduler, workers=workers, wait_workers=wait_workers)
     on = partial(on_ground, height=ground_height, terrain=terrain)
     if (members := members_of(source, looks, grid, on)) is not None:
         return focus_members(_focus_image, members, place(out), settings)
@@ -217,6 +215,7 @@ def _focus_image(
     out: Place,
     track: TrackPlace | None,
     *,
+    following: int = 0,
     processor: Processor,
     blocks: int | Literal["auto"],
     fidelity: float,
@@ -240,6 +239,7 @@ def _focus_image(
     threads: int | None,
     memory_limit: int | None,
     scheduler: str | None,
+    wait_workers: float,
     overwrite: bool,
     discard: bool,
     dry_run: bool,
@@ -247,21 +247,24 @@ def _focus_image(
     performance_report: str | Path | None,
     client: Client | None,
 ) -> RunReport:  # longer than most: it takes every setting by its name
-    """Focus one image, of one channel; `track` is where others share the correction of its track, if they do."""
+    """Focus one image, of one channel; `track` is where others share the correction of its track, if they do.
+
+    As many like it are `following`, in folders of their own.
+    """
     listener, compiled = as_listener(progress), compilation_seconds()
     profile = None if performance_report is None else Path(performance_report)
-    method = method_of(
+    options = options_for(
         processor,
-        coefficients=coefficients,
-        perturbation=perturbation,
-        keystone=keystone,
-        derotation=derotation,
-        range_model=range_model,
-    )
+        {
+            "coefficients": coefficients, "perturbation": perturbation, "keystone": keystone,
+            "derotation": derotation, "range_model": range_model,
+        },
+    )  # fmt: skip
     request = Request.open(
         source,
         out,
-        method=method,
+        processor=processor,
+        options=options,
         blocks=blocks_of(blocks),
         fidelity=fidelity_of(fidelity),
         weighting=Weighting.parse(weighting, weighting_range, weighting_azimuth),
@@ -295,13 +298,16 @@ def _focus_image(
                 "does; give workers, or leave it out"
             )
         if client is not None or scheduler is not None:
-            connected = stack.enter_context(cluster.open_client(scheduler=scheduler, client=client))
-            workers, memory_limit = cluster.cluster_size(connected, workers=workers, memory_limit=memory_limit)
+            opened = cluster.open_client(scheduler=scheduler, client=client, wait_workers=wait_workers)
+            connected = stack.enter_context(opened)
+            workers, memory_limit = cluster.cluster_size(
+                connected, workers=workers, memory_limit=memory_limit, listener=listener
+            )
             if profile is not None:
                 recording.check_recordable(profile, connected)
         machine = resources(0 if here else workers, threads, memory_limit)
         if dry_run:
-            return rehearse(request, record, machine)
+            return rehearse(request, record, machine, _beside(request, following))
         stack.enter_context(run_folder.claim(request.folder))
         record = request.find_run()  # again: another process may have written it in the meantime
         if record is not None and record.finished:
@@ -312,10 +318,36 @@ def _focus_image(
         if request.track is not None:
             from blocksar.api.tracks import track_corrected  # with all of `autofocusing`, which takes 20 ms to load
 
+            _check_room_before_track(request, record, machine, following)
             corrected = track_corrected(request, machine, connected, listener)
             request, said, connected = stack.enter_context(corrected)
-        report = _focus(request, record, machine, connected, listener, profile, compiled)
+        report = _focus(request, record, machine, connected, listener, profile, following, compiled)
         return replace(report, summary=[*said, *report.summary])
+
+
+def _beside(request: Request, following: int) -> Beside:
+    """What a run needs room for besides its own stores: so many that follow, and the correction of its track."""
+    if request.track is None:
+        return Beside(following)
+    from blocksar.api.tracks import estimates_of
+
+    return Beside(following, sum(estimate.room() for estimate in estimates_of(request, request.track)))
+
+
+def _check_room_before_track(request: Request, earlier: RunRecord | None, machine: Resources, following: int) -> None:
+    """Check that a run fits the disk, by its plan with the track as it is, which needs as much as the corrected one.
+
+    Raises
+    ------
+    NoRoom
+        If it does not.
+    """
+    beside = _beside(request, following)
+    try:
+        job = Job.of(request, earlier, machine)
+    except InputError:  # there may be a plan once the track is corrected
+        return
+    check_room_for_run(job, beside, resumed=earlier is not None)
 
 
 def _report_finished(folder: Place, record: RunRecord, *, discard: bool, claimed: bool = False) -> RunReport:
@@ -347,6 +379,7 @@ def _focus(
     client: Client | None,
     listener: Listener,
     profile: Path | None,
+    following: int,
     compiled: float,
 ) -> RunReport:
     """Plan and carry out a run in a folder that this process has claimed."""
@@ -358,19 +391,15 @@ def _focus(
         record = job.record()
         run = Run(folder=request.folder, identity=record.identity, threads=machine.threads)
         resumed = earlier is not None or run_folder.is_begun(request.folder, record)
+        check_room_for_run(job, Beside(following), resumed=resumed)
         with run_folder.resumable():
             finished = carry_out(job, run, record, workers, listener, profile, resumed=resumed, compiled=compiled)
-    found = [
-        next((line for plan in job.plans if (line := doubt(plan))), None)
-        for doubt in (undersampling, short_dwells, cut_dwells, wobbling_beam, missed_fidelity)
-    ]
-    found += recorded_lines([segment.geometry for segment in job.segments], job.grid, swath=False)
-    found += outside_window(job.plans) if job.plans else []
+    found = [*job.plan.notes(), *recorded_lines([piece.geometry for piece in job.plan.pieces], job.grid, swath=False)]
     if request.terrain is not None:
         found += terrain_notes(request.terrain, job.grid)
     if not (measurable := is_measurable(finished)):
         found.append("quality, report and export take images of at least 2 x 2 pixels; this one opens in Python only")
-    notes = [f"note: {line}" for line in found if line]
+    notes = [f"note: {line}" for line in found]
     worker = "this process" if cluster.is_here(client) else "a worker"
     lines = [*_summary(request.folder, finished, job.memory, worker), *notes]
     return RunReport(summary=lines, result=finished.as_json(), folder=request.folder, measurable=measurable)

@@ -28,10 +28,11 @@ from blocksar.api.rehearsing import NOTHING_DONE
 from blocksar.api.shown import RunReport, is_measurable
 from blocksar.api.track_places import TrackPlace
 from blocksar.chunks import TILE
-from blocksar.errors import FolderError, InputError
+from blocksar.errors import FolderError, InputError, NoRoom
 from blocksar.graph import cluster
 from blocksar.graph.machine import resources
 from blocksar.places.place import Place
+from blocksar.planning.memory import PROCESS_MEMORY, checked_memory
 from blocksar.progress import as_listener
 from blocksar.runs import folder as run_folder
 from blocksar.runs.record import FINISHED, FORMAT, RECORD, UNFINISHED, Receipt, RunRecord, Written
@@ -121,7 +122,7 @@ def focus_members(focus: Focus, members: Members, folder: Place, settings: Mappi
     Parameters
     ----------
     focus : callable
-        Focuses one of them: focus(source, folder, track, **settings).
+        Focuses one of them: focus(source, folder, track, following=number, **settings).
     folder : Place
         Of the whole.
     settings : mapping
@@ -154,7 +155,9 @@ def _focus_members(focus: Focus, members: Members, folder: Place, settings: Mapp
 
     def focus_one(name: str) -> RunReport:
         try:
-            return focus(members.histories[name], members.folder(folder, name), track, **shared)
+            left = names[names.index(name) + 1 :]
+            following = sum(not _is_finished(members.folder(folder, other)) for other in left)
+            return focus(members.histories[name], members.folder(folder, name), track, following=following, **shared)
         except FolderError:  # names the folder
             raise
         except InputError as error:
@@ -234,6 +237,7 @@ def _own_workers(folder: Place, settings: Mapping[str, Any]) -> Iterator[dict[st
         yield {}
         return
     machine = resources(settings["workers"], settings["threads"], settings["memory_limit"])
+    checked_memory("a worker without samples", PROCESS_MEMORY, machine.memory_limit)  # or dask kills it for ever
     scratch, listener = run_folder.scratch(folder), as_listener(settings["progress"])
     try:
         with cluster.open_client(**machine._asdict(), scratch=scratch, listener=listener) as client:
@@ -263,9 +267,9 @@ def _nothing_left(folder: Place, *, there: bool) -> Iterator[None]:
     """Remove what a new run has written, if its input is found to be wrong; also the folder, if it was not there."""
     try:
         yield
-    except FolderError:  # what is there may be another's
-        raise
-    except InputError:
+    except InputError as error:
+        if isinstance(error, FolderError) and not isinstance(error, NoRoom):  # what is there may be another's
+            raise
         if folder.exists():
             with run_folder.claim(folder):
                 run_folder.clear(folder)

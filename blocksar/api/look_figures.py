@@ -8,9 +8,9 @@ from typing import Any
 from blocksar.api.reports import Table, finite, rounded
 from blocksar.measurement.scenery import measure_area
 from blocksar.products.look_spectra import measure_looks
-from blocksar.products.options import parse_crop
 from blocksar.products.pictures.overview import mean_of
 from blocksar.runs.finished import FinishedRun
+from blocksar.spans import parse_crop
 
 
 def describe_looks(looks: Sequence[FinishedRun], area: Any) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import difflib
 import os
 from pathlib import Path
 
-from blocksar.ingestion.kinds import found_at
+from blocksar.ingestion.found import found_at
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place

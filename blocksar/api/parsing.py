@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-import reprlib
 from collections.abc import Sequence
 from typing import Any, Literal
 
 from blocksar.budget import MOST_BLOCKS
-from blocksar.errors import InputError
+from blocksar.errors import InputError, quoted
 
 EXAMPLE = "give --grid x0:x1:dx,y0:y1:dy in metres, such as --grid -2500:2500:1,18000:23000:1"
 LEAST_MEMORY = 1 << 20  # bytes of a worker; fewer are a number whose unit was forgotten
@@ -65,13 +64,6 @@ def read_grid(grid: Any) -> tuple[Axis, Axis]:
         ) from None
     x, y = (_parse_axis(name, axis, axis) for name, axis in axes.items())
     return x, y
-
-
-def quoted(text: object) -> str:
-    """Quote user input for a message, shortened to 80 characters."""
-    short = reprlib.Repr()
-    short.maxstring = short.maxother = 80
-    return short.repr(text)
 
 
 def _parse_axis(name: str, numbers: Sequence[Any], shown: object) -> Axis:
@@ -158,46 +150,3 @@ def parse_blocks(text: str) -> int | Literal["auto"]:
             f"--blocks {quoted(text)} is neither 'auto' nor a whole number from 1 to {MOST_BLOCKS}; try --blocks auto"
         )
     return int(text)
-
-
-def parse_span(span: Any, option: str, example: str) -> tuple[float, float]:
-    """Read `a:b`, of which either may be left out, or a pair of numbers or None.
-
-    Returns
-    -------
-    (low, high), infinite where left out
-
-    Raises
-    ------
-    InputError
-        If it is none, or empty.
-
-    Examples
-    --------
-    >>> parse_span("9.5e9:9.7e9", "--frequencies", ""), parse_span((5, None), "--frequencies", "")
-    ((9500000000.0, 9700000000.0), (5.0, inf))
-    """
-    try:
-        first, last = span.split(":") if isinstance(span, str) else span
-        low = -math.inf if first in ("", None) else float(first)
-        high = math.inf if last in ("", None) else float(last)
-    except (TypeError, ValueError):
-        low = high = math.nan
-    if not low < high:
-        raise InputError(f"{option} {quoted(span)} is not two numbers, the lower first; give them as {example}")
-    return low, high
-
-
-def parse_pulses(span: Any) -> tuple[int, int | None]:
-    """Read the pulses a:b, from a to the one before b, counted from 0; either may be left out.
-
-    Raises
-    ------
-    InputError
-        As `parse_span`, and if they are no whole numbers from 0.
-    """
-    low, high = parse_span(span, "--pulses", "--pulses 0:4096")
-    low = 0.0 if low == -math.inf else low
-    if low < 0 or not low.is_integer() or not (high == math.inf or high.is_integer()):
-        raise InputError(f"--pulses {quoted(span)} is not two whole numbers from 0; give them as --pulses 0:4096")
-    return int(low), None if high == math.inf else int(high)

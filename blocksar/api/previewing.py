@@ -9,7 +9,6 @@ import numpy as np
 from blocksar import stores
 from blocksar.api.arguments import GridLike, grid_of, history_of
 from blocksar.api.facts import grid_text
-from blocksar.api.parsing import quoted
 from blocksar.api.partial_pulses import imaging_parts
 from blocksar.api.pulses import pulse_reader
 from blocksar.api.reports import Report, only_stage
@@ -18,14 +17,14 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import default_grid, facing_grid, grid_extent, plan_region
-from blocksar.errors import InputError, library_for
+from blocksar.errors import InputError, library_for, quoted
 from blocksar.focusing import preview as coarse
 from blocksar.graph.machine import resources
 from blocksar.kernels.phase import Float32Array
 from blocksar.places import Location, place
-from blocksar.products.options import check_ending, parse_range
+from blocksar.products.options import parse_range
 from blocksar.products.pictures.overview import Overview, cell_edges, range_notes
-from blocksar.products.pixels import checked_limits
+from blocksar.products.registry import check_ending
 from blocksar.products.writing import replacing
 from blocksar.progress import Wanted as Progress
 
@@ -96,7 +95,7 @@ def preview(
     if isinstance(pixels, bool) or not isinstance(pixels, int | np.integer) or not 50 <= pixels <= LARGEST:
         raise InputError(f"size = {quoted(size)}: give 50 to {LARGEST} pixels along the longer side of the picture")
     count = resources(1, threads, None).threads
-    limits = None if range is None else checked_limits(parse_range(range))
+    limits = None if range is None else parse_range(range)
     if out is not None:
         check_ending("png", str(place(out)))
     history = history_of(source)

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+
 from blocksar import stores
 from blocksar.arrays import ComplexArray
+from blocksar.chunks import TILE
+from blocksar.collection.empty_pulses import missing_pulses
+from blocksar.collection.sublooks import whole_beam
 from blocksar.focusing.range_compression import RawCompression
 
 
@@ -15,3 +20,24 @@ def pulse_reader(history: stores.PhaseHistory) -> Callable[[slice], ComplexArray
         return lambda pulses: history.read(pulses, slice(None))
     compression = RawCompression.of_echo(history.raw, history.collection)
     return lambda pulses: compression.apply(history.read(pulses, slice(None)), pulses=pulses)
+
+
+def lit_pulse_reader(history: stores.PhaseHistory) -> Callable[[slice], ComplexArray]:
+    """The same, with NaN in pulses that were lost and hold zeros (`collection.empty_pulses`), as runs take them."""
+    read = pulse_reader(history)
+    first = history.read(slice(None), slice(0, 1))[:, 0]
+    with np.errstate(invalid="ignore"):  # garbage may have signalling NaN
+        empty = first == 0
+    for start in range(0, empty.size, TILE[0]):
+        part = slice(start, min(start + TILE[0], empty.size))
+        if empty[part].any():
+            empty[part] &= ~history.read(part, slice(None)).any(axis=1)
+    beam = whole_beam(history.collection, history.look)
+    lost = missing_pulses(empty, ~np.isnan(first), beam, lambda pulse: read(slice(pulse, pulse + 1))[0])
+
+    def read_lit(pulses: slice) -> ComplexArray:
+        signal = read(pulses)
+        signal[lost[pulses]] = np.nan
+        return signal
+
+    return read_lit if lost.any() else read

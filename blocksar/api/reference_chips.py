@@ -11,7 +11,7 @@ import numpy as np
 
 from blocksar import stores
 from blocksar.api.partial_pulses import PARTS
-from blocksar.api.pulses import pulse_reader
+from blocksar.api.pulses import lit_pulse_reader
 from blocksar.api.reports import Table
 from blocksar.arrays import ComplexArray
 from blocksar.collection.beam import full_dwell_yaw, has_full_dwell
@@ -125,7 +125,7 @@ def _compare(run: FinishedRun, inputs: Mapping[str, stores.PhaseHistory]) -> Com
     for path, history in inputs.items():
         geometry = whole_geometry(run, history)
         chips = _chips(run, path, geometry)
-        read, axes = pulse_reader(history), [(run.x[columns], run.y[rows]) for *_, rows, columns in chips]
+        read, axes = lit_pulse_reader(history), [(run.x[columns], run.y[rows]) for *_, rows, columns in chips]
         exact = form_chips(read, geometry, axes, threads=machine()[0], weighting=run.weighting)
         for (name, x, y, chip, rows, columns), one in zip(chips, exact, strict=True):
             found = coherence(chip, one)

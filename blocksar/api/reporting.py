@@ -18,7 +18,7 @@ from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.products.look_spectra import measure_looks
-from blocksar.products.options import check_ending
+from blocksar.products.registry import check_ending
 from blocksar.products.writing import refuse_parts
 from blocksar.progress import Wanted as Progress
 from blocksar.progress import as_listener

@@ -7,13 +7,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from blocksar.api.parsing import parse_pulses, parse_span
 from blocksar.api.reports import Report, only_stage
 from blocksar.errors import InputError
 from blocksar.graph.machine import resources
-from blocksar.ingestion.reading import WHOLE, Part
+from blocksar.ingestion import readers
+from blocksar.ingestion.found import found_at
+from blocksar.ingestion.readers import READERS
 from blocksar.ingestion.timeline import stated_times
-from blocksar.places import Location
+from blocksar.options import read_options
+from blocksar.places import Location, readable
 from blocksar.places.place import Place
 from blocksar.progress import Listener, as_listener
 from blocksar.progress import Wanted as Progress
@@ -98,39 +100,89 @@ def _note_unlit(scene: Scene, listener: Listener) -> None:
 
 
 def ingest(
-    kind: Literal["cphd", "gotcha"], source: Location | Sequence[Location], out: Location, **options: Any
+    kind: str | None,
+    source: Location | Sequence[Location],
+    out: Location,
+    *,
+    collection_start: str | None = None,
+    time_zero: float | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    **options: Any,
 ) -> Report:
-    """Turn measured data into a phase history: `ingest_cphd` or `ingest_gotcha`, chosen by `kind`.
+    """Turn measured data into a phase history, by the reader of their format.
 
     Parameters
     ----------
-    kind : {"cphd", "gotcha"}
-        Format of the source.
+    kind : str or None
+        Name of the reader, such as "cphd" or "gotcha"; None: that which knows the first of the files by its first
+        bytes.
     source : path or sequence of paths
-        One CPHD file; or one or more files of the Gotcha set.
+        A file, or the files of one collection.
     out : path
         Phase-history store to write.
+    collection_start : str, optional
+        UTC from which the collection's times count, ISO 8601, such as "2008-08-19T14:03:21.5Z"; for products.
+        Default: the file's own.
+    time_zero : float, optional
+        Seconds from there to slow time 0. Default: the file's own.
+    overwrite : bool
+        Replace what stands at `out`. Default: False.
+    progress : object with a method update(stage, done, total), or False, optional
+        As in `focus`. Default: bars in a notebook, silence elsewhere.
     **options
-        Other arguments of the chosen function: `ground_height`, `collection_start`, `time_zero`, `overwrite`,
-        `progress`; of CPHD also `channel`, `pulses`, `frequencies` and `area`.
+        Those of the reader: `ground_height`; of CPHD also `channel`, `pulses`, `frequencies`, `area`, `sgn`,
+        `range_window` and `troposphere`, see `ingest_cphd`.
 
     Returns
     -------
     Report
-        That of the chosen function.
+        `summary` says what was found in the files; `result` is the collection that the store holds.
 
     Raises
     ------
     InputError
-        If `kind` is unknown, or the chosen function refuses its input.
+        If `kind` is unknown, no reader knows the file, a file is damaged or not supported, an option is wrong or not
+        one of the reader's, or `out` exists and `overwrite` is False.
     """
-    if kind == "cphd":
-        if isinstance(source, Sequence) and not isinstance(source, str):
-            raise InputError(f"source is a list of {len(source)}; a CPHD file is ingested by itself")
-        return ingest_cphd(source, out, **options)
-    if kind == "gotcha":
-        return ingest_gotcha(source, out, **options)
-    raise InputError(f"kind is {kind!r}; it must be 'cphd' or 'gotcha'")
+    if not isinstance(source, str | os.PathLike | Place | Sequence):
+        raise InputError(f"source is {source!r}; give the path of a file, or a list of paths")
+    sources = [source] if isinstance(source, str | os.PathLike | Place) else list(source)
+    name = kind if kind is not None or not sources else reader_of(sources[0])
+    if name not in READERS:
+        raise InputError(f"kind is {kind!r}; it must be {' or '.join(map(repr, READERS.names()))}")
+    reader = READERS.get(name)
+    if not sources or (len(sources) > 1 and not reader.several):
+        raise InputError(f"source is a list of {len(sources)}; {reader.kind.name} is ingested by itself")
+    choices: Any = read_options(
+        reader.options, options, str(name), ((other, each.options) for other, each in READERS.sound())
+    )
+    history = readers.ingest(
+        reader, sources, out, choices, times=stated_times(collection_start, time_zero), overwrite=overwrite,
+        progress=only_stage(progress, "ingest"),
+    )  # fmt: skip
+    return Report(summary=[*history.messages, f"wrote {history.path}"], result=history.collection)
+
+
+def reader_of(source: Location) -> str:
+    """The name of the reader that knows a file by its first bytes.
+
+    Raises
+    ------
+    InputError
+        If there is none; it says what lies there.
+    """
+    where = readable(source)
+    try:
+        found = found_at(where)
+    except OSError as error:
+        raise InputError(f"{where} cannot be read ({error.strerror or error}); check its permissions") from error
+    if found is None:
+        kinds = ", ".join(READERS.names())
+        raise InputError(f"{where} does not exist, or is no file; check the path (kinds of files are {kinds})")
+    if found.reader is None:
+        raise InputError(found.sentence(where))
+    return found.reader
 
 
 def ingest_cphd(
@@ -142,6 +194,9 @@ def ingest_cphd(
     frequencies: str | tuple[float | None, float | None] | None = None,
     area: str | tuple[tuple[float, float], tuple[float, float]] | None = None,
     ground_height: float = 0.0,
+    sgn: int | None = None,
+    range_window: Literal["saved", "reference"] | None = None,
+    troposphere: Literal["file", "standard"] | None = None,
     collection_start: str | None = None,
     time_zero: float | None = None,
     overwrite: bool = False,
@@ -168,6 +223,14 @@ def ingest_cphd(
         is kept, after low-passes that stop the echoes of all else. Default: all.
     ground_height : float
         Height z of the imaged plane in the scene frame, m. Default: 0, that of the file's reference point.
+    sgn : {-1, 1}, optional
+        Sign of the phase that the samples follow. Default: as declared.
+    range_window : {"saved", "reference"}, optional
+        The delays that are taken: those of TOA1 .. TOA2, or those about the reference point that the samples tell
+        apart. Default: "saved", and refused if none of them is of the image area.
+    troposphere : {"file", "standard"}, optional
+        The troposphere's delay that the samples still hold, and that is taken out: that of TDTropoSRP, or that of a
+        standard atmosphere. Default: none, as the standard has it.
     collection_start : str, optional
         UTC from which the collection's times count, ISO 8601, such as "2008-08-19T14:03:21.5Z"; for products.
         Default: the file's own.
@@ -188,22 +251,11 @@ def ingest_cphd(
     InputError
         If the file is damaged, contradicts itself or is not supported, or `out` exists and `overwrite` is False.
     """
-    from blocksar.ingestion import cphd  # optional libraries, and slow to load
-    from blocksar.products.options import parse_crop
-
-    part = Part(
-        pulses=(0, None) if pulses is None else parse_pulses(pulses),
-        frequencies=WHOLE.frequencies
-        if frequencies is None
-        else parse_span(frequencies, "--frequencies", "--frequencies 9.5e9:9.7e9"),
-        area=None if area is None else parse_crop(area, "area"),
-        ground_height=ground_height,
-    )
-    history = cphd.ingest(
-        source, out, channel=channel, times=stated_times(collection_start, time_zero), part=part, overwrite=overwrite,
-        progress=only_stage(progress, "ingest"),
+    return ingest(
+        "cphd", source, out, channel=channel, pulses=pulses, frequencies=frequencies, area=area,
+        ground_height=ground_height, sgn=sgn, range_window=range_window, troposphere=troposphere,
+        collection_start=collection_start, time_zero=time_zero, overwrite=overwrite, progress=progress,
     )  # fmt: skip
-    return Report(summary=[*history.messages, f"wrote {history.path}"], result=history.collection)
 
 
 def ingest_gotcha(
@@ -247,10 +299,7 @@ def ingest_gotcha(
     InputError
         If a file is damaged, files do not belong together, or `out` exists and `overwrite` is False.
     """
-    from blocksar.ingestion.gotcha import ingestion
-
-    history = ingestion.ingest(
-        source, out, times=stated_times(collection_start, time_zero), ground_height=ground_height, overwrite=overwrite,
-        progress=only_stage(progress, "ingest"),
+    return ingest(
+        "gotcha", source, out, ground_height=ground_height, collection_start=collection_start, time_zero=time_zero,
+        overwrite=overwrite, progress=progress,
     )  # fmt: skip
-    return Report(summary=[*history.messages, f"wrote {history.path}"], result=history.collection)

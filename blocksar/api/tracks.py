@@ -15,8 +15,10 @@ from blocksar.api.ground import PLANE, geometry_over, ground_settings
 from blocksar.api.jobs import Request, grid_numbers, records_of
 from blocksar.api.track_places import TrackPlace, channels_of_track
 from blocksar.autofocusing.anchoring import Control
+from blocksar.autofocusing.estimation import LEAST_LOOPS
 from blocksar.autofocusing.finishing import Result
 from blocksar.autofocusing.work import begin
+from blocksar.chunks import stored_bytes
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
@@ -118,6 +120,19 @@ class TrackEstimate:
             track_memory(collection, pulses, work.chip_bytes(len(self.control))), compression_memory(collection, raw)
         )
         return checked_memory("autofocus", needed, machine.memory_limit)
+
+    def room(self, store: int = 0) -> int:
+        """Bytes that the estimate needs in its folder at least, besides what is there.
+
+        They are for samples that are written or compressed first, for the chips of the loops that are always made, and
+        for the bytes of a corrected `store`.
+        """
+        pulses, columns = self.history.shape
+        written = stored_bytes((pulses, columns)) if isinstance(self.history, stores.DatasetHistory) else 0
+        raw, compressed = self.history.raw, stored_bytes((pulses, self.history.collection.n_range_frequency))
+        chips = LEAST_LOOPS * begin(self.geometry, self.grid).chip_bytes(len(self.control))
+        first = written + (0 if raw is None else compressed * len(self.channels))
+        return max(first + chips + store - self.folder.taken(), 0)
 
     @contextmanager
     def connected(self, machine: Resources, client: Client | None, listener: Listener) -> Iterator[Client]:
@@ -247,7 +262,7 @@ def track_corrected(
     with ExitStack() as stack:
         stack.enter_context(place.removed_if_wrong())
         run_folder.refuse_foreign(place.folder)
-        estimates, said = _estimates(request, place), []
+        estimates, said = estimates_of(request, place), []
         if not all(estimate.key in place.results for estimate in estimates):
             memory = 0
             for estimate in estimates:
@@ -287,7 +302,7 @@ def _named(estimate: TrackEstimate | None) -> Iterator[None]:
         raise InputError(f"{estimate.history.path}: {error}") from error
 
 
-def _estimates(request: Request, place: TrackPlace) -> list[TrackEstimate]:
+def estimates_of(request: Request, place: TrackPlace) -> list[TrackEstimate]:
     """What each phase history of a run needs for its track."""
     alone = len(place.channels) == 1
     return [

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from blocksar.api.parsing import parse_grid, parse_memory
+from blocksar.budget import WAIT_WORKERS
 from blocksar.cli.display import hint, show
 from blocksar.cli.listening import listening
 from blocksar.cli.options import (
@@ -22,6 +23,7 @@ from blocksar.cli.options import (
     TerrainOption,
     Threads,
     VerticalOption,
+    WaitWorkers,
     Workers,
     given,
 )
@@ -41,6 +43,7 @@ def autofocus(
     threads: Threads = None,
     memory_limit: MemoryLimit = None,
     scheduler: Scheduler = None,
+    wait_workers: WaitWorkers = WAIT_WORKERS,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
@@ -77,6 +80,7 @@ def autofocus(
             threads=threads,
             memory_limit=memory,
             scheduler=scheduler,
+            wait_workers=wait_workers,
             overwrite=overwrite,
             progress=progress,
         )

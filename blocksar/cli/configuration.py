@@ -11,9 +11,8 @@ from typing import Annotated, Any
 
 import typer
 
-from blocksar.api.parsing import quoted
 from blocksar.cli.endings import FILE, UsageError, plain
-from blocksar.errors import InputError
+from blocksar.errors import InputError, quoted
 from blocksar.version import __version__
 
 CONFIGURED = "focus"  # the command whose options a file holds

@@ -16,8 +16,7 @@ from typing import Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from blocksar.api.parsing import quoted
-from blocksar.errors import FolderError, InputError, ProcessingError, UnsupportedSystem
+from blocksar.errors import FolderError, InputError, ProcessingError, UnsupportedSystem, quoted
 from blocksar.progress import abandon
 
 UsageError: Any = typer.BadParameter.__base__  # typer has no public name for the error of a wrong command line

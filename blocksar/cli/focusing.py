@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from blocksar.budget import FIDELITY
+from blocksar.budget import FIDELITY, WAIT_WORKERS
 from blocksar.cli.configuration import ConfigOption, PrintConfig, configuration
 from blocksar.cli.display import hint, show
 from blocksar.cli.endings import WRONG_INPUT, complain
@@ -37,6 +37,7 @@ from blocksar.cli.options import (
     TerrainOption,
     Threads,
     VerticalOption,
+    WaitWorkers,
     WeightingOption,
     WholePulses,
     Workers,
@@ -147,6 +148,7 @@ def focus(
     threads: Threads = None,
     memory_limit: MemoryLimit = None,
     scheduler: Scheduler = None,
+    wait_workers: WaitWorkers = WAIT_WORKERS,
     performance_report: PerformanceReport = None,
     overwrite: Overwrite = False,
     discard: Discard = False,
@@ -195,6 +197,7 @@ def focus(
             control=control,
             threads=threads,
             scheduler=scheduler,
+            wait_workers=wait_workers,
             overwrite=overwrite,
             discard=discard,
             progress=progress,

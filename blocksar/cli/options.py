@@ -10,37 +10,20 @@ from typing import Annotated, Any, Literal, TypedDict, get_args, get_type_hints
 import typer
 
 from blocksar.api.parsing import Axis, parse_blocks, parse_grid, parse_memory
+from blocksar.cli.plugged import typer_option
 from blocksar.collection.surface import Surface
-from blocksar.focusing.method import Coefficients, Method, Processor
+from blocksar.focusing.method import ChainOptions, Coefficients, Method, Processor
+from blocksar.options import options_of
+from blocksar.products.options import COLOUR_MAP, COLOUR_RANGE
 
 Channel = Annotated[str | None, typer.Option(metavar="NAME", help="Of several channels.", show_default="the first")]
-ColourMap = Annotated[
-    str | None,
-    typer.Option(
-        "--colour-map", "--color-map", metavar="NAME", help="One of matplotlib's colour maps.", show_default="gray"
-    ),
-]
-
-
-def _decibels(of: str) -> Any:
-    """The option --range of what decibels are mapped to."""
-    return typer.Option("--range", metavar="LOW:HIGH", help=f"dB at the ends of {of}.", show_default="by the image")
-
-
-ColourRange = Annotated[str | None, _decibels("the colours")]
-ScaleRange = Annotated[str | None, _decibels("--scale")]
+ColourMap = Annotated[str | None, typer_option(COLOUR_MAP)]
+ColourRange = Annotated[str | None, typer_option(COLOUR_RANGE)]
 Run = Annotated[str, typer.Argument(metavar="RUN", help="Folder of a finished run.")]
 StoreOut = Annotated[str, typer.Option(metavar="STORE", help="Phase-history store to write.")]
 ALTERNATIVES = "Alternative methods, for comparison"  # title of a panel in the help
 PROCESSORS = f"{', '.join(get_args(Processor)[:-1])}, or backprojection, exact but slow"
-# Help of each option of the method; a field of `Method` becomes an option of `plan` and `focus` by its entry here.
-METHOD_HELP = {
-    "coefficients": "Fitted to time-frequency lines, or by the paper's closed forms.",
-    "perturbation": "All of the processor's, the one in Doppler only, or none: deramp only.",
-    "keystone": "Without keystone: RCMC by one reference in time.",
-    "derotation": "Linear: a single Doppler rate, which needs a higher PRF.",
-    "range_model": "Conventional: substitute variables after RWC; needs closed-form.",
-}
+METHOD_HELP = {each.name: each.option.help for each in options_of(ChainOptions)}
 
 # Of the method's options the only one that scripts in workflows/ and deploy/ have; `plan` and `focus` have all.
 CoefficientsOption = Annotated[
@@ -107,6 +90,9 @@ Control = Annotated[
 ]
 Scheduler = Annotated[
     str | None, typer.Option(metavar="ADDRESS", help="Use this dask scheduler instead of a local cluster.")
+]
+WaitWorkers = Annotated[
+    float, typer.Option(metavar="SECONDS", help="Time to wait for workers while the scheduler has none; 0: none.")
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing output.")]
 Discard = Annotated[

@@ -40,6 +40,8 @@ CENTRE_NODES = 65  # yaws between which the centre of a beam about its axis is i
 
 # ---------------------------------------------------------------- angles
 
+NOT_STEERED = "not steered: it lights everything all the time, so that a grid is needed"  # of a beam, for people
+
 
 def wrapped(angle: Angle) -> Angle:
     """The same angle in [-pi, pi], rad; exactly the input where it lies there already."""

@@ -108,6 +108,23 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
     return Region(yaw=nodes, near=near, far=far)
 
 
+def imaged_side(geometry: Geometry) -> str | None:
+    """The side of the track where the imaged ground of a beam about its axis lies; None if nothing tells.
+
+    Without `side_of_track` that of the scene's origin, if the reference range follows the origin.
+    """
+    collection = geometry.collection
+    if collection.side_of_track is not None:
+        return collection.side_of_track
+    ahead, middle = collection.antenna_position[-1] - collection.antenna_position[0], collection.n_pulse // 2
+    sight = np.array([0.0, 0.0, collection.ground_height]) - collection.antenna_position[middle]
+    away = abs(float(np.linalg.norm(sight)) - collection.reference_range[middle])
+    across = float(ahead[0] * sight[1] - ahead[1] * sight[0])
+    if away > collection.range_window / 8 or abs(across) < 1e-3 * float(np.hypot(*ahead[:2])) * abs(sight[2]):
+        return None
+    return "left" if across > 0 else "right"
+
+
 def _side_yaws(geometry: Geometry) -> tuple[float, float]:
     """First and last yaw, rad, of the side of the track where the imaged ground of a beam about its axis lies.
 
@@ -116,21 +133,14 @@ def _side_yaws(geometry: Geometry) -> tuple[float, float]:
     InputError
         If nothing tells.
     """
-    collection = geometry.collection
-    assert collection.beam_axis is not None
-    ahead, middle = collection.antenna_position[-1] - collection.antenna_position[0], collection.n_pulse // 2
-    side = collection.side_of_track
+    side = imaged_side(geometry)
     if side is None:
-        sight = np.array([0.0, 0.0, collection.ground_height]) - collection.antenna_position[middle]
-        away = abs(float(np.linalg.norm(sight)) - collection.reference_range[middle])
-        across = float(ahead[0] * sight[1] - ahead[1] * sight[0])
-        if away > collection.range_window / 8 or abs(across) < 1e-3 * float(np.hypot(*ahead[:2])) * abs(sight[2]):
-            raise InputError(
-                "grid is missing: a beam about the antenna's axis (beam_axis) lights ground on both sides of the "
-                "track, and the reference range does not follow the scene's origin, so give --grid x0:x1:dx,y0:y1:dy "
-                "for the ground to image, or the attribute side_of_track"
-            )
-        side = "left" if across > 0 else "right"
+        raise InputError(
+            "grid is missing: a beam about the antenna's axis (beam_axis) lights ground on both sides of the "
+            "track, and the reference range does not follow the scene's origin, so give --grid x0:x1:dx,y0:y1:dy "
+            "for the ground to image, or the attribute side_of_track"
+        )
+    ahead = geometry.collection.antenna_position[-1] - geometry.collection.antenna_position[0]
     heading = float(np.arctan2(ahead[1], ahead[0]))
     first = heading if side == "left" else heading - np.pi
     return first + SIDE_ENDS, first + np.pi - SIDE_ENDS

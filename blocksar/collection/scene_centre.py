@@ -42,7 +42,7 @@ def find_scene_centre(
     """
     along = velocity / np.linalg.norm(velocity)
     up, own = _up(position), geodetic_of(position)[2] - height
-    down = -(up - (up @ along) * along)
+    down = -(up - float((up * along).sum()) * along)
     down /= np.linalg.norm(down)
     beside = np.cross(along, down) if side == "left" else np.cross(down, along)
     centre, radius = position + slant_range * np.sin(squint) * along, slant_range * np.cos(squint)
@@ -56,7 +56,7 @@ def find_scene_centre(
             "correct one of them"
         )
     ground = point(_bisect(lambda angle: geodetic_of(point(angle))[2] - height))
-    if (position - ground) @ _up(ground) <= 0:
+    if float(((position - ground) * _up(ground)).sum()) <= 0:
         raise InputError(
             f"slant_range is {slant_range:.6g} m, beyond the horizon of an antenna {own:.6g} m high; correct it"
         )

@@ -41,7 +41,7 @@ def narrowed(collection: Collection, number: int, count: int, sign: float) -> Co
         1 where targets enter the beam at positive offsets, -1 where at negative ones; see `entering_side`.
     """
     assert collection.beam_width is not None
-    centre = sign * (0.5 - (number + 0.5) / count) * collection.beam_width
+    centre = _centre(number, count, sign) * collection.beam_width
     moved = "beam_steering" if collection.has_axis else "beam_azimuth"
     changes = {
         moved: getattr(collection, moved) + centre, "beam_width": collection.beam_width / count,
@@ -50,6 +50,26 @@ def narrowed(collection: Collection, number: int, count: int, sign: float) -> Co
     if collection.beam_offset is not None:
         changes["beam_offset"] = collection.beam_offset - centre
     return replace(collection, **changes)
+
+
+def whole_beam(collection: Collection, look: tuple[int, int, float] | None) -> Collection:
+    """What the whole beam saw of which `narrowed` made a look (number, count, sign), but for the rounding of its beam.
+
+    A collection of no look, or of some pulses, is that itself.
+    """
+    if look is None or collection.lit_width is None:
+        return collection
+    width, moved = collection.lit_width, "beam_steering" if collection.has_axis else "beam_azimuth"
+    centre = _centre(*look) * width
+    changes = {moved: getattr(collection, moved) - centre, "beam_width": width, "lit_width": None}
+    if collection.beam_offset is not None:
+        changes["beam_offset"] = collection.beam_offset + centre
+    return replace(collection, **changes)
+
+
+def _centre(number: int, count: int, sign: float) -> float:
+    """Where a look lies off the beam's centre, in widths of the beam."""
+    return sign * (0.5 - (number + 0.5) / count)
 
 
 def look_of(collection: Collection, number: int, count: int, sign: float) -> Collection:

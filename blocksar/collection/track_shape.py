@@ -99,7 +99,8 @@ def _flights_back(position: FloatArray) -> IntArray:
     length = np.linalg.norm(step, axis=1)
     usual = float(np.median(length))
     ahead = np.median(step[length < FLIES_BACK * usual], axis=0) if usual else np.zeros(3)
-    return np.flatnonzero((length > FLIES_BACK * usual) & (step @ ahead < 0)) if usual else np.zeros(0, np.int64)
+    back = (step * ahead).sum(axis=1) < 0
+    return np.flatnonzero((length > FLIES_BACK * usual) & back) if usual else np.zeros(0, np.int64)
 
 
 def _runs(mask: BoolArray) -> list[tuple[int, int]]:

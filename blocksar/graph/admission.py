@@ -6,20 +6,39 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError
-from contextlib import suppress
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from typing import Any
 
 from distributed import Client, Future, wait
 
-from blocksar.errors import ProcessingError
+from blocksar.errors import InputError, ProcessingError
 from blocksar.graph.here import Here
 from blocksar.progress import NOBODY, Listener, Workers
 
 Unit = tuple[str, Callable[[], Future[Any]]]  # name of a unit of work, and the function that submits it
-NO_WORKER = 120.0  # s without any worker before a run fails
+NO_WORKER = 120.0  # s without any worker before a run fails, where workers are started again by themselves
 STALL = 3600.0  # s without a finished unit before a run fails
 DONE = ("finished", "error")  # final states of a future; one lost with its worker becomes pending again
 POLL = 2.0  # s between two checks of the cluster while no unit finishes
+REMEDY = "start some, or wait longer for them (--wait-workers)"
+
+_patience: ContextVar[float | None] = ContextVar("patience", default=None)
+
+
+@contextmanager
+def waiting_for_workers(seconds: float | None) -> Iterator[None]:
+    """In the block, wait so long for a first worker, and for another whenever the last is lost; None: NO_WORKER."""
+    before = _patience.set(seconds)
+    try:
+        yield
+    finally:
+        _patience.reset(before)
+
+
+def _patience_seconds() -> float:
+    seconds = _patience.get()
+    return NO_WORKER if seconds is None else seconds
 
 
 def as_completed(
@@ -89,6 +108,35 @@ def workers_of(client: Client) -> dict[str, dict[str, Any]]:
     return {}
 
 
+def await_workers(client: Client, listener: Listener) -> dict[str, dict[str, Any]]:
+    """Return what the scheduler knows of its workers, by address, once there is one.
+
+    Raises
+    ------
+    InputError
+        If there is none in time; see `waiting_for_workers`.
+    """
+    if found := workers_of(client):
+        return found
+    began, patience = time.monotonic(), _patience_seconds()
+    if patience:
+        _note_waiting(listener, "the dask scheduler has no worker")
+    # A cluster that adapts to its load starts workers once there is a task.
+    task = client.submit(time.monotonic, pure=False)
+    while not (found := workers_of(client)):
+        if client.status != "running" or time.monotonic() - began >= patience:
+            lack = f"had no worker for {patience:g} s" if patience else "no worker"
+            raise InputError(f"the dask scheduler has {lack}; {REMEDY}")
+        with suppress(TimeoutError):
+            client.wait_for_workers(1, timeout=min(POLL, patience))
+    task.release()
+    return found
+
+
+def _note_waiting(listener: Listener, what: str) -> None:
+    listener.note(f"{what}: waiting for one, at most {_patience_seconds():g} s")
+
+
 class Watch:
     """Waits for futures, and fails if the cluster makes no progress."""
 
@@ -96,13 +144,14 @@ class Watch:
         self._client, self._listener = client, listener
         self._last_finished = self._last_worker = time.monotonic()
         self._workers = NOBODY
+        self._missed = False  # whether the last worker is known to be lost
         self.one_thread_each = False  # as count_workers found it
 
     def count_workers(self) -> int:
         """Ask the scheduler for the number of workers; return at least 1."""
         workers = workers_of(self._client).values()
         if workers:
-            self._last_worker = time.monotonic()
+            self._last_worker, self._missed = time.monotonic(), False
             self.one_thread_each = all(w["nthreads"] == 1 for w in workers)
             memory, limit = max((w["metrics"].get("memory", 0), w["memory_limit"]) for w in workers)
             self._workers = Workers(len(workers), int(memory), int(limit or 0))
@@ -118,8 +167,8 @@ class Watch:
         Raises
         ------
         ProcessingError
-            If the scheduler is gone, there has been no worker for NO_WORKER seconds, or no unit has finished for STALL
-            seconds.
+            If the scheduler is gone, there has been no worker for too long (see `waiting_for_workers`), or workers have
+            finished no unit for STALL seconds.
         """
         while True:
             try:
@@ -135,10 +184,21 @@ class Watch:
         units = ", ".join(running.values())
         if self._client.status != "running":
             raise ProcessingError(f"{stage} of {units} was cut short: the dask scheduler is gone")
+        before = time.monotonic()
         self.count_workers()
         self.notify(running)
-        now = time.monotonic()
-        if now - self._last_worker > NO_WORKER:
-            raise ProcessingError(f"{stage} of {units} waits in vain: no worker for {NO_WORKER:.0f} s")
-        if now - self._last_finished > STALL:
+        if self._last_worker < before:
+            self._miss_workers(f"{stage} of {units}")
+        elif before - self._last_finished > STALL:
             raise ProcessingError(f"{stage} of {units} hangs: nothing was finished for {STALL:.0f} s")
+
+    def _miss_workers(self, units: str) -> None:
+        """Fail if there has been no worker for too long; until then say so once, if others are to start them."""
+        self._last_finished = now = time.monotonic()  # nothing hangs as long as nobody works
+        others = _patience.get() is not None
+        if now - self._last_worker > _patience_seconds():
+            remedy = f"; {REMEDY}" if others else ""
+            raise ProcessingError(f"{units} waits in vain: no worker for {_patience_seconds():g} s{remedy}")
+        if others and not self._missed:
+            _note_waiting(self._listener, "no worker is left")
+        self._missed = True

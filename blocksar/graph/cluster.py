@@ -26,8 +26,9 @@ import dask
 import distributed.utils
 from distributed import Client, LocalCluster
 
+from blocksar.budget import WAIT_WORKERS
 from blocksar.errors import InputError, ProcessingError
-from blocksar.graph.admission import NO_WORKER, workers_of
+from blocksar.graph.admission import NO_WORKER, await_workers, waiting_for_workers
 from blocksar.graph.compiling import By, compile_kernels, kernels_cached
 from blocksar.graph.forking import start_fork_server, worker_environment
 from blocksar.graph.here import Here
@@ -45,23 +46,39 @@ distributed.utils._forkserver_preload_set = True
 SETTINGS = {"distributed.admin.low-level-log-length": 10}  # dask would keep the last 1000 messages to workers
 
 
-def cluster_size(client: Client, *, workers: int | None = None, memory_limit: int | None = None) -> tuple[int, int]:
+class OwnCluster(LocalCluster):
+    """A local cluster of this process. Its `size` is what it was started with, also while workers are started again."""
+
+    def __init__(self, workers: int, memory: int, **options: Any) -> None:
+        super().__init__(n_workers=0, memory_limit=memory, **options)  # type: ignore[no-untyped-call]
+        self.size = workers, memory  # bytes of each
+
+
+def cluster_size(
+    client: Client, *, workers: int | None = None, memory_limit: int | None = None, listener: Listener | None = None
+) -> tuple[int, int]:
     """Return the number of workers of a cluster, and the smallest of their memory limits, bytes.
 
-    At most so many `workers` and so much memory, where they are given.
+    At most so many `workers` and so much memory, where they are given. Without any worker, wait for the first; see
+    `admission.waiting_for_workers`.
 
     Raises
     ------
     InputError
-        If there is no worker.
+        If there is no worker in time, or one does not have the same version of blocksar.
     """
-    with suppress(TimeoutError):
-        client.wait_for_workers(1, timeout=CONNECT)  # the only one may be restarting
-    found = workers_of(client)
-    if not found:
-        raise InputError("the dask scheduler has no worker; start some")
-    memory = min(int(w["memory_limit"]) or machine()[1] for w in found.values())
-    return min(len(found), workers or len(found)), min(memory, memory_limit or memory)
+    if (own := _own_cluster(client)) is not None:
+        number, memory = own.size
+    else:
+        found = await_workers(client, listener or Listener())
+        _check_versions(client)
+        number, memory = len(found), min(int(w["memory_limit"]) or machine()[1] for w in found.values())
+    return min(number, workers or number), min(memory, memory_limit or memory)
+
+
+def _own_cluster(client: Client) -> OwnCluster | None:
+    cluster = getattr(client, "cluster", None)
+    return cluster if isinstance(cluster, OwnCluster) else None
 
 
 def prepare_workers(threads: int, listener: Listener) -> None:
@@ -102,6 +119,7 @@ def open_client(
     threads: int = 1,
     memory_limit: int | None = None,
     scratch: str | None = None,
+    wait_workers: float = WAIT_WORKERS,
     listener: Listener | None = None,
 ) -> Iterator[Client]:
     """Open a client: `client` itself, one of the scheduler at an address, or one of a new local cluster.
@@ -118,14 +136,15 @@ def open_client(
         Memory of each local worker, bytes. Default: its share of the machine's memory.
     scratch : str, optional
         Folder for temporary files of local workers. Default: a temporary folder.
+    wait_workers : float
+        Time to wait in the block for a worker of a running cluster that has none, s; see `waiting_for_workers`.
     listener : Listener, optional
         Receives the progress of the start of a local cluster.
 
     Raises
     ------
     InputError
-        If `client` is none or asynchronous, the scheduler does not answer, or its workers do not have the same version
-        of blocksar.
+        If `client` is none or asynchronous, or the scheduler does not answer.
     ProcessingError
         If the workers of a local cluster do not start.
     """
@@ -140,14 +159,19 @@ def open_client(
                 "client is asynchronous, and nothing here awaits it; give a distributed.Client without "
                 "asynchronous=True, or the address of a scheduler as scheduler"
             )
-        yield client
+        with waiting_for_workers(wait_workers if _own_cluster(client) is None else None):
+            yield client
         return
     if scheduler is None:
         with Starting(workers, threads, memory_limit, scratch=scratch, listener=listener or Listener()) as starting:
             yield starting.client()
         return
-    with dask.config.set(SETTINGS), _silence_dask(), _connect(scheduler) as connected:
-        _check_versions(connected, scheduler)
+    with (
+        dask.config.set(SETTINGS),
+        _silence_dask(),
+        _connect(scheduler) as connected,
+        waiting_for_workers(wait_workers),
+    ):
         yield connected
 
 
@@ -229,13 +253,14 @@ def _connect(scheduler: str) -> Client:
         raise InputError(f"no dask scheduler answers at {scheduler} ({cause}); check --scheduler") from None
 
 
-def _check_versions(client: Client, scheduler: str) -> None:
+def _check_versions(client: Client) -> None:
     """Check that all workers have this version of blocksar: tasks are sent by name."""
     try:
         versions = client.run(_version)
     except Exception as error:
+        where = client.scheduler_info()["address"]
         raise InputError(
-            f"the workers of {scheduler} cannot run blocksar ({' '.join(str(error).split())}); "
+            f"the workers of {where} cannot run blocksar ({' '.join(str(error).split())}); "
             f"install blocksar {__version__} there"
         ) from error
     for worker, version in versions.items():
@@ -256,13 +281,14 @@ def _local_cluster(workers: int, threads: int, memory_limit: int | None, scratch
     ProcessingError
         If the workers do not start.
     """
+    memory = memory_limit or machine()[1] // workers
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(_local_settings(threads, scratch)))
-        cluster = LocalCluster(
-            n_workers=0,
+        cluster: LocalCluster = OwnCluster(
+            workers,
+            memory,
             threads_per_worker=1,
             processes=True,
-            memory_limit=memory_limit or "auto",
             host="127.0.0.1",
             dashboard_address="127.0.0.1:0",  # any free port, loopback only; needs bokeh to show more than metrics
             scheduler_kwargs={"dashboard": False},  # `serve_dashboard` makes one on demand

@@ -22,8 +22,10 @@ from blocksar import stores
 from blocksar.arrays import FloatArray
 from blocksar.chunks import MOSAIC_CHUNKS, TILE
 from blocksar.collection.collection import Collection
+from blocksar.collection.empty_pulses import missing_pulses
 from blocksar.collection.grid import Grid
 from blocksar.collection.ownership import margins_over
+from blocksar.collection.sublooks import whole_beam
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.noise import NoiseMap
@@ -128,7 +130,10 @@ def _run_read(
     ]
     receipts = iter(run_units(client, stage, list(chain(*units)), run, listener, ahead=True, reading_input=reading))
     groups = [list(islice(receipts, len(some))) for some in units]
-    return [Recovered(group, merge_inspections(group)) for group in groups]
+    return [
+        Recovered(group, without_lost(segment.history, merge_inspections(group)))
+        for segment, group in zip(segments, groups, strict=True)
+    ]
 
 
 def gate_ranges(
@@ -279,6 +284,16 @@ def _submit_chain(
     return submit(write_patch, run, unit, block, node, patch, key=key)
 
 
+def discard_spectra(segments: Sequence[Segment], run: Run, receipts: Sequence[Sequence[Receipt]]) -> None:
+    """Remove the spectra of the whole scene, and what range gates kept of them."""
+    for segment, some in zip(segments, receipts, strict=True):
+        own = segment.of(run)
+        own.discard(own.spectrum, some)
+        for block in segment.planned.blocks:
+            if block.range_gate is not None:
+                own.discard(own.gated(block.name), some)
+
+
 def mosaic(
     client: Client,
     segments: Sequence[Segment],
@@ -420,6 +435,15 @@ def merge_inspections(receipts: Sequence[Receipt]) -> Inspection:
     if (reason := refusal(inspection)) is not None:
         raise InputError(reason)
     return inspection
+
+
+def without_lost(history: stores.PhaseHistory, inspection: Inspection) -> Inspection:
+    """An inspection with those pulses missing that were lost and hold zeros, see `collection.empty_pulses`."""
+    lost = missing_pulses(
+        inspection.is_empty, inspection.lit > 0, whole_beam(history.collection, history.look),
+        lambda pulse: history.read(slice(pulse, pulse + 1), slice(None))[0],
+    )  # fmt: skip
+    return inspection.without(lost)
 
 
 def compress_raw(

@@ -1,16 +1,14 @@
 """Kinds of files and folders that are given for phase histories, told by their first bytes.
 
-One table, `KINDS`: the name of a kind, the mark that tells it, and what leads from there to a phase history. The first
-row whose mark fits counts. Marks are those of the formats' own definitions; where one has none (MATLAB 4, text), the
-whole beginning has to look like it.
+A table: the name of a kind, the mark that tells it, and what leads from there to a phase history. What is no data at
+all comes first (`NOTHING`), then what readers and scenes are, then `OTHERS`; the first row whose mark fits counts
+(`found`). Marks are those of the formats' own definitions; where one has none (MATLAB 4, text), the whole beginning has
+to look like it.
 """
 
 from __future__ import annotations
 
-import os
 import re
-import shlex
-import stat
 import struct
 import zlib
 from collections.abc import Callable
@@ -18,14 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from blocksar.errors import InputError
-from blocksar.places.local import LocalPlace
-from blocksar.places.ranges import Readable
-
 START = 1 << 15  # bytes that are looked at
-MOST_FILES = 64  # of a folder, that are looked at
-CPHD, MATLAB, SCENE = "a CPHD file", "a MATLAB 5 file", "a scene, not a phase history"  # kinds that blocksar reads
-READ = (CPHD, MATLAB)
 
 
 @dataclass(frozen=True)
@@ -170,7 +161,7 @@ PACKETS = "decode the packets of its .dat files with sentinel1decoder, a package
 LINK = "log in, or ask for a link that is still valid"
 DESCRIBED = "give the data that it describes"
 
-KINDS: tuple[Kind, ...] = (
+NOTHING: tuple[Kind, ...] = (
     # What is no file of data at all.
     Kind("an empty file", lambda s: not s.data, "get it again", beside=True),
     Kind("a file that begins with zeros only, as after an interrupted download", lambda s: not s.data.strip(b"\0"),
@@ -182,14 +173,10 @@ KINDS: tuple[Kind, ...] = (
     Kind("an error message of a server{detail}, not the file that was asked for",
          reads(r"(<\?xml[^>]*>\s*)?<(Error|ExceptionReport|ServiceException)\b"), f"{LINK}, and get it again",
          _word("<(?:Code|Message)>(.*?)<")),
-    # What blocksar reads.
-    Kind(CPHD, matches(rb"CPHD/1\.[01](\.\d+)?\n"),
-         "turn it into a phase history first: `blocksar ingest cphd {path} --out {store}`"),
-    Kind(MATLAB, lambda s: s.data.startswith(b"MATLAB 5") or s.data[124:128] in (b"\0\1IM", b"\1\0MI"),
-         "if it is of the Gotcha set, turn it into a phase history first: `blocksar ingest gotcha {path} --out "
-         "{store}`"),
-    Kind(SCENE, lambda s: s.name.lower().endswith(".toml"),
-         "write one first: `blocksar simulate {path} --out {store}`", beside=True),
+)  # fmt: skip
+SCENE = Kind("a scene, not a phase history", lambda s: s.name.lower().endswith(".toml"),
+             "write one first: `blocksar simulate {path} --out {store}`", beside=True)  # fmt: skip
+OTHERS: tuple[Kind, ...] = (
     # Phase histories, echoes and images in the formats of others.
     Kind("a CPHD file of an old version{detail}, laid out in another way", begins(b"CPHD/0."),
          f"read it with sarpy (sarpy.io.phase_history), and {ARRAYS}", _word(r"CPHD/(\S+)")),
@@ -261,79 +248,3 @@ KINDS: tuple[Kind, ...] = (
 )  # fmt: skip
 SAFE_ECHOES = Kind("a SAFE product of Sentinel-1 level 0", lambda s: True, f"{PACKETS}, and {ECHOES}")
 SAFE_IMAGES = Kind("a SAFE product, of images", lambda s: True, IMAGE)
-
-
-class Found(NamedTuple):
-    """What lies at a place: its kind, and the file that shows it, if that is in a folder."""
-
-    kind: Kind
-    start: Start
-    file: Readable
-
-    def sentence(self, asked: Readable, given: str | None = None) -> str:
-        """What it is, and what leads from there to a phase history; `given` is the path as the user gave it."""
-        path = given if given is not None and self.file is asked else str(self.file)
-        plain = re.sub(r"\.(gz|z|bz2|xz|zst|lz4)$", "", path, flags=re.IGNORECASE)
-        stem = self.file.name.partition(".")[0] or "phase_history"
-        fields = {
-            "path": shlex.quote(path), "store": shlex.quote(f"{stem}.zarr"),
-            "plain": shlex.quote(plain if plain != path else f"{path}.unpacked"),
-        }  # fmt: skip
-        name = self.kind.name.format(detail=self.kind.detail(self.start))
-        what = f"{self.file} is {name}; {self.kind.remedy.format(**fields)}"
-        return what if self.file is asked else f"{asked} is a folder, no phase history: {what}"
-
-
-def found_at(where: Readable) -> Found | None:
-    """Tell what lies at a place from first bytes; None if nothing does, or nothing that can be told.
-
-    Raises
-    ------
-    OSError
-        If it cannot be read.
-    """
-    if isinstance(where, LocalPlace):
-        if where.path.is_dir():
-            return _in_folder(where)
-        if not where.path.exists() or not stat.S_ISREG(os.stat(where.path).st_mode):
-            return None
-    try:
-        with where.open() as file:
-            data = file.read(START + 1)
-    except FileNotFoundError:
-        return None
-    start = Start(where.name, data[:START], len(data) <= START)
-    return Found(next(kind for kind in KINDS if kind.mark(start)), start, where)
-
-
-def _in_folder(folder: LocalPlace) -> Found | None:
-    """What a folder holds: the first file that `ingest` reads, or else of which the kind is known."""
-    names = folder.names()
-    if "manifest.safe" in names:
-        raw = "_RAW_" in folder.name
-        return Found(SAFE_ECHOES if raw else SAFE_IMAGES, Start(folder.name, b"", whole=True), folder)
-    seen: list[Found] = []
-    for name in names[:MOST_FILES]:
-        file = folder / name
-        with suppress(OSError):  # of others that can be read
-            if not file.path.is_dir() and (found := found_at(file)) is not None:
-                seen.append(found)
-    seen.sort(key=lambda found: (found.kind.name not in READ, found.kind.beside))
-    return seen[0] if seen and not seen[0].kind.beside else None
-
-
-def refuse_others(where: Readable, wanted: str) -> None:
-    """Raise an InputError that says what lies at a place, unless it is of the kind of that name, or nothing lies there.
-
-    Raises
-    ------
-    InputError
-        If it is of another kind, or no regular file.
-    OSError
-        If it cannot be read.
-    """
-    found = found_at(where)
-    if found is not None and (found.kind.name != wanted or found.file is not where):
-        raise InputError(found.sentence(where))
-    if found is None and isinstance(where, LocalPlace) and where.path.exists():
-        raise InputError(f"{where} is no regular file; give the path of {wanted}")

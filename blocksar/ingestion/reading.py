@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,31 +12,6 @@ from blocksar.collection.collection import Collection
 from blocksar.errors import InputError, ProcessingError, printable
 from blocksar.places.place import Place
 from blocksar.places.ranges import Readable
-
-
-@dataclass(frozen=True, kw_only=True)
-class Part:
-    """What of a file is wanted, and the ground of its image.
-
-    Attributes
-    ----------
-    pulses : (int, int or None)
-        First, and the one behind the last; None: to the end.
-    frequencies : (float, float)
-        Lowest and highest, Hz.
-    area : ((x0, x1), (y0, y1)) or None
-        m in the scene frame; None: all of the scene.
-    ground_height : float
-        z of the imaged plane, m.
-    """
-
-    pulses: tuple[int, int | None] = (0, None)
-    frequencies: tuple[float, float] = (-math.inf, math.inf)
-    area: tuple[tuple[float, float], tuple[float, float]] | None = None
-    ground_height: float = 0.0
-
-
-WHOLE = Part()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

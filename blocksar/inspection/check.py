@@ -11,10 +11,10 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.grid import Grid
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.collection.terrain import Terrain
-from blocksar.inspection.alternatives import Alternative, alternatives
+from blocksar.inspection.alternatives import IN_DEGREES, Alternative, alternatives
 from blocksar.inspection.comparison import FEW_PATCHES, PATCHES, Ground, View, after_refocus, as_given, compare
 from blocksar.inspection.contrast import SIGNIFICANT
-from blocksar.inspection.pointing import point
+from blocksar.inspection.pointing import beam_angle, point
 from blocksar.inspection.prominent import SHORT, Line, Samples
 from blocksar.inspection.sharpness import Refocus, blurring_phase, concentration, explain, judged_by_others, refocus
 from blocksar.inspection.verdict import FOCUSED, SHARP, Findings, Points, Trial
@@ -119,7 +119,10 @@ def _of_the_track(view: View) -> tuple[Findings, FloatArray | None]:
     """What the prominent places tell of the track, and the phase error that a refocus removes, (n_pulse,) rad."""
     trial, collection, lines = as_given(view), view.lines.geometry.collection, [line for _, line in view.prominent]
     dark = "the ground that was looked at returns hardly any of the energy"
-    empty = "" if trial.echoes else dark if view.lit else f"no place is lit by {SHORT} pulses or more"
+    unlit = f"no place is lit by {SHORT} pulses or more"
+    if collection.steered and np.abs(beam_angle(collection)).max() > IN_DEGREES:
+        unlit += ", as if the angles of the beam were in degrees; they must be in rad"
+    empty = "" if trial.echoes else dark if view.lit else unlit
     if len(lines) < FEWEST:
         return Findings((trial,), trial.sharpness, steered=collection.steered, empty=empty), None
     mended = refocus(lines, collection.n_pulse)

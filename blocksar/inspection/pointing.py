@@ -33,11 +33,14 @@ FEWEST, ENOUGH = 3, 5  # of those in focus: on which anything is said, and that 
 APART = 4.0  # range cells between places: less is the same one, seen in two apertures
 FURTHEST = 4.0  # beam widths: larger errors are not tried
 STEP = 0.02  # beam widths between errors that are tried
-NARROWER = (0.5, 0.42, 0.35, 0.3, 0.25)  # of the width said, that are tried; a pattern's nulls come to 1.7 dB at 0.5
+NARROWER = (0.5, 0.42, 0.35, 0.3, 0.25)  # of the width said, that are tried
 SPAN = 4.0  # dwells to either side of where a place was found, over which its line is taken
 FOCUSED = 0.5  # concentration of points
 OFF = 0.2  # beam widths: smaller errors cost little
-GAIN, GAIN_NARROWER = 1.0, 2.4  # dB over what is said, in the median of the places: 1.9 dB for an error of OFF
+GAIN = 1.0  # dB over what is said, in the median of the places: 1.9 dB for an error of OFF
+EMPTY = (
+    0.8  # of the gain, dB, if what a narrower beam leaves out were dark, in the median: a pattern's nulls come to 0.65
+)
 SHARE = 0.75  # of the places, that gain
 AGREED = 0.7  # of its own best, that the median place has
 TOLD_APART = 0.4  # dB in the median, for which an angle is told from that a PRF away
@@ -58,6 +61,8 @@ class Pointing(NamedTuple):
         By which places are brighter with it, dB in the median.
     rival : str
         Another error that these places do not tell from it, as one a PRF away; empty if there is none.
+    narrower : bool
+        Whether a narrower beam fits better, though by less than a pattern's nulls or cut dwells may give.
     """
 
     places: int
@@ -65,6 +70,7 @@ class Pointing(NamedTuple):
     found: Alternative | None = None
     gain: float = 0.0
     rival: str = ""
+    narrower: bool = False
 
     @property
     def told(self) -> bool:
@@ -121,6 +127,7 @@ def point(
     hypotheses = _hypotheses(collection, reach)
     turns = [0] if period - furthest > reach else [0, -1, 1]
     scores: list[FloatArray] = []
+    counts: list[FloatArray] = []
     seen: list[Place] = []
     for place in places:
         if len(scores) == ENOUGH and not thorough:
@@ -129,25 +136,26 @@ def point(
         if not lines or any(_apart(lines[0].place, other) < APART * source.cell for other in seen):
             continue
         seen.append(lines[0].place)
-        energy, focus = np.stack([_captured(source, line, collection, hypotheses) for line in lines]).max(axis=0)
+        energy, focus, count = np.stack([_captured(source, line, collection, hypotheses) for line in lines]).max(axis=0)
         if focus[energy.argmax()] >= FOCUSED:
             scores.append(energy / energy.max())
+            counts.append(count)
     if len(scores) < FEWEST:
         return Pointing(len(scores), reach)
-    return _judged(collection, hypotheses, np.stack(scores), period, reach)
+    return _judged(collection, hypotheses, np.stack(scores), np.stack(counts), period, reach)
 
 
 def _apart(one: Place, other: Place) -> float:
     return float(np.hypot(one.x - other.x, one.y - other.y))
 
 
-def _beam(collection: Collection) -> FloatArray:
+def beam_angle(collection: Collection) -> FloatArray:
     """Angle of the beam's centre, (n_pulse,) rad."""
     return collection.beam_azimuth if collection.beam_steering is None else collection.beam_steering
 
 
 def _hypotheses(collection: Collection, reach: float) -> _Hypotheses:
-    beam, width = _beam(collection), collection.beam_width or 0.0
+    beam, width = beam_angle(collection), collection.beam_width or 0.0
     count = round(reach / (STEP * width))
     errors = np.arange(-count, count + 1) * STEP * width
     errors = errors[np.argsort(np.abs(errors), kind="stable")]  # as said first
@@ -178,10 +186,10 @@ def _line(source: Lines, place: Place, turns: int, collection: Collection) -> Li
 
 
 def _captured(source: Lines, line: Line, collection: Collection, hypotheses: _Hypotheses) -> FloatArray:
-    """|sum|^2 / n of a line under each hypothesis, and its concentration there, (2, n_hypothesis)."""
-    geometry, said = source.geometry, _beam(collection)[line.pulses]
+    """|sum|^2 / n of a line under each hypothesis, its concentration there, and n, (3, n_hypothesis)."""
+    geometry, said = source.geometry, beam_angle(collection)[line.pulses]
     offset = beam_offset(geometry, np.array(line.place.x), np.array(line.place.y), line.pulses)
-    energy, focus = np.zeros((2, hypotheses.law.size))
+    energy, focus, n = np.zeros((3, hypotheses.law.size))
     for number, law in enumerate(hypotheses.laws):
         which: BoolArray = hypotheses.law == number
         away = wrapped(offset + said - law[line.pulses])
@@ -192,28 +200,30 @@ def _captured(source: Lines, line: Line, collection: Collection, hypotheses: _Hy
         first, last = np.searchsorted(away, centre - half), np.searchsorted(away, centre + half, side="right")
         squared = np.abs(sums[last] - sums[first]) ** 2
         count = np.maximum(last - first, 1)
-        energy[which] = squared / np.maximum(count, SHORT)
+        energy[which], n[which] = squared / np.maximum(count, SHORT), np.maximum(count, SHORT)
         focus[which] = squared / (count * np.maximum(powers[last] - powers[first], 1e-30))
-    return np.stack([energy, focus])
+    return np.stack([energy, focus, n])
 
 
 def _judged(
-    collection: Collection, hypotheses: _Hypotheses, scores: FloatArray, period: float, reach: float
+    collection: Collection, hypotheses: _Hypotheses, scores: FloatArray, counts: FloatArray, period: float, reach: float
 ) -> Pointing:
-    """What places with `scores` (n_place, n_hypothesis) of their best say together."""
+    """What places with `scores` (n_place, n_hypothesis) of their best, of so many pulses each, say together."""
     width, decibels = collection.beam_width or 0.0, 10 * np.log10(np.maximum(scores, 1e-6))
     together = scores.mean(axis=0)
     best = int(together.argmax())
     gain = decibels[:, best] - decibels[:, 0]
-    least = GAIN_NARROWER if hypotheses.width[best] < width else GAIN
+    narrower = bool(hypotheses.width[best] < width)
+    emptied = 10 * np.log10(counts[:, 0] / counts[:, best])  # dB, which pulses that hold nothing take
     plain = hypotheses.law[best] == 0 and hypotheses.width[best] == width
     if (
         (plain and abs(hypotheses.error[best]) < OFF * width)
-        or np.median(gain) < least
+        or np.median(gain) < GAIN
+        or (narrower and np.median(gain - EMPTY * emptied) < 0)
         or np.mean(gain > 0) < SHARE
         or np.median(scores[:, best]) < AGREED
     ):
-        return Pointing(len(scores), reach)
+        return Pointing(len(scores), reach, narrower=narrower)
     try:
         found = _alternative(collection, hypotheses, best)
     except InputError:  # it would be refused

@@ -28,7 +28,7 @@ is in the scene. So the sum over an aperture of many dwells is real and positive
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
@@ -58,6 +58,8 @@ class Inspection:
         Number of samples that were not finite, by pulse.
     outliers : dict of list
         Columns of the impossible samples, ascending, by pulse.
+    empty : list of [first, last]
+        Runs of pulses first .. last - 1 whose samples are all zero.
     valid : int
         Number of samples that are neither missing nor outliers nor zero.
     extreme : float
@@ -73,6 +75,7 @@ class Inspection:
     n_column: int
     missing: Counts = field(default_factory=dict)
     outliers: dict[int, list[int]] = field(default_factory=dict)
+    empty: list[list[int]] = field(default_factory=list)
     valid: int = 0
     extreme: float = 0.0
     at_extreme: tuple[int, int] = (0, 0)
@@ -92,6 +95,19 @@ class Inspection:
         for pulse, columns in self.outliers.items():
             lost[pulse] += len(columns)
         return 1 - lost / self.n_column
+
+    @property
+    def is_empty(self) -> BoolArray:
+        """Which pulses hold zeros only, (n_pulse,)."""
+        mask = np.zeros(self.n_pulse, np.bool_)
+        for first, last in self.empty:
+            mask[first:last] = True
+        return mask
+
+    def without(self, pulses: BoolArray) -> Self:
+        """The same with some more pulses (n_pulse,) missing, all of their samples."""
+        more = dict.fromkeys(np.flatnonzero(pulses).tolist(), self.n_column)
+        return replace(self, missing=dict(sorted({**self.missing, **more}.items())))
 
     def as_dict(self) -> dict[str, Any]:
         """The attributes for JSON, whose keys are strings."""
@@ -132,6 +148,7 @@ def _merge_pair(a: Inspection, b: Inspection) -> Inspection:
         n_column=a.n_column + b.n_column,
         missing={p: a.missing.get(p, 0) + b.missing.get(p, 0) for p in pulses},
         outliers={p: sorted(a.outliers.get(p, []) + b.outliers.get(p, [])) for p in outliers},
+        empty=_runs(a.is_empty & b.is_empty),
         valid=a.valid + b.valid,
         extreme=extreme,
         at_extreme=(
@@ -173,6 +190,7 @@ def join_segments(parts: Sequence[tuple[int, Inspection]], n_pulse: int) -> Insp
         n_column=parts[0][1].n_column,
         missing={first + pulse: count for first, part in parts for pulse, count in part.missing.items()},
         outliers={first + pulse: columns for first, part in parts for pulse, columns in part.outliers.items()},
+        empty=sorted([first + begin, first + end] for first, part in parts for begin, end in part.empty),
         valid=sum(part.valid for _, part in parts),
         extreme=extreme,
         at_extreme=(sum(real for real, _ in counts), sum(imag for _, imag in counts)),
@@ -225,6 +243,9 @@ def inspect(
         raise ValueError(f"{signal.dtype} samples {signal.shape} of {range_frequency.shape=} must be C-contiguous")
     if recovery is not None and recovery.pulses.size != n_pulse:
         raise ValueError(f"{signal.shape=}, but the recovery is of {recovery.pulses.size} pulses")
+    with np.errstate(invalid="ignore"):  # garbage may have signalling NaN
+        empty = signal[:, 0] == 0  # of few pulses, so that the others are not read once more
+    empty[empty] = ~signal[empty].any(axis=1)
     scan = _scan(signal, range_frequency, recovery, threads)
     missing, outliers = scan.missing, {}
     if missing.any() or scan.suspect.any():
@@ -242,6 +263,7 @@ def inspect(
         n_column=n_column,
         missing={int(p): int(missing[p]) for p in np.flatnonzero(missing)},
         outliers={p: [first_column + c for c in columns] for p, columns in outliers.items()},
+        empty=_runs(empty),
         valid=int(scan.valid.sum()),
         extreme=extreme,
         at_extreme=(int(real), int(imag)),
@@ -299,6 +321,11 @@ def _scan(
     return scan
 
 
+def _runs(mask: BoolArray) -> list[list[int]]:
+    """The runs first .. last - 1 of a mask (n,)."""
+    return np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2).tolist()
+
+
 def _finite(signal: ComplexArray) -> ComplexArray:
     return np.where(np.isfinite(signal), signal, np.complex64(0))
 
@@ -326,7 +353,7 @@ def _impossible(modulus: Float32Array) -> BoolArray:
 
 
 def mask_outliers(signal: ComplexArray, inspection: Inspection, *, pulses: slice) -> None:
-    """Set outliers and infinities to NaN in place, for callers that read by pulse.
+    """Set outliers, infinities and missing pulses to NaN in place, for callers that read by pulse.
 
     Parameters
     ----------
@@ -338,6 +365,7 @@ def mask_outliers(signal: ComplexArray, inspection: Inspection, *, pulses: slice
         The n pulses of `signal`.
     """
     signal[np.isinf(signal)] = np.nan
+    signal[inspection.lit[pulses] == 0] = np.nan
     for pulse, columns in inspection.outliers.items():
         if pulses.start <= pulse < pulses.stop:
             signal[pulse - pulses.start, columns] = np.nan

@@ -39,9 +39,12 @@ def refusal(inspection: Inspection) -> str | None:
 def describe(inspection: Inspection) -> list[str]:
     """Describe what is wrong in a merged inspection, one sentence each; none if nothing is."""
     messages = []
-    whole = sum(count == inspection.n_column for count in inspection.missing.values())
+    lost = [pulse for pulse, count in inspection.missing.items() if count == inspection.n_column]
+    whole, zeros = len(lost), int(inspection.is_empty[lost].sum())
     more = sum(inspection.missing.values()) - whole * inspection.n_column
     missing = [f"{whole} of {inspection.n_pulse} pulses {'is' if whole == 1 else 'are'} missing"] if whole else []
+    if zeros:
+        missing[0] += f" ({zeros} {'holds' if zeros == 1 else 'hold'} zeros only)"
     if more:
         missing.append(f"{_samples(more, ' more' if whole else '')} not {'a number' if more == 1 else 'numbers'}")
     if missing:

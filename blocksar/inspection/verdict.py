@@ -232,6 +232,12 @@ class Findings:
         return said and self.judged.refocused >= REFOCUSED and not self.spread
 
     @property
+    def as_sharp(self) -> list[Trial]:
+        """Alternatives by which blurred places get as sharp as by a refocus, if by less than is told from chance."""
+        enough = SHARP * self.given.sharpness / max(self.sharpness, 1e-30)
+        return [t for t in self.trials[1:] if t.gain > 0 and t.in_focus >= IN_FOCUS and t.sharpness >= enough]
+
+    @property
     def spread(self) -> bool:
         """Whether what a refocus gains is each place's own, as of clutter and broad targets."""
         return self.points is not None and self.sharpness < SHARP and self.points.given > SHARP * self.points.by_others
@@ -252,9 +258,11 @@ class Findings:
             )
         if self.blurred:
             cause = f", as by {self.cause}" if self.cause else ""
+            others = " or ".join(f"{t.name} ({t.remedy})" for t in self.as_sharp[:2])
+            others = f". It may as well be that {others}" if others else ""
             return (
                 f"prominent places reach {self.sharpness:.2f} of the sharpness that a refocus gives them: the track is "
-                f"off by a phase of {self.track_phase:.2g} rad r.m.s. over a dwell{cause}; {self.remedy}"
+                f"off by a phase of {self.track_phase:.2g} rad r.m.s. over a dwell{cause}; {self.remedy}{others}"
             )
         return None
 
@@ -317,7 +325,8 @@ class Findings:
         if self.pointing.found is not None:  # and is not believed
             return "; of the beam's angle they do not tell"
         reach = np.degrees(self.pointing.reach)
-        return f"; the beam lights them when it should (errors up to {reach:.2g} degrees are tried)"
+        narrower = ", and may be narrower than said" if self.pointing.narrower else ""
+        return f"; the beam lights them when it should{narrower} (errors up to {reach:.2g} degrees are tried)"
 
 
 def _tied(one: Trial, other: Trial) -> bool:

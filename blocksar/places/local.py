@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from zarr.storage import StorePath
 
 
+def _allocated(status: os.stat_result) -> int:
+    return 512 * status.st_blocks
+
+
 @dataclass(frozen=True)
 class LocalPlace(Place):
     """A file or folder; os and pathlib accept it as a path."""
@@ -96,6 +100,18 @@ class LocalPlace(Place):
                 with suppress(OSError):
                     os.unlink(os.path.join(parent, name))
 
+    def free(self) -> int | None:
+        with suppress(OSError):
+            there = next(path for path in (self.path, *self.path.absolute().parents) if path.exists())
+            return shutil.disk_usage(there).free
+        return None
+
+    def taken(self) -> int:
+        if self.path.is_file():
+            return _allocated(os.stat(self.path))
+        files = (os.stat(self.path / name) for name, _, _ in self.files())
+        return sum({(status.st_dev, status.st_ino): _allocated(status) for status in files}.values())
+
     def settle(self) -> None:
         descriptor = os.open(self.path, os.O_RDONLY)
         try:
@@ -145,14 +161,6 @@ class LocalPlace(Place):
                     raise Held(describe_owner(owner)) from None
                 raise
             os.close(descriptor)
-
-
-def free_bytes(place: LocalPlace) -> int:
-    """Bytes that the disk of a file or folder has free, which need not be there yet."""
-    path = place.path
-    while not path.exists():
-        path = path.parent
-    return shutil.disk_usage(path).free
 
 
 def file_version(status: os.stat_result) -> str:

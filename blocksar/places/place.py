@@ -63,6 +63,14 @@ class Place(Readable):
     def sweep(self) -> None:
         """Remove temporary files and folders that killed processes left below this place."""
 
+    def free(self) -> int | None:
+        """Return the bytes that are free on the disk of this place; None where there is no such limit."""
+        return None
+
+    def taken(self) -> int:
+        """Return the bytes that all files below take, each once, whatever number of names it has; 0 if not known."""
+        return 0
+
     @abstractmethod
     def settle(self) -> None:
         """Flush everything written below to disk, so that it survives a loss of power."""

@@ -26,7 +26,7 @@ TIME_GUARD = 0.1  # dwells kept on either side of the time in which a block's ta
 LEAST_ROOM = 1.4  # dwells that slow time has room for, so that the windows of the gate can fade out
 SLOW_ROOM = 1.25  # oversampling of slow time
 IMAGE_ROOM = 1.05  # of the image along Doppler, for the taps of the targets at its ends
-RESAMPLING_ROOM = 1.35  # oversampling of Doppler by padding in time: dense enough to interpolate
+ROOM = 1.35  # oversampling of Doppler by padding in time: dense enough to interpolate, for delayed echoes long enough
 
 
 def plan_slab(collection: Collection, spectrum: Axis, line: Line, *, margin: float) -> Slab:
@@ -69,19 +69,20 @@ def plan_sampling(
     time = _plan_time(sector.recovery, slab, straight, bandwidth=bandwidth, duration=duration)
 
     # Slow time before the final transform: the lines and what is smeared beyond them, room for resampling and windows.
-    # Without a gate the room for resampling is not summed: echoes from beside a block are delayed round its end, where
-    # the deramp takes them to the block's Doppler.
+    # Without a gate half of the room beyond is not summed: steps in Doppler delay echoes from beside a block into it,
+    # or round the end of time, from where the deramp would take them to the block's Doppler.
     guard, gated = GUARD * duration, beam_moves(sector.geometry.collection)
     if not gated:  # all is summed, to the end of the smear
         guard += smear_room(focused, biased.rate) * (IMAGE_TAP_ERROR / sector.tap_error) ** (2 / 3)
     begin = min(float(focused.time.min()) - guard, time.start)
     end = max(float(focused.time.max()) + guard, time.start + time.extent)
-    resampling = azimuth.range_part.freedom.resampling
-    resampled = RESAMPLING_ROOM if resampling else 1.0
+    roomy = azimuth.range_part.freedom.resampling or not gated
     slope = float(np.ptp(spots.time) / max(np.ptp(spots.doppler), 1e-9))
     held = _held_time(sector, lines.ends, time, slope=slope)
-    n_padded = fourier.fast_length(max((end - begin) / time.step, resampled * time.size, held / time.step))
-    long_time = Axis(begin, time.step, n_padded)
+    padded = (ROOM if roomy else 1.0) * time.size
+    n_padded = fourier.fast_length(max((end - begin) / time.step, padded, held / time.step))
+    beyond = 0.0 if gated else n_padded * time.step - (end - begin)
+    long_time = Axis(begin - beyond / 2, time.step, n_padded)
 
     middle = azimuth.polynomials.middle
     reach = 2 * max(time.start + time.extent - middle, middle - time.start)
@@ -100,7 +101,7 @@ def plan_sampling(
             long_time, size=n_padded, centre=float((spots.doppler.min() + spots.doppler.max()) / 2)
         ),
         gate=None,
-        summed=(begin, end) if resampling and not gated else None,
+        summed=None if gated else (begin - beyond / 4, end + beyond / 4),
     )
 
 

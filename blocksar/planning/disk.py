@@ -4,49 +4,87 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from blocksar.arrays import BoolArray, IntArray
+from blocksar.chunks import SAMPLE, stored_bytes
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.planning.plan import Plan
 from blocksar.planning.tiling import image_chunk, touched_chunks
 
-SAMPLE = 8  # bytes of a sample or pixel, complex64
 LAYER_SAMPLE = 4  # bytes of a height or an angle, float32, which hardly compress; visibility does
 NOISE_SAMPLE = 1  # bytes at most of the noise of a pixel, which is smooth: float32 of few bits, compressed
 POINTS = 40_000  # at about so many points of the grid, ownership is asked
+SPECTRA = ("spectrum", "gated")  # what a run that discards these removes before the mosaic
 
 
-def run_bytes(plan: Plan) -> dict[str, int]:
-    """Bytes that a run by a plan writes, by store: the spectrum, the blocks' patches, and what is merged from these.
+class Room(NamedTuple):
+    """What a run takes of a disk, bytes: until it has read its input, at most, and once it is finished."""
+
+    reading: int
+    most: int
+    left: int
+
+
+def room_of_run(stores: Mapping[str, int], *, beside: int, temporary: int, discard: bool, reads_later: bool) -> Room:
+    """The room for a run that writes such `stores`, bytes by name, as `run_bytes` or `exact_bytes` tell them.
+
+    Parameters
+    ----------
+    beside, temporary : int
+        Bytes of what a run writes before these, and keeps or removes at its end.
+    discard : bool
+        Whether it removes spectra and patches once it does not need them.
+    reads_later : bool
+        Whether it reads its input until all patches are written.
+    """
+    spectra = sum(stores.get(name, 0) for name in SPECTRA)
+    pixels = sum(stores.values()) - spectra - (stores["image"] if "patches" in stores else 0)
+    merged = sum(stores.values()) - spectra - pixels
+    before = beside + temporary
+    focused = before + spectra + pixels
+    end = before + pixels + merged + (0 if discard else spectra)
+    left = end - temporary - (0 if discard else stores.get("gated", 0)) - (merged if discard else 0)
+    return Room(focused if reads_later else before + spectra, max(focused, end), left)
+
+
+def run_bytes(*plans: Plan) -> dict[str, int]:
+    """Bytes that a run by plans writes, by store: the spectra, the blocks' patches, and what is merged from these.
 
     Pixels that are not covered take no room. An image's chunk that only one block touches is that of its patch: the two
     share their storage, on file systems with hard links. The noise of the image is there where that of the samples is
     known.
     """
-    grounds = [block.ground for block in plan.blocks]
-    touching = Counter(cell for ground in grounds for cell in touched_chunks(ground, plan.grid))
-    covered = covered_pixels(grounds, plan.grid)
-    chunk = math.prod(image_chunk(plan.grid))
-    merged = sum(count > 1 for count in touching.values()) * chunk
+    grid, collection = plans[0].grid, plans[0].geometry.collection
+    touching = Counter(cell for plan in plans for block in plan.blocks for cell in touched_chunks(block.ground, grid))
+    sampled = _Sampled.of(grid)
+    owned = [sampled.owned([block.ground for block in plan.blocks]) for plan in plans]
+    covered = np.logical_or.reduce(owned)
+    merged = covered & sampled.within({cell for cell, count in touching.items() if count > 1})
     gated = 0
-    for block in plan.blocks:
-        if block.range_gate is not None:
-            first, last = plan.gated_bins(block)
-            gated += SAMPLE * (last - first) * block.sampling.range_frequency.size
+    for plan in plans:
+        for block in plan.blocks:
+            if block.range_gate is not None:
+                first, last = plan.gated_bins(block)
+                gated += stored_bytes((last - first, block.sampling.range_frequency.size), plan.gated_chunk(block))
     return {
-        "spectrum": SAMPLE * plan.recovery.doppler.size * plan.geometry.collection.n_range_frequency,
+        "spectrum": sum(
+            stored_bytes((plan.recovery.doppler.size, plan.geometry.collection.n_range_frequency), plan.spectrum_chunk)
+            for plan in plans
+        ),
         **({"gated": gated} if gated else {}),
-        "patches": SAMPLE * covered,
-        "image": SAMPLE * min(merged, covered),
+        "patches": SAMPLE * sum(map(sampled.pixels, owned)),
+        "image": SAMPLE * sampled.pixels(merged),
         **_beside(
-            plan.geometry.terrain,
-            heights=min(len(touching) * chunk, math.prod(plan.grid.shape)),
-            covered=covered,
-            noise=bool(plan.geometry.collection.noise_power),
+            plans[0].geometry.terrain,
+            heights=min(len(touching) * math.prod(image_chunk(grid)), math.prod(grid.shape)),
+            covered=sampled.pixels(covered),
+            noise=bool(collection.noise_power),
         ),
     }
 
@@ -65,18 +103,42 @@ def _beside(terrain: Terrain | None, *, heights: int, covered: int, noise: bool)
     return {**layers, **({"noise": NOISE_SAMPLE * covered} if noise else {})}
 
 
-def covered_pixels(grounds: Sequence[GroundMap], grid: Grid) -> int:
-    """Number of pixels that the blocks own, from every n-th row and column."""
-    step = max(math.isqrt(math.prod(grid.shape) // POINTS), 1)
-    x, y = np.meshgrid(grid.x[step // 2 :: step], grid.y[step // 2 :: step])
-    geometry = grounds[0].geometry
-    yaw, rng = geometry.yaw(x, y), geometry.epoch_range(x, y)
-    owned = np.zeros(x.shape, np.bool_)
-    for ground in grounds:
-        turn = np.remainder(yaw - ground.middle_yaw + np.pi, 2 * np.pi) - np.pi
-        inside = (abs(turn) <= (ground.high - ground.low) / 2) & (rng >= ground.near) & (rng < ground.far)
-        at = ground.middle_yaw + turn[inside]
-        limits = (np.interp(at, ground.yaw_axis, limit) for limit in (ground.near_limit, ground.far_limit))
-        near, far = limits
-        owned[inside] |= (rng[inside] >= near) & (rng[inside] <= far)
-    return round(float(owned.mean()) * math.prod(grid.shape)) if owned.size else 0
+class _Sampled(NamedTuple):
+    """Every n-th row and column of a grid: their indices (n_row, 1) and (1, n_column)."""
+
+    grid: Grid
+    row: IntArray
+    column: IntArray
+
+    @classmethod
+    def of(cls, grid: Grid) -> _Sampled:
+        step = max(math.isqrt(math.prod(grid.shape) // POINTS), 1)
+        n_row, n_column = grid.shape
+        return cls(grid, np.arange(step // 2, n_row, step)[:, None], np.arange(step // 2, n_column, step)[None])
+
+    def pixels(self, some: BoolArray) -> int:
+        """Number of pixels of the grid for which some samples (n_row, n_column) stand."""
+        return round(float(some.mean()) * math.prod(self.grid.shape)) if some.size else 0
+
+    def within(self, cells: set[tuple[int, int]]) -> BoolArray:
+        """Samples in some of the image's chunks, each given by its number along y and along x."""
+        side = image_chunk(self.grid)
+        chosen = np.zeros([-(-n // length) for n, length in zip(self.grid.shape, side, strict=True)], np.bool_)
+        for cell in cells:
+            chosen[cell] = True
+        return chosen[self.row // side[0], self.column // side[1]]
+
+    def owned(self, grounds: Sequence[GroundMap]) -> BoolArray:
+        """Samples that blocks own."""
+        x, y = np.broadcast_arrays(self.grid.x[self.column], self.grid.y[self.row])
+        geometry = grounds[0].geometry
+        yaw, rng = geometry.yaw(x, y), geometry.epoch_range(x, y)
+        owned = np.zeros(x.shape, np.bool_)
+        for ground in grounds:
+            turn = np.remainder(yaw - ground.middle_yaw + np.pi, 2 * np.pi) - np.pi
+            inside = (abs(turn) <= (ground.high - ground.low) / 2) & (rng >= ground.near) & (rng < ground.far)
+            at = ground.middle_yaw + turn[inside]
+            limits = (np.interp(at, ground.yaw_axis, limit) for limit in (ground.near_limit, ground.far_limit))
+            near, far = limits
+            owned[inside] |= (rng[inside] >= near) & (rng[inside] <= far)
+        return owned

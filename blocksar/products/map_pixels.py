@@ -24,7 +24,8 @@ from blocksar.collection.georeference import Georeference, datum_tie
 from blocksar.errors import InputError, printable
 from blocksar.measurement.looks import power_of
 from blocksar.products.ground_image import GroundImage
-from blocksar.products.pixels import Content, Pixels
+from blocksar.products.options import Content
+from blocksar.products.pixels import Pixels
 
 if TYPE_CHECKING:
     from pyproj import CRS

@@ -1,44 +1,20 @@
-"""Options of exports: which product takes which, what their texts mean, and the endings of files."""
+"""Options that products share: what they mean, and how their texts are read."""
 
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections.abc import Iterable
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from blocksar.errors import InputError, printable
+from blocksar.errors import InputError
+from blocksar.options import Option
+from blocksar.spans import numbers_of, parse_crop
 
-OPTIONS: dict[str, tuple[str, ...]] = {
-    "sicd": (),
-    "geotiff": ("content", "looks", "scale", "range", "crop", "crs"),
-    "png": ("looks", "range", "crop", "colour_map", "size", "composite"),
-}
-ENDINGS = {
-    "sicd": (".nitf", ".ntf", ".nsf"),
-    "geotiff": (".tif", ".tiff"),
-    "png": (".png",),
-    "report": (".html", ".htm"),
-}
-OTHERS = (".jpg", ".jpeg", ".gif", ".webp", ".svg", ".pdf", ".json", ".csv", ".zarr", ".nc", ".h5", ".toml")
-
-
-def check_ending(kind: str, name: str) -> None:
-    """Refuse a file's name with the ending of something else; unknown endings may stand for anything.
-
-    Raises
-    ------
-    InputError
-        If the ending is that of another kind of file.
-    """
-    ending = os.path.splitext(name)[1].lower()
-    other = {ending: kind for kind, endings in ENDINGS.items() for ending in endings}.get(ending)
-    if ending in OTHERS or other not in (None, kind):
-        owner = f"which is that of {other}" if other else "which is that of another kind of file"
-        raise InputError(
-            f"{printable(name)} ends in {ending}, {owner}; give {kind} a name that ends in {' or '.join(ENDINGS[kind])}"
-        )
+Content = Literal["amplitude", "power", "db", "complex", "height", "incidence", "visibility", "gamma"]
+Scale = Literal["uint8", "uint16"]
+Decibels = tuple[float, float]  # lower and upper end
+Box = tuple[tuple[float, float], tuple[float, float]]  # ends of x and of y, m
 
 
 def parse_looks(looks: Any) -> tuple[int, int]:
@@ -64,55 +40,48 @@ def parse_looks(looks: Any) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-def parse_range(limits: Any) -> Any:
-    """Read a range in dB, such as `-40:0`; what is no text is handed on.
+def parse_range(limits: Any) -> Decibels:
+    """Read the ends of a range in dB, such as `-40:0` or (-40, 0).
 
     Raises
     ------
     InputError
-        If it is a text of another form.
+        If they are no two finite numbers, the lower first.
 
     Examples
     --------
     >>> parse_range("-40:0")
     (-40.0, 0.0)
     """
-    if not isinstance(limits, str):
-        return limits
-    ends = _numbers(limits)
-    if len(ends) != 2:
-        raise InputError(f"range = {limits[:80]!r}: give two ends in dB, the lower first, such as -40:0")
-    return ends
-
-
-def parse_crop(crop: Any, name: str = "crop") -> tuple[tuple[float, float], tuple[float, float]]:
-    """Read a part of the ground, such as `0:500,18000:18500` or ((0, 500), (18000, 18500)), m; `name` is its option's.
-
-    Raises
-    ------
-    InputError
-        If it is none, or an axis is empty.
-
-    Examples
-    --------
-    >>> parse_crop("0:500,18e3:18500")
-    ((0.0, 500.0), (18000.0, 18500.0))
-    """
-    given = [_numbers(axis) for axis in crop.split(",")] if isinstance(crop, str) else crop
     try:
-        (x0, x1), (y0, y1) = ((float(low), float(high)) for low, high in given)
+        low, high = numbers_of(limits) if isinstance(limits, str) else (float(end) for end in limits)
     except (TypeError, ValueError):
-        x0 = x1 = y0 = y1 = math.nan
-    if not (x0 < x1 and y0 < y1 and all(map(math.isfinite, (x0, x1, y0, y1)))):
-        raise InputError(
-            f"{name} = {str(crop)[:80]!r}: give the ends of x and of y in metres, the lower first, such as "
-            "0:500,18000:18500"
-        )
-    return (x0, x1), (y0, y1)
+        low = high = math.nan
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        given = limits[:80] if isinstance(limits, str) else limits
+        raise InputError(f"range = {given!r}: give two ends in dB, the lower first, such as -40:0")
+    return low, high
 
 
-def _numbers(text: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(number) for number in text.split(":"))
-    except ValueError:
-        return ()
+def decibels(of: str) -> Option:
+    """The option `range` of what decibels are mapped to."""
+    return Option(f"dB at the ends of {of}.", metavar="LOW:HIGH", default="by the image", read=parse_range)
+
+
+COLOUR_RANGE = decibels("the colours")
+COLOUR_MAP = Option(
+    "One of matplotlib's colour maps.", metavar="NAME", default="gray", flags=("--colour-map", "--color-map")
+)
+Crop = Annotated[
+    Box | None,
+    Option("Write only this part of the ground, m.", metavar="x0:x1,y0:y1", default="the whole image", read=parse_crop),
+]
+Looks = Annotated[
+    tuple[int, int] | None,
+    Option(
+        "Average power over cells of A pixels along y and B along x.",
+        metavar="AxB",
+        default="by the product",
+        read=parse_looks,
+    ),
+]

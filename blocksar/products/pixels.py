@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +15,13 @@ from blocksar.errors import InputError
 from blocksar.focusing.terrain_layers import Sight, box_of, by_owner, gamma_factor
 from blocksar.kernels.occlusion import UNKNOWN, VISIBLE
 from blocksar.measurement.looks import checked_looks, decibels, multilook, power_of
+from blocksar.products.options import Content, Decibels, Scale
 from blocksar.products.pictures.overview import overview, stretch
 from blocksar.runs.finished import STRIP, FinishedRun
 
-Content = Literal["amplitude", "power", "db", "complex", "height", "incidence", "visibility", "gamma"]
-Scale = Literal["uint8", "uint16"]
 LAYERS = {"height": "height", "incidence": "incidence_angle", "visibility": "visibility"}  # in image.zarr, on a terrain
 CONTENTS: tuple[Content, ...] = get_args(Content)
-SCALES: tuple[Scale, ...] = ("uint8", "uint16")
+SCALES: tuple[Scale, ...] = get_args(Scale)
 STRETCHED = 1000  # cells along the longer side of what the range in dB is chosen from
 
 
@@ -170,14 +169,14 @@ def pixels_of(
     content: Content | None,
     looks: tuple[int, int],
     scale: Scale | None,
-    limits: tuple[float, float] | None,
+    limits: Decibels | None,
 ) -> Pixels:
     """Check what is asked of the pixels; choose the range in dB if it is needed and not given.
 
     Raises
     ------
     InputError
-        If the content, the looks, the scale or the limits are none, or do not go together.
+        If the content, the looks or the scale are none, or do not go together.
     """
     content = content or ("db" if scale else "amplitude")
     if content not in CONTENTS:
@@ -195,26 +194,9 @@ def pixels_of(
         raise InputError(f"scale = {scale!r} stores dB, but the content is {content}; take content db")
     if limits is not None and scale is None:
         raise InputError("a range in dB serves to scale pixels to whole numbers; give a scale, such as uint8, too")
-    if scale is not None:
-        limits = checked_limits(limits) if limits is not None else _stretched(source)
+    if scale is not None and limits is None:
+        limits = _stretched(source)
     return Pixels(source, content, looks, scale, limits or (0.0, 0.0))
-
-
-def checked_limits(limits: tuple[float, float]) -> tuple[float, float]:
-    """Return the ends of a range in dB.
-
-    Raises
-    ------
-    InputError
-        If they are no two finite numbers, the lower first.
-    """
-    try:
-        low, high = (float(end) for end in limits)
-    except (TypeError, ValueError):
-        low = high = np.nan
-    if not (np.isfinite(low) and np.isfinite(high) and low < high):
-        raise InputError(f"range = {limits!r}: give two ends in dB, the lower first, such as -40:0")
-    return low, high
 
 
 def _stretched(source: FinishedRun) -> tuple[float, float]:

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from blocksar.errors import InputError, ProcessingError, in_the_way, is_full, no_room
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace, flush_file, held_part, new_file
+from blocksar.places.room import check_room
 from blocksar.runs.record import RECORD
 
 
@@ -27,15 +28,17 @@ def refuse_parts(target: LocalPlace) -> None:
 
 
 @contextmanager
-def replacing(out: Location, *, overwrite: bool) -> Iterator[str]:
+def replacing(out: Location, *, overwrite: bool, room: int = 0) -> Iterator[str]:
     """Yield a temporary name for a product; rename it to `out` when the block ends without error.
+
+    `room` is what it will take of the disk at least, bytes.
 
     The file is flushed to the disk before it is renamed. If the block raises, `out` stays as it was.
 
     Raises
     ------
     InputError
-        If `out` exists and must not be replaced, or no file can be written there.
+        If `out` exists and must not be replaced, no file can be written there, or the disk has no room for it.
     ProcessingError
         If the disk is full, or the file system fails otherwise.
     """
@@ -51,6 +54,7 @@ def replacing(out: Location, *, overwrite: bool) -> Iterator[str]:
         raise InputError(f"{target} is no regular file, and is not replaced; choose another name")
     if target.exists() and not overwrite:
         raise in_the_way(target)
+    check_room(target, room)
     try:
         os.makedirs(target.path.parent, exist_ok=True)
         # It fails now if it cannot be written, with the same message whichever library writes.

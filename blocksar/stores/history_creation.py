@@ -8,22 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from blocksar.chunks import TILE
+from blocksar.chunks import TILE, stored_bytes
 from blocksar.collection.collection import Collection
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.collection.recorded import ATTRIBUTE as RECORDED
-from blocksar.constants import GIB
-from blocksar.errors import InputError
 from blocksar.places import Location
 from blocksar.places import place as place_of
-from blocksar.places.local import LocalPlace, free_bytes
 from blocksar.places.place import Place
+from blocksar.places.room import REMEDY, check_room
 from blocksar.stores.channels import check_channels, with_channels
 from blocksar.stores.contract import stated
 from blocksar.stores.creation import create
 from blocksar.stores.schema import COLLECTION, COLLECTION_ATTRS, CONVENTIONS, PHASE_HISTORY, RAW_ECHO
-
-SAMPLE = 8  # bytes of one, complex64
 
 
 def create_phase_history(
@@ -56,9 +52,10 @@ def create_phase_history(
     Raises
     ------
     InputError, ProcessingError
-        As for `create`.
+        As for `create`, and if the disk has no room for the samples that are filled in.
     """
-    refuse_full(path, collection, max(len(channels), 1), raw=raw)
+    if fill is not None:
+        refuse_full(path, collection, max(len(channels), 1), raw=raw)
     column, axis = ("range_frequency", collection.range_frequency) if raw is None else ("fast_time", raw.fast_time)
     schema, angles, variables = stated(collection, PHASE_HISTORY if raw is None else RAW_ECHO)
     named: dict[str, Any] = {}
@@ -88,15 +85,9 @@ def refuse_full(
     InputError
         If it has not, with both figures.
     """
-    place = place_of(path)
-    free = free_bytes(place) if isinstance(place, LocalPlace) else None
     columns = collection.n_range_frequency if raw is None else raw.fast_time.size
-    needed = SAMPLE * n_channel * collection.n_pulse * columns
-    if free is not None and needed > free:
-        raise InputError(
-            f"{place} needs {needed / GIB:.3g} GiB, but its disk has {free / GIB:.3g} GiB free; make room, "
-            f"{'or ' if not other else ''}choose another place{f', or {other}' if other else ''}"
-        )
+    remedy = f"make room, choose another place, or {other}" if other else REMEDY
+    check_room(place_of(path), n_channel * stored_bytes((collection.n_pulse, columns)), remedy)
 
 
 def write_collection(path: Location, collection: Collection, attrs: Mapping[str, Any] | None = None) -> None:

@@ -163,8 +163,8 @@ def closing(cluster: SLURMCluster) -> Iterator[None]:
             cluster.close()
 
 
-def wait_for_workers(client: Client, jobs: int, patience: float) -> None:
-    """Wait for the workers, at most `patience` seconds; the run then starts with those available.
+def wait_for_workers(client: Client, jobs: int, seconds: float) -> None:
+    """Wait for the workers, at most so many `seconds`; the run then starts with those available.
 
     The plan divides the scene among these workers; later ones are used as well.
 
@@ -174,11 +174,11 @@ def wait_for_workers(client: Client, jobs: int, patience: float) -> None:
         If none is running.
     """
     with suppress(TimeoutError):
-        client.wait_for_workers(jobs, timeout=patience)
+        client.wait_for_workers(jobs, timeout=seconds)
     running = len(client.nthreads())
     if not running:
         raise ProcessingError(
-            f"none of {jobs} jobs started within {patience:.0f} s: see squeue for the reason; try again later"
+            f"none of {jobs} jobs started within {seconds:.0f} s: see squeue for the reason; try again later"
         )
     typer.echo(f"{running} of {jobs} workers are running", err=True)
 
@@ -200,8 +200,9 @@ def main(
     directive: Annotated[
         list[str] | None, typer.Option(metavar="OPTION", help="Further options of sbatch, such as --constraint=avx512.")
     ] = None,
-    patience: Annotated[
-        float, typer.Option(min=1, metavar="SECONDS", help="Time to wait for the jobs to start.")
+    wait_workers: Annotated[
+        float,
+        typer.Option(min=1, metavar="SECONDS", help="Time to wait for the jobs to start, and for others if all end."),
     ] = 3600,
     processor: options.ProcessorOption = "angular-division",
     blocks: options.Blocks = "auto",
@@ -225,6 +226,7 @@ def main(
             "coefficients": coefficients,
             "grid": None if grid is None else parsing.parse_grid(grid),
             "overwrite": overwrite,
+            "wait_workers": wait_workers,
         }
         if not job_script:
             stores.open_phase_history(source)  # refuse it before jobs are queued
@@ -250,7 +252,7 @@ def main(
                 check_job(cluster.job_script())
                 with Client(cluster) as client:
                     cluster.scale(jobs=jobs)
-                    wait_for_workers(client, jobs, patience)
+                    wait_for_workers(client, jobs, wait_workers)
                     with Progress(quiet=quiet) as progress:
                         report = blocksar.focus(source, out, threads=1, client=client, progress=progress, **settings)
         display.show(report)

@@ -11,13 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from arrays import GRID, arrays
+from arrays import GRID, TARGETS, arrays
 from distributed import Client
 
 import blocksar
 from blocksar import stores
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
+
+pytestmark = pytest.mark.usefixtures("unchecked")
 
 CORNER = ((-10.0, 10.0, 0.5), (-10.0, 10.0, 0.5))
 
@@ -142,6 +144,22 @@ def test_the_image_is_that_of_the_store(
     blocksar.focus(store, tmp_path / "cluster", grid=GRID, client=client, blocks=blocks)  # auto depends on workers
     for run in (tmp_path / "own", tmp_path / "cluster"):
         np.testing.assert_array_equal(pixels(run), pixels(focused))
+
+
+@pytest.mark.parametrize("processor", ["backprojection", None])
+def test_pulses_of_zeros_are_missing(processor: str | None, tmp_path: Path) -> None:
+    """Under a beam that is not steered, at the ends and inside; amplitudes were those of the pulses that are there."""
+    given = arrays(steered=False)
+    given["signal"][np.r_[0:30, 200:203, 377:400]] = 0
+    settings = {"processor": processor} if processor else {}
+    report = focus(blocksar.collection(**given), tmp_path / "run", **settings)
+    assert "56 of 400 pulses are missing (56 hold zeros only): counted as not lit" in report.result["warnings"]
+    image = np.abs(blocksar.open(tmp_path / "run")["image"])
+    for target in TARGETS:
+        assert abs(float(image.sel(x=target["x"], y=target["y"])) - 1) < 0.01
+    assert float(image.sel(x=0, y=20).max()) < 0.1
+    chips = blocksar.quality(tmp_path / "run", reference=True).result["reference"] if not processor else []
+    assert all(abs(chip["gain"] - 1) < 0.01 for chip in chips if chip["power"] > 1e-3)
 
 
 def test_a_finished_run_of_the_same_data_is_known_again(dataset: xr.Dataset, tmp_path: Path) -> None:

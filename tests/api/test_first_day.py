@@ -29,9 +29,7 @@ def test_fifteen_lines_lead_from_arrays_to_a_picture(tmp_path: Path) -> None:
     statements = len(compile(SCRIPT, "script.py", "exec", flags=0x400).body)  # type: ignore[attr-defined]  # only the tree
     assert statements <= 15 and "__main__" not in SCRIPT
     (tmp_path / "script.py").write_text(SCRIPT)
-    ended = subprocess.run(
-        [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=200
-    )
+    ended = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
     with Image.open(tmp_path / "arrays.png") as picture:
         assert min(picture.size) > 300

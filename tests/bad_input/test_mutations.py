@@ -16,7 +16,6 @@ from bad_input import (
     CHAIN,
     REPLACED,
     Bench,
-    deadline,
     flipped,
     grown,
     one_sentence,
@@ -53,7 +52,7 @@ def unfinished(bench: Bench) -> Path:
 
     with pytest.MonkeyPatch.context() as patch, contextlib.suppress(KeyboardInterrupt):
         patch.setattr(stages, "mosaic", interrupted)
-        blocksar.focus(bench.store, bench.room / "unfinished", client=bench.client, **CHAIN)
+        blocksar.focus(bench.store, bench.room / "unfinished", workers=0, **CHAIN)
     return bench.room / "unfinished"
 
 
@@ -101,8 +100,7 @@ def test_unfinished_runs(first: int, bench: Bench, unfinished: Path) -> None:
         what = damage(run, rng)
         for _ in range(2):
             try:
-                with deadline(60):
-                    blocksar.focus(bench.store, run, client=bench.client, **CHAIN)
+                blocksar.focus(bench.store, run, workers=0, **CHAIN)
             except (InputError, ProcessingError) as error:
                 one_sentence(error)
                 outcome = "refused"
@@ -143,8 +141,7 @@ def test_cphd_files(first: int, bench: Bench, product: Path) -> None:
         file, out = bench.fresh(".cphd"), bench.fresh(".zarr")
         file.write_bytes(data)
         try:
-            with deadline(60):
-                blocksar.ingest("cphd", file, out)
+            blocksar.ingest("cphd", file, out)
         except InputError as error:
             one_sentence(error)
             assert not os.path.lexists(out)

@@ -47,6 +47,8 @@ from blocksar.api import focusing
 from blocksar.errors import InputError
 from blocksar.stores import arrays
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 OUTLIER = 100  # times its neighbours: a sample up to this ratio may be valid
 
 
@@ -622,7 +624,7 @@ def test_unusual_names_of_sources_and_runs(bench: Bench) -> None:
         outcome = bench.attempt("names", path, out=out)
         assert outcome == "the clean image" or name not in PLAIN
         if outcome == "the clean image":
-            assert "nothing to do" in blocksar.focus(path, out, client=bench.client, **EXACT).summary[0]
+            assert "nothing to do" in blocksar.focus(path, out, workers=0, **EXACT).summary[0]
             blocksar.quality(out)
 
     bench.all({repr(name): lambda name=name: case(name) for name in NAMES})
@@ -696,7 +698,7 @@ def test_impossible_names_of_runs_are_refused(bench: Bench) -> None:
         before = os.path.lexists(path) if "\0" not in str(path) else False
 
         def case(path: Path = path, before: bool = before) -> None:
-            bench.refused("impossible names", blocksar.focus, bench.store, path, client=bench.client, **EXACT)
+            bench.refused("impossible names", blocksar.focus, bench.store, path, workers=0, **EXACT)
             assert before == ("\0" not in str(path) and os.path.lexists(path))
 
         names[name] = case  # type: ignore[assignment]
@@ -713,9 +715,9 @@ def test_links_to_stores_and_runs_work(bench: Bench) -> None:
     assert bench.attempt("links", store) == "the clean image"
     target = bench.finished_run(**EXACT)
     run.symlink_to(target)
-    assert "nothing to do" in blocksar.focus(bench.store, run, client=bench.client, **EXACT).summary[0]
+    assert "nothing to do" in blocksar.focus(bench.store, run, workers=0, **EXACT).summary[0]
     blocksar.quality(run)
-    blocksar.focus(bench.store, run, client=bench.client, overwrite=True, **EXACT)
+    blocksar.focus(bench.store, run, workers=0, overwrite=True, **EXACT)
     assert run.is_symlink() and bench.difference(target, **EXACT) <= ROUNDING
     bench.tally["links", "the clean image"] += 2
 
@@ -754,7 +756,7 @@ def test_the_input_is_never_changed(overwrite: bool, bench: Bench) -> None:
     def case(source: Path, out: Path) -> None:
         samples = {p: p.read_bytes() for p in sorted(source.rglob("*")) if p.is_file()}
         try:
-            blocksar.focus(source, out, client=bench.client, overwrite=overwrite, **EXACT)
+            blocksar.focus(source, out, workers=0, overwrite=overwrite, **EXACT)
         except InputError as error:
             one_sentence(error)
             outcome = "refused"
@@ -788,7 +790,7 @@ def test_a_bad_input_leaves_the_old_run_unchanged(wanted: dict[str, Any], bench:
     def case(source: Path, overwrite: bool) -> None:
         run = bench.finished_run(**wanted)
         before = listing(run)
-        options: dict[str, Any] = {"client": bench.client, "overwrite": overwrite, **wanted}
+        options: dict[str, Any] = {"workers": 0, "overwrite": overwrite, **wanted}
         bench.refused("old runs", blocksar.focus, source, run, **options)
         assert listing(run) == before, "the old run was changed"
 

@@ -15,12 +15,14 @@ from typer.testing import CliRunner, Result
 import blocksar
 from blocksar.api.jobs import Request
 from blocksar.api.rehearsing import rehearse
+from blocksar.api.room import Beside
 from blocksar.cli import commands
 from blocksar.cli.configuration import NOT_CONFIGURED
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError
 from blocksar.graph.machine import resources
 from blocksar.places import place
+from blocksar.processors import options_for
 from blocksar.runs.record import FINISHED, RunRecord
 
 EVERY = """
@@ -44,6 +46,8 @@ workers = 3
 threads = 2
 memory-limit = "2GiB"
 scheduler = "tcp://a:1"
+wait-workers = 5.0
+whole-pulses = true
 performance-report = "report.html"
 overwrite = true
 discard = true
@@ -58,10 +62,11 @@ range-model = "conventional"
 AS_WORDS = (
     "focus ph.zarr --out run --processor high-order-phase --blocks 5 --fidelity 0.9995 --weighting hann "
     "--weighting-range taylor:4:-35 --weighting-azimuth kaiser:2.5 --grid -10:10:0.5,100:200:1 "
-    "--terrain dem.tif --surface ellipsoid --vertical egm96 --ground-height 30 --looks 3 --autofocus "
+    "--terrain dem.tif --surface ellipsoid --vertical egm96 --ground-height 30 --whole-pulses --looks 3 --autofocus "
     "--control points.json "
-    "--workers 3 --threads 2 --memory-limit 2GiB --scheduler tcp://a:1 --performance-report report.html "
-    "--overwrite --discard --quiet --json-log log.jsonl --coefficients closed-form --perturbation none "
+    "--workers 3 --threads 2 --memory-limit 2GiB --scheduler tcp://a:1 --wait-workers 5 "
+    "--performance-report report.html --overwrite --discard --quiet --json-log log.jsonl "
+    "--coefficients closed-form --perturbation none "
     "--no-keystone --derotation linear --range-model conventional"
 )
 
@@ -179,7 +184,7 @@ def test_a_dry_run_says_what_would_be_done_and_writes_nothing(table1: Path, tmp_
 def test_a_dry_run_of_back_projection_names_memory_and_disk(table1: Path, tmp_path: Path) -> None:
     grid = ((16000.0, 16256.0, 1.0), (19000.0, 19256.0, 1.0))
     report = blocksar.focus(table1, tmp_path / "run", processor="backprojection", grid=grid, dry_run=True)
-    assert "about 0.5 MiB" in report.summary[-2] and report.tables == []  # 256 x 256 pixels of 8 bytes
+    assert "about 0.6 MiB" in report.summary[-2] and report.tables == []  # 256 x 256 pixels of 8 bytes, and the plan
     assert not (tmp_path / "run").exists()
 
 
@@ -191,13 +196,14 @@ def test_a_dry_run_refuses_what_focus_refuses(table1: Path, tmp_path: Path) -> N
 
 def test_a_finished_run_needs_nothing() -> None:
     request: Any = SimpleNamespace(folder=place("run"))
-    report = rehearse(request, RunRecord(status=FINISHED), resources(1, 1, None))
+    report = rehearse(request, RunRecord(status=FINISHED), resources(1, 1, None), Beside())
     assert report.summary[0].endswith("nothing would be done") and report.result is None
 
 
 def test_a_request_that_replaces_a_run_says_so(table1: Path, tmp_path: Path) -> None:
     (tmp_path / "run.json").write_text("{}")
-    exact: dict[str, Any] = {"method": None, "blocks": "auto", "fidelity": 0.999, "overwrite": True}
+    exact: dict[str, Any] = {"blocks": "auto", "fidelity": 0.999, "overwrite": True}
+    exact |= {"processor": "backprojection", "options": options_for("backprojection", {})}
     request = Request.open(table1, place(tmp_path), grid=Grid(16000, 16032, 1, 19000, 19032, 1), **exact)
-    report = rehearse(request, None, resources(1, 1, None))
+    report = rehearse(request, None, resources(1, 1, None), Beside())
     assert f"would replace what is in {tmp_path}" in report.summary[-2]

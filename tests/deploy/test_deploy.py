@@ -618,13 +618,13 @@ def test_external_clusters_use_the_settings_of_a_local_cluster(recipe: Any, monk
     """The image and the Slurm recipe set by environment variables what `blocksar` sets for its own cluster."""
     own: dict[str, Any] = {}
 
-    def look(**_: Any) -> Any:
+    def look(*_: Any, **__: Any) -> Any:
         own.update({key: dask.config.get(key) for key in recipe.SETTINGS})
         spawn = dask.config.get("distributed.nanny.pre-spawn-environ")
         own["environment"] = {key: str(spawn[key]) for key in recipe.ENVIRONMENT}
         raise Enough
 
-    monkeypatch.setattr(cluster, "LocalCluster", look)
+    monkeypatch.setattr(cluster, "OwnCluster", look)
     monkeypatch.setattr(cluster, "compile_kernels", lambda: None)
     with pytest.raises(Enough), cluster.open_client():
         pass

@@ -8,23 +8,26 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pytest
 import wrong_tracks
 from distributed import Client
+from faults import until
 
 import blocksar
 from blocksar import stores
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
 from blocksar.graph import cluster
+from blocksar.graph.here import Here
 from blocksar.measurement.targets import Target
 from blocksar.places import place
 from blocksar.places.place import Place
+
+pytestmark = pytest.mark.usefixtures("unchecked")
 
 
 class Corrected(NamedTuple):
@@ -37,11 +40,11 @@ class Corrected(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def corrected(client: Client, tmp_path_factory: pytest.TempPathFactory) -> Corrected:
+def corrected(tmp_path_factory: pytest.TempPathFactory) -> Corrected:
     folder = tmp_path_factory.mktemp("autofocus")
     source, out, control = wrong_tracks.make(folder), folder / "corrected.zarr", folder / "control.json"
     control.write_text(json.dumps(stores.open_phase_history(source).attrs["targets"][:4]))
-    report = blocksar.autofocus(source, out, grid=wrong_tracks.GRID, control=control, client=client)
+    report = blocksar.autofocus(source, out, grid=wrong_tracks.GRID, control=control, workers=0)
     return Corrected(source, out, report, control)
 
 
@@ -84,20 +87,20 @@ def test_control_points_anchor_the_phase(corrected: Corrected) -> None:
     assert np.abs(phases - 2 * np.pi * turns).max() < 1.0  # everywhere, not at the control points only
 
 
-def test_the_same_command_again_does_nothing_and_another_is_refused(corrected: Corrected, client: Client) -> None:
+def test_the_same_command_again_does_nothing_and_another_is_refused(corrected: Corrected) -> None:
     source, store, report, control = corrected
     before = files(store)
-    again = blocksar.autofocus(source, store, grid=wrong_tracks.GRID, control=control, client=client)
+    again = blocksar.autofocus(source, store, grid=wrong_tracks.GRID, control=control, workers=0)
     assert again.result == report.result
     assert again.summary == [f"{store} is finished already with these settings and this input: nothing to do"]
     with pytest.raises(InputError, match="exists; choose another name"):
-        blocksar.autofocus(source, store, grid=wrong_tracks.GRID, client=client)
+        blocksar.autofocus(source, store, grid=wrong_tracks.GRID, workers=0)
     (link := source.with_name("link.zarr")).symlink_to(source)
     for out in (source, source / "inside.zarr", source.parent, link / "inside.zarr"):
         with pytest.raises(InputError, match="lie in each other"):
-            blocksar.autofocus(source, out, grid=wrong_tracks.GRID, client=client)
+            blocksar.autofocus(source, out, grid=wrong_tracks.GRID, workers=0)
     with pytest.raises(InputError, match="grid is missing"):
-        blocksar.autofocus(source, store.with_name("other.zarr"), client=client)
+        blocksar.autofocus(source, store.with_name("other.zarr"), workers=0)
     assert files(store) == before
     assert not [path.name for path in store.parent.iterdir() if path.name.endswith(".autofocus")]
 
@@ -106,40 +109,34 @@ def test_the_same_command_again_does_nothing_and_another_is_refused(corrected: C
     "unit",
     ["correction-1", pytest.param("chips-1-512", marks=pytest.mark.slow), pytest.param("copy", marks=pytest.mark.slow)],
 )
-def test_a_killed_command_goes_on_to_the_same_bytes(
-    unit: str, corrected: Corrected, client: Client, tmp_path: Path
-) -> None:
+def test_a_killed_command_goes_on_to_the_same_bytes(unit: str, corrected: Corrected, tmp_path: Path) -> None:
     out, receipts = tmp_path / "again.zarr", tmp_path / "again.zarr.autofocus" / "receipts"
     grid = ",".join(f"{low}:{high}:{step}" for low, high, step in wrong_tracks.GRID)
-    words = [str(corrected.source), "--out", str(out), f"--grid={grid}", "--scheduler", client.scheduler.address]
+    words = [str(corrected.source), "--out", str(out), f"--grid={grid}", "--workers=0"]
     words += ["--control", str(corrected.control)]
     process = subprocess.Popen(
         [sys.executable, "-m", "blocksar", "autofocus", *words, "--quiet"], stdout=subprocess.DEVNULL
     )
-    until = time.monotonic() + 300
-    while time.monotonic() < until and process.poll() is None and not any(receipts.glob(f"{unit}*")):
-        time.sleep(0.001)
+    until(lambda: process.poll() is not None or any(receipts.glob(f"{unit}*")), unit)
     os.kill(process.pid, signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL and not out.exists()
-    report = blocksar.autofocus(corrected.source, out, grid=wrong_tracks.GRID, control=corrected.control, client=client)
+    report = blocksar.autofocus(corrected.source, out, grid=wrong_tracks.GRID, control=corrected.control, workers=0)
     assert any(line.startswith("went on from an unfinished estimate") for line in report.summary)
     assert files(out) == files(corrected.store)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["again.zarr"]
 
 
 @pytest.mark.slow
-def test_a_damaged_record_of_an_estimate_is_no_wrong_input(
-    corrected: Corrected, client: Client, tmp_path: Path
-) -> None:
+def test_a_damaged_record_of_an_estimate_is_no_wrong_input(corrected: Corrected, tmp_path: Path) -> None:
     out = tmp_path / "again.zarr"
     place(f"{out}.autofocus/run.json").write_bytes(b'{"identity":')
-    blocksar.autofocus(corrected.source, out, grid=wrong_tracks.GRID, control=corrected.control, client=client)
+    blocksar.autofocus(corrected.source, out, grid=wrong_tracks.GRID, control=corrected.control, workers=0)
     assert files(out) == files(corrected.store)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["again.zarr"]
 
 
-def test_what_others_put_into_the_work_folder_stays(corrected: Corrected, client: Client, tmp_path: Path) -> None:
-    settings: dict[str, Any] = {"grid": wrong_tracks.GRID, "control": corrected.control, "client": client}
+def test_what_others_put_into_the_work_folder_stays(corrected: Corrected, tmp_path: Path) -> None:
+    settings: dict[str, Any] = {"grid": wrong_tracks.GRID, "control": corrected.control, "workers": 0}
     for name in ("notes.txt", "0/notes.txt", "store.zarr/notes.txt", "0", "run.json"):
         foreign = tmp_path / name.replace("/", "-") / "again.zarr.autofocus" / name
         foreign.parent.mkdir(parents=True)
@@ -159,7 +156,7 @@ def test_what_others_put_into_the_work_folder_stays(corrected: Corrected, client
 
 @pytest.mark.slow
 def test_what_others_put_there_meanwhile_stays(
-    corrected: Corrected, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    corrected: Corrected, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, notes = tmp_path / "again.zarr", tmp_path / "again.zarr.autofocus" / "notes.txt"
     publish = stores.publish
@@ -169,7 +166,7 @@ def test_what_others_put_there_meanwhile_stays(
         publish(*given, **options)
 
     monkeypatch.setattr(stores, "publish", noted)
-    settings: dict[str, Any] = {"grid": wrong_tracks.GRID, "control": corrected.control, "client": client}
+    settings: dict[str, Any] = {"grid": wrong_tracks.GRID, "control": corrected.control, "workers": 0}
     for _ in range(2):  # also of a store that is finished already
         blocksar.autofocus(corrected.source, out, **settings)
         assert files(out) == files(corrected.store)
@@ -180,7 +177,7 @@ def test_what_others_put_there_meanwhile_stays(
 
 
 def test_samples_that_change_before_they_are_copied_are_not_taken_with_the_track_of_others(
-    corrected: Corrected, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    corrected: Corrected, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     source, groups = tmp_path / "ph.zarr", stores.files_to_copy
     shutil.copytree(corrected.source, source)
@@ -191,9 +188,7 @@ def test_samples_that_change_before_they_are_copied_are_not_taken_with_the_track
 
     monkeypatch.setattr(stores, "files_to_copy", changed)
     with pytest.raises(InputError, match=r"ph.zarr changes while it is read"):
-        blocksar.autofocus(
-            source, tmp_path / "out.zarr", grid=wrong_tracks.GRID, control=corrected.control, client=client
-        )
+        blocksar.autofocus(source, tmp_path / "out.zarr", grid=wrong_tracks.GRID, control=corrected.control, workers=0)
     assert [path.name for path in tmp_path.iterdir()] == ["ph.zarr"]
 
 
@@ -212,20 +207,20 @@ SLOW = ("noise alone", "one bright point")  # all loops are made before the halv
 @pytest.mark.parametrize(
     "case", [pytest.param(case, marks=pytest.mark.slow) if case in SLOW else case for case in REFUSED]
 )
-def test_samples_that_do_not_tell_are_refused_and_nothing_is_left(case: str, client: Client, tmp_path: Path) -> None:
+def test_samples_that_do_not_tell_are_refused_and_nothing_is_left(case: str, tmp_path: Path) -> None:
     source = wrong_tracks.make(tmp_path, REFUSED[case])
     before = sorted(path.name for path in tmp_path.iterdir())
     with pytest.raises(InputError) as caught:
-        blocksar.autofocus(source, tmp_path / "corrected.zarr", grid=wrong_tracks.GRID, client=client)
+        blocksar.autofocus(source, tmp_path / "corrected.zarr", grid=wrong_tracks.GRID, workers=0)
     assert "\n" not in str(caught.value) and any(character.isdigit() for character in str(caught.value))
     assert sorted(path.name for path in tmp_path.iterdir()) == before
     with pytest.raises(InputError, match=str(caught.value)[:20]):
-        blocksar.focus(source, tmp_path / "run", grid=wrong_tracks.GRID, autofocus=True, client=client)
+        blocksar.focus(source, tmp_path / "run", grid=wrong_tracks.GRID, autofocus=True, workers=0)
     assert sorted(path.name for path in tmp_path.iterdir()) == before
 
 
 def test_focus_with_autofocus_is_the_two_in_one(
-    corrected: Corrected, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    corrected: Corrected, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     started = []
 
@@ -234,7 +229,7 @@ def test_focus_with_autofocus_is_the_two_in_one(
             started.append(workers)
 
         def client(self) -> Client:
-            return client
+            return cast(Client, Here())
 
         def __exit__(self, *_: Any) -> None:
             pass
@@ -264,7 +259,7 @@ def test_focus_with_autofocus_is_the_two_in_one(
 HILL = "[terrain]\nhills = [{x = 0.0, y = 0.0, height = 30.0, width = 40.0}]\n"
 
 
-def test_points_stand_on_the_terrain(client: Client, tmp_path: Path) -> None:
+def test_points_stand_on_the_terrain(tmp_path: Path) -> None:
     source, out, terrain = (
         wrong_tracks.make(tmp_path, wrong_tracks.targets() + HILL),
         tmp_path / "c.zarr",
@@ -275,15 +270,15 @@ def test_points_stand_on_the_terrain(client: Client, tmp_path: Path) -> None:
     stores.write_terrain(place(terrain), hill)
     high = [Target(name="H", x=x, y=0.0) for x in (0.0, 300.0)]
     with pytest.raises(InputError, match="control point H has no z, and the terrain has no height there"):
-        blocksar.autofocus(source, out, grid=wrong_tracks.GRID, terrain=terrain, control=high, client=client)
-    report = blocksar.autofocus(source, out, grid=wrong_tracks.GRID, terrain=terrain, client=client)
+        blocksar.autofocus(source, out, grid=wrong_tracks.GRID, terrain=terrain, control=high, workers=0)
+    report = blocksar.autofocus(source, out, grid=wrong_tracks.GRID, terrain=terrain, workers=0)
     assert report.result["settings"]["terrain"] == str(terrain) and report.result["settings"]["heights"]
     assert wrong_tracks.residual_phase(out, source) < 0.1
 
 
 @pytest.mark.slow
-def test_a_raw_echo_is_corrected_too(client: Client, tmp_path: Path) -> None:
+def test_a_raw_echo_is_corrected_too(tmp_path: Path) -> None:
     source = wrong_tracks.make(tmp_path, raw=True)
-    blocksar.autofocus(source, tmp_path / "corrected.zarr", grid=wrong_tracks.GRID, client=client)
+    blocksar.autofocus(source, tmp_path / "corrected.zarr", grid=wrong_tracks.GRID, workers=0)
     assert wrong_tracks.residual_phase(tmp_path / "corrected.zarr", source) < 0.1
     assert stores.open_phase_history(tmp_path / "corrected.zarr").raw is not None

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from axis_beams import axis_scene
-from distributed import Client
 
 import blocksar
 
@@ -45,9 +44,9 @@ def scene(folder: Path, mode: str) -> Path:
 
 # planning/test_axis_beams.py compares the sums of spotlights with back-projection.
 @pytest.mark.parametrize("mode", [pytest.param("spotlight", marks=pytest.mark.slow), "tops"])
-def test_a_run_is_sharp_and_coherent_with_back_projection(mode: str, client: Client, tmp_path: Path) -> None:
+def test_a_run_is_sharp_and_coherent_with_back_projection(mode: str, tmp_path: Path) -> None:
     store = blocksar.simulate(scene(tmp_path, mode), tmp_path / "phase_history.zarr")
-    report = blocksar.focus(store, tmp_path / "run", grid=GRID, client=client)
+    report = blocksar.focus(store, tmp_path / "run", grid=GRID, workers=0)
     n_pulse = 840 if mode == "spotlight" else 1200
     assert report.result["warnings"] == [f"2 of {n_pulse} pulses are missing: counted as not lit"]
     result = blocksar.quality(tmp_path / "run", reference=True).result
@@ -58,7 +57,7 @@ def test_a_run_is_sharp_and_coherent_with_back_projection(mode: str, client: Cli
     full = [chip for chip in result["reference"] if chip["full_dwell"]]
     assert full and min(chip["coherence"] for chip in full) > 0.999
     assert 0.9995 < result["joint_coherence"] <= 1 and "changed_input" not in result
-    blocksar.focus(store, tmp_path / "exact", grid=GRID, processor="backprojection", client=client)
+    blocksar.focus(store, tmp_path / "exact", grid=GRID, processor="backprojection", workers=0)
     exact = blocksar.quality(tmp_path / "exact").result
     for one, other in zip(result["targets"], exact["targets"], strict=True):
         assert abs(complex(*one["value"]) - complex(*other["value"])) < 0.01

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from distributed import Client
 from satellite_burst import BEAM, CHIP, PRF, SPEED, Burst
 
 import blocksar
@@ -16,6 +15,8 @@ from blocksar.collection.geometry import Geometry
 from blocksar.constants import MIB
 from blocksar.focusing.backprojection import form_chips
 from blocksar.measurement.coherence import coherence
+
+pytestmark = pytest.mark.usefixtures("unchecked")
 
 DX, DY = 2.0, 6.0  # m
 LIMIT = 1536 * MIB  # bytes, of a worker
@@ -64,7 +65,7 @@ def check_targets(targets: list[dict[str, Any]], expected: int) -> None:
     ],
 )
 def test_a_burst_is_as_sharp_as_back_projection_on_its_hills(
-    width: float, length: float, across: int, along: int, blocks: Any, client: Client, tmp_path: Path
+    width: float, length: float, across: int, along: int, blocks: Any, tmp_path: Path
 ) -> None:
     burst = Burst.over(width, length)
     steering = burst.collection.beam_steering
@@ -75,7 +76,7 @@ def test_a_burst_is_as_sharp_as_back_projection_on_its_hills(
     store = burst.write(tmp_path, burst.targets(across, along), chips)
     grid = burst.grid(DX, DY)
     report = blocksar.focus(
-        store, tmp_path / "run", grid=((grid.x0, grid.x1, DX), (grid.y0, grid.y1, DY)), blocks=blocks, client=client,
+        store, tmp_path / "run", grid=((grid.x0, grid.x1, DX), (grid.y0, grid.y1, DY)), blocks=blocks, workers=0,
         terrain=tmp_path / "terrain.zarr", memory_limit=LIMIT,
     )  # fmt: skip
     assert report.result["peak_memory"] <= LIMIT

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import zarr
 from bursts import CENTRE, SLANT, STEP, ground, write_bursts
-from distributed import Client
 
 import blocksar
 from blocksar import stores
@@ -26,6 +25,8 @@ from blocksar.graph import stages
 from blocksar.measurement.coherence import coherence
 from blocksar.measurement.targets import Target
 from blocksar.planning.segments import plan_segments
+
+pytestmark = pytest.mark.usefixtures("unchecked")
 
 DX, DY = 3.0, 3.0
 YAWS = CENTRE + STEP * np.array([-1.3, -1.0, -0.7, -0.52, -0.48, -0.1, 0.1, 0.48, 0.52, 1.0, 1.3])
@@ -49,9 +50,9 @@ def bursts(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 @pytest.fixture(scope="module")
-def run(bursts: list[Path], client: Client, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def run(bursts: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("together") / "run"
-    blocksar.focus(bursts, folder, **SETTINGS, client=client)
+    blocksar.focus(bursts, folder, **SETTINGS, workers=0)
     return folder
 
 
@@ -102,8 +103,8 @@ def test_it_is_the_back_projection_of_all_pulses(run: Path, bursts: list[Path]) 
     assert alone >= 3
 
 
-def test_a_collection_is_focused_as_by_itself(run: Path, bursts: list[Path], client: Client, tmp_path: Path) -> None:
-    blocksar.focus(bursts[1], tmp_path / "alone", **SETTINGS, client=client)
+def test_a_collection_is_focused_as_by_itself(run: Path, bursts: list[Path], tmp_path: Path) -> None:
+    blocksar.focus(bursts[1], tmp_path / "alone", **SETTINGS, workers=0)
     together, alone = blocksar.open(run), blocksar.open(tmp_path / "alone")
     assert "collection" not in alone and not (tmp_path / "alone" / "segments").exists()
     owned = together.collection.values == 1
@@ -111,7 +112,7 @@ def test_a_collection_is_focused_as_by_itself(run: Path, bursts: list[Path], cli
 
 
 def test_an_interrupted_run_resumes_to_the_same_bytes(
-    run: Path, bursts: list[Path], client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run: Path, bursts: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(*_: Any, **__: Any) -> Any:
         raise KeyboardInterrupt
@@ -119,8 +120,8 @@ def test_an_interrupted_run_resumes_to_the_same_bytes(
     for stage in ("focus_blocks", "mosaic"):
         with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
             patch.setattr(stages, stage, interrupted)
-            blocksar.focus(bursts, tmp_path / "run", **SETTINGS, client=client)
-    report = blocksar.focus(bursts, tmp_path / "run", **SETTINGS, client=client)
+            blocksar.focus(bursts, tmp_path / "run", **SETTINGS, workers=0)
+    report = blocksar.focus(bursts, tmp_path / "run", **SETTINGS, workers=0)
     assert "3 of 3 column groups, 3 of 3 blocks," in report.summary[0]
     for variable in ("image", "block", "collection"):
         for chunk in (run / "image.zarr" / variable / "c").rglob("*"):
@@ -133,14 +134,14 @@ def test_an_interrupted_run_resumes_to_the_same_bytes(
     assert not (tmp_path / "run" / "receipts").exists()
 
 
-def test_a_change_of_any_collection_is_noticed(run: Path, bursts: list[Path], client: Client, tmp_path: Path) -> None:
-    assert "nothing to do" in blocksar.focus(bursts, run, **SETTINGS, client=client).summary[0]
+def test_a_change_of_any_collection_is_noticed(run: Path, bursts: list[Path], tmp_path: Path) -> None:
+    assert "nothing to do" in blocksar.focus(bursts, run, **SETTINGS, workers=0).summary[0]
     changed = [*bursts[:2], Path(shutil.copytree(bursts[2], tmp_path / "burst2.zarr"))]
     zarr.open_group(changed[2], mode="r+")["reference_range"][0] += 1e-3
     with pytest.raises(InputError, match=r"another input, not what is asked for now"):
-        blocksar.focus(changed, run, **SETTINGS, client=client)
+        blocksar.focus(changed, run, **SETTINGS, workers=0)
     with pytest.raises(InputError, match=r"another input"):
-        blocksar.focus(bursts[:2], run, **SETTINGS, client=client)
+        blocksar.focus(bursts[:2], run, **SETTINGS, workers=0)
 
 
 def test_products_know_the_collections(run: Path, bursts: list[Path], tmp_path: Path) -> None:
@@ -206,20 +207,20 @@ def test_collections_of_several_frames_are_refused(bursts: list[Path], tmp_path:
     assert not (tmp_path / "run").exists()
 
 
-def test_a_collection_outside_the_grid_is_left_out(bursts: list[Path], client: Client, tmp_path: Path) -> None:
+def test_a_collection_outside_the_grid_is_left_out(bursts: list[Path], tmp_path: Path) -> None:
     x, y = TARGETS[0]
     grid = ((x - 60, x + 60, DX), (y - 40, y + 40, DY))
-    report = blocksar.focus([bursts[2], bursts[0]], tmp_path / "run", grid=grid, blocks=1, client=client)
+    report = blocksar.focus([bursts[2], bursts[0]], tmp_path / "run", grid=grid, blocks=1, workers=0)
     assert report.result["warnings"] == [f"{bursts[2]} covers nothing of the grid"]
     assert set(np.unique(blocksar.open(tmp_path / "run").collection.values)) <= {-1, 1}
     with pytest.raises(InputError, match="lies outside the swath"):
         blocksar.focus(bursts[1:], tmp_path / "none", grid=((0.0, 10.0, 1.0), (0.0, 10.0, 1.0)), blocks=1)
 
 
-def test_exact_back_projection_merges_them_alike(run: Path, bursts: list[Path], client: Client, tmp_path: Path) -> None:
+def test_exact_back_projection_merges_them_alike(run: Path, bursts: list[Path], tmp_path: Path) -> None:
     x, y = TARGETS[3]  # 15 m from a seam
     grid = ((x - 60, x + 60, DX), (y - 42, y + 42, DY))
-    blocksar.focus(bursts, tmp_path / "exact", grid=grid, processor="backprojection", client=client)
+    blocksar.focus(bursts, tmp_path / "exact", grid=grid, processor="backprojection", workers=0)
     found = blocksar.open(tmp_path / "exact")
     wanted = blocksar.open(run).sel(x=found.x, y=found.y, method="nearest")
     assert len(np.unique(found.collection.values)) >= 2

@@ -20,6 +20,8 @@ from blocksar import stores
 from blocksar.api import joint
 from blocksar.errors import FolderError, InputError, ProcessingError
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 TARGETS = """
 [[targets]]
 name = "T"
@@ -198,17 +200,19 @@ def test_wrong_input_replaces_no_earlier_run(wrong: dict[str, Any], store: Path,
         shutil.rmtree(tmp_path / "run")
 
 
-def test_a_run_that_fails_leaves_no_temporary_files(store: Path, tmp_path: Path) -> None:
-    """Of workers of its own, which all channels share."""
-    with pytest.raises(InputError, match="memory limit"):
-        blocksar.focus(store, tmp_path / "run", **SETTINGS | {"workers": 1, "memory_limit": "20MiB"})
-    assert not (tmp_path / "run").exists()
-    blocksar.focus(store, tmp_path / "run", **SETTINGS)
-    before = sorted(path.name for path in (tmp_path / "run").iterdir())
-    settings = SETTINGS | {"workers": 1, "memory_limit": "20MiB"}
-    with pytest.raises(InputError, match="memory limit"):
-        blocksar.focus(store, tmp_path / "run", overwrite=True, **settings)
-    assert sorted(path.name for path in (tmp_path / "run").iterdir()) == before
+@pytest.mark.parametrize("wrong", [{"memory_limit": "20MiB"}, {"grid": "0:10:1,0:10:1"}])
+def test_a_run_that_fails_leaves_no_temporary_files(
+    wrong: dict[str, Any], store: Path, run: Path, tmp_path: Path
+) -> None:
+    """Of workers of its own, which all channels share: before they are started, and when they are."""
+    with pytest.raises(InputError, match=r"memory limit|outside the swath"):
+        blocksar.focus(store, tmp_path / "new", **SETTINGS | {"workers": 1} | wrong)
+    assert not (tmp_path / "new").exists()
+    shutil.copytree(run, tmp_path / "run")
+    before = digests(tmp_path / "run")
+    with pytest.raises(InputError, match=r"memory limit|outside the swath"):
+        blocksar.focus(store, tmp_path / "run", overwrite=True, **SETTINGS | {"workers": 1} | wrong)
+    assert digests(tmp_path / "run") == before
 
 
 def test_leftovers_of_a_killed_run_refuse_no_run_and_foreign_files_do(store: Path, tmp_path: Path) -> None:

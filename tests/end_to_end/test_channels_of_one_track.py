@@ -7,7 +7,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ import pytest
 import wrong_tracks
 import xarray as xr
 import zarr
-from faults import digests
+from faults import digests, until
 
 import blocksar
 from blocksar import stores
@@ -25,6 +24,8 @@ from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_image
 from blocksar.measurement.coherence import coherence
+
+pytestmark = pytest.mark.usefixtures("unchecked")
 
 CHANNELS = 'channels = ["HH", "HV"]\n'
 GRID = ((-45.0, 45.0, 0.75), (-45.0, 45.0, 0.75))
@@ -123,9 +124,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes(leaves: str, store: Path, run: P
     grid = ",".join(f"{low}:{high}:{step}" for low, high, step in GRID)
     words = [str(store), "--out", str(out), f"--grid={grid}", "--blocks=2", "--autofocus", "--workers=0", "--quiet"]
     process = subprocess.Popen([sys.executable, "-m", "blocksar", "focus", *words], stdout=subprocess.DEVNULL)
-    until = time.monotonic() + 300
-    while time.monotonic() < until and process.poll() is None and not any(out.glob(leaves)):
-        time.sleep(0.001)
+    until(lambda: process.poll() is not None or any(out.glob(leaves)), leaves)
     os.kill(process.pid, signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
     assert (out / "autofocus").exists()

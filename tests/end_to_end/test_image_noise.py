@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 from axis_beams import axis_scene
-from distributed import Client
 from scenes import scene
 
 import blocksar
+
+pytestmark = pytest.mark.usefixtures("unchecked")
 
 NOISE = "\n[noise]\npower = 0.5\nseed = 5\n[dropped]\npulses = [700, 701, 702]\n"
 PARTS = 8  # of the pixels, from the longest dwells to the shortest
@@ -37,13 +38,13 @@ SCENES = {
     ("sliding", "backprojection", "taylor:4:-35"),
 ])  # fmt: skip
 def test_the_noise_of_an_image_is_as_strong_as_it_says(
-    name: str, processor: Any, weighting: str, client: Client, tmp_path: Path
+    name: str, processor: Any, weighting: str, tmp_path: Path
 ) -> None:
     """The mean of n independent pixels' power over its expectation is 1 to within 1 / sqrt(n)."""
     text, grid = SCENES[name]
     (tmp_path / "scene.toml").write_text(text)
     store = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "ph.zarr")
-    blocksar.focus(store, tmp_path / "run", grid=grid, processor=processor, weighting=weighting, client=client)
+    blocksar.focus(store, tmp_path / "run", grid=grid, processor=processor, weighting=weighting, workers=0)
     with blocksar.open(tmp_path / "run") as dataset:
         image, noise = dataset.image.values, dataset.noise_equivalent.values
         np.testing.assert_allclose(dataset.sar.noise_db(), 10 * np.log10(noise), atol=1e-4)

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from distributed import Client
 from quality_bar import check_targets, chips, emptied, simulated
 from scenes import PAPERS, scene, write_store
 
@@ -50,13 +49,11 @@ def measured(run: Path) -> dict[str, dict[str, Any]]:
         pytest.param("paper_c", True, marks=pytest.mark.slow),
     ],
 )
-def test_a_papers_scene_meets_the_quality_bar(
-    name: str, whole: bool, stores: dict[str, Path], client: Client, tmp_path: Path
-) -> None:
+def test_a_papers_scene_meets_the_quality_bar(name: str, whole: bool, stores: dict[str, Path], tmp_path: Path) -> None:
     """All fifteen targets, or the five of the middle row."""
     processor, grid = PAPERS[name]
     extent = grid if whole else middle_row(name)
-    blocksar.focus(stores[name], tmp_path / "run", processor=processor, grid=extent, client=client)
+    blocksar.focus(stores[name], tmp_path / "run", processor=processor, grid=extent, workers=0)
     found = blocksar.quality(tmp_path / "run").result
     check_targets(
         found if whole else {"targets": [t for t in found["targets"] if t["name"][0] == "M"]}, 15 if whole else 5
@@ -65,12 +62,12 @@ def test_a_papers_scene_meets_the_quality_bar(
 
 @pytest.mark.parametrize("name", PAPERS)
 @pytest.mark.slow
-def test_clutter_in_a_papers_scene_is_coherent_with_back_projection(name: str, client: Client, tmp_path: Path) -> None:
+def test_clutter_in_a_papers_scene_is_coherent_with_back_projection(name: str, tmp_path: Path) -> None:
     processor, grid = PAPERS[name]
     x, y = (f"[{low}, {high}]" for low, high, _ in grid)
     text = emptied(name) + f"[clutter]\nscatterers = 8000\nseed = 5\nx = {x}\ny = {y}\n"
     clutter = simulated(tmp_path, "clutter", text)
-    blocksar.focus(clutter, tmp_path / "clutter", processor=processor, grid=coarser(grid, 1.0), client=client)
+    blocksar.focus(clutter, tmp_path / "clutter", processor=processor, grid=coarser(grid, 1.0), workers=0)
     at = {target.name: (target.x, target.y) for target in Scene.read(name).point_targets()}
     for place, chip in chips(clutter, tmp_path / "clutter", at).items():
         assert abs(chip.coherence) >= 0.99, (place, chip)
@@ -80,14 +77,12 @@ def test_clutter_in_a_papers_scene_is_coherent_with_back_projection(name: str, c
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["paper_b", "paper_c"])
-def test_without_correction_the_block_ends_are_defocused(
-    name: str, stores: dict[str, Path], client: Client, tmp_path: Path
-) -> None:
+def test_without_correction_the_block_ends_are_defocused(name: str, stores: dict[str, Path], tmp_path: Path) -> None:
     """Deramping with the coefficients of the block centre alone focuses the centre but not the ends."""
     processor, grid = PAPERS[name]
     settings: dict[str, Any] = {"processor": processor, "blocks": 1, "perturbation": "none"}
     settings["coefficients"] = "closed-form"
-    blocksar.focus(stores[name], tmp_path / "run", grid=middle_row(name), client=client, **settings)
+    blocksar.focus(stores[name], tmp_path / "run", grid=middle_row(name), workers=0, **settings)
     found = measured(tmp_path / "run")
     assert found["M3"]["azimuth_pslr"] == pytest.approx(-13.26, abs=1.0)
     for end in ("M1", "M5"):
@@ -98,16 +93,16 @@ def test_without_correction_the_block_ends_are_defocused(
 
 
 @pytest.mark.slow
-def test_linear_derotation_needs_a_higher_prf(client: Client, tmp_path: Path) -> None:
+def test_linear_derotation_needs_a_higher_prf(tmp_path: Path) -> None:
     """Paper A, Figure 6: a PRF sufficient for nonlinear derotation is refused; the message gives the required PRF."""
     (tmp_path / "low.toml").write_text(scene(prf=6900.0, swath=[27500.0, 32500.0]))
     assert blocksar.plan(tmp_path / "low.toml", blocks=3).refusal is None
     with pytest.raises(InputError, match=r"after linear derotation .* a PRF of at least 7\d\d\d Hz is needed"):
         blocksar.plan(tmp_path / "low.toml", blocks=3, derotation="linear")
     store = write_store(tmp_path, duration=0.3, steering=(46.0, 54.0), swath=[29800.0, 30200.0], more=TARGET)
-    report = blocksar.focus(store, tmp_path / "run", blocks=1, derotation="linear", client=client, grid=GRID)
+    report = blocksar.focus(store, tmp_path / "run", blocks=1, derotation="linear", workers=0, grid=GRID)
     assert report.result["settings"]["derotation"] == "linear"
-    straight = blocksar.focus(store, tmp_path / "straight", blocks=1, client=client, grid=GRID)
+    straight = blocksar.focus(store, tmp_path / "straight", blocks=1, workers=0, grid=GRID)
     assert straight.result["settings"]["derotation"] == "nonlinear"
     one, other = (blocksar.open(tmp_path / name).image.values for name in ("run", "straight"))
     np.testing.assert_allclose(one, other, atol=1e-3)  # derotation is undone, so it must not affect the image

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
 import pytest
-from distributed import Client
 from quality_bar import check_targets, chips, emptied, places, planned, simulated, with_clutter, with_targets
 from scenes import PAPERS, scene
 
@@ -73,7 +72,7 @@ def clutter(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str], Pa
 
 @pytest.mark.parametrize(("ground", "processor"), CASES)
 def test_every_processor_meets_the_quality_bar_on_every_geometry(
-    ground: str, processor: Any, clutter: Callable[[str, str], Path], client: Client, tmp_path: Path
+    ground: str, processor: Any, clutter: Callable[[str, str], Path], tmp_path: Path
 ) -> None:
     made = GROUNDS[ground]
     (tmp_path / "empty.toml").write_text(made.scene)
@@ -84,12 +83,12 @@ def test_every_processor_meets_the_quality_bar_on_every_geometry(
     assert plan.faithful or processor == "high-order-phase"  # on table1 that takes 15 blocks
 
     store = simulated(tmp_path, "targets", with_targets(made.scene, at))
-    blocksar.focus(store, tmp_path / "sharp", processor=processor, blocks=plan.n_blocks, grid=made.grid, client=client)
+    blocksar.focus(store, tmp_path / "sharp", processor=processor, blocks=plan.n_blocks, grid=made.grid, workers=0)
     check_targets(blocksar.quality(tmp_path / "sharp").result, len(at))
 
     store = clutter(ground, with_clutter(made.scene, plan))
     grid = made.coarser(plan)
-    blocksar.focus(store, tmp_path / "rough", processor=processor, blocks=plan.n_blocks, grid=grid, client=client)
+    blocksar.focus(store, tmp_path / "rough", processor=processor, blocks=plan.n_blocks, grid=grid, workers=0)
     for name, chip in chips(store, tmp_path / "rough", at).items():
         assert abs(chip.coherence) >= made.least, (name, chip)
         assert chip.gain == pytest.approx(1.0, abs=0.02), (name, chip)

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from distributed import Client
 from strips import DISTANCE, TIME_ZERO, strip_collection, write_strip
 
 import blocksar
@@ -26,6 +25,8 @@ from blocksar.measurement.coherence import coherence
 from blocksar.planning.plan import Plan
 from blocksar.planning.planner import plan_collection
 from blocksar.planning.segments import Divided, plan_segments
+
+pytestmark = pytest.mark.usefixtures("unchecked")
 
 SPANS = ((0, 3400), (2600, 6000))
 GRID = Grid(DISTANCE - 30, DISTANCE + 30, 0.8, -45.0, 45.0, 0.45)
@@ -62,12 +63,12 @@ def against_back_projection(run: Path, store: Path, rows: slice) -> tuple[float,
 
 @pytest.mark.slow
 @pytest.mark.parametrize("weighting", ["uniform", "taylor:4:-35"])
-def test_a_strip_whose_beam_wobbles_is_as_back_projection(client: Client, tmp_path: Path, weighting: str) -> None:
+def test_a_strip_whose_beam_wobbles_is_as_back_projection(tmp_path: Path, weighting: str) -> None:
     """By 1 % of its width at 9 Hz, and by noise from pulse to pulse."""
     still, noise = strip_collection(0.75), np.random.default_rng(3)
     wobble = 3e-4 * np.sin(2 * np.pi * 9 * still.time) + 6e-5 * noise.standard_normal(still.n_pulse)
     store = write_strip(tmp_path, replace(still, beam_steering=wobble), GRID)
-    report = blocksar.focus(store, tmp_path / "run", grid=GRID, weighting=weighting, client=client)
+    report = blocksar.focus(store, tmp_path / "run", grid=GRID, weighting=weighting, workers=0)
     assert any("the beam wobbles by" in line for line in report.summary)
     image, history = blocksar.open(tmp_path / "run").image.values, stores.open_phase_history(store)
     exact = form_image(
@@ -79,7 +80,7 @@ def test_a_strip_whose_beam_wobbles_is_as_back_projection(client: Client, tmp_pa
 
 
 def test_segments_of_a_resumed_run_have_no_seam(
-    store: Path, cut: None, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    store: Path, cut: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(*_: Any, **__: Any) -> Any:
         raise KeyboardInterrupt
@@ -87,8 +88,8 @@ def test_segments_of_a_resumed_run_have_no_seam(
     run = tmp_path / "run"
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(stages, "mosaic", interrupted)
-        blocksar.focus(store, run, grid=GRID, client=client)
-    report = blocksar.focus(store, run, grid=GRID, client=client)
+        blocksar.focus(store, run, grid=GRID, workers=0)
+    report = blocksar.focus(store, run, grid=GRID, workers=0)
     assert "went on from an unfinished run" in report.summary[0]
     image = blocksar.open(run)
     assert "collection" not in image

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from distributed import Client
 from quality_bar import MARGIN, check_targets, planned
 from repository import ROOT
 
@@ -21,10 +20,10 @@ EDGES = ("A1", "A3", "B1", "B3", "C1", "C3")
 
 
 @pytest.fixture(scope="module")
-def run(table1: Path, client: Client, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def run(table1: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run with three blocks, as proposed in the paper."""
     run = tmp_path_factory.mktemp("proposed") / "run"
-    blocksar.focus(table1, run, blocks=3, client=client)
+    blocksar.focus(table1, run, blocks=3, workers=0)
     return run
 
 
@@ -107,24 +106,20 @@ def test_memory_of_back_projection_is_predicted_and_kept(table1: Path, tmp_path:
 
 
 @pytest.mark.slow
-def test_one_block_suffices_with_fitted_but_not_closed_form_coefficients(
-    table1: Path, client: Client, tmp_path: Path
-) -> None:
-    blocksar.focus(table1, tmp_path / "fitted", blocks=1, client=client, grid=middle_strip(table1))
+def test_one_block_suffices_with_fitted_but_not_closed_form_coefficients(table1: Path, tmp_path: Path) -> None:
+    blocksar.focus(table1, tmp_path / "fitted", blocks=1, workers=0, grid=middle_strip(table1))
     check_targets(inside_strip(tmp_path / "fitted", table1), 20)
     point = next(t for t in Scene.read("table1").point_targets() if t.name == "B1")
     grid = ((point.x - 80, point.x + 80, 1.0), (point.y - 80, point.y + 80, 1.0))
-    blocksar.focus(table1, tmp_path / "closed", blocks=1, coefficients="closed-form", grid=grid, client=client)
+    blocksar.focus(table1, tmp_path / "closed", blocks=1, coefficients="closed-form", grid=grid, workers=0)
     assert by_name(blocksar.quality(tmp_path / "closed").result)["B1"]["azimuth_pslr"] > -12.0
 
 
 @pytest.mark.slow
-def test_edge_targets_as_in_table_2_and_table_3(
-    proposed: dict[str, Any], table1: Path, client: Client, tmp_path: Path
-) -> None:
+def test_edge_targets_as_in_table_2_and_table_3(proposed: dict[str, Any], table1: Path, tmp_path: Path) -> None:
     """The reference method blurs the edge targets and the proposed method does not (azimuth PSLR, dB)."""
     blocksar.focus(
-        table1, tmp_path / "run", blocks=1, coefficients="closed-form", range_model="conventional", client=client
+        table1, tmp_path / "run", blocks=1, coefficients="closed-form", range_model="conventional", workers=0
     )
     found = {"reference": by_name(blocksar.quality(tmp_path / "run").result), "proposed": by_name(proposed)}
     worse = [target for target in EDGES if found["reference"][target]["azimuth_pslr"] > -9.0]

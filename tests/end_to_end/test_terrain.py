@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import slow_twins
 from axis_beams import axis_scene
-from distributed import Client
 from faults import digests
 from quality_bar import check_targets, planned
 from scenes import write_store
@@ -24,6 +23,8 @@ from blocksar.measurement.coherence import coherence
 from blocksar.places import place
 from blocksar.planning.disk import run_bytes
 from blocksar.simulation.scene import Scene
+
+pytestmark = pytest.mark.usefixtures("unchecked")
 
 MIDDLE = np.array([16105.0, 19193.0])  # m: the middle of Table 1's swath
 PLACES = {"top": (30.0, 10.0), "flank": (-150.0, 90.0), "foot": (180.0, -240.0)}  # m from there
@@ -104,9 +105,11 @@ def test_targets_of_a_scene_stand_on_its_ground(store: Path) -> None:
 
 
 def test_back_projection_puts_targets_where_they_stand(
-    store: Path, terrain: Path, tmp_path: Path, client: Client
+    store: Path,
+    terrain: Path,
+    tmp_path: Path,
 ) -> None:
-    run, settings = tmp_path / "run", {"processor": "backprojection", "client": client, "terrain": terrain}
+    run, settings = tmp_path / "run", {"processor": "backprojection", "workers": 0, "terrain": terrain}
     dx, dy = PLACES["flank"]
     grid = tuple((float(c + d - 45), float(c + d + 45), 0.8) for c, d in zip(MIDDLE, (dx, dy), strict=True))
     blocksar.focus(store, run, grid=grid, **settings)
@@ -122,15 +125,15 @@ def test_back_projection_puts_targets_where_they_stand(
     # The same again is finished; another ground is another run.
     assert "nothing to do" in blocksar.focus(store, run, grid=grid, **settings).summary[0]
     with pytest.raises(FolderError, match="terrain"):
-        blocksar.focus(store, run, grid=grid, processor="backprojection", client=client)
+        blocksar.focus(store, run, grid=grid, processor="backprojection", workers=0)
     ground.heights[...] += 0.5
     stores.write_terrain(place(terrain), ground)
     with pytest.raises(FolderError, match="heights"):
         blocksar.focus(store, run, grid=grid, **settings)
 
 
-def test_a_chain_puts_targets_where_they_stand(store: Path, terrain: Path, tmp_path: Path, client: Client) -> None:
-    run, settings = tmp_path / "run", {"blocks": 2, "grid": grid_about(300.0, 1.0), "client": client}
+def test_a_chain_puts_targets_where_they_stand(store: Path, terrain: Path, tmp_path: Path) -> None:
+    run, settings = tmp_path / "run", {"blocks": 2, "grid": grid_about(300.0, 1.0), "workers": 0}
     blocksar.focus(store, run, terrain=terrain, **settings)
     found = blocksar.quality(run).result
     check_targets(found, len(PLACES))
@@ -147,7 +150,7 @@ def test_a_chain_puts_targets_where_they_stand(store: Path, terrain: Path, tmp_p
     assert sum(path.stat().st_size for path in files) == pytest.approx(layers, rel=0.03)
 
 
-def test_clutter_on_hills_is_that_of_back_projection(tmp_path: Path, client: Client) -> None:
+def test_clutter_on_hills_is_that_of_back_projection(tmp_path: Path) -> None:
     """Slopes up to 30 degrees, at the top of a hill, on its flanks, in a hollow, and on the seam of two blocks."""
     hills = HILLS.replace("width = 700.0", "width = 760.0")
     more = hills + "[clutter]\nscatterers = 5000\nseed = 3\nrange = [29600.0, 30400.0]\nyaw_deg = [48.3, 51.7]\n"
@@ -159,9 +162,9 @@ def test_clutter_on_hills_is_that_of_back_projection(tmp_path: Path, client: Cli
     report = blocksar.plan(store, **settings)
     relief = next(table for table in report.details if "bend taken out (rad)" in table[0])
     assert len(relief[1]) == len(report.result.blocks)
-    blocksar.focus(store, run, client=client, **settings)
+    blocksar.focus(store, run, workers=0, **settings)
     exact = blocksar.focus(
-        store, tmp_path / "exact", processor="backprojection", client=client, terrain=settings["terrain"],
+        store, tmp_path / "exact", processor="backprojection", workers=0, terrain=settings["terrain"],
         grid=grid_about(240.0, 12.8),
     )  # fmt: skip
     assert exact.result["status"] == "finished"
@@ -218,7 +221,7 @@ NOISE = 1e-6  # mean squared magnitude, of each sample
 
 @pytest.mark.slow  # test_burst_on_the_earth.py has such a beam over hills
 def test_clutter_on_hills_under_a_beam_about_its_axis_is_that_of_back_projection(
-    tmp_path: Path, client: Client
+    tmp_path: Path,
 ) -> None:
     """Squinted TOPS: at a yaw, 100 m of height move a dwell by a fifth of its length. Full dwells, and cut ones."""
     hills = "[terrain]\nhills = [{x = 7960.0, y = 3650.0, height = 200.0, width = 480.0}]\n"
@@ -230,7 +233,7 @@ def test_clutter_on_hills_under_a_beam_about_its_axis_is_that_of_back_projection
     assert ground is not None
     path = tmp_path / "ground.zarr"
     stores.write_terrain(place(path), ground)
-    box, more = ((7840.0, 8070.0), (3580.0, 3850.0)), {"terrain": path, "client": client}
+    box, more = ((7840.0, 8070.0), (3580.0, 3850.0)), {"terrain": path, "workers": 0}
     blocksar.focus(store, tmp_path / "run", blocks=2, grid=((*box[0], 1.2), (*box[1], 0.5)), **more)
     blocksar.focus(store, tmp_path / "exact", processor="backprojection", grid=((*box[0], 4.8), (*box[1], 4.0)), **more)
     run, exact = blocksar.open(tmp_path / "run"), blocksar.open(tmp_path / "exact")

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from distributed import Client
 from quality_bar import planned
 from scenes import SMALL_SCAN, scene
 
@@ -18,6 +17,8 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Taper, Weighting
 from blocksar.errors import FolderError
 from blocksar.focusing.backprojection import form_image
+
+pytestmark = pytest.mark.usefixtures("unchecked")
 
 TAYLOR = Taper.parse("taylor:4:-35")
 SCENES: dict[str, Any] = {
@@ -54,9 +55,9 @@ def write(folder: Path, name: str, *, targets: bool) -> tuple[Path, Any]:
 
 
 @pytest.mark.parametrize("name", ["steered", pytest.param("scan reversed", marks=pytest.mark.slow), "unsteered"])
-def test_weighted_targets_have_the_ideal_response(name: str, client: Client, tmp_path: Path) -> None:
+def test_weighted_targets_have_the_ideal_response(name: str, tmp_path: Path) -> None:
     store, grid = write(tmp_path, name, targets=True)
-    blocksar.focus(store, tmp_path / "run", blocks=2, grid=grid, weighting=TAYLOR.text, client=client)
+    blocksar.focus(store, tmp_path / "run", blocks=2, grid=grid, weighting=TAYLOR.text, workers=0)
     report = blocksar.quality(tmp_path / "run")
     assert len(report.result["targets"]) == 1
     assert report.result["weighting"] == {"range": TAYLOR.text, "azimuth": TAYLOR.text}
@@ -68,7 +69,7 @@ def test_weighted_targets_have_the_ideal_response(name: str, client: Client, tmp
         assert max(abs(target["error_x"]), abs(target["error_y"])) <= 0.02
         assert abs(complex(*target["value"])) == pytest.approx(1.0, abs=0.005)
     with pytest.raises(FolderError, match="weighting_range 'taylor:4:-35'"):
-        blocksar.focus(store, tmp_path / "run", blocks=2, grid=grid, client=client)
+        blocksar.focus(store, tmp_path / "run", blocks=2, grid=grid, workers=0)
     blocksar.report(tmp_path / "run")
     page = " ".join((tmp_path / "run" / "report.html").read_text().split())
     assert "weighting-azimuth" in page and "side lobes within 0.5 dB of" in page
@@ -82,16 +83,14 @@ def test_weighted_targets_have_the_ideal_response(name: str, client: Client, tmp
     pytest.param("unsteered", "taylor:4:-35", 57.0, marks=pytest.mark.slow),
     ("wide band", "taylor:4:-35", 53.0),  # -48 without parts of the gate over the band
 ])  # fmt: skip
-def test_weighted_clutter_is_that_of_back_projection(
-    name: str, azimuth: str, least: float, client: Client, tmp_path: Path
-) -> None:
+def test_weighted_clutter_is_that_of_back_projection(name: str, azimuth: str, least: float, tmp_path: Path) -> None:
     """Error power after one complex gain; edges of dwells whose ends have a weight are back-projected."""
     store, grid = write(tmp_path, name, targets=False)
     weighting = Weighting.parse("taylor:4:-35", azimuth=azimuth)
     chosen = {"weighting": "taylor:4:-35", "weighting_azimuth": azimuth}
     grid = tuple((a, b, 2.0 if b - a > 50 else 0.5) for a, b, _ in grid)
     blocks = 6 if name == "wide band" else 2
-    blocksar.focus(store, tmp_path / "run", blocks=blocks, fidelity=0.999995, grid=grid, client=client, **chosen)
+    blocksar.focus(store, tmp_path / "run", blocks=blocks, fidelity=0.999995, grid=grid, workers=0, **chosen)
     image = blocksar.open(tmp_path / "run").image
     history = stores.open_phase_history(store)
     geometry = Geometry(collection=history.collection.centred())

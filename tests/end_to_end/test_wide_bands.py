@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from beside_exact import beside_exact
+
+pytestmark = pytest.mark.usefixtures("unchecked")
 
 UHF = """
 [radar]

@@ -100,8 +100,13 @@ def test_a_unit_target_has_amplitude_one(name: str) -> None:
 WEIGHTINGS = [("taylor:4:-35", "taylor:4:-35"), ("uniform", "hann"), ("kaiser:6", "uniform"), ("hamming", "kaiser:2.5")]
 
 
-@pytest.mark.parametrize("weighting", WEIGHTINGS)
-@pytest.mark.parametrize("name", ["Table 1", "unsteered", "scan reversed, negative yaw", "looking across yaw = pi"])
+WEIGHTED = ["Table 1", "unsteered", "scan reversed, negative yaw", "looking across yaw = pi"]
+
+
+@pytest.mark.parametrize(("name", "weighting"), [
+    pytest.param(name, weighting, marks=() if row == column else pytest.mark.slow)  # each at least once
+    for row, name in enumerate(WEIGHTED) for column, weighting in enumerate(WEIGHTINGS)
+])  # fmt: skip
 def test_weighted_back_projection_equals_the_double_loop(name: str, weighting: tuple[str, str]) -> None:
     """Points far apart, so that tiles are divided; some pulses and samples are missing, some dwells are cut."""
     c = collection(**COLLECTIONS[name])
@@ -448,8 +453,12 @@ def test_a_unit_target_under_patterns_peaks_at_one() -> None:
 
 
 @AXIS_BEAMS
-@pytest.mark.parametrize("patterns", [False, True])
-@pytest.mark.parametrize("weighting", [("taylor:4:-35", "taylor:4:-35"), ("uniform", "kaiser:4")])
+@pytest.mark.parametrize(("patterns", "weighting"), [
+    (False, ("taylor:4:-35", "taylor:4:-35")),
+    (True, ("uniform", "kaiser:4")),
+    pytest.param(True, ("taylor:4:-35", "taylor:4:-35"), marks=pytest.mark.slow),
+    pytest.param(False, ("uniform", "kaiser:4"), marks=pytest.mark.slow),
+])  # fmt: skip
 def test_weighted_beams_about_their_axis_equal_the_double_loop(
     mode: str, patterns: bool, weighting: tuple[str, str]
 ) -> None:

@@ -20,7 +20,7 @@ def test_a_turn_waits_for_the_write_whose_memory_it_takes() -> None:
     written = Event()
 
     def write(number: int) -> list[Written]:
-        assert number or written.wait(60)
+        assert number or written.wait()
         return [part(number)]
 
     with WritesBehind(2) as behind:
@@ -54,7 +54,7 @@ def test_chunks_are_computed_in_threads_and_written_in_their_order(threads: int)
         by.add(get_ident())
         if number == threads - 1:
             together.set()
-        assert together.wait(60)  # as many as there are threads are computed at once
+        assert together.wait()  # as many as there are threads are computed at once
         return turn, number
 
     def write(turn: Turn, number: int) -> list[Written]:

@@ -14,10 +14,8 @@ import itertools
 import os
 import re
 import shutil
-import signal
 import socket
 import stat
-import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
@@ -26,7 +24,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from distributed import Client
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
@@ -68,29 +65,6 @@ MANY = settings(
 )  # fmt: skip
 
 
-class Hang(BaseException):
-    """A case exceeded its deadline; not an OSError or Exception, so that no code under test handles it."""
-
-
-@contextlib.contextmanager
-def deadline(seconds: float) -> Iterator[None]:
-    """Raise Hang after a time, s; afterwards continue pytest's own alarm with its remaining time."""
-
-    def late(*_: Any) -> None:
-        raise Hang(f"it hangs: no answer within {seconds:g} s")
-
-    handler = signal.signal(signal.SIGALRM, late)
-    left, _ = signal.setitimer(signal.ITIMER_REAL, seconds)
-    began = time.monotonic()
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, handler)
-        if left:
-            signal.setitimer(signal.ITIMER_REAL, max(left - (time.monotonic() - began), 0.01))
-
-
 def listing(folder: Path) -> dict[str, tuple[int, int, int]]:
     """Return mode, size and time of modification of everything below a folder; links are not followed."""
     found = {}
@@ -115,9 +89,8 @@ def one_sentence(error: BaseException | str) -> str:
 
 @dataclass(repr=False)
 class Bench:
-    """A clean store, its images, and the shared cluster; counts the outcomes of all cases."""
+    """A clean store and its images; counts the outcomes of all cases."""
 
-    client: Client
     room: Path
     store: Path
     clean: dict[str, Any] = field(default_factory=dict)
@@ -138,7 +111,7 @@ class Bench:
         """Return the run of the clean store, computed on the first call."""
         name = f"clean-{wanted.get('processor', 'chain')}"
         if name not in self.clean:
-            blocksar.focus(self.store, self.room / name, client=self.client, **wanted)
+            blocksar.focus(self.store, self.room / name, workers=0, **wanted)
             self.clean[name] = blocksar.open(self.room / name).image.values
         return self.room / name
 
@@ -159,8 +132,7 @@ class Bench:
         out = out or self.fresh()
         before = listing(Path(source)) if isinstance(source, str | Path) else {}
         try:
-            with deadline(60):
-                blocksar.focus(source, out, client=self.client, **wanted)
+            blocksar.focus(source, out, workers=0, **wanted)
         except InputError as refusal:
             one_sentence(refusal)
             assert not os.path.lexists(out), "refused, but something was written"
@@ -188,7 +160,7 @@ class Bench:
 
     def refused(self, kind: str, command: Callable[..., Any], *args: Any, listed: bool = False, **kwargs: Any) -> str:
         """Check that a command raises InputError; with `listed`, the message may list many wrong fields of a scene."""
-        with deadline(60), pytest.raises(InputError) as caught:
+        with pytest.raises(InputError) as caught:
             command(*args, **kwargs)
         self.tally[kind, "refused"] += 1
         text = str(caught.value)
@@ -214,7 +186,7 @@ class Bench:
         for name, case in cases.items():
             try:
                 case()
-            except (Exception, Hang, pytest.fail.Exception) as error:
+            except (Exception, pytest.fail.Exception) as error:
                 defects.append(f"{name}: {type(error).__name__}: {str(error)[:300]}")
         assert not defects, f"{len(defects)} of {len(cases)}:\n" + "\n".join(defects)
 

@@ -6,7 +6,7 @@ nor anything else of the package has made them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -81,15 +81,18 @@ def samples(collection: Collection, place: FloatArray, amplitude: np.ndarray) ->
     for target, a in zip(place, amplitude, strict=True):
         sight = target - collection.antenna_position
         distance = np.sqrt((sight**2).sum(axis=1))
-        lit = _lit(collection, sight / distance[:, None], target)
-        cycles = -2 / SPEED_OF_LIGHT * (distance - collection.reference_range)[lit, None]
+        seen = lit(collection, target)
+        cycles = -2 / SPEED_OF_LIGHT * (distance - collection.reference_range)[seen, None]
         fast = np.exp(2j * np.pi * cycles * fine)
         slow = a * np.exp(2j * np.pi * cycles * (collection.carrier + coarse))
-        signal[lit] += (slow[:, :, None] * fast[:, None, :]).reshape(fast.shape[0], 8 * coarse.size)
+        signal[seen] += (slow[:, :, None] * fast[:, None, :]).reshape(fast.shape[0], 8 * coarse.size)
     return signal[:, : f.size]
 
 
-def _lit(collection: Collection, sight: FloatArray, target: FloatArray) -> np.ndarray:
+def lit(collection: Collection, target: FloatArray) -> np.ndarray:
+    """Whether the beam lights a target (3,), m, at each pulse."""
+    sight = target - collection.antenna_position
+    sight /= np.linalg.norm(sight, axis=1)[:, None]
     if collection.beam_width is None:
         return np.ones(len(sight), np.bool_)
     if collection.beam_axis is not None and collection.beam_steering is not None:
@@ -179,8 +182,3 @@ def _hill(centre: FloatArray, size: FloatArray, height: float) -> Terrain:
 def terrain_height(terrain: Terrain, x: float, y: float) -> float:
     """Height of the terrain at a point, as the package interpolates it."""
     return float(terrain(np.array([x]), np.array([y]))[0])
-
-
-def wrong(scene: ExactScene, **fields: object) -> ExactScene:
-    """The same samples, of which something else is said."""
-    return replace(scene, collection=replace(scene.collection, **fields))  # type: ignore[arg-type]

@@ -81,4 +81,4 @@ def _machine(address: str, *, user: bool = False, beside: Machine | None = None)
             yield Machine(address, holder.pid, enter)
         finally:
             holder.stdin.close()
-            holder.wait(30)
+            holder.wait()

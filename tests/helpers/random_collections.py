@@ -157,7 +157,7 @@ class _Beam(NamedTuple):
     pace: float  # rad/s: of steering, or of yaw
     resolution: float  # m, along the track
     extent: float  # m, with full dwell, along the track
-    spill: float  # m, by which what is lit goes beyond that
+    spill: float  # m, by which what is lit goes beyond that; below 0 where more would fold
 
 
 def _draw(rng: np.random.Generator, platform: str, mode: str) -> Drawn:
@@ -254,7 +254,9 @@ def _plan_beam(
         resolution = wavelength / (2 * aperture) / np.cos(squint)
         extent = n_pulse / over * wavelength / (2 * aperture) / np.cos(squint) / 2
         width = None if mode == "unsteered" else float(rng.uniform(1.0, 2.0)) * extent * np.cos(squint) / distance
-        return _Beam(n_pulse, n_pulse * passing / aperture, width, 0.0, resolution, extent, 0.1 * extent)
+        # Nothing limits what an unsteered antenna lights: clutter that folds onto the grid is none of the image's.
+        spill = 0.1 if mode == "spotlight" else min(0.1, (over - BEYOND * MARGIN) / 2)
+        return _Beam(n_pulse, n_pulse * passing / aperture, width, 0.0, resolution, extent, spill * extent)
     if mode == "yaw scan":
         # A dwell lasts until the line of sight has turned by an aperture.
         width = float(np.exp(rng.uniform(np.log(0.005), np.log(0.1))))

@@ -57,7 +57,7 @@ def server(*, refusing: bool = False) -> Iterator[str]:
             yield url
         finally:
             process.stdin.close()  # ends the server
-            process.wait(30)
+            process.wait()
             objects.open_bucket.cache_clear()
 
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from axis_beams import axis_scene
-from cphd_files import failures
+from cphd_files import failures, ingest
 from lxml import etree
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
@@ -22,10 +22,11 @@ from blocksar.collection.beam import is_lit, pattern_gain
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
-from blocksar.ingestion import cphd
 from blocksar.simulation import cphd as cphd_simulation
 from blocksar.simulation.cphd_beam import GAIN_ERROR
 from blocksar.simulation.scene import Scene
+
+pytestmark = pytest.mark.usefixtures("unchecked")
 
 pytest.importorskip("sarkit", reason="the extra `formats` is not installed")
 
@@ -84,7 +85,7 @@ def tops(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 def ingested(path: Path) -> tuple[Collection, list[str]]:
     out = path.with_suffix(".zarr")
-    said = cphd.ingest(path, out, overwrite=True).messages
+    said = ingest(path, out, overwrite=True).messages
     return stores.open_phase_history(out).collection, said
 
 
@@ -412,7 +413,7 @@ WRONG: dict[str, tuple[Edit, str]] = {
     "quotation mark": (put("Antenna/AntPhaseCenter/ACFId", "a'b"), "without a quotation mark"),
     "frequency": (put("Antenna/AntPattern/FreqZero", "-1"), "FreqZero is -1"),
     "no number": (put("Antenna/AntPattern/FreqZero", "x"), "no number"),
-    "not finite": (vectors_of("TxACX", lambda v: np.where(v == v[7], np.nan, v)), "PVP TxACX is not finite in 1"),
+    "not finite": (vectors_of("TxACX", lambda v: v * np.nan), "PVP TxACX is not finite or 0 in 601 vectors (first"),
     "length": (vectors_of("RcvACY", lambda v: 2 * v), "RcvACY has a length of 2"),
     "angle": (vectors_of("TxACY", lambda v: v[::-1] * 0 + 1 / np.sqrt(3)), "not at a right angle"),
     "boresight": (vectors_of("TxEB", lambda v: v + 1), "TxEB has direction cosines of length"),
@@ -428,6 +429,26 @@ def test_a_wrong_antenna_is_named_and_the_dwells_are_used(name: str, stripmap: M
     collection, said = ingested(edited(stripmap, tmp_path / "wrong.cphd", edit))
     assert any(words in line for line in said), said
     assert collection.has_axis and differing(stripmap, collection) <= 2
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 0.0])
+def test_antennas_of_some_vectors_are_given_by_others(value: float, tops: Made, tmp_path: Path) -> None:
+    """At the ends and inside. A boresight that passes through 0 is none that was filled with zeros."""
+    lost = [0, 1, 100, 101, 102, 600]
+    names = [f"{side}{what}" for side in ("Tx", "Rcv") for what in ("ACX", "ACY", "EB")]
+
+    def lose(root: Any, vectors: Array) -> None:
+        for name in names:
+            vectors[name][lost] = value
+
+    whole, before = ingested(tops.path)
+    collection, said = ingested(edited(tops, tmp_path / "lost.cphd", lose))
+    assert not any("not finite" in line for line in before)
+    for name in names:
+        assert any(f"PVP {name} of 6 vectors (first: vector 0) that is not finite or 0" in line for line in said)
+    assert np.abs(collection.beam_axis - whole.beam_axis).max() < 1e-5  # of a width of 0.017 rad
+    assert np.abs(collection.beam_steering - whole.beam_steering).max() < 1e-5
+    assert collection.beam_width == pytest.approx(whole.beam_width, rel=1e-3) and differing(tops, collection) <= 2
 
 
 def texts(root: Any) -> Iterator[Any]:
@@ -497,3 +518,61 @@ def test_gain_polynomials_are_those_of_the_pattern(stripmap: Made) -> None:
     edge = np.sin(np.deg2rad(0.3))
     gain = polynomial.polyval2d(np.array([-edge, 0.0, edge]), np.zeros(3), table)
     np.testing.assert_allclose(gain - gain[1], [-3.0103, 0, -3.0103], atol=1e-3)
+
+
+# ---------------------------------------------------------------- Image areas and pulses that are not as they should be
+
+
+@pytest.mark.parametrize("polynomials", ["right", pytest.param("swapped", marks=pytest.mark.slow)])
+def test_an_image_area_in_samples_keeps_the_beam(polynomials: str, stripmap: Made, tmp_path: Path) -> None:
+    """Axes swapped and numbers of samples in ImageArea, with corner points that are right."""
+
+    def edit(root: Any, _: Array) -> None:
+        area = root.find("{*}SceneCoordinates/{*}ImageArea")
+        for corner in ("X1Y1", "X2Y2"):
+            x, y = (area.find(f"{{*}}{corner}/{{*}}{axis}") for axis in "XY")
+            x.text, y.text = str(7 * float(y.text)), str(5 * float(x.text))
+        outline = area.find("{*}Polygon")
+        if outline is not None:
+            area.remove(outline)
+        if polynomials == "swapped":
+            for node in root.iter("{*}Coef"):
+                if node.getparent().tag.endswith(("CODTimePoly", "DwellTimePoly")):
+                    one, two = node.get("exponent1"), node.get("exponent2")
+                    node.set("exponent1", two), node.set("exponent2", one)
+            for name in ("COD", "Dwell"):
+                poly = node_at(root, f"Dwell/{name}Time/{name}TimePoly")
+                one, two = poly.get("order1"), poly.get("order2")
+                poly.set("order1", two), poly.set("order2", one)
+
+    collection, said = ingested(edited(stripmap, tmp_path / "area.cphd", edit))
+    plain, _ = ingested(stripmap.path)
+    assert collection.has_axis
+    assert collection.beam_width == pytest.approx(plain.beam_width, rel=0.02)
+    assert np.abs(np.asarray(collection.beam_steering) - np.asarray(plain.beam_steering)).max() < 0.02 * 0.0105
+    assert any("ImageArea of" in line and "the corner points are taken" in line for line in said)
+    assert any("polynomials are read as if x and y were swapped" in line for line in said) == (polynomials == "swapped")
+
+
+@pytest.mark.parametrize("lost", [0, 25])
+def test_zeros_of_a_beam_that_lit_nothing_are_no_lost_pulses(lost: int, stripmap: Made, tmp_path: Path) -> None:
+    """One target, without noise: zeros before and after its dwell, and in a gap of it."""
+    with open(stripmap.path, "rb") as file:
+        samples, _ = skcphd.Reader(file).read_channel("1")
+    lit = np.flatnonzero(np.asarray(samples).any(axis=1))
+    assert 50 < lit.size < 0.8 * samples.shape[0]
+    gap = slice(int(lit[lit.size // 3]), int(lit[lit.size // 3]) + lost)
+    path = tmp_path / "gap.cphd"
+    with open(stripmap.path, "rb") as file, open(path, "wb") as out:
+        reader = skcphd.Reader(file)
+        changed, vectors = reader.read_channel("1")
+        changed = np.array(changed)
+        changed[gap] = 0
+        writer = skcphd.Writer(out, reader.metadata)
+        writer.write_signal("1", changed)
+        writer.write_pvp("1", vectors)
+    _, said = ingested(path)
+    assert any(f"{samples.shape[0]} pulses, {lost} of them missing" in line for line in said)
+    history = stores.open_phase_history(path.with_suffix(".zarr"))
+    missing = np.isnan(history.read(slice(None), slice(None))).all(axis=1)
+    np.testing.assert_array_equal(np.flatnonzero(missing), np.arange(gap.start, gap.stop))

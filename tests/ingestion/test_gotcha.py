@@ -30,8 +30,12 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.focusing import recovery
 from blocksar.focusing.backprojection import form_image
+from blocksar.ingestion import readers
 from blocksar.ingestion.gotcha import files, ingestion
 from blocksar.ingestion.gotcha.matfile import read_struct
+from blocksar.ingestion.gotcha.reader import GOTCHA
+from blocksar.ingestion.readers import ReaderOptions
+from blocksar.ingestion.reading import Ingested
 from blocksar.ingestion.resampling import plan_resampling
 from blocksar.measurement.coherence import coherence
 from blocksar.measurement.targets import Target
@@ -40,11 +44,18 @@ from blocksar.planning import target_lines
 from blocksar.planning.planner import plan_collection
 from blocksar.simulation.scatterers import simulate_pulses
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 N_FREQUENCY = 48
 FREQUENCY = 9.6e9 + 1.5e6 * (np.arange(N_FREQUENCY) - N_FREQUENCY // 2)  # Hz
 RADIUS, HEIGHT, STEP = 7000.0, 7200.0, np.radians(0.0085)  # m, m, rad
 SCENE = (np.array([-20.0, 3.0, 31.0]), np.array([12.0, -5.0, 25.0]), np.array([1.0, 0.5j, -0.7 + 0.2j]))
 Record = dict[str, Any]
+
+
+def ingest(source: Path | list[Path], out: Path, **settings: Any) -> Ingested:
+    sources = source if isinstance(source, list) else [source]
+    return readers.ingest(GOTCHA, sources, out, ReaderOptions(), **settings)
 
 
 def collection_at(position: np.ndarray) -> Collection:
@@ -115,7 +126,7 @@ def samples(path: Path) -> np.ndarray:
 
 def test_files_in_any_order_are_joined_in_azimuth(tmp_path: Path) -> None:
     paths = written(tmp_path, *np.split(circle(AZIMUTH), 3))
-    made = ingestion.ingest([paths[2], paths[0], paths[1]], tmp_path / "ph.zarr")
+    made = ingest([paths[2], paths[0], paths[1]], tmp_path / "ph.zarr")
     wanted = collection_at(circle(AZIMUTH))
     history = stores.open_phase_history(tmp_path / "ph.zarr")
     found = history.collection
@@ -135,7 +146,7 @@ def test_files_in_any_order_are_joined_in_azimuth(tmp_path: Path) -> None:
 def test_the_circle_has_no_seam(tmp_path: Path, turn: float) -> None:
     """Files on either side of azimuth zero are neighbours; a flight in the other direction is sorted."""
     position = circle(AZIMUTH + turn * STEP * 90)[::-1]
-    made = ingestion.ingest(written(tmp_path, *np.split(position, 2)), tmp_path / "ph.zarr")
+    made = ingest(written(tmp_path, *np.split(position, 2)), tmp_path / "ph.zarr")
     assert np.abs(made.collection.antenna_position - position[::-1]).max() < 3e-4
     assert np.array_equal(samples(tmp_path / "ph.zarr"), simulate_pulses(collection_at(position[::-1]), *SCENE))
 
@@ -143,13 +154,13 @@ def test_the_circle_has_no_seam(tmp_path: Path, turn: float) -> None:
 def test_duplicate_pulses_are_kept_once(tmp_path: Path) -> None:
     position = circle(AZIMUTH)
     paths = written(tmp_path, position[:50], position[40:])
-    ingestion.ingest([*paths, paths[0]], tmp_path / "ph.zarr")
+    ingest([*paths, paths[0]], tmp_path / "ph.zarr")
     assert np.array_equal(samples(tmp_path / "ph.zarr"), simulate_pulses(collection_at(position), *SCENE))
 
 
 def test_a_few_lost_pulses_become_missing(tmp_path: Path) -> None:
     position = circle(AZIMUTH)
-    made = ingestion.ingest(written(tmp_path, position[:40], position[45:]), tmp_path / "ph.zarr")
+    made = ingest(written(tmp_path, position[:40], position[45:]), tmp_path / "ph.zarr")
     wanted = simulate_pulses(collection_at(position), *SCENE)
     wanted[40:45] = np.nan
     assert np.array_equal(samples(tmp_path / "ph.zarr"), wanted, equal_nan=True)
@@ -158,12 +169,10 @@ def test_a_few_lost_pulses_become_missing(tmp_path: Path) -> None:
 
 
 def test_chunks_of_pulses_are_gathered_across_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for holder in (ingestion, stores.history_creation):
+    for holder in (ingestion, readers, stores.history_creation):
         monkeypatch.setattr(holder, "TILE", (16, 1024))
     told: list[tuple[int, int]] = []
-    ingestion.ingest(
-        written(tmp_path, *np.split(circle(AZIMUTH), 9)), tmp_path / "ph.zarr", progress=lambda *n: told.append(n)
-    )
+    ingest(written(tmp_path, *np.split(circle(AZIMUTH), 9)), tmp_path / "ph.zarr", progress=lambda *n: told.append(n))
     assert np.array_equal(samples(tmp_path / "ph.zarr"), simulate_pulses(collection_at(circle(AZIMUTH)), *SCENE))
     assert told == [(n, 90) for n in (16, 32, 48, 64, 80, 90)]
 
@@ -171,7 +180,7 @@ def test_chunks_of_pulses_are_gathered_across_files(tmp_path: Path, monkeypatch:
 def test_track_figures_are_reported(tmp_path: Path) -> None:
     """A vertical wobble of 4 mm that no polynomial follows appears as the misfit; almost none of it remains."""
     wobble = 0.004 * np.sin(2.0 * np.arange(90))
-    made = ingestion.ingest(written(tmp_path, circle(AZIMUTH, HEIGHT + wobble)), tmp_path / "ph.zarr")
+    made = ingest(written(tmp_path, circle(AZIMUTH, HEIGHT + wobble)), tmp_path / "ph.zarr")
     line = next(line for line in made.messages if line.startswith("track"))
     track = Geometry(collection=made.collection).track
     assert f"{track} misses" in line
@@ -187,7 +196,7 @@ def test_r0_is_kept_where_it_differs_from_the_distance(tmp_path: Path) -> None:
     record = record_of(position)
     record["r0"] = record["r0"].astype(np.float64) + 3.0
     (tmp_path / "a.mat").write_bytes(packed(record))
-    made = ingestion.ingest(tmp_path / "a.mat", tmp_path / "ph.zarr")
+    made = ingest(tmp_path / "a.mat", tmp_path / "ph.zarr")
     assert np.abs(made.collection.reference_range - np.linalg.norm(position, axis=1) - 3).max() < 2e-3
 
 
@@ -205,15 +214,15 @@ def polarised(paths: list[Path], name: str, factor: complex) -> list[Path]:
 
 
 def test_polarisations_become_channels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for holder in (ingestion, stores.history_creation):
+    for holder in (ingestion, readers, stores.history_creation):
         monkeypatch.setattr(holder, "TILE", (16, 1024))
     position = circle(AZIMUTH)
     factors = {"HH": 1, "HV": 0.25j, "VH": 0.5, "VV": -2}
     alone = written(tmp_path, position[:40], position[45:])
-    ingestion.ingest(alone, tmp_path / "hh.zarr")
+    ingest(alone, tmp_path / "hh.zarr")
     others = [path for name in ("VV", "HV", "VH") for path in polarised(alone, name, factors[name])]
     told: list[tuple[int, int]] = []
-    made = ingestion.ingest([*others, *alone], tmp_path / "ph.zarr", progress=lambda *n: told.append(n))
+    made = ingest([*others, *alone], tmp_path / "ph.zarr", progress=lambda *n: told.append(n))
     assert "8 files, 85 pulses in each of the channels HH, HV, VH, VV;" in made.messages[0]
     assert told[-1] == (360, 360) and len(told) == 24
     single, history = (stores.open_phase_history(tmp_path / name) for name in ("hh.zarr", "ph.zarr"))
@@ -232,8 +241,8 @@ def test_polarisations_become_channels(tmp_path: Path, monkeypatch: pytest.Monke
 def test_uneven_polarisations_are_resampled_alike(tmp_path: Path) -> None:
     random = np.random.default_rng(3)
     alone = written(tmp_path, circle(STEP * (np.arange(150) + random.uniform(-0.2, 0.2, 150))))
-    ingestion.ingest(alone, tmp_path / "hh.zarr")
-    ingestion.ingest([*alone, *polarised(alone, "VV", -2)], tmp_path / "ph.zarr")
+    ingest(alone, tmp_path / "hh.zarr")
+    ingest([*alone, *polarised(alone, "VV", -2)], tmp_path / "ph.zarr")
     history, wanted = stores.open_phase_history(tmp_path / "ph.zarr"), samples(tmp_path / "hh.zarr")
     for name, factor in (("HH", 1), ("VV", -2)):
         found = history.of_channel(name).read(slice(None), slice(None))
@@ -263,10 +272,10 @@ def test_polarisations_of_other_places_are_refused(tmp_path: Path) -> None:
         ([close, nameless], "nameless.mat has no polarisation in its name, but others are of HH and VV"),
     ):
         with pytest.raises(InputError, match=said) as refused:
-            ingestion.ingest([*alone, *given], tmp_path / "ph.zarr")
+            ingest([*alone, *given], tmp_path / "ph.zarr")
         one_sentence(str(refused.value).replace(str(tmp_path), "").replace(".mat", ""))
         assert not (tmp_path / "ph.zarr").exists()
-    made = ingestion.ingest([*alone, close], tmp_path / "ph.zarr")
+    made = ingest([*alone, close], tmp_path / "ph.zarr")
     assert made.collection.n_pulse == 90
 
 
@@ -317,7 +326,7 @@ def test_resampling_refuses_invalid_arguments(wrong: dict[str, Any]) -> None:
 def test_uneven_pulses_become_uniform_within_the_reported_error(tmp_path: Path) -> None:
     random = np.random.default_rng(3)
     azimuth = STEP * (np.arange(300) + random.uniform(-0.2, 0.2, 300))
-    made = ingestion.ingest(written(tmp_path, *np.split(circle(azimuth), 2)), tmp_path / "ph.zarr")
+    made = ingest(written(tmp_path, *np.split(circle(azimuth), 2)), tmp_path / "ph.zarr")
     found = made.collection
     steps = np.diff(np.arctan2(found.antenna_position[:, 1], found.antenna_position[:, 0]))
     assert np.ptp(steps) < 1e-3 * STEP  # uniform after resampling
@@ -440,7 +449,7 @@ def test_a_damaged_file_is_refused_in_one_sentence(tmp_path: Path, record: Recor
     file = tmp_path / "az001_HH.mat"
     file.write_bytes(make(record))
     with pytest.raises(InputError, match=said) as refused:
-        ingestion.ingest(file, tmp_path / "ph.zarr")
+        ingest(file, tmp_path / "ph.zarr")
     one_sentence(str(refused.value))
     assert "az001_HH.mat" in str(refused.value) or "source" in str(refused.value)
     assert [path.name for path in tmp_path.iterdir()] == [file.name]
@@ -466,7 +475,7 @@ def test_flipped_bytes_give_a_valid_store_or_a_one_sentence_error(
         data[at] ^= 1 << int(random.integers(0, 8))
         file.write_bytes(bytes(data))
         try:
-            ingestion.ingest(file, tmp_path / "ph.zarr", overwrite=True)
+            ingest(file, tmp_path / "ph.zarr", overwrite=True)
         except InputError as error:
             refused += 1
             one_sentence(str(error))
@@ -477,9 +486,9 @@ def test_paths_that_are_not_regular_files_are_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.mat")
     for path, said in ((tmp_path, "regular file"), (tmp_path / "pipe.mat", "regular"), (tmp_path / "no", "not exist")):
         with pytest.raises(InputError, match=said):
-            ingestion.ingest(path, tmp_path / "ph.zarr")
+            ingest(path, tmp_path / "ph.zarr")
     with pytest.raises(InputError, match="empty"):
-        ingestion.ingest([], tmp_path / "ph.zarr")
+        ingest([], tmp_path / "ph.zarr")
 
 
 def test_files_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
@@ -515,7 +524,7 @@ def test_files_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
         ([first, bump], "x, y and z 30.* m apart"),
     ):
         with pytest.raises(InputError, match=said) as refused:
-            ingestion.ingest(given, tmp_path / "ph.zarr")
+            ingest(given, tmp_path / "ph.zarr")
         one_sentence(str(refused.value).replace(str(tmp_path), ""))
         assert not (tmp_path / "ph.zarr").exists()
 
@@ -523,7 +532,7 @@ def test_files_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
 def test_pulses_too_uneven_to_resample_are_refused(tmp_path: Path) -> None:
     azimuth = STEP * np.sort(np.random.default_rng(1).uniform(0, 200, 200))  # at random places
     with pytest.raises(InputError, match="so unevenly in azimuth"):
-        ingestion.ingest(written(tmp_path, circle(azimuth)), tmp_path / "ph.zarr")
+        ingest(written(tmp_path, circle(azimuth)), tmp_path / "ph.zarr")
 
 
 @pytest.mark.parametrize("count", [1 << 30, -1, 19])
@@ -549,7 +558,7 @@ def test_a_file_that_changes_during_ingestion_is_refused(tmp_path: Path, monkeyp
 
     monkeypatch.setattr(ingestion, "lay_out", meddling)
     with pytest.raises(InputError, match="changed while"):
-        ingestion.ingest(path, tmp_path / "ph.zarr")
+        ingest(path, tmp_path / "ph.zarr")
     assert not (tmp_path / "ph.zarr").exists()
 
 
@@ -690,7 +699,7 @@ def reference(store: Path) -> np.ndarray:
 
 
 def test_measured_figures(measured: list[Path], tmp_path: Path) -> None:
-    made = ingestion.ingest(measured[::-1], tmp_path / "ph.zarr")
+    made = ingest(measured[::-1], tmp_path / "ph.zarr")
     assert made.collection.n_pulse == 469 and made.collection.n_range_frequency == 424
     track = Geometry(collection=made.collection).track
     assert track.order <= 6 and track.max_misfit < 2e-3
@@ -702,8 +711,8 @@ def test_measured_samples_are_the_same_beside_another_polarisation(measured: lis
     alone = [tmp_path / path.name for path in measured[:2]]
     for path, copied in zip(measured, alone, strict=False):
         copied.write_bytes(path.read_bytes())
-    ingestion.ingest(alone, tmp_path / "hh.zarr")
-    ingestion.ingest([*polarised(alone, "VV", 0.5j), *alone], tmp_path / "ph.zarr")
+    ingest(alone, tmp_path / "hh.zarr")
+    ingest([*polarised(alone, "VV", 0.5j), *alone], tmp_path / "ph.zarr")
     both, single = (stores.open_phase_history(tmp_path / name) for name in ("ph.zarr", "hh.zarr"))
     whole = slice(None), slice(None)
     assert both.channels == ("HH", "VV")

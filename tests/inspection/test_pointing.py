@@ -8,14 +8,17 @@ from functools import cache
 import numpy as np
 import pytest
 from axis_beams import axis_scene
+from exact_scenes import exact_scene, samples
 
 from blocksar.arrays import ComplexArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import plan_region
-from blocksar.inspection.check import Findings, Trial, check
+from blocksar.inspection.check import check
+from blocksar.inspection.contrast import Contrast
 from blocksar.inspection.pointing import Pointing, point
 from blocksar.inspection.prominent import Samples
+from blocksar.inspection.verdict import Findings, Trial
 from blocksar.simulation.phase_history import sampler
 from blocksar.simulation.scene import Scene
 
@@ -100,6 +103,30 @@ def test_a_beam_of_half_the_width_is_found(kind: str) -> None:
     assert f"give beam_width as {width:.3g} rad" in warning
 
 
+def test_a_beam_of_half_the_width_is_found_where_the_collection_cuts_dwells() -> None:
+    """Places then gain 2 dB, not 3: what is empty of the dwells that are left."""
+    scene = exact_scene(3)
+    said = replace(scene.collection, beam_width=2 * (scene.collection.beam_width or 0.0)).centred()
+    warning = check(scene.signal, said, grid=scene.grid, threads=2, thorough=False).warning() or ""
+    assert warning.startswith("the beam has about 0.5 of the ")
+
+
+def test_a_beam_between_the_nulls_of_its_pattern_is_not_called_too_wide() -> None:
+    """Its middle is brighter a pulse, by 1.7 dB; if the rest was dark, by 3."""
+    scene = exact_scene(2)
+    collection, width = scene.collection, scene.collection.beam_width
+    assert collection.beam_axis is not None and collection.beam_steering is not None and width is not None
+    signal = np.zeros_like(scene.signal)
+    for dx, dy in ((-20, -12), (-10, 12), (0, 0), (10, -6), (20, 6)):
+        place = np.array([scene.targets[:, 0].mean() + dx, dy, 0.0])
+        sight = place - collection.antenna_position
+        sine = (sight * collection.beam_axis).sum(axis=1) / np.linalg.norm(sight, axis=1)
+        two_way = np.sinc(2 * (np.arcsin(sine) - collection.beam_steering) / width) ** 2
+        signal += (two_way[:, None] * samples(collection, place[None], np.ones(1))).astype(np.complex64)
+    told = judged(signal, collection.centred())
+    assert told is not None and told.told and told.found is None and told.narrower
+
+
 def test_a_beam_about_its_axis_that_turns_the_other_way_is_found() -> None:
     signal, collection = made("tops")
     assert collection.beam_steering is not None
@@ -134,18 +161,21 @@ def test_of_a_conjugated_signal_the_simplest_cause_is_named_and_the_tie_said(kin
     signal, collection = made(kind)
     warning = found(np.conj(signal), collection, thorough=True).warning() or ""
     assert warning.startswith("the signal is conjugated")
-    assert "These places do not tell whether the phase of the carrier has the other sign" in warning
+    assert "They do not tell whether the phase of the carrier has the other sign" in warning
 
 
 def test_of_tied_alternatives_that_with_fewest_changes_is_believed() -> None:
-    trials = (
-        Trial("as given", "", (0.05,) * 12, 100.0),
-        Trial("two things are wrong", "mend both", (0.73,) * 12, 100.0, changes=2),
-        Trial("one thing is wrong", "mend it", (0.63,) * 12, 100.0),
-    )
-    warning = Findings(trials, 0.1, 0.1, "", "").warning() or ""
+    given = (Contrast(3.0, 1.0),) * 12
+
+    def trial(name: str, remedy: str, gain: float, changes: int = 1) -> Trial:
+        return Trial(name, remedy, given, (Contrast(3.0 + gain, 1.0),) * 12, (0.9,) * 12, (0.7,) * 12, changes)
+
+    trials = trial("as given", "", 0.0), trial("two things are wrong", "mend both", 12.0, 2)
+    warning = Findings((*trials, trial("one thing is wrong", "mend it", 11.0)), 0.7).warning() or ""
     assert warning.startswith("one thing is wrong, it seems") and "mend it. " in warning
     assert "do not tell whether two things are wrong" in warning
+    warning = Findings((*trials, trial("one thing is wrong", "mend it", 10.0)), 0.7).warning() or ""
+    assert warning.startswith("two things are wrong")
 
 
 def judged(signal: ComplexArray, collection: Collection) -> Pointing | None:

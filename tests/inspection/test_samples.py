@@ -79,6 +79,11 @@ def slowly(signal: ComplexArray, recovery: Recovery) -> tuple[Inspection, Comple
     left = signal.copy()
     missing: dict[int, int] = {}
     outliers: dict[int, list[int]] = {}
+    empty: list[list[int]] = []
+    for p in range(n_pulse):
+        if all(value == 0 for value in signal[p]):
+            before = empty.pop() if empty and empty[-1][1] == p else [p, p]
+            empty.append([before[0], p + 1])
     for p in range(n_pulse):
         for c in range(n_column):
             if not np.isfinite(left[p, c]):
@@ -106,6 +111,7 @@ def slowly(signal: ComplexArray, recovery: Recovery) -> tuple[Inspection, Comple
         n_column=n_column,
         missing=missing,
         outliers=dict(sorted(outliers.items())),
+        empty=empty,
         valid=int(np.count_nonzero(left)),
         extreme=float(extreme),
         at_extreme=(int((real == extreme).sum()), int((imag == extreme).sum())) if extreme else (0, 0),
@@ -369,6 +375,10 @@ WHOLE = {p: 10 for p in range(12)}
         (
             {"missing": {**WHOLE, 40: 9, 41: 4}},
             ["12 of 100 pulses are missing, 13 more samples are not numbers: counted as not lit"],
+        ),
+        (
+            {"missing": WHOLE, "empty": [[3, 5], [20, 30]]},  # the others belong to a beam that lit nothing
+            ["12 of 100 pulses are missing (2 hold zeros only): counted as not lit"],
         ),
         ({"missing": {40: 1}}, ["1 sample is not a number: counted as not lit"]),
         ({"outliers": {3: [1]}}, ["1 sample stands 100-fold above its neighbours: counted as not lit"]),

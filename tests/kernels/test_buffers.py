@@ -143,10 +143,8 @@ def test_memory_that_is_idle_is_given_back() -> None:
     memory = Memory(idle=0.2)
     memory.empty(samples(8))
     assert memory.kept
-    until = time.monotonic() + 10
-    while memory.kept and time.monotonic() < until:
+    while memory.kept:
         time.sleep(0.01)
-    assert memory.kept == 0
 
 
 def test_an_array_can_be_sent_to_another_process() -> None:

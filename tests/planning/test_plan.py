@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from distributed import Client
 from quality_bar import planned
 from scenes import UNSTEERED_SCENE, scene
 
 import blocksar
-from blocksar.api import plan_lines
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
@@ -28,6 +26,7 @@ from blocksar.planning.disk import run_bytes
 from blocksar.planning.planner import plan_collection
 from blocksar.planning.recovery import plan_recovery
 from blocksar.planning.sector import Sector
+from blocksar.processors import lines
 from blocksar.simulation.scene import Scene
 
 
@@ -61,14 +60,14 @@ def test_closed_form_leaves_the_residual_of_the_printed_formulas(blocks: int, le
     assert worst["fitted"] < 0.015
 
 
-def test_looking_along_the_velocity_is_refused(client: Client, tmp_path: Path) -> None:
+def test_looking_along_the_velocity_is_refused(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(scene(steering=(85.0, 101.0), centre=93.0, swath=[29900.0, 30100.0]))
     report = blocksar.plan(tmp_path / "scene.toml", blocks=3)
     assert report.refusal is not None
     assert "along the velocity" in report.refusal
     store = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "phase_history.zarr")
     with pytest.raises(InputError, match="along the velocity"):
-        blocksar.focus(store, tmp_path / "run", client=client)
+        blocksar.focus(store, tmp_path / "run", workers=0)
     assert not (tmp_path / "run").exists()
 
 
@@ -94,8 +93,8 @@ def test_of_many_blocks_the_ten_worst_are_shown_and_all_are_at_hand() -> None:
 
 def test_a_plan_says_how_long_a_run_takes_and_all_else_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
     def summary(pace: float, told: float = math.inf) -> list[str]:
-        monkeypatch.setattr(plan_lines, "pace", lambda: pace)
-        monkeypatch.setattr(plan_lines, "PLANNING_TOLD", told)
+        monkeypatch.setattr(lines, "pace", lambda: pace)
+        monkeypatch.setattr(lines, "PLANNING_TOLD", told)
         return blocksar.plan("table1", blocks=3, workers=1).summary
 
     first, second = summary(1.0), summary(100.0)

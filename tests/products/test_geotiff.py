@@ -113,7 +113,6 @@ def test_whole_numbers_stand_for_decibels(scale: Any, most: int, tmp_path: Path)
         ("geotiff", "a.tif", {"crop": "5:1,0:10"}, "the lower first"),
         ("geotiff", "a.png", {}, "give geotiff a name that ends in .tif"),
         ("png", "a.jpg", {}, "give png a name that ends in .png"),
-        ("png", "a.png", {"looks": (2, 2)}, "option of geotiff only"),
         ("png", "a.png", {"colour_map": "virids"}, "viridis"),
         ("png", "a.png", {"size": 3}, "200 to 20000 pixels"),
         ("sicd", "a.nitf", {"crop": "0:1,0:1"}, "option of geotiff and png only"),

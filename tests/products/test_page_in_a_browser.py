@@ -41,7 +41,7 @@ class Browser:
         complaints: list[str] = []
         try:
             shown = made.new_page()
-            shown.set_default_timeout(15_000)
+            shown.set_default_timeout(0)
             shown.on("console", lambda message: complaints.append(f"{message.type}: {message.text}"))
             shown.on("pageerror", lambda error: complaints.append(str(error)))
             shown.on("request", lambda request: complaints.append(request.url) if wanted(request.url) else None)

@@ -18,11 +18,24 @@ from typer.testing import CliRunner
 import blocksar
 from blocksar import stores
 from blocksar.cli import commands
-from blocksar.errors import InputError
+from blocksar.errors import InputError, NoRoom
+from blocksar.places.local import LocalPlace
 from blocksar.products import writing
 from blocksar.runs import finished
 
 pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # by affine, in rioxarray
+
+
+@pytest.mark.parametrize(("kind", "pixel"), [("sicd", 8), ("geotiff", 4)])
+def test_a_product_that_does_not_fit_the_disk_is_not_begun(
+    kind: Any, pixel: int, made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(LocalPlace, "free", lambda _: pixel * made.image.size - 1)
+    with pytest.raises(NoRoom, match=r"product needs .* of disk, and .* are free there; make room, or choose another"):
+        blocksar.export(kind, made.folder, tmp_path / "product")
+    assert not list(tmp_path.iterdir())
+    monkeypatch.setattr(LocalPlace, "free", lambda _: pixel * made.image.size)
+    blocksar.export(kind, made.folder, tmp_path / "product")
 
 
 @pytest.mark.parametrize("kind", ["sicd", "geotiff", "png"])

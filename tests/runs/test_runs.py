@@ -34,6 +34,8 @@ from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Receipt, Written
 from blocksar.simulation.scene import Scene
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 GRID = ((15900.0, 16300.0, 4.0), (19000.0, 19400.0, 4.0))
 
 
@@ -46,17 +48,17 @@ def checksum(run: Path) -> str:
     return stores.checksum(blocksar.open(run).image.values)
 
 
-def test_a_finished_run_is_not_computed_again(store: Path, client: Client, tmp_path: Path) -> None:
+def test_a_finished_run_is_not_computed_again(store: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
-    blocksar.focus(store, run, blocks=3, grid=GRID, client=client)
+    blocksar.focus(store, run, blocks=3, grid=GRID, workers=0)
     before = {p: p.stat().st_mtime_ns for p in run.rglob("*") if p.is_file()}
-    report = blocksar.focus(store, run, blocks=3, grid=GRID, client=client)
+    report = blocksar.focus(store, run, blocks=3, grid=GRID, workers=0)
     assert "nothing to do" in report.summary[0]
     assert before == {p: p.stat().st_mtime_ns for p in run.rglob("*") if p.is_file()}
     with pytest.raises(InputError, match=r"blocks 3.*overwrite=True"):
-        blocksar.focus(store, run, blocks=2, grid=GRID, client=client)
+        blocksar.focus(store, run, blocks=2, grid=GRID, workers=0)
     (run / "report.html").write_text("of the run before")
-    blocksar.focus(store, run, blocks=2, grid=GRID, client=client, overwrite=True)
+    blocksar.focus(store, run, blocks=2, grid=GRID, workers=0, overwrite=True)
     assert not (run / "report.html").exists()
     assert json.loads((run / "run.json").read_text())["plan"]["blocks"] == 2
 
@@ -91,9 +93,7 @@ def test_an_interrupted_run_resumes(
     assert not (tmp_path / "run" / "receipts").exists()
 
 
-def test_a_failed_task_is_named_in_the_error(
-    store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_task_is_named_in_the_error(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real = stages.focus_blocks
 
     def sabotaged(*args: Any, **keywords: Any) -> Any:
@@ -102,7 +102,7 @@ def test_a_failed_task_is_named_in_the_error(
 
     monkeypatch.setattr(stages, "focus_blocks", sabotaged)
     with pytest.raises(ProcessingError, match=r"read-slab\+residual-walk\+keystone of block 1 failed: .*spectrum"):
-        blocksar.focus(store, tmp_path / "run", blocks=3, grid=GRID, client=client)
+        blocksar.focus(store, tmp_path / "run", blocks=3, grid=GRID, workers=0)
     assert (tmp_path / "run" / "receipts").exists()
 
 
@@ -189,21 +189,21 @@ WRONG = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_wrong_input_is_refused_and_writes_nothing(name: str, store: Path, client: Client, tmp_path: Path) -> None:
+def test_wrong_input_is_refused_and_writes_nothing(name: str, store: Path, tmp_path: Path) -> None:
     change, message = WRONG[name]
     bad = damaged(store, tmp_path, **change(store))
     with pytest.raises(InputError, match=message) as caught:
-        blocksar.focus(bad, tmp_path / "run", grid=GRID, client=client)
+        blocksar.focus(bad, tmp_path / "run", grid=GRID, workers=0)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "run").exists()
 
 
-def test_corrupt_samples_are_refused_and_leave_nothing(store: Path, client: Client, tmp_path: Path) -> None:
+def test_corrupt_samples_are_refused_and_leave_nothing(store: Path, tmp_path: Path) -> None:
     bad = damaged(store, tmp_path)
     chunk = next(p for p in sorted((bad / "signal" / "c").rglob("*")) if p.is_file())
     chunk.write_bytes(chunk.read_bytes()[:1000])
     with pytest.raises(InputError, match="signal"):
-        blocksar.focus(bad, tmp_path / "run", grid=GRID, client=client)
+        blocksar.focus(bad, tmp_path / "run", grid=GRID, workers=0)
     assert not (tmp_path / "run").exists()
 
 
@@ -229,15 +229,15 @@ def test_a_prf_too_low_is_refused_with_the_prf_needed(tmp_path: Path) -> None:
         blocksar.plan(tmp_path / "scene.toml")
 
 
-def test_folders_that_are_not_runs_are_not_changed(store: Path, client: Client, tmp_path: Path) -> None:
+def test_folders_that_are_not_runs_are_not_changed(store: Path, tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "thesis.tex").write_text("years of work")
     for overwrite in (False, True):
         with pytest.raises(InputError, match="no run of blocksar"):
-            blocksar.focus(store, tmp_path / "run", grid=GRID, client=client, overwrite=overwrite)
+            blocksar.focus(store, tmp_path / "run", grid=GRID, workers=0, overwrite=overwrite)
     (tmp_path / "file").write_text("x")
     with pytest.raises(InputError, match="is not a folder"):
-        blocksar.focus(store, tmp_path / "file", grid=GRID, client=client)
+        blocksar.focus(store, tmp_path / "file", grid=GRID, workers=0)
     assert (tmp_path / "run" / "thesis.tex").read_text() == "years of work"
     with pytest.raises(InputError):
         blocksar.quality(tmp_path / "run")
@@ -268,10 +268,10 @@ def test_a_block_from_another_worker_gives_the_same_result(store: Path, tmp_path
     np.testing.assert_array_equal(here.values, there.values)
 
 
-def test_a_task_of_a_replaced_run_writes_nothing(store: Path, client: Client, tmp_path: Path) -> None:
+def test_a_task_of_a_replaced_run_writes_nothing(store: Path, tmp_path: Path) -> None:
     """A given cluster may still run tasks of a dead process while --overwrite has started another run."""
     run = tmp_path / "run"
-    blocksar.focus(store, run, blocks=3, grid=GRID, client=client)
+    blocksar.focus(store, run, blocks=3, grid=GRID, workers=0)
     before = {p: p.stat().st_mtime_ns for p in run.rglob("*") if p.is_file()}
     orphan = Run(folder=place(run), identity="0" * 32, threads=1)
     values = np.zeros((64, 64), np.complex64)
@@ -301,12 +301,12 @@ def lose(signal: Any) -> Any:
 
 @pytest.mark.parametrize("processor", ["angular-division", "backprojection"])
 def test_missing_and_impossible_samples_count_as_not_lit_and_are_reported(
-    processor: Any, store: Path, client: Client, tmp_path: Path
+    processor: Any, store: Path, tmp_path: Path
 ) -> None:
     point = ground(30000.0, 50.0)
     grid = tuple((at - 12.0, at + 12.0, 1.0) for at in point)
     bad = changed(store, tmp_path, "signal", lose)
-    settings: dict[str, Any] = {"blocks": 3, "grid": grid, "client": client, "processor": processor}
+    settings: dict[str, Any] = {"blocks": 3, "grid": grid, "workers": 0, "processor": processor}
     report = blocksar.focus(bad, tmp_path / "run", **settings)
     n = stores.open_phase_history(bad).collection.n_range_frequency
     whole, more = 10, 3 * (4800 - 10)
@@ -322,17 +322,17 @@ def test_missing_and_impossible_samples_count_as_not_lit_and_are_reported(
     assert np.abs(image.image.values).max() == pytest.approx(1, abs=0.01)
 
 
-def test_a_track_that_does_not_match_the_samples_is_reported(store: Path, client: Client, tmp_path: Path) -> None:
+def test_a_track_that_does_not_match_the_samples_is_reported(store: Path, tmp_path: Path) -> None:
     collection = stores.open_phase_history(store).collection
     wrong = collection.antenna_position + collection.time[:, None] * np.array([0.0, 60.0, 0.0])
     bad = damaged(store, tmp_path, antenna_position=wrong)
-    report = blocksar.focus(bad, tmp_path / "run", blocks=3, grid=GRID, client=client)
+    report = blocksar.focus(bad, tmp_path / "run", blocks=3, grid=GRID, workers=0)
     assert any("measured Doppler centroid" in line and "Hz" in line for line in report.summary)
-    report = blocksar.focus(store, tmp_path / "right", blocks=3, grid=GRID, client=client)
+    report = blocksar.focus(store, tmp_path / "right", blocks=3, grid=GRID, workers=0)
     assert not report.result["warnings"]
 
 
-def test_a_saturated_echo_with_a_gap_is_reported(client: Client, tmp_path: Path) -> None:
+def test_a_saturated_echo_with_a_gap_is_reported(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(scene(swath=[29900.0, 30100.0], more=TARGET + FAR))
     raw = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "raw.zarr", raw=True)
 
@@ -341,7 +341,7 @@ def test_a_saturated_echo_with_a_gap_is_reported(client: Client, tmp_path: Path)
         level = 0.9 * np.float32(max(np.nanmax(echo.real), np.nanmax(echo.imag)))
         return np.clip(echo.real, -level, level) + 1j * np.clip(echo.imag, -level, level)
 
-    report = blocksar.focus(changed(raw, tmp_path, "echo", clip), tmp_path / "run", blocks=3, grid=GRID, client=client)
+    report = blocksar.focus(changed(raw, tmp_path, "echo", clip), tmp_path / "run", blocks=3, grid=GRID, workers=0)
     said = " ".join(report.result["warnings"])
     assert "1 of 4800 pulses is missing" in said and "saturated" in said
 
@@ -363,9 +363,9 @@ def test_a_changed_receipt_is_not_accepted(tmp_path: Path) -> None:
 
 
 def test_receipts_of_a_run_killed_at_its_very_end_are_removed(
-    store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run, settings = tmp_path / "run", {"blocks": 3, "grid": GRID, "client": client}
+    run, settings = tmp_path / "run", {"blocks": 3, "grid": GRID, "workers": 0}
     blocksar.focus(store, run, **settings)  # type: ignore[arg-type]
     for first_looks in (0, 1):  # 1: another process finishes the run while this one waits for the folder
         (run / "receipts").mkdir()

@@ -10,7 +10,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import time
 import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -263,15 +262,6 @@ def test_reading_a_region_opens_only_its_chunks(own: Path) -> None:
     shutil.rmtree(own / "signal" / "c" / "1")
     (own / "signal" / "c" / "0" / "1").write_bytes(b"damaged")
     assert np.array_equal(stores.read_region(own, "signal", np.s_[5:128, 3:64]), noise((256, 128))[5:128, 3:64])
-
-
-def test_reading_a_region_takes_less_than_20_ms(own: Path) -> None:
-    times = []
-    for _ in range(20):
-        start = time.perf_counter()
-        stores.read_region(own, "signal", np.s_[0:4, 0:4])
-        times.append(time.perf_counter() - start)
-    assert min(times) < 0.02  # s; 0.03 ms measured, the margin is for slower machines
 
 
 # Agreement of plain files with zarr

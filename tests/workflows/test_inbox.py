@@ -10,7 +10,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -22,7 +21,7 @@ import psutil
 import pytest
 import typer
 import zarr
-from distributed import Client
+from distributed import Client, LocalCluster
 from faults import digests, members, until
 from repository import WORKFLOWS
 from scenes import scene, write_store
@@ -35,6 +34,8 @@ from blocksar.graph import cluster, stages
 from blocksar.places import place
 from blocksar.places.local import LocalPlace
 from blocksar.runs import folder
+
+pytestmark = pytest.mark.usefixtures("unchecked")
 
 SCRIPT = WORKFLOWS / "process_inbox.py"
 SCENE: dict[str, Any] = {  # 150 pulses of 91 range frequencies
@@ -53,12 +54,12 @@ SETTINGS: dict[str, Any] = {  # fast to plan
     "workers": 1,
     "threads": 1,
     "memory_limit": 2 * 2**30,
+    "wait_workers": 0,
 }
 WORDS = (
     "--blocks", "1", "--coefficients", "closed-form", "--grid", "15900:16300:4,19000:19400:4", "--workers", "1",
     "--threads", "1", "--memory-limit", "2GiB",
 )  # fmt: skip
-PATIENCE = 200  # s; compiling is slow on a busy machine
 YEAR = 365 * 86400  # s
 
 
@@ -481,11 +482,20 @@ def test_indirect_causes_of_an_error_are_examined(post: Post) -> None:
     assert post.module.is_external(error)
 
 
-def test_without_a_cluster_no_collection_is_quarantined(post: Post, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("there", [False, True])
+def test_without_a_cluster_no_collection_is_quarantined(
+    there: bool, post: Post, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither where no scheduler is there, nor where one has no workers."""
     monkeypatch.setattr(cluster, "CONNECT", 0.5)
     post.deliver("a", "b")
-    arguments = (str(post.inbox), str(post.outbox), SETTINGS, post.module.Hook([]))
-    assert post.module.sweep(*arguments, scheduler="tcp://127.0.0.1:9", quiet=True) == post.module.FAILED
+    with ExitStack() as stack:
+        address = "tcp://127.0.0.1:9"
+        if there:
+            settings: dict[str, Any] = {"processes": False, "dashboard_address": "127.0.0.1:0"}
+            address = stack.enter_context(LocalCluster(n_workers=0, **settings)).scheduler_address
+        arguments = (str(post.inbox), str(post.outbox), SETTINGS, post.module.Hook([]))
+        assert post.module.sweep(*arguments, scheduler=address, quiet=True) == post.module.FAILED
     assert post.status()["left"] == 2
     assert [entry["event"] for entry in post.log()] == ["sweep", "started", "no cluster", "end"]
     assert post.records("quarantine") == {} and post.records("done") == {}
@@ -521,7 +531,7 @@ def test_a_sweep_goes_on_when_nobody_reads_what_it_says(post: Post) -> None:
     with post.start() as process:
         assert process.stderr is not None
         process.stderr.close()
-        assert process.wait(PATIENCE) == post.module.QUARANTINED
+        assert process.wait() == post.module.QUARANTINED
     assert set(post.records("quarantine")) == {"a", "b"}
 
 
@@ -580,7 +590,7 @@ def test_concurrent_sweeps_and_a_kill_process_each_collection_once(post: Post, i
         until(lambda: "b" in post.names("started") or first.poll() is not None, "the third collection")
         first.send_signal(signal.SIGSTOP)  # otherwise it could finish before the second starts
         with post.start(*address) as second:
-            _, said = second.communicate(timeout=PATIENCE)
+            _, said = second.communicate()
         assert second.returncode == post.module.BUSY
         assert f"process {first.pid} " in said
         first.kill()
@@ -588,7 +598,7 @@ def test_concurrent_sweeps_and_a_kill_process_each_collection_once(post: Post, i
     assert settled, "killed too early to say anything"
     assert post.status()["state"] == "running"  # the killed sweep could not update its status
     with post.start(*address) as third, post.start(*address) as fourth:
-        statuses = {third.wait(PATIENCE), fourth.wait(PATIENCE)}
+        statuses = {third.wait(), fourth.wait()}
     # If one starts after the other has ended, it finds nothing to do.
     assert statuses <= {post.module.DONE, post.module.QUARANTINED, post.module.BUSY}
     assert post.module.QUARANTINED in statuses  # the killed sweep could not report it
@@ -605,11 +615,9 @@ def test_a_signal_ends_a_sweep_cleanly(number: int, post: Post, image: dict[str,
     post.deliver(*"abcdef")
     with post.start() as process:
         until(lambda: post.names("started")[2:] or process.poll() is not None, "the third collection")
-        asked = time.monotonic()
         # A terminal sends Ctrl-C to the whole process group, workers included.
         (os.killpg if number == signal.SIGINT else os.kill)(process.pid, number)
-        _, said = process.communicate(timeout=PATIENCE)
-    assert time.monotonic() - asked < 20
+        _, said = process.communicate()
     assert process.returncode == 128 + number
     assert "the next sweep continues from here" in said and "Traceback" not in said
     until(lambda: not members(process.pid), "its workers to end")
@@ -686,7 +694,7 @@ def test_twenty_collections_do_not_leak_resources(post: Post, tmp_path: Path, mo
     monkeypatch.setenv("TMPDIR", str(scratch))
     post.deliver(*(f"{number:02}" for number in range(MANY)))
     running = post.start("--notify", shlex.join([sys.executable, str(tmp_path / "scales.py"), str(log)]))
-    said = running.communicate(timeout=PATIENCE)[1]
+    said = running.communicate()[1]
     assert running.returncode == post.module.DONE, said
     sizes = [json.loads(line) for line in log.read_text().splitlines()]
     assert len(sizes) == MANY == len(post.images())

@@ -55,7 +55,8 @@ class Cluster:
         NoClusterError
             If no cluster can be started or reached.
         """
-        workers, threads, memory_limit = (self.settings[name] for name in ("workers", "threads", "memory_limit"))
+        names = ("workers", "threads", "memory_limit", "wait_workers")
+        workers, threads, memory_limit, wait_workers = (self.settings[name] for name in names)
         if workers == 0 and self.scheduler is None:
             return None
         # Heavy, and not needed by a sweep without new collections.
@@ -65,7 +66,9 @@ class Cluster:
         try:
             if self._client is None:
                 own = resources(workers, threads, memory_limit)
-                opened = open_client(scheduler=self.scheduler, **own._asdict(), scratch=str(self.scratch))
+                opened = open_client(
+                    scheduler=self.scheduler, **own._asdict(), scratch=str(self.scratch), wait_workers=wait_workers
+                )
                 self._client = self._stack.enter_context(opened)
             cluster_size(self._client)
         except (InputError, OSError) as error:

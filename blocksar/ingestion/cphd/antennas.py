@@ -26,6 +26,7 @@ from numpy.polynomial import polynomial
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
+from blocksar.ingestion.cphd.faults import MOST_LOST, filled_with_zeros
 from blocksar.ingestion.cphd.files import CphdFile, child_of, numbers_of, polynomial_of, text_of
 from blocksar.ingestion.cphd.vectors import Pulses
 
@@ -212,7 +213,7 @@ def _side(source: _Source, name: str, left: list[str]) -> _Side:
     coordinates = _named(antenna, "AntCoordFrame", text_of(centre, "ACFId"))
     pattern = _named(antenna, "AntPattern", text_of(source.channel, f"{name}APATId"))
     x, y, boresight = (
-        _in_time(source, name, parameter, node, flag, paths)
+        _in_time(source, f"{name}{parameter}", node, flag, paths, left)
         for parameter, node, flag, paths in (
             ("ACX", coordinates, "UseACFPVP", [f"XAxisPoly/{{*}}{c}" for c in "XYZ"]),
             ("ACY", coordinates, "UseACFPVP", [f"YAxisPoly/{{*}}{c}" for c in "XYZ"]),
@@ -240,13 +241,16 @@ def _side(source: _Source, name: str, left: list[str]) -> _Side:
     return _Side(_unit(x) @ axes, _unit(y) @ axes, boresight * shift, array, element, dilation)
 
 
-def _in_time(source: _Source, name: str, parameter: str, node: Any, flag: str, paths: Sequence[str]) -> FloatArray:
+def _in_time(
+    source: _Source, parameter: str, node: Any, flag: str, paths: Sequence[str], left: list[str]
+) -> FloatArray:
     """An axis or a boresight at the pulses, (n_pulse, 3 or 2): per-vector parameters, or else polynomials of time."""
     file, used, pulses = source.file, source.used, source.pulses
-    if _by_vector(file, node, flag, f"{name}{parameter}"):
-        return _vectors(file, f"{name}{parameter}", used, pulses)
+    if _by_vector(file, node, flag, parameter):
+        return _vectors(source, parameter, left)
     sent = file.parameter("TxTime", used)
-    time = pulses.time + np.interp(pulses.time, sent, file.parameter(f"{name}Time", used) - sent)
+    moment = "RcvTime" if parameter.startswith("Rcv") else "TxTime"
+    time = pulses.time + np.interp(pulses.time, sent, file.parameter(moment, used) - sent)
     tables = [polynomial_of(child_of(node, f"{{*}}{path}", path.replace("{*}", "")), 1) for path in paths]
     return np.stack([np.asarray(polynomial.polyval(time, table), np.float64) for table in tables], axis=1)
 
@@ -263,21 +267,23 @@ def _by_vector(file: CphdFile, node: Any, flag: str, parameter: str) -> bool:
     return stated in ("true", "1") and parameter in (file.vectors.dtype.names or ())
 
 
-def _vectors(file: CphdFile, name: str, used: IntArray, pulses: Pulses) -> FloatArray:
+def _vectors(source: _Source, name: str, left: list[str]) -> FloatArray:
     """A per-vector parameter of the antenna at the pulses, (n_pulse, 2 or 3).
 
-    Between vectors it is linear; beyond the first and the last that are used, it goes on with the slope there.
+    Between vectors it is linear; beyond the first and the last that are used, it goes on with the slope there. Vectors
+    in which it is not finite, or filled with zeros, are not used.
     """
-    values = file.vectors[name][used]
-    values = np.asarray(values, np.float64)
+    file, used, pulses = source.file, source.used, source.pulses
+    values = np.asarray(file.vectors[name][used], np.float64)
     if values.shape != (used.size, 2 if name.endswith("EB") else 3):
         raise InputError(f"PVP {name} has {values[0].size} values in a vector; correct its format in the XML")
-    finite = np.isfinite(values).all(axis=1)
-    if not finite.all():
-        raise InputError(
-            f"PVP {name} is not finite in {np.count_nonzero(~finite)} vectors whose signal is normal (first: vector "
-            f"{used[int(np.argmin(finite))]})"
-        )
+    wrong = ~np.isfinite(values).all(axis=1) | filled_with_zeros(np.linalg.norm(values, axis=1))
+    if wrong.any():
+        where = f"{np.count_nonzero(wrong)} vectors (first: vector {file.first_vector + used[int(np.argmax(wrong))]})"
+        if np.count_nonzero(wrong) > MOST_LOST * wrong.size:
+            raise InputError(f"PVP {name} is not finite or 0 in {where}")
+        left.append(f"PVP {name} of {where} that is not finite or 0")
+        values, used = values[~wrong], used[~wrong]
     time = file.parameter("TxTime", used)
     found = np.stack([np.interp(pulses.time, time, column) for column in values.T], axis=1)
     reach = min(REACH, used.size - 1)

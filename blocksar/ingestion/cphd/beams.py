@@ -20,7 +20,8 @@ from blocksar.collection.beam_checks import check_axis_beam
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
 from blocksar.ingestion.cphd.antennas import Antenna, read_antenna, sampled
-from blocksar.ingestion.cphd.dwells import Dwells, area_points, ground_of, read_dwells
+from blocksar.ingestion.cphd.areas import AS_IT_IS, SWAPPED, ImageArea, area_points, describe_turn, ecef_of
+from blocksar.ingestion.cphd.dwells import Dwells, read_dwells
 from blocksar.ingestion.cphd.files import CphdFile
 from blocksar.ingestion.cphd.vectors import Pulses
 
@@ -53,8 +54,13 @@ class _Law(NamedTuple):
     miss: float
 
 
-def fit_beam(file: CphdFile, pulses: Pulses, frame: Georeference, position: FloatArray, carrier: float) -> Beam:
+def fit_beam(
+    file: CphdFile, pulses: Pulses, frame: Georeference, position: FloatArray, carrier: float, area: ImageArea
+) -> Beam:
     """The beam of the store (see the module), and what was taken and left, one sentence each.
+
+    Where the image area is not as the file has it, the dwell polynomials may be in the coordinates of ImageArea, or in
+    swapped ones: of these and of what the file says, the first that gives a beam is taken.
 
     Parameters
     ----------
@@ -69,13 +75,37 @@ def fit_beam(file: CphdFile, pulses: Pulses, frame: Georeference, position: Floa
         antenna = read_antenna(file, pulses, frame, position, carrier)
     except InputError as error:
         notes.append(f"the antenna's metadata cannot be used: {error}")
+    turns = [AS_IT_IS] if area.message is None else [area.turn, AS_IT_IS, SWAPPED]
+    for turn in turns:
+        beam = _of_dwells(file, pulses, frame, position, area, antenna, notes, turn)
+        if beam.width is not None and not np.array_equal(turn, AS_IT_IS):
+            return beam._replace(
+                messages=[*beam.messages, f"the dwell polynomials are read as if {describe_turn(turn)}"]
+            )
+        if beam.width is not None:
+            return beam
+    return _of_dwells(file, pulses, frame, position, area, antenna, notes, AS_IT_IS)
+
+
+def _of_dwells(
+    file: CphdFile,
+    pulses: Pulses,
+    frame: Georeference,
+    position: FloatArray,
+    area: ImageArea,
+    antenna: Antenna | None,
+    given: list[str],
+    turn: FloatArray,
+) -> Beam:
+    """The beam of the dwell polynomials, in turned coordinates, and the antenna; `given` are notes so far."""
+    notes = list(given)
     try:
-        dwells = read_dwells(file, frame)
+        dwells = read_dwells(file, frame, area, turn)
     except InputError as error:
         without = f"dwell polynomials cannot be used ({error})"
         if antenna is None:
             return _unsteered(pulses, f"beam not steered: {without}", notes)
-        ground = ground_of(file, frame, *area_points(file))
+        ground = frame.from_ecef(ecef_of(file, np.stack(area_points(file, area), axis=1)))
         return _by_pattern(antenna, pulses, position, ground, [*notes, without])
     whole = pulses.reference_time[-1] - pulses.reference_time[0]
     if dwells.length.min() >= FULL_DWELL * whole:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
@@ -14,13 +15,18 @@ from numpy.typing import NDArray
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.errors import InputError, library_for
-from blocksar.ingestion.kinds import CPHD, refuse_others
+from blocksar.ingestion.found import refuse_others
+from blocksar.ingestion.kinds import Kind, matches
 from blocksar.ingestion.reading import reading
 from blocksar.places.ranges import Readable
 
 if TYPE_CHECKING:
     from types import ModuleType
 
+KIND = Kind(
+    "a CPHD file", matches(rb"CPHD/1\.[01](\.\d+)?\n"),
+    "turn it into a phase history first: `blocksar ingest cphd {path} --out {store}`",
+)  # fmt: skip
 KNOWN = ("1.0.1", "1.1.0")  # versions that sarkit knows
 NAMESPACE = "http://api.nsgreg.nga.mil/schema/cphd/"
 END_OF_SECTION = b"\f\n"
@@ -61,12 +67,19 @@ class CphdFile:
     shape: tuple[int, int]  # vectors, samples
     first_byte: int  # of the channel's signal array
     unnamed: int  # bytes of the signal block behind the last signal array of all channels
+    same_samples: tuple[str, ...]  # other channels with the same signal array
     vectors: NDArray[Any]  # per-vector parameters
+    first_vector: int = 0  # of the file, that is taken
     band: tuple[float, float] = (-np.inf, np.inf)  # of the frequencies that are wanted, Hz
 
     @cached_property
     def root(self) -> Any:
         return self.tree.getroot()
+
+    @property
+    def scaled(self) -> bool:
+        """Whether samples have an amplitude factor by vector."""
+        return "AmpSF" in (self.vectors.dtype.names or ())
 
     def parameter(self, name: str, rows: IntArray | slice = slice(None)) -> FloatArray:
         """A per-vector parameter of some vectors."""
@@ -88,6 +101,7 @@ class CphdFile:
             )
         return replace(
             self, vectors=self.vectors[first:stop], shape=(stop - first, self.shape[1]), band=band,
+            first_vector=self.first_vector + first,
             first_byte=self.first_byte + first * self.shape[1] * self.dtype.itemsize,
         )  # fmt: skip
 
@@ -142,7 +156,7 @@ def opened(path: Readable) -> BinaryIO:
     OSError
         If it cannot be opened.
     """
-    refuse_others(path, CPHD)
+    refuse_others(path, KIND)
     return path.open()
 
 
@@ -184,26 +198,46 @@ def open_file(file: BinaryIO, path: Readable, channel: str | None, *, any_channe
     start = blocks["PVP"].start + _integer(data, "PVPArrayByteOffset", 0, length)
     _check_inside("PVP array", start, n_vector * size, blocks["PVP"])
     _check_fields(sarkit.get_pvp_dtype(tree), size)
+    arrays = _arrays(root, dtype.itemsize, size, length)
+    for what in ("signal", "PVP"):
+        _check_apart(what, {name: spans[what] for name, spans in arrays.items()})
+    same = [name for name, spans in arrays.items() if spans["signal"] == arrays[identifier]["signal"]]
     vectors = reader.read_pvps(identifier)
     return CphdFile(
         path=path, version=version, tree=tree, channel=identifier, dtype=dtype, shape=(n_vector, n_sample),
         domain=_one_of(root, "Global/DomainType", ("FX", "TOA")),
         sign=int(_one_of(root, "Global/SGN", ("+1", "-1", "1"))), first_byte=first,
-        unnamed=len(blocks["SIGNAL"]) - _signal_bytes(root, dtype.itemsize, length),
+        unnamed=len(blocks["SIGNAL"]) - max(spans["signal"].stop for spans in arrays.values()),
+        same_samples=tuple(name for name in same if name != identifier),
         vectors=vectors.astype(vectors.dtype.newbyteorder("=")),
     )  # fmt: skip
 
 
-def _signal_bytes(root: Any, item: int, length: int) -> int:
-    """Bytes from the start of the signal block to the end of the last signal array of all channels."""
-    ends = []
+def _arrays(root: Any, item: int, size: int, length: int) -> dict[str, dict[str, range]]:
+    """The bytes of each channel's signal and PVP array in their blocks; `item` of a sample, `size` of a vector."""
+    arrays = {}
     for channel in root.findall("{*}Data/{*}Channel"):
         n_vector, n_sample = (
             _integer(channel, "NumVectors", 0, MAX_VECTORS),
             _integer(channel, "NumSamples", 0, MAX_SAMPLES),
         )
-        ends.append(_integer(channel, "SignalArrayByteOffset", 0, length) + n_vector * n_sample * item)
-    return max(ends)
+        signal, pvp = (_integer(channel, f"{what}ArrayByteOffset", 0, length) for what in ("Signal", "PVP"))
+        arrays[text_of(channel, "Identifier")] = {
+            "signal": range(signal, signal + n_vector * n_sample * item), "PVP": range(pvp, pvp + n_vector * size),
+        }  # fmt: skip
+    return arrays
+
+
+def _check_apart(what: str, arrays: Mapping[str, range]) -> None:
+    """Refuse channels whose arrays overlap without being the same."""
+    ordered = sorted(arrays.items(), key=lambda pair: (pair[1].start, pair[1].stop))
+    for (name, one), (other, two) in pairwise(ordered):
+        if one != two and two.start < one.stop:
+            raise InputError(
+                f"the {what} arrays of channels {name!r} and {other!r} overlap: bytes {one.start} .. {one.stop - 1} "
+                f"and {two.start} .. {two.stop - 1} of their block; the XML is wrong: correct "
+                f"{'Signal' if what == 'signal' else what}ArrayByteOffset, NumVectors or NumSamples"
+            )
 
 
 def _header(file: BinaryIO) -> tuple[str, dict[str, str]]:

@@ -2,122 +2,103 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
-from typing import Any, BinaryIO
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from blocksar import stores
-from blocksar.arrays import ComplexArray, FloatArray, IntArray
-from blocksar.chunks import TILE
+from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, printable
-from blocksar.ingestion.area import Cut, plan_cut
+from blocksar.ingestion.cphd.areas import ImageArea, ecef_of, read_area
 from blocksar.ingestion.cphd.beams import fit_beam
 from blocksar.ingestion.cphd.channels import check_same_geometry, names_of, open_channels
+from blocksar.ingestion.cphd.choices import Choices
+from blocksar.ingestion.cphd.delays import Delays, find_delays
+from blocksar.ingestion.cphd.echoes import Echoes, Found, read_samples
+from blocksar.ingestion.cphd.faults import describe_lost
 from blocksar.ingestion.cphd.files import CphdFile, library, numbers_of, opened, reading_file
-from blocksar.ingestion.cphd.samples import (
-    Delays,
-    Interpolated,
-    Resampler,
-    Transformed,
-    choose_resampler,
-    find_delays,
-    phasor,
-)
+from blocksar.ingestion.cphd.samples import Interpolated, Resampler, Selected, Transformed, choose_resampler
+from blocksar.ingestion.cphd.signs import describe_sign
+from blocksar.ingestion.cphd.troposphere import find_troposphere
 from blocksar.ingestion.cphd.vectors import Pulses, VectorResampling, assign_pulses, resample_vectors
-from blocksar.ingestion.reading import WHOLE, Ingested, Part
-from blocksar.places import Location, place, readable
-from blocksar.places.local import LocalPlace
-from blocksar.places.place import Place
-from blocksar.progress.listening import Callback
+from blocksar.ingestion.readers import Reading
+from blocksar.measurement.window import WindowEnergy
+from blocksar.places import Location, readable
 
-ROWS = TILE[0]  # pulses written at a time
-PART = 64  # vectors resampled in frequency at a time
 MAX_BISTATIC = 1 / 16  # wavelengths, largest difference between bistatic and monostatic range
-FARTHEST_SRP = 1e6  # m, largest distance of the SRP from the IARP
 PARTS = "--area, --pulses, --frequencies"
 SAME_PLACE = 10.0  # m, largest distance between the two descriptions of the IARP
 
 
-def ingest(
-    source: Location,
-    out: Location,
-    *,
-    channel: str | None = None,
-    times: Mapping[str, Any] | None = None,
-    part: Part = WHOLE,
-    overwrite: bool = False,
-    progress: Callback | None = None,
-) -> Ingested:
-    """Turn one channel of a CPHD file, or all of them, into a phase-history store, one block of vectors at a time.
-
-    Parameters
-    ----------
-    source : path
-        A file of CPHD 1.0 or 1.1, monostatic, FX or TOA domain.
-    out : path, URL or Place
-        Of the new store.
-    channel : str, optional
-        Identifier; optional if the file has only one. "all" makes a store with a channel for each of the file's, which
-        must have one geometry.
-    times : mapping, optional
-        What `stated_times` gives, instead of the file's own.
-    part : Part
-        What of it is read.
-    overwrite : bool
-        Replace an existing store.
-    progress : callable (done, total)
-        Called after each block, with numbers of pulses.
+def begin(source: Location, choices: Choices) -> Reading:
+    """Read all of a CPHD file but its samples: those of one channel, or of all of them.
 
     Raises
     ------
     InputError
-        If the file is damaged, not supported or contradicts itself, or `out` exists and overwrite is False.
+        If the file is damaged, not supported or contradicts itself.
     """
-    where, target = readable(source), place(out)
+    where = readable(source)
     library()
     # Damaged numbers may cause floating-point warnings; the checks report them.
     with reading_file(where), opened(where) as stream, np.errstate(all="ignore"):
-        files = [file.part(part.pulses, part.frequencies) for file in open_channels(stream, where, channel)]
-        prepared = [prepare(file, part) for file in files]
-        names, attributes, messages = _combined(files, prepared)
-    stores.refuse_full(target, prepared[0].collection, max(len(names), 1), f"read a part ({PARTS})")
-    write = _writer(files, prepared, names, progress)
-    attributes = {
-        **attributes,
-        "source": {**attributes["source"], **(times or {})},
-        "history": stores.history_line(f"ingested by blocksar from {where.name}"),
-    }
-    collection = prepared[0].collection
-    stores.create_phase_history(target, collection, channels=names, attrs=attributes, overwrite=overwrite, fill=write)
-    return Ingested(
-        path=target.path if isinstance(target, LocalPlace) else target, collection=collection, messages=messages
-    )
+        prepared = [prepare(file, choices) for file in open_channels(stream, where, choices.channel)]
+        names, attributes, notes = _combined(prepared)
+    found: list[Found] = []
+
+    def messages() -> list[str]:
+        told = [each.messages(some, choices) for each, some in zip(prepared, found, strict=True)]
+        first, *others = told
+        more = dict.fromkeys(line for some in others for line in some if line not in first)
+        return [*notes[:1], *first, *more, *notes[1:]]
+
+    return Reading(
+        collection=prepared[0].collection, pieces=lambda: read_samples([each.echoes for each in prepared], found),
+        attributes=attributes, messages=messages, channels=names, parts=PARTS,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Prepared:
+class Prepared:
     """The new store without its samples, and how to compute them."""
 
-    collection: Collection
-    pulses: Pulses
-    slow_time: VectorResampling | None  # None if times are uniform
-    resampler: Resampler
-    delays: Delays
-    cut: Cut | None  # None: not of an area
+    echoes: Echoes
+    frame: Georeference
+    bistatic: float  # m, see `_bistatic_error`
     attributes: dict[str, Any]
-    messages: list[str]
+    notes: list[str]  # on delays, places and arrays
+    beam: list[str]  # on the beam
+
+    @property
+    def collection(self) -> Collection:
+        return self.echoes.stored
+
+    def sign(self, energy: WindowEnergy | None, choices: Choices) -> str | None:
+        """A sentence if the sign is wrong or doubtful, see `signs`; without `energy` by the maker alone."""
+        collector = str(self.attributes.get("collector", "this maker"))
+        return describe_sign(energy, self.echoes.file.sign, collector, given=choices.sgn is not None)
+
+    def messages(self, found: Found, choices: Choices) -> list[str]:
+        """Describe the file and what was done to it, one sentence each."""
+        file, pulses = self.echoes.file, self.echoes.pulses
+        lost = describe_lost([*pulses.lost, *found.lost], file.first_vector)
+        sign = self.sign(found.sign, choices)
+        return [
+            *_describe(self.echoes, found.missing, self.bistatic),
+            *([f"lost vectors: {lost}; they are missing pulses, or left out at the ends"] if lost else []),
+            *([sign] if sign else []),
+            *self.notes,
+            *self.beam,
+            _describe_frame(self.frame),
+        ]
 
 
-def _combined(
-    files: Sequence[CphdFile], prepared: Sequence[_Prepared]
-) -> tuple[tuple[str, ...], dict[str, Any], list[str]]:
-    """Names of the store's channels, none of a single one; its attributes; and messages about it.
+def _combined(prepared: Sequence[Prepared]) -> tuple[tuple[str, ...], dict[str, Any], list[str]]:
+    """Names of the store's channels, none of a single one; its attributes; and notes on the channels.
 
     Raises
     ------
@@ -126,9 +107,9 @@ def _combined(
     """
     first, *others = prepared
     if not others:
-        return (), first.attributes, first.messages
-    identifiers = [file.channel for file in files]
-    notes = check_same_geometry(identifiers, [(each.collection, each.pulses) for each in prepared])
+        return (), first.attributes, []
+    identifiers = [each.echoes.file.channel for each in prepared]
+    notes = check_same_geometry(identifiers, [(each.collection, each.echoes.pulses) for each in prepared])
     polarizations = [each.attributes.get("polarization") for each in prepared]
     names = names_of(identifiers, polarizations)
     sources = [each.attributes["source"] for each in prepared]
@@ -142,40 +123,31 @@ def _combined(
         name if name == identifier else f"{name} ({printable(identifier)[:40]})"
         for name, identifier in zip(names, identifiers, strict=True)
     )
-    more = [line for each in others for line in each.messages if line not in first.messages]
-    return names, attributes, [f"channels {listed} have one geometry", *first.messages, *dict.fromkeys(more), *notes]
+    return names, attributes, [f"channels {listed} have one geometry", *notes]
 
 
-def prepare(file: CphdFile, part: Part = WHOLE) -> _Prepared:
+def prepare(file: CphdFile, choices: Choices) -> Prepared:
     """Determine everything but the samples."""
-    frame = _frame(file)
-    pulses = assign_pulses(file)
-    lit = pulses.vector >= 0
-    used = pulses.vector[lit]
+    declared = file.sign
+    file = replace(file.part(choices.pulses, choices.frequencies), sign=choices.sgn or declared)
+    frame, area = _frame(file), read_area(file)
+    pulses = assign_pulses(file, frame.origin)
+    used = pulses.vector[pulses.vector >= 0]
     if used.size < 8:
         raise InputError(f"only {used.size} vectors hold a normal signal; at least 8 are needed")
-    delays = find_delays(file, used)
+    delays = find_delays(file, used, area, choices.range_window)
     resampler = choose_resampler(file, used, delays)
-    srp_distance = np.linalg.norm(pulses.reference_point - frame.origin, axis=1)
-    if srp_distance.max() > FARTHEST_SRP:
-        raise InputError(
-            f"PVP SRPPos lies up to {srp_distance.max():.6g} m from the scene's reference point; it must be "
-            "Earth-centred, in m"
-        )
-    middle = np.zeros(pulses.vector.size)
-    middle[lit] = delays.middle[used]
-    middle[~lit] = np.interp(np.flatnonzero(~lit), np.flatnonzero(lit), middle[lit])
-    reference = np.linalg.norm(pulses.position - pulses.reference_point, axis=1) + SPEED_OF_LIGHT / 2 * middle
+    cell = SPEED_OF_LIGHT / 2 / float(resampler.frequency[-1] - resampler.frequency[0])
+    troposphere = find_troposphere(file, used, frame, choices.troposphere, cell)
+    reference = _reference_range(pulses, SPEED_OF_LIGHT / 2 * delays.middle - troposphere.removed)
     slow_time = None
     if not pulses.even:
         highest = float(resampler.frequency[-1])
-        pulses, reference, slow_time = resample_vectors(pulses, reference, _corners(file), highest)
+        corners = ecef_of(file, area.corners)
+        pulses, reference, slow_time = resample_vectors(pulses, reference, corners, highest)
     position = frame.from_ecef(pulses.position)
     carrier = float(resampler.frequency[0] + resampler.frequency[-1]) / 2
-    beam = fit_beam(file, pulses, frame, position, carrier)
-    name = " ".join(
-        filter(None, (file.root.findtext(f"{{*}}CollectionID/{{*}}{k}") for k in ("CollectorName", "CoreName")))
-    )
+    beam = fit_beam(file, pulses, frame, position, carrier, area)
     try:
         collection = Collection(
             carrier=carrier,
@@ -185,28 +157,55 @@ def prepare(file: CphdFile, part: Part = WHOLE) -> _Prepared:
             antenna_position=position,
             beam_azimuth=beam.azimuth,
             beam_width=beam.width,
-            ground_height=part.ground_height,
-            title=printable(name)[:200],
+            ground_height=choices.ground_height,
+            title=_title(file),
             **beam.antenna,
         )
     except InputError as error:
         raise InputError(f"PVP TxPos, RcvPos, SRPPos, TOA1 and TOA2 make no phase history: {error}") from None
-    bistatic = _bistatic_error(file, pulses, collection.wavelength)
+    bistatic = _bistatic_error(file, pulses, area, collection.wavelength)
+    echoes = Echoes(
+        file=file, collection=collection, pulses=pulses, slow_time=slow_time, resampler=resampler, delays=delays,
+        area=choices.area,
+    )  # fmt: skip
+    cut = echoes.cut
+    removed = float(troposphere.removed[used].mean()) if choices.troposphere else None
     attributes = {
         **_collected(file),
         "georeference": frame.as_attribute(),
-        "source": _source(file, pulses, resampler, slow_time, bistatic),
+        "source": {
+            **_source(file, pulses, resampler, slow_time, bistatic),
+            **({"sgn_declared": declared} if file.sign != declared else {}),
+            **({"range_window": choices.range_window} if choices.range_window else {}),
+            **({"troposphere_removed": removed} if removed is not None else {}),
+        },
     }
-    messages = _describe(file, pulses, resampler, delays, bistatic, collection.wavelength)
-    messages += [*([slow_time.message] if slow_time else []), *beam.messages, _describe_frame(frame)]
-    cut = None if part.area is None else plan_cut(collection, part.area, pulses.vector >= 0)
     if cut is not None:
-        attributes["source"] |= {"area": part.area, "time_zero": attributes["source"]["time_zero"] + cut.later}
-        messages.append(cut.message)
-    return _Prepared(
-        collection=collection if cut is None else cut.collection, pulses=pulses, slow_time=slow_time,
-        resampler=resampler, delays=delays, cut=cut, attributes=attributes, messages=messages,
-    )  # fmt: skip
+        attributes["source"] |= {"area": choices.area, "time_zero": attributes["source"]["time_zero"] + cut.later}
+    slow = [slow_time.message] if slow_time else []
+    beside = [troposphere.message, area.message, _same_samples(file), cut.message if cut else None]
+    notes = [*delays.messages, *slow, *(text for text in beside if text)]
+    return Prepared(
+        echoes=echoes, frame=frame, bistatic=bistatic, attributes=attributes, notes=notes, beam=beam.messages
+    )
+
+
+def _reference_range(pulses: Pulses, later: FloatArray) -> FloatArray:
+    """That of all pulses, m: the SRP's range, and how much later (n_vector,) the vectors' is, m; linear in between."""
+    lit = np.flatnonzero(pulses.vector >= 0)
+    after = np.interp(np.arange(pulses.vector.size), lit, later[pulses.vector[lit]])
+    return np.asarray(np.linalg.norm(pulses.position - pulses.reference_point, axis=1) + after)
+
+
+def _same_samples(file: CphdFile) -> str | None:
+    """A note on channels that have the same samples."""
+    if not file.same_samples:
+        return None
+    others = ", ".join(repr(name) for name in file.same_samples[:8])
+    return (
+        f"channel {file.channel!r} has the signal array of {others} as well, by SignalArrayByteOffset: these channels "
+        "hold the same samples"
+    )
 
 
 def _source(
@@ -226,6 +225,11 @@ def _source(
         "frequency_resampling_error": resampler.error,
         "slow_time_resampling_error": slow_time.error if slow_time else 0.0,
     }
+
+
+def _title(file: CphdFile) -> str:
+    names = (file.root.findtext(f"{{*}}CollectionID/{{*}}{name}") for name in ("CollectorName", "CoreName"))
+    return printable(" ".join(filter(None, names)))[:200]
 
 
 def _collected(file: CphdFile) -> dict[str, Any]:
@@ -258,17 +262,9 @@ def _frame(file: CphdFile) -> Georeference:
     return Georeference.at(ecef)
 
 
-def _corners(file: CphdFile) -> FloatArray:
-    """Corners of the image area, (4, 3) m, Earth-centred."""
-    (x1, y1), (x2, y2) = (
-        numbers_of(file.root, f"SceneCoordinates/ImageArea/{name}", "XY") for name in ("X1Y1", "X2Y2")
-    )
-    return np.asarray(library().iac_to_ecf(file.tree, np.array([[x, y] for x in (x1, x2) for y in (y1, y2)])))
-
-
-def _bistatic_error(file: CphdFile, pulses: Pulses, wavelength: float) -> float:
+def _bistatic_error(file: CphdFile, pulses: Pulses, area: ImageArea, wavelength: float) -> float:
     """Largest difference of bistatic and monostatic range at the image area's corners, relative to the SRP, m."""
-    ground = _corners(file)
+    ground = ecef_of(file, area.corners)
     worst = 0.0
     for vector in pulses.vector[pulses.vector >= 0][[0, -1]]:
         transmitter, receiver, srp = (file.parameter(name)[vector] for name in ("TxPos", "RcvPos", "SRPPos"))
@@ -284,12 +280,11 @@ def _bistatic_error(file: CphdFile, pulses: Pulses, wavelength: float) -> float:
     return worst
 
 
-def _describe(
-    file: CphdFile, pulses: Pulses, resampler: Resampler, delays: Delays, bistatic: float, wavelength: float
-) -> list[str]:
-    """Describe the file and what was done to it, one sentence each."""
+def _describe(echoes: Echoes, lost: int, bistatic: float) -> list[str]:
+    """Describe the file and its samples, of which so many pulses are `lost`, one sentence each."""
+    file, pulses, resampler = echoes.file, echoes.pulses, echoes.resampler
     frequency, n = resampler.frequency, pulses.vector.size
-    missing = int(np.count_nonzero(pulses.vector < 0))
+    missing = int(np.count_nonzero(pulses.vector < 0)) + lost
     own = float(np.median((file.parameter("FX2") - file.parameter("FX1"))[pulses.vector[pulses.vector >= 0]]))
     step = (frequency[-1] - frequency[0]) / (frequency.size - 1)
     messages = [
@@ -298,18 +293,9 @@ def _describe(
         f"{n} pulses, {missing} of them missing; {frequency.size} frequencies, {frequency[0] / 1e9:.6g} .. "
         f"{frequency[-1] / 1e9:.6g} GHz ({step * frequency.size / 1e6:.6g} of {own / 1e6:.6g} MHz that a vector has)",
         f"transmitter and receiver up to {pulses.separation:.3g} m apart: the point midway is used, which changes "
-        f"ranges over the image area by {bistatic / wavelength:.2g} wavelengths",
+        f"ranges over the image area by {bistatic / echoes.collection.wavelength:.2g} wavelengths",
+        _describe_resampling(resampler, echoes.delays),
     ]
-    match resampler:
-        case Interpolated():
-            messages.append(
-                f"SC0 and SCSS differ from vector to vector: resampled to one grid, error below {resampler.error:.2g} "
-                f"of the reflectivity, {2 * resampler.margin} samples at the band's ends left out"
-            )
-        case Transformed():
-            messages.append("delays transformed to frequencies by an exact Fourier sum")
-        case _:
-            messages.append("samples are taken as they are")
     if (more := file.unnamed // (file.shape[1] * file.dtype.itemsize)) > 0:
         messages.append(
             f"the signal block has room for {more} more such vectors behind its last array: if it is not padding, "
@@ -318,9 +304,29 @@ def _describe(
     if np.ptp(pulses.reference_point, axis=0).max() > 0:
         moved = np.linalg.norm(np.ptp(pulses.reference_point, axis=0))
         messages.append(f"the SRP moves by {moved:.6g} m: reference_range follows it from pulse to pulse")
-    if np.any(delays.middle):
-        messages.append("the saved delays are not centred at the SRP: reference_range is at their middle")
     return messages
+
+
+def _describe_resampling(resampler: Resampler, delays: Delays) -> str:
+    """How samples come to the frequencies of the store."""
+    match resampler:
+        case Interpolated():
+            message = (
+                f"SC0 and SCSS differ from vector to vector: resampled to one grid, error below {resampler.error:.2g} "
+                f"of the reflectivity, {2 * resampler.margin} samples at the band's ends left out"
+            )
+            if resampler.exact == 1:
+                return message
+            edge = SPEED_OF_LIGHT / 4 * delays.extent * (1 - resampler.exact)
+            return f"{message}; but for the {edge:.4g} m of range at either end of the saved delays, where it is larger"
+        case Transformed():
+            return "delays transformed to frequencies by an exact Fourier sum"
+        case Selected(off=off, error=error) if off:
+            return (
+                f"SC0 and SCSS differ from vector to vector by up to {off:.2g} of a sample: samples are taken as they "
+                f"are, with an error of up to {error:.2g} rad at the ends of the saved delays, and none at their middle"
+            )
+    return "samples are taken as they are"
 
 
 def _describe_frame(frame: Georeference) -> str:
@@ -329,66 +335,3 @@ def _describe_frame(frame: Georeference) -> str:
         f"frame: x east, y north, z up at latitude {frame.latitude:.7f}, longitude {frame.longitude:.7f}, "
         f"height {frame.height:.2f} m"
     )
-
-
-def _writer(
-    files: Sequence[CphdFile], prepared: Sequence[_Prepared], names: Sequence[str], progress: Callback | None
-) -> Callable[[Place], None]:
-    """Make the function that fills the store with samples, channel by channel."""
-    collection = prepared[0].collection
-    total, columns = collection.n_pulse, slice(0, collection.n_range_frequency)
-
-    def write(store: Place) -> None:
-        for number, (file, each) in enumerate(zip(files, prepared, strict=True)):
-            lead = (slice(number, number + 1),) if names else ()
-            with reading_file(file.path), file.path.open() as stream:
-                read: Callable[[slice], ComplexArray] = partial(_reader(file, each), stream)
-                if each.cut is not None:
-                    read = each.cut.reader(read, each.resampler.frequency)
-                for first in range(0, total, ROWS):
-                    pulses = slice(first, min(first + ROWS, total))
-                    block = read(pulses)
-                    stores.write_region(store, "signal", (*lead, pulses, columns), block[None] if lead else block)
-                    if progress is not None:
-                        progress(number * total + pulses.stop, len(files) * total)
-
-    return write
-
-
-def _reader(file: CphdFile, prepared: _Prepared) -> Callable[[BinaryIO, slice], ComplexArray]:
-    """Make the function that reads samples of some pulses of a channel, on the store's frequencies."""
-    vector, width = prepared.pulses.vector, prepared.resampler.frequency.size
-    scaled = "AmpSF" in (file.vectors.dtype.names or ())
-
-    def read_vectors(stream: BinaryIO, rows: IntArray) -> ComplexArray:
-        """Samples of some vectors, ascending: (rows.size, width), scaled and of the store's sign and reference."""
-        read = file.read(stream, int(rows[0]), int(rows[-1]) + 1, prepared.resampler.samples)[rows - rows[0]]
-        if scaled:
-            read *= file.parameter("AmpSF", rows).astype(np.float32)[:, None]
-        if file.sign > 0:
-            np.conjugate(read, out=read)
-        out = prepared.resampler.apply(read, rows)
-        middle = prepared.delays.middle[rows]
-        if not middle.any():
-            return out
-        return (out * phasor(prepared.resampler.frequency * middle[:, None])).astype(np.complex64)
-
-    def read_in_parts(stream: BinaryIO, rows: IntArray) -> ComplexArray:
-        out = np.empty((rows.size, width), np.complex64)
-        for start in range(0, rows.size, PART):
-            out[start : start + PART] = read_vectors(stream, rows[start : start + PART])
-        return out
-
-    def read_pulses(stream: BinaryIO, pulses: slice) -> ComplexArray:
-        if prepared.slow_time is None:
-            block = np.full((pulses.stop - pulses.start, width), complex(np.nan, np.nan), np.complex64)
-            lit = np.flatnonzero(vector[pulses] >= 0)
-            block[lit] = read_in_parts(stream, vector[pulses][lit])
-            return block
-        slow_time = prepared.slow_time
-        inputs = slow_time.resampling.inputs(pulses)
-        cycles = 2 / SPEED_OF_LIGHT * prepared.resampler.frequency * slow_time.range_shift[inputs, None]
-        rows = read_in_parts(stream, slow_time.vector[inputs])
-        return slow_time.resampling.apply((rows * phasor(cycles)).astype(np.complex64), pulses)
-
-    return read_pulses

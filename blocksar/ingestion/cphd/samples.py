@@ -4,60 +4,39 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.errors import InputError
+from blocksar.ingestion.cphd.delays import Delays
 from blocksar.ingestion.cphd.files import MAX_SAMPLES, CphdFile
 
-TAPS = 64  # samples used for one interpolated sample
-STEPS = 512  # offsets per sample in the table of interpolators
+SAME_GRID = 0.05  # samples, by which grids may differ to be taken as one: an error of 0.16 rad at most
+EXACT_GRID = 1e-4  # samples, within which grids are the same but for rounding
+TAPS = (64, 128, 256)  # samples used for one interpolated sample: as few as will do
+STEPS = 128  # offsets per sample in the table of interpolators
+MOST_MARGIN = 1 / 16  # of a vector's samples, left out at either end of the band
+SMALLER = (0.94, 0.9, 0.8, 0.7, 0.6, 0.5)  # of the unambiguous delays, for which interpolators are tried if need be
+LEAST_DELAYS = 0.75  # of the saved delays, for which they must be accurate
 ACCURACY = 1e-3  # largest interpolation error relative to the reflectivity: -60 dB
 NOISE_GAIN = 1.5  # largest noise gain of interpolation, in amplitude
 LEAST_BAND = 0.5  # share of a vector's band that must be common to all
-MAX_FOLD = 2.0  # saved delays over the unambiguous ones; no file is sampled more sparsely, units are wrong then
-
-
-class Delays(NamedTuple):
-    """The saved part of the echo: middle of the saved delays, by vector, and their largest extent, s."""
-
-    middle: FloatArray
-    extent: float
-
-
-def find_delays(file: CphdFile, used: IntArray) -> Delays:
-    """Determine the saved delays from TOA1 and TOA2; `used` are the vectors that matter."""
-    early, late = file.parameter("TOA1"), file.parameter("TOA2")
-    first, last = early[used].min(), late[used].max()
-    middle, extent = (first + last) / 2, last - first
-    if abs(middle) < 1e-3 * extent:
-        middle = 0.0
-    unambiguous = 1 / file.parameter("SCSS")[used].max() if file.domain == "FX" else np.inf
-    own = late - early
-    if not own[used].max() <= MAX_FOLD * unambiguous:
-        where = int(used[own[used].argmax()])
-        raise InputError(
-            f"PVP TOA1 .. TOA2 is {own[where]:.6g} s long in vector {where}, but samples SCSS = "
-            f"{file.parameter('SCSS')[where]:.6g} Hz apart have only {unambiguous:.6g} s of unambiguous delays; "
-            "correct them"
-        )
-    if extent * 1.05 <= unambiguous or np.ptp(early[used]) + np.ptp(late[used]) == 0:
-        return Delays(np.full(early.size, middle), float(2 * max(last - middle, middle - first)))
-    # The saved delays move too far to have one middle.
-    return Delays((early + late) / 2, float((late - early)[used].max()))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Selected:
-    """FX vectors on one grid: some of their samples, unchanged."""
+class Selected:
+    """FX vectors on one grid, or next to it: some of their samples, unchanged."""
 
     frequency: FloatArray  # Hz, absolute
+    start: FloatArray  # by vector: SC0
+    step: FloatArray  # by vector: SCSS
     first: IntArray  # by vector: the sample of the first frequency
     used: IntArray  # vectors that matter
-    error: float = 0.0
+    off: float  # samples, by which the grids of vectors differ from the common one
+    error: float  # at the ends of the saved delays
 
     @cached_property
     def samples(self) -> slice:
@@ -70,6 +49,13 @@ class _Selected:
         if (first == first[0]).all():
             return rows[:, first[0] : first[0] + self.frequency.size]
         return np.take_along_axis(rows, first[:, None] + np.arange(self.frequency.size), axis=1)
+
+    def frequency_of(self, vectors: IntArray) -> FloatArray:
+        """Frequencies at which the samples of vectors were taken, (n, n_frequency) or (n_frequency,) Hz."""
+        if self.off == 0:
+            return self.frequency
+        sample = self.first[vectors, None] + np.arange(self.frequency.size)
+        return np.asarray(self.start[vectors, None] + self.step[vectors, None] * sample)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,6 +72,11 @@ class Interpolated:
     margin: int
     middle: FloatArray  # by vector: delay, s, at which the table is centred
     error: float
+    exact: float  # share of the saved delays, about their middle, for which the error holds
+
+    def frequency_of(self, vectors: IntArray) -> FloatArray:
+        """See `Selected`."""
+        return self.frequency
 
     def apply(self, rows: ComplexArray, vectors: IntArray) -> ComplexArray:
         taps = self.table.shape[1]
@@ -121,6 +112,10 @@ class Transformed:
     samples: slice
     error: float = 0.0
 
+    def frequency_of(self, vectors: IntArray) -> FloatArray:
+        """See `Selected`."""
+        return self.frequency
+
     def apply(self, rows: ComplexArray, vectors: IntArray) -> ComplexArray:
         from scipy.signal import CZT
 
@@ -142,7 +137,7 @@ class Transformed:
         return out
 
 
-Resampler = _Selected | Interpolated | Transformed
+Resampler = Selected | Interpolated | Transformed
 
 
 def phasor(cycles: FloatArray) -> NDArray[np.complex128]:
@@ -182,22 +177,26 @@ def choose_resampler(file: CphdFile, used: IntArray, delays: Delays) -> Resample
         raise InputError(
             "PVP FX1 .. FX2 does not meet the samples that SC0 and SCSS give in every vector; correct them"
         )
-    df = float(step[used].min())
+    df = float(np.median(step[used]))
     first, last = _common(low[used], high[used], file.band)
-    reference = used[0]
-    places = (start - start[reference]) / df
-    off = np.abs(places - np.rint(places))[used]
-    if np.ptp(step[used]) * n < 1e-4 * df and off.max() < 1e-4:
-        begin = int(np.ceil((first - start[reference]) / df - 1e-3))
-        stop = int(np.floor((last - start[reference]) / df + 1e-3)) + 1
+    shift, off, origin = _shifts(start, step, used, n, df)
+    if off <= SAME_GRID:
+        begin = int(np.ceil((first - origin) / df - off - 1e-3))
+        stop = int(np.floor((last - origin) / df + off + 1e-3)) + 1
         _check_count(stop - begin)
-        shift = np.full(start.size, begin, dtype=np.int64)
-        shift[used] -= np.rint(places[used]).astype(np.int64)
-        return _Selected(frequency=start[reference] + df * np.arange(begin, stop), first=shift, used=used)
+        off = off if off > EXACT_GRID else 0.0
+        return Selected(
+            frequency=np.asarray(origin + df * np.arange(begin, stop), np.float64), start=start, step=step,
+            first=begin - shift, used=used,
+            off=off, error=2 * np.pi * off * df * delays.extent / 2,
+        )  # fmt: skip
+    df = float(step[used].min())
     inner, outer = np.zeros(start.size, np.int64), np.zeros(start.size, np.int64)
     inner[used] = np.ceil(((low - start) / step)[used] - 1e-9)
     outer[used] = np.floor(((high - start) / step)[used] + 1e-9)
-    table, margin, error = _interpolators(float(step[used].max()) * delays.extent, int((outer - inner)[used].min()) + 1)
+    table, margin, error, share = _best_interpolators(
+        float(step[used].max()) * delays.extent, int((outer - inner)[used].min()) + 1
+    )
     first = max(first, float((start + (inner + margin) * step)[used].max()))
     last = min(last, float((start + (outer - margin) * step)[used].min()))
     count = int(np.floor((last - first) / df)) + 1
@@ -205,8 +204,29 @@ def choose_resampler(file: CphdFile, used: IntArray, delays: Delays) -> Resample
     return Interpolated(
         frequency=np.asarray(first + df * np.arange(count), np.float64), start=start, step=step,
         first=inner, last=outer, samples=slice(int(inner[used].min()), int(outer[used].max()) + 1),
-        table=table, margin=margin, middle=delays.middle, error=error,
+        table=table, margin=margin, middle=delays.middle, error=error, exact=share,
     )  # fmt: skip
+
+
+def _shifts(start: FloatArray, step: FloatArray, used: IntArray, n: int, df: float) -> tuple[IntArray, float, float]:
+    """How many steps `df` each vector's samples begin after the first of a common grid, and how far they are off it.
+
+    Returns
+    -------
+    shift : (n_vector,) int
+        0 for vectors that are not used.
+    off : float
+        Largest distance of a sample of a used vector from the grid, in samples.
+    origin : float
+        The grid's frequency 0, Hz.
+    """
+    middle = start + (n - 1) / 2 * step
+    places = (middle - middle[used[0]]) / df
+    shift = np.zeros(start.size, np.int64)
+    shift[used] = np.rint(places[used])
+    origin = middle[used[0]] - (n - 1) / 2 * df + df * float(np.median(places[used] - shift[used]))
+    ends = [(start + k * step - origin) / df - k - shift for k in (0, n - 1)]
+    return shift, float(np.abs(np.stack(ends)[:, used]).max()), float(origin)
 
 
 def _common(low: FloatArray, high: FloatArray, wanted: tuple[float, float]) -> tuple[float, float]:
@@ -231,7 +251,39 @@ def _check_count(count: int) -> None:
         raise InputError(f"only {count} frequencies are common to all vectors; at least 8 are needed")
 
 
-def _interpolators(occupancy: float, n: int) -> tuple[FloatArray, int, float]:
+def _best_interpolators(occupancy: float, n: int) -> tuple[FloatArray, int, float, float]:
+    """The interpolators of the fewest taps for samples whose delays fill the share `occupancy` of the unambiguous ones.
+
+    Where none is accurate enough near the ends of the unambiguous delays, they are for a part of the delays.
+
+    Returns
+    -------
+    table, margin, error
+        See `_interpolators`.
+    exact : float
+        The share of the delays, about their middle, that they are for.
+
+    Raises
+    ------
+    InputError
+        If there are none for LEAST_DELAYS of the delays.
+    """
+    choices = [(occupancy, taps) for taps in TAPS]
+    choices += [(part, taps) for part in SMALLER for taps in TAPS if LEAST_DELAYS * occupancy <= part < occupancy]
+    for part, taps in choices:
+        if 2 * taps > n and taps > TAPS[0]:
+            continue
+        table, margin, error = _interpolators(part, min(taps, n // 2))
+        if margin <= MOST_MARGIN * n and margin < min(taps, n // 2) // 2 - 1:
+            return table, margin, error, part / occupancy
+    raise InputError(
+        f"PVP SC0 and SCSS differ from vector to vector, and the saved delays TOA1 .. TOA2 fill {occupancy:.3g} of "
+        f"the unambiguous ones of {n} samples: too much to resample within {ACCURACY:g}; resample the vectors to "
+        "one grid"
+    )
+
+
+def _interpolators(occupancy: float, taps: int) -> tuple[FloatArray, int, float]:
     """Least-squares interpolators for samples whose delays fill the share `occupancy` of the unambiguous ones.
 
     Returns
@@ -243,26 +295,19 @@ def _interpolators(occupancy: float, n: int) -> tuple[FloatArray, int, float]:
     error : float
         Largest error over offsets and delays for one target of reflectivity 1, including that between two offsets.
     """
-    taps = min(TAPS, n)
     i = np.arange(taps)
     gram = np.sinc(occupancy * (i[:, None] - i)) + 1e-8 * np.eye(taps)
     offset = np.arange((taps - 1) * STEPS + 1) / STEPS
     table = np.linalg.solve(gram, np.sinc(occupancy * (i[:, None] - offset))).T
     coarse = slice(None, None, STEPS // 16)
-    cycles = occupancy / 2 * np.linspace(-1, 1, 129)
+    cycles = occupancy / 2 * np.linspace(-1, 1, 2 * taps + 1)
     response = table[coarse] @ phasor(i[:, None] * cycles)
     error = np.abs(phasor(offset[coarse, None] * cycles) - response).max(axis=1)
     good = (error <= ACCURACY) & (np.linalg.norm(table[coarse], axis=1) <= NOISE_GAIN)
     half = error.size // 2
     bad = np.flatnonzero(~good[: half + 1])
     margin = 0 if not bad.size else int(np.ceil((bad[-1] + 1) / 16))
-    if margin >= taps // 2 - 1 or n < 2 * taps:
-        raise InputError(
-            f"PVP SC0 and SCSS differ from vector to vector, and the saved delays TOA1 .. TOA2 fill {occupancy:.3g} of "
-            f"the unambiguous ones of {n} samples: too much to resample within {ACCURACY:g}; resample the vectors to "
-            "one grid"
-        )
     inner = slice(margin * STEPS, (taps - 1 - margin) * STEPS + 1)
-    worst = float(error[margin * 16 : error.size - margin * 16].max())
+    worst = float(error[margin * 16 : error.size - margin * 16].max(initial=0.0))
     between = (np.pi * occupancy / STEPS) ** 2 / 8  # of linear interpolation in the table
     return table[inner], margin, worst + between

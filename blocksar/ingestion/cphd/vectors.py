@@ -9,11 +9,11 @@ import numpy as np
 from blocksar.arrays import UNIFORM_TOLERANCE, BoolArray, FloatArray, IntArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.ingestion.cphd.files import NEEDED, CphdFile
+from blocksar.ingestion.cphd.faults import Lost, find_usable
+from blocksar.ingestion.cphd.files import CphdFile
 from blocksar.ingestion.resampling import OCCUPIED, Resampling, plan_resampling
 
 MAX_GAPS = 1.0  # missing vectors over those present
-SMALLEST_ORBIT, LARGEST_ORBIT = 6.3e6, 1e9  # m from the Earth's centre
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,6 +32,8 @@ class Pulses:
         ARP and SRP, Earth-centred, m.
     separation : float
         Largest |TxPos - RcvPos|, m.
+    lost : list of Lost
+        Vectors that hold no echoes, by reason.
     """
 
     vector: IntArray
@@ -40,57 +42,44 @@ class Pulses:
     position: FloatArray
     reference_point: FloatArray
     separation: float
+    lost: list[Lost]
     even: bool = True
 
 
-def assign_pulses(file: CphdFile) -> Pulses:
+def assign_pulses(file: CphdFile, origin: FloatArray) -> Pulses:
     """Check the per-vector parameters and assign vectors to pulses.
+
+    Parameters
+    ----------
+    file : CphdFile
+    origin : (3,) float
+        The scene's reference point, Earth-centred, m.
 
     Raises
     ------
     InputError
-        If parameters are not finite, contradict each other, or do not describe pulses.
+        If parameters of most vectors are not finite or contradict each other, or they do not describe pulses.
     """
-    normal = _normal(file)
-    placed = np.ones(file.shape[0], bool)
-    for name in NEEDED:
-        values = file.parameter(name).reshape(file.shape[0], -1)
-        finite: BoolArray = np.asarray(np.isfinite(values).all(axis=1))
-        if not finite[normal].all():
-            first = int(np.argmin(finite | ~normal))
-            raise InputError(
-                f"PVP {name} is not finite in {np.count_nonzero(~finite & normal)} vectors whose signal is normal "
-                f"(first: vector {first}); correct it, or mark them with SIGNAL = 0"
-            )
-        if name in ("TxTime", "TxPos", "RcvTime", "RcvPos", "SRPPos"):
-            placed &= finite
-    _check_vectors(file, normal)
+    normal, placed, lost = find_usable(file, origin)
     try:
-        return _placed(file, normal, placed)
+        return _placed(file, normal, placed, lost)
     except InputError:
         if normal.all():
             raise
-        # Vectors without a signal need no position: many files have zeros there.
-        return _placed(file, normal, normal)
+        # Vectors that are lost need no position: many files have anything there.
+        return _placed(file, normal, normal, lost)
 
 
-def _placed(file: CphdFile, normal: BoolArray, placed: BoolArray) -> Pulses:
+def _placed(file: CphdFile, normal: BoolArray, placed: BoolArray, lost: list[Lost]) -> Pulses:
     """Pulses of the vectors that have a time and positions; those whose signal is not normal are missing."""
     vector = np.asarray(np.flatnonzero(placed), dtype=np.int64)
     time = file.parameter("TxTime", vector)
-    index, step, off = _slots(time)
+    index, step, off = _slots(time, file.first_vector + vector)
     if off > UNIFORM_TOLERANCE:
         vector = vector[normal[vector]]
         time = file.parameter("TxTime", vector)
         index = np.arange(vector.size)
     transmitter, receiver, srp = (file.parameter(name, vector) for name in ("TxPos", "RcvPos", "SRPPos"))
-    for name, positions in (("TxPos", transmitter), ("RcvPos", receiver)):
-        radius = np.linalg.norm(positions, axis=1)
-        if not ((radius > SMALLEST_ORBIT) & (radius < LARGEST_ORBIT)).all():
-            raise InputError(
-                f"PVP {name} lies {radius.min():.6g} .. {radius.max():.6g} m from the Earth's centre, where no antenna "
-                "is; it must be Earth-centred, in m"
-            )
     transmit_range = np.linalg.norm(transmitter - srp, axis=1)
     receive_range = np.linalg.norm(receiver - srp, axis=1)
     moment = time + transmit_range / (transmit_range + receive_range) * (file.parameter("RcvTime", vector) - time)
@@ -98,7 +87,7 @@ def _placed(file: CphdFile, normal: BoolArray, placed: BoolArray) -> Pulses:
     if off > UNIFORM_TOLERANCE:
         return Pulses(
             vector=vector, time=time, reference_time=moment, position=(transmitter + receiver) / 2,
-            reference_point=srp, separation=separation, even=False,
+            reference_point=srp, separation=separation, lost=lost, even=False,
         )  # fmt: skip
     filled = np.full(index[-1] + 1, -1, dtype=np.int64)
     filled[index] = np.where(normal[vector], vector, -1)
@@ -110,42 +99,14 @@ def _placed(file: CphdFile, normal: BoolArray, placed: BoolArray) -> Pulses:
         position=_interpolate_positions(slots, index, (transmitter + receiver) / 2),
         reference_point=np.stack([np.interp(slots, index, column) for column in srp.T], axis=1),
         separation=separation,
+        lost=lost,
     )
 
 
-def _normal(file: CphdFile) -> BoolArray:
-    """Mask of the vectors that hold a normal signal."""
-    if "SIGNAL" not in (file.vectors.dtype.names or ()):
-        return np.ones(file.shape[0], bool)
-    normal = np.asarray(file.vectors["SIGNAL"] == 1)
-    if np.count_nonzero(normal) < 8:
-        raise InputError(
-            f"PVP SIGNAL is 1 in {np.count_nonzero(normal)} of {normal.size} vectors; at least 8 are needed"
-        )
-    return normal
-
-
-def _check_vectors(file: CphdFile, normal: BoolArray) -> None:
-    """Refuse parameters that are out of range or out of order."""
-    for name in ("SCSS", "FX1", *(("SC0",) if file.domain == "FX" else ())):
-        values = file.parameter(name)[normal]
-        if not (values > 0).all():
-            raise InputError(f"PVP {name} falls to {values.min():.6g}; it must be above 0")
-    for low, high in (("FX1", "FX2"), ("TOA1", "TOA2")):
-        if not (file.parameter(low)[normal] < file.parameter(high)[normal]).all():
-            raise InputError(f"PVP {low} is not below {high} in every vector; correct them")
-    travel_time = file.parameter("RcvTime") - file.parameter("TxTime")
-    if not (travel_time[normal] >= 0).all():
-        raise InputError("PVP RcvTime is before TxTime in some vectors; correct them")
-    if "AmpSF" in (file.vectors.dtype.names or ()):
-        scale = file.parameter("AmpSF")[normal]
-        with np.errstate(over="ignore"):
-            if not (np.isfinite(scale.astype(np.float32)) & (scale > 0)).all():
-                raise InputError("PVP AmpSF is not a finite number above 0 in every vector; correct it")
-
-
-def _slots(time: FloatArray) -> tuple[IntArray, float, float]:
+def _slots(time: FloatArray, number: IntArray) -> tuple[IntArray, float, float]:
     """Index of each vector's pulse on a uniform axis of slow time, the axis' step, s, and the largest deviation, steps.
+
+    `number` are those of the vectors in the file.
 
     Raises
     ------
@@ -156,7 +117,8 @@ def _slots(time: FloatArray) -> tuple[IntArray, float, float]:
         raise InputError(f"only {time.size} vectors have a time and positions; at least 8 are needed")
     steps = np.diff(time)
     if not (steps > 0).all():
-        raise InputError(f"PVP TxTime does not ascend at vector {int(np.argmin(steps > 0)) + 1}; sort the vectors")
+        where = number[1:][int(np.argmin(steps > 0))]
+        raise InputError(f"PVP TxTime does not ascend at vector {where}; sort the vectors")
     step = float(np.median(steps))
     for _ in range(3):
         index = np.rint((time - time[0]) / step)
@@ -251,7 +213,7 @@ def resample_vectors(
     even = Pulses(
         vector=np.where(resampling.good, pulses.vector[nearest], -1), time=uniform,
         reference_time=moment, position=position,
-        reference_point=np.tile(point, (uniform.size, 1)), separation=pulses.separation,
+        reference_point=np.tile(point, (uniform.size, 1)), separation=pulses.separation, lost=pulses.lost,
     )  # fmt: skip
     bound, spread = (20 * np.log10(error[resampling.good].max()) for error in (resampling.bound, resampling.spread))
     message = (

@@ -15,12 +15,18 @@ from blocksar.arrays import UNIFORM_TOLERANCE, ComplexArray, FloatArray
 from blocksar.collection.beam import wrapped
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
+from blocksar.ingestion.found import refuse_others
 from blocksar.ingestion.gotcha.matfile import Value, read_struct
-from blocksar.ingestion.kinds import MATLAB, refuse_others
+from blocksar.ingestion.kinds import Kind
 from blocksar.ingestion.reading import reading
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 
+KIND = Kind(
+    "a MATLAB 5 file",
+    lambda start: start.data.startswith(b"MATLAB 5") or start.data[124:128] in (b"\0\1IM", b"\1\0MI"),
+    "if it is of the Gotcha set, turn it into a phase history first: `blocksar ingest gotcha {path} --out {store}`",
+)  # fmt: skip
 ROUNDING = 2 * float(np.finfo(np.float32).eps)  # relative error of a range when it and three coordinates are float32
 ANGLE_TOLERANCE = 0.01  # degrees between th, phi and the position
 LARGEST = 1e30  # modulus of a sample: beyond it is no echo, and its power would overflow
@@ -130,7 +136,7 @@ def read_file(path: Place) -> _Contents:
 
 def _read_bytes(path: Place) -> bytes:
     """All bytes of a file that is not too large."""
-    refuse_others(path, MATLAB)
+    refuse_others(path, KIND)
     if isinstance(path, LocalPlace):
         status = os.stat(path.path)
         if not stat.S_ISREG(status.st_mode):

@@ -12,14 +12,12 @@ the four decisions below, with figures from the measured scene.
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from blocksar import stores
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.chunks import TILE
 from blocksar.collection.collection import Collection
@@ -35,53 +33,24 @@ from blocksar.ingestion.gotcha.joining import (
     describe_band,
     join,
 )
-from blocksar.ingestion.reading import Ingested
+from blocksar.ingestion.readers import Piece, ReaderOptions, Reading
 from blocksar.ingestion.resampling import OCCUPIED, Resampling, plan_resampling
 from blocksar.places import Location, place
-from blocksar.places.local import LocalPlace
-from blocksar.places.place import Place
-from blocksar.progress.listening import Callback
 
 PULSE_INTERVAL = 0.01  # s, nominal: pulses a metre apart then mean an aircraft at 100 m/s
 UNEVEN = 0.02  # steps by which a pulse may lie off the line through its neighbours: 0.06 rad at half the PRF
 
 
-def ingest(
-    source: Location | Sequence[Location],
-    out: Location,
-    *,
-    times: Mapping[str, Any] | None = None,
-    ground_height: float = 0.0,
-    overwrite: bool = False,
-    progress: Callback | None = None,
-) -> Ingested:
-    """Join files in azimuth, in any order, into a phase-history store, one chunk of pulses at a time.
+def begin(sources: Sequence[Location], options: ReaderOptions) -> Reading:
+    """Read all but the samples of files that adjoin in azimuth, in any order, up to the full circle.
 
-    Parameters
-    ----------
-    source : path, or sequence of paths
-        MATLAB files of one pass that adjoin in azimuth, up to the full circle. Several polarisations become the
-        channels of the store, if their pulses are at the same places.
-    out : path, URL or Place
-        Of the new store.
-    times : mapping, optional
-        What `stated_times` gives: the files themselves have no times.
-    ground_height : float
-        z of the imaged plane, m.
-    overwrite : bool
-        Replace an existing store.
-    progress : callable (done, total)
-        Called after each chunk, with numbers of pulses.
+    Several polarisations become the channels of the store, if their pulses are at the same places.
 
     Raises
     ------
     InputError
-        If a file is damaged or not a Gotcha file, if files do not belong together, or if `out` exists and overwrite is
-        False.
+        If a file is damaged or not a Gotcha file, or if files do not belong together.
     """
-    if not isinstance(source, str | os.PathLike | Place | Iterable):
-        raise InputError(f"source is {source!r}; give the path of a MATLAB file, or a list of paths")
-    sources = [source] if isinstance(source, str | os.PathLike | Place) else list(source)
     if not sources:
         raise InputError("source is empty; give at least one MATLAB file")
     files = [read_headers(place(path)) for path in sources]
@@ -89,24 +58,15 @@ def ingest(
     channels = {name: join(some) for name, some in by_polarisation(files).items()}
     check_same_geometry(channels)
     layout = lay_out(channels)
-    collection = replace(layout.collection, ground_height=ground_height)
-    target = place(out)
-    given = {"time_zero": 0.0, **times} if times else {}
-    source_text = {"format": "AFRL Gotcha", "files": [file.path.name for file in files], **given}
-    attributes = {
-        **layout.attributes,
-        "source": source_text,
-        "history": stores.history_line(f"ingested by blocksar from {len(files)} files"),
-    }
-    stores.create_phase_history(
-        target, collection, channels=layout.names, attrs=attributes, overwrite=overwrite,
-        fill=_writer(layout, progress),
+    return Reading(
+        collection=replace(layout.collection, ground_height=options.ground_height),
+        pieces=lambda: _pieces(layout),
+        attributes={
+            **layout.attributes, "source": {"format": "AFRL Gotcha", "files": [file.path.name for file in files]}
+        },
+        messages=lambda: layout.messages,
+        channels=layout.names,
     )  # fmt: skip
-    return Ingested(
-        path=target.path if isinstance(target, LocalPlace) else target,
-        collection=collection,
-        messages=layout.messages,
-    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -292,27 +252,14 @@ def _describe_track(track: Track, collection: Collection, radius: float) -> str:
     )
 
 
-def _writer(layout: _Layout, progress: Callback | None) -> Callable[[Place], None]:
-    """Make the function that fills the store by channels and chunks of pulses.
-
-    Only the files of one chunk are in memory.
-    """
-    n, columns = layout.collection.n_pulse, layout.collection.n_range_frequency
-
-    def write(store: Place) -> None:
-        for number, joined in enumerate(layout.channels):
-            lead = (slice(number, number + 1),) if layout.names else ()
-            loaded: dict[int, ComplexArray] = {}
-            for first in range(0, n, TILE[0]):
-                rows = slice(first, min(first + TILE[0], n))
-                samples = _rows(layout, joined, rows, loaded)
-                stores.write_region(
-                    store, "signal", (*lead, rows, slice(0, columns)), samples[None] if lead else samples
-                )
-                if progress is not None:
-                    progress(number * n + rows.stop, len(layout.channels) * n)
-
-    return write
+def _pieces(layout: _Layout) -> Iterator[Piece]:
+    """Samples by channels and chunks of pulses; only the files of one chunk are in memory."""
+    n = layout.collection.n_pulse
+    for number, joined in enumerate(layout.channels):
+        loaded: dict[int, ComplexArray] = {}
+        for first in range(0, n, TILE[0]):
+            pulses = slice(first, min(first + TILE[0], n))
+            yield Piece(number, pulses, _rows(layout, joined, pulses, loaded))
 
 
 def _rows(layout: _Layout, joined: Joined, rows: slice, loaded: dict[int, ComplexArray]) -> ComplexArray:

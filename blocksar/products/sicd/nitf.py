@@ -64,7 +64,11 @@ def write(
         de_subheader_part=sksicd.NitfDeSubheaderPart(security=security),
     )
     jbp = sksicd.jbp_from_nitf_metadata(nitf)
-    with replacing(out, overwrite=overwrite) as part, open(part, "wb") as file, sksicd.NitfWriter(file, nitf, jbp):
+    with (
+        replacing(out, overwrite=overwrite, room=n_byte) as part,
+        open(part, "wb") as file,
+        sksicd.NitfWriter(file, nitf, jbp),
+    ):
         file.seek(jbp["ImageSegments"][0]["Data"].get_offset())
         _write_pixels(source, metadata.layout, file, progress or (lambda done, total: None))
     return [*notes, *metadata.notes]

@@ -7,7 +7,7 @@ import pytest
 
 from blocksar.arrays import ComplexArray
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.inspection.window import energy_in_window
+from blocksar.measurement.window import energy_in_window
 
 STEP, N_FREQUENCY, N_PULSE = 400e3, 256, 40  # ranges to 187 m on either side, in bins of 1.5 m
 NEAR, FAR = -40.0, 120.0
@@ -49,6 +49,17 @@ def test_a_window_that_follows_the_pulses_is_taken() -> None:
     signal = spotlight(rng.uniform(NEAR + 10, FAR - 10, 120))
     found = energy_in_window(signal, frequency_step=STEP, near=near, far=near + FAR - NEAR)
     assert found.conjugated is False
+
+
+def test_a_window_beyond_the_ranges_that_are_told_apart_folds_back() -> None:
+    span = SPEED_OF_LIGHT / 2 / STEP
+    given, folded = (
+        energy_in_window(spotlight(clutter(1) + by), frequency_step=STEP, near=NEAR + by, far=FAR + by)
+        for by in (0.0, span)
+    )
+    assert folded == pytest.approx(given, rel=1e-3)
+    far = energy_in_window(spotlight(clutter(1) + 200.0), frequency_step=STEP, near=NEAR + 200.0, far=FAR + 200.0)
+    assert far.inside > 0.95 and far.conjugated is False
 
 
 @pytest.mark.parametrize("place", [-39.0, -20.0, 0.0, 31.0, 39.9])

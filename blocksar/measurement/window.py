@@ -64,7 +64,7 @@ def energy_in_window(
     signal : (n_pulse, n_frequency) complex64
         With the phase -4 pi (fc + f) / c (R - reference_range); NaN where missing. Not changed.
     frequency_step : float
-        Hz. Ranges are told apart up to c / (4 frequency_step) on either side of the reference.
+        Hz. Ranges are told apart up to c / (4 frequency_step) on either side of the reference; those beyond fold back.
     near, far : float or (n_pulse,) float
         Ends of the window, R - reference_range, m: c / 2 times TOA1 and TOA2 of a CPHD file.
 
@@ -83,7 +83,7 @@ def energy_in_window(
         raise ValueError(f"need near < far, got {near=} {far=}")
     spacing = SPEED_OF_LIGHT / (2 * n * frequency_step)
     offset = spacing * ((np.arange(n) + n // 2) % n - n // 2)  # of the bins, as the transform has them
-    guard = GUARD * spacing
+    span, guard = n * spacing, GUARD * spacing
     hann = (1 + np.cos(2 * np.pi * (np.arange(n) - (n - 1) / 2) / n)).astype(np.float32)
     energy, bins = np.zeros(5), np.zeros(5)  # all, inside, mirrored, only inside, only mirrored
     for first in range(0, n_pulse, GROUP):
@@ -91,10 +91,10 @@ def energy_in_window(
         low, high = ends[0][rows], ends[1][rows]
         profile = fft_rows(np.nan_to_num(signal[rows]) * hann, inverse=True)
         power = np.abs(profile).astype(np.float64) ** 2
-        inside = (offset >= low) & (offset <= high)
-        mirrored = (-offset >= low) & (-offset <= high)
-        around = (offset >= low - guard) & (offset <= high + guard)
-        around_mirrored = (-offset >= low - guard) & (-offset <= high + guard)
+        inside, mirrored = (np.mod(each - low, span) <= high - low for each in (offset, -offset))
+        around, around_mirrored = (
+            np.mod(each - low + guard, span) <= high - low + 2 * guard for each in (offset, -offset)
+        )
         for k, part in enumerate((None, inside, mirrored, inside & ~around_mirrored, mirrored & ~around)):
             energy[k] += power.sum() if part is None else power[part].sum()
             bins[k] += power.size if part is None else part.sum()

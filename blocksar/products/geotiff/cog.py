@@ -107,7 +107,8 @@ def write(
     raster, placement = _placed(pixels, source.placed("a GeoTIFF"), crs)
     listener = progress or (lambda done, total: None)
     source.coverage()  # raises if no pixel is covered
-    with replacing(out, overwrite=overwrite) as part, rasterio.Env(GDAL_CACHEMAX=CACHE, GDAL_NUM_THREADS=1):
+    room = raster.x.size * raster.y.size * np.dtype(pixels.dtype).itemsize  # of the plain file
+    with replacing(out, overwrite=overwrite, room=room) as part, rasterio.Env(GDAL_CACHEMAX=CACHE, GDAL_NUM_THREADS=1):
         plain = temporary_name(part, "part")
         try:
             _write_plain(raster, plain, placement, listener)

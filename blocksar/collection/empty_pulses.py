@@ -1,0 +1,212 @@
+"""Pulses whose samples are all zero: lost ones, which are missing, and those of a beam that lit nothing.
+
+Many files hold zeros where a pulse was lost. Such a pulse must not count as lit, or amplitudes are low. A pulse without
+noise whose beam lit no scatterer holds zeros as well; it must count, or places beside a target would be divided by the
+few pulses that hold its echo. What tells them apart, given that other pulses hold echoes:
+
+- A beam that is not steered lights every scatterer with every pulse. A pulse without any echo is missing.
+- Into a steered beam scatterers come over one edge, and they leave it over the other. If nothing was lit before pulse p
+  and nothing adds noise, then all echoes of pulse p are at the edge over which scatterers enter; likewise those of the
+  last pulse before the zeros at the edge over which they leave. Echoes from inside of the beam were lit in the zeros,
+  too, and noise comes from nowhere: such zeros are missing.
+
+Where in the beam the echoes of pulse p lie follows from their change of phase to a pulse q, farther from the zeros, in
+each range cell. With d = (R_q - reference_range_q) - (R_p - reference_range_p) of a ground point at that range,
+
+    conj(s_p) s_q  has the phase  -4 pi fc/c d,
+
+so that the mean phase of all range cells, over what they have at the edge, is zero at the edge and grows in proportion
+to the depth in the beam. q is so far from p that the beam's half width makes HALF_PHASE. Echoes at the depth x, as a
+share of the width, were lit for x dwells before: so many zeros beside them are missing, twice as many for a mean, since
+others lie deeper. Where phases disagree (noise), the whole run of zeros is; where echoes do not last until q, a dwell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from blocksar.arrays import BoolArray, ComplexArray, FloatArray
+from blocksar.collection.beam import beam_offset
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.region import imaged_side
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.kernels.fourier import fft_rows
+
+AT_THE_EDGE = 0.05  # of the beam's width: beams that are fitted to dwells miss their edges by up to 0.03
+COHERENT = 0.5  # of the energy; noise has 1 / sqrt(number of range cells)
+HALF_PHASE = 0.4 * np.pi  # rad over half of the beam's width: a phase is that of one depth from -1/4 to 1 of the width
+MOST_APART = 1 / 8  # of a dwell between p and q
+RANGES, TURNS = 5, 2048  # nodes of range over the window, and of angle about the antenna's foot
+
+
+def missing_pulses(
+    empty: BoolArray, known: BoolArray, collection: Collection, read: Callable[[int], ComplexArray]
+) -> BoolArray:
+    """Tell which of the pulses without a sample other than zero are missing.
+
+    Parameters
+    ----------
+    empty : (n_pulse,) bool
+        Pulses whose samples are all zero.
+    known : (n_pulse,) bool
+        False for pulses that are missing anyway, which tell nothing.
+    collection : Collection
+    read : function (pulse)
+        Samples of a pulse, (n_range_frequency,) complex64.
+
+    Returns
+    -------
+    (n_pulse,) bool
+        True only where `empty` is. Nothing is missing if all pulses are empty.
+    """
+    missing = np.zeros(empty.shape, np.bool_)
+    empty = empty & known
+    dark = empty | ~known
+    if dark.all() or not empty.any():
+        return missing
+    if collection.beam_width is None:
+        return empty.copy()
+    geometry = Geometry(collection=collection)
+    middle = [edge for way in (-1, 1) for edge in _edges(geometry, empty.size // 2, way)]
+    runs = np.flatnonzero(np.diff(dark, prepend=False, append=False)).reshape(-1, 2)
+    ends = np.concatenate([[0], runs.ravel(), [empty.size]]).reshape(-1, 2)  # of the pulses between the zeros
+    for number, (first, last) in enumerate(runs):
+        if not empty[first:last].any():
+            continue
+        for (begin, end), pulse, way in ((ends[number], first - 1, -1), (ends[number + 1], last, 1)):
+            if begin == end:
+                continue  # nothing but zeros up to the end of the collection
+            if end - begin <= max((edge.apart for edge in middle), default=0):
+                reach = int(np.ceil(max(edge.dwell for edge in middle)))
+            else:
+                reach = _lit_beside(geometry, int(pulse), way, int(end - begin), read)
+            missing[slice(first, min(first + reach, last)) if way < 0 else slice(max(last - reach, first), last)] = True
+    return missing & empty
+
+
+def _lit_beside(geometry: Geometry, pulse: int, way: int, length: int, read: Callable[[int], ComplexArray]) -> int:
+    """How many of the zeros beside a pulse would hold the echoes of the pulse as well; all, `n_pulse`, for noise.
+
+    `way` leads away from the zeros, over `length` pulses with echoes: 1 if the zeros come before them, -1 if after.
+    """
+    reaches = [geometry.collection.n_pulse]
+    for edge in _edges(geometry, pulse, way):
+        if edge.apart >= length:
+            reaches.append(int(np.ceil(edge.dwell)))
+            continue
+        coherence, phase = _phase_change(geometry.collection, edge, read(pulse), read(pulse + way * edge.apart))
+        if coherence < COHERENT:
+            continue
+        whole = 2 * edge.half_phase
+        turn = abs(2 * np.pi / whole)
+        depth = float(np.mod(phase / whole + AT_THE_EDGE, turn)) - AT_THE_EDGE
+        outside = depth <= AT_THE_EDGE or depth > 1 + AT_THE_EDGE
+        reaches.append(0 if outside else int(np.ceil(2 * depth * edge.dwell)) + 1)
+    return min(reaches)
+
+
+class _Edge(NamedTuple):
+    """The beam's edge over which scatterers enter it at a pulse, or leave it, on one side of the track."""
+
+    offset: FloatArray  # (n_range,) m about the reference range
+    change: FloatArray  # (n_range,) m: d at the edge, from the pulse to the one `apart`
+    half_phase: float  # rad, signed: of conj(s_p) s_q at the beam's centre, over that at the edge
+    apart: int  # pulses
+    dwell: float  # pulses
+
+
+def _edges(geometry: Geometry, pulse: int, way: int) -> list[_Edge]:
+    """The edges that meet the ground within the range window, on either side of the track if nothing tells which."""
+    collection, found = geometry.collection, []
+    side = {"left": 1, "right": -1}.get((imaged_side(geometry) if collection.has_axis else None) or "", 0)
+    ahead = collection.antenna_position[-1] - collection.antenna_position[0]
+    half = (collection.beam_width or 0.0) / 2
+    offset, places = _places(geometry, pulse, (-half, half, 0.0))
+    for sign, edge in ((sign, edge) for sign, some in zip((-1, 1), places, strict=False) for edge in some):
+        known = np.flatnonzero(np.isfinite(edge[:, 0]))
+        middle = int(known[known.size // 2])
+        sight = edge[middle] - collection.antenna_position[pulse]
+        if side * (ahead[0] * sight[1] - ahead[1] * sight[0]) < 0:
+            continue
+        moved = _offset_rate(geometry, edge[middle], pulse)
+        centres = np.array([centre[middle] for centre in places[2]]).reshape(-1, 3)
+        away = np.linalg.norm(centres - edge[middle], axis=1)
+        if not sign * moved * way < 0 or not np.isfinite(away).any():
+            continue  # scatterers leave over it where the others enter
+        points = np.stack([edge[middle], centres[int(np.nanargmin(away))]])
+        apart = 1
+        for _ in range(2):
+            change = _changes(collection, points, pulse, pulse + way * apart)
+            phase = -4 * np.pi / collection.wavelength * float(change[1] - change[0])
+            if apart == 1 and phase:
+                most = max(MOST_APART * 2 * half / abs(moved), 1)
+                apart = int(np.clip(np.rint(HALF_PHASE / abs(phase)), 1, most))
+        if phase and 0 <= pulse + way * apart < collection.n_pulse:
+            change = _changes(collection, edge[known], pulse, pulse + way * apart)
+            found.append(_Edge(offset[known], change, phase, apart, 2 * half / abs(moved)))
+    return found
+
+
+def _places(geometry: Geometry, pulse: int, levels: Sequence[float]) -> tuple[FloatArray, list[list[FloatArray]]]:
+    """Where the ground is some levels, rad, off the beam's centre, at ranges (n_range,) about the reference range, m.
+
+    For each level there is an array of points (n_range, 3), m, for each such place about the antenna's foot, in the
+    order of angles there; NaN where a range has fewer.
+    """
+    collection = geometry.collection
+    antenna, height = collection.antenna_position[pulse], collection.ground_height
+    offset = np.linspace(-0.5, 0.5, RANGES) * collection.range_window
+    with np.errstate(invalid="ignore"):
+        radius = np.sqrt((collection.reference_range[pulse] + offset) ** 2 - (antenna[2] - height) ** 2)
+    turn = np.linspace(-np.pi, np.pi, TURNS + 1)
+    x, y = (antenna[axis] + radius[:, None] * ray for axis, ray in ((0, np.cos(turn)), (1, np.sin(turn))))
+    away, places = beam_offset(geometry, x, y, pulse, height), []
+    for level in levels:
+        above = away - level
+        rise = np.diff(above, axis=1)
+        passing = (above[:, :-1] * above[:, 1:] <= 0) & (above[:, :-1] != 0) & (np.abs(rise) < 1)
+        rows, columns = np.nonzero(passing)
+        angle = turn[columns] - above[rows, columns] / rise[rows, columns] * (turn[1] - turn[0])
+        number = np.arange(rows.size) - np.searchsorted(rows, rows)
+        points = np.full((int(number.max(initial=-1)) + 1, RANGES, 3), np.nan)
+        points[number, rows, 0] = antenna[0] + radius[rows] * np.cos(angle)
+        points[number, rows, 1] = antenna[1] + radius[rows] * np.sin(angle)
+        points[number, rows, 2] = height
+        places.append(list(points))
+    return offset, places
+
+
+def _offset_rate(geometry: Geometry, point: FloatArray, pulse: int) -> float:
+    """How the offset of a point (3,) from the beam's centre changes from pulse to pulse, rad."""
+    around = np.clip([pulse - 1, pulse + 1], 0, geometry.collection.n_pulse - 1)
+    before, after = beam_offset(geometry, point[0], point[1], around, float(point[2]))
+    return float(after - before) / int(around[1] - around[0])
+
+
+def _changes(collection: Collection, points: FloatArray, pulse: int, other: int) -> FloatArray:
+    """d of points (n, 3) between two pulses, m (see the module); the last or first pulse stands for those beyond."""
+    first, second = (
+        np.linalg.norm(points - collection.antenna_position[p], axis=1) - collection.reference_range[p]
+        for p in (pulse, min(max(other, 0), collection.n_pulse - 1))
+    )
+    return np.asarray(second - first)
+
+
+def _phase_change(collection: Collection, edge: _Edge, one: ComplexArray, two: ComplexArray) -> tuple[float, float]:
+    """|mean| and phase, rad, of conj(s_p) s_q over range cells, over what they have at the edge, by energy of s_p."""
+    n = collection.n_range_frequency
+    middle = float(np.median(edge.change))
+    frequency = collection.carrier + collection.range_frequency
+    rows = np.nan_to_num(np.stack([one, two]).astype(np.complex128), posinf=0, neginf=0) * np.hanning(n + 2)[1:-1]
+    rows[1] *= np.exp(4j * np.pi / SPEED_OF_LIGHT * frequency * middle)
+    cells = fft_rows(rows, inverse=True)
+    place = np.mod(np.arange(n) / n + 0.5, 1) - 0.5  # of the window
+    rest = np.interp(place * collection.range_window, edge.offset, edge.change) - middle
+    energy = float((np.abs(cells[0]) ** 2).sum())
+    product = np.conj(cells[0]) * cells[1] * np.exp(4j * np.pi / collection.wavelength * rest)
+    mean = complex(product.sum()) / energy if energy > 0 else 0j
+    return abs(mean), float(np.angle(mean))

@@ -1,0 +1,205 @@
+"""The samples of a channel as pulses of a store: reading them, and which pulses turn out to be lost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import BinaryIO
+
+import numpy as np
+
+from blocksar.arrays import BoolArray, ComplexArray, IntArray
+from blocksar.chunks import TILE
+from blocksar.collection.collection import Collection
+from blocksar.collection.empty_pulses import missing_pulses
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.ingestion.area import Area, Cut, plan_cut
+from blocksar.ingestion.cphd.delays import Delays
+from blocksar.ingestion.cphd.faults import NOT_FINITE, ZEROS, Lost
+from blocksar.ingestion.cphd.files import CphdFile, reading_file
+from blocksar.ingestion.cphd.samples import Resampler, phasor
+from blocksar.ingestion.cphd.vectors import Pulses, VectorResampling
+from blocksar.ingestion.readers import Piece
+from blocksar.ingestion.resampling import MOST_ERROR
+from blocksar.measurement.window import WindowEnergy, energy_in_window
+
+ROWS = TILE[0]  # pulses written at a time
+PART = 64  # vectors resampled in frequency at a time
+MOST_ROWS = 64  # vectors that tell the sign
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Echoes:
+    """Where a channel's samples come from, and what is done with them.
+
+    Attributes
+    ----------
+    collection : Collection
+        Of all pulses.
+    slow_time : VectorResampling or None
+        None if times are uniform.
+    area : ((x0, x1), (y0, y1)) or None
+        Ground, m, of which no more is stored than it needs; None: all is.
+    """
+
+    file: CphdFile
+    collection: Collection
+    pulses: Pulses
+    slow_time: VectorResampling | None
+    resampler: Resampler
+    delays: Delays
+    area: Area | None = None
+
+    @cached_property
+    def cut(self) -> Cut | None:
+        """How what is stored comes from all pulses; None if that is all."""
+        return None if self.area is None else plan_cut(self.collection, self.area, self.pulses.vector >= 0)
+
+    @property
+    def stored(self) -> Collection:
+        """The collection that is stored."""
+        return self.collection if self.cut is None else self.cut.collection
+
+    def cut_without(self, missing: BoolArray) -> Cut | None:
+        """`cut`, with sums that leave out some of the pulses (n_pulse,)."""
+        if self.area is None or self.cut is None:
+            return None
+        again = plan_cut(self.collection, self.area, (self.pulses.vector >= 0) & ~missing)
+        return replace(self.cut, pulses=again.pulses)
+
+
+class Reader:
+    """Reads pulses of a channel, and keeps in mind which vectors hold nothing.
+
+    Attributes
+    ----------
+    seen, empty, broken : (n_vector,) bool
+        Vectors that were read; those of them whose samples are all zero; and those without a finite sample. At uneven
+        times, where pulses are sums of vectors, those with any sample that is not finite, which count as zeros there.
+    missing : (n_pulse,) bool
+        Pulses that are given as missing, beside those that have no vector.
+    """
+
+    def __init__(self, echoes: Echoes, stream: BinaryIO) -> None:
+        self._echoes, self._stream = echoes, stream
+        self.seen, self.empty, self.broken = np.zeros((3, echoes.file.shape[0]), np.bool_)
+        self.missing = np.zeros(echoes.pulses.vector.size, np.bool_)
+        self._some: dict[int, ComplexArray] = {}  # vectors that tell the sign, delays after the SRP
+
+    def read(self, pulses: slice) -> ComplexArray:
+        """Samples of some pulses on the store's frequencies, (n, n_frequency); NaN where pulses are missing."""
+        echoes, vector = self._echoes, self._echoes.pulses.vector
+        slow_time = echoes.slow_time
+        if slow_time is None:
+            shape = pulses.stop - pulses.start, echoes.resampler.frequency.size
+            block = np.full(shape, complex(np.nan, np.nan), np.complex64)
+            lit = np.flatnonzero(vector[pulses] >= 0)
+            block[lit] = self._read_in_parts(vector[pulses][lit])
+        else:
+            inputs = slow_time.resampling.inputs(pulses)
+            cycles = 2 / SPEED_OF_LIGHT * echoes.resampler.frequency * slow_time.range_shift[inputs, None]
+            used = slow_time.vector[inputs]
+            rows = self._read_in_parts(used)
+            rows[self.broken[used]] = 0
+            block = slow_time.resampling.apply((rows * phasor(cycles)).astype(np.complex64), pulses)
+        block[self.missing[pulses]] = np.nan
+        return block
+
+    def stored(self, cut: Cut | None) -> Callable[[slice], ComplexArray]:
+        """A function that gives some of the pulses that are stored."""
+        return self.read if cut is None else cut.reader(self.read, self._echoes.resampler.frequency)
+
+    def _read_in_parts(self, vectors: IntArray) -> ComplexArray:
+        out = np.empty((vectors.size, self._echoes.resampler.frequency.size), np.complex64)
+        for start in range(0, vectors.size, PART):
+            out[start : start + PART] = self._read_vectors(vectors[start : start + PART])
+        self.seen[vectors] = True
+        self.empty[vectors] = ~out.any(axis=1)
+        finite = np.isfinite(out)
+        self.broken[vectors] = ~(finite.any(axis=1) if self._echoes.slow_time is None else finite.all(axis=1))
+        return out
+
+    def _read_vectors(self, rows: IntArray) -> ComplexArray:
+        """Samples of some vectors, ascending: (rows.size, width), scaled and of the store's sign and reference."""
+        file, resampler = self._echoes.file, self._echoes.resampler
+        read = file.read(self._stream, int(rows[0]), int(rows[-1]) + 1, resampler.samples)[rows - rows[0]]
+        if file.scaled:
+            read *= file.parameter("AmpSF", rows).astype(np.float32)[:, None]
+        if file.sign > 0:
+            np.conjugate(read, out=read)
+        out = resampler.apply(read, rows)
+        every = -(-file.shape[0] // MOST_ROWS)
+        self._some |= {int(rows[k]): out[k].copy() for k in np.flatnonzero(rows % every == 0)}
+        middle = self._echoes.delays.middle[rows]
+        if not middle.any():
+            return out
+        return (out * phasor(resampler.frequency_of(rows) * middle[:, None])).astype(np.complex64)
+
+    def lost(self) -> tuple[BoolArray, list[Lost]]:
+        """The pulses that are missing by what all of their samples are, and the vectors that are lost, by reason."""
+        echoes, vector = self._echoes, self._echoes.pulses.vector
+        known = (vector >= 0) & self.seen[vector]
+        empty = known & self.empty[vector]
+        zeros = missing_pulses(empty, known, echoes.collection, lambda pulse: self.read(slice(pulse, pulse + 1))[0])
+        vectors = np.zeros(self.empty.shape, np.bool_)
+        vectors[vector[zeros]] = True
+        reasons = [Lost(ZEROS, vectors), Lost(NOT_FINITE, self.broken)]
+        if echoes.slow_time is None:
+            return zeros | (known & self.broken[vector]), reasons
+        resampling = echoes.slow_time.resampling
+        taps = resampling.first[:, None] + np.arange(resampling.weights.shape[1])
+        gone = (vectors | self.broken)[echoes.slow_time.vector][taps]
+        return np.sqrt((resampling.weights**2 * gone).sum(axis=1)) > MOST_ERROR, reasons
+
+    def sign(self) -> WindowEnergy | None:
+        """Where the energy of the vectors read lies; None in the domain TOA, whose delays have no sign."""
+        file, rows = self._echoes.file, np.array(sorted(self._some))
+        if file.domain == "TOA" or not rows.size:
+            return None
+        near, far = (SPEED_OF_LIGHT / 2 * file.parameter(name, rows) for name in ("TOA1", "TOA2"))
+        signal = np.stack([self._some[row] for row in rows])
+        step = self._echoes.collection.range_frequency_step
+        return energy_in_window(signal, frequency_step=step, near=near, far=far)
+
+
+@dataclass(kw_only=True, eq=False)
+class Found:
+    """What the samples of a channel told, once all are written."""
+
+    lost: list[Lost]
+    missing: int  # pulses
+    sign: WindowEnergy | None  # see `signs`
+
+
+def read_samples(channels: Sequence[Echoes], found: list[Found]) -> Iterator[Piece]:
+    """Read the samples of channels, one block of pulses at a time; lost pulses are missing.
+
+    Blocks that change with what is known of lost pulses at the end are given again. What is found is added to a list.
+    """
+    stored = channels[0].stored
+    blocks = [slice(first, min(first + ROWS, stored.n_pulse)) for first in range(0, stored.n_pulse, ROWS)]
+    for number, echoes in enumerate(channels):
+        with reading_file(echoes.file.path), echoes.file.path.open() as stream:
+            reader = Reader(echoes, stream)
+            read = reader.stored(echoes.cut)
+            for pulses in blocks:
+                yield Piece(number, pulses, read(pulses))
+            reader.missing, lost = reader.lost()
+            if reader.missing.any():
+                cut = echoes.cut_without(reader.missing)
+                affected, read = _affected(reader.missing, cut), reader.stored(cut)
+                for pulses in blocks:
+                    if affected[pulses].any():
+                        yield Piece(number, pulses, read(pulses))
+        missing = int(np.count_nonzero(reader.missing & (echoes.pulses.vector >= 0)))
+        found.append(Found(lost=lost, missing=missing, sign=reader.sign()))
+
+
+def _affected(missing: BoolArray, cut: Cut | None) -> BoolArray:
+    """The pulses that are stored, and change if some (n_pulse,) of all are missing."""
+    if cut is None:
+        return missing
+    sums = cut.pulses.part(cut.kept[0])
+    taps = cut.first + sums.first[:, None] + np.arange(sums.weights.shape[1])
+    return np.asarray(missing[taps].any(axis=1))

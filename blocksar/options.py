@@ -1,0 +1,131 @@
+"""Options, each stated once: the field of a frozen dataclass, whose annotation carries what people read of it.
+
+    @dataclass(frozen=True, kw_only=True)
+    class TableOptions:
+        digits: Annotated[int, Option("Significant digits.", metavar="N")] = 4
+
+Command lines, the keywords of functions and the sentences about wrong ones follow from such a model.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields
+from inspect import Parameter, signature
+from typing import Any, NamedTuple, TypeVar, get_type_hints
+
+from blocksar.errors import InputError, quoted
+
+Model = TypeVar("Model")
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True)
+class Option:
+    """What a field is, as the last part of its annotation.
+
+    Attributes
+    ----------
+    help : str
+        A sentence or two, for the command line.
+    metavar : str or None
+        What stands for its value there.
+    default : str or None
+        What stands for a default of None there.
+    read : callable or None
+        Turns a text of the command line, or a value of Python, into that of the field; raises InputError. Without it
+        the command line has the field's own type.
+    flags : tuple of str
+        Its spellings there. Default: its name.
+    """
+
+    help: str
+    metavar: str | None = None
+    default: str | None = None
+    read: Callable[[Any], Any] | None = None
+    flags: tuple[str, ...] = ()
+
+
+class Stated(NamedTuple):
+    """An option of a model: its name, its type as annotated, its default, and what is said of it."""
+
+    name: str
+    type: Any
+    default: Any
+    option: Option
+
+
+def options_of(model: type) -> tuple[Stated, ...]:
+    """The options of a model, in the order of its fields.
+
+    Examples
+    --------
+    >>> from dataclasses import make_dataclass
+    >>> from typing import Annotated
+    >>> TableOptions = make_dataclass("TableOptions", [("digits", Annotated[int, Option("Significant digits.")], 4)])
+    >>> [(each.name, each.type, each.default) for each in options_of(TableOptions)]
+    [('digits', <class 'int'>, 4)]
+    """
+    hints = get_type_hints(model, include_extras=True)
+    found = []
+    for field in fields(model):
+        annotated = hints[field.name]
+        found.append(Stated(field.name, annotated.__origin__, field.default, annotated.__metadata__[-1]))
+    return tuple(found)
+
+
+def read_options(model: type[Model], given: Mapping[str, Any], of: str, elsewhere: Iterable[tuple[str, type]]) -> Model:
+    """Make a model of what is given by name; None stands for a default.
+
+    Parameters
+    ----------
+    model : type
+    given : mapping
+    of : str
+        What has the options, for messages.
+    elsewhere : iterable of (str, type)
+        Others of its kind with their models: an option that is one of theirs is said to be. Asked only then.
+
+    Raises
+    ------
+    InputError
+        If an option is not one of the model's, or a value is wrong.
+    """
+    known = {each.name: each for each in options_of(model)}
+    values = {}
+    for name, value in given.items():
+        if value is None:
+            continue
+        if name not in known:
+            raise InputError(_not_one(name, value, of, known, elsewhere))
+        read = known[name].option.read
+        values[name] = value if read is None else read(value)
+    return model(**values)
+
+
+def showing_options(*models: type) -> Callable[[Function], Function]:
+    """Decorate a function with **options: its signature, for people and editors, has the options of models as well."""
+
+    def decorate(function: Function) -> Function:
+        plain = signature(function)
+        *own, rest = plain.parameters.values()
+        stated = {each.name: each for model in models for each in options_of(model)}
+        options = [
+            Parameter(each.name, Parameter.KEYWORD_ONLY, default=each.default, annotation=each.type)
+            for each in stated.values()
+        ]
+        function.__signature__ = plain.replace(parameters=[*own, *options, rest])  # type: ignore[attr-defined]
+        return function
+
+    return decorate
+
+
+def _not_one(name: str, value: Any, of: str, known: Mapping[str, Stated], elsewhere: Iterable[tuple[str, type]]) -> str:
+    """Why an option cannot be given."""
+    others = [other for other, model in elsewhere if name in (each.name for each in options_of(model))]
+    if others:
+        return f"{name} is {value!r}, but it is an option of {' and '.join(others)} only; leave it out"
+    close = difflib.get_close_matches(name, known, n=1)
+    remedy = f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}" if known else "leave it out"
+    return f"{name} is {quoted(value)}, but {of} has no such option; {remedy}"

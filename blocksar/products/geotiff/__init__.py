@@ -1,0 +1,1 @@
+"""The image of a run as a cloud-optimised GeoTIFF."""

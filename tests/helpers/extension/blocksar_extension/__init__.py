@@ -1,0 +1,1 @@
+"""Parts of blocksar that are not its own."""

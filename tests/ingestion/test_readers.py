@@ -1,0 +1,95 @@
+"""Readers of other packages stand beside the own ones: in help, commands, Python, `info` and messages."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from inspect import signature
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from extension import install
+from near_range import near_range
+
+import blocksar
+from blocksar import api, stores
+from blocksar.ingestion.readers import READERS, ReaderOptions
+from blocksar.options import options_of
+
+Flight = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def flight() -> Flight:
+    along = np.linspace(-2, 2, 300)
+    return near_range(n_frequency=64, track=np.stack([0 * along - 5.0, along, 0 * along + 1.5], axis=1))
+
+
+def written(folder: Path, flight: Flight) -> Path:
+    """A file of the extension's format."""
+    signal, frequency = np.asarray(flight["signal"], "<c8"), np.asarray(flight["range_frequency"])
+    told = {
+        "pulses": signal.shape[0], "columns": signal.shape[1], "carrier": flight["carrier_frequency"], "by": "a test",
+        "prf": 1 / float(flight["time"][1] - flight["time"][0]), "step": float(frequency[1] - frequency[0]),
+        "reference_range": float(np.ravel(flight["reference_range"])[0]), "title": "a flight",
+    }  # fmt: skip
+    path = folder / "flight.bin"
+    track = np.asarray(flight["antenna_position"], "<f8")
+    path.write_bytes(b"MADEUP 1\n" + json.dumps(told).encode() + b"\n" + track.tobytes() + signal.tobytes())
+    return path
+
+
+def run(environment: dict[str, str], *words: str) -> subprocess.CompletedProcess[str]:
+    words = (sys.executable, "-m", "blocksar", *words)
+    return subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
+
+
+def test_a_reader_of_another_package_has_a_command_and_knows_its_files(tmp_path: Path, flight: Flight) -> None:
+    environment, path = install(tmp_path / "site"), written(tmp_path, flight)
+    listed = run(environment, "ingest", "--help").stdout
+    assert "│ madeup  Convert a MADEUP file" in listed and all(name in listed for name in READERS.own)
+    shown = " ".join(run(environment, "ingest", "madeup", "--help").stdout.split())
+    assert "--gain" in shown and "--ground-height" in shown and "--collection-start" in shown
+
+    told = run(environment, "info", str(path))
+    assert told.returncode == 0 and "by a test" in " ".join(told.stdout.split()), told.stderr
+    for name, words in (("a", ("madeup",)), ("b", ())):  # by its name, and by the file's first bytes
+        out = tmp_path / f"{name}.zarr"
+        done = run(environment, "ingest", *words, str(path), "--out", str(out), "--gain", "2", "-q")
+        assert done.returncode == 0 and "300 pulses of 64 samples, by a test" in done.stdout, done.stderr
+        history = stores.open_phase_history(out)
+        assert np.array_equal(history.read(slice(None), slice(None)), 2 * np.asarray(flight["signal"], np.complex64))
+        assert history.attrs["source"] == {"format": "MADEUP", "by": "a test"}
+        assert np.array_equal(history.collection.antenna_position, flight["antenna_position"])
+
+    cut = tmp_path / "cut.bin"
+    cut.write_bytes(path.read_bytes()[:-9])
+    refused = run(environment, "ingest", str(cut), "--out", str(tmp_path / "c.zarr"))
+    assert refused.returncode == 2 and "cut.bin is damaged" in refused.stderr and not (tmp_path / "c.zarr").exists()
+    mistaken = run(environment, "plan", str(path))
+    assert "is a MADEUP file; turn it into a phase history first: `blocksar ingest" in mistaken.stderr
+
+
+def test_what_no_reader_knows_is_said(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n")
+    with pytest.raises(blocksar.InputError, match=r"a\.png is a PNG picture"):
+        blocksar.ingest(None, tmp_path / "a.png", tmp_path / "a.zarr")
+    with pytest.raises(blocksar.InputError, match=r"kind is 'sar'; it must be 'cphd' or 'gotcha'"):
+        blocksar.ingest("sar", tmp_path / "a.png", tmp_path / "a.zarr")
+    with pytest.raises(blocksar.InputError, match=r"sgn is 1, but it is an option of cphd only; leave it out"):
+        blocksar.ingest("gotcha", tmp_path / "a.mat", tmp_path / "a.zarr", sgn=1)
+    with pytest.raises(blocksar.InputError, match=r"but cphd has no such option; did you mean area\?"):
+        blocksar.ingest("cphd", tmp_path / "a.cphd", tmp_path / "a.zarr", aera="0:1,0:1")
+
+
+@pytest.mark.parametrize("name", READERS.own)
+def test_an_own_reader_has_a_function_with_the_options_of_its_model(name: str) -> None:
+    model = READERS.get(name).options
+    assert issubclass(model, ReaderOptions)
+    known = signature(getattr(api, f"ingest_{name}")).parameters
+    for option in options_of(model):
+        expected = None if option.option.read is not None else option.default
+        assert known[option.name].default == expected

@@ -1,0 +1,146 @@
+"""Products of other packages stand beside the own ones, in help, commands, Python and messages."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from extension import PARTS, install
+from matplotlib.image import imread
+from small_run import DAYTON, TARGETS, Made
+
+from blocksar.options import options_of
+from blocksar.products.registry import PRODUCTS
+
+BROKEN = {
+    "lost": "blocksar_extension.nowhere:Lost",
+    "nameless": "blocksar_extension.product:Nameless",
+    "number": "blocksar_extension.product:KML_TEXT",
+}
+# An option that no command can have beside its own.
+CLASH = """
+from dataclasses import dataclass
+from typing import Annotated
+from blocksar.options import Option
+from blocksar_extension.product import KML
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    out: Annotated[str, Option("Twice.")] = ""
+
+class Clash(KML):
+    options = Options
+"""
+# What a session in Python says of calls, each a list of arguments and keywords; and whether the package is loaded then.
+CALLS = """
+import json, sys
+import blocksar
+said = []
+for arguments, keywords in json.loads(sys.argv[1]):
+    try:
+        answer = blocksar.export(*arguments, **keywords).summary
+    except blocksar.InputError as error:
+        answer = str(error)
+    said.append((answer, "blocksar_extension.product" in sys.modules))
+print(json.dumps(said))
+"""
+
+
+def blocksar(environment: dict[str, str], *words: str) -> subprocess.CompletedProcess[str]:
+    words = (sys.executable, "-m", "blocksar", *words)
+    return subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
+
+
+def calls(environment: dict[str, str], *each: tuple[tuple[str, ...], dict[str, object]]) -> list[Any]:
+    words = (sys.executable, "-c", CALLS, json.dumps(each))
+    run = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
+    return json.loads(run.stdout)
+
+
+def test_a_product_of_another_package_has_a_command_of_its_own(made: Made, tmp_path: Path) -> None:
+    environment = install(tmp_path / "site")
+    listed = blocksar(environment, "export", "--help").stdout
+    assert all(name in listed for name in PRODUCTS.own)
+    assert "│ kml      Lay the image over the Earth, as a KML file." in listed
+    shown = " ".join(blocksar(environment, "export", "kml", "--help").stdout.split())
+    assert "A picture is written beside it." in shown and "--out image.kml" in shown
+    assert "--opacity SHARE Of the picture, from 0 to 1. [default: 1.0]" in shown
+
+    out = tmp_path / "image.kml"
+    words = ("export", "kml", str(made.folder), "--out", str(out), "-q", "--opacity")
+    done = blocksar(environment, *words, "0.5")
+    assert done.returncode == 0 and f"wrote {out}" in " ".join(done.stdout.split()), done.stderr
+    overlay = ET.parse(out).getroot()[0]
+    assert overlay[0].text == "80ffffff" and overlay[1][0].text == "image.kml.png"
+    west, south, east, _, _, north, _, _ = map(float, (overlay[2][0].text or "").replace(",", " ").split())
+    picture = imread(tmp_path / "image.kml.png")[..., 0]
+    rows, columns = picture.shape
+    for target in TARGETS:  # white, where the file says that they are
+        latitude, longitude, _ = DAYTON.to_geodetic(np.array([target.x, target.y, 0.0]))
+        row, column = (north - latitude) / (north - south) * rows, (longitude - west) / (east - west) * columns
+        assert picture[int(row), int(column)] > 0.95
+
+
+def test_a_product_of_another_package_is_one_in_python_and_in_messages(made: Made, tmp_path: Path) -> None:
+    environment, run, out = install(tmp_path / "site"), str(made.folder), str(tmp_path / "a")
+    said = calls(
+        environment,
+        (("png", run, f"{out}.png"), {"size": 200}),
+        (("kml", run, f"{out}.kml"), {"opacity": 2}),
+        (("kml", run, f"{out}.kml"), {"opacity": 0.25}),
+        (("kmz", run, f"{out}.kmz"), {}),
+        (("png", run, f"{out}.png"), {"opacity": 0.25}),
+        (("png", run, f"{out}.kml"), {}),
+    )
+    assert [loaded for _, loaded in said] == [False, *[True] * 5]  # what is not asked for costs nothing
+    _, wrong, written, kind, option, ending = (answer for answer, _ in said)
+    assert wrong == "opacity = 2: give a number from 0 to 1"
+    assert written[-1] == f"wrote {out}.kml" and "<color>40ffffff" in Path(f"{out}.kml").read_text()
+    assert kind == "kind is 'kmz'; it must be 'sicd', 'geotiff', 'png' or 'kml'"
+    assert option == "opacity is 0.25, but it is an option of kml only; leave it out"
+    assert ending == f"{out}.kml ends in .kml, which is that of kml; give png a name that ends in .png"
+
+
+def test_a_broken_package_breaks_nothing_else(made: Made, tmp_path: Path) -> None:
+    group = "blocksar.products"
+    environment = install(tmp_path / "site", {group: PARTS[group] | BROKEN | {"clash": "clash:Clash"}})
+    (tmp_path / "site" / "clash.py").write_text(CLASH)
+    listed = blocksar(environment, "export", "--help")
+    assert (listed.returncode, listed.stderr) == (0, "")
+    assert "│ kml       Lay the image over" in listed.stdout
+    for name in BROKEN:
+        assert f"Product {name} of package blocksar_extension cannot be loaded" in " ".join(listed.stdout.split())
+    assert "Clash has no command (ValueError: duplicate parameter name: 'out')" in listed.stdout
+    tried = blocksar(environment, "export", "lost", "run", "--out", "a.lost")
+    assert (tried.returncode, tried.stdout) == (2, "")
+    assert tried.stderr == (
+        "blocksar: product lost of package blocksar_extension cannot be loaded (ModuleNotFoundError: No module named "
+        "'blocksar_extension.nowhere'); repair or remove that package\n"
+    )
+    (_, unknown, *said) = calls(
+        environment,
+        (("png", str(made.folder), str(tmp_path / "a.whatever")), {"size": 200}),
+        (("png", str(made.folder), str(tmp_path / "a.png")), {"opacities": 1}),
+        *(((name, str(made.folder), str(tmp_path / "a")), {}) for name in BROKEN),
+    )
+    assert (
+        unknown[0]
+        == "opacities is 1, but png has no such option; known are range, colour_map, size, crop, looks, composite"
+    )
+    for name, (sentence, _) in zip(BROKEN, said, strict=True):
+        assert sentence.startswith(f"product {name} of package blocksar_extension cannot be loaded (")
+        assert sentence.endswith("); repair or remove that package")
+
+
+@pytest.mark.parametrize("name", PRODUCTS.own)
+def test_an_own_product_has_all_that_one_needs(name: str) -> None:
+    product = PRODUCTS.get(name)
+    assert "\n" not in product.summary.partition("\n\n")[0] and product.summary.endswith(".")
+    assert all(ending.startswith(".") for ending in product.endings)
+    assert all(each.default is None and each.option.help.endswith(".") for each in options_of(product.options))
