@@ -9,7 +9,7 @@ from its receipts.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain, islice
@@ -28,6 +28,7 @@ from blocksar.collection.ownership import margins_over
 from blocksar.collection.sublooks import whole_beam
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, ProcessingError
+from blocksar.focusing.hierarchy import Levels
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.graph.admission import Unit
@@ -39,8 +40,8 @@ from blocksar.graph.merging import PatchChunk, merge_chunks
 from blocksar.graph.patching import Patch, write_patch
 from blocksar.graph.reading import compress_pulses, inspect_group, recover_group
 from blocksar.graph.segments import Segment, by_collection
-from blocksar.graph.spectrum import SpectrumChunks
-from blocksar.graph.tasks import Projected, back_project_chunk, read_slab, run_stage
+from blocksar.graph.spectrum import SpectrumChunks, Window
+from blocksar.graph.tasks import Projected, back_project_chunks, read_slab, run_stage
 from blocksar.graph.units import Spare, run_units, single_task, spans
 from blocksar.inspection.samples import Inspection, merge
 from blocksar.inspection.sentences import refusal
@@ -400,24 +401,28 @@ def back_project(
     noises: Sequence[NoiseMap | None],
     run: Run,
     listener: Listener,
+    *,
+    parts: Mapping[str, Sequence[Window]],
+    levels: Sequence[Levels | None],
 ) -> list[Receipt]:
-    """Form image.zarr from phase histories by exact back-projection, by output chunk."""
-    side = image_chunk(grid)
+    """Form image.zarr from phase histories by back-projection, in parts of some output chunks each.
+
+    `parts` are units of work by name; `levels` has those of each segment's hierarchy, or None to be exact.
+    """
     sources = [
         Projected(
-            segment.history, segment.geometry.over(None), inspection, noise, segment.number or 0, segment.collection
+            segment.history, segment.geometry.over(None), inspection, noise, segment.number or 0, segment.collection,
+            own,
         )
-        for segment, inspection, noise in zip(segments, inspections, noises, strict=True)
-    ]
+        for segment, inspection, noise, own in zip(segments, inspections, noises, levels, strict=True)
+    ]  # fmt: skip
     on_terrain = segments[0].geometry.terrain is not None
     units = [
         single_task(
-            client, run, "backprojection", f"chunk-{row}-{column}",
-            back_project_chunk, sources, (row, column), grid, weighting, on_terrain,
+            client, run, "backprojection", unit, back_project_chunks, sources, windows, grid, weighting, on_terrain
         )
-        for row in range(-(-grid.shape[0] // side[0]))
-        for column in range(-(-grid.shape[1] // side[1]))
-    ]  # fmt: skip
+        for unit, windows in parts.items()
+    ]
     raw = any(segment.history.path == segment.of(run).compressed for segment in segments)
     reading = [] if raw else [unit for unit, _ in units]
     return run_units(client, "backprojection", units, run, listener, reading_input=reading)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import wraps
@@ -22,6 +22,7 @@ from blocksar.collection.ownership import margins_over
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.backprojection import form_image
+from blocksar.focusing.hierarchy import Levels
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.step import Stage
 from blocksar.focusing.terrain_layers import Sight
@@ -43,7 +44,6 @@ from blocksar.kernels import buffers
 from blocksar.places.place import Place
 from blocksar.places.posix import resource
 from blocksar.planning.block import BlockPlan
-from blocksar.planning.tiling import chunk_window
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Receipt, Written
 
@@ -60,6 +60,7 @@ class Projected(NamedTuple):
     noise: NoiseMap | None
     number: int
     collection: int | None
+    levels: Levels | None  # of the hierarchy; None: exactly
 
 
 def peak_memory() -> int:
@@ -218,57 +219,73 @@ def add_layers(
     return sign(run, Receipt(unit=unit, stage="mosaic", written=behind.written), started)
 
 
-def back_project_chunk(
+def back_project_chunks(
     run: Run,
     unit: str,
     sources: Sequence[Projected],
-    cell: tuple[int, int],
+    windows: Sequence[Window],
     grid: Grid,
     weighting: Weighting,
     on_terrain: bool = False,
 ) -> Receipt:
-    """Form one output chunk by exact back-projection; reads only the pulses that light it, and the terrain there."""
+    """Form output chunks by back-projection; reads only the pulses that light them, and the terrain there."""
     started = time.perf_counter()
-    window = chunk_window(cell, grid)
-    terrain = local_terrain(run, grid, window) if on_terrain else None
+    terrain = local_terrain(run, grid, around(windows)) if on_terrain else None
     sources = [source._replace(geometry=source.geometry.over(terrain)) for source in sources]
-    image = _project(run, sources[0], window, grid, weighting)
-    owner = np.where(np.isfinite(image.real), 0, -1).astype(np.int16)
-    if len(sources) > 1:
-        merged = Merged(owner.shape)
-        for number, source in enumerate(sources):
-            other = _project(run, source, window, grid, weighting) if number else image
-            margins = margins_over(source.geometry, grid.x[window[1]], grid.y[window[0]])
-            np.copyto(image, other, where=merged.choose(source.number, np.isfinite(other.real), margins))
-        owner = merged.taken
-    parts = []
-    if (owner >= 0).any():
-        collections = {source.number: source.collection for source in sources if source.collection is not None}
-        noises = {source.number: source.noise for source in sources if source.noise is not None}
-        seen = [(source.number, source.geometry) for source in sources if on_terrain]
-        layers, alike = TerrainLayers(run, grid, sights_of(run, grid, seen)), AlikeChunks(run)
-        parts = [
-            write(run, run.image, "image", window, image),
-            *write_owner(alike, window, owner, collections),
-            *write_noise(run, window, owner, grid, noises, layers.heights.over(window) if noises else None),
-            *write_layers(alike, window, layers.over(window, owner)),
-        ]
-    return sign(run, Receipt(unit=unit, stage="backprojection", written=tuple(parts)), started)
+    collections = {source.number: source.collection for source in sources if source.collection is not None}
+    noises = {source.number: source.noise for source in sources if source.noise is not None}
+    seen = [(source.number, source.geometry) for source in sources if on_terrain]
+    layers, alike = TerrainLayers(run, grid, sights_of(run, grid, seen)), AlikeChunks(run)
+    written: list[Written] = []
+    for formed in zip(*(_project(run, source, windows, grid, weighting) for source in sources), strict=True):
+        window, image = formed[0]
+        owner = np.where(np.isfinite(image.real), 0, -1).astype(np.int16)
+        if len(sources) > 1:
+            merged = Merged(owner.shape)
+            for source, (_, other) in zip(sources, formed, strict=True):
+                margins = margins_over(source.geometry, grid.x[window[1]], grid.y[window[0]])
+                np.copyto(image, other, where=merged.choose(source.number, np.isfinite(other.real), margins))
+            owner = merged.taken
+        if (owner >= 0).any():
+            written += [
+                write(run, run.image, "image", window, image),
+                *write_owner(alike, window, owner, collections),
+                *write_noise(run, window, owner, grid, noises, layers.heights.over(window) if noises else None),
+                *write_layers(alike, window, layers.over(window, owner)),
+            ]
+    return sign(run, Receipt(unit=unit, stage="backprojection", written=tuple(written)), started)
 
 
-def _project(run: Run, source: Projected, window: Window, grid: Grid, weighting: Weighting) -> ComplexArray:
-    """Form one output chunk of one collection."""
-    rows, columns = window
+def around(windows: Sequence[Window]) -> Window:
+    """The window around some."""
+    spans = [slice(min(w[k].start for w in windows), max(w[k].stop for w in windows)) for k in (0, 1)]
+    return spans[0], spans[1]
+
+
+def _project(
+    run: Run, source: Projected, windows: Sequence[Window], grid: Grid, weighting: Weighting
+) -> Iterator[tuple[Window, ComplexArray]]:
+    """Form output chunks of one collection: hierarchically, or each exactly."""
 
     def read(pulses: slice) -> ComplexArray:
         return read_valid(source.source, source.inspection, pulses)
 
-    image = np.full((rows.stop - rows.start, columns.stop - columns.start), np.nan + 1j * np.nan, np.complex64)
-    for i in range(0, image.shape[0], BACKPROJECTION_CHUNK):
-        for j in range(0, image.shape[1], BACKPROJECTION_CHUNK):
-            part = (slice(i, i + BACKPROJECTION_CHUNK), slice(j, j + BACKPROJECTION_CHUNK))
-            image[part] = form_image(
-                read, source.geometry, grid.x[columns][part[1]], grid.y[rows][part[0]], threads=run.threads,
-                weighting=weighting,
-            )  # fmt: skip
-    return image
+    if source.levels is not None:
+        from blocksar.focusing.hierarchical_backprojection import form_windows  # with its loops
+
+        yield from form_windows(
+            read, source.geometry, grid.x, grid.y, windows, levels=source.levels, threads=run.threads,
+            weighting=weighting,
+        )  # fmt: skip
+        return
+    for window in windows:
+        rows, columns = window
+        image = np.full((rows.stop - rows.start, columns.stop - columns.start), np.nan + 1j * np.nan, np.complex64)
+        for i in range(0, image.shape[0], BACKPROJECTION_CHUNK):
+            for j in range(0, image.shape[1], BACKPROJECTION_CHUNK):
+                part = (slice(i, i + BACKPROJECTION_CHUNK), slice(j, j + BACKPROJECTION_CHUNK))
+                image[part] = form_image(
+                    read, source.geometry, grid.x[columns][part[1]], grid.y[rows][part[0]], threads=run.threads,
+                    weighting=weighting,
+                )  # fmt: skip
+        yield window, image

@@ -18,6 +18,7 @@ import numpy as np
 
 from blocksar.chunks import LAYER_CHUNKS, MOSAIC_CHUNKS, TILE
 from blocksar.collection.beam import dwell
+from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.planning.block import BlockPlan
@@ -130,7 +131,8 @@ def together(works: Sequence[Work]) -> Work:
     total = {stage: [cost for work in works for cost in work.get(stage, ())] for stage in stages}
     if "backprojection" in total:
         total["backprojection"] = [
-            sum(costs) for costs in zip(*(work["backprojection"] for work in works), strict=True)
+            sum(costs)
+            for costs in zip(*(work["backprojection"] for work in works if "backprojection" in work), strict=True)
         ]
     return total | {"finish": [FINISH]}
 
@@ -143,11 +145,14 @@ def _gating(plan: Plan) -> dict[str, list[float]]:
 
 def of_backprojection(geometry: Geometry, grid: Grid) -> Work:
     """Work of exact back-projection, without that of a raw echo."""
-    collection = geometry.collection
+    return {**of_inspection(geometry.collection), "backprojection": _by_chunk(geometry, grid), "finish": [FINISH]}
+
+
+def of_inspection(collection: Collection) -> Work:
+    """Work of the inspection of samples that are not recovered."""
     n_tasks = math.ceil(collection.n_range_frequency / inspection_width(collection))
     inspect = INSPECT * collection.n_pulse * collection.n_range_frequency
-    stages = {"inspect": [inspect / n_tasks] * n_tasks, "backprojection": _by_chunk(geometry, grid)}
-    return stages | {"finish": [FINISH]}
+    return {"inspect": [inspect / n_tasks] * n_tasks}
 
 
 def of_demo(*, simulated: bool, compiled: bool) -> Work:

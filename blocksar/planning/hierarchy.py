@@ -203,16 +203,16 @@ class Division:
         """Error power of the image over that of all that its data hold."""
         return planned_error(self.levels, stages=self.stages)
 
-    def units(self, grid: Grid) -> list[list[tuple[slice, slice]]]:
-        """The windows of each unit: chunks of the image."""
-        side = image_chunk(grid)
+    def units(self, grid: Grid, chunks: tuple[int, int] | None = None) -> list[list[tuple[slice, slice]]]:
+        """The windows of each unit: chunks of the image; `chunks` along rows and columns instead of its own."""
+        side, (high, wide) = image_chunk(grid), chunks or self.chunks
         spans = [
             [slice(first, min(first + step, n)) for first in range(0, n, step)]
             for n, step in zip(grid.shape, side, strict=True)
         ]
         rows, columns = (
-            [spans[k][first : first + self.chunks[k]] for first in range(0, len(spans[k]), self.chunks[k])]
-            for k in (0, 1)
+            [each[first : first + number] for first in range(0, len(each), number)]
+            for each, number in zip(spans, (high, wide), strict=True)
         )
         return [[(row, column) for row in some for column in others] for some in rows for others in columns]
 

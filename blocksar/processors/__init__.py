@@ -19,6 +19,7 @@ PROCESSORS: Registry[Processor] = Registry(
         "angular-division": f"{CHAINS}:ANGULAR_DIVISION",
         "keystone-resampling": f"{CHAINS}:KEYSTONE_RESAMPLING",
         "high-order-phase": f"{CHAINS}:HIGH_ORDER_PHASE",
+        "hierarchical-backprojection": "blocksar.processors.hierarchical:HIERARCHICAL",
         "backprojection": "blocksar.processors.backprojection:EXACT",
     },
 )

@@ -6,11 +6,14 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.constants import MIB
 from blocksar.errors import InputError
+from blocksar.focusing.hierarchy import Levels
 from blocksar.focusing.method import ChainOptions, Method
 from blocksar.graph import compiling
 from blocksar.inspection.sentences import doubts_of_track
@@ -18,10 +21,13 @@ from blocksar.planning import effort
 from blocksar.planning.disk import exact_bytes
 from blocksar.planning.memory import checked_back_projection_memory
 from blocksar.planning.segments import joint_grid
+from blocksar.planning.tiling import chunk_window, image_chunk
 from blocksar.processors.base import Execution, ImagePlan, Piece, Problem
 from blocksar.processors.lines import lit_pulses
 from blocksar.progress import Work
 from blocksar.runs.record import Receipt
+
+Window = tuple[slice, slice]
 
 
 class Backprojection:
@@ -55,22 +61,27 @@ class Backprojection:
         InputError
             If the grid is missing, or a worker has too little memory.
         """
-        collections, terrain = problem.collections, problem.terrain
-        grid = problem.grid or joint_grid([Geometry(collection=collection) for collection in collections])
-        geometries = [
-            Geometry(collection=each) if terrain is None else over_terrain(each, terrain) for each in collections
-        ]
+        grid, pieces = undivided(problem)
         memory = max(
             checked_back_projection_memory(each, grid, problem.machine.threads, problem.machine.memory_limit)
-            for each in collections
+            for each in problem.collections
         )
-        pieces = tuple(
-            Piece(collection=number, geometry=each, first_block=number) for number, each in enumerate(geometries)
-        )
-        return BackprojectionPlan(processor=self.name, grid=grid, pieces=pieces, terrain=terrain, needed=memory)
+        return BackprojectionPlan(processor=self.name, grid=grid, pieces=pieces, terrain=problem.terrain, needed=memory)
 
 
 EXACT = Backprojection()
+
+
+def undivided(problem: Problem) -> tuple[Grid, tuple[Piece, ...]]:
+    """The grid of an image, and all its collections over their ground."""
+    grid = problem.grid or joint_grid([Geometry(collection=each) for each in problem.collections])
+    geometries = [
+        Geometry(collection=each) if problem.terrain is None else over_terrain(each, problem.terrain)
+        for each in problem.collections
+    ]
+    return grid, tuple(
+        Piece(collection=number, geometry=each, first_block=number) for number, each in enumerate(geometries)
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,6 +94,17 @@ class BackprojectionPlan(ImagePlan):
     @property
     def result(self) -> Grid:
         return self.grid
+
+    @property
+    def levels(self) -> tuple[Levels | None, ...]:
+        """Those of each piece's hierarchy; None for none."""
+        return (None,) * len(self.pieces)
+
+    def parts(self) -> dict[str, list[Window]]:
+        """Windows of the image, whole chunks, of each unit of work."""
+        side = image_chunk(self.grid)
+        cells = np.ndindex(*(-(-n // k) for n, k in zip(self.grid.shape, side, strict=True)))
+        return {f"chunk-{row}-{column}": [chunk_window((row, column), self.grid)] for row, column in cells}
 
     def memory(self, threads: int) -> int:
         return self.needed
@@ -127,7 +149,8 @@ class BackprojectionPlan(ImagePlan):
         inspections = [each.inspection for each in read]
         noises = execution.noises([inspection.lit for inspection in inspections])
         formed = stages.back_project(
-            client, segments, self.grid, inspections, execution.weighting, noises, run, listener
+            client, segments, self.grid, inspections, execution.weighting, noises, run, listener, parts=self.parts(),
+            levels=self.levels,
         )  # fmt: skip
         execution.end("backprojection")
         return [*(receipt for each in read for receipt in each.receipts), *formed]

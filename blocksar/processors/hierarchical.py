@@ -1,0 +1,108 @@
+"""Hierarchical back-projection as a processor: parts of the image from data that hold no more than these."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from blocksar.constants import MIB
+from blocksar.focusing.hierarchy import Levels
+from blocksar.graph import compiling
+from blocksar.inspection.sentences import doubts_of_track
+from blocksar.planning import effort
+from blocksar.planning.hierarchy import Division, coherence_of, divide
+from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY, checked_memory
+from blocksar.processors.backprojection import BackprojectionPlan, Window, undivided
+from blocksar.processors.base import ImagePlan, NoOptions, Problem
+from blocksar.progress import Work
+
+
+class HierarchicalBackprojection:
+    """Back-projection by a hierarchy of parts: any track, beam and ground, with an error that `fidelity` sets.
+
+    See `focusing.hierarchy` for the derivation. Between the levels nothing is stored: a unit of work reads its samples
+    in pieces, decimates them at once, and writes chunks of the image.
+    """
+
+    name = "hierarchical-backprojection"
+    summary = "as exact as is asked for, any geometry"
+    options = NoOptions
+    universal = True
+
+    def check(self, options: Any) -> None:
+        """There are none."""
+
+    def plan(self, problem: Problem) -> ImagePlan:
+        """Plan an image: the levels, and the parts that tasks form.
+
+        Raises
+        ------
+        InputError
+            If the grid is missing, or a worker has too little memory.
+        """
+        grid, pieces = undivided(problem)
+        machine, n = problem.machine, len(pieces)
+        share = PROCESS_MEMORY + (MEMORY_SHARE * machine.memory_limit - PROCESS_MEMORY) / n
+        divisions = tuple(
+            divide(
+                piece.geometry, grid, fidelity=problem.fidelity, weighting=problem.weighting,
+                workers=max(machine.workers, 1), memory_limit=share,
+            )
+            for piece in pieces
+        )  # fmt: skip
+        memory = PROCESS_MEMORY + sum(each.memory - PROCESS_MEMORY for each in divisions)
+        return HierarchicalPlan(
+            processor=self.name, grid=grid, pieces=pieces, terrain=problem.terrain, divisions=divisions,
+            needed=checked_memory("hierarchical back-projection", memory, machine.memory_limit),
+            coherence=min(coherence_of(each.error) for each in divisions),
+        )  # fmt: skip
+
+
+HIERARCHICAL = HierarchicalBackprojection()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HierarchicalPlan(BackprojectionPlan):
+    """The plan of an image by hierarchical back-projection; `divisions` has that of each piece."""
+
+    divisions: tuple[Division, ...]
+
+    @property
+    def levels(self) -> tuple[Levels | None, ...]:
+        return tuple(each.levels for each in self.divisions)
+
+    @property
+    def chunks(self) -> tuple[int, int]:
+        """Rows and columns of chunks of the image in a unit of work: as many as suit all pieces."""
+        return min(each.chunks[0] for each in self.divisions), min(each.chunks[1] for each in self.divisions)
+
+    def parts(self) -> dict[str, list[Window]]:
+        units = self.divisions[0].units(self.grid, self.chunks)
+        return {f"part-{number}": windows for number, windows in enumerate(units)}
+
+    def work(self, *, workers: int) -> Work:
+        inspecting = [effort.of_inspection(piece.geometry.collection) for piece in self.pieces]
+        count = len(self.parts())
+        seconds = sum(each.seconds for each in self.divisions) / count
+        return effort.together([*inspecting, {"backprojection": [seconds] * count}])
+
+    def loops(self) -> Sequence[str]:
+        return *super().loops(), *compiling.HIERARCHY
+
+    def lines(self, *, compared: bool = False) -> list[str]:
+        worst = max(self.divisions, key=lambda each: each.error)
+        sides = " > ".join(f"{side:.3g}" for side in worst.levels.sides) or "none"
+        error = 10 * math.log10(worst.error)
+        doubts = (line for piece in self.pieces for line in doubts_of_track(piece.geometry.collection, exact=True))
+        return [
+            f"hierarchical back-projection of {self.grid.shape[1]} x {self.grid.shape[0]} pixels in "
+            f"{len(self.parts())} parts of {self.chunks[1]} x {self.chunks[0]} chunks, divided into parts of at most "
+            f"{sides} m",
+            f"predicted coherence with exact back-projection: at least {self.coherence:.8f}; errors are "
+            f"{error:.0f} dB below the power of all that a part's data hold, bright places beside it as well",
+            f"peak memory of a worker {self.needed / MIB:.0f} MiB",
+            f"a run writes at most {sum(self.stored().values()) / MIB:.0f} MiB",
+            *dict.fromkeys(doubts),
+        ]
