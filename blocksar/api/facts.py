@@ -27,6 +27,7 @@ from blocksar.places.room import size_text
 from blocksar.runs.record import RunRecord
 
 Rows = list[tuple[str, str]]
+PREDICTED = "predicted coherence with exact back-projection at least"
 # Settings of a run that go without saying; the processor is always named.
 USUAL = {
     **{name: value for name, value in Method().as_settings().items() if name != "processor"},
@@ -184,9 +185,16 @@ def run_rows(record: RunRecord) -> Rows:
         rows.append(("settings", ", ".join(chosen)))
     if plan.blocks is not None:
         parts = f" of {plan.parts} range sub-blocks each" if (plan.parts or 1) > 1 else ""
-        least = min((block.coherence for block in plan.predicted), default=math.nan)
-        kept = "" if math.isnan(least) else f"; predicted coherence with exact back-projection at least {least:.6g}"
+        kept = (
+            ""
+            if math.isnan(plan.least)
+            else f"; predicted coherence with exact back-projection at least {plan.least:.6g}"
+        )
         rows.append(("plan", f"{plan.blocks} angular blocks{parts}{kept}"))
+    if plan.coherence is not None:
+        rows.append(("plan", f"{PREDICTED} {plan.coherence:.8g}"))
+    if plan.processor:
+        rows.append(("chosen", f"processor {plan.processor}"))
     if plan.grid is not None:
         rows.append(("grid", grid_text(Grid(*plan.grid))))
     if "total" in record.timings:

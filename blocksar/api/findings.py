@@ -126,7 +126,7 @@ def _of_collection(
 
 def _universal(job: Job) -> bool:
     """Whether the processor takes any track."""
-    return PROCESSORS.get(job.request.processor).universal
+    return PROCESSORS.get(job.plan.processor).universal
 
 
 def without_samples(history: stores.PhaseHistory, *, zeros: bool) -> str:

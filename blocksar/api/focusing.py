@@ -38,7 +38,7 @@ from blocksar.collection.surface import Surface
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
 from blocksar.errors import InputError
-from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Processor, RangeModel
+from blocksar.focusing.method import Coefficients, Derotation, Perturbation, RangeModel
 from blocksar.graph import cluster, recording
 from blocksar.graph.machine import Resources, resources
 from blocksar.ingestion.terrain.reading import Ground, terrain_notes
@@ -71,7 +71,7 @@ def focus(
     source: Source,
     out: Location,
     *,
-    processor: Processor = "angular-division",
+    processor: str = "angular-division",
     blocks: int | Literal["auto"] = "auto",
     fidelity: float = FIDELITY,
     weighting: str = "uniform",
@@ -113,8 +113,10 @@ def focus(
         each is planned by itself; each pixel is that of the collection which saw more of its dwell.
     out : path
         Run folder.
-    processor : {"angular-division", "keystone-resampling", "high-order-phase", "backprojection"}
-        Chain of steps; "backprojection" is exact and slow. Default: "angular-division".
+    processor : str
+        How the image is formed: by a chain of steps ("angular-division", "keystone-resampling", "high-order-phase");
+        "hierarchical-backprojection": any geometry, as exactly as `fidelity` asks; "backprojection": exact and slow;
+        "auto": the fastest of all that keeps `fidelity`. Default: "angular-division".
     blocks : int or "auto"
         Number of angular blocks, at least 1. "auto" (default): the fewest that keep `fidelity` and fit the memory.
     fidelity : float
@@ -216,7 +218,7 @@ def _focus_image(
     track: TrackPlace | None,
     *,
     following: int = 0,
-    processor: Processor,
+    processor: str,
     blocks: int | Literal["auto"],
     fidelity: float,
     weighting: str,
@@ -394,7 +396,8 @@ def _focus(
         check_room_for_run(job, Beside(following), resumed=resumed)
         with run_folder.resumable():
             finished = carry_out(job, run, record, workers, listener, profile, resumed=resumed, compiled=compiled)
-    found = [*job.plan.notes(), *recorded_lines([piece.geometry for piece in job.plan.pieces], job.grid, swath=False)]
+    found = [] if job.plan.compared is None else [job.plan.compared.reason]
+    found += [*job.plan.notes(), *recorded_lines([piece.geometry for piece in job.plan.pieces], job.grid, swath=False)]
     if request.terrain is not None:
         found += terrain_notes(request.terrain, job.grid)
     if not (measurable := is_measurable(finished)):

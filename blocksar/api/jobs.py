@@ -39,7 +39,8 @@ from blocksar.processors.base import ImagePlan, Problem
 from blocksar.progress import Work
 from blocksar.runs import folder as run_folder
 from blocksar.runs import stored_plan
-from blocksar.runs.record import FORMAT, UNFINISHED, RunPlan, RunRecord
+from blocksar.runs.planned import RunPlan
+from blocksar.runs.record import FORMAT, UNFINISHED, RunRecord
 from blocksar.runs.sources import RunInput, RunSegment
 from blocksar.version import __version__
 
@@ -388,7 +389,9 @@ class Job:
             parts=max((plan.parts for plan in plans), default=None),
             memory=self.memory,
             grid=grid_numbers(self.grid),
-            predicted=self.plan.blocks(),
+            predicted=(predicted := self.plan.blocks()),
+            coherence=self.plan.coherence if not predicted and self.plan.coherence < 1 else None,
+            processor=self.plan.processor if self.plan.compared else "",
             checksum=stores.checksum_bytes(self.packed),
         )
         return RunRecord(

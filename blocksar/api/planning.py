@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -27,38 +26,28 @@ from blocksar.api.looks import divide_dwells, one_source
 from blocksar.api.partial_pulses import imaged_collections, recorded_lines
 from blocksar.api.shown import PlanReport
 from blocksar.budget import FIDELITY
-from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.surface import Surface
 from blocksar.collection.weighting import Weighting
-from blocksar.errors import InputError
 from blocksar.focusing.method import (
-    ChainOptions,
     Coefficients,
     Derotation,
-    Method,
     Perturbation,
-    PlannedProcessor,
     RangeModel,
 )
 from blocksar.graph.machine import Resources, resources
 from blocksar.ingestion.terrain.reading import Ground, terrain_notes
 from blocksar.places import Location
-from blocksar.planning import choice
-from blocksar.planning.choice import Contender
-from blocksar.planning.plan import Plan
-from blocksar.planning.segments import PlannedSegment, joint_grid
-from blocksar.processors import AUTO, PROCESSORS, options_for
+from blocksar.planning.segments import joint_grid
+from blocksar.processors import PROCESSORS, options_for
 from blocksar.processors.base import ImagePlan, Problem
-from blocksar.processors.chain import chain_plan
-from blocksar.processors.chain_tables import contender_table
 from blocksar.processors.lines import exact_line, time_line
 
 
 def plan(
     source: Source,
     *,
-    processor: PlannedProcessor = "angular-division",
+    processor: str = "angular-division",
     blocks: int | Literal["auto"] = "auto",
     fidelity: float = FIDELITY,
     weighting: str = "uniform",
@@ -86,8 +75,10 @@ def plan(
     source : path or xarray.Dataset, or a list of them
         Phase-history store or a dataset of its contract, scene file (TOML), or the name of a shipped scene. Several are
         planned for one image.
-    processor : {"angular-division", "keystone-resampling", "high-order-phase", "backprojection", "auto"}
-        Chain to plan. "auto" compares the first three and proposes one. Default: "angular-division".
+    processor : str
+        How the image is formed: by a chain of steps ("angular-division", "keystone-resampling", "high-order-phase");
+        "hierarchical-backprojection": any geometry, as exactly as `fidelity` asks; "backprojection": exact and slow;
+        "auto": the fastest of all that keeps `fidelity`. Default: "angular-division".
     blocks : int or "auto"
         Number of angular blocks, at least 1. "auto" (default): the fewest that keep `fidelity` and fit the memory.
     fidelity : float
@@ -137,9 +128,9 @@ def plan(
     -------
     PlanReport
         `tables` has the blocks, the ten with the least coherence if there are many, and `details` all blocks with all
-        figures; `refusal` is the reason if the plan cannot be carried out. `result` is the `planning.plan.Plan` (of
-        several segments, or of looks, a tuple of them), the `Grid` for back-projection, or None if "auto" has no
-        processor to propose. The method `plot` draws blocks, footprint and track.
+        figures; `refusal` is the reason if the plan cannot be carried out. `plan` is the plan, and `result` of a chain
+        its `planning.plan.Plan` (of several segments, or of looks, a tuple of them), and of back-projection the `Grid`.
+        The method `plot` draws blocks, footprint and track.
 
     Raises
     ------
@@ -150,14 +141,11 @@ def plan(
         "coefficients": coefficients, "perturbation": perturbation, "keystone": keystone, "derotation": derotation,
         "range_model": range_model,
     }  # fmt: skip
-    automatic = processor == AUTO
-    options = options_for(next(iter(PROCESSORS.names())) if automatic else processor, given)
+    options = options_for(processor, given)
     tapers = Weighting.parse(weighting, weighting_range, weighting_azimuth)
     points, n_blocks, least = grid_of(grid), blocks_of(blocks), fidelity_of(fidelity)
     limit = memory_of(memory_limit)
     collections = collections_of(source if looks is None else one_source(source, looks), ground_height, terrain=terrain)
-    if automatic:
-        _check_automatic(options, collections, looks)
     parts = None if looks is None else divide_dwells(collections[0], looks, points)
     points = points if parts is None else parts.grid
     here = in_this_process(workers, collections)
@@ -179,9 +167,7 @@ def plan(
     )  # fmt: skip
     started = time.perf_counter()
     with naming_exact(collections, points, assumed):
-        if automatic:
-            report = _report_contenders(choice.contend(lambda method: _plan_of(method, problem)), assumed)
-        elif parts is not None:
+        if parts is not None:
             report = report_looks(
                 lambda seen: PROCESSORS.get(processor).plan(replace(problem, collections=[seen])),
                 collections[0], parts, assumed,
@@ -194,67 +180,29 @@ def plan(
     return replace(report, summary=[*of_each, *report.summary])
 
 
-def _plan_of(method: Method, problem: Problem) -> Plan:
-    """The plan of a collection by a chain."""
-    planned = PROCESSORS.get(method.processor).plan(problem)
-    assert isinstance(planned.result, Plan)
-    return planned.result
-
-
-def _check_automatic(options: ChainOptions, collections: Sequence[Collection], looks: int | None) -> None:
-    """Check that processors can be compared: as they are, for whole dwells of one collection.
-
-    Raises
-    ------
-    InputError
-        If they cannot.
-    """
-    if options.departures:
-        raise InputError(
-            f"{' and '.join(options.departures)}: processor auto compares processors as they are; leave it out"
-        )
-    if looks is not None:
-        raise InputError(f"looks = {looks!r}, but processor auto compares processors for whole dwells; leave one out")
-    if len(collections) > 1:
-        raise InputError("processor is auto, but several sources are given: compare processors for one of them")
-
-
 def _channels_line(source: Source) -> list[str]:
     """That the plan is one of several channels, if it is."""
     names = channels_of(source)
     return [f"{len(names)} channels ({', '.join(names)}), one after the other, each as follows"] if names else []
 
 
-def _report(plan: ImagePlan, assumed: Resources, planning: float = 0.0, *, compared: bool = False) -> PlanReport:
+def _report(plan: ImagePlan, assumed: Resources, planning: float) -> PlanReport:
     """Report a plan; `planning` as for `time_line`."""
     if plan.refusal is not None:  # the samples of what does not focus may have no bounds
         return PlanReport(refusal=plan.refusal, result=plan.result, plan=plan)
-    work, tables = plan.work(workers=assumed.workers), plan.tables()
+    work, tables, compared = plan.work(workers=assumed.workers), plan.tables(), plan.compared
     return PlanReport(
-        tables=tables,
-        details=plan.details(),
+        tables=[*([compared.table] if compared else []), *tables],
+        details=[*([compared.table] if compared else []), *plan.details()],
         definitions=definitions.PLAN if tables else (),
         summary=[
-            *plan.lines(compared=compared),
+            *([compared.reason] if compared else []),
+            *plan.lines(),
             *recorded_lines([piece.geometry for piece in plan.pieces], plan.grid),
             time_line(work, assumed, planning),
             *exact_line([plan], work, assumed, planning),
+            *([f"to focus with it: --processor {plan.processor}"] if compared else []),
         ],
         result=plan.result,
         plan=plan,
-    )
-
-
-def _report_contenders(contenders: list[Contender], assumed: Resources) -> PlanReport:
-    """Report all processors side by side, then the plan of the proposed one."""
-    (best, reason), table = choice.propose(contenders), contender_table(contenders)
-    if best is None or best.plan is None:
-        return PlanReport(refusal=reason)
-    planned = chain_plan(best.processor, [PlannedSegment(collection=0, pulses=None, plan=best.plan)])
-    report = _report(planned, assumed, compared=True)
-    return replace(
-        report,
-        tables=[table, *report.tables],
-        details=[table, *report.details],
-        summary=[reason, *report.summary, f"to focus with it: --processor {best.processor}"],
     )

@@ -26,7 +26,7 @@ from blocksar.measurement.reach import power_within_reach, referred
 from blocksar.places import place
 from blocksar.runs.finished import FinishedRun
 from blocksar.runs.folder import INPUT
-from blocksar.runs.record import RunPlan
+from blocksar.runs.planned import RunPlan
 
 FULL_DWELL_YAWS = 257  # at which full dwells are looked for under a beam about its axis
 RANGES_COMPARED = (("near", 0.1), ("middle", 0.5), ("far", 0.9))  # name, share of the swath
@@ -64,7 +64,7 @@ def compare_with_exact(run: FinishedRun, result: dict[str, Any]) -> tuple[Table,
         result["changed_input"] = changed
     if not chips:
         lines.append("nothing was compared: the image is too small, or hardly covered")
-    predicted = min((block.coherence for block in run.record.plan.predicted), default=math.nan)
+    predicted = run.record.plan.least
     full = [chip for chip in chips if chip["full_dwell"] and not math.isnan(chip["coherence"])]
     if full and not math.isnan(predicted):
         worst = min(full, key=lambda chip: chip["judged"])

@@ -105,7 +105,7 @@ def _others(job: Job, *, resumed: bool) -> Iterator[tuple[str, Job]]:
     while (count := count // 2) > 0:
         with suppress(InputError):  # there is no such plan
             yield f"--blocks {count}", Job.of(replace(job.request, blocks=count), None, job.machine)
-    if job.request.processor != REFERENCE:
+    if job.plan.processor != REFERENCE:
         words = f"--processor {REFERENCE}, {PROCESSORS.get(REFERENCE).summary},"
         with suppress(InputError):
             exact = replace(job.request, processor=REFERENCE, options=options_for(REFERENCE, {}))

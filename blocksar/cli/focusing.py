@@ -13,7 +13,6 @@ from blocksar.cli.display import hint, show
 from blocksar.cli.endings import WRONG_INPUT, complain
 from blocksar.cli.listening import listening
 from blocksar.cli.options import (
-    PROCESSORS,
     AutofocusOption,
     AzimuthWeighting,
     Blocks,
@@ -45,17 +44,13 @@ from blocksar.cli.options import (
     method_options,
     parse_settings,
 )
-from blocksar.focusing.method import PlannedProcessor
 
 
 @method_options
 def plan(
     context: typer.Context,
     source: Annotated[list[str], typer.Argument(metavar="PH.zarr|SCENE.toml", help="Phase-history stores or scenes.")],
-    processor: Annotated[
-        PlannedProcessor,
-        typer.Option(metavar="NAME", help=f"{PROCESSORS}; auto: compare all chains and propose the best."),
-    ] = "angular-division",
+    processor: ProcessorOption = "angular-division",
     blocks: Blocks = "auto",
     fidelity: Fidelity = FIDELITY,
     weighting: WeightingOption = "uniform",
@@ -110,7 +105,7 @@ def _hint_after_plan(context: typer.Context, sources: list[str], proposal: Any) 
         if is_scene(source):
             hint(context, "simulate", source, "--out", f"{Path(source).stem}.zarr")
             return
-    proposed = ["--processor", proposal.result.method.processor] if context.params["processor"] == "auto" else []
+    proposed = ["--processor", proposal.plan.processor] if context.params["processor"] == "auto" else []
     hint(
         context,
         "focus",

@@ -9,8 +9,6 @@ from blocksar.errors import InputError
 from blocksar.options import Option
 
 Chain = Literal["angular-division", "keystone-resampling", "high-order-phase"]
-Processor = Literal["angular-division", "keystone-resampling", "high-order-phase", "backprojection"]
-PlannedProcessor = Literal[Processor, "auto"]  # auto: compare all chains
 Coefficients = Literal["fitted", "closed-form"]
 Perturbation = Literal["all", "frequency", "none"]
 Derotation = Literal["nonlinear", "linear"]

@@ -21,10 +21,11 @@ PROCESSORS: Registry[Processor] = Registry(
         "high-order-phase": f"{CHAINS}:HIGH_ORDER_PHASE",
         "hierarchical-backprojection": "blocksar.processors.hierarchical:HIERARCHICAL",
         "backprojection": "blocksar.processors.backprojection:EXACT",
+        "auto": "blocksar.processors.auto:CHOICE",
     },
 )
 REFERENCE = "backprojection"  # takes any collection; all others are judged by it
-AUTO = "auto"  # for `plan`: compare them
+AUTO = "auto"  # chooses among the others
 
 
 def options_for(name: str, given: Mapping[str, Any]) -> Any:

@@ -119,7 +119,7 @@ class BackprojectionPlan(ImagePlan):
     def loops(self) -> Sequence[str]:
         return compiling.PATTERNS
 
-    def lines(self, *, compared: bool = False) -> list[str]:
+    def lines(self) -> list[str]:
         pixels = self.grid.shape[0] * self.grid.shape[1]
         lit = sum(lit_pulses(piece.geometry, self.grid) for piece in self.pieces)
         doubts = (line for piece in self.pieces for line in doubts_of_track(piece.geometry.collection, exact=True))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
@@ -26,8 +26,9 @@ if TYPE_CHECKING:
     from blocksar.graph.segments import Segment
     from blocksar.graph.stages import Recovered
     from blocksar.planning.plan import Plan
+    from blocksar.runs.planned import PredictedBlock
     from blocksar.runs.receipts import Run
-    from blocksar.runs.record import PredictedBlock, Receipt
+    from blocksar.runs.record import Receipt
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,6 +88,13 @@ class Piece:
     plan: Plan | None = None
 
 
+class Comparison(NamedTuple):
+    """Processors side by side, and why one was chosen."""
+
+    reason: str
+    table: Table
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImagePlan(ABC):
     """How a processor forms an image: what follows from metadata alone, before any sample is read.
@@ -109,7 +117,9 @@ class ImagePlan(ABC):
 
     refusal: str | None = None  # why the image cannot be formed, with the figure
     coherence: float = 1.0  # least predicted coherence with exact back-projection
+    faithful: bool = True  # whether it keeps the fidelity that was asked for
     reads_later: bool = False  # whether samples are read again after the first stage
+    compared: Comparison | None = None  # with other processors, where one was chosen
 
     @abstractmethod
     def memory(self, threads: int) -> int:
@@ -147,8 +157,8 @@ class ImagePlan(ABC):
         """What a user of the image should know."""
         return []
 
-    def lines(self, *, compared: bool = False) -> list[str]:
-        """The plan in sentences; `compared`: beside those of other processors."""
+    def lines(self) -> list[str]:
+        """The plan in sentences."""
         return [
             f"image of {self.grid.shape[1]} x {self.grid.shape[0]} pixels by {self.processor}",
             f"peak memory of a worker {self.memory(1) / MIB:.0f} MiB",

@@ -30,7 +30,8 @@ from blocksar.processors.chain_lines import (
 )
 from blocksar.processors.chain_tables import block_table, plan_details
 from blocksar.progress import Work
-from blocksar.runs.record import PredictedBlock, Receipt
+from blocksar.runs.planned import PredictedBlock
+from blocksar.runs.record import Receipt
 from blocksar.tables import Table
 
 if TYPE_CHECKING:
@@ -97,7 +98,8 @@ def chain_plan(name: str, segments: Sequence[PlannedSegment]) -> ChainPlan:
     refusal = next((plan.refusal for plan in plans if plan.refusal is not None), None)
     return ChainPlan(
         processor=name, grid=plans[0].grid, pieces=pieces, refusal=refusal,
-        coherence=min(plan.coherence for plan in plans), reads_later=any(plan.completed for plan in plans),
+        coherence=min(plan.coherence for plan in plans), faithful=all(plan.faithful for plan in plans),
+        reads_later=any(plan.completed for plan in plans),
     )  # fmt: skip
 
 
@@ -140,9 +142,9 @@ class ChainPlan(ImagePlan):
         found = [next((line for plan in self.plans if (line := doubt(plan))), None) for doubt in doubts]
         return [*filter(None, found), *outside_window(self.plans)]
 
-    def lines(self, *, compared: bool = False) -> list[str]:
+    def lines(self) -> list[str]:
         if len(self.plans) == 1:
-            return [*plan_lines(self.plans[0], compared=compared), *outside_window(self.plans)]
+            return [*plan_lines(self.plans[0], compared=self.compared is not None), *outside_window(self.plans)]
         lines = []
         for number, piece in enumerate(self.pieces):
             plan = self.plans[number]

@@ -9,7 +9,6 @@ import numpy as np
 from blocksar.constants import MIB, unit_of_lengths
 from blocksar.focusing.relief_correction import bend_scale
 from blocksar.planning.block import BlockPlan
-from blocksar.planning.choice import Contender
 from blocksar.planning.plan import Plan
 from blocksar.planning.prediction import Prediction
 from blocksar.tables import Table
@@ -105,28 +104,6 @@ def _block_row(block: BlockPlan, metres: float) -> list[str]:
         f"{p.migration:.3f}",
         f"{block.memory / MIB:.0f}",
     ]
-
-
-def contender_table(contenders: Sequence[Contender]) -> Table:
-    """All processors side by side; work is over the least."""
-    least = min(c.work for c in contenders if c.plan is not None)
-    header = (
-        "processor", "blocks", "residual phase (rad)", "quadratic (rad)", "PSLR (dB)", "width / limit",
-        "migration (cells)", "coherence", "work", "memory (MiB)", "keeps the fidelity",
-    )  # fmt: skip
-    return header, [_contender_row(c, least) for c in contenders]
-
-
-def _contender_row(contender: Contender, least: float) -> list[str]:
-    plan = contender.plan
-    if plan is None:
-        return [contender.processor, *["-"] * 9, "no"]
-    p = contender.worst.prediction
-    return [
-        contender.processor, str(plan.n_blocks), f"{p.residual_phase:.4f}", f"{p.quadratic_phase:.4f}", f"{p.pslr:.2f}",
-        f"{p.width:.3f}", f"{p.migration:.3f}", digits(plan.coherence), f"{contender.work / least:.2f}",
-        f"{plan.memory / MIB:.0f}", "yes" if contender.serves else "no",
-    ]  # fmt: skip
 
 
 def digits(coherence: float) -> str:

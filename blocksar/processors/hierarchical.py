@@ -52,11 +52,12 @@ class HierarchicalBackprojection:
             )
             for piece in pieces
         )  # fmt: skip
+        coherence = min(coherence_of(each.error) for each in divisions)
         memory = PROCESS_MEMORY + sum(each.memory - PROCESS_MEMORY for each in divisions)
         return HierarchicalPlan(
             processor=self.name, grid=grid, pieces=pieces, terrain=problem.terrain, divisions=divisions,
             needed=checked_memory("hierarchical back-projection", memory, machine.memory_limit),
-            coherence=min(coherence_of(each.error) for each in divisions),
+            coherence=coherence, faithful=coherence >= problem.fidelity,
         )  # fmt: skip
 
 
@@ -91,7 +92,7 @@ class HierarchicalPlan(BackprojectionPlan):
     def loops(self) -> Sequence[str]:
         return *super().loops(), *compiling.HIERARCHY
 
-    def lines(self, *, compared: bool = False) -> list[str]:
+    def lines(self) -> list[str]:
         worst = max(self.divisions, key=lambda each: each.error)
         sides = " > ".join(f"{side:.3g}" for side in worst.levels.sides) or "none"
         error = 10 * math.log10(worst.error)

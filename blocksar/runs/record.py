@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from math import nan
 from typing import Any, Self
 
 from blocksar import stores
-from blocksar.constants import SINC_PSLR
 from blocksar.errors import FolderError
 from blocksar.places.place import Place
 from blocksar.runs.fields import Field
+from blocksar.runs.planned import RunPlan
 from blocksar.runs.sources import CentroidError, RunInput, RunSegment, SampleCounts
 from blocksar.version import __version__
 
@@ -179,135 +178,6 @@ def _stage_of(unit: str, *, back_projection: bool) -> str:
 
 _BEFORE = {"weighting_range": "uniform", "weighting_azimuth": "uniform", "surface": "plane"}  # of older runs
 _IF_USED = ("autofocus", "control", "track_input")  # settings that only runs with them have
-# Figures of a block that records of earlier versions lack.
-_ADDED = (
-    "bias", "quadratic_phase", "resolution", "track_phase", "coherence", "phase_loss", "range_loss",
-    "dispersion_loss", "track_loss", "ideal_pslr",
-)  # fmt: skip
-
-
-@dataclass(frozen=True, kw_only=True)
-class PredictedBlock:
-    """Predicted quality of a block, or of a range sub-block: that of its worst target.
-
-    Attributes
-    ----------
-    block : int
-    part : int or None
-        Number of the range sub-block; None where the block is not divided in range.
-    yaw, range : (low, high), (near, far)
-        Borders in yaw, rad, and in range at t = 0, m.
-    memory : float
-        Peak of a worker, bytes.
-    bias : float
-        Range acceleration that the time perturbation adds, m/s^2.
-    residual_phase, quadratic_phase : float
-        Largest phase error over the dwell, and its quadratic part at the edge of the dwell, rad.
-    pslr, ideal_pslr : float
-        In azimuth, dB; and that of exact back-projection.
-    width : float
-        In azimuth, relative to the limit set by the dwell.
-    migration : float
-        Over the dwell, range resolution cells.
-    resolution : float
-        In azimuth, m.
-    track_phase : float
-        Root mean square phase that the noise of the track leaves over a dwell, rad.
-    coherence : float
-        With exact back-projection: 1 less the losses of the target that loses most.
-    phase_loss, range_loss, dispersion_loss, track_loss : float
-        What residual phase, range migration, the ends of the dwell and the noise of the track take from it.
-    """
-
-    block: int
-    part: int | None
-    yaw: tuple[float, float]
-    range: tuple[float, float]
-    memory: float
-    bias: float = nan
-    residual_phase: float
-    quadratic_phase: float = nan
-    pslr: float
-    width: float
-    migration: float
-    resolution: float = nan
-    track_phase: float = nan
-    coherence: float = nan
-    phase_loss: float = nan
-    range_loss: float = nan
-    dispersion_loss: float = nan
-    track_loss: float = nan
-    ideal_pslr: float = SINC_PSLR
-
-    @property
-    def name(self) -> str:
-        """`2`, or `2.0` for a range sub-block."""
-        return str(self.block) if self.part is None else f"{self.block}.{self.part}"
-
-    @classmethod
-    def of(cls, entry: Field) -> Self:
-        required = ("residual_phase", "pslr", "width", "migration")
-        optional = [name for name in _ADDED if entry[name]]
-        return cls(
-            block=entry["block"].integer(),
-            part=entry["part"].optional(Field.integer),
-            yaw=entry["yaw"].pair(),
-            range=entry["range"].pair(),
-            memory=entry["memory"].number(),
-            **{name: entry[name].number_or_nan() for name in (*required, *optional)},
-        )
-
-    def as_json(self) -> dict[str, Any]:
-        return asdict(self) | {"yaw": list(self.yaw), "range": list(self.range)}
-
-
-@dataclass(frozen=True, kw_only=True)
-class RunPlan:
-    """Division of a run into blocks, and its predicted quality.
-
-    Attributes
-    ----------
-    blocks, parts : int or None
-        Number of blocks, and of range sub-blocks in each; None for back-projection.
-    memory : float or None
-        Predicted peak of a worker, bytes.
-    grid : (x0, x1, dx, y0, y1, dy) or None, m
-    predicted : tuple of PredictedBlock
-        Empty for back-projection.
-    checksum : str
-        Of the plan that an unfinished run keeps in its folder; empty in runs of earlier versions.
-    """
-
-    blocks: int | None = None
-    parts: int | None = None
-    memory: float | None = None
-    grid: tuple[float, ...] | None = None
-    predicted: tuple[PredictedBlock, ...] = ()
-    checksum: str = ""
-
-    @classmethod
-    def of(cls, entry: Field) -> Self:
-        grid = tuple(number.number() for number in entry["grid"]) if entry["grid"] else None
-        if grid is not None and len(grid) != 6:
-            raise entry["grid"].fail("x0, x1, dx, y0, y1, dy")
-        return cls(
-            blocks=entry["blocks"].optional(Field.count),
-            parts=entry["parts"].optional(Field.count),
-            memory=entry["memory"].optional(Field.number),
-            grid=grid,
-            predicted=tuple(map(PredictedBlock.of, entry["predicted"])),
-            checksum=entry["checksum"].text(""),
-        )
-
-    def as_json(self) -> dict[str, Any]:
-        return {
-            "blocks": self.blocks,
-            "parts": self.parts,
-            "memory": self.memory,
-            "grid": self.grid and list(self.grid),
-            "predicted": [block.as_json() for block in self.predicted],
-            **({"checksum": self.checksum} if self.checksum else {}),
-        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -363,7 +233,7 @@ class RunRecord:
     workers: int | None = None
     threads: int | None = None
     memory_limit: float | None = None
-    plan: RunPlan = RunPlan()
+    plan: RunPlan = field(default_factory=RunPlan)
     warnings: tuple[str, ...] = ()
     samples: SampleCounts | None = None
     check: str = ""
@@ -386,6 +256,11 @@ class RunRecord:
         """Fingerprint of one of `inputs` as the run began; empty if unknown."""
         by_path = {segment.path: segment.fingerprint for segment in self.segments}
         return by_path.get(path, self.input.fingerprint)
+
+    @property
+    def processor(self) -> str:
+        """Name of the processor that formed the image; empty if unknown."""
+        return self.plan.processor or str(self.settings.get("processor", ""))
 
     @property
     def version(self) -> str:

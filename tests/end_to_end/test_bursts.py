@@ -185,8 +185,7 @@ def test_several_collections_are_planned(bursts: list[Path]) -> None:
     assert grids[0] == grids[1] == grids[2]
     one = blocksar.plan(bursts[0], blocks=1).result.grid
     assert grids[0].dx == one.dx and grids[0].x0 <= one.x0 and grids[0].x1 >= one.x1
-    with pytest.raises(InputError, match="processor is auto, but several"):
-        blocksar.plan(bursts, processor="auto")
+    assert len(blocksar.plan(bursts, processor="auto").plan.pieces) == 3
 
 
 def test_collections_of_several_frames_are_refused(bursts: list[Path], tmp_path: Path) -> None:

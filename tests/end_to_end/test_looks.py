@@ -141,8 +141,6 @@ def test_a_plan_of_looks_refuses_what_focus_refuses(strip: Path) -> None:
             call(strip, **settings, looks=40)
         with pytest.raises(InputError, match=r"^looks = 2: looks are formed of one collection, and here are 2; give"):
             call([strip, "table1"], **settings, looks=2)
-    with pytest.raises(InputError, match=r"^looks = 2, but processor auto compares processors for whole dwells; leave"):
-        blocksar.plan(strip, **settings, looks=2, processor="auto")
     assert not (strip.parent / "no").exists()
 
 

@@ -43,7 +43,7 @@ def subtitle(run: Facts) -> str:
     spacing = f"{dx:.4g} m" if abs(dx - dy) < 1e-9 * dx else f"{dx:.4g} m {TIMES} {dy:.4g} m"
     size = f"{number(run.source.x.size, 0)} {TIMES} {number(run.source.y.size, 0)} pixels of {spacing}"
     carrier = f"{run.source.collection.carrier / 1e9:.4g} GHz"
-    processor = str(run.settings.get("processor", "blocksar"))
+    processor = run.record.processor or "blocksar"
     return ", ".join([processor, *([count(blocks, "block")] if blocks else []), size, carrier])
 
 

@@ -15,7 +15,7 @@ from blocksar.measurement.figures import PointResponse
 from blocksar.products.page.facts import MOST_ROWS, Facts
 from blocksar.products.page.picture import Picture
 from blocksar.products.page.words import TIMES, number
-from blocksar.runs.record import PredictedBlock
+from blocksar.runs.planned import PredictedBlock
 
 UNITS = {
     "range-compress": "range compression",
