@@ -40,6 +40,7 @@ class Backprojection:
     summary = "exact but slow"
     options = ChainOptions
     universal = True
+    compared = True
 
     def check(self, options: Any) -> None:
         """Check that no option of chains is chosen.

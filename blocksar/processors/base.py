@@ -203,12 +203,15 @@ class Processor(Protocol):
         Model of its options; see `blocksar.options`.
     universal : bool
         Whether it takes any track and grid: nothing is expanded about a place or a time.
+    compared : bool
+        Whether `auto` considers it.
     """
 
     name: str
     summary: str
     options: type
     universal: bool
+    compared: bool
 
     def check(self, options: Any) -> None:
         """Check that options go together.

@@ -44,6 +44,7 @@ class Chain:
 
     name: Name
     summary: str
+    compared: bool = False
     options = ChainOptions
     universal = False
 
@@ -80,7 +81,7 @@ class Chain:
         return chain_plan(self.name, plan_segments(plan, collections, grid=grid, cut=problem.blocks == "auto"))
 
 
-ANGULAR_DIVISION = Chain("angular-division", "the chain of the main paper")
+ANGULAR_DIVISION = Chain("angular-division", "the chain of the main paper", compared=True)
 KEYSTONE_RESAMPLING = Chain("keystone-resampling", "keystone transform, then resampling in Doppler")
 HIGH_ORDER_PHASE = Chain("high-order-phase", "a phase of high order in Doppler, without keystone transform")
 

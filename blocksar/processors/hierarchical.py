@@ -30,6 +30,7 @@ class HierarchicalBackprojection:
     summary = "as exact as is asked for, any geometry"
     options = NoOptions
     universal = True
+    compared = True
 
     def check(self, options: Any) -> None:
         """There are none."""
