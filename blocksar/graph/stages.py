@@ -385,7 +385,7 @@ def inspect_samples(client: Client, segments: Sequence[Segment], run: Run, liste
                     inspect_group,
                     history.within(columns=slice(*columns)),
                     columns,
-                )
+                )  # fmt: skip
                 for columns in spans(history.collection.n_range_frequency, inspection_width(history.collection))
             ]
         )

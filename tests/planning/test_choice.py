@@ -85,7 +85,7 @@ def test_auto_gives_the_reason_why_a_processor_does_not_serve(tmp_path: Path) ->
         tmp_path / "scene.toml", processor="auto", grid=((16000.0, 16300.0, 1.0), (19000.0, 19300.0, 1.0))
     )
     assert not report.plan.processor.startswith("angular")
-    assert "angular-division cannot: " in report.summary[0] and "PRF is too low" in report.summary[0]
+    assert "angular-division cannot: " in report.summary[0] and "PRF 3000 Hz is too low" in report.summary[0]
 
 
 def test_pulses_that_are_back_projected_besides_count_as_work(tmp_path: Path) -> None:
