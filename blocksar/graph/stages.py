@@ -372,23 +372,13 @@ def inspect_samples(client: Client, segments: Sequence[Segment], run: Run, liste
     InputError
         If the samples are not those of a radar.
     """
-    units = []
+    units: list[list[Unit]] = []
     for segment in segments:
-        own, history = segment.of(run), segment.history
-        units.append(
-            [
-                single_task(
-                    client,
-                    own,
-                    "inspect",
-                    own.unit_of_segment(f"columns-{columns[0]}"),
-                    inspect_group,
-                    history.within(columns=slice(*columns)),
-                    columns,
-                )  # fmt: skip
-                for columns in spans(history.collection.n_range_frequency, inspection_width(history.collection))
-            ]
-        )
+        own, history, group = segment.of(run), segment.history, []
+        for columns in spans(history.collection.n_range_frequency, inspection_width(history.collection)):
+            unit, part = own.unit_of_segment(f"columns-{columns[0]}"), history.within(columns=slice(*columns))
+            group.append(single_task(client, own, "inspect", unit, inspect_group, part, columns))
+        units.append(group)
     return _run_read(client, "inspect", segments, units, run, listener)
 
 
