@@ -9,11 +9,21 @@ from importlib import metadata
 from typing import Any, Literal
 
 from blocksar import stores
-from blocksar.api.arguments import One, OnGround, Source, check_one_frame, history_of, on_ground, sources_of
+from blocksar.api.arguments import (
+    One,
+    OnGround,
+    Source,
+    check_one_frame,
+    control_points,
+    history_of,
+    on_ground,
+    sources_of,
+)
 from blocksar.api.exact_way import naming_exact
 from blocksar.api.fingerprints import joint_fingerprint
 from blocksar.api.ground import PLANE, check_ground, geometry_over, ground_settings, read_ground
 from blocksar.api.partial_pulses import imaging_parts, pulses_of
+from blocksar.api.settings import Settings
 from blocksar.api.surroundings import read_surroundings
 from blocksar.api.track_places import TrackPlace
 from blocksar.arrays import FloatArray
@@ -22,7 +32,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
-from blocksar.collection.weighting import UNIFORM, Weighting
+from blocksar.collection.weighting import Weighting
 from blocksar.errors import FolderError, InputError, ProcessingError, Unfocusable, changes_while_read
 from blocksar.focusing.method import Method
 from blocksar.focusing.noise import NoiseMap
@@ -101,37 +111,22 @@ class Request:
     control: Sequence[Target] = ()
 
     @classmethod
-    def open(
-        cls,
-        source: Source,
-        folder: Place,
-        *,
-        method: Method | None,
-        blocks: int | Literal["auto"],
-        fidelity: float,
-        weighting: Weighting = UNIFORM,
-        grid: Grid | None,
-        overwrite: bool,
-        whole_pulses: bool = False,
-        discard: bool = False,
-        ground: Ground = PLANE,
-        ground_height: float | None = None,
-        autofocus: bool = False,
-        track: TrackPlace | None = None,
-        control: Sequence[Target] = (),
-    ) -> Request:
+    def open(cls, source: Source, folder: Place, settings: Settings, *, track: TrackPlace | None = None) -> Request:
         """Open the phase histories; nothing is written.
 
-        With `autofocus` their track is corrected, in the place `track`, by default in the folder.
+        With autofocus their track is corrected, in the place `track`, by default in the folder.
 
         Raises
         ------
         InputError
             If there is none, its georeference is wrong, several do not share a frame, or one and the folder lie in each
-            other; if the grid is missing or lies outside the swath; or the ground cannot be read.
+            other; if the grid is missing or lies outside the swath; the ground cannot be read; or a setting is wrong.
         """
+        method, grid, ground, whole_pulses = settings.method, settings.points, settings.ground, settings.whole_pulses
+        height, autofocus, weighting = settings.ground_height, settings.autofocus, settings.tapers
+        control = control_points(settings.control, source, height, used=autofocus)
         sources = sources_of(source)
-        over = partial(on_ground, height=ground_height, terrain=ground.terrain)
+        over = partial(on_ground, height=height, terrain=ground.terrain)
         opened = [_open(each, over, folder, i if len(sources) > 1 else None) for i, each in enumerate(sources)]
         histories = tuple(history for history, _ in opened)
         check_one_frame(histories)
@@ -156,9 +151,10 @@ class Request:
         if autofocus and track is None:
             track = TrackPlace.of(folder / run_folder.TRACK, histories, fingerprints)
         return cls(
-            histories=histories, folder=folder, method=method, blocks=blocks, fidelity=fidelity, weighting=weighting,
-            grid=grid, fingerprints=fingerprints, overwrite=overwrite, whole_pulses=whole_pulses,
-            discard=discard, ground=ground, terrain=terrain, surroundings=around, track=track, control=control,
+            histories=histories, folder=folder, method=method, blocks=settings.blocks, fidelity=settings.fidelity,
+            weighting=weighting, grid=grid, fingerprints=fingerprints, overwrite=settings.overwrite,
+            whole_pulses=whole_pulses, discard=settings.discard, ground=ground, terrain=terrain, surroundings=around,
+            track=track, control=control,
         )  # fmt: skip
 
     @property

@@ -8,25 +8,16 @@ from dataclasses import replace
 from typing import Literal
 
 from blocksar.api import definitions
-from blocksar.api.arguments import (
-    GridLike,
-    Source,
-    blocks_of,
-    channels_of,
-    collections_of,
-    fidelity_of,
-    grid_of,
-    in_this_process,
-    memory_of,
-    sources_of,
-)
+from blocksar.api.arguments import Source, channels_of, collections_of, in_this_process, sources_of
 from blocksar.api.exact_way import exact_way, naming_exact
 from blocksar.api.ground import read_ground
 from blocksar.api.look_plans import report_exact_looks, report_looks
 from blocksar.api.looks import divide_dwells, one_source
+from blocksar.api.parsing import GridLike
 from blocksar.api.partial_pulses import imaged_collections, recorded_lines
 from blocksar.api.plan_lines import exact_line, lit_pulses, outside_window, plan_lines, time_line, workforce
 from blocksar.api.plan_tables import block_table, contender_table, plan_details
+from blocksar.api.settings import PlanSettings
 from blocksar.api.shown import PlanReport
 from blocksar.budget import FIDELITY
 from blocksar.collection.collection import Collection
@@ -34,7 +25,6 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.surface import Surface
 from blocksar.collection.terrain import Terrain
-from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
 from blocksar.errors import InputError
 from blocksar.focusing.method import (
@@ -44,10 +34,9 @@ from blocksar.focusing.method import (
     Perturbation,
     PlannedProcessor,
     RangeModel,
-    method_of,
 )
 from blocksar.graph.machine import Resources, resources
-from blocksar.ingestion.terrain.reading import Ground, terrain_notes
+from blocksar.ingestion.terrain.reading import terrain_notes
 from blocksar.inspection.sentences import doubts_of_track
 from blocksar.places import Location
 from blocksar.planning import choice, effort
@@ -95,7 +84,8 @@ def plan(
     blocks : int or "auto"
         Number of angular blocks, at least 1. "auto" (default): the fewest that keep `fidelity` and fit the memory.
     fidelity : float
-        Coherence with exact back-projection that "auto" keeps where it can, below 1. Default: 0.999.
+        Coherence with exact back-projection that "auto" keeps where it can, below 1. Where whole dwells do not keep it,
+        their edges are back-projected, also with a number of blocks. Default: 0.999.
     weighting : str
         Taper over band and dwell: "uniform", "taylor:NBAR:SLL" (such as "taylor:4:-35"), "hamming", "hann" or
         "kaiser:BETA". Default: "uniform".
@@ -115,7 +105,8 @@ def plan(
         "polar".
     grid : Grid, ((x0, x1, dx), (y0, y1, dy)) or str, optional
         Image points x0, x0 + dx, ... < x1 in m in the scene frame, likewise y; as a text "x0:x1:dx,y0:y1:dy". Default:
-        the box around the lit sector at about half the resolution. Needed if the beam is not steered.
+        the box around the lit sector at about half the resolution. Needed if the beam is not steered, or turns about
+        the antenna's own axis.
     terrain : path, optional
         Heights of the ground: zarr or netCDF with `height` (y, x) in m of the scene frame, or a GeoTIFF in any
         coordinate reference system, which needs a georeference. Default: the plane z = ground_height.
@@ -123,12 +114,14 @@ def plan(
         "ellipsoid": WGS 84 at ground_height, which needs a georeference. Default: "plane".
     vertical : str, optional
         What a GeoTIFF's heights are measured from, if it does not say so: "ellipsoid", "egm96" or "egm2008"; or
-        "egm2008:FILE" with the geoid's grid. Needed for such a file only.
+        "egm2008:FILE" with the geoid's grid. PROJ's own grid is taken if it is installed; nothing is downloaded. Needed
+        for such a file only.
     whole_pulses : bool
         Of a raw echo, image only ground whose whole pulses were recorded; other ground stays NaN, as it does without a
         grid. Default: False, so that where `grid` has ground with parts of pulses, it is divided by the part.
     ground_height : float, optional
-        Height z of the imaged plane in the scene frame, m. Default: that of the phase history.
+        Height z of the imaged plane in the scene frame, m. Ground that lies off it is displaced, at 30 m by up to as
+        much. Default: that of the phase history.
     looks : int, optional
         Number of parts of each target's dwell that `focus` makes images of: each is planned, beside whole dwells.
         Default: whole dwells only.
@@ -150,35 +143,26 @@ def plan(
     InputError
         If the source is no collection, a setting is wrong, the PRF is too low, or the grid lies outside the swath.
     """
+    settings = PlanSettings.of(locals())
     automatic = processor == "auto"
-    method = method_of(
-        "angular-division" if automatic else processor,
-        coefficients=coefficients,
-        perturbation=perturbation,
-        keystone=keystone,
-        derotation=derotation,
-        range_model=range_model,
-    )
-    tapers = Weighting.parse(weighting, weighting_range, weighting_azimuth)
-    points, n_blocks, least = grid_of(grid), blocks_of(blocks), fidelity_of(fidelity)
-    limit = memory_of(memory_limit)
+    method = (replace(settings, processor="angular-division") if automatic else settings).method
+    points, tapers, ground = settings.points, settings.tapers, settings.ground
     collections = collections_of(source if looks is None else one_source(source, looks), ground_height, terrain=terrain)
     if automatic and method is not None:
         _check_automatic(method, collections, looks)
     parts = None if looks is None else divide_dwells(collections[0], looks, points)
     points = points if parts is None else parts.grid
     here = in_this_process(workers, collections)
-    share = resources(0 if here else workers, None, limit)
+    share = resources(0 if here else workers, None, settings.memory_limit)
     assumed = share._replace(workers=0) if here else share
     of_each = _channels_line(source)
-    ground = Ground(terrain=terrain, surface=surface, vertical=vertical)
     heights = None
     if not ground.plane:
         points = points or joint_grid([Geometry(collection=each) for each in collections])
         heights = read_ground(ground, collections[0], points, sources_of(source)[0])
         of_each += [] if heights is None else terrain_notes(heights, points)
     collections = imaged_collections(
-        source, collections, grid_of(grid), heights, ground_height=ground_height, whole_pulses=whole_pulses
+        source, collections, settings.points, heights, ground_height=ground_height, whole_pulses=whole_pulses
     )
     if method is None and parts is not None:
         return report_exact_looks(
@@ -189,12 +173,12 @@ def plan(
 
     def plan_by(method: Method) -> Planner:
         return planner_of(
-            method, blocks=n_blocks, fidelity=least, weighting=tapers, terrain=heights, workers=share.workers,
-            memory_limit=share.memory_limit,
+            method, blocks=settings.blocks, fidelity=settings.fidelity, weighting=tapers, terrain=heights,
+            workers=share.workers, memory_limit=share.memory_limit,
         )  # fmt: skip
 
     def plan_all(collections: Sequence[Collection]) -> Sequence[PlannedSegment]:
-        return plan_segments(plan_by(method), collections, grid=points, cut=blocks == "auto")
+        return plan_segments(plan_by(method), collections, grid=points, cut=settings.blocks == "auto")
 
     started = time.perf_counter()
     with naming_exact(collections, points, assumed):

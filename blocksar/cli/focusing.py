@@ -7,74 +7,26 @@ from typing import Annotated, Any
 
 import typer
 
-from blocksar.budget import FIDELITY, WAIT_WORKERS
+from blocksar.api.settings import options_taken
 from blocksar.cli.configuration import ConfigOption, PrintConfig, configuration
 from blocksar.cli.display import hint, show
 from blocksar.cli.endings import WRONG_INPUT, complain
 from blocksar.cli.listening import listening
-from blocksar.cli.options import (
-    PROCESSORS,
-    AutofocusOption,
-    AzimuthWeighting,
-    Blocks,
-    Control,
-    Discard,
-    Everything,
-    Explain,
-    Fidelity,
-    GridOption,
-    GroundHeight,
-    JsonLog,
-    LooksOption,
-    MemoryLimit,
-    Overwrite,
-    PerformanceReport,
-    ProcessorOption,
-    Quiet,
-    RangeWeighting,
-    Scheduler,
-    SurfaceOption,
-    TerrainOption,
-    Threads,
-    VerticalOption,
-    WaitWorkers,
-    WeightingOption,
-    WholePulses,
-    Workers,
-    given,
-    method_options,
-    parse_settings,
-)
-from blocksar.focusing.method import PlannedProcessor
+from blocksar.cli.options import ALTERNATIVES, Everything, Explain, JsonLog, Quiet, given, taking
+from blocksar.focusing.method import ChainOptions
+from blocksar.options import options_of, read_values
 
 
-@method_options
+@taking(options_taken("plan"))
+@taking(options_of(ChainOptions), ALTERNATIVES)
 def plan(
     context: typer.Context,
     source: Annotated[list[str], typer.Argument(metavar="PH.zarr|SCENE.toml", help="Phase-history stores or scenes.")],
-    processor: Annotated[
-        PlannedProcessor,
-        typer.Option(metavar="NAME", help=f"{PROCESSORS}; auto: compare all chains and propose the best."),
-    ] = "angular-division",
-    blocks: Blocks = "auto",
-    fidelity: Fidelity = FIDELITY,
-    weighting: WeightingOption = "uniform",
-    weighting_range: RangeWeighting = None,
-    weighting_azimuth: AzimuthWeighting = None,
-    grid: GridOption = None,
-    terrain: TerrainOption = None,
-    surface: SurfaceOption = "plane",
-    vertical: VerticalOption = None,
-    whole_pulses: WholePulses = False,
-    ground_height: GroundHeight = None,
-    looks: LooksOption = None,
-    workers: Workers = None,
-    memory_limit: MemoryLimit = None,
     config: ConfigOption = None,
     everything: Everything = False,
     explain: Explain = False,
     quiet: Quiet = False,
-    **method: Any,
+    **options: Any,
 ) -> None:
     """Show how a collection would be focused, and the predicted quality of its image.
 
@@ -84,15 +36,11 @@ def plan(
 
     Example: [bold]blocksar plan table1 --blocks 3[/bold]
     """
-    tapers = (weighting, weighting_range, weighting_azimuth)
-    settings = parse_settings(blocks, fidelity, tapers, grid, workers, memory_limit)
+    settings = read_values(options_taken("plan"), options)
 
     from blocksar import api
 
-    proposal = api.plan(
-        one_or_all(source), processor=processor, terrain=terrain, surface=surface, vertical=vertical,
-        ground_height=ground_height, whole_pulses=whole_pulses, looks=looks, **settings, **method,
-    )  # fmt: skip
+    proposal = api.plan(one_or_all(source), **settings)
     show(proposal, context)
     if proposal.refusal is not None:
         complain(proposal.refusal, WRONG_INPUT)
@@ -122,44 +70,19 @@ def _hint_after_plan(context: typer.Context, sources: list[str], proposal: Any) 
     )
 
 
-@method_options
+@taking(options_taken("focus"))
+@taking(options_of(ChainOptions), ALTERNATIVES)
 def focus(
     context: typer.Context,
     source: Annotated[
         list[str], typer.Argument(metavar="PH.zarr", help="Phase-history stores; several of one frame: one mosaic.")
     ],
     out: Annotated[str, typer.Option(metavar="RUN", help="Folder of the run; an unfinished one is resumed.")],
-    processor: ProcessorOption = "angular-division",
-    blocks: Blocks = "auto",
-    fidelity: Fidelity = FIDELITY,
-    weighting: WeightingOption = "uniform",
-    weighting_range: RangeWeighting = None,
-    weighting_azimuth: AzimuthWeighting = None,
-    grid: GridOption = None,
-    looks: LooksOption = None,
-    terrain: TerrainOption = None,
-    surface: SurfaceOption = "plane",
-    vertical: VerticalOption = None,
-    whole_pulses: WholePulses = False,
-    ground_height: GroundHeight = None,
-    autofocus: AutofocusOption = False,
-    control: Control = None,
-    workers: Workers = None,
-    threads: Threads = None,
-    memory_limit: MemoryLimit = None,
-    scheduler: Scheduler = None,
-    wait_workers: WaitWorkers = WAIT_WORKERS,
-    performance_report: PerformanceReport = None,
-    overwrite: Overwrite = False,
-    discard: Discard = False,
     config: ConfigOption = None,
     print_config: PrintConfig = False,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say what would be done, with memory and disk, and write nothing.")
-    ] = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
-    **method: Any,
+    **options: Any,
 ) -> None:
     """Focus a phase history into a calibrated ground image, or several of one frame into one mosaic.
 
@@ -167,45 +90,22 @@ def focus(
 
     Example: [bold]blocksar focus table1.zarr --out run --blocks 3[/bold]
     """
-    tapers = (weighting, weighting_range, weighting_azimuth)
-    settings = parse_settings(blocks, fidelity, tapers, grid, workers, memory_limit)
+    settings = read_values(options_taken("focus"), options)
     if print_config:
         typer.echo(configuration(context))
         return
 
     from blocksar import api
 
-    if scheduler is None and not dry_run:
+    if settings["scheduler"] is None and not settings["dry_run"]:
         from blocksar.graph.starting import start_early
 
-        start_early(source, out, workers=workers, threads=threads)
+        start_early(source, out, workers=settings["workers"], threads=settings["threads"])
 
     with listening(context) as progress:
-        report = api.focus(
-            one_or_all(source),
-            out,
-            processor=processor,
-            **settings,
-            looks=looks,
-            terrain=terrain,
-            surface=surface,
-            vertical=vertical,
-            whole_pulses=whole_pulses,
-            ground_height=ground_height,
-            **method,
-            autofocus=autofocus,
-            control=control,
-            threads=threads,
-            scheduler=scheduler,
-            wait_workers=wait_workers,
-            overwrite=overwrite,
-            discard=discard,
-            progress=progress,
-            performance_report=performance_report,
-            dry_run=dry_run,
-        )
+        report = api.focus(one_or_all(source), out, progress=progress, **settings)
     show(report)
-    if dry_run:
+    if settings["dry_run"]:
         hint(context, "focus", *source, "--out", out, *given(context, "out", "dry_run"))
     elif report.measurable:
         hint(context, "quality", out)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from inspect import Parameter, signature
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, get_args
 
 import typer
 from rich.markup import escape
 
 from blocksar.cli.endings import Commands
 from blocksar.errors import InputError
-from blocksar.options import Option, Stated, options_of
+from blocksar.options import Option, Stated
 
 
 class Plugged(Commands):
@@ -81,29 +82,42 @@ def _refusing(error: InputError) -> Callable[..., None]:
     return refuse
 
 
-def with_options(command: Callable[..., None], model: type, doc: str) -> Callable[..., None]:
-    """Let a command take the options of a model as keyword arguments, behind its own up to the first with a default.
+def with_options(
+    command: Callable[..., None], options: Iterable[Stated], doc: str | None = None, *, panel: str | None = None
+) -> Callable[..., None]:
+    """Let a command take options as keyword arguments, behind its own up to the first with a default.
 
-    What has a function that reads it is taken as text.
+    What has a function that reads it is taken as text, except for numbers. `panel` is where its help shows them.
     """
     plain = signature(command, eval_str=True)
     own = [parameter for parameter in plain.parameters.values() if parameter.kind != Parameter.VAR_KEYWORD]
     needed = [parameter for parameter in own if parameter.default is Parameter.empty]
     others = [each.replace(kind=Parameter.KEYWORD_ONLY) for each in own if each.default is not Parameter.empty]
-    options = [_parameter(each) for each in options_of(model)]
-    command.__signature__ = plain.replace(parameters=[*needed, *options, *others])  # type: ignore[attr-defined]
-    command.__doc__ = doc
+    shown = [_parameter(each, panel) for each in options]
+    command.__signature__ = plain.replace(parameters=[*needed, *shown, *others])  # type: ignore[attr-defined]
+    command.__doc__ = doc or command.__doc__
     return command
 
 
-def typer_option(option: Option, default: object = None) -> Any:
-    """An option as the command line has it."""
+def typer_option(option: Option, default: object = None, panel: str | None = None) -> Any:
+    """An option as the command line has it; `panel` is where its help shows it."""
     shown = option.default if option.default is not None else default is not None
-    return typer.Option(*option.flags, metavar=option.metavar, help=option.help, show_default=shown)
+    return typer.Option(
+        *option.flags, metavar=option.metavar, help=option.help, min=option.least, show_default=shown,
+        rich_help_panel=panel,
+    )  # fmt: skip
 
 
-def _parameter(stated: Stated) -> Parameter:
-    kind = stated.type if stated.option.read is None else str | None
-    default = stated.default if stated.option.default is None else None
-    annotation = Annotated[kind, typer_option(stated.option, default)]  # type: ignore[valid-type]
+def _parameter(stated: Stated, panel: str | None) -> Parameter:
+    option, kind = stated.option, stated.type
+    if option.choices is not None:
+        kind = Literal[tuple(option.choices())]
+    elif option.read is not None and kind not in (int, float):
+        kind = str | None
+    if stated.default is False and not option.flags:  # there is no option not to do what is not done
+        option = replace(option, flags=(f"--{stated.name.replace('_', '-')}",))
+    if panel is not None and option.metavar is None:
+        option = replace(option, metavar=", ".join(map(str, get_args(kind))) or None)  # which few columns can fold
+    default = stated.default if option.default is None else None
+    annotation = Annotated[kind, typer_option(option, default, panel)]  # type: ignore[valid-type]
     return Parameter(stated.name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)

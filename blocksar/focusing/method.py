@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
-from typing import Any, Literal, get_args, get_type_hints
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, Literal, get_args, get_type_hints
 
 from blocksar.errors import InputError
+from blocksar.options import Option
 
 Chain = Literal["angular-division", "keystone-resampling", "high-order-phase"]
 Processor = Literal["angular-division", "keystone-resampling", "high-order-phase", "backprojection"]
@@ -17,12 +18,11 @@ RangeModel = Literal["polar", "conventional"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Method:
-    """A chain and its options. A method with an option other than the default is a rival, for comparison only.
+class ChainOptions:
+    """Options of chains. One that is not the default makes a variant, for comparison only.
 
     Attributes
     ----------
-    processor : {"angular-division", "keystone-resampling", "high-order-phase"}
     coefficients : {"fitted", "closed-form"}
         Fitted on time-frequency lines, or expanded about the block's centre as printed in the papers.
     perturbation : {"all", "frequency", "none"}
@@ -36,6 +36,33 @@ class Method:
     range_model : {"polar", "conventional"}
         "conventional": closed-form coefficients from a range model whose variables are substituted after range-walk
         correction; with one block, the reference method of paper A's Table 2 and Figure 14 (`planning.closed_form`).
+    """
+
+    coefficients: Annotated[Coefficients, Option("Fitted to time-frequency lines, or by the paper's closed forms.")] = (
+        "fitted"
+    )
+    perturbation: Annotated[
+        Perturbation, Option("All of the processor's, the one in Doppler only, or none: deramp only.")
+    ] = "all"
+    keystone: Annotated[bool, Option("Without keystone: RCMC by one reference in time.")] = True
+    derotation: Annotated[Derotation, Option("Linear: a single Doppler rate, which needs a higher PRF.")] = "nonlinear"
+    range_model: Annotated[RangeModel, Option("Conventional: substitute variables after RWC; needs closed-form.")] = (
+        "polar"
+    )
+
+    @property
+    def departures(self) -> list[str]:
+        """Names of the options that are not the default."""
+        return [f.name for f in fields(ChainOptions) if getattr(self, f.name) != f.default]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Method(ChainOptions):
+    """A chain and its options.
+
+    Attributes
+    ----------
+    processor : {"angular-division", "keystone-resampling", "high-order-phase"}
 
     Raises
     ------
@@ -44,11 +71,6 @@ class Method:
     """
 
     processor: Chain = "angular-division"
-    coefficients: Coefficients = "fitted"
-    perturbation: Perturbation = "all"
-    keystone: bool = True
-    derotation: Derotation = "nonlinear"
-    range_model: RangeModel = "polar"
 
     def __post_init__(self) -> None:
         hints = get_type_hints(type(self))
@@ -69,17 +91,12 @@ class Method:
             )
 
     @property
-    def departures(self) -> list[str]:
-        """Names of the options that are not the default, the processor aside."""
-        return [f.name for f in fields(self) if f.name != "processor" and getattr(self, f.name) != f.default]
-
-    @property
     def rival(self) -> bool:
         """Whether the method is for comparison only: its residuals are then no reason to refuse a plan."""
         return bool(self.departures)
 
     def as_settings(self) -> dict[str, Any]:
-        return asdict(self)
+        return {"processor": self.processor} | {f.name: getattr(self, f.name) for f in fields(ChainOptions)}
 
 
 DEFAULT = Method()

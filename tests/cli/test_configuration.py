@@ -16,6 +16,7 @@ import blocksar
 from blocksar.api.jobs import Request
 from blocksar.api.rehearsing import rehearse
 from blocksar.api.room import Beside
+from blocksar.api.settings import Settings
 from blocksar.cli import commands
 from blocksar.cli.configuration import NOT_CONFIGURED
 from blocksar.collection.grid import Grid
@@ -201,7 +202,7 @@ def test_a_finished_run_needs_nothing() -> None:
 
 def test_a_request_that_replaces_a_run_says_so(table1: Path, tmp_path: Path) -> None:
     (tmp_path / "run.json").write_text("{}")
-    exact: dict[str, Any] = {"method": None, "blocks": "auto", "fidelity": 0.999, "overwrite": True}
-    request = Request.open(table1, place(tmp_path), grid=Grid(16000, 16032, 1, 19000, 19032, 1), **exact)
+    grid = Grid(16000, 16032, 1, 19000, 19032, 1)
+    request = Request.open(table1, place(tmp_path), Settings(processor="backprojection", grid=grid, overwrite=True))
     report = rehearse(request, None, resources(1, 1, None), Beside())
     assert f"would replace what is in {tmp_path}" in report.summary[-2]
