@@ -206,7 +206,7 @@ def focus(
     check_cluster(client=client, scheduler=scheduler, workers=workers, wait_workers=wait_workers)
     on = partial(on_ground, height=ground_height, terrain=terrain)
     if (members := members_of(source, looks, settings.points, on)) is not None:
-        return focus_members(_focus_image, members, place(out), settings, progress=progress, client=client)
+        return focus_members(_focus_image, members, place(out), settings, progress, client)
     return _focus_image(source, place(out), settings, progress=progress, client=client)
 
 

@@ -123,13 +123,7 @@ def _looks_of(source: Source, count: int, grid: Grid | None, on_ground: OnGround
 
 
 def focus_members(
-    focus: Focus,
-    members: Members,
-    folder: Place,
-    settings: Settings,
-    *,
-    progress: Progress | None,
-    client: Client | None,
+    focus: Focus, members: Members, folder: Place, settings: Settings, progress: Progress | None, client: Client | None
 ) -> RunReport:
     """Focus all channels or looks; with `overwrite`, an unfinished run of these is gone on with where it can be.
 
@@ -158,12 +152,7 @@ def focus_members(
 
 
 def _focus_members(
-    focus: Focus,
-    members: Members,
-    folder: Place,
-    settings: Settings,
-    progress: Progress | None,
-    client: Client | None,
+    focus: Focus, members: Members, folder: Place, settings: Settings, progress: Progress | None, client: Client | None
 ) -> RunReport:
     names, kinds = members.names, f"{members.dimension}s"
     if settings.performance_report is not None:
