@@ -27,12 +27,13 @@ PACKAGE = ROOT / "blocksar"
 # no other room of its own layer.
 LAYERS = (
     {"errors", "constants", "budget", "garbage", "loop_cache", "version"},
-    {"places", "progress", "arrays", "solvers", "chunks", "options", "plugins", "spans"},
+    {"places", "progress", "arrays", "solvers", "chunks", "options", "plugins", "spans", "tables"},
     {"kernels"},
     {"collection"},
     {"stores", "measurement", "focusing"},
     {"ingestion", "runs", "planning", "inspection", "autofocusing"},
     {"simulation", "graph", "products"},
+    {"processors"},
     {"api"},
     {"cli", "accessor", "__init__"},
     {"__main__"},
@@ -53,10 +54,10 @@ HOMES: dict[str, set[str] | None] = {
     "xxhash": {"stores"},
     "xarray": {"stores", "products", "api", "ingestion"},
     "dask": {"graph"},
-    "distributed": {"graph", "api"},  # api: types
+    "distributed": {"graph", "processors", "api"},  # processors, api: types
     "typer": {"cli"},
     "rich": {"cli", "progress"},
-    "matplotlib": {"products", "api"},  # api: types
+    "matplotlib": {"products", "processors", "api"},  # processors, api: types
     "jinja2": {"products"},
     "rasterio": {"products", "ingestion"},
     "shapely": {"products"},

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 
-from blocksar.api.plan_lines import stage_seconds, time_text
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
@@ -13,9 +12,11 @@ from blocksar.errors import InputError, PrfTooLow, Unfocusable
 from blocksar.graph.machine import Resources
 from blocksar.planning import effort
 from blocksar.planning.segments import joint_grid
+from blocksar.processors import REFERENCE
+from blocksar.processors.lines import stage_seconds, time_text
 
-FOLDED = "; exact back-projection takes any PRF, and shows what folds: --processor backprojection"
-ANY = "; exact back-projection has no such limit: --processor backprojection"
+FOLDED = f"; exact back-projection takes any PRF, and shows what folds: --processor {REFERENCE}"
+ANY = f"; exact back-projection has no such limit: --processor {REFERENCE}"
 
 
 def exact_way(collections: Sequence[Collection], grid: Grid | None, assumed: Resources, *, way: str = ANY) -> str:

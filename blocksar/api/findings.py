@@ -20,6 +20,7 @@ from blocksar.graph.segments import Segment, by_collection
 from blocksar.graph.stages import Recovered
 from blocksar.inspection import centroid, samples, sentences
 from blocksar.inspection.samples import Inspection
+from blocksar.processors import PROCESSORS
 from blocksar.progress import Listener
 from blocksar.runs.record import RunRecord
 from blocksar.runs.sources import CentroidError, SampleCounts
@@ -52,8 +53,11 @@ def add_findings(
         If no sample of a collection is valid.
     """
     read_of, several = dict(zip(job.segments, read, strict=True)), len(job.request.histories) > 1
+    exact = _universal(job)
     told = [
-        _of_collection(number, [(segment, read_of[segment]) for segment in segments], checked, several=several)
+        _of_collection(
+            number, [(segment, read_of[segment]) for segment in segments], checked, several=several, exact=exact
+        )
         for number, segments in enumerate(by_collection(job.segments).values())
     ]
     warnings = (*chain.from_iterable(each.warnings for each in told), *job.left_out())
@@ -78,9 +82,16 @@ class _Told(NamedTuple):
 
 
 def _of_collection(
-    number: int, read: Sequence[tuple[Segment, Recovered]], checked: Callable[[], list[Check]], *, several: bool
+    number: int,
+    read: Sequence[tuple[Segment, Recovered]],
+    checked: Callable[[], list[Check]],
+    *,
+    several: bool,
+    exact: bool,
 ) -> _Told:
     """What the inspections of a collection's segments tell, then its check; of one of `several`, with its path.
+
+    `exact`: for an image that takes any track.
 
     Raises
     ------
@@ -94,9 +105,9 @@ def _of_collection(
     if not inspections[-1].valid:
         raise InputError(without_samples(history, zeros=True))
     lines = [line for each in inspections for line in sentences.describe(each)]
-    lines += sentences.doubts_of_track(history.collection, exact=segments[0].plan is None)
+    lines += sentences.doubts_of_track(history.collection, exact=exact)
     missing, size = sum(inspections[-1].missing.values()), math.prod(history.shape)
-    if missing > MANY_MISSING * size and any(segment.plan is not None for segment in segments):
+    if missing > MANY_MISSING * size and not exact:
         lines.append(
             f"{100 * missing / size:.2g} % of the samples are missing, which the prediction does not know: beside "
             "gaps images differ more from back-projection"
@@ -111,6 +122,11 @@ def _of_collection(
     about = f"{history.path}: " if several else ""
     impossible = sum(each.n_outlier for each in inspections)
     return _Told([about + line for line in lines], about + check if check else "", offsets, missing, impossible)
+
+
+def _universal(job: Job) -> bool:
+    """Whether the processor takes any track."""
+    return PROCESSORS.get(job.request.processor).universal
 
 
 def without_samples(history: stores.PhaseHistory, *, zeros: bool) -> str:
@@ -174,8 +190,8 @@ def _check_samples(job: Job, segments: Sequence[Segment]) -> Check:
             middle.history, job.grid, threads=job.machine.threads, thorough=False, terrain=middle.geometry.terrain
         )
     except InputError:
-        if not job.exact:
+        if not _universal(job):
             raise
-        return None, ""  # back-projection also forms images about the nadir, where yaw has no meaning
+        return None, ""  # such processors also form images about the nadir, where yaw has no meaning
     warning = findings.warning()
     return warning, "" if warning else findings.sentence()

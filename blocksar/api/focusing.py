@@ -18,14 +18,6 @@ from blocksar.api.jobs import Job, Request
 from blocksar.api.joint import focus_members, members_of
 from blocksar.api.parsing import GridLike
 from blocksar.api.partial_pulses import recorded_lines
-from blocksar.api.plan_lines import (
-    cut_dwells,
-    missed_fidelity,
-    outside_window,
-    short_dwells,
-    undersampling,
-    wobbling_beam,
-)
 from blocksar.api.rehearsing import rehearse
 from blocksar.api.room import Beside, check_room_for_run
 from blocksar.api.run_stages import carry_out
@@ -346,17 +338,12 @@ def _focus(
         check_room_for_run(job, Beside(following), resumed=resumed)
         with run_folder.resumable():
             finished = carry_out(job, run, record, workers, listener, profile, resumed=resumed, compiled=compiled)
-    found = [
-        next((line for plan in job.plans if (line := doubt(plan))), None)
-        for doubt in (undersampling, short_dwells, cut_dwells, wobbling_beam, missed_fidelity)
-    ]
-    found += recorded_lines([segment.geometry for segment in job.segments], job.grid, swath=False)
-    found += outside_window(job.plans) if job.plans else []
+    found = [*job.plan.notes(), *recorded_lines([piece.geometry for piece in job.plan.pieces], job.grid, swath=False)]
     if request.terrain is not None:
         found += terrain_notes(request.terrain, job.grid)
     if not (measurable := is_measurable(finished)):
         found.append("quality, report and export take images of at least 2 x 2 pixels; this one opens in Python only")
-    notes = [f"note: {line}" for line in found if line]
+    notes = [f"note: {line}" for line in found]
     worker = "this process" if cluster.is_here(client) else "a worker"
     lines = [*_summary(request.folder, finished, job.memory, worker), *notes]
     return RunReport(summary=lines, result=finished.as_json(), folder=request.folder, measurable=measurable)

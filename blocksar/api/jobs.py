@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache, partial
 from importlib import metadata
-from typing import Any, Literal
+from typing import Any
 
 from blocksar import stores
 from blocksar.api.arguments import (
@@ -21,20 +21,18 @@ from blocksar.api.arguments import (
 )
 from blocksar.api.exact_way import naming_exact
 from blocksar.api.fingerprints import joint_fingerprint
-from blocksar.api.ground import PLANE, check_ground, geometry_over, ground_settings, read_ground
+from blocksar.api.ground import PLANE, check_ground, ground_settings, read_ground
 from blocksar.api.partial_pulses import imaging_parts, pulses_of
 from blocksar.api.settings import Settings
 from blocksar.api.surroundings import read_surroundings
 from blocksar.api.track_places import TrackPlace
 from blocksar.arrays import FloatArray
-from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
-from blocksar.errors import FolderError, InputError, ProcessingError, Unfocusable, changes_while_read
-from blocksar.focusing.method import Method
+from blocksar.errors import InputError, ProcessingError, Unfocusable, changes_while_read
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.graph.machine import Resources
@@ -44,13 +42,14 @@ from blocksar.measurement.targets import Target
 from blocksar.places import place
 from blocksar.places.place import Place
 from blocksar.planning import effort
-from blocksar.planning.memory import checked_back_projection_memory, checked_memory, compression_memory
-from blocksar.planning.plan import Plan
-from blocksar.planning.planner import planner_of
-from blocksar.planning.segments import Divided, joint_grid, plan_segments
+from blocksar.planning.memory import checked_memory, compression_memory
+from blocksar.planning.segments import joint_grid
+from blocksar.processors import PROCESSORS, options_for
+from blocksar.processors.base import ImagePlan, Problem
 from blocksar.progress import Work
 from blocksar.runs import folder as run_folder
-from blocksar.runs.record import FORMAT, UNFINISHED, PredictedBlock, RunPlan, RunRecord
+from blocksar.runs import stored_plan
+from blocksar.runs.record import FORMAT, UNFINISHED, RunPlan, RunRecord
 from blocksar.runs.sources import RunInput, RunSegment
 from blocksar.version import __version__
 
@@ -63,12 +62,12 @@ class Request:
     ----------
     histories : tuple of PhaseHistory
         Of one frame, if there are several.
-    method : Method or None
-        None for back-projection.
-    blocks : int or "auto"
-        Number of angular blocks.
-    fidelity : float
-        Coherence that "auto" keeps.
+    asked : Settings
+        As the user gave them.
+    processor : str
+        Name of the processor.
+    options : object
+        Its own; see `processors.options_for`.
     weighting : Weighting
         Tapers over band and dwell.
     grid : Grid or None
@@ -81,12 +80,6 @@ class Request:
         The ground itself, under the grid; None for the plane.
     surroundings : Terrain or None
         The ground as far as it hides or overlies places of the grid; None if that is under it.
-    whole_pulses : bool
-        Of raw echoes, whether only ground with whole pulses is imaged.
-    overwrite : bool
-        Whether to replace a run of other settings or another input.
-    discard : bool
-        Whether to remove spectra and patches once nothing reads them.
     track : TrackPlace or None
         Where the track is corrected first; None: it is taken as it is.
     control : sequence of Target
@@ -95,15 +88,12 @@ class Request:
 
     histories: tuple[stores.PhaseHistory, ...]
     folder: Place
-    method: Method | None
-    blocks: int | Literal["auto"]
-    fidelity: float
+    asked: Settings
+    processor: str
+    options: Any
     weighting: Weighting
     grid: Grid | None
     fingerprints: tuple[str, ...]
-    overwrite: bool
-    whole_pulses: bool = False
-    discard: bool = False
     ground: Ground = PLANE
     terrain: Terrain | None = None
     surroundings: Terrain | None = None
@@ -122,8 +112,9 @@ class Request:
             If there is none, its georeference is wrong, several do not share a frame, or one and the folder lie in each
             other; if the grid is missing or lies outside the swath; the ground cannot be read; or a setting is wrong.
         """
-        method, grid, ground, whole_pulses = settings.method, settings.points, settings.ground, settings.whole_pulses
-        height, autofocus, weighting = settings.ground_height, settings.autofocus, settings.tapers
+        processor, options = settings.processor, options_for(settings.processor, settings.options)
+        grid, ground, whole_pulses = settings.points, settings.ground, settings.whole_pulses
+        height, autofocus = settings.ground_height, settings.autofocus
         control = control_points(settings.control, source, height, used=autofocus)
         sources = sources_of(source)
         over = partial(on_ground, height=height, terrain=ground.terrain)
@@ -135,7 +126,7 @@ class Request:
                 run_folder.refuse_overlap(place(history.path), folder)
         histories = imaging_parts(histories, grid, whole_pulses=whole_pulses)
         centred = [history.collection.centred() for history in histories]
-        check_ground(centred, grid, any_grid=method is None or not ground.plane)
+        check_ground(centred, grid, any_grid=PROCESSORS.get(processor).universal or not ground.plane)
         terrain, around = None, None
         if not ground.plane:
             under = grid or joint_grid([Geometry(collection=collection) for collection in centred])
@@ -151,10 +142,9 @@ class Request:
         if autofocus and track is None:
             track = TrackPlace.of(folder / run_folder.TRACK, histories, fingerprints)
         return cls(
-            histories=histories, folder=folder, method=method, blocks=settings.blocks, fidelity=settings.fidelity,
-            weighting=weighting, grid=grid, fingerprints=fingerprints, overwrite=settings.overwrite,
-            whole_pulses=whole_pulses, discard=settings.discard, ground=ground, terrain=terrain, surroundings=around,
-            track=track, control=control,
+            histories=histories, folder=folder, asked=settings, processor=processor, options=options,
+            weighting=settings.tapers, grid=grid, fingerprints=fingerprints, ground=ground, terrain=terrain,
+            surroundings=around, track=track, control=control,
         )  # fmt: skip
 
     @property
@@ -170,11 +160,11 @@ class Request:
     @property
     def settings(self) -> dict[str, Any]:
         """The settings, as run.json holds them."""
-        exact = Method().as_settings() | {"processor": "backprojection"}
         return {
-            **(exact if self.method is None else self.method.as_settings()),
-            "blocks": self.blocks,
-            "fidelity": self.fidelity,
+            "processor": self.processor,
+            **{field.name: getattr(self.options, field.name) for field in fields(self.options)},
+            "blocks": self.asked.blocks,
+            "fidelity": self.asked.fidelity,
             "weighting_range": self.weighting.range.text,
             "weighting_azimuth": self.weighting.azimuth.text,
             "grid": None if self.grid is None else list(grid_numbers(self.grid)),
@@ -186,9 +176,10 @@ class Request:
             **({} if (pulses := pulses_of(self.histories)) is None else {"pulses": pulses}),
         }
 
-    def identity(self, division: Division) -> str:
+    def identity(self, plan: RunPlan) -> str:
         """Hash everything that the results depend on."""
-        text = repr((FORMAT, sorted(self.settings.items(), key=str), self.fingerprint, division))
+        divided = plan.blocks, plan.parts, plan.checksum
+        text = repr((FORMAT, sorted(self.settings.items(), key=str), self.fingerprint, divided))
         return stores.checksum_bytes(text.encode("utf-8", "surrogateescape"))
 
     def find_run(self) -> RunRecord | None:
@@ -197,30 +188,14 @@ class Request:
         Raises
         ------
         FolderError
-            As it does, and if an unfinished run's division is not the one that it began with.
+            As it does, and if an unfinished run's plan is not the one that it began with.
         """
-        record = run_folder.find_run(self.folder, self.settings, self.fingerprint, overwrite=self.overwrite)
+        record = run_folder.find_run(self.folder, self.settings, self.fingerprint, overwrite=self.asked.overwrite)
         if record is None or record.finished:
             return record
-        if record.identity != self.identity(division_of(record, exact=self.method is None)):
-            raise FolderError(
-                f"{self.folder} is damaged: its run.json does not have the plan that the run began with; use "
-                "--overwrite to begin it again",
-                replaceable=True,
-            )
+        if record.identity != self.identity(record.plan):
+            raise stored_plan.damaged(self.folder)
         return record
-
-
-# What of a plan the results depend on: numbers of blocks, and of parts of each; None for back-projection. Of several
-# segments, one entry for each.
-Division = tuple[Any, ...] | None
-
-
-def division_of(record: RunRecord, *, exact: bool) -> Division:
-    """The division that a run began with."""
-    if record.segments:
-        return tuple((s.collection, s.pulses, s.blocks, s.parts) for s in record.segments)
-    return None if exact else (record.plan.blocks, record.plan.parts)
 
 
 def _open(source: One, over: OnGround, folder: Place, number: int | None) -> tuple[stores.PhaseHistory, str]:
@@ -248,17 +223,17 @@ class Job:
     ----------
     segments : tuple of Segment
         The collection; or collections that cover some of the grid, or parts of them along time.
-    first_blocks : tuple of int
-        Number of the first block of each.
+    packed : bytes
+        The plan as it is kept in the run folder.
     memory : int
         Predicted peak memory of a worker, bytes.
     """
 
     request: Request
-    grid: Grid
+    plan: ImagePlan
     machine: Resources
     segments: tuple[Segment, ...]
-    first_blocks: tuple[int, ...]
+    packed: bytes
     memory: int
 
     @property
@@ -267,23 +242,19 @@ class Job:
         return self.request.history
 
     @property
-    def exact(self) -> bool:
-        """Whether the image is formed by back-projection."""
-        return self.request.method is None
-
-    @property
-    def plans(self) -> list[Plan]:
-        """The plans of the segments; none for back-projection."""
-        return [segment.plan for segment in self.segments if segment.plan is not None]
+    def grid(self) -> Grid:
+        return self.plan.grid
 
     @classmethod
     def of(cls, request: Request, earlier: RunRecord | None, machine: Resources) -> Job:
-        """Plan a run; a resumed one keeps its division into blocks.
+        """Plan a run; a resumed one has the plan that it began with.
 
         Raises
         ------
         InputError
             If there is no such plan, or it needs more memory than there is.
+        FolderError
+            If the plan that a run began with is damaged.
         """
         compression = max(
             checked_memory(
@@ -291,60 +262,27 @@ class Job:
             )
             for history in request.histories
         )
-        collections = [history.collection.centred() for history in request.histories]
-        if request.method is None:
-            return cls._of_backprojection(request, collections, machine, compression)
-
-        plan = planner_of(
-            request.method, blocks=request.blocks, fidelity=request.fidelity, weighting=request.weighting,
-            terrain=request.terrain, workers=machine.workers, memory_limit=machine.memory_limit,
-        )  # fmt: skip
-        grid = request.grid
-        if request.terrain is not None:  # the grid that its heights were read for
-            grid = grid or joint_grid([Geometry(collection=collection) for collection in collections])
-        with naming_exact(collections, grid, machine):
-            planned = plan_segments(plan, collections, grid=grid, cut=request.blocks == "auto", like=_divided(earlier))
-            if (refusal := next(filter(None, (each.plan.refusal for each in planned)), None)) is not None:
-                raise Unfocusable(refusal)
-        several = len(planned) > 1 or len(collections) > 1
+        if earlier is None:
+            plan = _plan(request, machine)
+            packed = stored_plan.pack(plan)
+        else:
+            plan, packed = stored_plan.read(request.folder, earlier.plan.checksum, ImagePlan)  # type: ignore[type-abstract]
+            checked_memory("the plan of the unfinished run", plan.memory(machine.threads), machine.memory_limit)
+        several, collections = len(plan.pieces) > 1 or len(request.histories) > 1, len(request.histories)
         segments = tuple(
             Segment(
                 number=number if several else None,
-                collection=each.collection if len(collections) > 1 else None,
-                source=request.histories[each.collection],
-                pulses=each.pulses,
-                geometry=each.plan.geometry,
-                plan=each.plan,
+                collection=piece.collection if collections > 1 else None,
+                source=request.histories[piece.collection],
+                pulses=piece.pulses,
+                geometry=piece.geometry,
+                plan=piece.plan,
             )
-            for number, each in enumerate(planned)
+            for number, piece in enumerate(plan.pieces)
         )
         return cls(
-            request=request, grid=planned[0].plan.grid, machine=machine, segments=segments,
-            first_blocks=tuple(each.first_block for each in planned),
-            memory=max(compression, *(each.plan.memory_of(machine.threads) for each in planned)),
-        )  # fmt: skip
-
-    @classmethod
-    def _of_backprojection(
-        cls, request: Request, collections: list[Collection], machine: Resources, compression: int
-    ) -> Job:
-        grid = request.grid or joint_grid([Geometry(collection=collection) for collection in collections])
-        geometries = [geometry_over(collection, request.terrain) for collection in collections]
-        several = len(geometries) > 1
-        segments = tuple(
-            Segment(
-                number=number if several else None, collection=number if several else None,
-                source=request.histories[number], geometry=geometry, plan=None,
-            )
-            for number, geometry in enumerate(geometries)
-        )  # fmt: skip
-        needed = [
-            checked_back_projection_memory(collection, grid, machine.threads, machine.memory_limit)
-            for collection in collections
-        ]
-        return cls(
-            request=request, grid=grid, machine=machine, segments=segments, first_blocks=tuple(range(len(segments))),
-            memory=max(compression, *needed),
+            request=request, plan=plan, machine=machine, segments=segments, packed=packed,
+            memory=max(compression, plan.memory(machine.threads)),
         )  # fmt: skip
 
     def left_out(self) -> list[str]:
@@ -400,14 +338,11 @@ class Job:
             else RawCompression.of_echo(history.raw, history.collection).length * history.collection.n_pulse
             for number, history in histories.items()
         }
-        works = []
-        for segment in self.segments:
-            echo = echoes.pop(segment.collection, 0)  # of several segments, with the first
-            if segment.plan is None:
-                works.append(effort.of_backprojection(segment.geometry, self.grid, echo_samples=echo))
-            else:
-                works.append(effort.of_plan(segment.plan, echo_samples=echo, workers=self.machine.workers))
-        return effort.together(works)
+        work = dict(self.plan.work(workers=self.machine.workers))
+        compressing = effort.of_compression(
+            (history.collection.n_pulse, echoes[number]) for number, history in histories.items()
+        )
+        return {**compressing, **work}
 
     def _run_segments(self) -> tuple[RunSegment, ...]:
         """The segments for the record; none in a run of one."""
@@ -422,42 +357,53 @@ class Job:
                 pulses=segment.pulses,
                 blocks=None if segment.plan is None else segment.plan.n_blocks,
                 parts=None if segment.plan is None else segment.plan.parts,
-                first_block=first,
+                first_block=piece.first_block,
             )
-            for index, segment, first in zip(indices, self.segments, self.first_blocks, strict=True)
+            for index, segment, piece in zip(indices, self.segments, self.plan.pieces, strict=True)
         )
 
     def record(self) -> RunRecord:
         """Return the record of the run at its start."""
-        request, plans = self.request, self.plans
-        record = RunRecord(
+        plans = [piece.plan for piece in self.plan.pieces if piece.plan is not None]
+        plan = RunPlan(
+            blocks=sum(plan.n_blocks for plan in plans) or None,
+            parts=max((plan.parts for plan in plans), default=None),
+            memory=self.memory,
+            grid=grid_numbers(self.grid),
+            predicted=self.plan.blocks(),
+            checksum=stores.checksum_bytes(self.packed),
+        )
+        return RunRecord(
             status=UNFINISHED,
             format=FORMAT,
-            settings=request.settings,
-            input=RunInput(str(request.history.path), request.fingerprint),
+            settings=self.request.settings,
+            input=RunInput(str(self.request.history.path), self.request.fingerprint),
             segments=self._run_segments(),
             versions=_versions(),
             **self.machine._asdict(),
-            plan=RunPlan(
-                blocks=sum(plan.n_blocks for plan in plans) or None,
-                parts=max((plan.parts for plan in plans), default=None),
-                memory=self.memory,
-                grid=grid_numbers(self.grid),
-                predicted=tuple(block for plan in plans for block in predicted_blocks(plan)),
-            ),
+            plan=plan,
+            identity=self.request.identity(plan),
         )
-        return replace(record, identity=request.identity(division_of(record, exact=self.exact)))
 
 
-def _divided(earlier: RunRecord | None) -> tuple[Divided, ...] | None:
-    """How an earlier process divided what is to be resumed."""
-    if earlier is None:
-        return None
-    if earlier.segments:
-        return tuple(Divided(s.collection, s.pulses, s.blocks or 1, s.parts or 1) for s in earlier.segments)
-    if earlier.plan.blocks is None:
-        return None
-    return (Divided(0, None, earlier.plan.blocks, earlier.plan.parts or 1),)
+def _plan(request: Request, machine: Resources) -> ImagePlan:
+    """Plan the image of a request.
+
+    Raises
+    ------
+    InputError
+        If its processor cannot form it.
+    """
+    collections = [history.collection.centred() for history in request.histories]
+    problem = Problem(
+        collections=collections, grid=request.grid, terrain=request.terrain, blocks=request.asked.blocks,
+        fidelity=request.asked.fidelity, weighting=request.weighting, options=request.options, machine=machine,
+    )  # fmt: skip
+    with naming_exact(collections, request.grid, machine):
+        plan = PROCESSORS.get(request.processor).plan(problem)
+        if plan.refusal is not None:
+            raise Unfocusable(plan.refusal)
+    return plan
 
 
 def records_of(control: Sequence[Target]) -> list[list[str | float]]:
@@ -465,22 +411,6 @@ def records_of(control: Sequence[Target]) -> list[list[str | float]]:
     return [
         [t.name, t.x, t.y, t.reflectivity.real, t.reflectivity.imag, *([] if t.z is None else [t.z])] for t in control
     ]
-
-
-def predicted_blocks(plan: Plan) -> tuple[PredictedBlock, ...]:
-    """Return what the plan predicts of each block."""
-    return tuple(
-        PredictedBlock(
-            block=block.index,
-            part=block.part,
-            yaw=(block.low, block.high),
-            range=(block.ground.near, block.ground.far),
-            memory=block.memory,
-            bias=block.choice.candidate.bias,
-            **block.prediction._asdict(),
-        )
-        for block in plan.blocks
-    )
 
 
 def grid_numbers(grid: Grid) -> tuple[float, ...]:

@@ -11,23 +11,19 @@ from blocksar.api import definitions
 from blocksar.api.arguments import Source, channels_of, collections_of, in_this_process, sources_of
 from blocksar.api.exact_way import exact_way, naming_exact
 from blocksar.api.ground import read_ground
-from blocksar.api.look_plans import report_exact_looks, report_looks
+from blocksar.api.look_plans import report_looks
 from blocksar.api.looks import divide_dwells, one_source
 from blocksar.api.parsing import GridLike
 from blocksar.api.partial_pulses import imaged_collections, recorded_lines
-from blocksar.api.plan_lines import exact_line, lit_pulses, outside_window, plan_lines, time_line, workforce
-from blocksar.api.plan_tables import block_table, contender_table, plan_details
 from blocksar.api.settings import PlanSettings
 from blocksar.api.shown import PlanReport
 from blocksar.budget import FIDELITY
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.grid import Grid
 from blocksar.collection.surface import Surface
-from blocksar.collection.terrain import Terrain
-from blocksar.constants import MIB
 from blocksar.errors import InputError
 from blocksar.focusing.method import (
+    ChainOptions,
     Coefficients,
     Derotation,
     Method,
@@ -37,15 +33,16 @@ from blocksar.focusing.method import (
 )
 from blocksar.graph.machine import Resources, resources
 from blocksar.ingestion.terrain.reading import terrain_notes
-from blocksar.inspection.sentences import doubts_of_track
 from blocksar.places import Location
-from blocksar.planning import choice, effort
+from blocksar.planning import choice
 from blocksar.planning.choice import Contender
-from blocksar.planning.disk import exact_bytes
-from blocksar.planning.memory import checked_back_projection_memory
 from blocksar.planning.plan import Plan
-from blocksar.planning.planner import planner_of
-from blocksar.planning.segments import PlannedSegment, Planner, joint_grid, plan_segments
+from blocksar.planning.segments import PlannedSegment, joint_grid
+from blocksar.processors import AUTO, PROCESSORS, options_for
+from blocksar.processors.base import ImagePlan, Problem
+from blocksar.processors.chain import chain_plan
+from blocksar.processors.chain_tables import contender_table
+from blocksar.processors.lines import exact_line, time_line
 
 
 def plan(
@@ -144,12 +141,12 @@ def plan(
         If the source is no collection, a setting is wrong, the PRF is too low, or the grid lies outside the swath.
     """
     settings = PlanSettings.of(locals())
-    automatic = processor == "auto"
-    method = (replace(settings, processor="angular-division") if automatic else settings).method
-    points, tapers, ground = settings.points, settings.tapers, settings.ground
+    automatic = processor == AUTO
+    options = options_for(next(iter(PROCESSORS.names())) if automatic else processor, settings.options)
+    points, ground = settings.points, settings.ground
     collections = collections_of(source if looks is None else one_source(source, looks), ground_height, terrain=terrain)
-    if automatic and method is not None:
-        _check_automatic(method, collections, looks)
+    if automatic:
+        _check_automatic(options, collections, looks)
     parts = None if looks is None else divide_dwells(collections[0], looks, points)
     points = points if parts is None else parts.grid
     here = in_this_process(workers, collections)
@@ -164,37 +161,35 @@ def plan(
     collections = imaged_collections(
         source, collections, settings.points, heights, ground_height=ground_height, whole_pulses=whole_pulses
     )
-    if method is None and parts is not None:
-        return report_exact_looks(
-            lambda seen: _plan_backprojection([seen], points, heights, assumed), collections[0], parts
-        )
-    if method is None:
-        return _told_first(_plan_backprojection(collections, points, heights, assumed), of_each)
-
-    def plan_by(method: Method) -> Planner:
-        return planner_of(
-            method, blocks=settings.blocks, fidelity=settings.fidelity, weighting=tapers, terrain=heights,
-            workers=share.workers, memory_limit=share.memory_limit,
-        )  # fmt: skip
-
-    def plan_all(collections: Sequence[Collection]) -> Sequence[PlannedSegment]:
-        return plan_segments(plan_by(method), collections, grid=points, cut=settings.blocks == "auto")
-
+    problem = Problem(
+        collections=collections, grid=points, terrain=heights, blocks=settings.blocks, fidelity=settings.fidelity,
+        weighting=settings.tapers, options=options, machine=share,
+    )  # fmt: skip
     started = time.perf_counter()
     with naming_exact(collections, points, assumed):
-        if parts is not None:
-            report = report_looks(lambda seen: [each.plan for each in plan_all([seen])], collections[0], parts, assumed)
-        elif automatic:
-            contenders = choice.contend(lambda rival: plan_by(rival)(collections[0], grid=points))
-            report = _report_contenders(contenders, assumed)
+        if automatic:
+            report = _report_contenders(choice.contend(lambda method: _plan_of(method, problem)), assumed)
+        elif parts is not None:
+            report = report_looks(
+                lambda seen: PROCESSORS.get(processor).plan(replace(problem, collections=[seen])),
+                collections[0], parts, assumed,
+            )  # fmt: skip
         else:
-            report = _report_segments(plan_all(collections), assumed, time.perf_counter() - started)
+            planned = PROCESSORS.get(processor).plan(problem)
+            report = _report(planned, assumed, time.perf_counter() - started)
     if report.refusal is not None:
         return replace(report, refusal=report.refusal + exact_way(collections, points, assumed))
-    return _told_first(report, of_each)
+    return replace(report, summary=[*of_each, *report.summary])
 
 
-def _check_automatic(method: Method, collections: Sequence[Collection], looks: int | None) -> None:
+def _plan_of(method: Method, problem: Problem) -> Plan:
+    """The plan of a collection by a chain."""
+    planned = PROCESSORS.get(method.processor).plan(problem)
+    assert isinstance(planned.result, Plan)
+    return planned.result
+
+
+def _check_automatic(options: ChainOptions, collections: Sequence[Collection], looks: int | None) -> None:
     """Check that processors can be compared: as they are, for whole dwells of one collection.
 
     Raises
@@ -202,9 +197,9 @@ def _check_automatic(method: Method, collections: Sequence[Collection], looks: i
     InputError
         If they cannot.
     """
-    if method.rival:
+    if options.departures:
         raise InputError(
-            f"{' and '.join(method.departures)}: processor auto compares processors as they are; leave it out"
+            f"{' and '.join(options.departures)}: processor auto compares processors as they are; leave it out"
         )
     if looks is not None:
         raise InputError(f"looks = {looks!r}, but processor auto compares processors for whole dwells; leave one out")
@@ -218,57 +213,23 @@ def _channels_line(source: Source) -> list[str]:
     return [f"{len(names)} channels ({', '.join(names)}), one after the other, each as follows"] if names else []
 
 
-def _told_first(report: PlanReport, lines: Sequence[str]) -> PlanReport:
-    """A report with lines before its own."""
-    return replace(report, summary=[*lines, *report.summary])
-
-
-def _report_plan(plan: Plan, assumed: Resources, planning: float = 0.0, *, compared: bool = False) -> PlanReport:
+def _report(plan: ImagePlan, assumed: Resources, planning: float = 0.0, *, compared: bool = False) -> PlanReport:
+    """Report a plan; `planning` as for `time_line`."""
     if plan.refusal is not None:  # the samples of what does not focus may have no bounds
-        return PlanReport(refusal=plan.refusal, result=plan, geometry=plan.geometry)
-    work = effort.of_plan(plan, workers=assumed.workers)
+        return PlanReport(refusal=plan.refusal, result=plan.result, plan=plan)
+    work, tables = plan.work(workers=assumed.workers), plan.tables()
     return PlanReport(
-        tables=[block_table([plan])],
-        details=plan_details([plan]),
-        definitions=definitions.PLAN,
+        tables=tables,
+        details=plan.details(),
+        definitions=definitions.PLAN if tables else (),
         summary=[
-            *plan_lines(plan, compared=compared),
-            *recorded_lines([plan.geometry], plan.grid),
-            *outside_window([plan]),
+            *plan.lines(compared=compared),
+            *recorded_lines([piece.geometry for piece in plan.pieces], plan.grid),
             time_line(work, assumed, planning),
             *exact_line([plan], work, assumed, planning),
         ],
-        result=plan,
-        geometry=plan.geometry,
-    )
-
-
-def _report_segments(segments: Sequence[PlannedSegment], assumed: Resources, planning: float) -> PlanReport:
-    """Report the blocks of all segments together, then each segment; `planning` as for `time_line`."""
-    plans = [segment.plan for segment in segments]
-    if len(plans) == 1:
-        return _report_plan(plans[0], assumed, planning)
-    if (refusal := next((plan.refusal for plan in plans if plan.refusal is not None), None)) is not None:
-        return PlanReport(refusal=refusal, result=tuple(plans))
-    lines = []
-    for number, segment in enumerate(segments):
-        pulses = "" if segment.pulses is None else f", pulses {segment.pulses[0]} .. {segment.pulses[1] - 1}"
-        blocks = f"blocks {segment.first_block} .. {segment.first_block + segment.plan.n_blocks - 1}"
-        lines.append(f"segment {number} (collection {segment.collection}{pulses}, {blocks}):")
-        lines += [f"  {line}" for line in plan_lines(segment.plan)]
-    work = effort.together([effort.of_plan(plan, workers=assumed.workers) for plan in plans])
-    lines += [
-        *recorded_lines([plan.geometry for plan in plans], plans[0].grid),
-        *outside_window(plans),
-        time_line(work, assumed, planning),
-        *exact_line(plans, work, assumed, planning),
-    ]
-    return PlanReport(
-        tables=[block_table(plans)],
-        details=plan_details(plans),
-        definitions=definitions.PLAN,
-        summary=lines,
-        result=tuple(plans),
+        result=plan.result,
+        plan=plan,
     )
 
 
@@ -277,34 +238,11 @@ def _report_contenders(contenders: list[Contender], assumed: Resources) -> PlanR
     (best, reason), table = choice.propose(contenders), contender_table(contenders)
     if best is None or best.plan is None:
         return PlanReport(refusal=reason)
-    report = _report_plan(best.plan, assumed, compared=True)
+    planned = chain_plan(best.processor, [PlannedSegment(collection=0, pulses=None, plan=best.plan)])
+    report = _report(planned, assumed, compared=True)
     return replace(
         report,
         tables=[table, *report.tables],
         details=[table, *report.details],
         summary=[reason, *report.summary, f"to focus with it: --processor {best.processor}"],
     )
-
-
-def _plan_backprojection(
-    collections: Sequence[Collection], grid: Grid | None, terrain: Terrain | None, assumed: Resources
-) -> PlanReport:
-    geometries = [Geometry(collection=collection) for collection in collections]
-    grid = grid or joint_grid(geometries)
-    pixels = grid.shape[0] * grid.shape[1]
-    lit = sum(lit_pulses(geometry, grid) for geometry in geometries)
-    memory = max(
-        checked_back_projection_memory(collection, grid, assumed.threads, assumed.memory_limit)
-        for collection in collections
-    )
-    written = exact_bytes(grid, terrain, noise=any(each.noise_power for each in collections))
-    lines = [
-        f"exact back-projection of {grid.shape[1]} x {grid.shape[0]} pixels, {lit} lit pulses each: "
-        f"{pixels * lit / 1e9:.3g} G updates at most, {workforce(assumed)}",
-        *recorded_lines(geometries, grid),
-        f"peak memory of a worker {memory / MIB:.0f} MiB",
-        f"a run writes at most {sum(written.values()) / MIB:.0f} MiB",
-        time_line(effort.together([effort.of_backprojection(each, grid) for each in geometries]), assumed),
-        *dict.fromkeys(doubt for each in collections for doubt in doubts_of_track(each, exact=True)),
-    ]
-    return PlanReport(summary=lines, result=grid, geometry=geometries[0])

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from blocksar.api.jobs import Job, Request
 from blocksar.api.partial_pulses import recorded_lines
-from blocksar.api.plan_lines import outside_window, plan_lines, time_line, workforce
-from blocksar.api.plan_tables import block_table, plan_details
 from blocksar.api.room import Beside, needed, remedy
 from blocksar.api.shown import RunReport
 from blocksar.graph.machine import Resources
 from blocksar.places.room import size_text
+from blocksar.processors.lines import time_line, workforce
 from blocksar.runs.folder import is_begun
 from blocksar.runs.record import RunRecord
 
@@ -32,24 +31,23 @@ def rehearse(request: Request, earlier: RunRecord | None, machine: Resources, be
             summary=[f"{request.folder} is finished already with these settings and this input: nothing would be done"]
         )
     job = Job.of(request, earlier, machine)
-    plans = job.plans
+    plan = job.plan
     cluster = (
         f"{workforce(machine)}: {size_text(job.memory)} of memory planned for each, of the "
         f"{size_text(machine.memory_limit)} that it may take"
     )
     return RunReport(
-        tables=[block_table(plans)] if plans else [],
-        details=plan_details(plans) if plans else [],
+        tables=plan.tables(),
+        details=plan.details(),
         summary=[
-            *(line for plan in plans for line in plan_lines(plan)),
+            *plan.lines(),
             *recorded_lines([segment.geometry for segment in job.segments], job.grid),
-            *(outside_window(plans) if plans else []),
             time_line(job.predict_effort(), machine),
             cluster,
             _doing(request, job, earlier, beside),
             NOTHING_DONE,
         ],
-        result=None if not plans else plans[0] if len(plans) == 1 else tuple(plans),
+        result=plan.result if any(piece.plan for piece in plan.pieces) else None,
     )
 
 
@@ -57,7 +55,7 @@ def _doing(request: Request, job: Job, earlier: RunRecord | None, beside: Beside
     """What would be written, and how much room there is for it."""
     folder = request.folder
     resumed = earlier is not None or is_begun(folder, job.record())
-    replaced = request.overwrite and folder.exists() and folder.names()
+    replaced = request.asked.overwrite and folder.exists() and folder.names()
     if resumed:
         doing = f"would go on with the unfinished run in {folder}"
     else:

@@ -6,7 +6,10 @@ import re
 from collections.abc import Sequence
 from html import escape
 
-Table = tuple[Sequence[str], Sequence[Sequence[str]]]
+from blocksar.tables import Table
+
+__all__ = ["Table", "html_report", "text_table"]
+
 NUMBER = re.compile(r"[-+\u2212]?[\d.,]+(e[-+]?\d+)?|nan|-|yes|no")  # cells that are aligned on the right
 
 

@@ -12,17 +12,17 @@ from blocksar.api.jobs import Job
 from blocksar.chunks import stored_bytes
 from blocksar.errors import InputError
 from blocksar.places.room import no_room_for, size_text
-from blocksar.planning.disk import Room, exact_bytes, room_of_run, run_bytes
+from blocksar.planning.disk import Room, room_of_run
+from blocksar.processors import PROCESSORS, REFERENCE, options_for
 from blocksar.runs import folder as run_folder
 from blocksar.runs.record import RECORD
 
 
 def room_of(job: Job) -> Room:
     """The room that a run takes, from an empty folder on."""
-    request, plans = job.request, job.plans
-    noise = any(history.collection.noise_power for history in request.histories)
+    request = job.request
     beside = 0 if request.surroundings is None else request.surroundings.heights.nbytes
-    temporary = 0
+    temporary = len(job.packed)
     for history in {segment.collection: segment.source for segment in job.segments}.values():
         collection = history.collection
         if isinstance(history, stores.DatasetHistory):
@@ -30,11 +30,11 @@ def room_of(job: Job) -> Room:
         if history.raw is not None:  # compressed first
             temporary += stored_bytes((collection.n_pulse, collection.n_range_frequency))
     return room_of_run(
-        run_bytes(*plans) if plans else exact_bytes(job.grid, request.terrain, noise=noise),
+        job.plan.stored(),
         beside=beside,
         temporary=temporary,
-        discard=request.discard,
-        reads_later=any(plan.completed for plan in plans),
+        discard=request.asked.discard,
+        reads_later=job.plan.reads_later,
     )
 
 
@@ -99,15 +99,17 @@ def _others(job: Job, *, resumed: bool) -> Iterator[tuple[str, Job]]:
     A run that is resumed keeps its blocks.
     """
     yield "", job
-    if resumed or job.exact:
+    if resumed:
         return
-    count = max(plan.n_blocks for plan in job.plans)
+    count = max((piece.plan.n_blocks for piece in job.plan.pieces if piece.plan is not None), default=0)
     while (count := count // 2) > 0:
         with suppress(InputError):  # there is no such plan
             yield f"--blocks {count}", Job.of(replace(job.request, blocks=count), None, job.machine)
-    with suppress(InputError):
-        exact = replace(job.request, method=None)
-        yield "--processor backprojection, exact but slow,", Job.of(exact, None, job.machine)
+    if job.request.processor != REFERENCE:
+        words = f"--processor {REFERENCE}, {PROCESSORS.get(REFERENCE).summary},"
+        with suppress(InputError):
+            exact = replace(job.request, processor=REFERENCE, options=options_for(REFERENCE, {}))
+            yield words, Job.of(exact, None, job.machine)
 
 
 def _discarding(job: Job) -> Job:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
 from blocksar.api.parsing import blocks_of, fidelity_of, grid_of, memory_of, with_axes
 from blocksar.budget import FIDELITY, WAIT_WORKERS
 from blocksar.collection.surface import Surface
-from blocksar.focusing.method import ChainOptions, Method, PlannedProcessor, Processor, method_of
+from blocksar.focusing.method import ChainOptions, PlannedProcessor, Processor
 from blocksar.options import Option, Stated, options_of, read_values
 
 if TYPE_CHECKING:
@@ -149,11 +149,6 @@ class Settings(Output, Machine, Imaging):  # whose fields stand in the opposite 
         own = {name: value for name, value in given.items() if name in known}
         options = {each.name: given[each.name] for each in options_of(ChainOptions) if each.name in given}
         return cls(**read_values(known.values(), own), options=options)
-
-    @property
-    def method(self) -> Method | None:
-        """The chain with its options; None for back-projection."""
-        return method_of(self.processor, **self.options)
 
     @property
     def points(self) -> Grid | None:

@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING
 from blocksar.api.reports import Report
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.constants import MIB
 from blocksar.errors import InputError, library_for
 from blocksar.places.place import Place
-from blocksar.planning.disk import run_bytes
-from blocksar.planning.plan import Plan
+from blocksar.processors.base import ImagePlan
 from blocksar.runs.record import RunRecord
 
 if TYPE_CHECKING:
@@ -26,16 +24,21 @@ class PlanReport(Report):
 
     Attributes
     ----------
-    geometry : Geometry or None
-        Track and ground of the collection.
+    plan : ImagePlan or None
+        The plan, if it is one.
     """
 
-    geometry: Geometry | None = None
+    plan: ImagePlan | None = None
+
+    @property
+    def geometry(self) -> Geometry | None:
+        """Track and ground of the collection, or of the first of several; None without a plan."""
+        return None if self.plan is None else self.plan.pieces[0].geometry
 
     def headline(self) -> str:
-        if not isinstance(self.result, Plan) or self.refusal is not None:
+        if self.plan is None or self.refusal is not None:
             return super().headline()
-        return f"{self.result.headline()}, {sum(run_bytes(self.result).values()) / MIB:.0f} MiB on the disk"
+        return self.plan.headline()
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the blocks with their predicted coherence, the footprint and the image's outline on the ground.
@@ -55,14 +58,11 @@ class PlanReport(Report):
         InputError
             If matplotlib is not installed, or there is no plan: no processor was proposed.
         """
-        plan = self.result
-        if self.geometry is None or not isinstance(plan, Plan | Grid):
+        plan = self.plan
+        if plan is None or len(plan.pieces) > 1:
             raise InputError(f"there is no plan to draw ({self.headline()}); plan with other settings")
         with library_for("pictures need", "plots"):
-            from blocksar.products.pictures.planned import draw_plan  # optional, and slow to load
-        if isinstance(plan, Grid):
-            return draw_plan(self.geometry, plan, axes=ax)
-        return draw_plan(self.geometry, plan.grid, blocks=plan.blocks, region=plan.region, axes=ax)
+            return plan.draw(ax)
 
 
 def is_measurable(record: RunRecord) -> bool:

@@ -100,20 +100,3 @@ class Method(ChainOptions):
 
 
 DEFAULT = Method()
-
-
-def method_of(processor: str, **options: Any) -> Method | None:
-    """The method of a processor with options; None for back-projection, which has no options.
-
-    Raises
-    ------
-    InputError
-        As `Method`, and if options are given for back-projection.
-    """
-    if processor not in get_args(Processor):
-        raise InputError(f"processor {processor!r} is unknown; use {', '.join(get_args(Processor))}")
-    if processor != "backprojection":
-        return Method(processor=processor, **options)  # type: ignore[arg-type]  # checked there
-    if departures := Method(**options).departures:
-        raise InputError(f"processor backprojection has no {' or '.join(departures)} to choose; leave it out")
-    return None

@@ -33,7 +33,7 @@ class Segment:
     geometry : Geometry
         That of the plan.
     plan : Plan or None
-        None for back-projection.
+        Of a chain.
     """
 
     number: int | None = None
@@ -41,7 +41,7 @@ class Segment:
     source: stores.PhaseHistory
     pulses: tuple[int, int] | None = None
     geometry: Geometry
-    plan: Plan | None
+    plan: Plan | None = None
 
     @property
     def planned(self) -> Plan:

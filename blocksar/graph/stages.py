@@ -284,6 +284,16 @@ def _submit_chain(
     return submit(write_patch, run, unit, block, node, patch, key=key)
 
 
+def discard_spectra(segments: Sequence[Segment], run: Run, receipts: Sequence[Sequence[Receipt]]) -> None:
+    """Remove the spectra of the whole scene, and what range gates kept of them."""
+    for segment, some in zip(segments, receipts, strict=True):
+        own = segment.of(run)
+        own.discard(own.spectrum, some)
+        for block in segment.planned.blocks:
+            if block.range_gate is not None:
+                own.discard(own.gated(block.name), some)
+
+
 def mosaic(
     client: Client,
     segments: Sequence[Segment],

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -72,8 +72,8 @@ def blocks_add_layers(blocks: int, workers: int) -> bool:
     return blocks % max(workers, 1) == 0
 
 
-def of_plan(plan: Plan, *, echo_samples: int = 0, workers: int = 1) -> Work:
-    """Work of focusing by a plan; `echo_samples` is the total if the phase history is a raw echo, otherwise 0."""
+def of_plan(plan: Plan, *, workers: int = 1) -> Work:
+    """Work of focusing by a plan, without that of a raw echo."""
     collection, side = plan.geometry.collection, image_chunk(plan.grid)
     written = CORRECT + _completing(plan)
     written += 0.0 if plan.geometry.terrain is None else ON_TERRAIN
@@ -102,7 +102,7 @@ def of_plan(plan: Plan, *, echo_samples: int = 0, workers: int = 1) -> Work:
             for first in range(0, count, LAYER_CHUNKS)
         ],
     }
-    return _by_pulse_group(collection.n_pulse, echo_samples) | stages | {"finish": [FINISH]}
+    return stages | {"finish": [FINISH]}
 
 
 def _more_passes(block: BlockPlan) -> int:
@@ -141,13 +141,13 @@ def _gating(plan: Plan) -> dict[str, list[float]]:
     return {"gate": [STEPS * plan.gate_work() / len(groups)] * len(groups)} if groups else {}
 
 
-def of_backprojection(geometry: Geometry, grid: Grid, *, echo_samples: int = 0) -> Work:
-    """Work of exact back-projection; `echo_samples` as in `of_plan`."""
+def of_backprojection(geometry: Geometry, grid: Grid) -> Work:
+    """Work of exact back-projection, without that of a raw echo."""
     collection = geometry.collection
     n_tasks = math.ceil(collection.n_range_frequency / inspection_width(collection))
     inspect = INSPECT * collection.n_pulse * collection.n_range_frequency
     stages = {"inspect": [inspect / n_tasks] * n_tasks, "backprojection": _by_chunk(geometry, grid)}
-    return _by_pulse_group(collection.n_pulse, echo_samples) | stages | {"finish": [FINISH]}
+    return stages | {"finish": [FINISH]}
 
 
 def of_demo(*, simulated: bool, compiled: bool) -> Work:
@@ -178,12 +178,13 @@ def seconds_of(work: Work, *, workers: int, threads: int, pace: float) -> dict[s
     return {"start": pace * START, **stages}
 
 
-def _by_pulse_group(n_pulse: int, echo_samples: int) -> dict[str, list[float]]:
-    """Work of range compression, nothing without an echo."""
-    if not echo_samples:
-        return {}
-    groups = math.ceil(n_pulse / TILE[0])
-    return {"range-compress": [COMPRESS * echo_samples / groups] * groups}
+def of_compression(echoes: Iterable[tuple[int, int]]) -> Work:
+    """Work of range compression of raw echoes of so many pulses and samples each; nothing without any."""
+    units: list[float] = []
+    for n_pulse, samples in echoes:
+        groups = math.ceil(n_pulse / TILE[0])
+        units += [COMPRESS * samples / groups] * groups if samples else []
+    return {"range-compress": units} if units else {}
 
 
 def _by_chunk(geometry: Geometry, grid: Grid) -> list[float]:

@@ -24,10 +24,12 @@ from blocksar.runs.demonstration import HISTORY
 from blocksar.runs.record import RECORD, RunRecord, Written
 from blocksar.version import __version__
 
+PLAN = "plan.bin"  # the plan of an unfinished run
 INPUT = "input.zarr"  # the phase history of a run whose samples came from memory
 # All files of a run.
 OWN = (
     RECORD,
+    PLAN,
     INPUT,
     "collection.zarr",
     "spectrum.zarr",
@@ -62,7 +64,7 @@ ESTIMATE = (
     "receipts",
     SCRATCH,
 )
-TEMPORARY = ("receipts", "compressed.zarr", "gated", SCRATCH)  # what a finished run does not need
+TEMPORARY = (PLAN, "receipts", "compressed.zarr", "gated", SCRATCH)  # what a finished run does not need
 INTERMEDIATE = ("spectrum.zarr", "patches")  # those of OWN that nothing reads once a run is finished
 LEFT_ALONE = (HISTORY,)  # may lie in the folder of a new run: `demo` puts its input there
 LOCK, ASIDE = "run.lock", ".replaced"

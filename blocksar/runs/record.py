@@ -195,10 +195,8 @@ class PredictedBlock:
     block : int
     part : int or None
         Number of the range sub-block; None where the block is not divided in range.
-    yaw : (low, high)
-        Borders, rad.
-    range : (near, far)
-        Range at t = 0, m.
+    yaw, range : (low, high), (near, far)
+        Borders in yaw, rad, and in range at t = 0, m.
     memory : float
         Peak of a worker, bytes.
     bias : float
@@ -273,10 +271,11 @@ class RunPlan:
         Number of blocks, and of range sub-blocks in each; None for back-projection.
     memory : float or None
         Predicted peak of a worker, bytes.
-    grid : (x0, x1, dx, y0, y1, dy) or None
-        m.
+    grid : (x0, x1, dx, y0, y1, dy) or None, m
     predicted : tuple of PredictedBlock
         Empty for back-projection.
+    checksum : str
+        Of the plan that an unfinished run keeps in its folder; empty in runs of earlier versions.
     """
 
     blocks: int | None = None
@@ -284,6 +283,7 @@ class RunPlan:
     memory: float | None = None
     grid: tuple[float, ...] | None = None
     predicted: tuple[PredictedBlock, ...] = ()
+    checksum: str = ""
 
     @classmethod
     def of(cls, entry: Field) -> Self:
@@ -296,6 +296,7 @@ class RunPlan:
             memory=entry["memory"].optional(Field.number),
             grid=grid,
             predicted=tuple(map(PredictedBlock.of, entry["predicted"])),
+            checksum=entry["checksum"].text(""),
         )
 
     def as_json(self) -> dict[str, Any]:
@@ -305,6 +306,7 @@ class RunPlan:
             "memory": self.memory,
             "grid": self.grid and list(self.grid),
             "predicted": [block.as_json() for block in self.predicted],
+            **({"checksum": self.checksum} if self.checksum else {}),
         }
 
 

@@ -184,7 +184,7 @@ def test_a_dry_run_says_what_would_be_done_and_writes_nothing(table1: Path, tmp_
 def test_a_dry_run_of_back_projection_names_memory_and_disk(table1: Path, tmp_path: Path) -> None:
     grid = ((16000.0, 16256.0, 1.0), (19000.0, 19256.0, 1.0))
     report = blocksar.focus(table1, tmp_path / "run", processor="backprojection", grid=grid, dry_run=True)
-    assert "about 0.5 MiB" in report.summary[-2] and report.tables == []  # 256 x 256 pixels of 8 bytes
+    assert "about 0.6 MiB" in report.summary[-2] and report.tables == []  # 256 x 256 pixels of 8 bytes, and the plan
     assert not (tmp_path / "run").exists()
 
 

@@ -14,12 +14,12 @@ from scenes import write_store
 
 import blocksar
 from blocksar import stores
-from blocksar.api.jobs import predicted_blocks
 from blocksar.collection.beam import lit_interval
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.sublooks import entering_side
 from blocksar.errors import InputError
 from blocksar.places import place
+from blocksar.processors.chain import predicted_blocks
 from blocksar.products.sicd.aperture import find_support
 from blocksar.runs.record import RunRecord
 

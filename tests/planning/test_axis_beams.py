@@ -11,7 +11,6 @@ from axis_beams import MODES, axis_collection, spotlight, with_patterns
 from plan_images import focus
 from strips import DISTANCE, strip_collection
 
-from blocksar.api.plan_lines import short_dwells, wobbling_beam
 from blocksar.arrays import BoolArray, ComplexArray
 from blocksar.collection.beam import has_full_dwell, is_lit, lit_interval, lit_passes
 from blocksar.collection.collection import Collection
@@ -26,6 +25,7 @@ from blocksar.planning.edges import LEAST_FADE
 from blocksar.planning.plan import Plan
 from blocksar.planning.planner import plan_collection
 from blocksar.planning.recovery import plan_recovery
+from blocksar.processors.chain_lines import short_dwells, wobbling_beam
 from blocksar.simulation.antenna import named_pattern
 from blocksar.simulation.scatterers import simulate_pulses
 

@@ -13,13 +13,13 @@ from scenes import PAPERS, SMALL_SCAN, scene
 from scipy.special import fresnel
 
 import blocksar
-from blocksar.api.shortfall import describe_shortfall
 from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Taper
 from blocksar.errors import InputError
 from blocksar.planning.fidelity import end_energy
 from blocksar.planning.image_edges import ImageEdges
 from blocksar.planning.planner import plan_collection
+from blocksar.processors.shortfall import describe_shortfall
 from blocksar.simulation.scene import Scene
 
 

@@ -9,7 +9,12 @@ import pytest
 
 import blocksar
 from blocksar.errors import InputError
-from blocksar.focusing.method import Method, method_of
+from blocksar.focusing.method import Method
+from blocksar.processors import options_for
+
+
+def _split(options: dict[str, Any]) -> dict[str, Any]:
+    return {"name": options["processor"], "given": {k: v for k, v in options.items() if k != "processor"}}
 
 
 @pytest.mark.parametrize(
@@ -25,7 +30,7 @@ from blocksar.focusing.method import Method, method_of
 )
 def test_meaningless_options_are_refused(options: dict[str, Any], message: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=message):
-        method_of(**{"processor": "angular-division", **options})
+        options_for(**_split({"processor": "angular-division", **options}))
     with pytest.raises(InputError, match=message):
         blocksar.plan("table1", **options)
     assert list(tmp_path.iterdir()) == []

@@ -13,7 +13,6 @@ from quality_bar import planned
 from scenes import UNSTEERED_SCENE, scene
 
 import blocksar
-from blocksar.api import plan_lines
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
@@ -27,6 +26,7 @@ from blocksar.planning.disk import run_bytes
 from blocksar.planning.planner import plan_collection
 from blocksar.planning.recovery import plan_recovery
 from blocksar.planning.sector import Sector
+from blocksar.processors import lines
 from blocksar.simulation.scene import Scene
 
 
@@ -93,8 +93,8 @@ def test_of_many_blocks_the_ten_worst_are_shown_and_all_are_at_hand() -> None:
 
 def test_a_plan_says_how_long_a_run_takes_and_all_else_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
     def summary(pace: float, told: float = math.inf) -> list[str]:
-        monkeypatch.setattr(plan_lines, "pace", lambda: pace)
-        monkeypatch.setattr(plan_lines, "PLANNING_TOLD", told)
+        monkeypatch.setattr(lines, "pace", lambda: pace)
+        monkeypatch.setattr(lines, "PLANNING_TOLD", told)
         return blocksar.plan("table1", blocks=3, workers=1).summary
 
     first, second = summary(1.0), summary(100.0)

@@ -40,15 +40,15 @@ def test_a_grid_that_back_projection_takes_less_time_for_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "scene.toml").write_text(scene(**SMALL_SCAN))
-    monkeypatch.setattr("blocksar.api.plan_lines.EXACT_TOLD", 0.0)
-    monkeypatch.setattr("blocksar.api.plan_lines.EXACT_GAIN", 1.0)
+    monkeypatch.setattr("blocksar.processors.lines.EXACT_TOLD", 0.0)
+    monkeypatch.setattr("blocksar.processors.lines.EXACT_GAIN", 1.0)
 
     def told(source: str | Path, **settings: Any) -> list[str]:
         return [line for line in blocksar.plan(source, **settings).summary if line.startswith(TOLD)]
 
     assert len(told(tmp_path / "scene.toml", grid=SMALL, workers=0)) == 1
     assert not told("table1")
-    monkeypatch.setattr("blocksar.api.plan_lines.EXACT_TOLD", 1e6)  # a matter of so few seconds is not worth a word
+    monkeypatch.setattr("blocksar.processors.lines.EXACT_TOLD", 1e6)  # a matter of so few seconds is not worth a word
     assert not told(tmp_path / "scene.toml", grid=SMALL, workers=0)
 
 

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from blocksar.api.reports import Table
 from blocksar.constants import MIB, unit_of_lengths
 from blocksar.focusing.relief_correction import bend_scale
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.choice import Contender
 from blocksar.planning.plan import Plan
 from blocksar.planning.prediction import Prediction
+from blocksar.tables import Table
 
 FEW_BLOCKS, WORST = 12, 10  # most blocks that are all shown, and how many are of more
 RANGE = "range"  # whose unit the ranges decide

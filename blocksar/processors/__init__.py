@@ -1,0 +1,45 @@
+"""Processors: ways to form an image. Others add theirs under the entry-point group `blocksar.processors`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from blocksar.options import options_of, read_options
+from blocksar.plugins import Registry
+
+if TYPE_CHECKING:
+    from blocksar.processors.base import Processor
+
+CHAINS = "blocksar.processors.chain"
+PROCESSORS: Registry[Processor] = Registry(
+    "blocksar.processors",
+    "processor",
+    {
+        "angular-division": f"{CHAINS}:ANGULAR_DIVISION",
+        "keystone-resampling": f"{CHAINS}:KEYSTONE_RESAMPLING",
+        "high-order-phase": f"{CHAINS}:HIGH_ORDER_PHASE",
+        "backprojection": "blocksar.processors.backprojection:EXACT",
+    },
+)
+REFERENCE = "backprojection"  # takes any collection; all others are judged by it
+AUTO = "auto"  # for `plan`: compare them
+
+
+def options_for(name: str, given: Mapping[str, Any]) -> Any:
+    """The options of a processor, from what is given by name; None stands for a default.
+
+    Raises
+    ------
+    InputError
+        If there is no such processor, or an option is wrong or not one of its own.
+    """
+    processor = PROCESSORS.get(name)
+    own = {each.name for each in options_of(processor.options)}
+    if not own.issuperset(given):  # what another processor has as its default is not asked for
+        stated = {each.name: each.default for _, other in PROCESSORS.sound() for each in options_of(other.options)}
+        given = {key: value for key, value in given.items() if key in own or value != stated.get(key)}
+    others = ((other, part.options) for other, part in PROCESSORS.sound() if part.options is not processor.options)
+    options: Any = read_options(processor.options, given, f"processor {name}", others)
+    processor.check(options)
+    return options

@@ -1,0 +1,271 @@
+"""What a processor is: it plans an image, says what that takes, and forms the image by units of work."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+from blocksar.arrays import FloatArray
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
+from blocksar.collection.terrain import Terrain
+from blocksar.collection.weighting import Weighting
+from blocksar.constants import MIB
+from blocksar.progress import Listener, Work
+from blocksar.tables import Table
+
+if TYPE_CHECKING:
+    from distributed import Client
+    from matplotlib.axes import Axes
+
+    from blocksar.focusing.noise import NoiseMap
+    from blocksar.graph.machine import Resources
+    from blocksar.graph.segments import Segment
+    from blocksar.graph.stages import Recovered
+    from blocksar.planning.plan import Plan
+    from blocksar.runs.receipts import Run
+    from blocksar.runs.record import PredictedBlock, Receipt
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Problem:
+    """What is to be imaged, and what with.
+
+    Attributes
+    ----------
+    collections : sequence of Collection
+        Of one frame, centred.
+    grid : Grid or None
+        None: the ground that they light.
+    terrain : Terrain or None
+        None: the plane at their height.
+    blocks : int or "auto"
+        Blocks that are asked for, of processors that have such.
+    fidelity : float
+        Coherence with exact back-projection that is asked for.
+    weighting : Weighting
+    options : object
+        Of the processor's model of options.
+    machine : Resources
+    """
+
+    collections: Sequence[Collection]
+    grid: Grid | None
+    terrain: Terrain | None
+    blocks: int | Literal["auto"]
+    fidelity: float
+    weighting: Weighting
+    options: Any
+    machine: Resources
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Piece:
+    """A collection, or some pulses of one, that an image is formed from.
+
+    Attributes
+    ----------
+    collection : int
+        Number of the collection.
+    pulses : (first, last) or None
+        Its pulses first <= p < last; None for all of them.
+    geometry : Geometry
+        Over the ground of the image.
+    first_block : int
+        Number of the first of its blocks.
+    plan : Plan or None
+        Of a chain.
+    """
+
+    collection: int
+    pulses: tuple[int, int] | None = None
+    geometry: Geometry
+    first_block: int
+    plan: Plan | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ImagePlan(ABC):
+    """How a processor forms an image: what follows from metadata alone, before any sample is read.
+
+    It is kept in the run folder, so that a run that is resumed has the very same.
+
+    Attributes
+    ----------
+    processor : str
+        Name of the processor.
+    grid : Grid
+        The image's points.
+    pieces : tuple of Piece
+        Collections that cover some of the grid.
+    """
+
+    processor: str
+    grid: Grid
+    pieces: tuple[Piece, ...]
+
+    refusal: str | None = None  # why the image cannot be formed, with the figure
+    coherence: float = 1.0  # least predicted coherence with exact back-projection
+    reads_later: bool = False  # whether samples are read again after the first stage
+
+    @abstractmethod
+    def memory(self, threads: int) -> int:
+        """Predicted peak memory of a worker of so many threads, bytes."""
+
+    @abstractmethod
+    def work(self, *, workers: int) -> Work:
+        """Seconds of each stage's units without those of raw echoes: see `planning.effort`."""
+
+    @abstractmethod
+    def stored(self) -> dict[str, int]:
+        """Bytes that a run writes, by store: those of the image under `image`; see `planning.disk.room_of_run`."""
+
+    @abstractmethod
+    def form(self, execution: Execution) -> list[Receipt]:
+        """Form the image in a run's folder; return the receipts of all units of work.
+
+        Raises
+        ------
+        InputError
+            If the samples are not those of a radar.
+        ProcessingError
+            If a unit of work fails.
+        """
+
+    def blocks(self) -> tuple[PredictedBlock, ...]:
+        """What is predicted of each block."""
+        return ()
+
+    def loops(self) -> Sequence[str]:
+        """Modules of compiled loops of its own tasks besides `graph.compiling.TASKS`."""
+        return ()
+
+    def notes(self) -> list[str]:
+        """What a user of the image should know."""
+        return []
+
+    def lines(self, *, compared: bool = False) -> list[str]:
+        """The plan in sentences; `compared`: beside those of other processors."""
+        return [
+            f"image of {self.grid.shape[1]} x {self.grid.shape[0]} pixels by {self.processor}",
+            f"peak memory of a worker {self.memory(1) / MIB:.0f} MiB",
+            f"a run writes about {sum(self.stored().values()) / MIB:.0f} MiB",
+            *self.notes(),
+        ]
+
+    def tables(self) -> list[Table]:
+        """The figures that decide."""
+        return []
+
+    def details(self) -> list[Table]:
+        """All figures."""
+        return self.tables()
+
+    def headline(self) -> str:
+        """The plan in one line."""
+        return self.lines()[0]
+
+    def draw(self, axes: Axes | None) -> Axes:
+        """Draw grid and track on the ground."""
+        from blocksar.products.pictures.planned import draw_plan  # optional, and slow to load
+
+        return draw_plan(self.pieces[0].geometry, self.grid, axes=axes)
+
+    @property
+    def result(self) -> Any:
+        """What Python gets as the result of `plan`."""
+        return self
+
+
+class Processor(Protocol):
+    """A way to form images.
+
+    Attributes
+    ----------
+    name : str
+        As in commands and settings.
+    summary : str
+        What it is, in half a sentence for the help.
+    options : type
+        Model of its options; see `blocksar.options`.
+    universal : bool
+        Whether it takes any track and grid: nothing is expanded about a place or a time.
+    """
+
+    name: str
+    summary: str
+    options: type
+    universal: bool
+
+    def check(self, options: Any) -> None:
+        """Check that options go together.
+
+        Raises
+        ------
+        InputError
+            If they do not.
+        """
+
+    def plan(self, problem: Problem) -> ImagePlan:
+        """Plan an image.
+
+        Raises
+        ------
+        InputError
+            If there is no such plan, or a worker has too little memory.
+        """
+
+
+@dataclass(frozen=True)
+class NoOptions:
+    """The options of a processor that has none."""
+
+
+@dataclass(kw_only=True)
+class Execution:
+    """What the stages of a run share: where they run, on what, and who listens.
+
+    Attributes
+    ----------
+    client : Client
+    run : Run
+    listener : Listener
+    segments : sequence of Segment
+        The pieces of the plan with their samples, range-compressed.
+    compressed : sequence of sequence of Receipt
+        Of the range compression of each.
+    workers : int
+    weighting : Weighting
+    discard : bool
+        Whether what is not read any more is to be removed.
+    accept : callable
+        Takes the inspections of all segments as soon as they are known, and creates the image without pixels.
+    input_read : callable
+        To be called once all of the input has been read.
+    end : callable
+        Takes the name of a stage at its end.
+    noises : callable
+        Noise of the image from each segment, from the valid fraction of its pulses.
+    """
+
+    client: Client
+    run: Run
+    listener: Listener
+    segments: Sequence[Segment]
+    compressed: Sequence[Sequence[Receipt]]
+    workers: int
+    weighting: Weighting
+    discard: bool
+    accept: Callable[[Sequence[Recovered]], None]
+    input_read: Callable[[], None]
+    end: Callable[[str], None]
+    noises: Callable[[Sequence[FloatArray]], list[NoiseMap | None]]
+
+    def joined(self, read: Sequence[Recovered]) -> list[Recovered]:
+        """Inspections with the receipts of range compression before their own."""
+        return [
+            each._replace(receipts=[*some, *each.receipts]) for some, each in zip(self.compressed, read, strict=True)
+        ]

@@ -1,0 +1,98 @@
+"""Sentences on plans of any processor: who does the work, and how long that takes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
+from blocksar.collection.lit_sums import most_lit_pulses
+from blocksar.graph.machine import Resources, machine, pace
+from blocksar.planning import effort
+from blocksar.processors import REFERENCE
+from blocksar.processors.base import ImagePlan
+from blocksar.progress import Work
+
+PLANNING_TOLD = 1.0  # s to plan, which are counted in the time of a run
+EXACT_TOLD, EXACT_GAIN = 5.0, 1.5  # s of a run, and times less that back-projection takes, from which on it is told
+LOOKED_AT = 64  # points along a side of a grid at which lit pulses are counted
+
+
+def time_line(work: Work, assumed: Resources, planning: float = 0.0) -> str:
+    """How long a run would take on this machine, by stage; the only part of a plan that is measured.
+
+    `planning` is what the plan took, s, which a run makes again: told where it is long.
+    """
+    seconds = stage_seconds(work, assumed, planning)
+    return (
+        f"a run takes about {time_text(sum(seconds.values()))} on this machine {workforce(assumed)} "
+        f"({_shares(seconds)}), more where others use it, the disk is slow, or loops are not compiled"
+    )
+
+
+def exact_line(plans: Sequence[ImagePlan], work: Work, assumed: Resources, planning: float) -> list[str]:
+    """A sentence if exact back-projection would take less time than the `work` of some plans, else none."""
+    seconds = sum(stage_seconds(work, assumed, planning).values())
+    if seconds < EXACT_TOLD:
+        return []
+    summed = effort.together(
+        [effort.of_backprojection(piece.geometry, plan.grid) for plan in plans for piece in plan.pieces]
+    )
+    exact = sum(stage_seconds(summed, assumed).values())
+    if exact > seconds / EXACT_GAIN:
+        return []
+    return [f"exact back-projection of this grid takes less, about {time_text(exact)}: --processor {REFERENCE}"]
+
+
+def stage_seconds(work: Work, assumed: Resources, planning: float = 0.0) -> dict[str, float]:
+    """Seconds of a run by stage, as in `time_line`."""
+    workers = min(assumed.workers, machine()[0])  # more than there are cores gain nothing
+    seconds = effort.seconds_of(work, workers=workers, threads=assumed.threads, pace=pace())
+    if not assumed.workers:
+        del seconds["start"]
+    return {"plan": planning, **seconds} if planning >= PLANNING_TOLD else seconds
+
+
+def workforce(assumed: Resources) -> str:
+    """Who does the work, in words."""
+    count = assumed.workers
+    return f"with {count} worker{'s' if count > 1 else ''}" if count else "in one process"
+
+
+def _shares(seconds: Mapping[str, float]) -> str:
+    """Parts of a time in the unit of their sum as `time_text` tells it, which they add up to.
+
+    Examples
+    --------
+    >>> _shares({"start": 1.9, "recover": 0.6, "focus": 0.7, "mosaic": 0.1})
+    'start 2 s, recover 0 s, focus 1 s, mosaic 0 s'
+    """
+    total = sum(seconds.values())
+    step, unit = (1, "s") if total < 100 else (60, "min") if total < 6000 else (360, "h")
+    parts = {name: int(value / step) for name, value in seconds.items()}
+    left = max(round(total / step), 1) - sum(parts.values())
+    for name in sorted(seconds, key=lambda each: parts[each] - seconds[each] / step)[:left]:  # most cut off first
+        parts[name] += 1
+    return ", ".join(f"{name} {f'{count / 10:.1f}' if unit == 'h' else count} {unit}" for name, count in parts.items())
+
+
+def time_text(seconds: float) -> str:
+    """A predicted time with as many digits as it deserves.
+
+    Examples
+    --------
+    >>> time_text(0.04), time_text(13.3), time_text(250), time_text(9000)
+    ('1 s', '13 s', '4 min', '2.5 h')
+    """
+    if seconds < 100:
+        return f"{max(round(seconds), 1)} s"
+    return f"{round(seconds / 60)} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
+
+
+def lit_pulses(geometry: Geometry, grid: Grid) -> int:
+    """The largest number of pulses that light any point of a grid."""
+    return most_lit_pulses(
+        geometry, *np.meshgrid(*(axis[:: max(axis.size // LOOKED_AT, 1)] for axis in (grid.x, grid.y)))
+    )

@@ -1,0 +1,104 @@
+"""The plan of an unfinished run, kept in its folder: a run that is resumed has the very plan that it began with.
+
+It is a pickle, which holds objects of this package, of other packages' processors and of numpy, and is never loaded
+unless the record has its checksum. As a run folder may come from elsewhere, no other objects are made from it.
+"""
+
+from __future__ import annotations
+
+import copyreg
+import io
+import pickle
+import zlib
+from dataclasses import is_dataclass
+from enum import Enum
+from functools import cached_property
+from typing import Any, TypeVar
+
+from blocksar import stores
+from blocksar.errors import FolderError, ProcessingError
+from blocksar.places.place import Place
+from blocksar.runs.folder import PLAN
+
+T = TypeVar("T")
+# What pickles of numpy call, besides types of this package.
+_NUMPY = {
+    ("numpy._core.multiarray", "_reconstruct"), ("numpy._core.multiarray", "scalar"),
+    ("numpy._core.numeric", "_frombuffer"), ("numpy", "ndarray"), ("numpy", "dtype"),
+}  # fmt: skip
+_BUILTINS = {"complex", "frozenset", "range", "set", "slice"}
+
+
+def pack(plan: object) -> bytes:
+    """A plan as it is written."""
+    file = io.BytesIO()
+    _Pickler(file, protocol=5).dump(plan)
+    return zlib.compress(file.getvalue(), level=1)
+
+
+def write(folder: Place, packed: bytes) -> None:
+    """Write a plan into the folder of a run.
+
+    Raises
+    ------
+    ProcessingError
+        If it cannot be written.
+    """
+    try:
+        (folder / PLAN).write_bytes(packed)
+    except OSError as error:
+        raise ProcessingError(f"{folder / PLAN} cannot be written ({error.strerror or error})") from error
+
+
+def read(folder: Place, checksum: str, kind: type[T]) -> tuple[T, bytes]:
+    """Read the plan of a run that is to be resumed, of the checksum in its record; also as it was written.
+
+    Raises
+    ------
+    FolderError
+        If it is not the one that was written.
+    """
+    try:
+        packed = (folder / PLAN).read_bytes()
+        if stores.checksum_bytes(packed) == checksum:
+            plan = _Unpickler(io.BytesIO(zlib.decompress(packed))).load()
+            if isinstance(plan, kind):
+                return plan, packed
+    except (OSError, zlib.error, pickle.UnpicklingError, AttributeError, ImportError, EOFError, TypeError, ValueError):
+        pass
+    raise damaged(folder)
+
+
+def damaged(folder: Place) -> FolderError:
+    """The error of a run whose plan is not the one that it began with."""
+    return FolderError(
+        f"{folder} is damaged: its run.json does not have the plan that the run began with, or {PLAN} is another; use "
+        "--overwrite to begin it again",
+        replaceable=True,
+    )
+
+
+class _Pickler(pickle.Pickler):
+    """Leaves out what objects have only computed: the bytes do not depend on what was asked of a plan."""
+
+    def reducer_override(self, obj: Any) -> Any:
+        if not is_dataclass(obj) or isinstance(obj, type):
+            return NotImplemented
+        computed = {
+            name
+            for each in type(obj).__mro__
+            for name, value in vars(each).items()
+            if isinstance(value, cached_property)
+        }
+        return copyreg.__newobj__, (type(obj),), {k: v for k, v in vars(obj).items() if k not in computed}  # type: ignore[attr-defined]
+
+
+class _Unpickler(pickle.Unpickler):
+    """Makes frozen dataclasses, named tuples, enumerations and arrays, and nothing else."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        found = super().find_class(module, name)
+        plain = isinstance(found, type) and (is_dataclass(found) or issubclass(found, Enum | tuple))
+        if plain or (module, name) in _NUMPY or (module == "builtins" and name in _BUILTINS):
+            return found
+        raise pickle.UnpicklingError(f"{module}.{name} is no part of a plan")

@@ -1,0 +1,7 @@
+"""What a table is: its header, and rows of as many cells."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+Table = tuple[Sequence[str], Sequence[Sequence[str]]]
