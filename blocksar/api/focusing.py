@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from blocksar.api.arguments import Source, check_cluster, in_this_process, on_ground
 from blocksar.api.jobs import Job, Request
@@ -91,6 +91,7 @@ def focus(
     progress: Progress | None = None,
     performance_report: str | Path | None = None,
     client: Client | None = None,
+    **options: Any,
 ) -> RunReport:
     """Focus a phase history into a run folder; an unfinished run of the same settings and input there is resumed.
 
@@ -180,6 +181,8 @@ def focus(
     client : distributed.Client, optional
         Client of a running cluster, used instead of a local cluster. Blocks and memory are planned for its workers and
         the smallest of their memory limits, or for `workers` and `memory_limit`, if these are less.
+    **options
+        Those of a processor that another package adds.
 
     Returns
     -------

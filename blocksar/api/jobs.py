@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from importlib import metadata
 from typing import Any
 
@@ -64,10 +64,6 @@ class Request:
         Of one frame, if there are several.
     asked : Settings
         As the user gave them.
-    processor : str
-        Name of the processor.
-    options : object
-        Its own; see `processors.options_for`.
     weighting : Weighting
         Tapers over band and dwell.
     grid : Grid or None
@@ -89,8 +85,6 @@ class Request:
     histories: tuple[stores.PhaseHistory, ...]
     folder: Place
     asked: Settings
-    processor: str
-    options: Any
     weighting: Weighting
     grid: Grid | None
     fingerprints: tuple[str, ...]
@@ -112,7 +106,7 @@ class Request:
             If there is none, its georeference is wrong, several do not share a frame, or one and the folder lie in each
             other; if the grid is missing or lies outside the swath; the ground cannot be read; or a setting is wrong.
         """
-        processor, options = settings.processor, options_for(settings.processor, settings.options)
+        options_for(settings.processor, settings.options)  # which refuses wrong ones
         grid, ground, whole_pulses = settings.points, settings.ground, settings.whole_pulses
         height, autofocus = settings.ground_height, settings.autofocus
         control = control_points(settings.control, source, height, used=autofocus)
@@ -126,7 +120,7 @@ class Request:
                 run_folder.refuse_overlap(place(history.path), folder)
         histories = imaging_parts(histories, grid, whole_pulses=whole_pulses)
         centred = [history.collection.centred() for history in histories]
-        check_ground(centred, grid, any_grid=PROCESSORS.get(processor).universal or not ground.plane)
+        check_ground(centred, grid, any_grid=PROCESSORS.get(settings.processor).universal or not ground.plane)
         terrain, around = None, None
         if not ground.plane:
             under = grid or joint_grid([Geometry(collection=collection) for collection in centred])
@@ -142,10 +136,24 @@ class Request:
         if autofocus and track is None:
             track = TrackPlace.of(folder / run_folder.TRACK, histories, fingerprints)
         return cls(
-            histories=histories, folder=folder, asked=settings, processor=processor, options=options,
-            weighting=settings.tapers, grid=grid, fingerprints=fingerprints, ground=ground, terrain=terrain,
+            histories=histories, folder=folder, asked=settings, weighting=settings.tapers, grid=grid,
+            fingerprints=fingerprints, ground=ground, terrain=terrain,
             surroundings=around, track=track, control=control,
         )  # fmt: skip
+
+    def asking(self, **changes: Any) -> Request:
+        """The same with other settings, of those that nothing read from files depends on."""
+        return replace(self, asked=replace(self.asked, **changes))
+
+    @property
+    def processor(self) -> str:
+        """Name of the processor."""
+        return self.asked.processor
+
+    @cached_property
+    def options(self) -> Any:
+        """Options of the processor; see `processors.options_for`."""
+        return options_for(self.asked.processor, self.asked.options)
 
     @property
     def history(self) -> stores.PhaseHistory:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 from blocksar.api import definitions
 from blocksar.api.arguments import Source, channels_of, collections_of, in_this_process, sources_of
@@ -68,6 +68,7 @@ def plan(
     looks: int | None = None,
     workers: int | None = None,
     memory_limit: int | str | None = None,
+    **options: Any,
 ) -> PlanReport:
     """Predict how a collection would be focused, and how sharp the image would be. Reads no samples.
 
@@ -126,6 +127,8 @@ def plan(
         Worker processes to plan for; 0: the calling process does the work. Default: as for `focus`.
     memory_limit : int or str, optional
         Memory of each worker, bytes or a text such as "2GiB". Default: its share of the machine's memory.
+    **options
+        Those of a processor that another package adds.
 
     Returns
     -------
@@ -142,11 +145,11 @@ def plan(
     """
     settings = PlanSettings.of(locals())
     automatic = processor == AUTO
-    options = options_for(next(iter(PROCESSORS.names())) if automatic else processor, settings.options)
+    chosen = options_for(next(iter(PROCESSORS.names())) if automatic else processor, settings.options)
     points, ground = settings.points, settings.ground
     collections = collections_of(source if looks is None else one_source(source, looks), ground_height, terrain=terrain)
     if automatic:
-        _check_automatic(options, collections, looks)
+        _check_automatic(chosen, collections, looks)
     parts = None if looks is None else divide_dwells(collections[0], looks, points)
     points = points if parts is None else parts.grid
     here = in_this_process(workers, collections)
@@ -163,7 +166,7 @@ def plan(
     )
     problem = Problem(
         collections=collections, grid=points, terrain=heights, blocks=settings.blocks, fidelity=settings.fidelity,
-        weighting=settings.tapers, options=options, machine=share,
+        weighting=settings.tapers, options=chosen, machine=share,
     )  # fmt: skip
     started = time.perf_counter()
     with naming_exact(collections, points, assumed):

@@ -138,7 +138,7 @@ class Settings(Output, Machine, Imaging):  # whose fields stand in the opposite 
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
-        """Settings out of the arguments of a function by name, among others.
+        """Settings out of the arguments of a function by name, among others; its `**options` are those of a processor.
 
         Raises
         ------
@@ -147,8 +147,8 @@ class Settings(Output, Machine, Imaging):  # whose fields stand in the opposite 
         """
         known = {each.name: each for each in options_of(cls)}
         own = {name: value for name, value in given.items() if name in known}
-        options = {each.name: given[each.name] for each in options_of(ChainOptions) if each.name in given}
-        return cls(**read_values(known.values(), own), options=options)
+        chains = {each.name: given[each.name] for each in options_of(ChainOptions) if each.name in given}
+        return cls(**read_values(known.values(), own), options=chains | given.get("options", {}))
 
     @property
     def points(self) -> Grid | None:

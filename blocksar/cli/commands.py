@@ -13,9 +13,9 @@ import typer
 from blocksar.api.settings import options_taken
 from blocksar.cli.autofocusing import autofocus
 from blocksar.cli.display import hint, show
-from blocksar.cli.endings import Commands, catch_signals, open_streams
+from blocksar.cli.endings import catch_signals, open_streams
 from blocksar.cli.exporting import export
-from blocksar.cli.focusing import focus, plan
+from blocksar.cli.focusing import OfProcessors, focus, plan
 from blocksar.cli.ingesting import ingest
 from blocksar.cli.listening import listening
 from blocksar.cli.measuring import quality, report
@@ -27,7 +27,7 @@ from blocksar.version import __version__
 
 app = typer.Typer(
     name="blocksar",
-    cls=Commands,
+    cls=OfProcessors,
     help="Focus squint-TOPS radar data by angular blocks, in parallel, into a calibrated ground image."
     "\n\nExample: [bold]blocksar demo --out demo-run[/bold]",
     no_args_is_help=True,

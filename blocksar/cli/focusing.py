@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from inspect import unwrap
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,11 +14,14 @@ import typer
 from blocksar.api.settings import options_taken
 from blocksar.cli.configuration import ConfigOption, PrintConfig, configuration
 from blocksar.cli.display import hint, show
-from blocksar.cli.endings import WRONG_INPUT, complain
+from blocksar.cli.endings import WRONG_INPUT, Commands, complain
 from blocksar.cli.listening import listening
 from blocksar.cli.options import ALTERNATIVES, Everything, Explain, JsonLog, Quiet, given, taking
+from blocksar.cli.plugged import single_command
+from blocksar.errors import InputError
 from blocksar.focusing.method import ChainOptions
-from blocksar.options import options_of, read_values
+from blocksar.options import Stated, options_of, read_values
+from blocksar.processors import PROCESSORS
 
 
 @taking(options_taken("plan"))
@@ -109,6 +116,33 @@ def focus(
         hint(context, "focus", *source, "--out", out, *given(context, "out", "dry_run"))
     elif report.measurable:
         hint(context, "quality", out)
+
+
+class OfProcessors(Commands):
+    """All commands. When `plan` or `focus` is called, it takes the processors of other packages and their options."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        if args and args[0] in ("plan", "focus") and (others := set(PROCESSORS.names()) - set(PROCESSORS.own)):
+            self.commands |= {each.__name__: _taking_processors(each, sorted(others)) for each in (plan, focus)}
+        return super().resolve_command(ctx, args)
+
+
+def _taking_processors(command: Callable[..., None], names: Sequence[str]) -> Any:
+    """A command with processors of other packages besides."""
+
+    def with_names(stated: Stated) -> Stated:
+        choices = stated.option.choices
+        if choices is None:
+            return stated
+        return stated._replace(option=replace(stated.option, choices=lambda: (*choices(), *names)))
+
+    added = {each.name: each for each in options_of(ChainOptions)}
+    for name in names:
+        with suppress(InputError):  # it cannot be loaded, as is said when it is asked for
+            for each in options_of(PROCESSORS.get(name).options):
+                added.setdefault(each.name, each)
+    own = taking(map(with_names, options_taken(command.__name__)))
+    return single_command(command.__name__, own(taking(added.values(), ALTERNATIVES)(unwrap(command))))
 
 
 def one_or_all(sources: list[str]) -> str | list[str]:

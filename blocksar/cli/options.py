@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Annotated, TypeVar
+from typing import Annotated
 
 import typer
 
@@ -12,7 +12,7 @@ from blocksar.cli.plugged import typer_option, with_options
 from blocksar.options import Stated
 from blocksar.products.options import COLOUR_MAP, COLOUR_RANGE
 
-Command = TypeVar("Command", bound=Callable[..., None])
+Command = Callable[..., None]
 
 ALTERNATIVES = "Alternative methods, for comparison"  # title of a panel in the help
 Channel = Annotated[str | None, typer.Option(metavar="NAME", help="Of several channels.", show_default="the first")]
@@ -34,12 +34,7 @@ JsonLog = Annotated[
 
 def taking(options: Iterable[Stated], panel: str | None = None) -> Callable[[Command], Command]:
     """Decorate a command to take options as keyword arguments; `panel` is where its help shows them."""
-
-    def decorate(command: Command) -> Command:
-        with_options(command, options, panel=panel)
-        return command
-
-    return decorate
+    return lambda command: with_options(command, options, panel=panel)
 
 
 def given(context: typer.Context, *without: str) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
+from functools import wraps
 from inspect import Parameter, signature
 from typing import Annotated, Any, Literal, get_args
 
@@ -57,17 +58,18 @@ class _Made(Mapping[str, Any]):
     def _command(self, name: str) -> Any:
         """The command of a part; of one that cannot have any, one that says so, as its help does."""
         try:
-            return _command(name, self._group.command_of(name))
+            return single_command(name, self._group.command_of(name))
         except InputError as error:
             refusal = error
         except Exception as error:  # its options are none for a command line
             refusal = InputError(
                 f"{name} has no command ({type(error).__name__}: {error}); repair or remove the package that adds it"
             )
-        return _command(name, _refusing(refusal), ignore_unknown_options=True, allow_extra_args=True)
+        return single_command(name, _refusing(refusal), ignore_unknown_options=True, allow_extra_args=True)
 
 
-def _command(name: str, function: Callable[..., None], **settings: bool) -> Any:
+def single_command(name: str, function: Callable[..., None], **settings: bool) -> Any:
+    """The command of a function, made now."""
     settings_of_all = {"help_option_names": ["-h", "--help"]}
     single = typer.Typer(rich_markup_mode="rich", context_settings=settings_of_all | settings, add_completion=False)
     single.command(name)(function)
@@ -94,9 +96,14 @@ def with_options(
     needed = [parameter for parameter in own if parameter.default is Parameter.empty]
     others = [each.replace(kind=Parameter.KEYWORD_ONLY) for each in own if each.default is not Parameter.empty]
     shown = [_parameter(each, panel) for each in options]
-    command.__signature__ = plain.replace(parameters=[*needed, *shown, *others])  # type: ignore[attr-defined]
-    command.__doc__ = doc or command.__doc__
-    return command
+
+    @wraps(command)
+    def taking_options(*arguments: Any, **settings: Any) -> None:
+        command(*arguments, **settings)
+
+    taking_options.__signature__ = plain.replace(parameters=[*needed, *shown, *others])  # type: ignore[attr-defined]
+    taking_options.__doc__ = doc or command.__doc__
+    return taking_options
 
 
 def typer_option(option: Option, default: object = None, panel: str | None = None) -> Any:
