@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from inspect import unwrap
+from inspect import signature, unwrap
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,7 +18,6 @@ from blocksar.cli.endings import WRONG_INPUT, Commands, complain
 from blocksar.cli.listening import listening
 from blocksar.cli.options import ALTERNATIVES, Everything, Explain, JsonLog, Quiet, given, taking
 from blocksar.cli.plugged import single_command
-from blocksar.errors import InputError
 from blocksar.focusing.method import ChainOptions
 from blocksar.options import Stated, options_of, read_values
 from blocksar.processors import PROCESSORS
@@ -123,7 +122,7 @@ class OfProcessors(Commands):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         if args and args[0] in ("plan", "focus") and (others := set(PROCESSORS.names()) - set(PROCESSORS.own)):
-            self.commands |= {each.__name__: _taking_processors(each, sorted(others)) for each in (plan, focus)}
+            self.commands.update({each.__name__: _taking_processors(each, sorted(others)) for each in (plan, focus)})
         return super().resolve_command(ctx, args)
 
 
@@ -136,11 +135,12 @@ def _taking_processors(command: Callable[..., None], names: Sequence[str]) -> An
             return stated
         return stated._replace(option=replace(stated.option, choices=lambda: (*choices(), *names)))
 
+    known = signature(command).parameters
     added = {each.name: each for each in options_of(ChainOptions)}
     for name in names:
-        with suppress(InputError):  # it cannot be loaded, as is said when it is asked for
-            for each in options_of(PROCESSORS.get(name).options):
-                added.setdefault(each.name, each)
+        with suppress(Exception):  # it cannot be loaded, as is said when it is asked for, or has no model of options
+            more = (each for each in options_of(PROCESSORS.get(name).options) if each.name not in known)
+            added |= {each.name: each for each in more}
     own = taking(map(with_names, options_taken(command.__name__)))
     return single_command(command.__name__, own(taking(added.values(), ALTERNATIVES)(unwrap(command))))
 
