@@ -10,10 +10,11 @@ Command lines, the keywords of functions and the sentences about wrong ones foll
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cache
 from inspect import Parameter, signature
-from typing import Any, NamedTuple, TypeVar, get_type_hints
+from typing import Annotated, Any, NamedTuple, TypeVar, get_origin, get_type_hints
 
 from blocksar.errors import InputError, quoted
 
@@ -38,6 +39,10 @@ class Option:
         the command line has the field's own type.
     flags : tuple of str
         Its spellings there. Default: its name.
+    least : int or None
+        The least that the command line takes.
+    choices : callable or None
+        Gives the texts that the command line takes, when it is asked for them.
     """
 
     help: str
@@ -45,6 +50,8 @@ class Option:
     default: str | None = None
     read: Callable[[Any], Any] | None = None
     flags: tuple[str, ...] = ()
+    least: int | None = None
+    choices: Callable[[], Sequence[str]] | None = None
 
 
 class Stated(NamedTuple):
@@ -56,8 +63,8 @@ class Stated(NamedTuple):
     option: Option
 
 
-def options_of(model: type) -> tuple[Stated, ...]:
-    """The options of a model, in the order of its fields.
+def options_of(model: type, *names: str) -> tuple[Stated, ...]:
+    """The options of a model, or some, in the order of its fields; a field without an `Option` is none.
 
     Examples
     --------
@@ -67,12 +74,14 @@ def options_of(model: type) -> tuple[Stated, ...]:
     >>> [(each.name, each.type, each.default) for each in options_of(TableOptions)]
     [('digits', <class 'int'>, 4)]
     """
+    return tuple(each for each in _all_options(model) if not names or each.name in names)
+
+
+@cache
+def _all_options(model: type) -> tuple[Stated, ...]:
     hints = get_type_hints(model, include_extras=True)
-    found = []
-    for field in fields(model):
-        annotated = hints[field.name]
-        found.append(Stated(field.name, annotated.__origin__, field.default, annotated.__metadata__[-1]))
-    return tuple(found)
+    annotated = [(field, hints[field.name]) for field in fields(model) if get_origin(hints[field.name]) is Annotated]
+    return tuple(Stated(field.name, kind.__origin__, field.default, kind.__metadata__[-1]) for field, kind in annotated)
 
 
 def read_options(model: type[Model], given: Mapping[str, Any], of: str, elsewhere: Iterable[tuple[str, type]]) -> Model:
@@ -93,15 +102,30 @@ def read_options(model: type[Model], given: Mapping[str, Any], of: str, elsewher
         If an option is not one of the model's, or a value is wrong.
     """
     known = {each.name: each for each in options_of(model)}
-    values = {}
-    for name, value in given.items():
-        if value is None:
-            continue
+    asked = {name: value for name, value in given.items() if value is not None}
+    for name, value in asked.items():
         if name not in known:
             raise InputError(_not_one(name, value, of, known, elsewhere))
-        read = known[name].option.read
-        values[name] = value if read is None else read(value)
-    return model(**values)
+    return model(**read_values(known.values(), asked))
+
+
+def read_values(options: Iterable[Stated], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Values by name, those of options as they are read; a default of None stays.
+
+    Raises
+    ------
+    InputError
+        If a value is wrong.
+    """
+    known = {each.name: each for each in options}
+
+    def read(name: str, value: Any) -> Any:
+        stated = known.get(name)
+        if stated is None or stated.option.read is None or value is stated.default is None:
+            return value
+        return stated.option.read(value)
+
+    return {name: read(name, value) for name, value in given.items()}
 
 
 def showing_options(*models: type) -> Callable[[Function], Function]:

@@ -45,10 +45,10 @@ from distributed import Client, LocalCluster, Worker
 from distributed.security import Security
 
 import blocksar
-from blocksar.api.parsing import parse_blocks, parse_grid
-from blocksar.budget import WAIT_WORKERS
-from blocksar.cli.options import WaitWorkers
+from blocksar.api.settings import Settings
+from blocksar.cli.options import taking
 from blocksar.graph.admission import await_workers, waiting_for_workers
+from blocksar.options import options_of, read_values
 from blocksar.progress import Listener
 from first_image import SCENE
 
@@ -173,6 +173,10 @@ def start_and_interrupt(client: Client, out: str, **settings: Any) -> str:
     return source
 
 
+OPTIONS = options_of(Settings, "wait_workers", "blocks", "grid")
+
+
+@taking(OPTIONS)
 def main(
     source: Annotated[
         str, typer.Argument(metavar="PH.zarr", help="Phase history, at a path shared with the workers.")
@@ -181,24 +185,18 @@ def main(
         str, typer.Option(metavar="RUN", help="Folder of the run, at a path shared with the workers.")
     ] = "cluster-run",
     scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Address of the dask scheduler.")] = None,
-    wait_workers: WaitWorkers = WAIT_WORKERS,
     tls_ca: Annotated[Path | None, typer.Option(metavar="PEM", help="Certificate of the authority.")] = None,
     tls_cert: Annotated[Path | None, typer.Option(metavar="PEM", help="Own certificate.")] = None,
     tls_key: Annotated[Path | None, typer.Option(metavar="PEM", help="Its key.")] = None,
-    blocks: Annotated[str, typer.Option(metavar="auto|N", help="Angular blocks.")] = "auto",
-    grid: Annotated[str | None, typer.Option(metavar="x0:x1:dx,y0:y1:dy", help="Image points, m.")] = None,
     report: Annotated[str | None, typer.Option(metavar="HTML", help="Write dask's performance report there.")] = None,
     local_test: Annotated[bool, typer.Option("--local-test", help="Test with two workers on this machine.")] = False,
+    **given: Any,
 ) -> None:
     """Focus on a dask cluster: connect, check, focus, resume.
 
     Example: python workflows/on_a_cluster.py ph.zarr --out run --scheduler tcp://10.0.0.1:8786 --report run.html
     """
-    settings: dict[str, Any] = {
-        "blocks": parse_blocks(blocks),
-        "grid": None if grid is None else parse_grid(grid),
-        "wait_workers": wait_workers,
-    }
+    settings = read_values(OPTIONS, given)
     progress: Listener | Fault = Notes()
     with ExitStack() as stack:
         if local_test:
@@ -206,7 +204,7 @@ def main(
         elif not source or scheduler is None:
             raise blocksar.InputError("PH.zarr or --scheduler is missing; give both, or --local-test alone")
         client = stack.enter_context(connect(scheduler, tls_ca, tls_cert, tls_key))
-        print_workers(client, wait_workers)
+        print_workers(client, settings["wait_workers"])
         check_versions(client)
         if "://" not in out:  # a bucket has one address for all
             check_folder(client, Path(out).absolute().parent)

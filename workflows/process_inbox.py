@@ -43,14 +43,15 @@ from __future__ import annotations
 
 import re
 import sys
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 
-from blocksar.api import parsing
-from blocksar.budget import WAIT_WORKERS
+from blocksar.api.settings import Settings as FocusSettings
 from blocksar.cli import endings, options
 from blocksar.errors import InputError, ProcessingError
+from blocksar.focusing.method import ChainOptions
+from blocksar.options import options_of, read_values
 from blocksar.places import place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Held
@@ -63,21 +64,17 @@ from inbox.records import Settings
 from inbox.statuses import BUSY, FAILED, USAGE
 from inbox.sweeping import Sweep
 
+OPTIONS = options_of(FocusSettings, "processor", "blocks", "grid", "workers", "threads", "memory_limit", "wait_workers")
 
+
+@options.taking(OPTIONS)
+@options.taking(options_of(ChainOptions, "coefficients"), options.ALTERNATIVES)
 def main(
     inbox: Annotated[str, typer.Argument(metavar="INBOX", help="Folder of phase-history stores; only read.")],
     outbox: Annotated[str, typer.Argument(metavar="OUTBOX", help="Folder of runs, records, status and log.")],
-    processor: options.ProcessorOption = "angular-division",
-    blocks: options.Blocks = "auto",
-    coefficients: options.CoefficientsOption = "fitted",
-    grid: options.GridOption = None,
-    workers: options.Workers = None,
-    threads: options.Threads = None,
-    memory_limit: options.MemoryLimit = None,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="A running dask scheduler; default: a cluster of its own.")
     ] = None,
-    wait_workers: options.WaitWorkers = WAIT_WORKERS,
     notify: Annotated[
         str | None, typer.Option(metavar="COMMAND", help="Run for each result, with the event as JSON on stdin.")
     ] = None,
@@ -88,6 +85,7 @@ def main(
         ),
     ] = None,
     quiet: options.Quiet = False,
+    **given: Any,
 ) -> None:
     """Focus every collection of an inbox exactly once, oldest first, and end; a timer starts the next sweep.
 
@@ -95,16 +93,9 @@ def main(
     """
     endings.catch_signals()
     try:
-        settings: Settings = {
-            "processor": processor,
-            "blocks": parsing.parse_blocks(blocks),
-            "coefficients": coefficients,
-            "grid": None if grid is None else [list(axis) for axis in parsing.parse_grid(grid)],
-            "workers": workers,
-            "threads": threads,
-            "memory_limit": None if memory_limit is None else parsing.parse_memory(memory_limit),
-            "wait_workers": wait_workers,
-        }
+        settings = read_values(OPTIONS, {each.name: each.default for each in OPTIONS} | given)
+        if settings["grid"] is not None:
+            settings["grid"] = [list(axis) for axis in settings["grid"]]  # as JSON holds it
         status = sweep(
             inbox, outbox, settings, Hook.parse(notify), scheduler=scheduler, group=parse_group(group), quiet=quiet
         )

@@ -3,7 +3,7 @@ preview, demo, compile; and collection, scene_centre and write, for data in memo
 
 One module for each stage: `sources`, `datasets`, `describing` (with `facts`), `previewing`, `checking`, `autofocusing`
 (with `tracks`), `planning`, `focusing` (with `jobs`), `measuring`, `reporting`, `exporting`, `demonstrating`,
-`compiling`. They share `arguments` and `reports`.
+`compiling`. They share `settings`, which states every option once, `arguments` and `reports`.
 """
 
 from __future__ import annotations

@@ -5,19 +5,15 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from blocksar import stores
-from blocksar.api.parsing import LEAST_MEMORY, parse_blocks, parse_grid, parse_memory, read_grid
-from blocksar.budget import FIDELITY, LEAST_FIDELITY
 from blocksar.collection.collection import Collection
 from blocksar.collection.georeference import Georeference
-from blocksar.collection.grid import Grid
 from blocksar.errors import InputError, quoted
 from blocksar.places import Location, lies_at, place
 from blocksar.places.place import Place
@@ -32,43 +28,6 @@ One: TypeAlias = "Location | xr.Dataset | stores.PhaseHistory"
 Source: TypeAlias = "One | Sequence[One]"
 OnGround: TypeAlias = "Callable[[Sequence[stores.PhaseHistory]], list[stores.PhaseHistory]]"
 SMALL = 1 << 24  # samples, 128 MiB: for less, a cluster takes longer to start than it saves
-GridLike = Grid | str | tuple[tuple[float, float, float], tuple[float, float, float]]
-
-
-def grid_of(grid: GridLike | None) -> Grid | None:
-    """Return a Grid; two triples, or a text, stand for start, end and step (m) in x and in y.
-
-    Raises
-    ------
-    InputError
-        If the grid cannot be read, or is empty or too large.
-    """
-    if grid is None or isinstance(grid, Grid):
-        return grid
-    x, y = parse_grid(grid) if isinstance(grid, str) else read_grid(grid)
-    return Grid(*x, *y)
-
-
-def memory_of(limit: Any) -> int | None:
-    """Return an amount of memory in bytes, given as that or as a text such as "2GiB".
-
-    Raises
-    ------
-    InputError
-        If it is neither, or below 1 MiB.
-    """
-    if isinstance(limit, str):
-        return parse_memory(limit)
-    if limit is None:
-        return None
-    whole = None
-    with suppress(TypeError, ValueError, OverflowError):
-        whole = int(limit)
-    if whole is None or whole != limit:
-        raise InputError(f'memory_limit is {quoted(limit)}; give a whole number of bytes, or a text such as "2GiB"')
-    if whole < LEAST_MEMORY:
-        raise InputError(f"memory_limit is {whole} bytes; give what a worker may use, such as {2 << 30}")
-    return whole
 
 
 def in_this_process(workers: int | None, collections: Sequence[Collection]) -> bool:
@@ -93,38 +52,6 @@ def check_cluster(*, client: object, scheduler: str | None, workers: int | None,
     if workers == 0 and (client is not None or scheduler is not None):
         cluster = "a client" if client is not None else "--scheduler"
         raise InputError(f"--workers 0 is given together with {cluster}, whose workers do the work; leave one out")
-
-
-def fidelity_of(fidelity: Any) -> float:
-    """Return a fidelity as a number.
-
-    Raises
-    ------
-    InputError
-        If it is none, or cannot be asked for.
-    """
-    if isinstance(fidelity, bool) or not isinstance(fidelity, int | float | np.number):
-        raise InputError(f"fidelity is {quoted(fidelity)}; give a number below 1, such as {FIDELITY:g}")
-    if not LEAST_FIDELITY <= fidelity < 1:
-        raise InputError(
-            f"fidelity = {fidelity:g}: ask for a coherence from {LEAST_FIDELITY:g} to below 1, such as {FIDELITY:g}"
-        )
-    return float(fidelity)
-
-
-def blocks_of(blocks: int | str) -> int | Literal["auto"]:
-    """Return a number of blocks, or "auto".
-
-    Raises
-    ------
-    InputError
-        If it is neither.
-    """
-    if isinstance(blocks, str):
-        return parse_blocks(blocks)
-    if isinstance(blocks, bool) or not isinstance(blocks, int | np.integer):
-        raise InputError(f"--blocks {quoted(blocks)} is neither 'auto' nor a whole number; try --blocks auto")
-    return int(blocks)
 
 
 def collection_of(source: One) -> Collection:

@@ -12,9 +12,11 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from blocksar import stores
-from blocksar.api.arguments import GridLike, check_cluster, control_points, grid_of, history_of, memory_of, on_ground
+from blocksar.api.arguments import check_cluster, control_points, history_of, on_ground
 from blocksar.api.ground import read_ground
+from blocksar.api.parsing import GridLike
 from blocksar.api.reports import Report
+from blocksar.api.settings import Settings
 from blocksar.api.track_places import TrackPlace
 from blocksar.api.tracks import TrackEstimate
 from blocksar.autofocusing.finishing import Result
@@ -25,7 +27,6 @@ from blocksar.errors import InputError
 from blocksar.graph import cluster
 from blocksar.graph.machine import resources
 from blocksar.graph.track_stages import copy_store
-from blocksar.ingestion.terrain.reading import Ground
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, lies_in, place
 from blocksar.places.place import Place
@@ -85,7 +86,8 @@ def autofocus(
     vertical : str, optional
         What a GeoTIFF's heights are measured from, as in `focus`. Needed where the file does not say so.
     ground_height : float, optional
-        Height z of the imaged plane in the scene frame, m. Default: that of the phase history.
+        Height z of the imaged plane in the scene frame, m. Ground that lies off it is displaced, at 30 m by up to as
+        much. Default: that of the phase history.
     control : path or sequence of Target, optional
         Points at known places, as `quality` takes targets: they anchor place and phase, which the samples alone do not
         tell. Default: none, and the track is moved by nothing that the samples do not tell.
@@ -120,14 +122,14 @@ def autofocus(
     ProcessingError
         If processing fails; finished work stays, and the same call goes on with it.
     """
+    settings = Settings.of(locals())
     listener, target = as_listener(progress), place(out)
-    limit = memory_of(memory_limit)
     check_cluster(client=client, scheduler=scheduler, workers=workers, wait_workers=wait_workers)
     [history] = on_ground([history_of(source)], ground_height, terrain=terrain)
     stored = not isinstance(history, stores.DatasetHistory)
     if stored and (lies_in(history.path, target) or lies_in(target, history.path)):
         raise InputError(f"--out {target} and the input {history.path} lie in each other; choose another place")
-    ground, within = Ground(terrain=terrain, surface=surface, vertical=vertical), grid_of(grid)
+    ground, within = settings.ground, settings.points
     work = TrackPlace.of(place(f"{target}.autofocus"), [history])
     estimate = TrackEstimate(
         channels=work.channels[0], folder=work.folder, fingerprint=work.fingerprints[0], grid=within,
@@ -143,6 +145,7 @@ def autofocus(
     overwrite = overwrite or stores.was_being_published(work.folder / STORE, target)
     stores.refuse_existing(target, overwrite=overwrite)
     run_folder.refuse_foreign(work.folder)
+    limit = settings.memory_limit
     with ExitStack() as stack:
         connected = None
         if client is not None or scheduler is not None:

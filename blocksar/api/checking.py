@@ -9,8 +9,9 @@ import numpy as np
 
 from blocksar import stores
 from blocksar.api import definitions
-from blocksar.api.arguments import GridLike, grid_of, history_of, on_ground
+from blocksar.api.arguments import history_of, on_ground
 from blocksar.api.ground import geometry_over, read_ground
+from blocksar.api.parsing import GridLike, grid_of
 from blocksar.api.partial_pulses import imaging_parts
 from blocksar.api.pulses import pulse_reader
 from blocksar.api.reports import Report, Table
@@ -64,7 +65,8 @@ def check(
     vertical : str, optional
         What the terrain's heights are measured from, as in `focus`. Needed where the file does not say so.
     ground_height : float, optional
-        Height z of the imaged plane in the scene frame, m. Default: that of the phase history.
+        Height z of the imaged plane in the scene frame, m. Ground that lies off it is displaced, at 30 m by up to as
+        much. Default: that of the phase history.
     threads : int, optional
         Default: the number of cores.
 

@@ -11,42 +11,31 @@ from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from blocksar.api.arguments import (
-    GridLike,
-    Source,
-    blocks_of,
-    check_cluster,
-    control_points,
-    fidelity_of,
-    grid_of,
-    in_this_process,
-    memory_of,
-    on_ground,
-)
+from blocksar.api.arguments import Source, check_cluster, in_this_process, on_ground
 from blocksar.api.jobs import Job, Request
 from blocksar.api.joint import focus_members, members_of
+from blocksar.api.parsing import GridLike
 from blocksar.api.partial_pulses import recorded_lines
 from blocksar.api.rehearsing import rehearse
 from blocksar.api.room import Beside, check_room_for_run
 from blocksar.api.run_stages import carry_out
+from blocksar.api.settings import Settings
 from blocksar.api.shown import RunReport, is_measurable
 from blocksar.api.track_places import TrackPlace
 from blocksar.budget import FIDELITY, WAIT_WORKERS
 from blocksar.collection.surface import Surface
-from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
 from blocksar.errors import InputError
 from blocksar.focusing.method import Coefficients, Derotation, Perturbation, RangeModel
 from blocksar.graph import cluster, recording
 from blocksar.graph.machine import Resources, resources
-from blocksar.ingestion.terrain.reading import Ground, terrain_notes
+from blocksar.ingestion.terrain.reading import terrain_notes
 from blocksar.loop_cache import compilation_seconds
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.place import Place
-from blocksar.processors import options_for
 from blocksar.progress import Listener, as_listener
 from blocksar.progress import Wanted as Progress
 from blocksar.runs import folder as run_folder
@@ -102,6 +91,7 @@ def focus(
     progress: Progress | None = None,
     performance_report: str | Path | None = None,
     client: Client | None = None,
+    **options: Any,
 ) -> RunReport:
     """Focus a phase history into a run folder; an unfinished run of the same settings and input there is resumed.
 
@@ -120,7 +110,8 @@ def focus(
     blocks : int or "auto"
         Number of angular blocks, at least 1. "auto" (default): the fewest that keep `fidelity` and fit the memory.
     fidelity : float
-        Coherence with exact back-projection that "auto" keeps where it can, below 1. Default: 0.999.
+        Coherence with exact back-projection that "auto" keeps where it can, below 1. Where whole dwells do not keep it,
+        their edges are back-projected, also with a number of blocks. Default: 0.999.
     weighting : str
         Taper over band and dwell: "uniform", "taylor:NBAR:SLL" (such as "taylor:4:-35"), "hamming", "hann" or
         "kaiser:BETA". Default: "uniform".
@@ -140,7 +131,8 @@ def focus(
         "polar".
     grid : Grid, ((x0, x1, dx), (y0, y1, dy)) or str, optional
         Image points x0, x0 + dx, ... < x1 in m in the scene frame, likewise y; as a text "x0:x1:dx,y0:y1:dy". Default:
-        the box around the lit sector at about half the resolution. Needed if the beam is not steered.
+        the box around the lit sector at about half the resolution. Needed if the beam is not steered, or turns about
+        the antenna's own axis.
     terrain : path, optional
         Heights of the ground: zarr or netCDF with `height` (y, x) in m of the scene frame, or a GeoTIFF in any
         coordinate reference system, which needs a georeference. Default: the plane z = ground_height.
@@ -148,9 +140,11 @@ def focus(
         "ellipsoid": WGS 84 at ground_height, which needs a georeference. Default: "plane".
     vertical : str, optional
         What a GeoTIFF's heights are measured from, if it does not say so: "ellipsoid", "egm96" or "egm2008"; or
-        "egm2008:FILE" with the geoid's grid. Needed for such a file only.
+        "egm2008:FILE" with the geoid's grid. PROJ's own grid is taken if it is installed; nothing is downloaded. Needed
+        for such a file only.
     ground_height : float, optional
-        Height z of the imaged plane in the scene frame, m. Default: that of the phase history.
+        Height z of the imaged plane in the scene frame, m. Ground that lies off it is displaced, at 30 m by up to as
+        much. Default: that of the phase history.
     autofocus : bool
         Correct the track from the samples first, as `autofocus` does. Default: False.
     control : path or sequence of Target, optional
@@ -177,17 +171,20 @@ def focus(
     overwrite : bool
         Replace a run with other settings or another input. Default: False.
     discard : bool
-        Remove spectrum and patches as soon as the run needs them no more. Default: False, keep them.
+        Remove the spectrum once all blocks are focused, and the patches at the end: no command reads them afterwards.
+        Interrupted in the mosaic, a run recovers the spectrum again. Default: False, keep them.
     dry_run : bool
         Say what would be done, and write nothing: `tables` and `result` are then those of `plan`. Default: False.
     progress : object with a method update(stage, done, total), or False, optional
         Called with the name of the stage (str) and the numbers of finished and of all units (int). A
         `blocksar.progress.Listener` receives more. Default: bars in a notebook, silence elsewhere; False: silence.
     performance_report : path, optional
-        HTML file for dask's performance report of this call, also written if the run fails. Default: none.
+        HTML file for dask's performance report, also written if the run fails. Default: none.
     client : distributed.Client, optional
         Client of a running cluster, used instead of a local cluster. Blocks and memory are planned for its workers and
         the smallest of their memory limits, or for `workers` and `memory_limit`, if these are less.
+    **options
+        Those of a processor that another package adds.
 
     Returns
     -------
@@ -201,89 +198,36 @@ def focus(
     ProcessingError
         If processing fails; finished work stays, and the same call resumes.
     """
-    given = dict(locals())  # before any other name is bound: the parameters, as they were given
-    settings = {name: value for name, value in given.items() if name not in ("source", "out", "looks")}
-    memory_limit = settings["memory_limit"] = memory_of(memory_limit)
-    resources(workers, threads, memory_limit)  # refuses wrong numbers before anything is read
+    settings = Settings.of(locals())
+    resources(settings.workers, settings.threads, settings.memory_limit)  # which refuses wrong numbers
     check_cluster(client=client, scheduler=scheduler, workers=workers, wait_workers=wait_workers)
     on = partial(on_ground, height=ground_height, terrain=terrain)
-    if (members := members_of(source, looks, grid, on)) is not None:
-        return focus_members(_focus_image, members, place(out), settings)
-    return _focus_image(source, place(out), None, **settings)
+    if (members := members_of(source, looks, settings.points, on)) is not None:
+        return focus_members(_focus_image, members, place(out), settings, progress, client)
+    return _focus_image(source, place(out), settings, progress=progress, client=client)
 
 
 def _focus_image(
     source: Source,
     out: Place,
-    track: TrackPlace | None,
+    settings: Settings,
     *,
-    following: int = 0,
-    processor: str,
-    blocks: int | Literal["auto"],
-    fidelity: float,
-    weighting: str,
-    weighting_range: str | None,
-    weighting_azimuth: str | None,
-    coefficients: Coefficients,
-    perturbation: Perturbation,
-    keystone: bool,
-    derotation: Derotation,
-    range_model: RangeModel,
-    grid: GridLike | None,
-    terrain: Location | None,
-    surface: Surface,
-    vertical: str | None,
-    ground_height: float | None,
-    autofocus: bool,
-    control: Location | Sequence[Target] | None,
-    whole_pulses: bool,
-    workers: int | None,
-    threads: int | None,
-    memory_limit: int | None,
-    scheduler: str | None,
-    wait_workers: float,
-    overwrite: bool,
-    discard: bool,
-    dry_run: bool,
     progress: Progress | None,
-    performance_report: str | Path | None,
     client: Client | None,
-) -> RunReport:  # longer than most: it takes every setting by its name
+    track: TrackPlace | None = None,
+    following: int = 0,
+) -> RunReport:
     """Focus one image, of one channel; `track` is where others share the correction of its track, if they do.
 
     As many like it are `following`, in folders of their own.
     """
     listener, compiled = as_listener(progress), compilation_seconds()
-    profile = None if performance_report is None else Path(performance_report)
-    options = options_for(
-        processor,
-        {
-            "coefficients": coefficients, "perturbation": perturbation, "keystone": keystone,
-            "derotation": derotation, "range_model": range_model,
-        },
-    )  # fmt: skip
-    request = Request.open(
-        source,
-        out,
-        processor=processor,
-        options=options,
-        blocks=blocks_of(blocks),
-        fidelity=fidelity_of(fidelity),
-        weighting=Weighting.parse(weighting, weighting_range, weighting_azimuth),
-        grid=grid_of(grid),
-        overwrite=overwrite,
-        whole_pulses=whole_pulses,
-        discard=discard,
-        ground=Ground(terrain=terrain, surface=surface, vertical=vertical),
-        ground_height=ground_height,
-        autofocus=autofocus,
-        track=track,
-        control=control_points(control, source, ground_height, used=autofocus),
-    )
+    profile, discard = settings.performance_report, settings.discard
+    request = Request.open(source, out, settings, track=track)
     if profile is not None:
         recording.check_recordable(profile, client)
     record = request.find_run()
-    if record is not None and record.finished and not dry_run:
+    if record is not None and record.finished and not settings.dry_run:
         if profile is not None:
             listener.note(f"nothing was done, so there is no performance report at {profile}")
         return _report_finished(request.folder, record, discard=discard)
@@ -291,24 +235,27 @@ def _focus_image(
         connected = None
         here = (
             client is None
-            and scheduler is None
-            and in_this_process(workers, [history.collection for history in request.histories])
+            and settings.scheduler is None
+            and in_this_process(settings.workers, [history.collection for history in request.histories])
         )
         if here and profile is not None:
             raise InputError(
                 f"--performance-report {str(profile)!r} is given, but dask does no work where the calling process "
                 "does; give workers, or leave it out"
             )
-        if client is not None or scheduler is not None:
-            opened = cluster.open_client(scheduler=scheduler, client=client, wait_workers=wait_workers)
+        workers, memory_limit = 0 if here else settings.workers, settings.memory_limit
+        if client is not None or settings.scheduler is not None:
+            opened = cluster.open_client(
+                scheduler=settings.scheduler, client=client, wait_workers=settings.wait_workers
+            )
             connected = stack.enter_context(opened)
             workers, memory_limit = cluster.cluster_size(
                 connected, workers=workers, memory_limit=memory_limit, listener=listener
             )
             if profile is not None:
                 recording.check_recordable(profile, connected)
-        machine = resources(0 if here else workers, threads, memory_limit)
-        if dry_run:
+        machine = resources(workers, settings.threads, memory_limit)
+        if settings.dry_run:
             return rehearse(request, record, machine, _beside(request, following))
         stack.enter_context(run_folder.claim(request.folder))
         record = request.find_run()  # again: another process may have written it in the meantime

@@ -4,16 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from importlib import metadata
-from typing import Any, Literal
+from typing import Any
 
 from blocksar import stores
-from blocksar.api.arguments import One, OnGround, Source, check_one_frame, history_of, on_ground, sources_of
+from blocksar.api.arguments import (
+    One,
+    OnGround,
+    Source,
+    check_one_frame,
+    control_points,
+    history_of,
+    on_ground,
+    sources_of,
+)
 from blocksar.api.exact_way import naming_exact
 from blocksar.api.fingerprints import joint_fingerprint
 from blocksar.api.ground import PLANE, check_ground, ground_settings, read_ground
 from blocksar.api.partial_pulses import imaging_parts, pulses_of
+from blocksar.api.settings import Settings
 from blocksar.api.surroundings import read_surroundings
 from blocksar.api.track_places import TrackPlace
 from blocksar.arrays import FloatArray
@@ -21,7 +31,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
-from blocksar.collection.weighting import UNIFORM, Weighting
+from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, ProcessingError, Unfocusable, changes_while_read
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
@@ -34,7 +44,7 @@ from blocksar.places.place import Place
 from blocksar.planning import effort
 from blocksar.planning.memory import checked_memory, compression_memory
 from blocksar.planning.segments import joint_grid
-from blocksar.processors import PROCESSORS
+from blocksar.processors import PROCESSORS, options_for
 from blocksar.processors.base import ImagePlan, Problem
 from blocksar.progress import Work
 from blocksar.runs import folder as run_folder
@@ -53,14 +63,8 @@ class Request:
     ----------
     histories : tuple of PhaseHistory
         Of one frame, if there are several.
-    processor : str
-        Name of the processor.
-    options : object
-        Its own; see `processors.options_for`.
-    blocks : int or "auto"
-        Number of angular blocks.
-    fidelity : float
-        Coherence that "auto" keeps.
+    asked : Settings
+        As the user gave them.
     weighting : Weighting
         Tapers over band and dwell.
     grid : Grid or None
@@ -73,12 +77,6 @@ class Request:
         The ground itself, under the grid; None for the plane.
     surroundings : Terrain or None
         The ground as far as it hides or overlies places of the grid; None if that is under it.
-    whole_pulses : bool
-        Of raw echoes, whether only ground with whole pulses is imaged.
-    overwrite : bool
-        Whether to replace a run of other settings or another input.
-    discard : bool
-        Whether to remove spectra and patches once nothing reads them.
     track : TrackPlace or None
         Where the track is corrected first; None: it is taken as it is.
     control : sequence of Target
@@ -87,16 +85,10 @@ class Request:
 
     histories: tuple[stores.PhaseHistory, ...]
     folder: Place
-    processor: str
-    options: Any
-    blocks: int | Literal["auto"]
-    fidelity: float
+    asked: Settings
     weighting: Weighting
     grid: Grid | None
     fingerprints: tuple[str, ...]
-    overwrite: bool
-    whole_pulses: bool = False
-    discard: bool = False
     ground: Ground = PLANE
     terrain: Terrain | None = None
     surroundings: Terrain | None = None
@@ -104,38 +96,23 @@ class Request:
     control: Sequence[Target] = ()
 
     @classmethod
-    def open(
-        cls,
-        source: Source,
-        folder: Place,
-        *,
-        processor: str,
-        options: Any,
-        blocks: int | Literal["auto"],
-        fidelity: float,
-        weighting: Weighting = UNIFORM,
-        grid: Grid | None,
-        overwrite: bool,
-        whole_pulses: bool = False,
-        discard: bool = False,
-        ground: Ground = PLANE,
-        ground_height: float | None = None,
-        autofocus: bool = False,
-        track: TrackPlace | None = None,
-        control: Sequence[Target] = (),
-    ) -> Request:
+    def open(cls, source: Source, folder: Place, settings: Settings, *, track: TrackPlace | None = None) -> Request:
         """Open the phase histories; nothing is written.
 
-        With `autofocus` their track is corrected, in the place `track`, by default in the folder.
+        With autofocus their track is corrected, in the place `track`, by default in the folder.
 
         Raises
         ------
         InputError
             If there is none, its georeference is wrong, several do not share a frame, or one and the folder lie in each
-            other; if the grid is missing or lies outside the swath; or the ground cannot be read.
+            other; if the grid is missing or lies outside the swath; the ground cannot be read; or a setting is wrong.
         """
+        options_for(settings.processor, settings.options)  # which refuses wrong ones
+        grid, ground, whole_pulses = settings.points, settings.ground, settings.whole_pulses
+        height, autofocus = settings.ground_height, settings.autofocus
+        control = control_points(settings.control, source, height, used=autofocus)
         sources = sources_of(source)
-        over = partial(on_ground, height=ground_height, terrain=ground.terrain)
+        over = partial(on_ground, height=height, terrain=ground.terrain)
         opened = [_open(each, over, folder, i if len(sources) > 1 else None) for i, each in enumerate(sources)]
         histories = tuple(history for history, _ in opened)
         check_one_frame(histories)
@@ -144,7 +121,7 @@ class Request:
                 run_folder.refuse_overlap(place(history.path), folder)
         histories = imaging_parts(histories, grid, whole_pulses=whole_pulses)
         centred = [history.collection.centred() for history in histories]
-        check_ground(centred, grid, any_grid=PROCESSORS.get(processor).universal or not ground.plane)
+        check_ground(centred, grid, any_grid=PROCESSORS.get(settings.processor).universal or not ground.plane)
         terrain, around = None, None
         if not ground.plane:
             under = grid or joint_grid([Geometry(collection=collection) for collection in centred])
@@ -160,11 +137,24 @@ class Request:
         if autofocus and track is None:
             track = TrackPlace.of(folder / run_folder.TRACK, histories, fingerprints)
         return cls(
-            histories=histories, folder=folder, processor=processor, options=options, blocks=blocks, fidelity=fidelity,
-            weighting=weighting,
-            grid=grid, fingerprints=fingerprints, overwrite=overwrite, whole_pulses=whole_pulses,
-            discard=discard, ground=ground, terrain=terrain, surroundings=around, track=track, control=control,
+            histories=histories, folder=folder, asked=settings, weighting=settings.tapers, grid=grid,
+            fingerprints=fingerprints, ground=ground, terrain=terrain,
+            surroundings=around, track=track, control=control,
         )  # fmt: skip
+
+    def asking(self, **changes: Any) -> Request:
+        """The same with other settings, of those that nothing read from files depends on."""
+        return replace(self, asked=replace(self.asked, **changes))
+
+    @property
+    def processor(self) -> str:
+        """Name of the processor."""
+        return self.asked.processor
+
+    @cached_property
+    def options(self) -> Any:
+        """Options of the processor; see `processors.options_for`."""
+        return options_for(self.asked.processor, self.asked.options)
 
     @property
     def history(self) -> stores.PhaseHistory:
@@ -182,8 +172,8 @@ class Request:
         return {
             "processor": self.processor,
             **{field.name: getattr(self.options, field.name) for field in fields(self.options)},
-            "blocks": self.blocks,
-            "fidelity": self.fidelity,
+            "blocks": self.asked.blocks,
+            "fidelity": self.asked.fidelity,
             "weighting_range": self.weighting.range.text,
             "weighting_azimuth": self.weighting.azimuth.text,
             "grid": None if self.grid is None else list(grid_numbers(self.grid)),
@@ -209,7 +199,7 @@ class Request:
         FolderError
             As it does, and if an unfinished run's plan is not the one that it began with.
         """
-        record = run_folder.find_run(self.folder, self.settings, self.fingerprint, overwrite=self.overwrite)
+        record = run_folder.find_run(self.folder, self.settings, self.fingerprint, overwrite=self.asked.overwrite)
         if record is None or record.finished:
             return record
         if record.identity != self.identity(record.plan):
@@ -417,8 +407,8 @@ def _plan(request: Request, machine: Resources) -> ImagePlan:
     """
     collections = [history.collection.centred() for history in request.histories]
     problem = Problem(
-        collections=collections, grid=request.grid, terrain=request.terrain, blocks=request.blocks,
-        fidelity=request.fidelity, weighting=request.weighting, options=request.options, machine=machine,
+        collections=collections, grid=request.grid, terrain=request.terrain, blocks=request.asked.blocks,
+        fidelity=request.asked.fidelity, weighting=request.weighting, options=request.options, machine=machine,
     )  # fmt: skip
     with naming_exact(collections, request.grid, machine):
         plan = PROCESSORS.get(request.processor).plan(problem)

@@ -13,31 +13,37 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from blocksar import stores
-from blocksar.api.arguments import GridLike, OnGround, Source, grid_of, history_of, sources_of
+from blocksar.api.arguments import OnGround, Source, history_of, sources_of
 from blocksar.api.findings import without_samples
 from blocksar.api.fingerprints import fingerprint_of_members, joint_fingerprint
 from blocksar.api.ground import image_grid
 from blocksar.api.look_plans import name_rows
 from blocksar.api.looks import divide_dwells, one_source
 from blocksar.api.rehearsing import NOTHING_DONE
+from blocksar.api.settings import Settings
 from blocksar.api.shown import RunReport, is_measurable
 from blocksar.api.track_places import TrackPlace
 from blocksar.chunks import TILE
+from blocksar.collection.grid import Grid
 from blocksar.errors import FolderError, InputError, NoRoom
 from blocksar.graph import cluster
 from blocksar.graph.machine import resources
 from blocksar.places.place import Place
 from blocksar.planning.memory import PROCESS_MEMORY, checked_memory
+from blocksar.progress import Wanted as Progress
 from blocksar.progress import as_listener
 from blocksar.runs import folder as run_folder
 from blocksar.runs.record import FINISHED, FORMAT, RECORD, UNFINISHED, Receipt, RunRecord, Written
 from blocksar.runs.sources import RunInput
 from blocksar.version import __version__
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 Focus = Callable[..., RunReport]
 OWN = ("image", "noise_equivalent")  # of each channel or look
@@ -79,7 +85,7 @@ class Members:
         return str(next(iter(self.histories.values()))[0].path)
 
 
-def members_of(source: Source, looks: int | None, grid: GridLike | None, on_ground: OnGround) -> Members | None:
+def members_of(source: Source, looks: int | None, grid: Grid | None, on_ground: OnGround) -> Members | None:
     """Return the channels, or the looks that are asked for; None if there is one image only.
 
     Raises
@@ -107,7 +113,7 @@ def members_of(source: Source, looks: int | None, grid: GridLike | None, on_grou
     return Members("channel", of, tuple(histories))
 
 
-def _looks_of(source: Source, count: int, grid: GridLike | None, on_ground: OnGround) -> Members:
+def _looks_of(source: Source, count: int, grid: Grid | None, on_ground: OnGround) -> Members:
     [history] = on_ground([history_of(one_source(source, count))])
     if isinstance(history, stores.DatasetHistory):
         raise InputError(f"looks = {count}: looks are formed of a phase history in a store; write it (blocksar.write)")
@@ -116,48 +122,56 @@ def _looks_of(source: Source, count: int, grid: GridLike | None, on_ground: OnGr
     return Members("look", named, (history,), looks.notes)
 
 
-def focus_members(focus: Focus, members: Members, folder: Place, settings: Mapping[str, Any]) -> RunReport:
+def focus_members(
+    focus: Focus, members: Members, folder: Place, settings: Settings, progress: Progress | None, client: Client | None
+) -> RunReport:
     """Focus all channels or looks; with `overwrite`, an unfinished run of these is gone on with where it can be.
 
     Parameters
     ----------
     focus : callable
-        Focuses one of them: focus(source, folder, track, following=number, **settings).
+        Focuses one of them: focus(source, folder, settings, progress=, client=, track=, following=number).
     folder : Place
         Of the whole.
-    settings : mapping
-        Arguments of `blocksar.focus` by name.
+    settings : Settings
+    progress, client
+        As for `blocksar.focus`.
 
     Raises
     ------
     InputError, ProcessingError
         As `focus` does.
     """
-    if settings["overwrite"] and run_folder.is_begun(folder, members.unfinished()):
+    if settings.overwrite and run_folder.is_begun(folder, members.unfinished()):
         try:
-            return _focus_members(focus, members, folder, {**settings, "overwrite": False})
+            return _focus_members(focus, members, folder, replace(settings, overwrite=False), progress, client)
         except FolderError as error:  # one of them has other settings, or is damaged
             if not error.replaceable:
                 raise
-    return _focus_members(focus, members, folder, settings)
+    return _focus_members(focus, members, folder, settings, progress, client)
 
 
-def _focus_members(focus: Focus, members: Members, folder: Place, settings: Mapping[str, Any]) -> RunReport:
+def _focus_members(
+    focus: Focus, members: Members, folder: Place, settings: Settings, progress: Progress | None, client: Client | None
+) -> RunReport:
     names, kinds = members.names, f"{members.dimension}s"
-    if settings["performance_report"] is not None:
+    if settings.performance_report is not None:
         raise InputError(f"performance_report covers one run, but each of the {kinds} is one; leave it out")
-    shared = dict(settings)
+    shared = settings
     if members.dimension == "look":  # their beams differ, but not the ground that they show
-        shared["grid"] = image_grid(members.whole[0].collection.centred(), grid_of(settings["grid"]))
-        shared["whole_pulses"] = settings["whole_pulses"] or settings["grid"] is None
+        grid = image_grid(members.whole[0].collection.centred(), settings.points)
+        shared = replace(settings, grid=grid, whole_pulses=settings.whole_pulses or settings.grid is None)
 
-    track = TrackPlace.of(folder / run_folder.TRACK, members.whole) if settings["autofocus"] else None
+    track = TrackPlace.of(folder / run_folder.TRACK, members.whole) if settings.autofocus else None
 
     def focus_one(name: str) -> RunReport:
         try:
             left = names[names.index(name) + 1 :]
             following = sum(not _is_finished(members.folder(folder, other)) for other in left)
-            return focus(members.histories[name], members.folder(folder, name), track, following=following, **shared)
+            return focus(
+                members.histories[name], members.folder(folder, name), shared, progress=progress, client=client,
+                track=track, following=following,
+            )  # fmt: skip
         except FolderError:  # names the folder
             raise
         except InputError as error:
@@ -166,8 +180,8 @@ def _focus_members(focus: Focus, members: Members, folder: Place, settings: Mapp
     _refuse_empty(members)
     there = folder.exists()
     fresh = not (there and RECORD in folder.names())
-    earlier = _earlier(folder, members.dimension, overwrite=bool(settings["overwrite"]))
-    if settings["dry_run"]:
+    earlier = _earlier(folder, members.dimension, overwrite=settings.overwrite)
+    if settings.dry_run:
         return _rehearse(members, focus_one)
     with ExitStack() as stack:
         if fresh:
@@ -176,10 +190,10 @@ def _focus_members(focus: Focus, members: Members, folder: Place, settings: Mapp
         stack.enter_context(run_folder.resumable())
         if track is not None:
             stack.enter_context(track.removed_if_wrong())
-        input_read = stack.enter_context(run_folder.begin(folder, resumed=not settings["overwrite"]))
+        input_read = stack.enter_context(run_folder.begin(folder, resumed=not settings.overwrite))
         if earlier is None:
             members.unfinished().write(folder)
-            shared |= stack.enter_context(_own_workers(folder, settings))
+            shared, client = stack.enter_context(_own_workers(folder, shared, progress, client))
         before = [name for name in names if earlier is None and _is_finished(members.folder(folder, name))]
         reports = {name: focus_one(name) for name in names}
         input_read()
@@ -231,17 +245,19 @@ def _plans_of(report: RunReport) -> tuple[Any, ...]:
 
 
 @contextmanager
-def _own_workers(folder: Place, settings: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """Start a local cluster for all members, if they are to have one: what its use changes of the settings."""
-    if settings["client"] is not None or settings["scheduler"] is not None or settings["workers"] == 0:
-        yield {}
+def _own_workers(
+    folder: Place, settings: Settings, progress: Progress | None, client: Client | None
+) -> Iterator[tuple[Settings, Client | None]]:
+    """Start a local cluster for all members, if they are to have one: it, and the settings with which it is used."""
+    if client is not None or settings.scheduler is not None or settings.workers == 0:
+        yield settings, client
         return
-    machine = resources(settings["workers"], settings["threads"], settings["memory_limit"])
+    machine = resources(settings.workers, settings.threads, settings.memory_limit)
     checked_memory("a worker without samples", PROCESS_MEMORY, machine.memory_limit)  # or dask kills it for ever
-    scratch, listener = run_folder.scratch(folder), as_listener(settings["progress"])
+    scratch, listener = run_folder.scratch(folder), as_listener(progress)
     try:
-        with cluster.open_client(**machine._asdict(), scratch=scratch, listener=listener) as client:
-            yield {"client": client, "workers": None, "threads": machine.threads, "memory_limit": None}
+        with cluster.open_client(**machine._asdict(), scratch=scratch, listener=listener) as own:
+            yield replace(settings, workers=None, threads=machine.threads, memory_limit=None), own
     finally:
         (folder / run_folder.SCRATCH).remove()
 

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from blocksar import stores
-from blocksar.api.arguments import GridLike, One, Source, grid_of, history_of, is_scene, sources_of
+from blocksar.api.arguments import One, Source, history_of, is_scene, sources_of
 from blocksar.api.ground import image_grid
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
@@ -69,7 +69,7 @@ def one_source(source: Source, count: int) -> One:
     return sources[0]
 
 
-def divide_dwells(collection: Collection, count: int, grid: GridLike | None) -> Looks:
+def divide_dwells(collection: Collection, count: int, grid: Grid | None) -> Looks:
     """Divide the dwells of a centred collection into looks.
 
     Raises
@@ -79,7 +79,7 @@ def divide_dwells(collection: Collection, count: int, grid: GridLike | None) -> 
         ground: parts of its width then see parts of the ground.
     """
     count = checked_count(count, collection)
-    geometry, points = Geometry(collection=collection), image_grid(collection, grid_of(grid))
+    geometry, points = Geometry(collection=collection), image_grid(collection, grid)
     if collection.beam_width is None:
         return Looks(count, 1.0, points, ())
     if collection.has_axis:

@@ -5,14 +5,20 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from typing import Any, Literal
+from contextlib import suppress
+from numbers import Integral, Real
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from blocksar.budget import MOST_BLOCKS
+from blocksar.budget import FIDELITY, LEAST_FIDELITY, MOST_BLOCKS
 from blocksar.errors import InputError, quoted
+
+if TYPE_CHECKING:
+    from blocksar.collection.grid import Grid
 
 EXAMPLE = "give --grid x0:x1:dx,y0:y1:dy in metres, such as --grid -2500:2500:1,18000:23000:1"
 LEAST_MEMORY = 1 << 20  # bytes of a worker; fewer are a number whose unit was forgotten
 Axis = tuple[float, float, float]  # first point, end (exclusive) and spacing
+GridLike: TypeAlias = "Grid | str | tuple[tuple[float, float, float], tuple[float, float, float]]"
 
 
 def parse_grid(text: str) -> tuple[Axis, Axis]:
@@ -150,3 +156,82 @@ def parse_blocks(text: str) -> int | Literal["auto"]:
             f"--blocks {quoted(text)} is neither 'auto' nor a whole number from 1 to {MOST_BLOCKS}; try --blocks auto"
         )
     return int(text)
+
+
+def with_axes(grid: GridLike | None) -> GridLike | None:
+    """Return a grid with its text read, if it is one; for `grid_of`."""
+    return parse_grid(grid) if isinstance(grid, str) else grid
+
+
+def grid_of(grid: GridLike | None) -> Grid | None:
+    """Return a Grid; two triples, or a text, stand for start, end and step (m) in x and in y.
+
+    Raises
+    ------
+    InputError
+        If the grid cannot be read, or is empty or too large.
+    """
+    axes = with_axes(grid)
+    if axes is None:
+        return None
+    from blocksar.collection.grid import Grid  # with NumPy, slow to load
+
+    if isinstance(axes, Grid):
+        return axes
+    x, y = read_grid(axes)
+    return Grid(*x, *y)
+
+
+def memory_of(limit: Any) -> int | None:
+    """Return an amount of memory in bytes, given as that or as a text such as "2GiB".
+
+    Raises
+    ------
+    InputError
+        If it is neither, or below 1 MiB.
+    """
+    if isinstance(limit, str):
+        return parse_memory(limit)
+    if limit is None:
+        return None
+    whole = None
+    with suppress(TypeError, ValueError, OverflowError):
+        whole = int(limit)
+    if whole is None or whole != limit:
+        raise InputError(f'memory_limit is {quoted(limit)}; give a whole number of bytes, or a text such as "2GiB"')
+    if whole < LEAST_MEMORY:
+        raise InputError(f"memory_limit is {whole} bytes; give what a worker may use, such as {2 << 30}")
+    return whole
+
+
+def fidelity_of(fidelity: Any) -> float:
+    """Return a fidelity as a number.
+
+    Raises
+    ------
+    InputError
+        If it is none, or cannot be asked for.
+    """
+    if isinstance(fidelity, bool) or not isinstance(fidelity, Real):
+        raise InputError(f"fidelity is {quoted(fidelity)}; give a number below 1, such as {FIDELITY:g}")
+    value = float(fidelity)
+    if not LEAST_FIDELITY <= value < 1:
+        raise InputError(
+            f"fidelity = {value:g}: ask for a coherence from {LEAST_FIDELITY:g} to below 1, such as {FIDELITY:g}"
+        )
+    return value
+
+
+def blocks_of(blocks: int | str) -> int | Literal["auto"]:
+    """Return a number of blocks, or "auto".
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
+    if isinstance(blocks, str):
+        return parse_blocks(blocks)
+    if isinstance(blocks, bool) or not isinstance(blocks, Integral):
+        raise InputError(f"--blocks {quoted(blocks)} is neither 'auto' nor a whole number; try --blocks auto")
+    return int(blocks)

@@ -4,31 +4,21 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 from blocksar.api import definitions
-from blocksar.api.arguments import (
-    GridLike,
-    Source,
-    blocks_of,
-    channels_of,
-    collections_of,
-    fidelity_of,
-    grid_of,
-    in_this_process,
-    memory_of,
-    sources_of,
-)
+from blocksar.api.arguments import Source, channels_of, collections_of, in_this_process, sources_of
 from blocksar.api.exact_way import exact_way, naming_exact
 from blocksar.api.ground import read_ground
 from blocksar.api.look_plans import report_looks
 from blocksar.api.looks import divide_dwells, one_source
+from blocksar.api.parsing import GridLike
 from blocksar.api.partial_pulses import imaged_collections, recorded_lines
+from blocksar.api.settings import Settings
 from blocksar.api.shown import PlanReport
 from blocksar.budget import FIDELITY
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.surface import Surface
-from blocksar.collection.weighting import Weighting
 from blocksar.focusing.method import (
     Coefficients,
     Derotation,
@@ -36,7 +26,7 @@ from blocksar.focusing.method import (
     RangeModel,
 )
 from blocksar.graph.machine import Resources, resources
-from blocksar.ingestion.terrain.reading import Ground, terrain_notes
+from blocksar.ingestion.terrain.reading import terrain_notes
 from blocksar.places import Location
 from blocksar.planning.segments import joint_grid
 from blocksar.processors import PROCESSORS, options_for
@@ -67,6 +57,7 @@ def plan(
     looks: int | None = None,
     workers: int | None = None,
     memory_limit: int | str | None = None,
+    **options: Any,
 ) -> PlanReport:
     """Predict how a collection would be focused, and how sharp the image would be. Reads no samples.
 
@@ -82,7 +73,8 @@ def plan(
     blocks : int or "auto"
         Number of angular blocks, at least 1. "auto" (default): the fewest that keep `fidelity` and fit the memory.
     fidelity : float
-        Coherence with exact back-projection that "auto" keeps where it can, below 1. Default: 0.999.
+        Coherence with exact back-projection that "auto" keeps where it can, below 1. Where whole dwells do not keep it,
+        their edges are back-projected, also with a number of blocks. Default: 0.999.
     weighting : str
         Taper over band and dwell: "uniform", "taylor:NBAR:SLL" (such as "taylor:4:-35"), "hamming", "hann" or
         "kaiser:BETA". Default: "uniform".
@@ -102,7 +94,8 @@ def plan(
         "polar".
     grid : Grid, ((x0, x1, dx), (y0, y1, dy)) or str, optional
         Image points x0, x0 + dx, ... < x1 in m in the scene frame, likewise y; as a text "x0:x1:dx,y0:y1:dy". Default:
-        the box around the lit sector at about half the resolution. Needed if the beam is not steered.
+        the box around the lit sector at about half the resolution. Needed if the beam is not steered, or turns about
+        the antenna's own axis.
     terrain : path, optional
         Heights of the ground: zarr or netCDF with `height` (y, x) in m of the scene frame, or a GeoTIFF in any
         coordinate reference system, which needs a georeference. Default: the plane z = ground_height.
@@ -110,12 +103,14 @@ def plan(
         "ellipsoid": WGS 84 at ground_height, which needs a georeference. Default: "plane".
     vertical : str, optional
         What a GeoTIFF's heights are measured from, if it does not say so: "ellipsoid", "egm96" or "egm2008"; or
-        "egm2008:FILE" with the geoid's grid. Needed for such a file only.
+        "egm2008:FILE" with the geoid's grid. PROJ's own grid is taken if it is installed; nothing is downloaded. Needed
+        for such a file only.
     whole_pulses : bool
         Of a raw echo, image only ground whose whole pulses were recorded; other ground stays NaN, as it does without a
         grid. Default: False, so that where `grid` has ground with parts of pulses, it is divided by the part.
     ground_height : float, optional
-        Height z of the imaged plane in the scene frame, m. Default: that of the phase history.
+        Height z of the imaged plane in the scene frame, m. Ground that lies off it is displaced, at 30 m by up to as
+        much. Default: that of the phase history.
     looks : int, optional
         Number of parts of each target's dwell that `focus` makes images of: each is planned, beside whole dwells.
         Default: whole dwells only.
@@ -123,6 +118,8 @@ def plan(
         Worker processes to plan for; 0: the calling process does the work. Default: as for `focus`.
     memory_limit : int or str, optional
         Memory of each worker, bytes or a text such as "2GiB". Default: its share of the machine's memory.
+    **options
+        Those of a processor that another package adds.
 
     Returns
     -------
@@ -137,33 +134,27 @@ def plan(
     InputError
         If the source is no collection, a setting is wrong, the PRF is too low, or the grid lies outside the swath.
     """
-    given = {
-        "coefficients": coefficients, "perturbation": perturbation, "keystone": keystone, "derotation": derotation,
-        "range_model": range_model,
-    }  # fmt: skip
-    options = options_for(processor, given)
-    tapers = Weighting.parse(weighting, weighting_range, weighting_azimuth)
-    points, n_blocks, least = grid_of(grid), blocks_of(blocks), fidelity_of(fidelity)
-    limit = memory_of(memory_limit)
+    settings = Settings.of(locals())
+    chosen = options_for(processor, settings.options)
+    points, ground = settings.points, settings.ground
     collections = collections_of(source if looks is None else one_source(source, looks), ground_height, terrain=terrain)
     parts = None if looks is None else divide_dwells(collections[0], looks, points)
     points = points if parts is None else parts.grid
     here = in_this_process(workers, collections)
-    share = resources(0 if here else workers, None, limit)
+    share = resources(0 if here else workers, None, settings.memory_limit)
     assumed = share._replace(workers=0) if here else share
     of_each = _channels_line(source)
-    ground = Ground(terrain=terrain, surface=surface, vertical=vertical)
     heights = None
     if not ground.plane:
         points = points or joint_grid([Geometry(collection=each) for each in collections])
         heights = read_ground(ground, collections[0], points, sources_of(source)[0])
         of_each += [] if heights is None else terrain_notes(heights, points)
     collections = imaged_collections(
-        source, collections, grid_of(grid), heights, ground_height=ground_height, whole_pulses=whole_pulses
+        source, collections, settings.points, heights, ground_height=ground_height, whole_pulses=whole_pulses
     )
     problem = Problem(
-        collections=collections, grid=points, terrain=heights, blocks=n_blocks, fidelity=least, weighting=tapers,
-        options=options, machine=share,
+        collections=collections, grid=points, terrain=heights, blocks=settings.blocks, fidelity=settings.fidelity,
+        weighting=settings.tapers, options=chosen, machine=share,
     )  # fmt: skip
     started = time.perf_counter()
     with naming_exact(collections, points, assumed):

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from blocksar import stores
-from blocksar.api.arguments import GridLike, grid_of, history_of
+from blocksar.api.arguments import history_of
 from blocksar.api.facts import grid_text
+from blocksar.api.parsing import GridLike, grid_of
 from blocksar.api.partial_pulses import imaging_parts
 from blocksar.api.pulses import pulse_reader
 from blocksar.api.reports import Report, only_stage

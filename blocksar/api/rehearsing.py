@@ -55,7 +55,7 @@ def _doing(request: Request, job: Job, earlier: RunRecord | None, beside: Beside
     """What would be written, and how much room there is for it."""
     folder = request.folder
     resumed = earlier is not None or is_begun(folder, job.record())
-    replaced = request.overwrite and folder.exists() and folder.names()
+    replaced = request.asked.overwrite and folder.exists() and folder.names()
     if resumed:
         doing = f"would go on with the unfinished run in {folder}"
     else:

@@ -13,7 +13,7 @@ from blocksar.chunks import stored_bytes
 from blocksar.errors import InputError
 from blocksar.places.room import no_room_for, size_text
 from blocksar.planning.disk import Room, room_of_run
-from blocksar.processors import PROCESSORS, REFERENCE, options_for
+from blocksar.processors import PROCESSORS, REFERENCE
 from blocksar.runs import folder as run_folder
 from blocksar.runs.record import RECORD
 
@@ -33,7 +33,7 @@ def room_of(job: Job) -> Room:
         job.plan.stored(),
         beside=beside,
         temporary=temporary,
-        discard=request.discard,
+        discard=request.asked.discard,
         reads_later=job.plan.reads_later,
     )
 
@@ -104,13 +104,13 @@ def _others(job: Job, *, resumed: bool) -> Iterator[tuple[str, Job]]:
     count = max((piece.plan.n_blocks for piece in job.plan.pieces if piece.plan is not None), default=0)
     while (count := count // 2) > 0:
         with suppress(InputError):  # there is no such plan
-            yield f"--blocks {count}", Job.of(replace(job.request, blocks=count), None, job.machine)
+            yield f"--blocks {count}", Job.of(job.request.asking(blocks=count), None, job.machine)
     if job.plan.processor != REFERENCE:
         words = f"--processor {REFERENCE}, {PROCESSORS.get(REFERENCE).summary},"
         with suppress(InputError):
-            exact = replace(job.request, processor=REFERENCE, options=options_for(REFERENCE, {}))
+            exact = job.request.asking(processor=REFERENCE, options={})
             yield words, Job.of(exact, None, job.machine)
 
 
 def _discarding(job: Job) -> Job:
-    return replace(job, request=replace(job.request, discard=True))
+    return replace(job, request=job.request.asking(discard=True))

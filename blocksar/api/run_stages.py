@@ -77,7 +77,7 @@ def carry_out(
         peak_memory=max(receipt.peak_memory or 0 for receipt in record.receipts),
     )
     run_folder.finish(run.folder, record)
-    if job.request.discard:
+    if job.request.asked.discard:
         run_folder.discard_intermediate(run.folder)
     listener.update("finish", 1, 1)
     return record
@@ -115,7 +115,7 @@ def _form(
     segments, compressed = stages.compress_raw(client, job.segments, run, listener)
     execution = Execution(
         client=client, run=run, listener=listener, segments=segments, compressed=compressed,
-        workers=job.machine.workers, weighting=job.request.weighting, discard=job.request.discard, accept=accept,
+        workers=job.machine.workers, weighting=job.request.weighting, discard=job.request.asked.discard, accept=accept,
         input_read=input_read, end=end, noises=job.noises,
     )  # fmt: skip
     receipts = tuple(job.plan.form(execution))

@@ -6,27 +6,28 @@ Tables go to stdout, progress and messages to stderr.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from blocksar.api.parsing import parse_memory
+from blocksar.api.settings import options_taken
 from blocksar.cli.autofocusing import autofocus
 from blocksar.cli.display import hint, show
-from blocksar.cli.endings import Commands, catch_signals, open_streams
+from blocksar.cli.endings import catch_signals, open_streams
 from blocksar.cli.exporting import export
-from blocksar.cli.focusing import focus, plan
+from blocksar.cli.focusing import OfProcessors, focus, plan
 from blocksar.cli.ingesting import ingest
 from blocksar.cli.listening import listening
 from blocksar.cli.measuring import quality, report
-from blocksar.cli.options import JsonLog, MemoryLimit, Overwrite, PerformanceReport, Quiet, Threads, Workers
+from blocksar.cli.options import JsonLog, Quiet, taking
 from blocksar.cli.sources import check, info, preview, simulate
 from blocksar.garbage import collect_seldom
+from blocksar.options import read_values
 from blocksar.version import __version__
 
 app = typer.Typer(
     name="blocksar",
-    cls=Commands,
+    cls=OfProcessors,
     help="Focus squint-TOPS radar data by angular blocks, in parallel, into a calibrated ground image."
     "\n\nExample: [bold]blocksar demo --out demo-run[/bold]",
     no_args_is_help=True,
@@ -54,16 +55,13 @@ def options(
     """Options before a command."""
 
 
+@taking(options_taken("demo"))
 def demo(
     context: typer.Context,
     out: Annotated[str, typer.Option(metavar="RUN", help="Folder of the run.")] = "demo-run",
-    workers: Workers = None,
-    threads: Threads = None,
-    memory_limit: MemoryLimit = None,
-    performance_report: PerformanceReport = None,
-    overwrite: Overwrite = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
+    **options: Any,
 ) -> None:
     """Simulate the paper's scene, focus it, measure its targets and write a report.
 
@@ -72,20 +70,12 @@ def demo(
 
     Example: [bold]blocksar demo --out demo-run[/bold]
     """
-    memory = None if memory_limit is None else parse_memory(memory_limit)
+    settings = read_values(options_taken("demo"), options)
 
     from blocksar import api
 
     with listening(context) as progress:
-        report = api.demo(
-            out,
-            workers=workers,
-            threads=threads,
-            memory_limit=memory,
-            overwrite=overwrite,
-            progress=progress,
-            performance_report=performance_report,
-        )
+        report = api.demo(out, progress=progress, **settings)
     show(report)
     hint(context, "info", out)
 

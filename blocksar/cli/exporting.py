@@ -11,6 +11,7 @@ from blocksar.cli.display import hint, show
 from blocksar.cli.listening import listening
 from blocksar.cli.options import Channel, JsonLog, Overwrite, Quiet, Run
 from blocksar.cli.plugged import Plugged, with_options
+from blocksar.options import options_of
 from blocksar.products.registry import PRODUCTS
 
 
@@ -45,7 +46,7 @@ class Products(Plugged):
         file = typer.Option(metavar="FILE", help=f"File to write, {' or '.join(product.endings)}.")
         export_product.__annotations__["out"] = Annotated[str, file]
         example = f"Example: [bold]blocksar export {name} run --out image{product.endings[0]}[/bold]"
-        return with_options(export_product, product.options, f"{product.summary}\n\n{example}")
+        return with_options(export_product, options_of(product.options), f"{product.summary}\n\n{example}")
 
 
 export = typer.Typer(

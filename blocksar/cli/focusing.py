@@ -2,74 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from inspect import signature, unwrap
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from blocksar.budget import FIDELITY, WAIT_WORKERS
+from blocksar.api.settings import options_taken
 from blocksar.cli.configuration import ConfigOption, PrintConfig, configuration
 from blocksar.cli.display import hint, show
-from blocksar.cli.endings import WRONG_INPUT, complain
+from blocksar.cli.endings import WRONG_INPUT, Commands, complain
 from blocksar.cli.listening import listening
-from blocksar.cli.options import (
-    AutofocusOption,
-    AzimuthWeighting,
-    Blocks,
-    Control,
-    Discard,
-    Everything,
-    Explain,
-    Fidelity,
-    GridOption,
-    GroundHeight,
-    JsonLog,
-    LooksOption,
-    MemoryLimit,
-    Overwrite,
-    PerformanceReport,
-    ProcessorOption,
-    Quiet,
-    RangeWeighting,
-    Scheduler,
-    SurfaceOption,
-    TerrainOption,
-    Threads,
-    VerticalOption,
-    WaitWorkers,
-    WeightingOption,
-    WholePulses,
-    Workers,
-    given,
-    method_options,
-    parse_settings,
-)
+from blocksar.cli.options import ALTERNATIVES, Everything, Explain, JsonLog, Quiet, given, taking
+from blocksar.cli.plugged import single_command
+from blocksar.focusing.method import ChainOptions
+from blocksar.options import Stated, options_of, read_values
+from blocksar.processors import PROCESSORS
 
 
-@method_options
+@taking(options_taken("plan"))
+@taking(options_of(ChainOptions), ALTERNATIVES)
 def plan(
     context: typer.Context,
     source: Annotated[list[str], typer.Argument(metavar="PH.zarr|SCENE.toml", help="Phase-history stores or scenes.")],
-    processor: ProcessorOption = "angular-division",
-    blocks: Blocks = "auto",
-    fidelity: Fidelity = FIDELITY,
-    weighting: WeightingOption = "uniform",
-    weighting_range: RangeWeighting = None,
-    weighting_azimuth: AzimuthWeighting = None,
-    grid: GridOption = None,
-    terrain: TerrainOption = None,
-    surface: SurfaceOption = "plane",
-    vertical: VerticalOption = None,
-    whole_pulses: WholePulses = False,
-    ground_height: GroundHeight = None,
-    looks: LooksOption = None,
-    workers: Workers = None,
-    memory_limit: MemoryLimit = None,
     config: ConfigOption = None,
     everything: Everything = False,
     explain: Explain = False,
     quiet: Quiet = False,
-    **method: Any,
+    **options: Any,
 ) -> None:
     """Show how a collection would be focused, and the predicted quality of its image.
 
@@ -79,15 +42,11 @@ def plan(
 
     Example: [bold]blocksar plan table1 --blocks 3[/bold]
     """
-    tapers = (weighting, weighting_range, weighting_azimuth)
-    settings = parse_settings(blocks, fidelity, tapers, grid, workers, memory_limit)
+    settings = read_values(options_taken("plan"), options)
 
     from blocksar import api
 
-    proposal = api.plan(
-        one_or_all(source), processor=processor, terrain=terrain, surface=surface, vertical=vertical,
-        ground_height=ground_height, whole_pulses=whole_pulses, looks=looks, **settings, **method,
-    )  # fmt: skip
+    proposal = api.plan(one_or_all(source), **settings)
     show(proposal, context)
     if proposal.refusal is not None:
         complain(proposal.refusal, WRONG_INPUT)
@@ -117,44 +76,19 @@ def _hint_after_plan(context: typer.Context, sources: list[str], proposal: Any) 
     )
 
 
-@method_options
+@taking(options_taken("focus"))
+@taking(options_of(ChainOptions), ALTERNATIVES)
 def focus(
     context: typer.Context,
     source: Annotated[
         list[str], typer.Argument(metavar="PH.zarr", help="Phase-history stores; several of one frame: one mosaic.")
     ],
     out: Annotated[str, typer.Option(metavar="RUN", help="Folder of the run; an unfinished one is resumed.")],
-    processor: ProcessorOption = "angular-division",
-    blocks: Blocks = "auto",
-    fidelity: Fidelity = FIDELITY,
-    weighting: WeightingOption = "uniform",
-    weighting_range: RangeWeighting = None,
-    weighting_azimuth: AzimuthWeighting = None,
-    grid: GridOption = None,
-    looks: LooksOption = None,
-    terrain: TerrainOption = None,
-    surface: SurfaceOption = "plane",
-    vertical: VerticalOption = None,
-    whole_pulses: WholePulses = False,
-    ground_height: GroundHeight = None,
-    autofocus: AutofocusOption = False,
-    control: Control = None,
-    workers: Workers = None,
-    threads: Threads = None,
-    memory_limit: MemoryLimit = None,
-    scheduler: Scheduler = None,
-    wait_workers: WaitWorkers = WAIT_WORKERS,
-    performance_report: PerformanceReport = None,
-    overwrite: Overwrite = False,
-    discard: Discard = False,
     config: ConfigOption = None,
     print_config: PrintConfig = False,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say what would be done, with memory and disk, and write nothing.")
-    ] = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
-    **method: Any,
+    **options: Any,
 ) -> None:
     """Focus a phase history into a calibrated ground image, or several of one frame into one mosaic.
 
@@ -162,48 +96,53 @@ def focus(
 
     Example: [bold]blocksar focus table1.zarr --out run --blocks 3[/bold]
     """
-    tapers = (weighting, weighting_range, weighting_azimuth)
-    settings = parse_settings(blocks, fidelity, tapers, grid, workers, memory_limit)
+    settings = read_values(options_taken("focus"), options)
     if print_config:
         typer.echo(configuration(context))
         return
 
     from blocksar import api
 
-    if scheduler is None and not dry_run:
+    if settings["scheduler"] is None and not settings["dry_run"]:
         from blocksar.graph.starting import start_early
 
-        start_early(source, out, workers=workers, threads=threads)
+        start_early(source, out, workers=settings["workers"], threads=settings["threads"])
 
     with listening(context) as progress:
-        report = api.focus(
-            one_or_all(source),
-            out,
-            processor=processor,
-            **settings,
-            looks=looks,
-            terrain=terrain,
-            surface=surface,
-            vertical=vertical,
-            whole_pulses=whole_pulses,
-            ground_height=ground_height,
-            **method,
-            autofocus=autofocus,
-            control=control,
-            threads=threads,
-            scheduler=scheduler,
-            wait_workers=wait_workers,
-            overwrite=overwrite,
-            discard=discard,
-            progress=progress,
-            performance_report=performance_report,
-            dry_run=dry_run,
-        )
+        report = api.focus(one_or_all(source), out, progress=progress, **settings)
     show(report)
-    if dry_run:
+    if settings["dry_run"]:
         hint(context, "focus", *source, "--out", out, *given(context, "out", "dry_run"))
     elif report.measurable:
         hint(context, "quality", out)
+
+
+class OfProcessors(Commands):
+    """All commands. When `plan` or `focus` is called, it takes the processors of other packages and their options."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        if args and args[0] in ("plan", "focus") and (others := set(PROCESSORS.names()) - set(PROCESSORS.own)):
+            self.commands.update({each.__name__: _taking_processors(each, sorted(others)) for each in (plan, focus)})
+        return super().resolve_command(ctx, args)
+
+
+def _taking_processors(command: Callable[..., None], names: Sequence[str]) -> Any:
+    """A command with processors of other packages besides."""
+
+    def with_names(stated: Stated) -> Stated:
+        choices = stated.option.choices
+        if choices is None:
+            return stated
+        return stated._replace(option=replace(stated.option, choices=lambda: (*choices(), *names)))
+
+    known = signature(command).parameters
+    added = {each.name: each for each in options_of(ChainOptions)}
+    for name in names:
+        with suppress(Exception):  # it cannot be loaded, as is said when it is asked for, or has no model of options
+            more = (each for each in options_of(PROCESSORS.get(name).options) if each.name not in known)
+            added |= {each.name: each for each in more}
+    own = taking(map(with_names, options_taken(command.__name__)))
+    return single_command(command.__name__, own(taking(added.values(), ALTERNATIVES)(unwrap(command))))
 
 
 def one_or_all(sources: list[str]) -> str | list[str]:

@@ -11,6 +11,7 @@ from blocksar.cli.display import hint, show
 from blocksar.cli.listening import listening
 from blocksar.cli.options import JsonLog, Overwrite, Quiet, StoreOut
 from blocksar.cli.plugged import Plugged, with_options
+from blocksar.options import options_of
 
 CollectionStart = Annotated[
     str | None,
@@ -61,7 +62,7 @@ class Readers(Plugged):
 
         ingest_files.__annotations__["source"] = Annotated[kind, typer.Argument(metavar=metavar, help=text)]
         doc = f"{reader.summary}\n\nExample: [bold]blocksar ingest {name} {reader.example}[/bold]"
-        return with_options(ingest_files, reader.options, doc)
+        return with_options(ingest_files, options_of(reader.options), doc)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         from blocksar.api.sources import reader_of

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from functools import wraps
 from inspect import Parameter, signature
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, get_args
 
 import typer
 from rich.markup import escape
 
 from blocksar.cli.endings import Commands
 from blocksar.errors import InputError
-from blocksar.options import Option, Stated, options_of
+from blocksar.options import Option, Stated
 
 
 class Plugged(Commands):
@@ -56,17 +58,18 @@ class _Made(Mapping[str, Any]):
     def _command(self, name: str) -> Any:
         """The command of a part; of one that cannot have any, one that says so, as its help does."""
         try:
-            return _command(name, self._group.command_of(name))
+            return single_command(name, self._group.command_of(name))
         except InputError as error:
             refusal = error
         except Exception as error:  # its options are none for a command line
             refusal = InputError(
                 f"{name} has no command ({type(error).__name__}: {error}); repair or remove the package that adds it"
             )
-        return _command(name, _refusing(refusal), ignore_unknown_options=True, allow_extra_args=True)
+        return single_command(name, _refusing(refusal), ignore_unknown_options=True, allow_extra_args=True)
 
 
-def _command(name: str, function: Callable[..., None], **settings: bool) -> Any:
+def single_command(name: str, function: Callable[..., None], **settings: bool) -> Any:
+    """The command of a function, made now."""
     settings_of_all = {"help_option_names": ["-h", "--help"]}
     single = typer.Typer(rich_markup_mode="rich", context_settings=settings_of_all | settings, add_completion=False)
     single.command(name)(function)
@@ -81,29 +84,47 @@ def _refusing(error: InputError) -> Callable[..., None]:
     return refuse
 
 
-def with_options(command: Callable[..., None], model: type, doc: str) -> Callable[..., None]:
-    """Let a command take the options of a model as keyword arguments, behind its own up to the first with a default.
+def with_options(
+    command: Callable[..., None], options: Iterable[Stated], doc: str | None = None, *, panel: str | None = None
+) -> Callable[..., None]:
+    """Let a command take options as keyword arguments, behind its own up to the first with a default.
 
-    What has a function that reads it is taken as text.
+    What has a function that reads it is taken as text, except for numbers. `panel` is where its help shows them.
     """
     plain = signature(command, eval_str=True)
     own = [parameter for parameter in plain.parameters.values() if parameter.kind != Parameter.VAR_KEYWORD]
     needed = [parameter for parameter in own if parameter.default is Parameter.empty]
     others = [each.replace(kind=Parameter.KEYWORD_ONLY) for each in own if each.default is not Parameter.empty]
-    options = [_parameter(each) for each in options_of(model)]
-    command.__signature__ = plain.replace(parameters=[*needed, *options, *others])  # type: ignore[attr-defined]
-    command.__doc__ = doc
-    return command
+    shown = [_parameter(each, panel) for each in options]
+
+    @wraps(command)
+    def taking_options(*arguments: Any, **settings: Any) -> None:
+        command(*arguments, **settings)
+
+    taking_options.__signature__ = plain.replace(parameters=[*needed, *shown, *others])  # type: ignore[attr-defined]
+    taking_options.__doc__ = doc or command.__doc__
+    return taking_options
 
 
-def typer_option(option: Option, default: object = None) -> Any:
-    """An option as the command line has it."""
+def typer_option(option: Option, default: object = None, panel: str | None = None) -> Any:
+    """An option as the command line has it; `panel` is where its help shows it."""
     shown = option.default if option.default is not None else default is not None
-    return typer.Option(*option.flags, metavar=option.metavar, help=option.help, show_default=shown)
+    return typer.Option(
+        *option.flags, metavar=option.metavar, help=option.help, min=option.least, show_default=shown,
+        rich_help_panel=panel,
+    )  # fmt: skip
 
 
-def _parameter(stated: Stated) -> Parameter:
-    kind = stated.type if stated.option.read is None else str | None
-    default = stated.default if stated.option.default is None else None
-    annotation = Annotated[kind, typer_option(stated.option, default)]  # type: ignore[valid-type]
+def _parameter(stated: Stated, panel: str | None) -> Parameter:
+    option, kind = stated.option, stated.type
+    if option.choices is not None:
+        kind = Literal[tuple(option.choices())]
+    elif option.read is not None and kind not in (int, float):
+        kind = str | None
+    if stated.default is False and not option.flags:  # there is no option not to do what is not done
+        option = replace(option, flags=(f"--{stated.name.replace('_', '-')}",))
+    if panel is not None and option.metavar is None:
+        option = replace(option, metavar=", ".join(map(str, get_args(kind))) or None)  # which few columns can fold
+    default = stated.default if option.default is None else None
+    annotation = Annotated[kind, typer_option(option, default, panel)]  # type: ignore[valid-type]
     return Parameter(stated.name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)

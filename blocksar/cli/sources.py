@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from blocksar.api.parsing import parse_grid, parse_origin
+from blocksar.api.parsing import parse_origin
+from blocksar.api.settings import options_taken
 from blocksar.cli.display import hint, show
 from blocksar.cli.listening import listening
 from blocksar.cli.options import (
@@ -15,17 +16,14 @@ from blocksar.cli.options import (
     ColourMap,
     ColourRange,
     Explain,
-    GridOption,
-    GroundHeight,
     JsonLog,
     Overwrite,
     OwnThreads,
     Quiet,
-    SurfaceOption,
-    TerrainOption,
-    VerticalOption,
     given,
+    taking,
 )
+from blocksar.options import read_values
 
 
 def simulate(
@@ -81,17 +79,14 @@ def info(
         hint(context, *line)
 
 
+@taking(options_taken("check"))
 def check(
     context: typer.Context,
     source: Annotated[str, typer.Argument(metavar="PH.zarr", help="Phase-history store.")],
-    grid: GridOption = None,
-    terrain: TerrainOption = None,
-    surface: SurfaceOption = "plane",
-    vertical: VerticalOption = None,
-    ground_height: GroundHeight = None,
     threads: OwnThreads = None,
     explain: Explain = False,
     quiet: Quiet = False,
+    **options: Any,
 ) -> None:
     """Check that the samples are what is said of them: sign, order, track and beam.
 
@@ -100,36 +95,28 @@ def check(
 
     Example: [bold]blocksar check table1.zarr[/bold]
     """
-    points = None if grid is None else parse_grid(grid)
+    settings = read_values(options_taken("check"), options)
 
     from blocksar import api
 
-    report = api.check(
-        source,
-        grid=points,
-        terrain=terrain,
-        surface=surface,
-        vertical=vertical,
-        ground_height=ground_height,
-        threads=threads,
-    )
+    report = api.check(source, threads=threads, **settings)
     show(report, context)
     hint(context, "plan", source, *given(context, "threads", "explain"))
 
 
+@taking(options_taken("preview"))
 def preview(
     context: typer.Context,
     source: Annotated[str, typer.Argument(metavar="PH.zarr", help="Phase-history store.")],
     out: Annotated[str, typer.Option(metavar="FILE", help="PNG to write.")],
-    grid: GridOption = None,
     size: Annotated[int, typer.Option(metavar="PIXELS", help="Pixels along the longer side, at most.")] = 1000,
     range: ColourRange = None,
     colour_map: ColourMap = None,
     channel: Channel = None,
     threads: OwnThreads = None,
-    overwrite: Overwrite = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
+    **options: Any,
 ) -> None:
     """Draw a coarse picture of a collection in seconds, and say what grid a run would take.
 
@@ -137,14 +124,14 @@ def preview(
 
     Example: [bold]blocksar preview table1.zarr --out preview.png[/bold]
     """
-    points = None if grid is None else parse_grid(grid)
+    settings = read_values(options_taken("preview"), options)
 
     from blocksar import api
 
     with listening(context) as progress:
         found = api.preview(
-            source, out=out, grid=points, size=size, range=range, colour_map=colour_map, channel=channel,
-            threads=threads, overwrite=overwrite, progress=progress,
+            source, out=out, size=size, range=range, colour_map=colour_map, channel=channel, threads=threads,
+            progress=progress, **settings,
         )  # fmt: skip
     show(found, context)
-    hint(context, "plan", source, *(["--grid", grid] if grid else []))
+    hint(context, "plan", source, *(["--grid", options["grid"]] if options["grid"] else []))

@@ -27,8 +27,11 @@ import typer
 import blocksar
 from blocksar import stores
 from blocksar.api import parsing
+from blocksar.api.settings import Settings
 from blocksar.cli import display, endings, options
 from blocksar.errors import InputError, ProcessingError
+from blocksar.focusing.method import ChainOptions
+from blocksar.options import options_of, read_values
 from blocksar.progress import Progress
 
 if TYPE_CHECKING:
@@ -183,6 +186,11 @@ def wait_for_workers(client: Client, jobs: int, seconds: float) -> None:
     typer.echo(f"{running} of {jobs} workers are running", err=True)
 
 
+OPTIONS = options_of(Settings, "processor", "blocks", "grid", "overwrite")
+
+
+@options.taking(OPTIONS)
+@options.taking(options_of(ChainOptions, "coefficients"), options.ALTERNATIVES)
 def main(
     source: Annotated[str, typer.Argument(metavar="PH.zarr", help="Phase-history store; shared by all nodes.")],
     out: Annotated[str, typer.Option(metavar="RUN", help="Folder of the run; shared by all nodes.")],
@@ -204,15 +212,11 @@ def main(
         float,
         typer.Option(min=1, metavar="SECONDS", help="Time to wait for the jobs to start, and for others if all end."),
     ] = 3600,
-    processor: options.ProcessorOption = "angular-division",
-    blocks: options.Blocks = "auto",
-    coefficients: options.CoefficientsOption = "fitted",
-    grid: options.GridOption = None,
-    overwrite: options.Overwrite = False,
     quiet: options.Quiet = False,
     job_script: Annotated[
         bool, typer.Option("--job-script", help="Print the job of a worker without submitting it.")
     ] = False,
+    **given: Any,
 ) -> None:
     """Focus a phase history with workers that are Slurm jobs.
 
@@ -220,14 +224,7 @@ def main(
     """
     endings.catch_signals()
     try:
-        settings: dict[str, Any] = {
-            "processor": processor,
-            "blocks": parsing.parse_blocks(blocks),
-            "coefficients": coefficients,
-            "grid": None if grid is None else parsing.parse_grid(grid),
-            "overwrite": overwrite,
-            "wait_workers": wait_workers,
-        }
+        settings = read_values(OPTIONS, given)
         if not job_script:
             stores.open_phase_history(source)  # refuse it before jobs are queued
 
@@ -254,7 +251,15 @@ def main(
                     cluster.scale(jobs=jobs)
                     wait_for_workers(client, jobs, wait_workers)
                     with Progress(quiet=quiet) as progress:
-                        report = blocksar.focus(source, out, threads=1, client=client, progress=progress, **settings)
+                        report = blocksar.focus(
+                            source,
+                            out,
+                            threads=1,
+                            client=client,
+                            wait_workers=wait_workers,
+                            progress=progress,
+                            **settings,
+                        )
         display.show(report)
     except InputError as error:
         _end(str(error), endings.WRONG_INPUT)

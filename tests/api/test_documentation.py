@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from docstrings import entries
 
 import blocksar
 from blocksar import api
@@ -25,20 +26,6 @@ METHODS = {
     if inspect.isfunction(method) and not name.startswith("_")
 }
 UNIT = re.compile(r"(?<!\w)(m|s|Hz|Hz/s|rad|degrees|dB|1|m in|unit|[Bb]ytes|[Ss]econds|[Cc]oherence)(?!\w)")
-Entry = tuple[str, str]  # type, description
-
-
-def entries(function: Callable[..., Any]) -> dict[str, Entry]:
-    """Type and description of every parameter, by name, from the section of the docstring."""
-    text = inspect.getdoc(function) or ""
-    section = re.search(r"^Parameters\n-+\n(.*?)(?=^\w+\n---|\Z)", text, re.M | re.S)
-    found: dict[str, Entry] = {}
-    for names, kind, body in re.findall(
-        r"^(\S[^\n]*?)(?: : ([^\n]+))?\n((?:    [^\n]*\n|\n)+)", (section or [""] * 2)[1] + "\n", re.M
-    ):
-        for name in names.split(", "):
-            found[name.strip("*")] = (kind, " ".join(body.split()))
-    return found
 
 
 def parameters(function: Callable[..., Any]) -> list[inspect.Parameter]:

@@ -15,15 +15,13 @@ from typer.testing import CliRunner
 
 import blocksar
 from blocksar.api.arguments import (
-    blocks_of,
     check_one_frame,
     control_points,
-    grid_of,
     history_of,
     is_scene,
-    memory_of,
 )
 from blocksar.api.jobs import records_of
+from blocksar.api.parsing import blocks_of, grid_of, memory_of
 from blocksar.cli import commands
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid

@@ -18,9 +18,12 @@ from typer.testing import CliRunner, Result
 
 import blocksar
 from blocksar.api import parsing
+from blocksar.api.settings import options_taken
 from blocksar.cli import commands, display, endings
 from blocksar.errors import InputError, ProcessingError
+from blocksar.focusing.method import ChainOptions
 from blocksar.graph import starting
+from blocksar.options import options_of
 from blocksar.progress import PLAIN_STEPS, Progress
 
 COMMANDS = {
@@ -122,80 +125,16 @@ def test_workers_begin_to_start_before_the_command_line_is_imported(
 # Arguments
 
 
-def test_focus_passes_every_option(api: Calls) -> None:
-    words = "focus ph.zarr --out run --processor high-order-phase --blocks 5 --coefficients closed-form"
-    words += " --weighting hann --weighting-azimuth taylor:4:-35"
-    words += " --fidelity 0.9995 --perturbation none --no-keystone --derotation linear --range-model conventional"
-    words += (
-        " --terrain dem.tif --surface ellipsoid --vertical egm96 --ground-height 30 --looks 3 --autofocus"
-        " --control points.json"
-        " --grid -10:10:0.5,100:200:1 --workers 3 --threads 2 --memory-limit 2GiB --scheduler tcp://a:1 --overwrite"
-        " --discard --wait-workers 5 --whole-pulses"
-    )
-    assert run(*words.split()).exit_code == 0
-    args, kwargs = api.seen["focus"]
-    assert args == ("ph.zarr", "run")
-    assert isinstance(kwargs.pop("progress"), Progress)
-    assert kwargs == {
-        "terrain": "dem.tif",
-        "surface": "ellipsoid",
-        "vertical": "egm96",
-        "ground_height": 30.0,
-        "looks": 3,
-        "autofocus": True,
-        "control": "points.json",
-        "processor": "high-order-phase",
-        "blocks": 5,
-        "fidelity": 0.9995,
-        "weighting": "hann",
-        "weighting_range": None,
-        "weighting_azimuth": "taylor:4:-35",
-        "coefficients": "closed-form",
-        "perturbation": "none",
-        "keystone": False,
-        "derotation": "linear",
-        "range_model": "conventional",
-        "grid": ((-10.0, 10.0, 0.5), (100.0, 200.0, 1.0)),
-        "workers": 3,
-        "threads": 2,
-        "memory_limit": 2 * 1024**3,
-        "scheduler": "tcp://a:1",
-        "overwrite": True,
-        "discard": True,
-        "performance_report": None,
-        "dry_run": False,
-        "wait_workers": 5.0,
-        "whole_pulses": True,
-    }
-
-
-def test_defaults(api: Calls) -> None:
-    assert run("plan", "table1").exit_code == 0
-    assert api.seen["plan"] == (
-        ("table1",),
-        {
-            "processor": "angular-division",
-            "terrain": None,
-            "surface": "plane",
-            "vertical": None,
-            "ground_height": None,
-            "whole_pulses": False,
-            "looks": None,
-            "blocks": "auto",
-            "fidelity": 0.999,
-            "weighting": "uniform",
-            "weighting_range": None,
-            "weighting_azimuth": None,
-            "coefficients": "fitted",
-            "perturbation": "all",
-            "keystone": True,
-            "derotation": "nonlinear",
-            "range_model": "polar",
-            "grid": None,
-            "workers": None,
-            "memory_limit": None,
-        },
-    )
+@pytest.mark.parametrize("command", ["focus", "plan"])
+def test_options_arrive_as_their_model_reads_them(command: str, api: Calls) -> None:
+    words = "--blocks 5 --grid -10:10:0.5,100:200:1 --memory-limit 2GiB --ground-height 30 --whole-pulses --no-keystone"
+    assert run(command, "ph.zarr", *(["--out", "run"] if command == "focus" else []), *words.split()).exit_code == 0
+    kwargs = api.seen[command][1]
+    kwargs.pop("progress", None)
+    assert kwargs == {each.name: each.default for each in (*options_taken(command), *options_of(ChainOptions))} | {
+        "blocks": 5, "grid": ((-10.0, 10.0, 0.5), (100.0, 200.0, 1.0)), "memory_limit": 2 * 1024**3,
+        "ground_height": 30.0, "whole_pulses": True, "keystone": False,
+    }  # fmt: skip
 
 
 def test_quality_and_simulate_pass_their_options(api: Calls) -> None:

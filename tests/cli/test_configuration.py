@@ -16,13 +16,13 @@ import blocksar
 from blocksar.api.jobs import Request
 from blocksar.api.rehearsing import rehearse
 from blocksar.api.room import Beside
+from blocksar.api.settings import Settings
 from blocksar.cli import commands
 from blocksar.cli.configuration import NOT_CONFIGURED
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError
 from blocksar.graph.machine import resources
 from blocksar.places import place
-from blocksar.processors import options_for
 from blocksar.runs.record import FINISHED, RunRecord
 
 EVERY = """
@@ -59,16 +59,15 @@ keystone = false
 derotation = "linear"
 range-model = "conventional"
 """
-AS_WORDS = (
-    "focus ph.zarr --out run --processor high-order-phase --blocks 5 --fidelity 0.9995 --weighting hann "
-    "--weighting-range taylor:4:-35 --weighting-azimuth kaiser:2.5 --grid -10:10:0.5,100:200:1 "
-    "--terrain dem.tif --surface ellipsoid --vertical egm96 --ground-height 30 --whole-pulses --looks 3 --autofocus "
-    "--control points.json "
-    "--workers 3 --threads 2 --memory-limit 2GiB --scheduler tcp://a:1 --wait-workers 5 "
-    "--performance-report report.html --overwrite --discard --quiet --json-log log.jsonl "
-    "--coefficients closed-form --perturbation none "
-    "--no-keystone --derotation linear --range-model conventional"
-)
+
+
+def as_words(text: str) -> list[str]:
+    """The options of such a file as they stand on the command line."""
+    given = {key.replace("_", "-"): value for key, value in tomllib.loads(text).items()}
+    words = ["focus", given.pop("source")]
+    for key, value in given.items():
+        words += [f"--{'' if value else 'no-'}{key}"] if isinstance(value, bool) else [f"--{key}", str(value)]
+    return words
 
 
 @pytest.fixture
@@ -96,7 +95,7 @@ def run(*words: str) -> Result:
 def test_a_file_gives_every_option_of_focus(seen: Any) -> None:
     Path("all.toml").write_text(EVERY)
     assert run("focus", "--config", "all.toml").exit_code == 0
-    assert run(*AS_WORDS.split()).exit_code == 0
+    assert run(*as_words(EVERY)).exit_code == 0
     assert seen[0] == seen[1]
     options = {parameter.name for parameter in typer.main.get_command(commands.app).commands["focus"].params}  # type: ignore[attr-defined]
     assert {key.replace("-", "_") for key in tomllib.loads(EVERY)} == options - set(NOT_CONFIGURED)
@@ -202,8 +201,7 @@ def test_a_finished_run_needs_nothing() -> None:
 
 def test_a_request_that_replaces_a_run_says_so(table1: Path, tmp_path: Path) -> None:
     (tmp_path / "run.json").write_text("{}")
-    exact: dict[str, Any] = {"blocks": "auto", "fidelity": 0.999, "overwrite": True}
-    exact |= {"processor": "backprojection", "options": options_for("backprojection", {})}
-    request = Request.open(table1, place(tmp_path), grid=Grid(16000, 16032, 1, 19000, 19032, 1), **exact)
+    grid = Grid(16000, 16032, 1, 19000, 19032, 1)
+    request = Request.open(table1, place(tmp_path), Settings(processor="backprojection", grid=grid, overwrite=True))
     report = rehearse(request, None, resources(1, 1, None), Beside())
     assert f"would replace what is in {tmp_path}" in report.summary[-2]
