@@ -26,7 +26,6 @@ from blocksar.collection.empty_pulses import missing_pulses
 from blocksar.collection.grid import Grid
 from blocksar.collection.ownership import margins_over
 from blocksar.collection.sublooks import whole_beam
-from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
@@ -40,7 +39,7 @@ from blocksar.graph.patching import Patch, write_patch
 from blocksar.graph.reading import compress_pulses, inspect_group, recover_group
 from blocksar.graph.segments import Segment, by_collection
 from blocksar.graph.spectrum import SpectrumChunks
-from blocksar.graph.tasks import Projected, back_project_chunk, read_slab, run_stage
+from blocksar.graph.tasks import Form, Projected, form_chunk, read_slab, run_stage
 from blocksar.graph.units import Spare, run_units, single_task, spans
 from blocksar.inspection.samples import Inspection, merge
 from blocksar.inspection.sentences import refusal
@@ -391,17 +390,18 @@ def inspect_samples(client: Client, segments: Sequence[Segment], run: Run, liste
     return _run_read(client, "inspect", segments, units, run, listener)
 
 
-def back_project(
+def form_chunks(
     client: Client,
+    stage: str,
+    form: Form,
     segments: Sequence[Segment],
     grid: Grid,
     inspections: Sequence[Inspection],
-    weighting: Weighting,
     noises: Sequence[NoiseMap | None],
     run: Run,
     listener: Listener,
 ) -> list[Receipt]:
-    """Form image.zarr from phase histories by exact back-projection, by output chunk."""
+    """Form image.zarr straight from phase histories, by output chunk."""
     side = image_chunk(grid)
     sources = [
         Projected(
@@ -412,15 +412,15 @@ def back_project(
     on_terrain = segments[0].geometry.terrain is not None
     units = [
         single_task(
-            client, run, "backprojection", f"chunk-{row}-{column}",
-            back_project_chunk, sources, (row, column), grid, weighting, on_terrain,
+            client, run, stage, f"chunk-{row}-{column}", form_chunk, stage, sources, (row, column), grid, form,
+            on_terrain,
         )
         for row in range(-(-grid.shape[0] // side[0]))
         for column in range(-(-grid.shape[1] // side[1]))
     ]  # fmt: skip
     raw = any(segment.history.path == segment.of(run).compressed for segment in segments)
     reading = [] if raw else [unit for unit, _ in units]
-    return run_units(client, "backprojection", units, run, listener, reading_input=reading)
+    return run_units(client, stage, units, run, listener, reading_input=reading)
 
 
 def merge_inspections(receipts: Sequence[Receipt]) -> Inspection:

@@ -8,20 +8,18 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import wraps
-from typing import NamedTuple, ParamSpec, TypeVar
+from typing import NamedTuple, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from blocksar import stores
-from blocksar.arrays import ComplexArray
-from blocksar.chunks import BACKPROJECTION_CHUNK
+from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.ownership import margins_over
-from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, ProcessingError
-from blocksar.focusing.backprojection import form_image
+from blocksar.focusing.backprojection import ReadPulses
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.step import Stage
 from blocksar.focusing.terrain_layers import Sight
@@ -51,8 +49,21 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
+class Form(Protocol):
+    """Forms pixels straight from samples; it goes to workers, so it is a function of a module, or a partial of one."""
+
+    def __call__(
+        self, read: ReadPulses, geometry: Geometry, x: FloatArray, y: FloatArray, *, threads: int
+    ) -> ComplexArray:
+        """Form the pixels (n_y, n_x) at x (n_x,) and y (n_y,), m: complex64, 1 + 0j at a target of 1, NaN where none.
+
+        `read` gives the samples (n, n_range_frequency) complex64 of a slice of pulses; missing ones are NaN.
+        """
+        ...
+
+
 class Projected(NamedTuple):
-    """A collection to be back-projected."""
+    """A collection of which pixels are formed straight from the samples."""
 
     source: stores.PhaseHistory
     geometry: Geometry
@@ -218,26 +229,21 @@ def add_layers(
     return sign(run, Receipt(unit=unit, stage="mosaic", written=behind.written), started)
 
 
-def back_project_chunk(
-    run: Run,
-    unit: str,
-    sources: Sequence[Projected],
-    cell: tuple[int, int],
-    grid: Grid,
-    weighting: Weighting,
+def form_chunk(
+    run: Run, unit: str, stage: str, sources: Sequence[Projected], cell: tuple[int, int], grid: Grid, form: Form,
     on_terrain: bool = False,
-) -> Receipt:
-    """Form one output chunk by exact back-projection; reads only the pulses that light it, and the terrain there."""
+) -> Receipt:  # fmt: skip
+    """Form one output chunk straight from the samples, of all collections; reads the terrain there as well."""
     started = time.perf_counter()
     window = chunk_window(cell, grid)
     terrain = local_terrain(run, grid, window) if on_terrain else None
     sources = [source._replace(geometry=source.geometry.over(terrain)) for source in sources]
-    image = _project(run, sources[0], window, grid, weighting)
+    image = _form(run, sources[0], window, grid, form)
     owner = np.where(np.isfinite(image.real), 0, -1).astype(np.int16)
     if len(sources) > 1:
         merged = Merged(owner.shape)
         for number, source in enumerate(sources):
-            other = _project(run, source, window, grid, weighting) if number else image
+            other = _form(run, source, window, grid, form) if number else image
             margins = margins_over(source.geometry, grid.x[window[1]], grid.y[window[0]])
             np.copyto(image, other, where=merged.choose(source.number, np.isfinite(other.real), margins))
         owner = merged.taken
@@ -253,22 +259,13 @@ def back_project_chunk(
             *write_noise(run, window, owner, grid, noises, layers.heights.over(window) if noises else None),
             *write_layers(alike, window, layers.over(window, owner)),
         ]
-    return sign(run, Receipt(unit=unit, stage="backprojection", written=tuple(parts)), started)
+    return sign(run, Receipt(unit=unit, stage=stage, written=tuple(parts)), started)
 
 
-def _project(run: Run, source: Projected, window: Window, grid: Grid, weighting: Weighting) -> ComplexArray:
+def _form(run: Run, source: Projected, window: Window, grid: Grid, form: Form) -> ComplexArray:
     """Form one output chunk of one collection."""
-    rows, columns = window
 
     def read(pulses: slice) -> ComplexArray:
         return read_valid(source.source, source.inspection, pulses)
 
-    image = np.full((rows.stop - rows.start, columns.stop - columns.start), np.nan + 1j * np.nan, np.complex64)
-    for i in range(0, image.shape[0], BACKPROJECTION_CHUNK):
-        for j in range(0, image.shape[1], BACKPROJECTION_CHUNK):
-            part = (slice(i, i + BACKPROJECTION_CHUNK), slice(j, j + BACKPROJECTION_CHUNK))
-            image[part] = form_image(
-                read, source.geometry, grid.x[columns][part[1]], grid.y[rows][part[0]], threads=run.threads,
-                weighting=weighting,
-            )  # fmt: skip
-    return image
+    return form(read, source.geometry, grid.x[window[1]], grid.y[window[0]], threads=run.threads)

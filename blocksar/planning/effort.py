@@ -12,10 +12,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
+from blocksar.arrays import FloatArray
 from blocksar.chunks import LAYER_CHUNKS, MOSAIC_CHUNKS, TILE
 from blocksar.collection.beam import dwell
 from blocksar.collection.geometry import Geometry
@@ -125,14 +126,9 @@ def operations(plan: Plan) -> float:
 
 
 def together(works: Sequence[Work]) -> Work:
-    """Work of several segments, stage by stage; they end together, and chunks are back-projected from all of them."""
+    """Work of several segments, stage by stage; they end together."""
     stages = dict.fromkeys(stage for work in works for stage in work)
-    total = {stage: [cost for work in works for cost in work.get(stage, ())] for stage in stages}
-    if "backprojection" in total:
-        total["backprojection"] = [
-            sum(costs) for costs in zip(*(work["backprojection"] for work in works), strict=True)
-        ]
-    return total | {"finish": [FINISH]}
+    return {stage: [cost for work in works for cost in work.get(stage, ())] for stage in stages} | {"finish": [FINISH]}
 
 
 def _gating(plan: Plan) -> dict[str, list[float]]:
@@ -141,13 +137,28 @@ def _gating(plan: Plan) -> dict[str, list[float]]:
     return {"gate": [STEPS * plan.gate_work() / len(groups)] * len(groups)} if groups else {}
 
 
-def of_backprojection(geometry: Geometry, grid: Grid) -> Work:
-    """Work of exact back-projection, without that of a raw echo."""
-    collection = geometry.collection
-    n_tasks = math.ceil(collection.n_range_frequency / inspection_width(collection))
-    inspect = INSPECT * collection.n_pulse * collection.n_range_frequency
-    stages = {"inspect": [inspect / n_tasks] * n_tasks, "backprojection": _by_chunk(geometry, grid)}
-    return stages | {"finish": [FINISH]}
+def of_backprojection(geometries: Sequence[Geometry], grid: Grid) -> Work:
+    """Work of exact back-projection, without that of raw echoes."""
+    return of_chunks(geometries, grid, "backprojection", projection_seconds)
+
+
+def of_chunks(
+    geometries: Sequence[Geometry], grid: Grid, stage: str, seconds: Callable[[Geometry, FloatArray, FloatArray], float]
+) -> Work:
+    """Work of forming each chunk of an image from all samples, without that of raw echoes; `seconds` is of a chunk."""
+    inspect: list[float] = []
+    for geometry in geometries:
+        collection = geometry.collection
+        n_tasks = math.ceil(collection.n_range_frequency / inspection_width(collection))
+        inspect += [INSPECT * collection.n_pulse * collection.n_range_frequency / n_tasks] * n_tasks
+    side = image_chunk(grid)
+    parts = [
+        (grid.x[column : column + side[1]], grid.y[row : row + side[0]])
+        for row in range(0, grid.shape[0], side[0])
+        for column in range(0, grid.shape[1], side[1])
+    ]
+    costs = [sum(seconds(geometry, x, y) for geometry in geometries) for x, y in parts]
+    return {"inspect": inspect, stage: costs, "finish": [FINISH]}
 
 
 def of_demo(*, simulated: bool, compiled: bool) -> Work:
@@ -187,15 +198,10 @@ def of_compression(echoes: Iterable[tuple[int, int]]) -> Work:
     return {"range-compress": units} if units else {}
 
 
-def _by_chunk(geometry: Geometry, grid: Grid) -> list[float]:
-    """Seconds of back-projection for each chunk, by the lit pulses of a few of its pixels."""
-    side, interval = image_chunk(grid), geometry.collection.pulse_interval
-    per_pulse, costs = BACK_PROJECT + (GAINS if geometry.collection.has_pattern else 0.0), []
-    for row in range(0, grid.shape[0], side[0]):
-        for column in range(0, grid.shape[1], side[1]):
-            y, x = grid.y[row : row + side[0]], grid.x[column : column + side[1]]
-            mesh = np.meshgrid(x[:: max(x.size // 8, 1)], y[:: max(y.size // 8, 1)])
-            start, end = dwell(geometry, *mesh)
-            lit = np.maximum(end - start, 0.0).mean() / interval
-            costs.append(per_pulse * x.size * y.size * max(float(lit), 1.0))
-    return costs
+def projection_seconds(geometry: Geometry, x: FloatArray, y: FloatArray) -> float:
+    """Seconds of back-projection of a chunk at x (n_x,) and y (n_y,), by the lit pulses of a few of its pixels."""
+    collection = geometry.collection
+    start, end = dwell(geometry, *np.meshgrid(x[:: max(x.size // 8, 1)], y[:: max(y.size // 8, 1)]))
+    lit = np.maximum(end - start, 0.0).mean() / collection.pulse_interval
+    per_pulse = BACK_PROJECT + (GAINS if collection.has_pattern else 0.0)
+    return per_pulse * x.size * y.size * max(float(lit), 1.0)

@@ -4,24 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.chunks import BACKPROJECTION_CHUNK
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
-from blocksar.collection.terrain import Terrain
+from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
 from blocksar.errors import InputError
+from blocksar.focusing.backprojection import ReadPulses, form_image
 from blocksar.focusing.method import ChainOptions, Method
 from blocksar.graph import compiling
 from blocksar.inspection.sentences import doubts_of_track
 from blocksar.planning import effort
-from blocksar.planning.disk import exact_bytes
 from blocksar.planning.memory import checked_back_projection_memory
 from blocksar.planning.segments import joint_grid
-from blocksar.processors.base import Execution, ImagePlan, Piece, Problem
+from blocksar.processors.base import ChunkPlan, ImagePlan, Piece, Problem
 from blocksar.processors.lines import lit_pulses
-from blocksar.progress import Work
-from blocksar.runs.record import Receipt
+
+if TYPE_CHECKING:
+    from blocksar.graph.tasks import Form
 
 
 class Backprojection:
@@ -74,10 +80,9 @@ EXACT = Backprojection()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class BackprojectionPlan(ImagePlan):
+class BackprojectionPlan(ChunkPlan):
     """The plan of an image by exact back-projection; `needed` is a worker's memory, bytes."""
 
-    terrain: Terrain | None
     needed: int
 
     @property
@@ -87,12 +92,11 @@ class BackprojectionPlan(ImagePlan):
     def memory(self, threads: int) -> int:
         return self.needed
 
-    def work(self, *, workers: int) -> Work:
-        return effort.together([effort.of_backprojection(piece.geometry, self.grid) for piece in self.pieces])
+    def seconds(self, geometry: Geometry, x: FloatArray, y: FloatArray) -> float:
+        return effort.projection_seconds(geometry, x, y)
 
-    def stored(self) -> dict[str, int]:
-        noise = any(piece.geometry.collection.noise_power for piece in self.pieces)
-        return exact_bytes(self.grid, self.terrain, noise=noise)
+    def forming(self, weighting: Weighting) -> Form:
+        return partial(form_parts, weighting=weighting)
 
     def loops(self) -> Sequence[str]:
         return compiling.PATTERNS
@@ -109,25 +113,16 @@ class BackprojectionPlan(ImagePlan):
             *dict.fromkeys(doubts),
         ]
 
-    def form(self, execution: Execution) -> list[Receipt]:
-        """Form chunks of the image from the samples.
 
-        Raises
-        ------
-        InputError, ProcessingError
-            As the stages.
-        """
-        from blocksar.graph import stages  # with dask
-
-        client, run, listener, segments = execution.client, execution.run, execution.listener, execution.segments
-        read = execution.joined(stages.inspect_samples(client, segments, run, listener))
-        execution.end("inspect")
-        execution.accept(read)
-        execution.input_read()
-        inspections = [each.inspection for each in read]
-        noises = execution.noises([inspection.lit for inspection in inspections])
-        formed = stages.back_project(
-            client, segments, self.grid, inspections, execution.weighting, noises, run, listener
-        )  # fmt: skip
-        execution.end("backprojection")
-        return [*(receipt for each in read for receipt in each.receipts), *formed]
+def form_parts(
+    read: ReadPulses, geometry: Geometry, x: FloatArray, y: FloatArray, *, threads: int, weighting: Weighting
+) -> ComplexArray:
+    """`form_image`, by parts that bound its memory."""
+    image = np.empty((y.size, x.size), np.complex64)
+    for i in range(0, y.size, BACKPROJECTION_CHUNK):
+        for j in range(0, x.size, BACKPROJECTION_CHUNK):
+            rows, columns = slice(i, i + BACKPROJECTION_CHUNK), slice(j, j + BACKPROJECTION_CHUNK)
+            image[rows, columns] = form_image(
+                read, geometry, x[columns], y[rows], threads=threads, weighting=weighting
+            )  # fmt: skip
+    return image

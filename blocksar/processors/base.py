@@ -14,6 +14,8 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
+from blocksar.planning import effort
+from blocksar.planning.disk import exact_bytes
 from blocksar.progress import Listener, Work
 from blocksar.tables import Table
 
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from blocksar.graph.machine import Resources
     from blocksar.graph.segments import Segment
     from blocksar.graph.stages import Recovered
+    from blocksar.graph.tasks import Form
     from blocksar.planning.plan import Plan
     from blocksar.runs.receipts import Run
     from blocksar.runs.record import PredictedBlock, Receipt
@@ -178,6 +181,50 @@ class ImagePlan(ABC):
     def result(self) -> Any:
         """What Python gets as the result of `plan`."""
         return self
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ChunkPlan(ImagePlan):
+    """A plan by which each chunk of the image is formed straight from the samples, whatever other chunks are.
+
+    It states what a chunk takes and the function that forms one. A run then inspects all samples, and forms the chunks,
+    each a unit of work of the stage that has the processor's name. Several collections, noise, and the layers of a
+    terrain are taken care of.
+    """
+
+    terrain: Terrain | None = None
+
+    @abstractmethod
+    def seconds(self, geometry: Geometry, x: FloatArray, y: FloatArray) -> float:
+        """Seconds of a thread to form a chunk at x (n_x,) and y (n_y,), m, from the samples of a collection."""
+
+    @abstractmethod
+    def forming(self, weighting: Weighting) -> Form:
+        """The function that forms pixels from the samples of a collection: see `graph.tasks.Form`."""
+
+    def work(self, *, workers: int) -> Work:
+        return effort.of_chunks([piece.geometry for piece in self.pieces], self.grid, self.processor, self.seconds)
+
+    def stored(self) -> dict[str, int]:
+        noise = any(piece.geometry.collection.noise_power for piece in self.pieces)
+        return exact_bytes(self.grid, self.terrain, noise=noise)
+
+    def form(self, execution: Execution) -> list[Receipt]:
+        from blocksar.graph import stages  # with dask
+
+        client, run, listener, segments = execution.client, execution.run, execution.listener, execution.segments
+        read = execution.joined(stages.inspect_samples(client, segments, run, listener))
+        execution.end("inspect")
+        execution.accept(read)
+        execution.input_read()
+        inspections = [each.inspection for each in read]
+        noises = execution.noises([inspection.lit for inspection in inspections])
+        form = self.forming(execution.weighting)
+        formed = stages.form_chunks(
+            client, self.processor, form, segments, self.grid, inspections, noises, run, listener
+        )  # fmt: skip
+        execution.end(self.processor)
+        return [*(receipt for each in read for receipt in each.receipts), *formed]
 
 
 class Processor(Protocol):
