@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from blocksar.api.arguments import (
     GridLike,
@@ -71,7 +71,7 @@ def focus(
     source: Source,
     out: Location,
     *,
-    processor: Processor = "angular-division",
+    processor: Processor | str = "angular-division",
     blocks: int | Literal["auto"] = "auto",
     fidelity: float = FIDELITY,
     weighting: str = "uniform",
@@ -102,6 +102,7 @@ def focus(
     progress: Progress | None = None,
     performance_report: str | Path | None = None,
     client: Client | None = None,
+    **options: Any,
 ) -> RunReport:
     """Focus a phase history into a run folder; an unfinished run of the same settings and input there is resumed.
 
@@ -186,6 +187,8 @@ def focus(
     client : distributed.Client, optional
         Client of a running cluster, used instead of a local cluster. Blocks and memory are planned for its workers and
         the smallest of their memory limits, or for `workers` and `memory_limit`, if these are less.
+    **options
+        Those of a processor that another package adds: see `blocksar plan --help`.
 
     Returns
     -------
@@ -200,7 +203,8 @@ def focus(
         If processing fails; finished work stays, and the same call resumes.
     """
     given = dict(locals())  # before any other name is bound: the parameters, as they were given
-    settings = {name: value for name, value in given.items() if name not in ("source", "out", "looks")}
+    settings = {name: value for name, value in given.items() if name not in ("source", "out", "looks", "options")}
+    settings |= options
     memory_limit = settings["memory_limit"] = memory_of(memory_limit)
     resources(workers, threads, memory_limit)  # refuses wrong numbers before anything is read
     check_cluster(client=client, scheduler=scheduler, workers=workers, wait_workers=wait_workers)
@@ -216,7 +220,7 @@ def _focus_image(
     track: TrackPlace | None,
     *,
     following: int = 0,
-    processor: Processor,
+    processor: str,
     blocks: int | Literal["auto"],
     fidelity: float,
     weighting: str,
@@ -246,6 +250,7 @@ def _focus_image(
     progress: Progress | None,
     performance_report: str | Path | None,
     client: Client | None,
+    **others: Any,
 ) -> RunReport:  # longer than most: it takes every setting by its name
     """Focus one image, of one channel; `track` is where others share the correction of its track, if they do.
 
@@ -257,7 +262,7 @@ def _focus_image(
         processor,
         {
             "coefficients": coefficients, "perturbation": perturbation, "keystone": keystone,
-            "derotation": derotation, "range_model": range_model,
+            "derotation": derotation, "range_model": range_model, **others,
         },
     )  # fmt: skip
     request = Request.open(

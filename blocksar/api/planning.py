@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 from blocksar.api import definitions
 from blocksar.api.arguments import (
@@ -58,7 +58,7 @@ from blocksar.processors.lines import exact_line, time_line
 def plan(
     source: Source,
     *,
-    processor: PlannedProcessor = "angular-division",
+    processor: PlannedProcessor | str = "angular-division",
     blocks: int | Literal["auto"] = "auto",
     fidelity: float = FIDELITY,
     weighting: str = "uniform",
@@ -78,6 +78,7 @@ def plan(
     looks: int | None = None,
     workers: int | None = None,
     memory_limit: int | str | None = None,
+    **options: Any,
 ) -> PlanReport:
     """Predict how a collection would be focused, and how sharp the image would be. Reads no samples.
 
@@ -132,6 +133,8 @@ def plan(
         Worker processes to plan for; 0: the calling process does the work. Default: as for `focus`.
     memory_limit : int or str, optional
         Memory of each worker, bytes or a text such as "2GiB". Default: its share of the machine's memory.
+    **options
+        Those of a processor that another package adds: see `blocksar plan --help`.
 
     Returns
     -------
@@ -148,16 +151,16 @@ def plan(
     """
     given = {
         "coefficients": coefficients, "perturbation": perturbation, "keystone": keystone, "derotation": derotation,
-        "range_model": range_model,
+        "range_model": range_model, **options,
     }  # fmt: skip
     automatic = processor == AUTO
-    options = options_for(next(iter(PROCESSORS.names())) if automatic else processor, given)
+    chosen = options_for(next(iter(PROCESSORS.names())) if automatic else processor, given)
     tapers = Weighting.parse(weighting, weighting_range, weighting_azimuth)
     points, n_blocks, least = grid_of(grid), blocks_of(blocks), fidelity_of(fidelity)
     limit = memory_of(memory_limit)
     collections = collections_of(source if looks is None else one_source(source, looks), ground_height, terrain=terrain)
     if automatic:
-        _check_automatic(options, collections, looks)
+        _check_automatic(chosen, collections, looks)
     parts = None if looks is None else divide_dwells(collections[0], looks, points)
     points = points if parts is None else parts.grid
     here = in_this_process(workers, collections)
@@ -175,7 +178,7 @@ def plan(
     )
     problem = Problem(
         collections=collections, grid=points, terrain=heights, blocks=n_blocks, fidelity=least, weighting=tapers,
-        options=options, machine=share,
+        options=chosen, machine=share,
     )  # fmt: skip
     started = time.perf_counter()
     with naming_exact(collections, points, assumed):

@@ -16,6 +16,7 @@ from blocksar.cli.display import hint, show
 from blocksar.cli.endings import Commands, catch_signals, open_streams
 from blocksar.cli.exporting import export
 from blocksar.cli.focusing import focus, plan
+from blocksar.cli.imaging import ImagingCommand
 from blocksar.cli.ingesting import ingest
 from blocksar.cli.listening import listening
 from blocksar.cli.measuring import quality, report
@@ -109,7 +110,7 @@ def compile_loops(context: typer.Context, quiet: Quiet = False, json_log: JsonLo
 # In the order of the help.
 app.command()(demo)
 for command in (simulate, info, plan, check, preview, autofocus, focus, quality, report):
-    app.command()(command)
+    app.command(cls=ImagingCommand if command in (focus, plan) else None)(command)
 app.command("compile")(compile_loops)
 
 

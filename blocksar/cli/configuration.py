@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from blocksar.cli.endings import FILE, UsageError, plain
+from blocksar.cli.imaging import ImagingCommand
 from blocksar.errors import InputError, quoted
 from blocksar.version import __version__
 
@@ -58,7 +59,10 @@ def read_configuration(context: typer.Context, path: str | None) -> str | None:
 def _configured_command(context: Any) -> Any:
     """The command `focus`, as the group of all commands knows it."""
     group = context.find_root().command
-    return getattr(group, "commands", {}).get(CONFIGURED, context.command)
+    command = getattr(group, "commands", {}).get(CONFIGURED, context.command)
+    if isinstance(command, ImagingCommand):
+        command.complete()
+    return command
 
 
 def _options(command: Any) -> dict[str, Any]:

@@ -48,12 +48,12 @@ class Commands(TyperGroup):
     """
 
     def get_params(self, ctx: Any) -> Any:
-        return _without_types(super().get_params(ctx))
+        return without_types(super().get_params(ctx))
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         command = super().get_command(ctx, cmd_name)
         if command is not None:
-            _without_types(command.get_params(ctx))
+            without_types(command.get_params(ctx))
         return command
 
     def make_context(self, *arguments: Any, **settings: Any) -> Any:
@@ -83,7 +83,7 @@ class Commands(TyperGroup):
             _report(error)
 
 
-def _without_types(parameters: Any) -> Any:
+def without_types(parameters: Any) -> Any:
     """The same parameters of a command, the flags among them without their type."""
     for parameter in parameters:
         if getattr(parameter, "is_flag", False) and parameter.metavar is None:

@@ -56,17 +56,17 @@ class _Made(Mapping[str, Any]):
     def _command(self, name: str) -> Any:
         """The command of a part; of one that cannot have any, one that says so, as its help does."""
         try:
-            return _command(name, self._group.command_of(name))
+            return command_of(name, self._group.command_of(name))
         except InputError as error:
             refusal = error
         except Exception as error:  # its options are none for a command line
             refusal = InputError(
                 f"{name} has no command ({type(error).__name__}: {error}); repair or remove the package that adds it"
             )
-        return _command(name, _refusing(refusal), ignore_unknown_options=True, allow_extra_args=True)
+        return command_of(name, _refusing(refusal), ignore_unknown_options=True, allow_extra_args=True)
 
 
-def _command(name: str, function: Callable[..., None], **settings: bool) -> Any:
+def command_of(name: str, function: Callable[..., None], **settings: bool) -> Any:
     settings_of_all = {"help_option_names": ["-h", "--help"]}
     single = typer.Typer(rich_markup_mode="rich", context_settings=settings_of_all | settings, add_completion=False)
     single.command(name)(function)
@@ -90,20 +90,23 @@ def with_options(command: Callable[..., None], model: type, doc: str) -> Callabl
     own = [parameter for parameter in plain.parameters.values() if parameter.kind != Parameter.VAR_KEYWORD]
     needed = [parameter for parameter in own if parameter.default is Parameter.empty]
     others = [each.replace(kind=Parameter.KEYWORD_ONLY) for each in own if each.default is not Parameter.empty]
-    options = [_parameter(each) for each in options_of(model)]
+    options = [parameter_of(each) for each in options_of(model)]
     command.__signature__ = plain.replace(parameters=[*needed, *options, *others])  # type: ignore[attr-defined]
     command.__doc__ = doc
     return command
 
 
-def typer_option(option: Option, default: object = None) -> Any:
-    """An option as the command line has it."""
+def typer_option(option: Option, default: object = None, panel: str | None = None) -> Any:
+    """An option as the command line has it; `panel` is where its help shows it."""
     shown = option.default if option.default is not None else default is not None
-    return typer.Option(*option.flags, metavar=option.metavar, help=option.help, show_default=shown)
+    return typer.Option(
+        *option.flags, metavar=option.metavar, help=option.help, show_default=shown, rich_help_panel=panel
+    )
 
 
-def _parameter(stated: Stated) -> Parameter:
+def parameter_of(stated: Stated, panel: str | None = None) -> Parameter:
+    """An option as a parameter of a command's function; `panel` is where its help shows it."""
     kind = stated.type if stated.option.read is None else str | None
     default = stated.default if stated.option.default is None else None
-    annotation = Annotated[kind, typer_option(stated.option, default)]  # type: ignore[valid-type]
+    annotation = Annotated[kind, typer_option(stated.option, default, panel)]  # type: ignore[valid-type]
     return Parameter(stated.name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)

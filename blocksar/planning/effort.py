@@ -23,7 +23,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.plan import Plan
-from blocksar.planning.tiling import image_chunk, inspection_width, touched_chunks
+from blocksar.planning.tiling import chunks_of, image_chunk, inspection_width, touched_chunks
 from blocksar.planning.work import block_work
 from blocksar.progress import Work
 from blocksar.progress.estimate import finishing_times
@@ -151,13 +151,7 @@ def of_chunks(
         collection = geometry.collection
         n_tasks = math.ceil(collection.n_range_frequency / inspection_width(collection))
         inspect += [INSPECT * collection.n_pulse * collection.n_range_frequency / n_tasks] * n_tasks
-    side = image_chunk(grid)
-    parts = [
-        (grid.x[column : column + side[1]], grid.y[row : row + side[0]])
-        for row in range(0, grid.shape[0], side[0])
-        for column in range(0, grid.shape[1], side[1])
-    ]
-    costs = [sum(seconds(geometry, x, y) for geometry in geometries) for x, y in parts]
+    costs = [sum(seconds(geometry, x, y) for geometry in geometries) for x, y in chunks_of(grid)]
     return {"inspect": inspect, stage: costs, "finish": [FINISH]}
 
 

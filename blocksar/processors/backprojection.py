@@ -11,7 +11,7 @@ import numpy as np
 
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.chunks import BACKPROJECTION_CHUNK
-from blocksar.collection.geometry import Geometry, over_terrain
+from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
@@ -22,8 +22,7 @@ from blocksar.graph import compiling
 from blocksar.inspection.sentences import doubts_of_track
 from blocksar.planning import effort
 from blocksar.planning.memory import checked_back_projection_memory
-from blocksar.planning.segments import joint_grid
-from blocksar.processors.base import ChunkPlan, ImagePlan, Piece, Problem
+from blocksar.processors.base import ChunkPlan, ImagePlan, Problem
 from blocksar.processors.lines import lit_pulses
 
 if TYPE_CHECKING:
@@ -61,19 +60,14 @@ class Backprojection:
         InputError
             If the grid is missing, or a worker has too little memory.
         """
-        collections, terrain = problem.collections, problem.terrain
-        grid = problem.grid or joint_grid([Geometry(collection=collection) for collection in collections])
-        geometries = [
-            Geometry(collection=each) if terrain is None else over_terrain(each, terrain) for each in collections
-        ]
+        grid, machine = problem.points, problem.machine
         memory = max(
-            checked_back_projection_memory(each, grid, problem.machine.threads, problem.machine.memory_limit)
-            for each in collections
+            checked_back_projection_memory(each, grid, machine.threads, machine.memory_limit)
+            for each in problem.collections
         )
-        pieces = tuple(
-            Piece(collection=number, geometry=each, first_block=number) for number, each in enumerate(geometries)
+        return BackprojectionPlan(
+            processor=self.name, grid=grid, pieces=problem.pieces, terrain=problem.terrain, needed=memory
         )
-        return BackprojectionPlan(processor=self.name, grid=grid, pieces=pieces, terrain=terrain, needed=memory)
 
 
 EXACT = Backprojection()
@@ -81,16 +75,11 @@ EXACT = Backprojection()
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BackprojectionPlan(ChunkPlan):
-    """The plan of an image by exact back-projection; `needed` is a worker's memory, bytes."""
-
-    needed: int
+    """The plan of an image by exact back-projection."""
 
     @property
     def result(self) -> Grid:
         return self.grid
-
-    def memory(self, threads: int) -> int:
-        return self.needed
 
     def seconds(self, geometry: Geometry, x: FloatArray, y: FloatArray) -> float:
         return effort.projection_seconds(geometry, x, y)

@@ -5,17 +5,19 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
-from blocksar.collection.geometry import Geometry
+from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
 from blocksar.planning import effort
 from blocksar.planning.disk import exact_bytes
+from blocksar.planning.segments import joint_grid
 from blocksar.progress import Listener, Work
 from blocksar.tables import Table
 
@@ -63,6 +65,20 @@ class Problem:
     weighting: Weighting
     options: Any
     machine: Resources
+
+    @cached_property
+    def points(self) -> Grid:
+        """The grid, or the box around the ground that they light."""
+        return self.grid or joint_grid([Geometry(collection=collection) for collection in self.collections])
+
+    @cached_property
+    def pieces(self) -> tuple[Piece, ...]:
+        """Each collection as a whole, over the ground."""
+        ground = [
+            Geometry(collection=each) if self.terrain is None else over_terrain(each, self.terrain)
+            for each in self.collections
+        ]
+        return tuple(Piece(collection=i, geometry=each, first_block=i) for i, each in enumerate(ground))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -190,8 +206,16 @@ class ChunkPlan(ImagePlan):
     It states what a chunk takes and the function that forms one. A run then inspects all samples, and forms the chunks,
     each a unit of work of the stage that has the processor's name. Several collections, noise, and the layers of a
     terrain are taken care of.
+
+    Attributes
+    ----------
+    needed : int
+        Peak memory of a worker, bytes.
+    terrain : Terrain or None
+        The ground, if the processor takes one.
     """
 
+    needed: int
     terrain: Terrain | None = None
 
     @abstractmethod
@@ -201,6 +225,9 @@ class ChunkPlan(ImagePlan):
     @abstractmethod
     def forming(self, weighting: Weighting) -> Form:
         """The function that forms pixels from the samples of a collection: see `graph.tasks.Form`."""
+
+    def memory(self, threads: int) -> int:
+        return self.needed
 
     def work(self, *, workers: int) -> Work:
         return effort.of_chunks([piece.geometry for piece in self.pieces], self.grid, self.processor, self.seconds)
