@@ -24,7 +24,7 @@ def exact_way(collections: Sequence[Collection], grid: Grid | None, assumed: Res
     geometries = [Geometry(collection=collection) for collection in collections]
     with suppress(InputError):  # no default grid
         points = grid or joint_grid(geometries)
-        work = effort.together([effort.of_backprojection(geometry, points) for geometry in geometries])
+        work = effort.of_backprojection(geometries, points)
         seconds = sum(stage_seconds(work, assumed).values())
         return f"{way}, about {time_text(seconds)} on this machine"
     return way

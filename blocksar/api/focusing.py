@@ -53,6 +53,7 @@ UNITS = {
     "focus": "blocks",
     "mosaic": "parts of the mosaic",
     "backprojection": "parts of the mosaic",
+    "hierarchical-backprojection": "parts of the mosaic",
 }  # names of each stage's units of work, in the summary
 
 
@@ -397,10 +398,10 @@ def _resumed_line(receipts: Sequence[Receipt]) -> list[str]:
     if not any(receipt.reused or receipt.damaged for receipt in receipts):
         return []
     counts = []
-    for stage, name in UNITS.items():
+    for stage in dict.fromkeys(receipt.stage for receipt in receipts):
         units = [receipt for receipt in receipts if receipt.stage == stage]
-        if units:
-            counts.append(f"{sum(receipt.reused for receipt in units)} of {len(units)} {name}")
+        name = UNITS.get(stage, f"units of {stage}")  # those of another package's processor
+        counts.append(f"{sum(receipt.reused for receipt in units)} of {len(units)} {name}")
     damaged = sum(receipt.damaged for receipt in receipts)
     also = f"; {damaged} more were found damaged and computed again" if damaged else ""
     return [f"went on from an unfinished run: {', '.join(counts)} were used again{also}"]

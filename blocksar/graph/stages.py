@@ -26,9 +26,7 @@ from blocksar.collection.empty_pulses import missing_pulses
 from blocksar.collection.grid import Grid
 from blocksar.collection.ownership import margins_over
 from blocksar.collection.sublooks import whole_beam
-from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, ProcessingError
-from blocksar.focusing.hierarchy import Levels
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.graph.admission import Unit
@@ -41,7 +39,7 @@ from blocksar.graph.patching import Patch, write_patch
 from blocksar.graph.reading import compress_pulses, inspect_group, recover_group
 from blocksar.graph.segments import Segment, by_collection
 from blocksar.graph.spectrum import SpectrumChunks, Window
-from blocksar.graph.tasks import Projected, back_project_chunks, read_slab, run_stage
+from blocksar.graph.tasks import FormParts, Projected, form_chunks, read_slab, run_stage
 from blocksar.graph.units import Spare, run_units, single_task, spans
 from blocksar.inspection.samples import Inspection, merge
 from blocksar.inspection.sentences import refusal
@@ -382,40 +380,34 @@ def inspect_samples(client: Client, segments: Sequence[Segment], run: Run, liste
     return _run_read(client, "inspect", segments, units, run, listener)
 
 
-def back_project(
+def form_parts(
     client: Client,
+    stage: str,
+    forms: Sequence[FormParts],
+    parts: Mapping[str, Sequence[Window]],
     segments: Sequence[Segment],
     grid: Grid,
     inspections: Sequence[Inspection],
-    weighting: Weighting,
     noises: Sequence[NoiseMap | None],
     run: Run,
     listener: Listener,
-    *,
-    parts: Mapping[str, Sequence[Window]],
-    levels: Sequence[Levels | None],
 ) -> list[Receipt]:
-    """Form image.zarr from phase histories by back-projection, in parts of some output chunks each.
-
-    `parts` are units of work by name; `levels` has those of each segment's hierarchy, or None to be exact.
-    """
+    """Form image.zarr straight from phase histories, each by its form; `parts` are windows, whole chunks, by unit."""
     sources = [
         Projected(
             segment.history, segment.geometry.over(None), inspection, noise, segment.number or 0, segment.collection,
-            own,
+            form,
         )
-        for segment, inspection, noise, own in zip(segments, inspections, noises, levels, strict=True)
+        for segment, inspection, noise, form in zip(segments, inspections, noises, forms, strict=True)
     ]  # fmt: skip
     on_terrain = segments[0].geometry.terrain is not None
     units = [
-        single_task(
-            client, run, "backprojection", unit, back_project_chunks, sources, windows, grid, weighting, on_terrain
-        )
+        single_task(client, run, stage, unit, form_chunks, stage, sources, windows, grid, on_terrain)
         for unit, windows in parts.items()
     ]
     raw = any(segment.history.path == segment.of(run).compressed for segment in segments)
     reading = [] if raw else [unit for unit, _ in units]
-    return run_units(client, "backprojection", units, run, listener, reading_input=reading)
+    return run_units(client, stage, units, run, listener, reading_input=reading)
 
 
 def merge_inspections(receipts: Sequence[Receipt]) -> Inspection:

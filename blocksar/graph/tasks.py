@@ -8,21 +8,18 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import wraps
-from typing import NamedTuple, ParamSpec, TypeVar
+from typing import NamedTuple, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from blocksar import stores
-from blocksar.arrays import ComplexArray
-from blocksar.chunks import BACKPROJECTION_CHUNK
+from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.ownership import margins_over
-from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, ProcessingError
-from blocksar.focusing.backprojection import form_image
-from blocksar.focusing.hierarchy import Levels
+from blocksar.focusing.backprojection import ReadPulses
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.step import Stage
 from blocksar.focusing.terrain_layers import Sight
@@ -51,8 +48,41 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
+class Form(Protocol):
+    """Forms pixels straight from samples; it goes to workers, so it is a function of a module, or a partial of one."""
+
+    def __call__(
+        self, read: ReadPulses, geometry: Geometry, x: FloatArray, y: FloatArray, *, threads: int
+    ) -> ComplexArray:
+        """Form the pixels (n_y, n_x) at x (n_x,) and y (n_y,), m: complex64, 1 + 0j at a target of 1, NaN where none.
+
+        `read` gives the samples (n, n_range_frequency) complex64 of a slice of pulses; missing ones are NaN.
+        """
+        ...
+
+
+class FormParts(Protocol):
+    """Forms several windows of an image, one after the other; like `Form`, it goes to workers."""
+
+    def __call__(
+        self, read: ReadPulses, geometry: Geometry, x: FloatArray, y: FloatArray, windows: Sequence[Window], *,
+        threads: int,
+    ) -> Iterator[tuple[Window, ComplexArray]]:  # fmt: skip
+        """Yield each window of the grid x (n_column,), y (n_row,), m, with its pixels, in an order of these only."""
+        ...
+
+
+def each_alone(
+    read: ReadPulses, geometry: Geometry, x: FloatArray, y: FloatArray, windows: Sequence[Window], *, threads: int,
+    form: Form,
+) -> Iterator[tuple[Window, ComplexArray]]:  # fmt: skip
+    """Form windows by a function that forms one."""
+    for window in windows:
+        yield window, form(read, geometry, x[window[1]], y[window[0]], threads=threads)
+
+
 class Projected(NamedTuple):
-    """A collection to be back-projected."""
+    """A collection of which pixels are formed straight from the samples, and how."""
 
     source: stores.PhaseHistory
     geometry: Geometry
@@ -60,7 +90,7 @@ class Projected(NamedTuple):
     noise: NoiseMap | None
     number: int
     collection: int | None
-    levels: Levels | None  # of the hierarchy; None: exactly
+    form: FormParts
 
 
 def peak_memory() -> int:
@@ -219,16 +249,11 @@ def add_layers(
     return sign(run, Receipt(unit=unit, stage="mosaic", written=behind.written), started)
 
 
-def back_project_chunks(
-    run: Run,
-    unit: str,
-    sources: Sequence[Projected],
-    windows: Sequence[Window],
-    grid: Grid,
-    weighting: Weighting,
+def form_chunks(
+    run: Run, unit: str, stage: str, sources: Sequence[Projected], windows: Sequence[Window], grid: Grid,
     on_terrain: bool = False,
-) -> Receipt:
-    """Form output chunks by back-projection; reads only the pulses that light them, and the terrain there."""
+) -> Receipt:  # fmt: skip
+    """Form output chunks straight from the samples, of all collections; reads the terrain there as well."""
     started = time.perf_counter()
     terrain = local_terrain(run, grid, around(windows)) if on_terrain else None
     sources = [source._replace(geometry=source.geometry.over(terrain)) for source in sources]
@@ -237,7 +262,7 @@ def back_project_chunks(
     seen = [(source.number, source.geometry) for source in sources if on_terrain]
     layers, alike = TerrainLayers(run, grid, sights_of(run, grid, seen)), AlikeChunks(run)
     written: list[Written] = []
-    for formed in zip(*(_project(run, source, windows, grid, weighting) for source in sources), strict=True):
+    for formed in zip(*(_form(run, source, windows, grid) for source in sources), strict=True):
         window, image = formed[0]
         owner = np.where(np.isfinite(image.real), 0, -1).astype(np.int16)
         if len(sources) > 1:
@@ -253,7 +278,7 @@ def back_project_chunks(
                 *write_noise(run, window, owner, grid, noises, layers.heights.over(window) if noises else None),
                 *write_layers(alike, window, layers.over(window, owner)),
             ]
-    return sign(run, Receipt(unit=unit, stage="backprojection", written=tuple(written)), started)
+    return sign(run, Receipt(unit=unit, stage=stage, written=tuple(written)), started)
 
 
 def around(windows: Sequence[Window]) -> Window:
@@ -262,30 +287,10 @@ def around(windows: Sequence[Window]) -> Window:
     return spans[0], spans[1]
 
 
-def _project(
-    run: Run, source: Projected, windows: Sequence[Window], grid: Grid, weighting: Weighting
-) -> Iterator[tuple[Window, ComplexArray]]:
-    """Form output chunks of one collection: hierarchically, or each exactly."""
+def _form(run: Run, source: Projected, windows: Sequence[Window], grid: Grid) -> Iterator[tuple[Window, ComplexArray]]:
+    """Form output chunks of one collection."""
 
     def read(pulses: slice) -> ComplexArray:
         return read_valid(source.source, source.inspection, pulses)
 
-    if source.levels is not None:
-        from blocksar.focusing.hierarchical_backprojection import form_windows  # with its loops
-
-        yield from form_windows(
-            read, source.geometry, grid.x, grid.y, windows, levels=source.levels, threads=run.threads,
-            weighting=weighting,
-        )  # fmt: skip
-        return
-    for window in windows:
-        rows, columns = window
-        image = np.full((rows.stop - rows.start, columns.stop - columns.start), np.nan + 1j * np.nan, np.complex64)
-        for i in range(0, image.shape[0], BACKPROJECTION_CHUNK):
-            for j in range(0, image.shape[1], BACKPROJECTION_CHUNK):
-                part = (slice(i, i + BACKPROJECTION_CHUNK), slice(j, j + BACKPROJECTION_CHUNK))
-                image[part] = form_image(
-                    read, source.geometry, grid.x[columns][part[1]], grid.y[rows][part[0]], threads=run.threads,
-                    weighting=weighting,
-                )  # fmt: skip
-        yield window, image
+    return source.form(read, source.geometry, grid.x, grid.y, windows, threads=run.threads)

@@ -12,18 +12,18 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
+from blocksar.arrays import FloatArray
 from blocksar.chunks import LAYER_CHUNKS, MOSAIC_CHUNKS, TILE
 from blocksar.collection.beam import dwell
-from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.plan import Plan
-from blocksar.planning.tiling import image_chunk, inspection_width, touched_chunks
+from blocksar.planning.tiling import chunks_of, image_chunk, inspection_width, touched_chunks
 from blocksar.planning.work import block_work
 from blocksar.progress import Work
 from blocksar.progress.estimate import finishing_times
@@ -126,15 +126,9 @@ def operations(plan: Plan) -> float:
 
 
 def together(works: Sequence[Work]) -> Work:
-    """Work of several segments, stage by stage; they end together, and chunks are back-projected from all of them."""
+    """Work of several segments, stage by stage; they end together."""
     stages = dict.fromkeys(stage for work in works for stage in work)
-    total = {stage: [cost for work in works for cost in work.get(stage, ())] for stage in stages}
-    if "backprojection" in total:
-        total["backprojection"] = [
-            sum(costs)
-            for costs in zip(*(work["backprojection"] for work in works if "backprojection" in work), strict=True)
-        ]
-    return total | {"finish": [FINISH]}
+    return {stage: [cost for work in works for cost in work.get(stage, ())] for stage in stages} | {"finish": [FINISH]}
 
 
 def _gating(plan: Plan) -> dict[str, list[float]]:
@@ -143,16 +137,22 @@ def _gating(plan: Plan) -> dict[str, list[float]]:
     return {"gate": [STEPS * plan.gate_work() / len(groups)] * len(groups)} if groups else {}
 
 
-def of_backprojection(geometry: Geometry, grid: Grid) -> Work:
-    """Work of exact back-projection, without that of a raw echo."""
-    return {**of_inspection(geometry.collection), "backprojection": _by_chunk(geometry, grid), "finish": [FINISH]}
+def of_backprojection(geometries: Sequence[Geometry], grid: Grid) -> Work:
+    """Work of exact back-projection, without that of raw echoes."""
+    return of_chunks(geometries, grid, "backprojection", projection_seconds)
 
 
-def of_inspection(collection: Collection) -> Work:
-    """Work of the inspection of samples that are not recovered."""
-    n_tasks = math.ceil(collection.n_range_frequency / inspection_width(collection))
-    inspect = INSPECT * collection.n_pulse * collection.n_range_frequency
-    return {"inspect": [inspect / n_tasks] * n_tasks}
+def of_chunks(
+    geometries: Sequence[Geometry], grid: Grid, stage: str, seconds: Callable[[Geometry, FloatArray, FloatArray], float]
+) -> Work:
+    """Work of forming each chunk of an image from all samples, without that of raw echoes; `seconds` is of a chunk."""
+    inspect: list[float] = []
+    for geometry in geometries:
+        collection = geometry.collection
+        n_tasks = math.ceil(collection.n_range_frequency / inspection_width(collection))
+        inspect += [INSPECT * collection.n_pulse * collection.n_range_frequency / n_tasks] * n_tasks
+    costs = [sum(seconds(geometry, x, y) for geometry in geometries) for x, y in chunks_of(grid)]
+    return {"inspect": inspect, stage: costs, "finish": [FINISH]}
 
 
 def of_demo(*, simulated: bool, compiled: bool) -> Work:
@@ -192,15 +192,10 @@ def of_compression(echoes: Iterable[tuple[int, int]]) -> Work:
     return {"range-compress": units} if units else {}
 
 
-def _by_chunk(geometry: Geometry, grid: Grid) -> list[float]:
-    """Seconds of back-projection for each chunk, by the lit pulses of a few of its pixels."""
-    side, interval = image_chunk(grid), geometry.collection.pulse_interval
-    per_pulse, costs = BACK_PROJECT + (GAINS if geometry.collection.has_pattern else 0.0), []
-    for row in range(0, grid.shape[0], side[0]):
-        for column in range(0, grid.shape[1], side[1]):
-            y, x = grid.y[row : row + side[0]], grid.x[column : column + side[1]]
-            mesh = np.meshgrid(x[:: max(x.size // 8, 1)], y[:: max(y.size // 8, 1)])
-            start, end = dwell(geometry, *mesh)
-            lit = np.maximum(end - start, 0.0).mean() / interval
-            costs.append(per_pulse * x.size * y.size * max(float(lit), 1.0))
-    return costs
+def projection_seconds(geometry: Geometry, x: FloatArray, y: FloatArray) -> float:
+    """Seconds of back-projection of a chunk at x (n_x,) and y (n_y,), by the lit pulses of a few of its pixels."""
+    collection = geometry.collection
+    start, end = dwell(geometry, *np.meshgrid(x[:: max(x.size // 8, 1)], y[:: max(y.size // 8, 1)]))
+    lit = np.maximum(end - start, 0.0).mean() / collection.pulse_interval
+    per_pulse = BACK_PROJECT + (GAINS if collection.has_pattern else 0.0)
+    return per_pulse * x.size * y.size * max(float(lit), 1.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from blocksar.arrays import FloatArray
 from blocksar.chunks import IMAGE_CHUNK, SIGNAL_BYTES, TILE
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Level
@@ -15,6 +16,16 @@ from blocksar.focusing.ground_map import GroundMap
 def image_chunk(grid: Grid) -> tuple[int, int]:
     """Rows and columns of a chunk of the image."""
     return min(IMAGE_CHUNK, grid.shape[0]), min(IMAGE_CHUNK, grid.shape[1])
+
+
+def chunks_of(grid: Grid) -> list[tuple[FloatArray, FloatArray]]:
+    """x (n_x,) and y (n_y,), m, of each chunk of the image, row by row."""
+    n_y, n_x = image_chunk(grid)
+    return [
+        (grid.x[column : column + n_x], grid.y[row : row + n_y])
+        for row in range(0, grid.shape[0], n_y)
+        for column in range(0, grid.shape[1], n_x)
+    ]
 
 
 def chunk_window(cell: tuple[int, int], grid: Grid) -> tuple[slice, slice]:

@@ -11,6 +11,15 @@ from blocksar.plugins import Registry
 if TYPE_CHECKING:
     from blocksar.processors.base import Processor
 
+
+def _check(processor: Processor) -> None:
+    """Ask a processor for all that is needed before it plans."""
+    options_of(processor.options)
+    if not all((processor.summary, callable(processor.plan), callable(processor.check))):
+        raise TypeError("a processor has a summary, options, and functions to check these and to plan")
+    _ = processor.universal, processor.compared
+
+
 CHAINS = "blocksar.processors.chain"
 PROCESSORS: Registry[Processor] = Registry(
     "blocksar.processors",
@@ -23,6 +32,7 @@ PROCESSORS: Registry[Processor] = Registry(
         "backprojection": "blocksar.processors.backprojection:EXACT",
         "auto": "blocksar.processors.auto:CHOICE",
     },
+    _check,
 )
 REFERENCE = "backprojection"  # takes any collection; all others are judged by it
 AUTO = "auto"  # chooses among the others
@@ -37,6 +47,7 @@ def options_for(name: str, given: Mapping[str, Any]) -> Any:
         If there is no such processor, or an option is wrong or not one of its own.
     """
     processor = PROCESSORS.get(name)
+    given = {key: value for key, value in given.items() if value is not None}
     own = {each.name for each in options_of(processor.options)}
     if not own.issuperset(given):  # what another processor has as its default is not asked for
         stated = {each.name: each.default for _, other in PROCESSORS.sound() for each in options_of(other.options)}

@@ -4,30 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from blocksar.collection.geometry import Geometry, over_terrain
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.chunks import BACKPROJECTION_CHUNK
+from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.collection.terrain import Terrain
+from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
 from blocksar.errors import InputError
-from blocksar.focusing.hierarchy import Levels
+from blocksar.focusing.backprojection import ReadPulses, form_image
 from blocksar.focusing.method import ChainOptions, Method
 from blocksar.graph import compiling
 from blocksar.inspection.sentences import doubts_of_track
 from blocksar.planning import effort
-from blocksar.planning.disk import exact_bytes
 from blocksar.planning.memory import checked_back_projection_memory
-from blocksar.planning.segments import joint_grid
-from blocksar.planning.tiling import chunk_window, image_chunk
-from blocksar.processors.base import Execution, ImagePlan, Piece, Problem
+from blocksar.processors.base import ChunkPlan, ImagePlan, Problem
 from blocksar.processors.lines import lit_pulses
-from blocksar.progress import Work
-from blocksar.runs.record import Receipt
 
-Window = tuple[slice, slice]
+if TYPE_CHECKING:
+    from blocksar.graph.tasks import Form
 
 
 class Backprojection:
@@ -62,60 +61,32 @@ class Backprojection:
         InputError
             If the grid is missing, or a worker has too little memory.
         """
-        grid, pieces = undivided(problem)
+        grid, machine = problem.points, problem.machine
         memory = max(
-            checked_back_projection_memory(each, grid, problem.machine.threads, problem.machine.memory_limit)
+            checked_back_projection_memory(each, grid, machine.threads, machine.memory_limit)
             for each in problem.collections
         )
-        return BackprojectionPlan(processor=self.name, grid=grid, pieces=pieces, terrain=problem.terrain, needed=memory)
+        return BackprojectionPlan(
+            processor=self.name, grid=grid, pieces=problem.pieces, terrain=problem.terrain, needed=memory
+        )
 
 
 EXACT = Backprojection()
 
 
-def undivided(problem: Problem) -> tuple[Grid, tuple[Piece, ...]]:
-    """The grid of an image, and all its collections over their ground."""
-    grid = problem.grid or joint_grid([Geometry(collection=each) for each in problem.collections])
-    geometries = [
-        Geometry(collection=each) if problem.terrain is None else over_terrain(each, problem.terrain)
-        for each in problem.collections
-    ]
-    return grid, tuple(
-        Piece(collection=number, geometry=each, first_block=number) for number, each in enumerate(geometries)
-    )
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
-class BackprojectionPlan(ImagePlan):
-    """The plan of an image by exact back-projection; `needed` is a worker's memory, bytes."""
-
-    terrain: Terrain | None
-    needed: int
+class BackprojectionPlan(ChunkPlan):
+    """The plan of an image by exact back-projection."""
 
     @property
     def result(self) -> Grid:
         return self.grid
 
-    @property
-    def levels(self) -> tuple[Levels | None, ...]:
-        """Those of each piece's hierarchy; None for none."""
-        return (None,) * len(self.pieces)
+    def seconds(self, geometry: Geometry, x: FloatArray, y: FloatArray) -> float:
+        return effort.projection_seconds(geometry, x, y)
 
-    def parts(self) -> dict[str, list[Window]]:
-        """Windows of the image, whole chunks, of each unit of work."""
-        side = image_chunk(self.grid)
-        cells = np.ndindex(*(-(-n // k) for n, k in zip(self.grid.shape, side, strict=True)))
-        return {f"chunk-{row}-{column}": [chunk_window((row, column), self.grid)] for row, column in cells}
-
-    def memory(self, threads: int) -> int:
-        return self.needed
-
-    def work(self, *, workers: int) -> Work:
-        return effort.together([effort.of_backprojection(piece.geometry, self.grid) for piece in self.pieces])
-
-    def stored(self) -> dict[str, int]:
-        noise = any(piece.geometry.collection.noise_power for piece in self.pieces)
-        return exact_bytes(self.grid, self.terrain, noise=noise)
+    def forming(self, weighting: Weighting) -> Form:
+        return partial(form_parts, weighting=weighting)
 
     def loops(self) -> Sequence[str]:
         return compiling.PATTERNS
@@ -132,26 +103,16 @@ class BackprojectionPlan(ImagePlan):
             *dict.fromkeys(doubts),
         ]
 
-    def form(self, execution: Execution) -> list[Receipt]:
-        """Form chunks of the image from the samples.
 
-        Raises
-        ------
-        InputError, ProcessingError
-            As the stages.
-        """
-        from blocksar.graph import stages  # with dask
-
-        client, run, listener, segments = execution.client, execution.run, execution.listener, execution.segments
-        read = execution.joined(stages.inspect_samples(client, segments, run, listener))
-        execution.end("inspect")
-        execution.accept(read)
-        execution.input_read()
-        inspections = [each.inspection for each in read]
-        noises = execution.noises([inspection.lit for inspection in inspections])
-        formed = stages.back_project(
-            client, segments, self.grid, inspections, execution.weighting, noises, run, listener, parts=self.parts(),
-            levels=self.levels,
-        )  # fmt: skip
-        execution.end("backprojection")
-        return [*(receipt for each in read for receipt in each.receipts), *formed]
+def form_parts(
+    read: ReadPulses, geometry: Geometry, x: FloatArray, y: FloatArray, *, threads: int, weighting: Weighting
+) -> ComplexArray:
+    """`form_image`, by parts that bound its memory."""
+    image = np.empty((y.size, x.size), np.complex64)
+    for i in range(0, y.size, BACKPROJECTION_CHUNK):
+        for j in range(0, x.size, BACKPROJECTION_CHUNK):
+            rows, columns = slice(i, i + BACKPROJECTION_CHUNK), slice(j, j + BACKPROJECTION_CHUNK)
+            image[rows, columns] = form_image(
+                read, geometry, x[columns], y[rows], threads=threads, weighting=weighting
+            )  # fmt: skip
+    return image

@@ -5,15 +5,22 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
+
+import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
-from blocksar.collection.geometry import Geometry
+from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
+from blocksar.planning import effort
+from blocksar.planning.disk import exact_bytes
+from blocksar.planning.segments import joint_grid
+from blocksar.planning.tiling import chunk_window, image_chunk
 from blocksar.progress import Listener, Work
 from blocksar.tables import Table
 
@@ -25,10 +32,13 @@ if TYPE_CHECKING:
     from blocksar.graph.machine import Resources
     from blocksar.graph.segments import Segment
     from blocksar.graph.stages import Recovered
+    from blocksar.graph.tasks import Form, FormParts
     from blocksar.planning.plan import Plan
     from blocksar.runs.planned import PredictedBlock
     from blocksar.runs.receipts import Run
     from blocksar.runs.record import Receipt
+
+Window = tuple[slice, slice]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,6 +71,20 @@ class Problem:
     weighting: Weighting
     options: Any
     machine: Resources
+
+    @cached_property
+    def points(self) -> Grid:
+        """The grid, or the box around the ground that they light."""
+        return self.grid or joint_grid([Geometry(collection=collection) for collection in self.collections])
+
+    @cached_property
+    def pieces(self) -> tuple[Piece, ...]:
+        """Each collection as a whole, over the ground."""
+        ground = [
+            Geometry(collection=each) if self.terrain is None else over_terrain(each, self.terrain)
+            for each in self.collections
+        ]
+        return tuple(Piece(collection=i, geometry=each, first_block=i) for i, each in enumerate(ground))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -188,6 +212,73 @@ class ImagePlan(ABC):
     def result(self) -> Any:
         """What Python gets as the result of `plan`."""
         return self
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ChunkPlan(ImagePlan):
+    """A plan by which each chunk of the image is formed straight from the samples, whatever other chunks are.
+
+    It states what a chunk takes and the function that forms one. A run then inspects all samples, and forms the chunks,
+    each a unit of work of the stage that has the processor's name. Several collections, noise, and the layers of a
+    terrain are taken care of.
+
+    Attributes
+    ----------
+    needed : int
+        Peak memory of a worker, bytes.
+    terrain : Terrain or None
+        The ground, if the processor takes one.
+    """
+
+    needed: int
+    terrain: Terrain | None = None
+
+    @abstractmethod
+    def seconds(self, geometry: Geometry, x: FloatArray, y: FloatArray) -> float:
+        """Seconds of a thread to form a chunk at x (n_x,) and y (n_y,), m, from the samples of a collection."""
+
+    @abstractmethod
+    def forming(self, weighting: Weighting) -> Form:
+        """The function that forms pixels from the samples of a collection: see `graph.tasks.Form`."""
+
+    def forming_parts(self, number: int, weighting: Weighting) -> FormParts:
+        """The function that forms a part of the image from the samples of a piece: by default, chunk by chunk."""
+        from blocksar.graph.tasks import each_alone  # with dask
+
+        return partial(each_alone, form=self.forming(weighting))
+
+    def parts(self) -> dict[str, list[Window]]:
+        """Windows of the image, whole chunks, of each unit of work: by default, one."""
+        side = image_chunk(self.grid)
+        cells = np.ndindex(*(-(-n // k) for n, k in zip(self.grid.shape, side, strict=True)))
+        return {f"chunk-{row}-{column}": [chunk_window((row, column), self.grid)] for row, column in cells}
+
+    def memory(self, threads: int) -> int:
+        return self.needed
+
+    def work(self, *, workers: int) -> Work:
+        return effort.of_chunks([piece.geometry for piece in self.pieces], self.grid, self.processor, self.seconds)
+
+    def stored(self) -> dict[str, int]:
+        noise = any(piece.geometry.collection.noise_power for piece in self.pieces)
+        return exact_bytes(self.grid, self.terrain, noise=noise)
+
+    def form(self, execution: Execution) -> list[Receipt]:
+        from blocksar.graph import stages  # with dask
+
+        client, run, listener, segments = execution.client, execution.run, execution.listener, execution.segments
+        read = execution.joined(stages.inspect_samples(client, segments, run, listener))
+        execution.end("inspect")
+        execution.accept(read)
+        execution.input_read()
+        inspections = [each.inspection for each in read]
+        noises = execution.noises([inspection.lit for inspection in inspections])
+        forms = [self.forming_parts(number, execution.weighting) for number in range(len(segments))]
+        formed = stages.form_parts(
+            client, self.processor, forms, self.parts(), segments, self.grid, inspections, noises, run, listener
+        )
+        execution.end(self.processor)
+        return [*(receipt for each in read for receipt in each.receipts), *formed]
 
 
 class Processor(Protocol):

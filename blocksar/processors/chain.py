@@ -8,7 +8,6 @@ from functools import cached_property
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
-from blocksar.collection.geometry import Geometry
 from blocksar.constants import MIB
 from blocksar.focusing.method import Chain as Name
 from blocksar.focusing.method import ChainOptions, Method
@@ -17,7 +16,7 @@ from blocksar.planning import effort
 from blocksar.planning.disk import run_bytes
 from blocksar.planning.plan import Plan
 from blocksar.planning.planner import planner_of
-from blocksar.planning.segments import PlannedSegment, joint_grid, plan_segments
+from blocksar.planning.segments import PlannedSegment, plan_segments
 from blocksar.processors.base import Execution, ImagePlan, Piece, Problem
 from blocksar.processors.chain_lines import (
     cut_dwells,
@@ -77,7 +76,7 @@ class Chain:
             memory_limit=machine.memory_limit,
         )  # fmt: skip
         if problem.terrain is not None:  # the grid that its heights were read for
-            grid = grid or joint_grid([Geometry(collection=collection) for collection in collections])
+            grid = problem.points
         return chain_plan(self.name, plan_segments(plan, collections, grid=grid, cut=problem.blocks == "auto"))
 
 

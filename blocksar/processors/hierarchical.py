@@ -5,18 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
+from blocksar.arrays import FloatArray
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
+from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
-from blocksar.focusing.hierarchy import Levels
+from blocksar.focusing.hierarchical_backprojection import form_windows
 from blocksar.graph import compiling
 from blocksar.inspection.sentences import doubts_of_track
-from blocksar.planning import effort
 from blocksar.planning.hierarchy import Division, coherence_of, divide
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY, checked_memory
-from blocksar.processors.backprojection import BackprojectionPlan, Window, undivided
-from blocksar.processors.base import ImagePlan, NoOptions, Problem
+from blocksar.processors.base import ChunkPlan, ImagePlan, NoOptions, Problem, Window
 from blocksar.progress import Work
+
+if TYPE_CHECKING:
+    from blocksar.graph.tasks import Form, FormParts
 
 
 class HierarchicalBackprojection:
@@ -43,9 +49,8 @@ class HierarchicalBackprojection:
         InputError
             If the grid is missing, or a worker has too little memory.
         """
-        grid, pieces = undivided(problem)
-        machine, n = problem.machine, len(pieces)
-        share = PROCESS_MEMORY + (MEMORY_SHARE * machine.memory_limit - PROCESS_MEMORY) / n
+        grid, pieces, machine = problem.points, problem.pieces, problem.machine
+        share = PROCESS_MEMORY + (MEMORY_SHARE * machine.memory_limit - PROCESS_MEMORY) / len(pieces)
         divisions = tuple(
             divide(
                 piece.geometry, grid, fidelity=problem.fidelity, weighting=problem.weighting,
@@ -66,14 +71,14 @@ HIERARCHICAL = HierarchicalBackprojection()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class HierarchicalPlan(BackprojectionPlan):
+class HierarchicalPlan(ChunkPlan):
     """The plan of an image by hierarchical back-projection; `divisions` has that of each piece."""
 
     divisions: tuple[Division, ...]
 
     @property
-    def levels(self) -> tuple[Levels | None, ...]:
-        return tuple(each.levels for each in self.divisions)
+    def result(self) -> Grid:
+        return self.grid
 
     @property
     def chunks(self) -> tuple[int, int]:
@@ -84,14 +89,23 @@ class HierarchicalPlan(BackprojectionPlan):
         units = self.divisions[0].units(self.grid, self.chunks)
         return {f"part-{number}": windows for number, windows in enumerate(units)}
 
+    def forming(self, weighting: Weighting) -> Form:
+        raise NotImplementedError("its parts are formed together")
+
+    def forming_parts(self, number: int, weighting: Weighting) -> FormParts:
+        return partial(form_windows, levels=self.divisions[number].levels, weighting=weighting)
+
+    def seconds(self, geometry: Geometry, x: FloatArray, y: FloatArray) -> float:
+        share = x.size * y.size / math.prod(self.grid.shape)
+        own = (each for piece, each in zip(self.pieces, self.divisions, strict=True) if piece.geometry is geometry)
+        return next(own).seconds * share
+
     def work(self, *, workers: int) -> Work:
-        inspecting = [effort.of_inspection(piece.geometry.collection) for piece in self.pieces]
-        count = len(self.parts())
-        seconds = sum(each.seconds for each in self.divisions) / count
-        return effort.together([*inspecting, {"backprojection": [seconds] * count}])
+        work, count = super().work(workers=workers), len(self.parts())
+        return {**work, self.processor: [sum(work[self.processor]) / count] * count}
 
     def loops(self) -> Sequence[str]:
-        return *super().loops(), *compiling.HIERARCHY
+        return *compiling.PATTERNS, *compiling.HIERARCHY
 
     def lines(self) -> list[str]:
         worst = max(self.divisions, key=lambda each: each.error)

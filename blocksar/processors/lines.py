@@ -38,7 +38,7 @@ def exact_line(plans: Sequence[ImagePlan], work: Work, assumed: Resources, plann
     if seconds < EXACT_TOLD:
         return []
     summed = effort.together(
-        [effort.of_backprojection(piece.geometry, plan.grid) for plan in plans for piece in plan.pieces]
+        [effort.of_backprojection([piece.geometry for piece in plan.pieces], plan.grid) for plan in plans]
     )
     exact = sum(stage_seconds(summed, assumed).values())
     if exact > seconds / EXACT_GAIN:

@@ -92,7 +92,7 @@ class Interrupted(Listener):
         self.parts = parts
 
     def update(self, stage: str, done: int, total: int) -> None:
-        if stage == "backprojection" and done == self.parts:
+        if stage == HIERARCHICAL and done == self.parts:
             raise KeyboardInterrupt
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 NAME = "blocksar_extension"
 PARTS: Mapping[str, Mapping[str, str]] = {
+    "blocksar.processors": {"polar-format": f"{NAME}.processor:POLAR_FORMAT"},
     "blocksar.products": {"kml": f"{NAME}.product:KML"},
     "blocksar.readers": {"madeup": f"{NAME}.reader:MADEUP"},
 }
