@@ -36,6 +36,7 @@ from blocksar.loop_cache import compilation_seconds
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.place import Place
+from blocksar.processors import OwnProcessor
 from blocksar.progress import Listener, as_listener
 from blocksar.progress import Wanted as Progress
 from blocksar.runs import folder as run_folder
@@ -61,7 +62,7 @@ def focus(
     source: Source,
     out: Location,
     *,
-    processor: str = "angular-division",
+    processor: OwnProcessor = "angular-division",
     blocks: int | Literal["auto"] = "auto",
     fidelity: float = FIDELITY,
     weighting: str = "uniform",

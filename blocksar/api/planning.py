@@ -29,7 +29,7 @@ from blocksar.graph.machine import Resources, resources
 from blocksar.ingestion.terrain.reading import terrain_notes
 from blocksar.places import Location
 from blocksar.planning.segments import joint_grid
-from blocksar.processors import PROCESSORS, options_for
+from blocksar.processors import PROCESSORS, OwnProcessor, options_for
 from blocksar.processors.base import ImagePlan, Problem
 from blocksar.processors.lines import exact_line, time_line
 
@@ -37,7 +37,7 @@ from blocksar.processors.lines import exact_line, time_line
 def plan(
     source: Source,
     *,
-    processor: str = "angular-division",
+    processor: OwnProcessor = "angular-division",
     blocks: int | Literal["auto"] = "auto",
     fidelity: float = FIDELITY,
     weighting: str = "uniform",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from blocksar.options import options_of, read_options
 from blocksar.plugins import Registry
@@ -20,6 +20,11 @@ def _check(processor: Processor) -> None:
     _ = processor.universal, processor.compared
 
 
+# For editors; the registry knows more.
+OwnProcessor = Literal[
+    "angular-division", "keystone-resampling", "high-order-phase", "hierarchical-backprojection", "backprojection",
+    "auto",
+]  # fmt: skip
 CHAINS = "blocksar.processors.chain"
 PROCESSORS: Registry[Processor] = Registry(
     "blocksar.processors",

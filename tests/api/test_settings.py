@@ -33,7 +33,7 @@ NAMES: dict[str, Any] = {
 TYPES = {model: get_type_hints(model, localns=NAMES) for model in (Settings, ChainOptions)}
 # Parameters of which a docstring has its own to say.
 OWN_WORDS = {
-    "plan": {"processor", "looks", "workers"},
+    "plan": {"looks", "workers"},
     "autofocus": {"grid", "terrain", "vertical", "control", "workers", "overwrite"},
     "check": {"grid", "terrain", "surface", "vertical"},
     "preview": {"grid", "overwrite"},

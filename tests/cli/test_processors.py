@@ -22,7 +22,8 @@ class Options:
 
 
 class Omega:
-    name, summary, options, universal = "omega-k", "exact for straight tracks", Options, False
+    name, summary, options = "omega-k", "exact for straight tracks", Options
+    universal = compared = False
 
     def check(self, options):
         raise InputError(f"asked for {options}")
