@@ -28,6 +28,9 @@ class Omega:
     def check(self, options):
         raise InputError(f"asked for {options}")
 
+    def plan(self, problem):
+        raise NotImplementedError
+
 
 OMEGA = Omega()
 """
