@@ -19,8 +19,6 @@ from blocksar import stores
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 CORNER = ((-10.0, 10.0, 0.5), (-10.0, 10.0, 0.5))
 
 

@@ -20,8 +20,6 @@ from blocksar.places.local import LocalPlace
 from blocksar.places.room import size_text
 from blocksar.progress import Listener
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 SCENE: dict[str, Any] = {
     "swath": [29700.0, 30300.0],
     "prf": 4000.0,

@@ -20,8 +20,6 @@ from typer.testing import CliRunner
 
 from blocksar.cli import commands
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 # Options
 
 

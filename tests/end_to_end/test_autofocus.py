@@ -27,8 +27,6 @@ from blocksar.measurement.targets import Target
 from blocksar.places import place
 from blocksar.places.place import Place
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 
 class Corrected(NamedTuple):
     """A phase history with a wrong track, its correction, the report about it, and the control points' file."""

@@ -26,8 +26,6 @@ from blocksar.errors import InputError, ProcessingError
 from blocksar.graph import admission, cluster
 from blocksar.progress import Listener
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 SCENE: dict[str, Any] = {
     "swath": [29900.0, 30100.0],
     "prf": 4000.0,

@@ -51,8 +51,6 @@ import blocksar
 from blocksar.graph.cluster import open_client
 from blocksar.planning import planner
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 OWN = ("--workers", "1", "--memory-limit", "2GiB")  # the smallest local cluster
 HERE: dict[str, Any] = {"workers": 0, "threads": 1}
 PROMPT = "give the same command again"

@@ -24,8 +24,6 @@ from blocksar.places import place
 from blocksar.planning.disk import run_bytes
 from blocksar.simulation.scene import Scene
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 MIDDLE = np.array([16105.0, 19193.0])  # m: the middle of Table 1's swath
 PLACES = {"top": (30.0, 10.0), "flank": (-150.0, 90.0), "foot": (180.0, -240.0)}  # m from there
 HILLS = """

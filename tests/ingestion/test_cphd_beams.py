@@ -26,8 +26,6 @@ from blocksar.simulation import cphd as cphd_simulation
 from blocksar.simulation.cphd_beam import GAIN_ERROR
 from blocksar.simulation.scene import Scene
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 pytest.importorskip("sarkit", reason="the extra `formats` is not installed")
 
 Array = NDArray[Any]

@@ -44,8 +44,6 @@ from blocksar.planning import target_lines
 from blocksar.planning.planner import plan_collection
 from blocksar.simulation.scatterers import simulate_pulses
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 N_FREQUENCY = 48
 FREQUENCY = 9.6e9 + 1.5e6 * (np.arange(N_FREQUENCY) - N_FREQUENCY // 2)  # Hz
 RADIUS, HEIGHT, STEP = 7000.0, 7200.0, np.radians(0.0085)  # m, m, rad
