@@ -756,7 +756,7 @@ LIKE_OTHERS = {
     "half a receipt of columns", "half a receipt of the mosaic", "empty receipt", "spectrum's array", "image's array",
     "image's axis", "collection's axis", "image gone", "patch gone", "half a receipt of a block", "receipts gone",
     "all patches gone", "bit of a patch chunk that two blocks share", "image chunk of one block gone",
-    "spectrum's metadata",
+    "spectrum's metadata", "patch's metadata", "spectrum gone", "bit of a chunk of owners", "image chunk gone",
 }  # fmt: skip
 
 

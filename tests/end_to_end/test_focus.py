@@ -154,6 +154,7 @@ def test_a_range_window_as_narrow_as_the_interpolation_is_covered(tmp_path: Path
     assert abs(image[20, 20]) == pytest.approx(abs(exact[20, 20]), rel=0.01)
 
 
+@pytest.mark.slow  # test_partial_pulses.py focuses raw echoes, test_axis_beams.py has pulses dropped
 def test_raw_echo_with_dropped_pulses_is_focused(tmp_path: Path) -> None:
     more = (
         '[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.5\n'
@@ -217,6 +218,7 @@ def test_a_dataset_is_accepted_and_returned(tmp_path: Path) -> None:
     assert set(np.unique(image.block)) == {1}
 
 
+@pytest.mark.slow  # bad_input/test_stores.py focuses stores of other programs
 def test_a_phase_history_written_by_another_program_is_accepted(tmp_path: Path) -> None:
     """xarray writes the store with other chunks and compression; the image must be the same."""
     target = '[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.5\n'

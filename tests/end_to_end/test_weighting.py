@@ -52,7 +52,9 @@ def write(folder: Path, name: str, *, targets: bool) -> tuple[Path, Any]:
     return Path(blocksar.simulate(folder / "scene.toml", folder / "ph.zarr")), grid
 
 
-@pytest.mark.parametrize("name", ["steered", pytest.param("scan reversed", marks=pytest.mark.slow), "unsteered"])
+@pytest.mark.parametrize(
+    "name", ["steered", *(pytest.param(name, marks=pytest.mark.slow) for name in ("scan reversed", "unsteered"))]
+)
 def test_weighted_targets_have_the_ideal_response(name: str, tmp_path: Path) -> None:
     store, grid = write(tmp_path, name, targets=True)
     blocksar.focus(store, tmp_path / "run", blocks=2, grid=grid, weighting=TAYLOR.text, workers=0)

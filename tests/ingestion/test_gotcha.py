@@ -754,7 +754,7 @@ def test_the_weighted_measured_image_agrees_with_back_projection(store: Path, tm
     assert found.gain == pytest.approx(1, abs=1e-3) and abs(found.phase) < 1e-3
 
 
-@pytest.mark.parametrize("processor", ["angular-division", "keystone-resampling"])
+@pytest.mark.parametrize("processor", ["angular-division", pytest.param("keystone-resampling", marks=pytest.mark.slow)])
 def test_the_measured_image_agrees_with_back_projection(
     store: Path, reference: np.ndarray, tmp_path: Path, processor: Any
 ) -> None:
