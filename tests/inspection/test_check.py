@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 from axis_beams import axis_scene
 from exact_scenes import exact_scene
 from scenes import PAPERS, scene, write_store
@@ -197,6 +198,19 @@ def test_the_command_compares_everything(steered_store: Path) -> None:
     assert result.exit_code == 0
     for words in ("as given", "the signal is conjugated", "the samples fit what is said of them"):
         assert words in result.output
+
+
+@pytest.mark.checked
+def test_a_run_says_what_the_check_finds(steered_store: Path, tmp_path: Path) -> None:
+    few = ((16000.0, 16040.0, 8.0), (19100.0, 19140.0, 8.0))
+    settings: dict[str, Any] = {"grid": few, "processor": "backprojection", "workers": 0}
+    right = blocksar.focus(steered_store, tmp_path / "right", **settings)
+    assert right.result["check"].startswith("the samples fit what is said of them") and not right.result["warnings"]
+    with xr.open_zarr(steered_store) as source:
+        wrong = source.load().assign(signal=np.conj(source.signal))
+    report = blocksar.focus(wrong, tmp_path / "wrong", **settings)
+    assert any("the signal is conjugated" in warning for warning in report.result["warnings"])
+    assert any("the signal is conjugated" in line for line in report.summary)
 
 
 def test_a_spotlight_collection_needs_a_grid(spotlight_store: Path) -> None:
