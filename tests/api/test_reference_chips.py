@@ -32,6 +32,7 @@ def test_segments_on_a_terrain_are_compared_there() -> None:
     assert found.collection.ground_height == 120.0
 
 
+@pytest.mark.slow  # measurement/test_reach.py judges such ground without a run
 def test_dark_ground_amid_bright_ground_is_judged_by_what_lies_within_reach(tmp_path: Path) -> None:
     """Its chip reads 0.95 where 0.999 is predicted: the error there is that of its surroundings, 20 dB brighter."""
     x, y = np.arange(8560.0, 8860.0, 1.5), np.arange(-150.0, 250.0, 0.4)

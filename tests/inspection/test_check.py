@@ -204,11 +204,9 @@ def test_the_command_compares_everything(steered_store: Path) -> None:
 def test_a_run_says_what_the_check_finds(steered_store: Path, tmp_path: Path) -> None:
     few = ((16000.0, 16040.0, 8.0), (19100.0, 19140.0, 8.0))
     settings: dict[str, Any] = {"grid": few, "processor": "backprojection", "workers": 0}
-    right = blocksar.focus(steered_store, tmp_path / "right", **settings)
-    assert right.result["check"].startswith("the samples fit what is said of them") and not right.result["warnings"]
     with xr.open_zarr(steered_store) as source:
         wrong = source.load().assign(signal=np.conj(source.signal))
-    report = blocksar.focus(wrong, tmp_path / "wrong", **settings)
+    report = blocksar.focus(wrong, tmp_path / "run", **settings)
     assert any("the signal is conjugated" in warning for warning in report.result["warnings"])
     assert any("the signal is conjugated" in line for line in report.summary)
 
