@@ -52,7 +52,7 @@ def test_dark_ground_amid_bright_ground_is_judged_by_what_lies_within_reach(tmp_
     assert result["least_coherence"]["measured"] > result["least_coherence"]["predicted"] - 5e-4
 
 
-@pytest.mark.parametrize(("rows", "compared"), [(48, 9), (12, 0)])
+@pytest.mark.parametrize(("rows", "compared"), [pytest.param(48, 9, marks=pytest.mark.slow), (12, 0)])
 def test_a_small_part_of_what_a_block_owns_is_compared(tmp_path: Path, rows: int, compared: int) -> None:
     """The centre of the block and its seams lie beyond the image: nothing was compared, without a word."""
     clutter = "[clutter]\nscatterers = 300\nseed = 3\nx = [8600.0, 8750.0]\ny = [20.0, 90.0]"

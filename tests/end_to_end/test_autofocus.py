@@ -257,6 +257,7 @@ def test_focus_with_autofocus_is_the_two_in_one(
 HILL = "[terrain]\nhills = [{x = 0.0, y = 0.0, height = 30.0, width = 40.0}]\n"
 
 
+@pytest.mark.slow
 def test_points_stand_on_the_terrain(tmp_path: Path) -> None:
     source, out, terrain = (
         wrong_tracks.make(tmp_path, wrong_tracks.targets() + HILL),

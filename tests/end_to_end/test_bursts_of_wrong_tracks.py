@@ -147,6 +147,7 @@ def test_collections_that_do_not_overlap_are_not_tied(bursts: list[Path], run: P
     shutil.rmtree(tmp_path / "run")
 
 
+@pytest.mark.slow  # test_channels_of_one_track.py names the channel, test_bursts.py the collection of another
 def test_a_refusal_names_the_collection(bursts: list[Path], tmp_path: Path) -> None:
     noise = Path(shutil.copytree(bursts[1], tmp_path / "noise.zarr"))
     signal = zarr.open_group(noise, mode="r+")["signal"]

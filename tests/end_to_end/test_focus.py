@@ -35,24 +35,9 @@ def clutter(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     return cache(lambda name: write_store(tmp_path_factory.mktemp("clutter"), **GEOMETRIES[name], more=CLUTTER))
 
 
-# test_processors.py covers "scan reversed" with every processor. The slow ones are like others: Table 1 as it is (with
-# another reference range it stays), mirrored and past 90 degrees, geometries that need a bias chirp, and other bands.
-SLOW = {
-    "table1",
-    "30-degree scan",
-    "yaw past 90",
-    "acceleration cancels the Doppler rate",
-    "other side, mirrored",
-    "track with jerk",
-    "10 GHz, 150 MHz",
-    "35 GHz, 100 MHz",
-}
-CLUTTERED = [
-    pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in GEOMETRIES if name != "scan reversed"
-]
-
-
-@pytest.mark.parametrize("name", CLUTTERED)
+# test_processors.py covers "scan reversed"; focusing/test_steps.py has lines of most geometries on small arrays.
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in GEOMETRIES if name != "scan reversed"])
 def test_clutter_is_coherent_with_back_projection(name: str, clutter: Callable[[str], Path], tmp_path: Path) -> None:
     store = clutter(name)
     blocksar.focus(store, tmp_path / "run", blocks=3, grid=coarse_grid(store), workers=0)
@@ -176,6 +161,7 @@ def test_raw_echo_with_dropped_pulses_is_focused(tmp_path: Path) -> None:
     assert sorted(chip["coherence"] for chip in compared)[3] > 0.997
 
 
+@pytest.mark.slow  # test_terrain.py measures targets of back-projection
 def test_back_projection_processor_writes_the_same_store(tmp_path: Path) -> None:
     store = write_store(tmp_path, more='[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.5\n')
     made = Scene.read(tmp_path / "scene.toml")

@@ -377,7 +377,7 @@ def wobbling(mode: str, kind: str, size: float) -> Collection:
     pytest.param("stripmap", "2.4", 2e-3, marks=pytest.mark.slow),  # 0.57
     pytest.param("tops", "2.4", 5e-4, marks=pytest.mark.slow),
     pytest.param("stripmap", "noise", 3e-4, marks=pytest.mark.slow),
-    ("sliding spotlight", "axis", 1e-4),
+    pytest.param("sliding spotlight", "axis", 1e-4, marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_a_beam_that_wobbles_is_focused_as_predicted(mode: str, kind: str, size: float) -> None:
     """What its dwells have and those of a steadier beam lack is back-projected, and the other way round."""
