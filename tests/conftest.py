@@ -12,6 +12,7 @@ import dask
 import numpy as np
 import pytest
 from distributed import Client
+from once import once
 
 import blocksar
 from blocksar.api import run_stages
@@ -105,4 +106,5 @@ def client() -> Iterator[Client]:
 @pytest.fixture(scope="session")
 def table1(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The phase history of the shipped scene table1."""
-    return Path(blocksar.simulate("table1", tmp_path_factory.mktemp("table1") / "phase_history.zarr"))
+    folder = once(tmp_path_factory, "table1", lambda folder: blocksar.simulate("table1", folder / "phase_history.zarr"))
+    return folder / "phase_history.zarr"
