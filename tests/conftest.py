@@ -12,12 +12,14 @@ import dask
 import numpy as np
 import pytest
 from distributed import Client
+from once import once
 
 import blocksar
 from blocksar.api import run_stages
-from blocksar.api.findings import Check
+from blocksar.api.findings import Check, checking
 from blocksar.api.jobs import Job
 from blocksar.collection.collection import Collection
+from blocksar.garbage import collect_seldom
 from blocksar.graph.cluster import open_client
 
 # Files that take longest, first: two processes that share the files then end at about the same time.
@@ -47,6 +49,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: place.get(item.path.parent.name, len(FIRST)))
 
 
+def pytest_collection_finish() -> None:
+    """Leave what thousands of collected tests hold out of garbage collections."""
+    collect_seldom()
+
+
 @pytest.fixture(scope="session")
 def small_collection() -> Collection:
     """A small squint-TOPS collection: the beam scans from 48 to 52 degrees while the aircraft flies 13 m."""
@@ -66,18 +73,23 @@ def small_collection() -> Collection:
     )
 
 
-@pytest.fixture
-def unchecked(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave the samples of runs in this process unchecked, but for tests marked `checked`.
+@contextmanager
+def unchecking(job: Job, *, beside: bool) -> Iterator[Callable[[], list[Check]]]:
+    yield lambda: [(None, "")] * len(job.request.histories)
 
-    The check takes more than half of a small run. Modules that focus one scene again and again use this fixture.
-    """
 
-    @contextmanager
-    def checking(job: Job, *, beside: bool) -> Iterator[Callable[[], list[Check]]]:
-        yield lambda: [(None, "")] * len(job.request.histories)
+@pytest.fixture(scope="session", autouse=True)
+def unchecked() -> Iterator[None]:
+    """Leave the samples of runs in this process unchecked: the check takes a third to a half of a small run."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run_stages, "checking", unchecking)
+        yield
 
-    if request.node.get_closest_marker("checked") is None:
+
+@pytest.fixture(autouse=True)
+def checked(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Check the samples of runs in tests that are marked so."""
+    if request.node.get_closest_marker("checked") is not None:
         monkeypatch.setattr(run_stages, "checking", checking)
 
 
@@ -94,4 +106,5 @@ def client() -> Iterator[Client]:
 @pytest.fixture(scope="session")
 def table1(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The phase history of the shipped scene table1."""
-    return Path(blocksar.simulate("table1", tmp_path_factory.mktemp("table1") / "phase_history.zarr"))
+    folder = once(tmp_path_factory, "table1", lambda folder: blocksar.simulate("table1", folder / "phase_history.zarr"))
+    return folder / "phase_history.zarr"

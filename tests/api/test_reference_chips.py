@@ -32,6 +32,7 @@ def test_segments_on_a_terrain_are_compared_there() -> None:
     assert found.collection.ground_height == 120.0
 
 
+@pytest.mark.slow  # measurement/test_reach.py judges such ground without a run
 def test_dark_ground_amid_bright_ground_is_judged_by_what_lies_within_reach(tmp_path: Path) -> None:
     """Its chip reads 0.95 where 0.999 is predicted: the error there is that of its surroundings, 20 dB brighter."""
     x, y = np.arange(8560.0, 8860.0, 1.5), np.arange(-150.0, 250.0, 0.4)
@@ -51,7 +52,7 @@ def test_dark_ground_amid_bright_ground_is_judged_by_what_lies_within_reach(tmp_
     assert result["least_coherence"]["measured"] > result["least_coherence"]["predicted"] - 5e-4
 
 
-@pytest.mark.parametrize(("rows", "compared"), [(48, 9), (12, 0)])
+@pytest.mark.parametrize(("rows", "compared"), [pytest.param(48, 9, marks=pytest.mark.slow), (12, 0)])
 def test_a_small_part_of_what_a_block_owns_is_compared(tmp_path: Path, rows: int, compared: int) -> None:
     """The centre of the block and its seams lie beyond the image: nothing was compared, without a word."""
     clutter = "[clutter]\nscatterers = 300\nseed = 3\nx = [8600.0, 8750.0]\ny = [20.0, 90.0]"

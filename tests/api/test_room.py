@@ -20,8 +20,6 @@ from blocksar.places.local import LocalPlace
 from blocksar.places.room import size_text
 from blocksar.progress import Listener
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 SCENE: dict[str, Any] = {
     "swath": [29700.0, 30300.0],
     "prf": 4000.0,
@@ -93,7 +91,7 @@ def needs(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         pytest.param({"discard": True}, marks=pytest.mark.slow),  # raw echoes show the same
         {"raw": True, "discard": True, "grid": PART},
         {"raw": True, "processor": "backprojection", "grid": PART},
-        {"looks": 2, "grid": PART},
+        pytest.param({"looks": 2, "grid": PART}, marks=pytest.mark.slow),
         pytest.param({"memory": True}, marks=pytest.mark.slow),
     ],
     ids=str,

@@ -22,8 +22,6 @@ from blocksar.api.shown import PlanReport, RunReport
 from blocksar.errors import InputError, in_python
 from blocksar.progress import Listener, as_listener
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 GRID = ((-45.0, 45.0, 0.5), (-25.0, 25.0, 0.5))
 
 

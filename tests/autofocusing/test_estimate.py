@@ -113,7 +113,8 @@ def test_too_few_points_are_refused(amplitude: float, points: int) -> None:
         found((amplitude * echoes(stated, np.zeros((stated.n_pulse, 3)), points=points)).astype(np.complex64))
 
 
-@pytest.mark.parametrize(("amplitude", "points"), [(0.3, 6), pytest.param(1.0, 14, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("amplitude", "points"), [(0.3, 6), (1.0, 14)])
+@pytest.mark.slow
 def test_few_points_in_noise_are_counted_and_serve_if_they_tell(amplitude: float, points: int) -> None:
     """The other places are maxima of noise, which do not harm the estimate."""
     stated = spotlight()

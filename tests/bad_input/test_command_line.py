@@ -20,8 +20,6 @@ from typer.testing import CliRunner
 
 from blocksar.cli import commands
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 # Options
 
 
@@ -58,7 +56,7 @@ AXIS = st.lists(st.one_of(st.floats(), st.integers(-(10**20), 10**20)), min_size
 )
 
 
-@settings(MANY, max_examples=35)
+@settings(MANY, max_examples=25)
 @given(grid=st.one_of(WORDS, st.lists(AXIS, min_size=2, max_size=2).map(",".join)))
 def test_arbitrary_text_as_grid(bench: Bench, grid: str) -> None:
     told_well(bench, "--grid", command("plan", str(bench.store), "--processor", "backprojection", f"--grid={grid}"))

@@ -30,8 +30,6 @@ from hypothesis import strategies as st
 import blocksar
 from blocksar.errors import InputError, ProcessingError
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 # Damaged run records
 
 

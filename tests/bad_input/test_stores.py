@@ -47,8 +47,6 @@ from blocksar.api import focusing
 from blocksar.errors import InputError
 from blocksar.stores import arrays
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 OUTLIER = 100  # times its neighbours: a sample up to this ratio may be valid
 
 

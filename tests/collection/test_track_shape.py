@@ -111,6 +111,7 @@ def scan(rows: int = 8, columns: int = 40) -> Any:
     return np.stack([np.full(y.size, -7.9), y.ravel(), z.ravel()], axis=1)
 
 
+@pytest.mark.checked
 def test_back_projection_forms_what_chains_refuse(tmp_path: Path) -> None:
     """A raster: the refusal ends with the processor that does it and its time; what it then forms is the truth."""
     dataset = blocksar.collection(**near_range(track=scan()))

@@ -126,7 +126,7 @@ def chips(measured: Measured) -> dict[int, NDArray[np.complex128]]:
     return {int(columns[k]): image[:, k : k + CHIP] for k in range(0, columns.size, CHIP)}
 
 
-@pytest.mark.parametrize("processor", ["backprojection", "angular-division"])
+@pytest.mark.parametrize("processor", [pytest.param("backprojection", marks=pytest.mark.slow), "angular-division"])
 def test_the_swath_is_that_of_a_padded_compression_up_to_both_edges(
     measured: Measured, chips: dict[int, NDArray[np.complex128]], processor: Any, tmp_path: Path
 ) -> None:

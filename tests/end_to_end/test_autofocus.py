@@ -27,8 +27,6 @@ from blocksar.measurement.targets import Target
 from blocksar.places import place
 from blocksar.places.place import Place
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 
 class Corrected(NamedTuple):
     """A phase history with a wrong track, its correction, the report about it, and the control points' file."""
@@ -259,6 +257,7 @@ def test_focus_with_autofocus_is_the_two_in_one(
 HILL = "[terrain]\nhills = [{x = 0.0, y = 0.0, height = 30.0, width = 40.0}]\n"
 
 
+@pytest.mark.slow
 def test_points_stand_on_the_terrain(tmp_path: Path) -> None:
     source, out, terrain = (
         wrong_tracks.make(tmp_path, wrong_tracks.targets() + HILL),

@@ -16,8 +16,6 @@ from blocksar.constants import MIB
 from blocksar.focusing.backprojection import form_chips
 from blocksar.measurement.coherence import coherence
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 DX, DY = 2.0, 6.0  # m
 LIMIT = 1536 * MIB  # bytes, of a worker
 CHIPS = [(0.375, 0.235), (0.225, -0.0875), (-0.075, -0.01), (-0.225, -0.2415)]  # of width and length; 3 on seams of 8

@@ -25,8 +25,6 @@ from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_image
 from blocksar.measurement.coherence import coherence
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 CHANNELS = 'channels = ["HH", "HV"]\n'
 GRID = ((-45.0, 45.0, 0.75), (-45.0, 45.0, 0.75))
 SETTINGS: dict[str, Any] = {"grid": GRID, "blocks": 2, "autofocus": True, "workers": 0}
@@ -34,10 +32,10 @@ TRACK = "track corrected by up to"
 
 
 def scene() -> str:
-    """Sixty points in HV, a dozen of them in HH: too few for the track."""
+    """Thirty points in HV, six of them in HH: too few for the track."""
     text = ""
     for number, point in enumerate(wrong_tracks.targets().split("[[targets]]")[1:]):
-        seen = "HH = [0.7, 60.0], " if number < 12 else ""
+        seen = "HH = [0.7, 60.0], " if number < 6 else ""
         text += f"[[targets]]{point}scattering = {{{seen}HV = [1.0, 0.0]}}\n"
     return text
 
@@ -107,6 +105,7 @@ def test_a_channel_alone_has_the_track_of_all(store: Path, run: Path, tmp_path: 
     assert np.array_equal(image, blocksar.open(run).image.sel(channel="HH").values, equal_nan=True)
 
 
+@pytest.mark.slow  # test_datasets.py focuses channels in memory
 def test_channels_in_memory_have_one_track_too(store: Path, run: Path, tmp_path: Path) -> None:
     with xr.open_zarr(store) as whole:
         report = blocksar.focus(whole.load().assign_attrs(title="in memory"), tmp_path / "run", **SETTINGS)
@@ -116,9 +115,8 @@ def test_channels_in_memory_have_one_track_too(store: Path, run: Path, tmp_path:
     assert not (tmp_path / "run" / "autofocus").exists()
 
 
-@pytest.mark.parametrize(
-    "leaves", ["autofocus/receipts/correction-1*", pytest.param("channels/HV/receipts/*", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("leaves", ["autofocus/receipts/correction-1*", "channels/HV/receipts/*"])
+@pytest.mark.slow  # test_autofocus.py kills an estimate, test_channels.py interrupts a run of channels
 def test_a_killed_run_goes_on_to_the_same_bytes(leaves: str, store: Path, run: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     grid = ",".join(f"{low}:{high}:{step}" for low, high, step in GRID)

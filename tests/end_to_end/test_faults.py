@@ -51,8 +51,6 @@ import blocksar
 from blocksar.graph.cluster import open_client
 from blocksar.planning import planner
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 OWN = ("--workers", "1", "--memory-limit", "2GiB")  # the smallest local cluster
 HERE: dict[str, Any] = {"workers": 0, "threads": 1}
 PROMPT = "give the same command again"
@@ -758,7 +756,7 @@ LIKE_OTHERS = {
     "half a receipt of columns", "half a receipt of the mosaic", "empty receipt", "spectrum's array", "image's array",
     "image's axis", "collection's axis", "image gone", "patch gone", "half a receipt of a block", "receipts gone",
     "all patches gone", "bit of a patch chunk that two blocks share", "image chunk of one block gone",
-    "spectrum's metadata",
+    "spectrum's metadata", "patch's metadata", "spectrum gone", "bit of a chunk of owners", "image chunk gone",
 }  # fmt: skip
 
 

@@ -35,24 +35,9 @@ def clutter(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     return cache(lambda name: write_store(tmp_path_factory.mktemp("clutter"), **GEOMETRIES[name], more=CLUTTER))
 
 
-# test_processors.py covers "scan reversed" with every processor. The slow ones are like others: Table 1 as it is (with
-# another reference range it stays), mirrored and past 90 degrees, geometries that need a bias chirp, and other bands.
-SLOW = {
-    "table1",
-    "30-degree scan",
-    "yaw past 90",
-    "acceleration cancels the Doppler rate",
-    "other side, mirrored",
-    "track with jerk",
-    "10 GHz, 150 MHz",
-    "35 GHz, 100 MHz",
-}
-CLUTTERED = [
-    pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in GEOMETRIES if name != "scan reversed"
-]
-
-
-@pytest.mark.parametrize("name", CLUTTERED)
+# test_processors.py covers "scan reversed"; focusing/test_steps.py has lines of most geometries on small arrays.
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in GEOMETRIES if name != "scan reversed"])
 def test_clutter_is_coherent_with_back_projection(name: str, clutter: Callable[[str], Path], tmp_path: Path) -> None:
     store = clutter(name)
     blocksar.focus(store, tmp_path / "run", blocks=3, grid=coarse_grid(store), workers=0)
@@ -79,13 +64,9 @@ frequency = 4.2
 """
 
 
-@pytest.mark.parametrize(
-    "processor",
-    [
-        "angular-division",
-        *(pytest.param(p, marks=pytest.mark.slow) for p in ("keystone-resampling", "high-order-phase")),
-    ],
-)
+# planning/test_axis_beams.py has wobbling tracks on small arrays.
+@pytest.mark.slow
+@pytest.mark.parametrize("processor", ["angular-division", "keystone-resampling", "high-order-phase"])
 def test_a_track_that_wobbles_is_coherent_with_back_projection(processor: Any, tmp_path: Path) -> None:
     """2 to 5 cm in all axes, which no polynomial follows; one correction for each pulse leaves 0.83."""
     store = write_store(tmp_path, swath=[29500.0, 30500.0], more=WOBBLE + CLUTTER)
@@ -158,6 +139,7 @@ def test_a_range_window_as_narrow_as_the_interpolation_is_covered(tmp_path: Path
     assert abs(image[20, 20]) == pytest.approx(abs(exact[20, 20]), rel=0.01)
 
 
+@pytest.mark.slow  # test_partial_pulses.py focuses raw echoes, test_axis_beams.py has pulses dropped
 def test_raw_echo_with_dropped_pulses_is_focused(tmp_path: Path) -> None:
     more = (
         '[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.5\n'
@@ -179,6 +161,7 @@ def test_raw_echo_with_dropped_pulses_is_focused(tmp_path: Path) -> None:
     assert sorted(chip["coherence"] for chip in compared)[3] > 0.997
 
 
+@pytest.mark.slow  # test_terrain.py measures targets of back-projection
 def test_back_projection_processor_writes_the_same_store(tmp_path: Path) -> None:
     store = write_store(tmp_path, more='[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.5\n')
     made = Scene.read(tmp_path / "scene.toml")
@@ -221,6 +204,7 @@ def test_a_dataset_is_accepted_and_returned(tmp_path: Path) -> None:
     assert set(np.unique(image.block)) == {1}
 
 
+@pytest.mark.slow  # bad_input/test_stores.py focuses stores of other programs
 def test_a_phase_history_written_by_another_program_is_accepted(tmp_path: Path) -> None:
     """xarray writes the store with other chunks and compression; the image must be the same."""
     target = '[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.5\n'

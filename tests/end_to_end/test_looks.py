@@ -23,8 +23,6 @@ from blocksar.processors.chain import predicted_blocks
 from blocksar.products.sicd.aperture import find_support
 from blocksar.runs.record import RunRecord
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 SETTINGS: dict[str, Any] = {"workers": 0}
 CLUTTER = "[clutter]\nscatterers = 500\npower = 1e-3\nseed = 3\n"
 

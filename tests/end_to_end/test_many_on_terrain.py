@@ -15,8 +15,6 @@ from blocksar.arrays import ComplexArray
 from blocksar.places import place
 from blocksar.simulation.scene import Scene
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 STEP_M = 2.0  # of grids, m
 ALL_HERE = {"blocks": 1, "workers": 0}
 

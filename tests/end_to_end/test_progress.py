@@ -26,8 +26,6 @@ from blocksar.errors import InputError, ProcessingError
 from blocksar.graph import recording
 from blocksar.progress import Listener, Work, Workers
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 needs_bokeh = pytest.mark.skipif(importlib.util.find_spec("bokeh") is None, reason="bokeh is not installed")
 
 

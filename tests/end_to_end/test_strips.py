@@ -26,8 +26,6 @@ from blocksar.planning.plan import Plan
 from blocksar.planning.planner import plan_collection
 from blocksar.planning.segments import Divided, plan_segments
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 SPANS = ((0, 3400), (2600, 6000))
 GRID = Grid(DISTANCE - 30, DISTANCE + 30, 0.8, -45.0, 45.0, 0.45)
 

@@ -18,8 +18,6 @@ from blocksar.collection.weighting import Taper, Weighting
 from blocksar.errors import FolderError
 from blocksar.focusing.backprojection import form_image
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 TAYLOR = Taper.parse("taylor:4:-35")
 SCENES: dict[str, Any] = {
     "steered": (SMALL_SCAN, None),
@@ -54,7 +52,9 @@ def write(folder: Path, name: str, *, targets: bool) -> tuple[Path, Any]:
     return Path(blocksar.simulate(folder / "scene.toml", folder / "ph.zarr")), grid
 
 
-@pytest.mark.parametrize("name", ["steered", pytest.param("scan reversed", marks=pytest.mark.slow), "unsteered"])
+@pytest.mark.parametrize(
+    "name", ["steered", *(pytest.param(name, marks=pytest.mark.slow) for name in ("scan reversed", "unsteered"))]
+)
 def test_weighted_targets_have_the_ideal_response(name: str, tmp_path: Path) -> None:
     store, grid = write(tmp_path, name, targets=True)
     blocksar.focus(store, tmp_path / "run", blocks=2, grid=grid, weighting=TAYLOR.text, workers=0)

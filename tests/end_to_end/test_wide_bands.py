@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
 from beside_exact import beside_exact
-
-pytestmark = pytest.mark.usefixtures("unchecked")
 
 UHF = """
 [radar]

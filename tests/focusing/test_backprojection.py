@@ -379,6 +379,7 @@ def test_wrong_shapes_are_refused() -> None:
         form_points(lambda p: noise(c)[p, :5], geometry, x, y, threads=1)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(platform.machine() not in {"x86_64", "AMD64"}, reason="reads x86 assembly")
 def test_the_inner_loop_is_vectorised() -> None:
     """Compile afresh, since the cache does not keep the assembly: its square roots are packed, and it calls nothing."""

@@ -83,7 +83,7 @@ def test_what_is_not_lit_is_taken_out(weighting: str) -> None:
     """From the double loop over all pulses to that over the lit ones."""
     collection = with_patterns(spotlight(beam_width=0.0045))
     signal, tapers, wide = noise(collection), Weighting.parse(weighting), 0.1
-    x, y = 9000.0 + np.arange(-3.0, 4.0) * 45, np.array([-25.0, -22.3, -22.15, -21.5, 0.0, 22.1, 23.0])
+    x, y = 9000.0 + np.arange(-3.0, 4.0, 2.0) * 45, np.array([-25.0, -22.3, -22.15, -21.5, 0.0, 22.1, 23.0])
     mesh, half = np.meshgrid(x, y), (collection.beam_width or 0.0) / 2
     bare = dict.fromkeys(("beam_offset", "beam_pattern", "elevation", "elevation_pattern"))
     everything = Collection(**{**collection.as_dict(), **bare, "beam_width": wide})

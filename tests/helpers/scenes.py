@@ -118,5 +118,6 @@ def write_store(folder: Path, *, raw: bool = False, **changes: Any) -> Path:
 def one_target(folder: Path) -> Path:
     """The phase history of Table 1's platform with one target in a narrow swath: a run takes seconds."""
     more = '[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.0\n'
-    (folder / "scene.toml").write_text(scene(swath=[29700.0, 30300.0], more=more))
+    changes = {**SMALL_SCAN, "swath": [29700.0, 30300.0]}
+    (folder / "scene.toml").write_text(scene(**changes, more=more))
     return Path(blocksar.simulate(folder / "scene.toml", folder / "phase_history.zarr"))

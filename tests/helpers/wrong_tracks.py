@@ -40,7 +40,7 @@ frequency = 0.7
 """
 
 
-def targets(count: int = 60, seed: int = 1) -> str:
+def targets(count: int = 30, seed: int = 1) -> str:
     """Point targets at random places."""
     places = np.random.default_rng(seed).uniform(-60, 60, (count, 2))
     return "".join(f'[[targets]]\nname = "P{i}"\nx = {x:.3f}\ny = {y:.3f}\n' for i, (x, y) in enumerate(places))

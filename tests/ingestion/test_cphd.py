@@ -54,8 +54,6 @@ from blocksar.simulation import cphd as cphd_simulation
 from blocksar.simulation.scatterers import simulate_pulses
 from blocksar.simulation.scene import Scene
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 pytest.importorskip("sarkit", reason="the extra `formats` is not installed")
 
 # ---------------------------------------------------------------- Files from a scene

@@ -26,8 +26,6 @@ from blocksar.simulation import cphd as cphd_simulation
 from blocksar.simulation.cphd_beam import GAIN_ERROR
 from blocksar.simulation.scene import Scene
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 pytest.importorskip("sarkit", reason="the extra `formats` is not installed")
 
 Array = NDArray[Any]
@@ -187,7 +185,10 @@ def gain_error(made: Made, collection: Collection) -> float:
 @pytest.mark.parametrize(
     "patterns", [pytest.param("", id="rectangular", marks=pytest.mark.slow), pytest.param(PATTERNS, id="patterns")]
 )
-@pytest.mark.parametrize("name", BEAMS)
+# The others are stripmaps and scans as well.
+@pytest.mark.parametrize(
+    "name", [n if n in ("stripmap", "pitched", "tops") else pytest.param(n, marks=pytest.mark.slow) for n in BEAMS]
+)
 def test_a_beam_survives_the_way_through_a_file(name: str, patterns: str, tmp_path: Path) -> None:
     beam, yaw = BEAMS[name]
     made = make(tmp_path, beam + patterns, yaw)

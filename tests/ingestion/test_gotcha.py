@@ -44,8 +44,6 @@ from blocksar.planning import target_lines
 from blocksar.planning.planner import plan_collection
 from blocksar.simulation.scatterers import simulate_pulses
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 N_FREQUENCY = 48
 FREQUENCY = 9.6e9 + 1.5e6 * (np.arange(N_FREQUENCY) - N_FREQUENCY // 2)  # Hz
 RADIUS, HEIGHT, STEP = 7000.0, 7200.0, np.radians(0.0085)  # m, m, rad
@@ -756,7 +754,7 @@ def test_the_weighted_measured_image_agrees_with_back_projection(store: Path, tm
     assert found.gain == pytest.approx(1, abs=1e-3) and abs(found.phase) < 1e-3
 
 
-@pytest.mark.parametrize("processor", ["angular-division", "keystone-resampling"])
+@pytest.mark.parametrize("processor", ["angular-division", pytest.param("keystone-resampling", marks=pytest.mark.slow)])
 def test_the_measured_image_agrees_with_back_projection(
     store: Path, reference: np.ndarray, tmp_path: Path, processor: Any
 ) -> None:

@@ -37,7 +37,7 @@ def response(filtered: lowpass.LowPass, k: int, frequency: Any) -> Any:
     return np.exp(2j * np.pi * np.asarray(frequency)[:, None] * lag) @ filtered.weights[filtered.kind[k]]
 
 
-@pytest.mark.parametrize("band", [0.3, 0.09, 0.02])
+@pytest.mark.parametrize("band", [0.3, 0.09, pytest.param(0.02, marks=pytest.mark.slow)])
 def test_what_is_wanted_passes_and_nothing_folds_onto_it(band: float) -> None:
     steps = lowpass.steps_of(band, 1.0)
     assert steps == int(1 / (lowpass.SPARE * band))

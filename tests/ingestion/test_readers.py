@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from inspect import signature
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from extension import install
+from extension import install, run_commands
 from near_range import near_range
 
 import blocksar
@@ -42,34 +40,32 @@ def written(folder: Path, flight: Flight) -> Path:
     return path
 
 
-def run(environment: dict[str, str], *words: str) -> subprocess.CompletedProcess[str]:
-    words = (sys.executable, "-m", "blocksar", *words)
-    return subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
-
-
 def test_a_reader_of_another_package_has_a_command_and_knows_its_files(tmp_path: Path, flight: Flight) -> None:
     environment, path = install(tmp_path / "site"), written(tmp_path, flight)
-    listed = run(environment, "ingest", "--help").stdout
-    assert "│ madeup  Convert a MADEUP file" in listed and all(name in listed for name in READERS.own)
-    shown = " ".join(run(environment, "ingest", "madeup", "--help").stdout.split())
-    assert "--gain" in shown and "--ground-height" in shown and "--collection-start" in shown
-
-    told = run(environment, "info", str(path))
+    cut = tmp_path / "cut.bin"
+    cut.write_bytes(path.read_bytes()[:-9])
+    outs, options = [tmp_path / f"{name}.zarr" for name in "ab"], ("--gain", "2", "-q")
+    listed, shown, told, *ingested, refused, mistaken = run_commands(
+        environment,
+        ("ingest", "--help"),
+        ("ingest", "madeup", "--help"),
+        ("info", str(path)),
+        ("ingest", "madeup", str(path), "--out", str(outs[0]), *options),  # by its name
+        ("ingest", str(path), "--out", str(outs[1]), *options),  # by the file's first bytes
+        ("ingest", str(cut), "--out", str(tmp_path / "c.zarr")),
+        ("plan", str(path)),
+    )
+    assert "│ madeup  Convert a MADEUP file" in listed.stdout and all(name in listed.stdout for name in READERS.own)
+    assert all(option in shown.stdout for option in ("--gain", "--ground-height", "--collection-start"))
     assert told.returncode == 0 and "by a test" in " ".join(told.stdout.split()), told.stderr
-    for name, words in (("a", ("madeup",)), ("b", ())):  # by its name, and by the file's first bytes
-        out = tmp_path / f"{name}.zarr"
-        done = run(environment, "ingest", *words, str(path), "--out", str(out), "--gain", "2", "-q")
+    for done, out in zip(ingested, outs, strict=True):
         assert done.returncode == 0 and "300 pulses of 64 samples, by a test" in done.stdout, done.stderr
         history = stores.open_phase_history(out)
         assert np.array_equal(history.read(slice(None), slice(None)), 2 * np.asarray(flight["signal"], np.complex64))
         assert history.attrs["source"] == {"format": "MADEUP", "by": "a test"}
         assert np.array_equal(history.collection.antenna_position, flight["antenna_position"])
 
-    cut = tmp_path / "cut.bin"
-    cut.write_bytes(path.read_bytes()[:-9])
-    refused = run(environment, "ingest", str(cut), "--out", str(tmp_path / "c.zarr"))
     assert refused.returncode == 2 and "cut.bin is damaged" in refused.stderr and not (tmp_path / "c.zarr").exists()
-    mistaken = run(environment, "plan", str(path))
     assert "is a MADEUP file; turn it into a phase history first: `blocksar ingest" in mistaken.stderr
 
 

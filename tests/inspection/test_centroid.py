@@ -82,7 +82,19 @@ def case_of(name: str) -> Case:
     return Case(name=name, plan=plan, thin=thin, clutter=signal)
 
 
-@pytest.fixture(scope="module", params=scenes.GEOMETRIES)
+FEW = {
+    "table1",
+    "other side, mirrored",
+    "yaw past 90",
+    "30-degree scan",
+    "motion-compensated, odd pulses, t = 0 off centre",
+}
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(name, marks=() if name in FEW else pytest.mark.slow) for name in scenes.GEOMETRIES],
+)
 def case(request: pytest.FixtureRequest) -> Case:
     return case_of(request.param)
 
@@ -253,7 +265,7 @@ def drawn_expectation(sweep: float, dwell: float) -> Expectation:
     )
 
 
-@pytest.mark.parametrize("sweep", [0.3, 0.6, 0.9])
+@pytest.mark.parametrize("sweep", [0.3, pytest.param(0.6, marks=pytest.mark.slow), 0.9])
 @pytest.mark.parametrize("dwell", [0.1, 0.4])
 def test_a_scene_alone_causes_no_disagreement(sweep: float, dwell: float) -> None:
     rng, wanted = np.random.default_rng(11), drawn_expectation(sweep, dwell)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 from axis_beams import axis_scene
 from exact_scenes import exact_scene
 from scenes import PAPERS, scene, write_store
@@ -72,7 +73,8 @@ def run(signal: ComplexArray, collection: Collection, grid: Grid | None, *, thor
     return check(signal, collection, grid=grid, threads=2, thorough=thorough)
 
 
-@pytest.mark.parametrize("kind", ["steered", "spotlight"])
+# A command below tries everything on the steered one.
+@pytest.mark.parametrize("kind", [pytest.param("steered", marks=pytest.mark.slow), "spotlight"])
 @pytest.mark.parametrize("thorough", [pytest.param(False, marks=pytest.mark.slow), True])  # more trials
 def test_right_samples_pass(kind: str, thorough: bool, request: pytest.FixtureRequest) -> None:
     findings = run(*request.getfixturevalue(kind), thorough=thorough)
@@ -94,16 +96,15 @@ SAMPLES: dict[str, Callable[[ComplexArray], ComplexArray]] = {
 
 
 CONJUGATED = "the signal is conjugated"
-OTHER_SIGN = "the phase of the carrier has the other sign"
 SLOW = pytest.mark.slow
 
 
+@pytest.mark.slow  # a run below names a conjugated signal, test_pointing.py others
 @pytest.mark.parametrize(
     ("kind", "name"),
     [
-        *(("steered", CONJUGATED), ("steered", OTHER_SIGN)),
-        *(pytest.param("steered", name, marks=SLOW) for name in SAMPLES if name not in (CONJUGATED, OTHER_SIGN)),
-        *(pytest.param("spotlight", name, marks=SLOW) for name in SAMPLES if name != CONJUGATED),
+        *(("steered", name) for name in SAMPLES),
+        *(("spotlight", name) for name in SAMPLES if name != CONJUGATED),
     ],
 )
 def test_wrong_samples_are_found_and_named(name: str, kind: str, request: pytest.FixtureRequest) -> None:
@@ -128,7 +129,9 @@ METADATA: dict[str, Callable[[Collection], dict[str, Any]]] = {
 }
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=() if n.startswith("the beam") else SLOW) for n in METADATA])
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=() if n.startswith("the beam turns") else SLOW) for n in METADATA]
+)
 def test_wrong_tracks_and_beams_are_found_and_named(name: str, steered: Part) -> None:
     signal, collection, _ = steered
     warning = run(signal, replace(collection, **METADATA[name](collection)), None).warning()
@@ -182,6 +185,7 @@ def test_missing_samples_and_spikes_do_not_matter(steered: Part) -> None:
     assert findings.warning() is None
 
 
+@pytest.mark.slow
 def test_constant_samples_are_a_target_that_the_reference_range_follows(steered: Part) -> None:
     signal, collection, _ = steered
     findings = run(np.full_like(signal, 1 + 2j), collection, None)
@@ -194,6 +198,17 @@ def test_the_command_compares_everything(steered_store: Path) -> None:
     assert result.exit_code == 0
     for words in ("as given", "the signal is conjugated", "the samples fit what is said of them"):
         assert words in result.output
+
+
+@pytest.mark.checked
+def test_a_run_says_what_the_check_finds(steered_store: Path, tmp_path: Path) -> None:
+    few = ((16000.0, 16040.0, 8.0), (19100.0, 19140.0, 8.0))
+    settings: dict[str, Any] = {"grid": few, "processor": "backprojection", "workers": 0}
+    with xr.open_zarr(steered_store) as source:
+        wrong = source.load().assign(signal=np.conj(source.signal))
+    report = blocksar.focus(wrong, tmp_path / "run", **settings)
+    assert any("the signal is conjugated" in warning for warning in report.result["warnings"])
+    assert any("the signal is conjugated" in line for line in report.summary)
 
 
 def test_a_spotlight_collection_needs_a_grid(spotlight_store: Path) -> None:

@@ -48,9 +48,9 @@ def clutter(collection: Collection, grid: Grid) -> ComplexArray:
     return simulate_pulses(collection, x, y, sigma, threads=2)
 
 
-# The sliding spotlight is focused with weights below.
+# Others are focused with weights below, or are scans as well.
 @pytest.mark.parametrize(
-    "mode", [pytest.param(m, marks=pytest.mark.slow) if m == "sliding spotlight" else m for m in MODES]
+    "mode", [m if m in ("stripmap", "squinted", "tops") else pytest.param(m, marks=pytest.mark.slow) for m in MODES]
 )
 def test_a_chain_focuses_as_back_projection_does(mode: str) -> None:
     collection = axis_collection(mode, n_pulse=900)
@@ -222,7 +222,7 @@ def test_a_beam_that_turns_unevenly_is_followed(kind: str) -> None:
     assert 1 < 2 * (1 - plan.coherence) / 10 ** (error / 10) < 6  # what is left is predicted, of the worst place
 
 
-@pytest.mark.parametrize("patterns", [False, True])
+@pytest.mark.parametrize("patterns", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_side_lobes_of_blocks_without_a_full_dwell_are_judged_by_their_own(patterns: bool) -> None:
     """The weights of dwells that the ends of the collection cut do not fall off at both ends."""
     collection = axis_collection("stripmap", n_pulse=900)
@@ -294,7 +294,10 @@ def test_unit_targets_under_the_lobes_of_a_pattern_in_elevation_are_one() -> Non
     assert np.abs(image[rows, columns] * gain / 0.2 - 1).max() < 0.015
 
 
-@pytest.mark.parametrize(("patterns", "text"), [(False, "uniform"), (True, "taylor:4:-35")])
+# test_the_rim_of_a_beam_that_stays in end_to_end/test_weighting.py has both.
+@pytest.mark.parametrize(
+    ("patterns", "text"), [(False, "uniform"), pytest.param(True, "taylor:4:-35", marks=pytest.mark.slow)]
+)
 def test_all_pulses_are_summed_where_the_beam_stays_on_a_spot(patterns: bool, text: str) -> None:
     """Also near the edges of the beam, which not all pulses light; and those that none does are not covered."""
     collection = spotlight(n_pulse=900, beam_width=0.013)
@@ -372,9 +375,9 @@ def wobbling(mode: str, kind: str, size: float) -> Collection:
 @pytest.mark.parametrize(("mode", "kind", "size"), [
     ("stripmap", "9.6", 1e-4),  # 0.9979 where 0.9998 was predicted, when gates followed the beam itself
     pytest.param("stripmap", "2.4", 2e-3, marks=pytest.mark.slow),  # 0.57
-    ("tops", "2.4", 5e-4),
+    pytest.param("tops", "2.4", 5e-4, marks=pytest.mark.slow),
     pytest.param("stripmap", "noise", 3e-4, marks=pytest.mark.slow),
-    ("sliding spotlight", "axis", 1e-4),
+    pytest.param("sliding spotlight", "axis", 1e-4, marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_a_beam_that_wobbles_is_focused_as_predicted(mode: str, kind: str, size: float) -> None:
     """What its dwells have and those of a steadier beam lack is back-projected, and the other way round."""

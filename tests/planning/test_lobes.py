@@ -109,7 +109,7 @@ def test_targets_that_a_beam_never_reaches_have_no_weights_that_move() -> None:
     """A beam that turns back before it reaches them lights them for 0 s, and numpy warned of a division by that."""
     steering = 0.006 * np.cos(np.linspace(0, 2 * np.pi, 400))
     plan = plan_collection(
-        axis_collection(beam_steering=steering), grid=Grid(8900.0, 9300.0, 4.0, -100.0, 100.0, 2.0), blocks=3,
+        axis_collection(beam_steering=steering), grid=Grid(8900.0, 9300.0, 4.0, -100.0, 100.0, 2.0), blocks=1,
         weighting=Weighting.parse(TAYLOR),
     )  # fmt: skip
     assert all(np.isfinite(block.prediction).all() for block in plan.blocks)

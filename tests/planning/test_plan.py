@@ -146,6 +146,7 @@ def wide_collection() -> Collection:
     return Scene.parse(text).collection().centred()
 
 
+@pytest.mark.slow
 def test_no_block_is_planned_twice(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search ends at a division of which it planned a probe before others: those blocks are taken."""
     planned_blocks: list[tuple[float, float, float, float, Method]] = []

@@ -31,6 +31,7 @@ def test_what_no_chain_forms_ends_with_who_does_it_and_its_time(close: Any) -> N
     assert not few.tables and not few.details and not few.summary
 
 
+@pytest.mark.slow  # test_fidelity.py has another collection of which no division keeps the fidelity
 def test_the_best_division_of_what_keeps_no_fidelity_is_found_soon(close: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Up to 64 x 8 parts were tried, 256 plans of blocks, to advise still more."""
     planned = []

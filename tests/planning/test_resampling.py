@@ -5,15 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 import zarr
 
 import blocksar
 from blocksar.focusing.azimuth_steps import DopplerResampling
 from blocksar.kernels.phase import unit
 from blocksar.planning.plan import Plan
-
-pytestmark = pytest.mark.usefixtures("unchecked")
 
 # Targets of a block reach over a tenth of its Doppler bins: a beam of 1.7 degrees that turns fast, 40 pulses a dwell.
 NARROW = """

@@ -7,6 +7,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
+from once import once
 from report_page import borrowed, write_scene
 from small_run import Made, make
 
@@ -57,7 +58,11 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
     By a worker of their own: its peak memory and times are judged, and other tests must not add to them.
     """
-    folder = tmp_path_factory.mktemp("report")
+    folder = once(tmp_path_factory, "report", focus_and_report)
+    return {"run": folder / "run", "exact": folder / "exact"}
+
+
+def focus_and_report(folder: Path) -> None:
     store = write_scene(folder)
     with pytest.MonkeyPatch.context() as patch, open_client(workers=1, threads=1, memory_limit=3 * 2**30) as client:
         patch.setattr(planner, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 2}))
@@ -66,13 +71,13 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         coarse = ((16000.0, 16400.0, 4.0), (19100.0, 19500.0, 4.0))
         blocksar.focus(store, folder / "exact", processor="backprojection", grid=coarse, client=client)
     blocksar.quality(folder / "run")
-    return {"run": folder / "run", "exact": folder / "exact"}
+    blocksar.report(folder / "run")
 
 
 @pytest.fixture(scope="session")
 def whole(runs: dict[str, Path]) -> Path:
     """The report page of the first run, with default options."""
-    return Path(str(blocksar.report(runs["run"]).result))
+    return runs["run"] / "report.html"
 
 
 @pytest.fixture

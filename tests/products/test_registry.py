@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from extension import PARTS, install
+from extension import PARTS, install, run_commands
 from matplotlib.image import imread
 from small_run import DAYTON, TARGETS, Made
 
@@ -52,11 +52,6 @@ print(json.dumps(said))
 """
 
 
-def blocksar(environment: dict[str, str], *words: str) -> subprocess.CompletedProcess[str]:
-    words = (sys.executable, "-m", "blocksar", *words)
-    return subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
-
-
 def calls(environment: dict[str, str], *each: tuple[tuple[str, ...], dict[str, object]]) -> list[Any]:
     words = (sys.executable, "-c", CALLS, json.dumps(each))
     run = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
@@ -65,16 +60,15 @@ def calls(environment: dict[str, str], *each: tuple[tuple[str, ...], dict[str, o
 
 def test_a_product_of_another_package_has_a_command_of_its_own(made: Made, tmp_path: Path) -> None:
     environment = install(tmp_path / "site")
-    listed = blocksar(environment, "export", "--help").stdout
-    assert all(name in listed for name in PRODUCTS.own)
-    assert "│ kml      Lay the image over the Earth, as a KML file." in listed
-    shown = " ".join(blocksar(environment, "export", "kml", "--help").stdout.split())
+    out = tmp_path / "image.kml"
+    words = ("export", "kml", str(made.folder), "--out", str(out), "-q", "--opacity", "0.5")
+    listed, helped, done = run_commands(environment, ("export", "--help"), ("export", "kml", "--help"), words)
+    assert all(name in listed.stdout for name in PRODUCTS.own)
+    assert "│ kml      Lay the image over the Earth, as a KML file." in listed.stdout
+    shown = " ".join(helped.stdout.split())
     assert "A picture is written beside it." in shown and "--out image.kml" in shown
     assert "--opacity SHARE Of the picture, from 0 to 1. [default: 1.0]" in shown
 
-    out = tmp_path / "image.kml"
-    words = ("export", "kml", str(made.folder), "--out", str(out), "-q", "--opacity")
-    done = blocksar(environment, *words, "0.5")
     assert done.returncode == 0 and f"wrote {out}" in " ".join(done.stdout.split()), done.stderr
     overlay = ET.parse(out).getroot()[0]
     assert overlay[0].text == "80ffffff" and overlay[1][0].text == "image.kml.png"
@@ -111,13 +105,13 @@ def test_a_broken_package_breaks_nothing_else(made: Made, tmp_path: Path) -> Non
     group = "blocksar.products"
     environment = install(tmp_path / "site", {group: PARTS[group] | BROKEN | {"clash": "clash:Clash"}})
     (tmp_path / "site" / "clash.py").write_text(CLASH)
-    listed = blocksar(environment, "export", "--help")
+    lost = ("export", "lost", "run", "--out", "a.lost")
+    listed, tried = run_commands(environment, ("export", "--help"), lost)
     assert (listed.returncode, listed.stderr) == (0, "")
     assert "│ kml       Lay the image over" in listed.stdout
     for name in BROKEN:
         assert f"Product {name} of package blocksar_extension cannot be loaded" in " ".join(listed.stdout.split())
     assert "Clash has no command (ValueError: duplicate parameter name: 'out')" in listed.stdout
-    tried = blocksar(environment, "export", "lost", "run", "--out", "a.lost")
     assert (tried.returncode, tried.stdout) == (2, "")
     assert tried.stderr == (
         "blocksar: product lost of package blocksar_extension cannot be loaded (ModuleNotFoundError: No module named "

@@ -24,8 +24,6 @@ from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.graph import stages
 from blocksar.planning import planner
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 GRID = ((15900.0, 16300.0, 4.0), (19000.0, 19400.0, 4.0))
 
 

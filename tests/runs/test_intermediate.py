@@ -15,8 +15,6 @@ from blocksar.graph import stages
 from blocksar.places import place
 from blocksar.runs import folder as run_folder
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 
 def test_an_image_outlives_the_spectrum_and_the_patches(tmp_path: Path) -> None:
     run = small_run.make(tmp_path / "run")

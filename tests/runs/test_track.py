@@ -15,8 +15,6 @@ import blocksar
 from blocksar.errors import InputError
 from blocksar.runs.track import DEPTH, TrackCorrection, levels
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 
 def correction() -> TrackCorrection:
     time = np.linspace(-1, 1, 33)

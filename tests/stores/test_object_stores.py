@@ -42,8 +42,6 @@ from blocksar.places.place import Place
 from blocksar.runs.finished import finished_record
 from blocksar.stores import regions
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 ALL = (slice(None), slice(None))
 
 

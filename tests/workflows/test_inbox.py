@@ -35,8 +35,6 @@ from blocksar.places import place
 from blocksar.places.local import LocalPlace
 from blocksar.runs import folder
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 SCRIPT = WORKFLOWS / "process_inbox.py"
 SCENE: dict[str, Any] = {  # 150 pulses of 91 range frequencies
     "swath": [29900.0, 30100.0],
