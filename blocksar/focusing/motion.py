@@ -72,6 +72,7 @@ class RangeMotionCompensation(Step):
     """Remove what psi of each range has besides that of the middle range."""
 
     name = "range-motion-compensation"
+    ends_range_part = True
     motion: Motion
 
     @classmethod
@@ -115,6 +116,7 @@ class RangeMotionInFrequency(Step):
     """
 
     name = "range-motion-compensation"
+    lengthens_rows = True
     layout = "columns"
     motion: Motion
     carrier: float

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -111,6 +111,7 @@ class Keystone(_FrequencyStep):
     """
 
     name = "keystone"
+    scales_time = True
     carrier: float
     middle: float = 0.0
 
@@ -145,14 +146,12 @@ class Compression(Step):
     ----------
     carrier : float
         Hz.
-    in_doppler : bool
-        Whether ranges are compressed at each Doppler; otherwise at each slow time.
     taper : AxisTaper or None
         Weighting over range frequency.
     """
 
     layout = "columns"
-    in_doppler: ClassVar[bool] = False
+    ends_range_part = compresses = True
     carrier: float
     taper: AxisTaper | None = None
 

@@ -94,6 +94,16 @@ class Step:
         The direction of the step's rows in the block: along slow time and Doppler, or along range.
     fitted : {"time", "doppler", "resampling", "deramp"} or None
         The fitted polynomial that the step applies.
+    ends_range_part : bool
+        Whether the steps that planning binds to a block's own lines end with the last such step.
+    compresses : bool
+        Whether it is the range compression, of which a chain has one.
+    in_doppler : bool
+        Of the range compression: whether it compresses ranges at each Doppler, otherwise at each slow time.
+    scales_time : bool
+        Whether it scales time with range frequency.
+    lengthens_rows : bool
+        Whether rows along range are longer while it runs.
     sampling : Sampling or None
         None before `sampled`: the step can trace lines only.
     """
@@ -101,6 +111,11 @@ class Step:
     name: ClassVar[str]
     layout: ClassVar[Layout] = "rows"
     fitted: ClassVar[Literal["time", "doppler", "resampling", "deramp"] | None] = None
+    ends_range_part: ClassVar[bool] = False
+    compresses: ClassVar[bool] = False
+    in_doppler: ClassVar[bool] = False
+    scales_time: ClassVar[bool] = False
+    lengthens_rows: ClassVar[bool] = False
     sampling: Sampling | None = None
 
     @classmethod
@@ -140,6 +155,11 @@ class Step:
     def scales_time_about(self) -> float | None:
         """The time, s from the epoch, about which the step scales time with range frequency; None if it does not."""
         return None
+
+    @property
+    def even(self) -> bool:
+        """Whether what the step resamples to can be interpolated on all of the sampling's axis."""
+        return True
 
     def turns(self, line: Line) -> FloatArray | float:
         """By how much the step turns phases from row to row along arriving lines, cycles/m."""

@@ -5,8 +5,7 @@
     sampled      all steps with the sampling that the traced lines need: they can be applied
 
 Lines do not depend on how time, Doppler and range are sampled, so they pass through the parts before the sampling is
-planned. Steps bind their own constants (`Step.bind`). The only kind of step that this module knows is range
-compression, which divides the chain.
+planned. Steps bind their own constants (`Step.bind`), and declare what divides the chain.
 """
 
 from __future__ import annotations
@@ -21,8 +20,6 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.weighting import AxisTaper
 from blocksar.focusing.chains import Steps
 from blocksar.focusing.lines import AzimuthPolynomials, Line
-from blocksar.focusing.motion import RangeMotionCompensation
-from blocksar.focusing.range_steps import Compression
 from blocksar.focusing.sampling import Sampling
 from blocksar.focusing.step import Constants, Step, trace
 from blocksar.kernels.fourier import Axis
@@ -59,7 +56,7 @@ class RangePart:
     @classmethod
     def bind(cls, kinds: Steps, constants: Constants, line: Line) -> RangePart:
         """Bind the kinds up to range compression; `line` holds the block's lines in the recovered signal."""
-        last = max(i for i, kind in enumerate(kinds) if issubclass(kind, Compression | RangeMotionCompensation))
+        last = max(i for i, kind in enumerate(kinds) if kind.ends_range_part)
         steps: tuple[Step, ...] = ()
         for kind in kinds[: last + 1]:
             steps += (kind.bind(constants, partial(trace, steps, line)),)
@@ -70,9 +67,9 @@ class RangePart:
         return trace(self.steps, line)
 
     @property
-    def compression(self) -> Compression:
+    def compression(self) -> Step:
         """The range compression."""
-        return next(step for step in self.steps if isinstance(step, Compression))
+        return next(step for step in self.steps if step.compresses)
 
     @property
     def scales_time_about(self) -> float | None:

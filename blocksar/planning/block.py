@@ -10,12 +10,10 @@ import numpy as np
 from blocksar.chunks import DOPPLER_GROUP
 from blocksar.collection.weighting import FLAT, AxisTaper
 from blocksar.errors import OutsideSwath
-from blocksar.focusing.azimuth_steps import DopplerResampling
 from blocksar.focusing.chains import steps_of
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.lines import Line
 from blocksar.focusing.method import Method
-from blocksar.focusing.motion import RangeMotionInFrequency
 from blocksar.focusing.range_gate import RangeGate
 from blocksar.focusing.sampling import Sampling
 from blocksar.focusing.step import Constants, Stage, Step, stages
@@ -53,8 +51,10 @@ class BlockPlan:
         Yaw interval, rad.
     first_bin, n_bin : int
         Doppler slab of the recovered spectrum.
-    chain : tuple of Step
-        From slab to focused block, in order.
+    range_gate : RangeGate or None
+        Of a sub-block, which one task applies for all sub-blocks; None for a whole block.
+    steps : tuple of Step
+        Those that the block's own tasks apply.
     sampling : Sampling
         The axes of the block's samples along the chain.
     ground : GroundMap
@@ -71,7 +71,8 @@ class BlockPlan:
     high: float
     first_bin: int
     n_bin: int
-    chain: tuple[Step, ...]
+    range_gate: RangeGate | None
+    steps: tuple[Step, ...]
     sampling: Sampling
     ground: GroundMap
     prediction: Prediction
@@ -82,14 +83,9 @@ class BlockPlan:
         return f"<BlockPlan {self.name}: yaw {self.low:.6g} .. {self.high:.6g} rad, {self.n_bin} Doppler bins>"
 
     @property
-    def range_gate(self) -> RangeGate | None:
-        """The range gate of a sub-block, which one task applies for all sub-blocks; None for a whole block."""
-        return self.chain[0] if isinstance(self.chain[0], RangeGate) else None
-
-    @property
-    def steps(self) -> tuple[Step, ...]:
-        """The steps that the block's own tasks apply: the chain without its range gate."""
-        return self.chain if self.range_gate is None else self.chain[1:]
+    def chain(self) -> tuple[Step, ...]:
+        """All steps, the range gate first."""
+        return self.steps if self.range_gate is None else (self.range_gate, *self.steps)
 
     @property
     def stages(self) -> list[Stage]:
@@ -111,7 +107,7 @@ class BlockPlan:
     @property
     def even(self) -> bool:
         """Whether a Doppler resampling, if there is one, can be applied to all of the block's Doppler bins."""
-        return all(step.even for step in self.chain if isinstance(step, DopplerResampling))
+        return all(step.even for step in self.chain)
 
     @property
     def name(self) -> str:
@@ -185,7 +181,7 @@ def _plan_block(
     steps, ground = azimuth.sampled(sampling), plan_ground(sector, azimuth, sampling, mapped)
     return BlockPlan(
         index=index, part=part, low=sector.low, high=sector.high, first_bin=slab.first_bin, n_bin=slab.doppler.size,
-        chain=steps if range_gate is None else (range_gate, *steps), sampling=sampling,
+        range_gate=range_gate, steps=steps, sampling=sampling,
         ground=ground,
         prediction=_predict(sector, azimuth, sampling, lines, ground),
         memory=_plan_memory(sector, range_gate, range_part, sampling), choice=choice,
@@ -306,7 +302,7 @@ def _imaged(sector: Sector, lines: FineLines) -> tuple[ImageEdges, ImageEdges]:
 def _plan_memory(sector: Sector, range_gate: RangeGate | None, range_part: RangePart, sampling: Sampling) -> int:
     """Peak memory of a worker that focuses the block, bytes."""
     margin = 0 if range_gate is None else 2 * DOPPLER_GROUP  # its slab in whole chunks
-    lengthened = any(isinstance(step, RangeMotionInFrequency) for step in range_part.steps)
+    lengthened = any(step.lengthens_rows for step in range_part.steps)
     chain_memory = block_memory(
         n_short=sampling.time.size if lengthened else 0,
         frequency=sampling.range_frequency,

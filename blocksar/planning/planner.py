@@ -28,7 +28,6 @@ from blocksar.constants import MIB, SPEED_OF_LIGHT
 from blocksar.errors import InputError, OutsideSwath, Unfocusable
 from blocksar.focusing.chains import steps_of
 from blocksar.focusing.method import DEFAULT, Method
-from blocksar.focusing.range_steps import Keystone
 from blocksar.focusing.recovery import Recovery
 from blocksar.planning.block import BlockPlan, plan_block
 from blocksar.planning.coefficients import Choice
@@ -92,7 +91,7 @@ def plan_collection(
         recovery = plan_recovery(summed, region, method, stays=stays, beam_width=collection.beam_width)
         edges = partial(
             plan_edges, summed, region, fidelity=fidelity, weighting=weighting,
-            band=recovery.band[1] - recovery.band[0], keystone=Keystone in steps_of(method),
+            band=recovery.band[1] - recovery.band[0], keystone=any(kind.scales_time for kind in steps_of(method)),
         )  # fmt: skip
         return cache(lambda times: DivisionPlanner(
             geometry=geometry, gated=gated, stays=stays, region=region, recovery=recovery, grid=grid, extent=extent,
