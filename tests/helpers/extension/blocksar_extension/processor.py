@@ -53,7 +53,7 @@ class Waves(NamedTuple):
         distance = np.linalg.norm(sight, axis=1)
         u = sight[:, :2] / distance[:, None]
         c, s = u[len(u) // 2] / np.linalg.norm(u[len(u) // 2])
-        u = u @ np.array([[c, -s], [s, c]])
+        u = np.stack([c * u[:, 0] + s * u[:, 1], c * u[:, 1] - s * u[:, 0]], axis=1)
         k = 2 * (collection.carrier + collection.range_frequency) / SPEED_OF_LIGHT
         least, ends = u[:, 0].min(), np.multiply.outer(k[[0, -1]], u)
         steps = (k[1] - k[0]) * least, k[0] * least * np.ptp(u[:, 1] / u[:, 0]) / (len(u) - 1)  # as samples lie
@@ -72,8 +72,9 @@ class Waves(NamedTuple):
         )
         ranges = np.sqrt((px - x) ** 2 + (py - y[:, None]) ** 2 + pz**2)
         within = (np.abs(ranges - reference) <= collection.range_window / 2).all(axis=0)
-        place = np.tensordot(np.linalg.pinv(self.u[nodes]), distance - ranges, 1)
-        return place, ranges - distance + np.tensordot(self.u[nodes], place, 1), within
+        # Not by BLAS, whose sums depend on its number of threads: an image must not.
+        place = np.einsum("an,nyx->ayx", np.linalg.pinv(self.u[nodes]), distance - ranges)
+        return place, ranges - distance + np.einsum("na,ayx->nyx", self.u[nodes], place), within
 
 
 def form_chunk(read: Any, geometry: Any, x: Any, y: Any, *, threads: int, order: int) -> Any:
