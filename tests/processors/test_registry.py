@@ -176,6 +176,8 @@ def test_a_killed_run_goes_on_to_the_same_bytes(environment: dict[str, str], spo
         for each in (whole, cut)
     )
     assert len(first) > 4 and first == second
+    record = json.loads((cut / "run.json").read_text())
+    assert 0 < record["peak_memory"] <= record["plan"]["memory"], (record["peak_memory"], record["plan"]["memory"])
 
 
 def test_a_broken_package_breaks_nothing_else(spotlight: Path, tmp_path: Path) -> None:
