@@ -120,7 +120,7 @@ def test_it_plans_and_forms_an_image(environment: dict[str, str], spotlight: Pat
     assert "processor polar-format" in shown and "order 4" in shown
     page = tmp_path / "page.html"
     assert run(environment, "report", out, "--out", page, "-q").returncode == 0
-    assert "polar-format" in page.read_text()
+    assert "--processor polar-format --order 4" in page.read_text()  # the command that repeats the run
 
     image = blocksar.open(out)["image"]
     for (x, y), value in TARGETS.items():  # others' side lobes reach 0.003, the interpolation's errors 0.002
