@@ -10,13 +10,13 @@ import re
 import shlex
 import tomllib
 from collections.abc import Callable, Iterator
-from dataclasses import fields
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 import typer
+from extension import NAME, PARTS
 from packaging.requirements import Requirement
 from typer.testing import CliRunner
 
@@ -26,11 +26,13 @@ from blocksar.cli import commands
 from blocksar.errors import InputError
 from blocksar.ingestion.kinds import Start
 from blocksar.ingestion.readers import Reader
+from blocksar.processors.base import Processor
 
 ROOT = Path(__file__).resolve().parents[1]
 BUILT = {"build", "dist", "node_modules"}  # folders to skip at any depth, as hidden ones
 WORKFLOWS = sorted(path.stem for path in (ROOT / "workflows").glob("*.py"))
 SCRIPT_FOLDERS = [ROOT / "workflows", ROOT / "deploy" / "slurm", ROOT / "deploy" / "site"]
+EXTENSION = "tests/helpers/extension/README.md"
 # Notation of running text that is not part of a command.
 NOTATION = re.compile(r"[|…]|\.\.\.|COMMAND")
 # Values that are validated after the command line is parsed.
@@ -185,11 +187,16 @@ def check_reference(names: dict[str, Any]) -> None:
     assert 0.5 < float(abs(names["image"]).max()) < 1.1  # the target has reflectivity 1 and lies between pixels
 
 
-def check_reader(names: dict[str, Any]) -> None:
-    reader = names["MADEUP"]
-    assert {*Reader.__annotations__, "read", "describe"} <= set(dir(reader))
-    assert [field.name for field in fields(reader.options)] == ["ground_height", "gain"]
-    assert reader.kind.mark(Start("flight.madeup", b"MADEUP 1\n", whole=True))
+def check_extension(names: dict[str, Any]) -> None:
+    """The page has the modules of the package in full, in their order, and its entry points."""
+    page = PAGES[EXTENSION]
+    parts = tomllib.loads(fenced(page, "toml")[0][1])["project"]["entry-points"]
+    assert parts == PARTS
+    for text, module in zip(fenced(page, "python"), ("reader", "product", "processor"), strict=True):
+        assert text[1] == (ROOT / EXTENSION).parent.joinpath(NAME, f"{module}.py").read_text(encoding="utf-8")
+    assert {*Reader.__annotations__, "read", "describe"} <= set(dir(names["MADEUP"]))
+    assert names["MADEUP"].kind.mark(Start("flight.madeup", b"MADEUP 1\n", whole=True))
+    assert {*Processor.__annotations__, "check", "plan"} <= set(dir(names["POLAR_FORMAT"]))
 
 
 def check_arrays(names: dict[str, Any]) -> None:
@@ -199,10 +206,10 @@ def check_arrays(names: dict[str, Any]) -> None:
 
 CHECKS: dict[str, Callable[[dict[str, Any]], None]] = {
     "README.md": check_arrays,
-    "blocksar/ingestion/README.md": check_reader,
     "blocksar/products/README.md": check_xarray,
     "blocksar/stores/README.md": check_own_data,
     "deploy/site/pages/reference.md": check_reference,
+    EXTENSION: check_extension,
 }
 
 

@@ -37,8 +37,10 @@ def repeat_command(settings: Mapping[str, Any], paths: Sequence[str], folder: st
         "weighting_range": "uniform",
         "weighting_azimuth": "uniform",
     }
+    names = list(settings)
+    own = names[1 : names.index("blocks")] if {"processor", "blocks"} <= {*names} else []  # options of its processor
     for name, value in settings.items():
-        if value == defaults.get(name, value):
+        if value == defaults.get(name, None if name in own else value):
             continue
         if name == "grid":
             x0, x1, dx, y0, y1, dy = value

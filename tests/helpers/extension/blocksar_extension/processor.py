@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -38,42 +38,31 @@ class PolarOptions:
     order: Annotated[int, Option("Order of the splines that resample, 3 to 5.", metavar="N", read=read_order)] = 5
 
 
-class Waves(NamedTuple):
+def waves(collection: Collection, x: Any, y: Any) -> tuple[Any, ...]:
     """R0 (n_pulse,), m; u (n_pulse, 2), its first axis that of the middle pulse; 2 f / c and Cartesian axes, 1/m."""
+    sight = collection.antenna_position - (x.mean(), y.mean(), collection.ground_height)
+    distance = np.linalg.norm(sight, axis=1)
+    u = sight[:, :2] / distance[:, None]
+    c, s = u[len(u) // 2] / np.linalg.norm(u[len(u) // 2])
+    u = np.stack([c * u[:, 0] + s * u[:, 1], c * u[:, 1] - s * u[:, 0]], axis=1)
+    k = 2 * (collection.carrier + collection.range_frequency) / SPEED_OF_LIGHT
+    least, ends = u[:, 0].min(), np.multiply.outer(k[[0, -1]], u)
+    steps = (k[1] - k[0]) * least, k[0] * least * np.ptp(u[:, 1] / u[:, 0]) / (len(u) - 1)  # as samples lie
+    spans = zip(ends.min(axis=(0, 1)), ends.max(axis=(0, 1)), steps, strict=True)
+    return distance, u, k, *(a + step * np.arange(np.ceil((b - a) / step) + 1) for a, b, step in spans)
 
-    distance: Any
-    u: Any
-    k: Any
-    first: Any
-    second: Any
 
-    @classmethod
-    def about(cls, collection: Collection, x: Any, y: Any) -> Waves:
-        sight = collection.antenna_position - (x.mean(), y.mean(), collection.ground_height)
-        distance = np.linalg.norm(sight, axis=1)
-        u = sight[:, :2] / distance[:, None]
-        c, s = u[len(u) // 2] / np.linalg.norm(u[len(u) // 2])
-        u = u @ np.array([[c, -s], [s, c]])
-        k = 2 * (collection.carrier + collection.range_frequency) / SPEED_OF_LIGHT
-        least, ends = u[:, 0].min(), np.multiply.outer(k[[0, -1]], u)
-        steps = (k[1] - k[0]) * least, k[0] * least * np.ptp(u[:, 1] / u[:, 0]) / (len(u) - 1)  # as samples lie
-        spans = zip(ends.min(axis=(0, 1)), ends.max(axis=(0, 1)), steps, strict=True)
-        return cls(distance, u, k, *(a + step * np.arange(np.ceil((b - a) / step) + 1) for a, b, step in spans))
-
-    def points(self, x: Any, y: Any) -> int:
-        return int(self.first.size * self.second.size + x.size * y.size)
-
-    def apparent(self, collection: Collection, x: Any, y: Any) -> tuple[Any, Any, Any]:
-        """r' (2, n_y, n_x), m; what it leaves of ranges (NODES, n_y, n_x), m; whether these lie in the window."""
-        nodes = np.linspace(0, collection.n_pulse - 1, NODES).astype(int)
-        antenna = collection.antenna_position[nodes] - (0, 0, collection.ground_height)
-        px, py, pz, reference, distance = (
-            each[:, None, None] for each in (*antenna.T, collection.reference_range[nodes], self.distance[nodes])
-        )
-        ranges = np.sqrt((px - x) ** 2 + (py - y[:, None]) ** 2 + pz**2)
-        within = (np.abs(ranges - reference) <= collection.range_window / 2).all(axis=0)
-        place = np.tensordot(np.linalg.pinv(self.u[nodes]), distance - ranges, 1)
-        return place, ranges - distance + np.tensordot(self.u[nodes], place, 1), within
+def apparent(collection: Collection, distance: Any, u: Any, x: Any, y: Any) -> tuple[Any, Any, Any]:
+    """r' (2, n_y, n_x), m; what it leaves of ranges (NODES, n_y, n_x), m; whether these lie in the window."""
+    nodes = np.linspace(0, collection.n_pulse - 1, NODES).astype(int)
+    antenna = collection.antenna_position[nodes] - (0, 0, collection.ground_height)
+    px, py, pz, reference, centre = (
+        each[:, None, None] for each in (*antenna.T, collection.reference_range[nodes], distance[nodes])
+    )
+    ranges = np.sqrt((px - x) ** 2 + (py - y[:, None]) ** 2 + pz**2)
+    within = (np.abs(ranges - reference) <= collection.range_window / 2).all(axis=0)
+    place = np.einsum("an,nyx->ayx", np.linalg.pinv(u[nodes]), centre - ranges)  # BLAS's sums depend on its threads
+    return place, ranges - centre + np.einsum("na,ayx->nyx", u[nodes], place), within
 
 
 def form_chunk(read: Any, geometry: Any, x: Any, y: Any, *, threads: int, order: int) -> Any:
@@ -82,7 +71,7 @@ def form_chunk(read: Any, geometry: Any, x: Any, y: Any, *, threads: int, order:
     from scipy.ndimage import map_coordinates
 
     collection = geometry.collection
-    distance, u, k, first, second = waves = Waves.about(collection, x, y)
+    distance, u, k, first, second = waves(collection, x, y)
     samples = read(slice(0, collection.n_pulse))
     valid = np.isfinite(samples)
     samples = np.where(valid, samples, 0) * np.exp(2j * np.pi * np.outer(distance - collection.reference_range, k))
@@ -103,7 +92,7 @@ def form_chunk(read: Any, geometry: Any, x: Any, y: Any, *, threads: int, order:
     spectrum[: second.size, : first.size] = map_coordinates(samples, (pulse, column), np.complex64, order) * weight
     spectrum = np.roll(spectrum, (-(second.size // 2), -(first.size // 2)), (0, 1))
     image = fftshift(fft2(spectrum, workers=threads))
-    (along, across), _, within = waves.apparent(collection, x, y)
+    (along, across), _, within = apparent(collection, distance, u, x, y)
     sides = zip((across, along), (second, first), image.shape, strict=True)
     at = [place * (axis[1] - axis[0]) * n + n // 2 for place, axis, n in sides]
     wave = np.exp(-2j * np.pi * (first[first.size // 2] * along + second[second.size // 2] * across))
@@ -116,7 +105,8 @@ class PolarPlan(ChunkPlan):
     order: int
 
     def seconds(self, geometry: Any, x: Any, y: Any) -> float:
-        return PER_POINT[1] * Waves.about(geometry.collection, x, y).points(x, y)
+        *_, first, second = waves(geometry.collection, x, y)
+        return float(PER_POINT[1] * (first.size * second.size + x.size * y.size))
 
     def forming(self, weighting: Any) -> Any:
         return partial(form_chunk, order=self.order)
@@ -143,12 +133,13 @@ class PolarFormat:
             if problem.terrain or collection.has_pattern or collection.recorded or not problem.weighting.uniform:
                 raise Unfocusable("polar-format has no terrain, weighting, antenna pattern or parts of pulses")
             for x, y in chunks_of(grid):
-                waves = Waves.about(collection, x, y)
-                if waves.u[:, 0].min() <= 0 or np.ptp(np.sign(np.diff(waves.u[:, 1] / waves.u[:, 0]))):
+                distance, u, _, first, second = waves(collection, x, y)
+                if u[:, 0].min() <= 0 or np.ptp(np.sign(np.diff(u[:, 1] / u[:, 0]))):
                     raise Unfocusable("the line of sight turns back, or by a right angle, before polar-format's grid")
-                left = waves.apparent(collection, x[[0, -1]], y[[0, -1]])[1]
+                left = apparent(collection, distance, u, x[[0, -1]], y[[0, -1]])[1]
                 seen = np.exp(4j * np.pi / collection.wavelength * left).mean(axis=0)
-                least, needed = min(least, float(np.abs(seen).min())), max(needed, waves.points(x, y))
+                least = min(least, float(np.abs(seen).min()))
+                needed = max(needed, first.size * second.size + x.size * y.size)
         memory = checked_memory("a chunk", PROCESS_MEMORY + PER_POINT[0] * needed, problem.machine.memory_limit)
         refusal = None if least > 0.9 else "waves are too curved for polar-format; take a smaller grid or step"
         return PolarPlan(
