@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from inspect import signature, unwrap
 from pathlib import Path
@@ -18,6 +17,7 @@ from blocksar.cli.endings import WRONG_INPUT, Commands, complain
 from blocksar.cli.listening import listening
 from blocksar.cli.options import ALTERNATIVES, Everything, Explain, JsonLog, Quiet, given, taking
 from blocksar.cli.plugged import single_command
+from blocksar.errors import InputError
 from blocksar.focusing.method import ChainOptions
 from blocksar.options import Stated, options_of, read_values
 from blocksar.processors import PROCESSORS
@@ -127,22 +127,32 @@ class OfProcessors(Commands):
 
 
 def _taking_processors(command: Callable[..., None], names: Sequence[str]) -> Any:
-    """A command with processors of other packages besides."""
+    """A command with processors of other packages besides: their names, summaries and options."""
+    own = {each.name for each in options_taken(command.__name__)}
+    known, said, taken = set(signature(command).parameters), list[str](), unwrap(command)
+    for name in names:
+        try:
+            part = PROCESSORS.get(name)
+            stated = options_of(part.options)
+            if twice := [each.name for each in stated if each.name in own]:
+                said.append(f"{name} has an option {twice[0]}, which is the command's own; repair or remove it.")
+                continue
+            more = [each for each in stated if each.name not in known]
+            taken = taking(more, f"Options of {name}")(taken)
+            known |= {each.name for each in more}
+            said.append(f"{name}: {part.summary}.")
+        except InputError as error:
+            said.append(f"{error}.")
 
     def with_names(stated: Stated) -> Stated:
-        choices = stated.option.choices
-        if choices is None:
+        option = stated.option
+        if option.choices is None:
             return stated
-        return stated._replace(option=replace(stated.option, choices=lambda: (*choices(), *names)))
+        choices = *option.choices(), *names
+        return stated._replace(option=replace(option, help=" ".join([option.help, *said]), choices=lambda: choices))
 
-    known = signature(command).parameters
-    added = {each.name: each for each in options_of(ChainOptions)}
-    for name in names:
-        with suppress(Exception):  # it cannot be loaded, as is said when it is asked for, or has no model of options
-            more = (each for each in options_of(PROCESSORS.get(name).options) if each.name not in known)
-            added |= {each.name: each for each in more}
-    own = taking(map(with_names, options_taken(command.__name__)))
-    return single_command(command.__name__, own(taking(added.values(), ALTERNATIVES)(unwrap(command))))
+    of_all = taking(map(with_names, options_taken(command.__name__)))
+    return single_command(command.__name__, of_all(taking(options_of(ChainOptions), ALTERNATIVES)(taken)))
 
 
 def one_or_all(sources: list[str]) -> str | list[str]:

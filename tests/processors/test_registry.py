@@ -22,7 +22,7 @@ from blocksar.processors import PROCESSORS
 
 GRID = "-36:36:0.25,-36:36:0.25"
 TARGETS = {(0.0, 0.0): 1.0, (25.0, -18.0): 0.7, (-28.0, 29.0): 1j, (31.0, 31.0): 0.5}
-OPTION = "order is '3', but it is an option of polar-format only; leave it out"
+OPTION = "order is 3, but it is an option of polar-format only; leave it out"
 BROKEN = {"lost": "blocksar_extension.nowhere:LOST", "clash": "clash:CLASH"}
 CLASH = """
 from dataclasses import dataclass
@@ -140,7 +140,7 @@ def test_what_is_wrong_is_refused_in_a_sentence(environment: dict[str, str], spo
         assert done.returncode == 2 and not out.exists() and done.stderr.count("\n") == 1
         return done.stderr.strip().removeprefix("blocksar: ")
 
-    assert said(*polar(spotlight, out, "--order", 9)) == "order = '9': give 3, 4 or 5"
+    assert said(*polar(spotlight, out, "--order", 9)) == "order = 9: give 3, 4 or 5"
     assert said("focus", spotlight, "--out", out, f"--grid={GRID}", "--order", 3) == OPTION
     unknown = said("focus", spotlight, "--out", out, "--processor", "omega-k")
     assert all(name in unknown for name in (*PROCESSORS.own, "polar-format"))
