@@ -116,15 +116,6 @@ def _completing(plan: Plan) -> float:
     return (EDGES if plan.completed else 0.0) + BACK_PROJECT * plan.gated.pulses
 
 
-def operations(plan: Plan) -> float:
-    """Work of a plan's chains, as `Plan.work` counts it, and the like of the pulses that are back-projected besides."""
-    if not (each := _completing(plan)):
-        return plan.work()
-    side = image_chunk(plan.grid)
-    pixels = sum(len(touched_chunks(block.ground, plan.grid)) for block in plan.blocks) * side[0] * side[1]
-    return plan.work() + each * pixels / STEPS
-
-
 def together(works: Sequence[Work]) -> Work:
     """Work of several segments, stage by stage; they end together."""
     stages = dict.fromkeys(stage for work in works for stage in work)

@@ -22,13 +22,8 @@ MOST_NUMBERS = 1 << 15  # of blocks, which the image holds as int16
 
 
 class Divided(NamedTuple):
-    """How an earlier process divided a segment.
+    """How another segment was divided: numbers of its blocks, and of range sub-blocks in each."""
 
-    Number of its collection, its pulses (None for all), numbers of its blocks and of range sub-blocks in each.
-    """
-
-    collection: int
-    pulses: tuple[int, int] | None
     blocks: int
     parts: int
 
@@ -88,7 +83,6 @@ def plan_segments(
     *,
     grid: Grid | None,
     cut: bool = True,
-    like: Sequence[Divided] | None = None,
 ) -> tuple[PlannedSegment, ...]:
     """Plan every collection that covers some of the grid, about its own epoch.
 
@@ -100,8 +94,6 @@ def plan_segments(
         None: the default one of a single collection, or that of several jointly.
     cut : bool
         Whether strips whose plan does not keep the fidelity are cut into segments along time.
-    like : sequence of Divided, optional
-        What an earlier process planned, to be planned again.
 
     Raises
     ------
@@ -110,8 +102,6 @@ def plan_segments(
     """
     if grid is None and len(collections) > 1:
         grid = joint_grid([Geometry(collection=collection) for collection in collections])
-    if like is not None:
-        return number_blocks([_plan_again(plan, collections, grid, each, like) for each in like])
     planned: list[PlannedSegment] = []
     outside: list[OutsideSwath] = []
     for number, collection in enumerate(collections):
@@ -152,7 +142,7 @@ def _cut(plan: Planner, collection: Collection, whole: Plan, number: int) -> lis
         return []
     segments = []
     for k, span in enumerate(spans):
-        alike = Divided(number, span, probe.n_blocks, probe.parts)
+        alike = Divided(probe.n_blocks, probe.parts)
         own, owned = collection.segment(*span), owned_by(collection, spans, k)
         try:
             planned = plan(own, grid=whole.grid, like=alike, owned=owned)
@@ -175,23 +165,6 @@ def _first_inside(plan: Planner, collection: Collection, grid: Grid, spans: Sequ
             own = collection.segment(*spans[k])
             return plan(own, grid=grid, like=None, owned=owned_by(collection, spans, k))
     return None
-
-
-def _plan_again(
-    plan: Planner,
-    collections: Sequence[Collection],
-    grid: Grid | None,
-    like: Divided,
-    every: Sequence[Divided],
-) -> PlannedSegment:
-    collection = collections[like.collection]
-    if like.pulses is None:
-        again = plan(collection, grid=grid, like=like, owned=None)
-    else:
-        spans = [other.pulses for other in every if other.collection == like.collection and other.pulses is not None]
-        owned = owned_by(collection, spans, spans.index(like.pulses))
-        again = plan(collection.segment(*like.pulses), grid=grid, like=like, owned=owned)
-    return PlannedSegment(collection=like.collection, pulses=like.pulses, plan=again)
 
 
 def number_blocks(segments: Sequence[PlannedSegment]) -> tuple[PlannedSegment, ...]:

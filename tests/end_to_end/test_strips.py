@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,6 @@ from strips import DISTANCE, TIME_ZERO, strip_collection, write_strip
 
 import blocksar
 from blocksar import stores
-from blocksar.api import jobs
 from blocksar.collection.beam import has_full_dwell
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
@@ -24,7 +24,9 @@ from blocksar.graph import stages
 from blocksar.measurement.coherence import coherence
 from blocksar.planning.plan import Plan
 from blocksar.planning.planner import plan_collection
-from blocksar.planning.segments import Divided, plan_segments
+from blocksar.planning.segments import Divided, PlannedSegment, Planner, number_blocks, plan_segments
+from blocksar.planning.strips import owned_by
+from blocksar.processors import chain
 
 SPANS = ((0, 3400), (2600, 6000))
 GRID = Grid(DISTANCE - 30, DISTANCE + 30, 0.8, -45.0, 45.0, 0.45)
@@ -39,10 +41,17 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def cut(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two segments, whatever one epoch would serve."""
 
-    def forced(*arguments: Any, like: Any, **how: Any) -> Any:
-        return plan_segments(*arguments, **how, like=like or [Divided(0, span, 4, 1) for span in SPANS])
+    def forced(plan: Planner, collections: Sequence[Collection], *, grid: Grid, cut: bool) -> Any:
+        whole, like = collections[0], Divided(4, 1)
+        plans = [
+            plan(whole.segment(*span), grid=grid, like=like, owned=owned_by(whole, SPANS, k))
+            for k, span in enumerate(SPANS)
+        ]
+        return number_blocks(
+            [PlannedSegment(collection=0, pulses=span, plan=each) for span, each in zip(SPANS, plans, strict=True)]
+        )
 
-    monkeypatch.setattr(jobs, "plan_segments", forced)
+    monkeypatch.setattr(chain, "plan_segments", forced)
 
 
 def against_back_projection(run: Path, store: Path, rows: slice) -> tuple[float, float]:

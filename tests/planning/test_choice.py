@@ -6,12 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from scenes import PAPERS, SMALL_SCAN, scene
+from scenes import PAPERS, scene
 
 import blocksar
 from blocksar.errors import InputError
-from blocksar.planning.effort import EDGES, STEPS, operations
-from blocksar.planning.tiling import image_chunk, touched_chunks
 
 
 def test_the_frequency_perturbation_alone_does_not_focus_paper_b() -> None:
@@ -86,19 +84,6 @@ def test_auto_gives_the_reason_why_a_processor_does_not_serve(tmp_path: Path) ->
     )
     assert not report.plan.processor.startswith("angular")
     assert "angular-division cannot: " in report.summary[0] and "PRF 3000 Hz is too low" in report.summary[0]
-
-
-def test_pulses_that_are_back_projected_besides_count_as_work(tmp_path: Path) -> None:
-    (tmp_path / "scene.toml").write_text(scene(**SMALL_SCAN))
-    usual, completed = (
-        blocksar.plan(tmp_path / "scene.toml", fidelity=fidelity, blocks=2).result for fidelity in (0.999, 0.999995)
-    )
-    assert operations(usual) == usual.work()
-    assert completed.completed
-    side = image_chunk(completed.grid)
-    chunks = sum(len(touched_chunks(block.ground, completed.grid)) for block in completed.blocks)
-    besides = (operations(completed) - completed.work()) / (chunks * side[0] * side[1])
-    assert besides == pytest.approx(EDGES / STEPS)
 
 
 def test_auto_and_rivals_cannot_be_combined() -> None:
