@@ -50,6 +50,7 @@ from faults import (
 import blocksar
 from blocksar.graph.cluster import open_client
 from blocksar.planning import planner
+from blocksar.runs import stored_plan
 
 OWN = ("--workers", "1", "--memory-limit", "2GiB")  # the smallest local cluster
 HERE: dict[str, Any] = {"workers": 0, "threads": 1}
@@ -367,14 +368,15 @@ def disk(launcher: Launcher, tmp_path: Path) -> Iterator[Disk]:
     mounted.unmount()
 
 
-def sizes(run: Path) -> dict[str, int]:
-    """Disk sizes at which the disk fills up in each stage, bytes."""
+def sizes(store: Path, run: Path) -> dict[str, int]:
+    """Disk sizes at which the disk fills up in each stage, bytes; the plan lies there until the run is finished."""
     spectrum, patches, image = (run / name for name in ("spectrum.zarr", "patches", "image.zarr"))
-    beginning = pages(run) - pages(spectrum, patches, image) + 64 * PAGE
+    plan = len(stored_plan.pack(blocksar.plan(store, **SETTINGS).plan))
+    beginning = pages(run) - pages(spectrum, patches, image) + plan + 64 * PAGE
     return {
         "recover": beginning + pages(spectrum) // 2,
         "focus": beginning + pages(spectrum) + pages(patches) // 2,
-        "mosaic": pages(run) - pages(image / "block") // 2,
+        "mosaic": pages(run) + plan - pages(image / "block") // 2,
     }
 
 
@@ -404,7 +406,7 @@ def test_a_run_resumes_after_the_disk_was_full(
         assert process.wait() == 0
         assert not launcher.call("rm", "-r", str(disk.folder / "whole"))
     else:
-        size = sizes(undisturbed.run)[stage]
+        size = sizes(store, undisturbed.run)[stage]
     disk.resize(size)
     # As if others filled it in the meantime: a run that does not fit is refused.
     process = launcher.start("blocksar", *words(store, disk.folder / "run", *given), FREE=64 << 20)
