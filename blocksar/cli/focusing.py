@@ -64,7 +64,8 @@ def _hint_after_plan(context: typer.Context, sources: list[str], proposal: Any) 
         if is_scene(source):
             hint(context, "simulate", source, "--out", f"{Path(source).stem}.zarr")
             return
-    proposed = ["--processor", proposal.plan.processor] if context.params["processor"] == "auto" else []
+    chosen = context.params["processor"] == "auto" and proposal.plan is not None  # not of looks
+    proposed = ["--processor", proposal.plan.processor] if chosen else []
     hint(
         context,
         "focus",

@@ -1,7 +1,8 @@
 """The plan of an unfinished run, kept in its folder: a run that is resumed has the very plan that it began with.
 
 It is a pickle, which holds objects of this package, of other packages' processors and of numpy, and is never loaded
-unless the record has its checksum. As a run folder may come from elsewhere, no other objects are made from it.
+unless the record has its checksum. As a run folder may come from elsewhere, nothing else is made from it, no function
+is called but those that make arrays, and no module is imported.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import copyreg
 import io
 import pickle
+import sys
 import zlib
 from dataclasses import is_dataclass
 from enum import Enum
@@ -94,10 +96,10 @@ class _Pickler(pickle.Pickler):
 
 
 class _Unpickler(pickle.Unpickler):
-    """Makes frozen dataclasses, named tuples, enumerations and arrays, and nothing else."""
+    """Makes frozen dataclasses, named tuples, enumerations and arrays, and nothing else; imports nothing."""
 
     def find_class(self, module: str, name: str) -> Any:
-        found = super().find_class(module, name)
+        found = getattr(sys.modules.get(module), name, None)
         plain = isinstance(found, type) and (is_dataclass(found) or issubclass(found, Enum | tuple))
         if plain or (module, name) in _NUMPY or (module == "builtins" and name in _BUILTINS):
             return found

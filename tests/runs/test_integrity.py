@@ -95,7 +95,7 @@ def test_a_chunk_that_is_gone_while_it_is_read_ends_the_run(
 def test_a_chunk_that_is_written_while_it_is_read_ends_the_run(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, processor: Any
 ) -> None:
-    stage = "recover" if processor == "angular-division" else "back_project"
+    stage = "recover" if processor == "angular-division" else "form_parts"
     before(monkeypatch, stage, lambda: overwrite(chunk_of(store / "signal")), lambda: None)
     with pytest.raises(InputError, match=r"changes while it is read: signal/c/\d+/\d+ was written"):
         blocksar.focus(store, tmp_path / "run", processor=processor, blocks=2, grid=GRID, workers=0)
