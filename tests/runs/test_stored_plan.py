@@ -73,7 +73,7 @@ def test_what_was_only_computed_is_not_kept(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_nothing_but_data_is_made(values: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(FolderError, match=r"damaged: its run\.json does not have the plan .* overwrite"):
+    with pytest.raises(FolderError, match=r"damaged: its run\.json does not have the plan .* --overwrite"):
         read(tmp_path, zlib.compress(pickle.dumps(Kept(values))))
     assert not (tmp_path / "made").exists() and "antigravity" not in sys.modules
 
