@@ -57,7 +57,9 @@ def options_for(name: str, given: Mapping[str, Any]) -> Any:
     if not own.issuperset(given):  # what another processor has as its default is not asked for
         stated = {each.name: each.default for _, other in PROCESSORS.sound() for each in options_of(other.options)}
         given = {key: value for key, value in given.items() if key in own or value != stated.get(key)}
-    others = ((other, part.options) for other, part in PROCESSORS.sound() if part.options is not processor.options)
+    # The reference and the choice only keep those of chains in settings.
+    sound = ((other, part) for other, part in PROCESSORS.sound() if other not in (REFERENCE, AUTO))
+    others = ((other, part.options) for other, part in sound if part.options is not processor.options)
     options: Any = read_options(processor.options, given, f"processor {name}", others)
     processor.check(options)
     return options

@@ -110,7 +110,7 @@ class HierarchicalPlan(ChunkPlan):
     def lines(self) -> list[str]:
         worst = max(self.divisions, key=lambda each: each.error)
         sides = " > ".join(f"{side:.3g}" for side in worst.levels.sides) or "none"
-        error = 10 * math.log10(worst.error)
+        error = -10 * math.log10(worst.error)
         doubts = (line for piece in self.pieces for line in doubts_of_track(piece.geometry.collection, exact=True))
         return [
             f"hierarchical back-projection of {self.grid.shape[1]} x {self.grid.shape[0]} pixels in "

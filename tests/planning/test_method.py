@@ -26,6 +26,10 @@ def _split(options: dict[str, Any]) -> dict[str, Any]:
         ({"processor": "high-order-phase", "keystone": False}, "high-order-phase has no keystone to leave out"),
         ({"range_model": "conventional"}, "conventional makes closed-form coefficients for angular-division"),
         ({"processor": "backprojection", "derotation": "linear"}, "backprojection has no derotation to choose"),
+        (
+            {"processor": "hierarchical-backprojection", "keystone": False},
+            "an option of angular-division and keystone-resampling and high-order-phase only; leave it out",
+        ),
     ],
 )
 def test_meaningless_options_are_refused(options: dict[str, Any], message: str, tmp_path: Path) -> None:
