@@ -137,12 +137,17 @@ def of_chunks(
     geometries: Sequence[Geometry], grid: Grid, stage: str, seconds: Callable[[Geometry, FloatArray, FloatArray], float]
 ) -> Work:
     """Work of forming each chunk of an image from all samples, without that of raw echoes; `seconds` is of a chunk."""
+    costs = [sum(seconds(geometry, x, y) for geometry in geometries) for x, y in chunks_of(grid)]
+    return of_parts(geometries, stage, costs)
+
+
+def of_parts(geometries: Sequence[Geometry], stage: str, costs: Sequence[float]) -> Work:
+    """Work of inspecting all samples, and of forming parts of an image from them, which take so many seconds."""
     inspect: list[float] = []
     for geometry in geometries:
         collection = geometry.collection
         n_tasks = math.ceil(collection.n_range_frequency / inspection_width(collection))
         inspect += [INSPECT * collection.n_pulse * collection.n_range_frequency / n_tasks] * n_tasks
-    costs = [sum(seconds(geometry, x, y) for geometry in geometries) for x, y in chunks_of(grid)]
     return {"inspect": inspect, stage: costs, "finish": [FINISH]}
 
 

@@ -215,12 +215,11 @@ class ImagePlan(ABC):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ChunkPlan(ImagePlan):
-    """A plan by which each chunk of the image is formed straight from the samples, whatever other chunks are.
+class PartPlan(ImagePlan):
+    """A plan by which parts of the image, whole chunks, are formed straight from the samples.
 
-    It states what a chunk takes and the function that forms one. A run then inspects all samples, and forms the chunks,
-    each a unit of work of the stage that has the processor's name. Several collections, noise, and the layers of a
-    terrain are taken care of.
+    A run then inspects all samples, and forms the parts, each a unit of work of the stage that has the processor's
+    name. Several collections, noise, and the layers of a terrain are taken care of.
 
     Attributes
     ----------
@@ -234,30 +233,15 @@ class ChunkPlan(ImagePlan):
     terrain: Terrain | None = None
 
     @abstractmethod
-    def seconds(self, geometry: Geometry, x: FloatArray, y: FloatArray) -> float:
-        """Seconds of a thread to form a chunk at x (n_x,) and y (n_y,), m, from the samples of a collection."""
+    def parts(self) -> dict[str, list[Window]]:
+        """Windows of the image, whole chunks, of each unit of work."""
 
     @abstractmethod
-    def forming(self, weighting: Weighting) -> Form:
-        """The function that forms pixels from the samples of a collection: see `graph.tasks.Form`."""
-
     def forming_parts(self, number: int, weighting: Weighting) -> FormParts:
-        """The function that forms a part of the image from the samples of a piece: by default, chunk by chunk."""
-        from blocksar.graph.tasks import each_alone  # with dask
-
-        return partial(each_alone, form=self.forming(weighting))
-
-    def parts(self) -> dict[str, list[Window]]:
-        """Windows of the image, whole chunks, of each unit of work: by default, one."""
-        side = image_chunk(self.grid)
-        cells = np.ndindex(*(-(-n // k) for n, k in zip(self.grid.shape, side, strict=True)))
-        return {f"chunk-{row}-{column}": [chunk_window((row, column), self.grid)] for row, column in cells}
+        """The function that forms a part of the image from the samples of a piece: see `graph.tasks.FormParts`."""
 
     def memory(self, threads: int) -> int:
         return self.needed
-
-    def work(self, *, workers: int) -> Work:
-        return effort.of_chunks([piece.geometry for piece in self.pieces], self.grid, self.processor, self.seconds)
 
     def stored(self) -> dict[str, int]:
         noise = any(piece.geometry.collection.noise_power for piece in self.pieces)
@@ -279,6 +263,35 @@ class ChunkPlan(ImagePlan):
         )
         execution.end(self.processor)
         return [*(receipt for each in read for receipt in each.receipts), *formed]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ChunkPlan(PartPlan):
+    """A plan by which each chunk of the image is formed by itself, whatever other chunks are.
+
+    It states what a chunk takes and the function that forms one.
+    """
+
+    @abstractmethod
+    def seconds(self, geometry: Geometry, x: FloatArray, y: FloatArray) -> float:
+        """Seconds of a thread to form a chunk at x (n_x,) and y (n_y,), m, from the samples of a collection."""
+
+    @abstractmethod
+    def forming(self, weighting: Weighting) -> Form:
+        """The function that forms pixels from the samples of a collection: see `graph.tasks.Form`."""
+
+    def forming_parts(self, number: int, weighting: Weighting) -> FormParts:
+        from blocksar.graph.tasks import each_alone  # with dask
+
+        return partial(each_alone, form=self.forming(weighting))
+
+    def parts(self) -> dict[str, list[Window]]:
+        side = image_chunk(self.grid)
+        cells = np.ndindex(*(-(-n // k) for n, k in zip(self.grid.shape, side, strict=True)))
+        return {f"chunk-{row}-{column}": [chunk_window((row, column), self.grid)] for row, column in cells}
+
+    def work(self, *, workers: int) -> Work:
+        return effort.of_chunks([piece.geometry for piece in self.pieces], self.grid, self.processor, self.seconds)
 
 
 class Processor(Protocol):

@@ -8,21 +8,20 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from blocksar.arrays import FloatArray
-from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
 from blocksar.focusing.hierarchical_backprojection import form_windows
 from blocksar.graph import compiling
 from blocksar.inspection.sentences import doubts_of_track
+from blocksar.planning import effort
 from blocksar.planning.hierarchy import Division, coherence_of, divide
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY, checked_memory
-from blocksar.processors.base import ChunkPlan, ImagePlan, NoOptions, Problem, Window
+from blocksar.processors.base import ImagePlan, NoOptions, PartPlan, Problem, Window
 from blocksar.progress import Work
 
 if TYPE_CHECKING:
-    from blocksar.graph.tasks import Form, FormParts
+    from blocksar.graph.tasks import FormParts
 
 
 class HierarchicalBackprojection:
@@ -71,7 +70,7 @@ HIERARCHICAL = HierarchicalBackprojection()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class HierarchicalPlan(ChunkPlan):
+class HierarchicalPlan(PartPlan):
     """The plan of an image by hierarchical back-projection; `divisions` has that of each piece."""
 
     divisions: tuple[Division, ...]
@@ -89,20 +88,12 @@ class HierarchicalPlan(ChunkPlan):
         units = self.divisions[0].units(self.grid, self.chunks)
         return {f"part-{number}": windows for number, windows in enumerate(units)}
 
-    def forming(self, weighting: Weighting) -> Form:
-        raise NotImplementedError("its parts are formed together")
-
     def forming_parts(self, number: int, weighting: Weighting) -> FormParts:
         return partial(form_windows, levels=self.divisions[number].levels, weighting=weighting)
 
-    def seconds(self, geometry: Geometry, x: FloatArray, y: FloatArray) -> float:
-        share = x.size * y.size / math.prod(self.grid.shape)
-        own = (each for piece, each in zip(self.pieces, self.divisions, strict=True) if piece.geometry is geometry)
-        return next(own).seconds * share
-
     def work(self, *, workers: int) -> Work:
-        work, count = super().work(workers=workers), len(self.parts())
-        return {**work, self.processor: [sum(work[self.processor]) / count] * count}
+        count, seconds = len(self.parts()), sum(each.seconds for each in self.divisions)
+        return effort.of_parts([piece.geometry for piece in self.pieces], self.processor, [seconds / count] * count)
 
     def loops(self) -> Sequence[str]:
         return *compiling.PATTERNS, *compiling.HIERARCHY
