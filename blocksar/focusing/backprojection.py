@@ -35,15 +35,14 @@ from blocksar.focusing.pattern_sums import add_gains, mean_elevations
 from blocksar.focusing.profiles import Profiles, profile_bins, range_profiles
 from blocksar.focusing.recorded_pulses import divide_by_recorded
 from blocksar.kernels.beam_weights import BeamTaper
+from blocksar.kernels.device import CPU, TILE, Device, Tile, tiles
 from blocksar.kernels.groups import GROUP_BYTES, run_groups
 from blocksar.kernels.phase import Float32Array
-from blocksar.kernels.projection import Sights, project
+from blocksar.kernels.projection import Sights
 
 ReadPulses = Callable[[slice], ComplexArray]  # (n, n_range_frequency) samples of a slice of pulses
-Tile = tuple[slice, slice]
 Pass = tuple[Tile, IntArray, IntArray]  # pixels, and the pulses first <= p < last that light them
 
-TILE = 128  # pixels per side: enough that the preparation of a tile costs little
 BLOCK_BYTES = 32 * 1024**2  # profiles of a block of pulses: malloc maps larger blocks afresh, page by page
 MIN_PULSE_BLOCK, MAX_PULSE_BLOCK = 16, 512
 
@@ -63,6 +62,7 @@ def accumulate(
     weight: Float32Array | None = None,
     height: FloatArray | None = None,
     fade: int = 0,
+    device: Device = CPU,
 ) -> None:
     """Add a block of pulses to the image, in place: image += sum over lit pulses of the profile at the pixel's range.
 
@@ -87,6 +87,8 @@ def accumulate(
         Of the pixels over the plane z = ground_height, m; finite. None: they lie on it.
     fade : int
         Where positive, weights are multiplied by what the chain takes from the edges of dwells (`dwell_edges`).
+    device : Device
+        Which has the arrays of pixels, and the profiles.
 
     Raises
     ------
@@ -95,7 +97,6 @@ def accumulate(
     """
     if (fade or not taper.uniform) and weight is None:
         raise ValueError(f"{taper.text} needs an array for the sum of weights")
-    weight = np.empty(image.shape, np.float32) if weight is None else weight
     collection, pulses = geometry.collection, profiles.pulses
     middle = collection.range_frequency[collection.n_range_frequency // 2]
     position = collection.antenna_position[pulses].T
@@ -111,12 +112,7 @@ def accumulate(
         half_window=collection.range_window / 2,
         taper=_beam_taper(taper, profiles, geometry, fade) if fade or not taper.uniform else None,
     )
-
-    def work(tile: Tile) -> None:
-        of_tile = None if height is None else height[tile]
-        project(image[tile], outside[tile], sights, x[tile], y[tile], first[tile], last[tile], weight[tile], of_tile)
-
-    _run_tiles(work, image.shape, threads)
+    device.project(image, outside, sights, x, y, first, last, weight, height, threads)
 
 
 def _relief(geometry: Geometry, x: FloatArray, y: FloatArray, outside: BoolArray) -> FloatArray | None:
@@ -151,6 +147,7 @@ def form_points(
     threads: int,
     pulse_block: int | None = None,
     weighting: Weighting = UNIFORM,
+    device: Device = CPU,
 ) -> ComplexArray:
     """Back-project to any points on the ground: the plane, or the geometry's terrain.
 
@@ -168,6 +165,7 @@ def form_points(
         Pulses in memory at a time.
     weighting : Weighting
         Tapers along range frequency and over the dwell, normalised by the sum of weights.
+    device : Device
 
     Returns
     -------
@@ -191,24 +189,48 @@ def form_points(
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise ValueError("x and y must be finite")
     sums = PixelSums(geometry, x, y, weighting, threads)
-    weight = None if sums.over_beam.uniform else np.zeros(x.shape, np.float32)
+    pixels = Pixels(sums, device)
     for pulses in pulse_blocks(sums.lit(), pulse_block or pulse_block_size(collection)):
         profiles = range_profiles(
-            read(pulses), collection=collection, pulses=pulses, threads=threads, taper=weighting.range
-        )
+            read(pulses), collection=collection, pulses=pulses, threads=threads, taper=weighting.range,
+            upsampling=device.upsampling, device=device,
+        )  # fmt: skip
         sums.note_valid(pulses, profiles.valid)
         if sums.over_pulses is not None:
-            np.multiply(profiles.values, sums.over_pulses[pulses, None], out=profiles.values)
-        for part, first, last in sums.passes:
-            accumulate(
-                sums.image[part], sums.outside[part], profiles, geometry=geometry, x=x[part], y=y[part], first=first,
-                last=last, threads=threads, taper=sums.over_beam, weight=None if weight is None else weight[part],
-                height=None if sums.height is None else sums.height[part],
-            )  # fmt: skip
+            np.multiply(profiles.values, device.put(sums.over_pulses[pulses, None]), out=profiles.values)
+        pixels.add(profiles, threads)
         del profiles  # before the next block is read: otherwise two blocks are in memory
         if collection.has_pattern:
             sums.add_gains(pulses)
-    return sums.mean(weight).reshape(shape)
+    return sums.mean(pixels.take()).reshape(shape)
+
+
+class Pixels:
+    """Pixels on a device, to which profiles are added; `take` gives them back to `sums`."""
+
+    def __init__(self, sums: PixelSums, device: Device) -> None:
+        self.sums, self.device = sums, device
+        weight = None if sums.over_beam.uniform else np.zeros(sums.x.shape, np.float32)
+        self.image, self.outside, self.weight, self.x, self.y, self.height = map(
+            device.put, (sums.image, sums.outside, weight, sums.x, sums.y, sums.height)
+        )
+        self.passes = [(part, device.put(first), device.put(last)) for part, first, last in sums.passes]
+
+    def add(self, profiles: Profiles, threads: int) -> None:
+        """Add a block of pulses."""
+        for part, first, last in self.passes:
+            accumulate(
+                self.image[part], self.outside[part], profiles, geometry=self.sums.geometry, x=self.x[part],
+                y=self.y[part], first=first, last=last, threads=threads, taper=self.sums.over_beam,
+                weight=None if self.weight is None else self.weight[part],
+                height=None if self.height is None else self.height[part], device=self.device,
+            )  # fmt: skip
+
+    def take(self) -> Float32Array | None:
+        """Give the sums back; returns those of the weights, if there are any."""
+        take = self.device.take
+        self.sums.image, self.sums.outside = take(self.image), take(self.outside)
+        return None if self.weight is None else np.asarray(take(self.weight))
 
 
 class PixelSums:
@@ -314,6 +336,7 @@ def form_image(
     threads: int,
     pulse_block: int | None = None,
     weighting: Weighting = UNIFORM,
+    device: Device = CPU,
 ) -> ComplexArray:
     """Back-project to the grid of columns `x` (n_column,) and rows `y` (n_row,), m: `form_points` on their mesh.
 
@@ -322,7 +345,9 @@ def form_image(
     (n_row, n_column) complex64
     """
     mesh_x, mesh_y = np.meshgrid(np.asarray(x, np.float64), np.asarray(y, np.float64))
-    return form_points(read, geometry, mesh_x, mesh_y, threads=threads, pulse_block=pulse_block, weighting=weighting)
+    return form_points(
+        read, geometry, mesh_x, mesh_y, threads=threads, pulse_block=pulse_block, weighting=weighting, device=device
+    )
 
 
 def form_chips(
@@ -373,14 +398,7 @@ def image_memory(n_pixels: int, collection: Collection, *, threads: int = 1, pul
 
 def _run_tiles(work: Callable[[Tile], None], shape: tuple[int, ...], threads: int) -> None:
     """Call `work` for every tile of the image, in threads."""
-    height = TILE if shape[0] > 1 else 1
-    width = TILE**2 // height
-    tiles = [
-        (slice(row, min(row + height, shape[0])), slice(column, min(column + width, shape[1])))
-        for row in range(0, shape[0], height)
-        for column in range(0, shape[1], width)
-    ]
-    run_groups(work, tiles, threads)
+    run_groups(work, tiles(shape), threads)
 
 
 def _lit_passes(geometry: Geometry, x: FloatArray, y: FloatArray, threads: int) -> list[Pass]:

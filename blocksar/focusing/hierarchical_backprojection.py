@@ -22,9 +22,10 @@ from blocksar.focusing.hierarchy import LOOKS, Echoes, Hierarchy, Levels
 from blocksar.focusing.parts import Part
 from blocksar.focusing.profiles import MARGIN, spline_lead
 from blocksar.kernels.beam_weights import BeamTaper
-from blocksar.kernels.fourier import fast_length, fft_rows
+from blocksar.kernels.device import CPU, Device
+from blocksar.kernels.fourier import fast_length
 from blocksar.kernels.groups import row_groups, run_groups
-from blocksar.kernels.projection import Sights, project
+from blocksar.kernels.projection import Sights
 from blocksar.kernels.scratch import Scratch
 
 SAFE = 0.45  # of the unambiguous window: ranges that stay within are interpolated without a test of each
@@ -47,6 +48,7 @@ def form_windows(
     levels: Levels,
     threads: int,
     weighting: Weighting = UNIFORM,
+    device: Device = CPU,
 ) -> Iterator[tuple[Window, ComplexArray]]:
     """Form windows of the image, one after the other, from one reading of the samples.
 
@@ -63,6 +65,7 @@ def form_windows(
     threads : int
         The result does not depend on it.
     weighting : Weighting
+    device : Device
 
     Yields
     ------
@@ -70,7 +73,7 @@ def form_windows(
     image : (n_row, n_column) complex64
         Of each window, in an order that depends on the windows only, as `backprojection.form_image` defines it.
     """
-    former = _Former(geometry, levels, weighting)
+    former = _Former(geometry, levels, weighting, device)
     whole = [(window, _outline(geometry, x, y, window)) for window in windows]
     # A single window knows itself which pulses light it.
     parts = _joined([outline for _, outline in whole]) if len(windows) > 1 else []
@@ -140,10 +143,11 @@ def _joined(outlines: Sequence[Sequence[Part]]) -> list[Part]:
 class _Former:
     """Forms windows of an image of one collection."""
 
-    def __init__(self, geometry: Geometry, levels: Levels, weighting: Weighting) -> None:
+    def __init__(self, geometry: Geometry, levels: Levels, weighting: Weighting, device: Device) -> None:
         self.geometry, self.weighting, collection = geometry, weighting, geometry.collection
         self.taper = weighting.azimuth if collection.steered else FLAT
-        self.hierarchy = Hierarchy(geometry, levels, waves=dwell_waves(geometry, weighting))
+        self.device = device
+        self.hierarchy = Hierarchy(geometry, levels, waves=dwell_waves(geometry, weighting), device=device)
         n = collection.n_range_frequency
         self._over_band = weighting.range.samples(n)
         self._over_band /= self._over_band.mean()
@@ -152,7 +156,10 @@ class _Former:
 
     def gather(self, read: ReadPulses, part: Part, threads: int) -> tuple[Part, Echoes | None]:
         """A part, and its echoes, of one pass of the beam; None where it has none."""
-        return part, self.hierarchy.gather(part, self._blocks(read, part, threads), Scratch())
+        return part, self.hierarchy.gather(part, self._blocks(read, part, threads), self._scratch())
+
+    def _scratch(self) -> Scratch:
+        return Scratch(self.device.empty)
 
     def _blocks(self, read: ReadPulses, part: Part, threads: int) -> Iterator[tuple[IntArray, ComplexArray]]:
         """Blocks of the pulses that light a part, weighted over band and collection, zero where samples are missing."""
@@ -167,7 +174,7 @@ class _Former:
                 self._prepare(samples, values, rows, some.start)
 
             run_groups(work, row_groups(0, samples.shape[0], n), threads)
-            yield np.arange(some.start, some.stop), values
+            yield np.arange(some.start, some.stop), self.device.put(values)
 
     def _prepare(self, samples: ComplexArray, values: ComplexArray, rows: slice, start: int) -> None:
         """Write weighted rows, zero where samples are missing; note the sum of the weights of those that are there."""
@@ -195,7 +202,7 @@ class _Former:
             parts = _joined([outline for _, outline in some])
             # Of passes that a half lacks, as of tops that have no echoes, nothing is left.
             left = [
-                (part, None if echoes is None else self.hierarchy.divide(top, echoes, part, Scratch(), -1))
+                (part, None if echoes is None else self.hierarchy.divide(top, echoes, part, self._scratch(), -1))
                 for part, (top, echoes) in zip(parts, tops, strict=False)
             ]
             yield from self.windows(read, x, y, some, left, threads)
@@ -208,16 +215,18 @@ class _Former:
         sums = PixelSums(geometry, *np.meshgrid(x, y), self.weighting, threads)
         plane = geometry.collection.ground_height
         z = np.array(plane) if sums.height is None else sums.height + plane
+        image = self.device.put(sums.image)
         for number, (first, last) in enumerate(_whole_passes(sums)):
             part = Part(x=x, y=y, z=z, first=first, last=last)
             mark_outside(geometry, part, sums.outside)
             top, echoes = tops[number] if number < len(tops) else (part, None)
             if _holds(echoes, part):
-                left = None if echoes is None else self.hierarchy.divide(top, echoes, part, Scratch(), -1)
+                left = None if echoes is None else self.hierarchy.divide(top, echoes, part, self._scratch(), -1)
             else:
                 left = self.gather(read, part, threads)[1]
             if left is not None:
-                self.form(part, left, sums.image, threads)
+                self.form(part, left, image, threads)
+        sums.image = self.device.take(image)
         sums.note_valid(slice(None), self._valid)
         if geometry.collection.has_pattern or not sums.over_beam.uniform:
             for pulses in pulse_blocks(sums.lit(), geometry.collection.n_pulse):
@@ -233,12 +242,12 @@ class _Former:
         while level < len(sides) and part.side <= sides[level]:
             level += 1
         if level == len(sides):
-            self._sum(part, echoes, image, scratch or Scratch())
+            self._sum(part, echoes, image, scratch or self._scratch())
             return
         own = threading.local()
 
         def work(window: Window) -> None:
-            child, memory = part.within(window), scratch or own.__dict__.setdefault("scratch", Scratch())
+            child, memory = part.within(window), scratch or own.__dict__.setdefault("scratch", self._scratch())
             left = self.hierarchy.divide(part, echoes, child, memory, level)
             if left is not None:
                 self.form(child, left, image[window], level=level + 1, scratch=memory)
@@ -258,14 +267,14 @@ class _Former:
         begin = int(rows[0]) if before else frame.inside[0]
         first = np.maximum(part.first - begin, 0)
         last = before + n + part.last - frame.inside[1] if n else np.maximum(part.last - begin, 0)
-        period = fast_length(self.hierarchy.levels.upsampling * frame.columns)
+        put, period = self.device.put, fast_length(self.hierarchy.levels.upsampling * frame.columns)
         window, middle = SPEED_OF_LIGHT / (2 * frame.step), frame.columns // 2
         reach = path.reach(rows[:: max(rows.size // LOOKS, 1)], part)[0]
         antenna = path.at(rows).T
         antenna[2] -= collection.ground_height
         sights = Sights(
             start=0,
-            values=_profiles(values, period, collection.n_range_frequency, scratch),
+            values=self._profiles(values, period, scratch),
             rows=np.arange(rows.size),
             middle=period // 2 + MARGIN,
             bins_per_metre=period / window,
@@ -276,9 +285,34 @@ class _Former:
             taper=None if self.taper.uniform else self._beam_taper(rows),
         )
         x, y = np.meshgrid(part.x, part.y)
-        height = part.z - collection.ground_height if part.z.ndim else None
-        beyond, weight = np.zeros(part.shape, np.bool_), np.zeros(part.shape, np.float32)
-        project(image, beyond, sights, x, y, first, last, weight, height)
+        height = put(part.z - collection.ground_height) if part.z.ndim else None
+        beyond, weight = put(np.zeros(part.shape, np.bool_)), put(np.zeros(part.shape, np.float32))
+        self.device.project(image, beyond, sights, put(x), put(y), put(first), put(last), weight, height)
+
+    def _profiles(self, values: Sequence[ComplexArray], period: int, scratch: Scratch) -> ComplexArray:
+        """Coefficients (n, period + 2 MARGIN) of splines through the range profiles of rows (k, m), n in all.
+
+        As in `range_profiles`: a profile is the mean over all range frequencies, of which the rows hold the sums.
+        """
+        n, m = sum(rows.shape[0] for rows in values), values[0].shape[1]
+        middle, half = m // 2, period // 2
+        level = period / self.geometry.collection.n_range_frequency
+        lead = self.device.put((level * spline_lead(np.arange(m) - middle, period)).astype(np.float32))
+        group = scratch.array("group", (n, period))
+        group[:, m - middle : period - middle] = 0
+        first = 0
+        for rows in values:
+            some = group[first : first + rows.shape[0]]
+            np.multiply(rows[:, middle:], lead[middle:], out=some[:, : m - middle])
+            np.multiply(rows[:, :middle], lead[:middle], out=some[:, period - middle :])
+            first += rows.shape[0]
+        group = self.device.fft_rows(group, inverse=True)
+        out = scratch.array("profiles", (n, period + 2 * MARGIN))
+        out[:, MARGIN : MARGIN + half] = group[:, half:]
+        out[:, MARGIN + half : -MARGIN] = group[:, :half]
+        out[:, -MARGIN:] = out[:, MARGIN : 2 * MARGIN]
+        out[:, :MARGIN] = out[:, -2 * MARGIN : -MARGIN]
+        return out
 
     def _beam_taper(self, rows: IntArray) -> BeamTaper:
         """The weights of rows, whose pulses may lie beyond the collection: there the beam goes on as at its end."""
@@ -362,28 +396,3 @@ def dwell_waves(geometry: Geometry, weighting: Weighting) -> float:
     terms, frequency = weighting.azimuth.series
     noticed = np.flatnonzero(np.abs(terms) > NOTICED * np.abs(terms).max())
     return float(frequency * noticed[-1])
-
-
-def _profiles(values: Sequence[ComplexArray], period: int, whole: int, scratch: Scratch) -> ComplexArray:
-    """Coefficients (n, period + 2 MARGIN) of splines through the range profiles of rows (k, m), n in all.
-
-    As in `range_profiles`. A profile is the mean over `whole` range frequencies, of which the rows hold the sums.
-    """
-    n, m = sum(rows.shape[0] for rows in values), values[0].shape[1]
-    middle, half = m // 2, period // 2
-    lead = (period / whole * spline_lead(np.arange(m) - middle, period)).astype(np.float32)
-    group = scratch.array("group", (n, period))
-    group[:, m - middle : period - middle] = 0
-    first = 0
-    for rows in values:
-        some = group[first : first + rows.shape[0]]
-        np.multiply(rows[:, middle:], lead[middle:], out=some[:, : m - middle])
-        np.multiply(rows[:, :middle], lead[:middle], out=some[:, period - middle :])
-        first += rows.shape[0]
-    group = fft_rows(group, inverse=True)
-    out = scratch.array("profiles", (n, period + 2 * MARGIN))
-    out[:, MARGIN : MARGIN + half] = group[:, half:]
-    out[:, MARGIN + half : -MARGIN] = group[:, :half]
-    out[:, -MARGIN:] = out[:, MARGIN : 2 * MARGIN]
-    out[:, :MARGIN] = out[:, -2 * MARGIN : -MARGIN]
-    return out

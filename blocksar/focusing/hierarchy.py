@@ -52,7 +52,8 @@ from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.parts import Part, Path
-from blocksar.kernels.decimation import Decimation, add_decimated, padded, turn_and_decimate
+from blocksar.kernels.decimation import Decimation, padded
+from blocksar.kernels.device import CPU, Device
 from blocksar.kernels.scratch import Scratch
 
 MOST = 1 << 16  # largest factor of a decimation
@@ -168,9 +169,14 @@ class Hierarchy:
         Largest frequency of the weights over a dwell, cycles per dwell.
     path : Path, optional
         Of this geometry.
+    device : Device
+        Which has the samples.
     """
 
-    def __init__(self, geometry: Geometry, levels: Levels, *, waves: float = 0.0, path: Path | None = None) -> None:
+    def __init__(
+        self, geometry: Geometry, levels: Levels, *, waves: float = 0.0, path: Path | None = None, device: Device = CPU
+    ) -> None:
+        self.device = device
         self.collection, self.levels, self.waves = geometry.collection, levels, waves
         self.path = path or Path(geometry)
         highest = self.collection.carrier + self.collection.range_frequency[-1]
@@ -266,11 +272,11 @@ class Hierarchy:
         if (entered := self.enter(part)) is None:
             return None
         filters, frame = entered
-        interior, edges = self._empty(frame, Scratch(), 0)
+        interior, edges = self._empty(frame, Scratch(self.device.empty), 0)
         f = float(self.collection.range_frequency[0]), self.collection.range_frequency_step
         for pulses, samples in blocks:
             turn = self.path.ranges(pulses, part.centre) - self.collection.reference_range[pulses]
-            values = _turned(samples, turn, self.collection.carrier + f[0], f[1], filters, scratch)
+            values = self._turned(samples, turn, self.collection.carrier + f[0], f[1], filters, scratch)
             self._add(values, pulses, filters, frame, interior, edges)
         return Echoes(frame, interior, edges)
 
@@ -288,9 +294,9 @@ class Hierarchy:
         turn = self.path.ranges(rows, child.centre) - self.path.ranges(rows, part.centre)
         interior, edges = self._empty(left, scratch, level)
         if frame.size:
-            values = _turned(echoes.interior, turn[: frame.size], low, frame.step, filters, scratch)
-            add_decimated(values, filters.further, (left.at - frame.at) // frame.stride, interior)
-        values = _turned(echoes.edges[filters.kept], turn[frame.size :], low, frame.step, filters, scratch)
+            values = self._turned(echoes.interior, turn[: frame.size], low, frame.step, filters, scratch)
+            self.device.add_decimated(values, filters.further, (left.at - frame.at) // frame.stride, interior)
+        values = self._turned(echoes.edges[filters.kept], turn[frame.size :], low, frame.step, filters, scratch)
         # Edges before the interior, and those after it: in each, pulses follow each other without a gap.
         middle = int(np.searchsorted(pulses, frame.inside[0])) if frame.size else pulses.size
         for run in (slice(0, middle), slice(middle, None)):
@@ -313,12 +319,14 @@ class Hierarchy:
                 first = int(np.searchsorted(frame.pulses, pulses[some][0]))
                 edges[first : first + pulses[some].size] = values[some]
         if a < b:
-            add_decimated(values[a:b], filters.single, frame.at - int(pulses[a]), interior)
+            self.device.add_decimated(values[a:b], filters.single, frame.at - int(pulses[a]), interior)
 
-
-def _turned(
-    values: ComplexArray, turn: FloatArray, low: float, step: float, filters: Filters, scratch: Scratch
-) -> ComplexArray:
-    """Refer rows to ranges that are larger by `turn` (n,) m, from frequency `low` on, Hz, and decimate them."""
-    scale = 2 / SPEED_OF_LIGHT
-    return turn_and_decimate(values, scale * low * turn, scale * step * turn, filters.across, scratch)[0]
+    def _turned(
+        self, values: ComplexArray, turn: FloatArray, low: float, step: float, filters: Filters, scratch: Scratch
+    ) -> ComplexArray:
+        """Refer rows to ranges that are larger by `turn` (n,) m, from frequency `low` on, Hz, and decimate them."""
+        scale = 2 / SPEED_OF_LIGHT
+        across: ComplexArray = self.device.turn_and_decimate(
+            values, scale * low * turn, scale * step * turn, filters.across, scratch
+        )
+        return across

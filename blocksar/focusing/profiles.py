@@ -9,12 +9,12 @@ import numpy as np
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.weighting import FLAT, Taper
-from blocksar.kernels.fourier import Axis, fast_length, fft_rows, unit_phasor
-from blocksar.kernels.groups import row_groups, run_groups
+from blocksar.kernels.device import CPU, Device
+from blocksar.kernels.fourier import Axis, fast_length, unit_phasor
 from blocksar.kernels.lanes import FEW, FIXED_RANGE
 from blocksar.kernels.operations import Transform
 
-UPSAMPLING = 6  # bins per range cell: the error of the quadratic spline is then -69 dB, see spline_error
+UPSAMPLING = CPU.upsampling  # bins per range cell
 MARGIN = FEW + 1  # bins on either side of the range window that are loaded with those that the spline uses
 
 
@@ -75,6 +75,7 @@ def range_profiles(
     threads: int,
     taper: Taper = FLAT,
     upsampling: int = UPSAMPLING,
+    device: Device = CPU,
 ) -> Profiles:
     """Mean over frequency of signal exp(4j pi (f - f_middle) d / c) on a fine grid of d = R - reference_range.
 
@@ -94,6 +95,8 @@ def range_profiles(
         Weighting along range frequency.
     upsampling : int
         Bins per range cell.
+    device : Device
+        Where the values are.
 
     Returns
     -------
@@ -122,29 +125,31 @@ def range_profiles(
     weights /= weights.mean()
     if not taper.uniform:
         lead *= weights
-    lead = (lead * (period / n)).astype(np.complex64)
-    trail = unit_phasor(after.cycles(delay.values)[0])
+    lead = device.put((lead * (period / n)).astype(np.complex64))
+    trail = device.put(unit_phasor(after.cycles(delay.values)[0]))
     centre, spacing = profile_axis(collection, upsampling)
-    values = np.empty((signal.shape[0], period + 2 * MARGIN), np.complex64)
+    values = device.empty((signal.shape[0], period + 2 * MARGIN), np.complex64)
+    signal, over_band = device.put(signal), device.put(weights)
     valid = np.empty(signal.shape[0], np.int64 if taper.uniform else np.float64)
 
     def work(rows: slice) -> None:
         missing = np.isnan(signal[rows])
         if taper.uniform:
-            valid[rows] = n - np.count_nonzero(missing, axis=1)
+            valid[rows] = n - device.take(np.count_nonzero(missing, axis=1))
         else:
-            valid[rows] = n - np.where(missing, weights, 0.0).sum(axis=1)
-        group = np.zeros((rows.stop - rows.start, period), np.complex64)
+            valid[rows] = n - device.take(np.where(missing, over_band, 0.0).sum(axis=1))
+        group = device.empty((rows.stop - rows.start, period), np.complex64)
         np.multiply(signal[rows], lead, out=group[:, :n])
         group[:, :n][missing] = 0
-        group = fft_rows(group, inverse=True)
+        group[:, n:] = 0
+        group = device.fft_rows(group, inverse=True)
         out = values[rows]
         np.multiply(group, trail, out=out[:, MARGIN:-MARGIN])
         # The middle frequency is a sample of the axis: without its phase the profile is periodic in the window.
         out[:, -MARGIN:] = out[:, MARGIN : 2 * MARGIN]
         out[:, :MARGIN] = out[:, -2 * MARGIN : -MARGIN]
 
-    run_groups(work, row_groups(0, signal.shape[0], period), threads)
+    device.run(work, signal.shape[0], period, threads)
     return Profiles(
         values=values,
         rows=np.arange(signal.shape[0]),

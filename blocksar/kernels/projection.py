@@ -145,7 +145,7 @@ def project(
     over = None if height is None else (middle, float(relief.max()))
     places, precise = place_tables(sights.taper, pulses, low, high, over)
     if (size > SMALL and not series[0, :-FEW].all()) or (size > 1 and not precise):
-        for part in _halves(x.shape):
+        for part in halves(x.shape):
             of_part = None if height is None else height[part]
             project(
                 image[part], outside[part], sights, x[part], y[part], first[part], last[part], weight[part], of_part
@@ -208,7 +208,7 @@ def _middles(axes: Sequence[FloatArray], sights: Sights) -> tuple[FloatArray, Bo
     return middles, (apart * sights.bins_per_metre < NEAR[1] - 1) & (apart * sights.cycles_per_metre < MOST_CYCLES)
 
 
-def _halves(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
+def halves(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
     """A tile's halves along its longer side."""
     rows, columns = shape
     if rows > columns:

@@ -1,0 +1,156 @@
+"""What the loops of back-projection run on: the cores of the CPU, or a GPU. Plans and geometry do not know of it.
+
+A device keeps arrays of its own (`put`, `take`), which NumPy's functions take as they do NumPy's; on the CPU they are
+NumPy's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.errors import InputError
+from blocksar.kernels.decimation import Decimation, add_decimated, turn_and_decimate
+from blocksar.kernels.fourier import fft_rows
+from blocksar.kernels.groups import row_groups, run_groups
+from blocksar.kernels.projection import Sights, project
+from blocksar.kernels.scratch import Scratch
+
+DeviceName = Literal["cpu", "gpu", "auto"]
+Tile = tuple[slice, slice]
+TILE = 128  # pixels per side: enough that the preparation of a tile costs little
+
+
+class Device(Protocol):
+    """What back-projection needs of a device.
+
+    Attributes
+    ----------
+    name : str
+    upsampling : int
+        Bins of range profiles per range cell in exact back-projection.
+    """
+
+    name: str
+    upsampling: int
+
+    def put(self, values: Any) -> Any:
+        """An array of this device's with the values of one of NumPy's; None for None."""
+
+    def take(self, values: Any) -> Any:
+        """The NumPy array of an array of this device's."""
+
+    def empty(self, shape: Any, dtype: Any) -> Any:
+        """An array of this device's, not cleared."""
+
+    def fft_rows(self, group: Any, *, inverse: bool) -> Any:
+        """`fourier.fft_rows`."""
+
+    def run(self, work: Callable[[slice], None], rows: int, length: int, threads: int) -> None:
+        """Call `work` for groups of rows of `length` samples, as many as suit the device."""
+
+    def turn_and_decimate(
+        self, values: Any, first: FloatArray, step: FloatArray, decimation: Decimation, scratch: Scratch
+    ) -> Any:
+        """The first result of `decimation.turn_and_decimate`."""
+
+    def add_decimated(self, rows: Any, decimation: Decimation, at: int, out: Any) -> None:
+        """`decimation.add_decimated`."""
+
+    def project(
+        self, image: Any, outside: Any, sights: Sights, x: Any, y: Any, first: Any, last: Any, weight: Any, height: Any,
+        threads: int = 1,
+    ) -> None:  # fmt: skip
+        """`projection.project`, whose arrays of pixels are the device's; `weight` is None without weights."""
+
+
+class Cpu:
+    """The cores of this machine."""
+
+    name = "cpu"
+    upsampling = 6
+
+    def put(self, values: Any) -> Any:
+        return values
+
+    def take(self, values: Any) -> Any:
+        return values
+
+    def empty(self, shape: Any, dtype: Any) -> Any:
+        return np.empty(shape, dtype)
+
+    def fft_rows(self, group: ComplexArray, *, inverse: bool) -> ComplexArray:
+        return fft_rows(group, inverse=inverse)
+
+    def run(self, work: Callable[[slice], None], rows: int, length: int, threads: int) -> None:
+        run_groups(work, row_groups(0, rows, length), threads)
+
+    def turn_and_decimate(
+        self, values: ComplexArray, first: FloatArray, step: FloatArray, decimation: Decimation, scratch: Scratch
+    ) -> ComplexArray:
+        return turn_and_decimate(values, first, step, decimation, scratch)[0]
+
+    def add_decimated(self, rows: ComplexArray, decimation: Decimation, at: int, out: ComplexArray) -> None:
+        add_decimated(rows, decimation, at, out)
+
+    def project(
+        self, image: Any, outside: Any, sights: Sights, x: Any, y: Any, first: Any, last: Any, weight: Any, height: Any,
+        threads: int = 1,
+    ) -> None:  # fmt: skip
+        weight = np.empty(image.shape, np.float32) if weight is None else weight
+
+        def work(tile: Tile) -> None:
+            project(
+                image[tile], outside[tile], sights, x[tile], y[tile], first[tile], last[tile], weight[tile],
+                None if height is None else height[tile],
+            )  # fmt: skip
+
+        run_groups(work, tiles(image.shape), threads)
+
+
+CPU = Cpu()
+
+
+def tiles(shape: tuple[int, ...]) -> list[Tile]:
+    """Tiles of an image (n_row, n_column) that are worked on one by one."""
+    height = TILE if shape[0] > 1 else 1
+    width = TILE**2 // height
+    return [
+        (slice(row, min(row + height, shape[0])), slice(column, min(column + width, shape[1])))
+        for row in range(0, shape[0], height)
+        for column in range(0, shape[1], width)
+    ]
+
+
+def has_gpu() -> bool:
+    """Whether this process could run on a GPU: it finds one, and the packages for it."""
+    try:
+        from blocksar.kernels.gpu import count
+    except ImportError:
+        return False
+    return count() > 0
+
+
+@cache
+def device(name: str) -> Device:
+    """The device of a name.
+
+    Raises
+    ------
+    InputError
+        If it is not there.
+    """
+    if name == "cpu":
+        return CPU
+    try:
+        from blocksar.kernels.gpu import Gpu
+    except ImportError as error:
+        raise InputError(
+            f"device gpu needs a package that is not installed ({error.name}); "
+            "install it by pip install 'blocksar[gpu]', or leave --device out"
+        ) from None
+    return Gpu()
