@@ -37,6 +37,25 @@ def in_this_process(workers: int | None, collections: Sequence[Collection]) -> b
     return workers == 0
 
 
+def gpu_workers(workers: int | None) -> int:
+    """The workers of a local run on a GPU: the calling process (0), or one.
+
+    Raises
+    ------
+    InputError
+        If there is no GPU, or more are given.
+    """
+    from blocksar.kernels.device import device  # with the loops, which take long to load
+
+    device("gpu")
+    if workers is not None and workers > 1:
+        raise InputError(
+            f"workers is {workers}, but a local run on a GPU has one; leave --workers out, or give the --scheduler of "
+            "a cluster with a worker for each GPU"
+        )
+    return 1 if workers is None else workers
+
+
 def check_cluster(*, client: object, scheduler: str | None, workers: int | None, wait_workers: Any) -> None:
     """Check that one cluster is asked for, and that its workers are waited for.
 

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from blocksar.api.arguments import Source, check_cluster, in_this_process, on_ground
+from blocksar.api.arguments import Source, check_cluster, gpu_workers, in_this_process, on_ground
 from blocksar.api.jobs import Job, Request
 from blocksar.api.joint import focus_members, members_of
 from blocksar.api.parsing import GridLike
@@ -36,7 +36,7 @@ from blocksar.loop_cache import compilation_seconds
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.place import Place
-from blocksar.processors import OwnProcessor
+from blocksar.processors import OwnDevice, OwnProcessor
 from blocksar.progress import Listener, as_listener
 from blocksar.progress import Wanted as Progress
 from blocksar.runs import folder as run_folder
@@ -63,6 +63,7 @@ def focus(
     out: Location,
     *,
     processor: OwnProcessor = "angular-division",
+    device: OwnDevice = "cpu",
     blocks: int | Literal["auto"] = "auto",
     fidelity: float = FIDELITY,
     weighting: str = "uniform",
@@ -109,6 +110,9 @@ def focus(
         How the image is formed: by a chain of steps ("angular-division", "keystone-resampling", "high-order-phase");
         "hierarchical-backprojection": any geometry, as exactly as `fidelity` asks; "backprojection": exact and slow;
         "auto": the fastest of all that keeps `fidelity`. Default: "angular-division".
+    device : {"cpu", "gpu", "auto"}
+        What back-projection runs on; chains run on the CPU. "auto": a GPU if this process finds one and the processor
+        runs there. Default: "cpu".
     blocks : int or "auto"
         Number of angular blocks, at least 1. "auto" (default): the fewest that keep `fidelity` and fit the memory.
     fidelity : float
@@ -246,6 +250,8 @@ def _focus_image(
                 "does; give workers, or leave it out"
             )
         workers, memory_limit = 0 if here else settings.workers, settings.memory_limit
+        if request.device == "gpu" and client is None and settings.scheduler is None:
+            workers = gpu_workers(workers)
         if client is not None or settings.scheduler is not None:
             opened = cluster.open_client(
                 scheduler=settings.scheduler, client=client, wait_workers=settings.wait_workers
@@ -254,6 +260,8 @@ def _focus_image(
             workers, memory_limit = cluster.cluster_size(
                 connected, workers=workers, memory_limit=memory_limit, listener=listener
             )
+            if request.device == "gpu":
+                workers = min(workers, cluster.workers_with_gpu(connected))
             if profile is not None:
                 recording.check_recordable(profile, connected)
         machine = resources(workers, settings.threads, memory_limit)

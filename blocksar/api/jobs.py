@@ -44,7 +44,7 @@ from blocksar.places.place import Place
 from blocksar.planning import effort
 from blocksar.planning.memory import checked_memory, compression_memory
 from blocksar.planning.segments import joint_grid
-from blocksar.processors import PROCESSORS, options_for
+from blocksar.processors import PROCESSORS, device_for, options_for
 from blocksar.processors.base import ImagePlan, Problem
 from blocksar.progress import Work
 from blocksar.runs import folder as run_folder
@@ -152,6 +152,11 @@ class Request:
         return self.asked.processor
 
     @cached_property
+    def device(self) -> str:
+        """What back-projection runs on, "cpu" or "gpu"."""
+        return device_for(self.asked.processor, self.asked.device)
+
+    @cached_property
     def options(self) -> Any:
         """Options of the processor; see `processors.options_for`."""
         return options_for(self.asked.processor, self.asked.options)
@@ -172,6 +177,7 @@ class Request:
         return {
             "processor": self.processor,
             **{field.name: getattr(self.options, field.name) for field in fields(self.options)},
+            **({} if self.device == "cpu" else {"device": self.device}),
             "blocks": self.asked.blocks,
             "fidelity": self.asked.fidelity,
             "weighting_range": self.weighting.range.text,
@@ -409,6 +415,7 @@ def _plan(request: Request, machine: Resources) -> ImagePlan:
     problem = Problem(
         collections=collections, grid=request.grid, terrain=request.terrain, blocks=request.asked.blocks,
         fidelity=request.asked.fidelity, weighting=request.weighting, options=request.options, machine=machine,
+        device=request.device,
     )  # fmt: skip
     with naming_exact(collections, request.grid, machine):
         plan = PROCESSORS.get(request.processor).plan(problem)

@@ -29,7 +29,7 @@ from blocksar.graph.machine import Resources, resources
 from blocksar.ingestion.terrain.reading import terrain_notes
 from blocksar.places import Location
 from blocksar.planning.segments import joint_grid
-from blocksar.processors import PROCESSORS, OwnProcessor, options_for
+from blocksar.processors import PROCESSORS, OwnDevice, OwnProcessor, device_for, options_for
 from blocksar.processors.base import ImagePlan, Problem
 from blocksar.processors.lines import exact_line, time_line
 
@@ -38,6 +38,7 @@ def plan(
     source: Source,
     *,
     processor: OwnProcessor = "angular-division",
+    device: OwnDevice = "cpu",
     blocks: int | Literal["auto"] = "auto",
     fidelity: float = FIDELITY,
     weighting: str = "uniform",
@@ -70,6 +71,9 @@ def plan(
         How the image is formed: by a chain of steps ("angular-division", "keystone-resampling", "high-order-phase");
         "hierarchical-backprojection": any geometry, as exactly as `fidelity` asks; "backprojection": exact and slow;
         "auto": the fastest of all that keeps `fidelity`. Default: "angular-division".
+    device : {"cpu", "gpu", "auto"}
+        What back-projection runs on; chains run on the CPU. "auto": a GPU if this process finds one and the processor
+        runs there. Default: "cpu".
     blocks : int or "auto"
         Number of angular blocks, at least 1. "auto" (default): the fewest that keep `fidelity` and fit the memory.
     fidelity : float
@@ -141,6 +145,9 @@ def plan(
     parts = None if looks is None else divide_dwells(collections[0], looks, points)
     points = points if parts is None else parts.grid
     here = in_this_process(workers, collections)
+    runs_on = device_for(processor, device)
+    if runs_on == "gpu" and not here:
+        workers = workers or 1
     share = resources(0 if here else workers, None, settings.memory_limit)
     assumed = share._replace(workers=0) if here else share
     of_each = _channels_line(source)
@@ -154,7 +161,7 @@ def plan(
     )
     problem = Problem(
         collections=collections, grid=points, terrain=heights, blocks=settings.blocks, fidelity=settings.fidelity,
-        weighting=settings.tapers, options=chosen, machine=share,
+        weighting=settings.tapers, options=chosen, machine=share, device=runs_on,
     )  # fmt: skip
     started = time.perf_counter()
     with naming_exact(collections, points, assumed):

@@ -16,7 +16,7 @@ from blocksar.budget import FIDELITY, WAIT_WORKERS
 from blocksar.collection.surface import Surface
 from blocksar.focusing.method import ChainOptions
 from blocksar.options import Option, Stated, options_of, read_values
-from blocksar.processors import PROCESSORS
+from blocksar.processors import PROCESSORS, OwnDevice
 
 if TYPE_CHECKING:
     from blocksar.api.parsing import GridLike
@@ -44,6 +44,10 @@ class Imaging:
     """What the image depends on."""
 
     processor: Annotated[str, _PROCESSOR] = "angular-division"
+    device: Annotated[
+        OwnDevice,
+        Option("What back-projection runs on: cpu, gpu, or auto, a GPU if one is found.", metavar="NAME"),
+    ] = "cpu"
     blocks: Annotated[
         int | Literal["auto"],
         Option("Number of angular blocks; auto: the fewest that keep the fidelity.", metavar="auto|N", read=blocks_of),

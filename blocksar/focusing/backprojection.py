@@ -38,12 +38,13 @@ from blocksar.kernels.beam_weights import BeamTaper
 from blocksar.kernels.device import CPU, TILE, Device, Tile, tiles
 from blocksar.kernels.groups import GROUP_BYTES, run_groups
 from blocksar.kernels.phase import Float32Array
-from blocksar.kernels.projection import Sights
+from blocksar.kernels.projection import UPSAMPLING, Sights
 
 ReadPulses = Callable[[slice], ComplexArray]  # (n, n_range_frequency) samples of a slice of pulses
 Pass = tuple[Tile, IntArray, IntArray]  # pixels, and the pulses first <= p < last that light them
 
 BLOCK_BYTES = 32 * 1024**2  # profiles of a block of pulses: malloc maps larger blocks afresh, page by page
+GPU_BLOCK_BYTES = 512 * 1024**2  # on a GPU
 MIN_PULSE_BLOCK, MAX_PULSE_BLOCK = 16, 512
 
 
@@ -190,7 +191,9 @@ def form_points(
         raise ValueError("x and y must be finite")
     sums = PixelSums(geometry, x, y, weighting, threads)
     pixels = Pixels(sums, device)
-    for pulses in pulse_blocks(sums.lit(), pulse_block or pulse_block_size(collection)):
+    for pulses in pulse_blocks(
+        sums.lit(), pulse_block or (pulse_block_size if device.name == "cpu" else gpu_pulse_block)(collection)
+    ):
         profiles = range_profiles(
             read(pulses), collection=collection, pulses=pulses, threads=threads, taper=weighting.range,
             upsampling=device.upsampling, device=device,
@@ -394,6 +397,19 @@ def image_memory(n_pixels: int, collection: Collection, *, threads: int = 1, pul
     pixel += 16 if collection.has_pattern else 0  # sums of gains, and what is divided by
     scratch = 4 * (GROUP_BYTES + 8 * bins) + 16 * 8 * TILE**2
     return n_pixels * pixel + pulses * 8 * (n + bins) + threads * scratch + 16 * 8 * (bins + collection.n_pulse)
+
+
+def gpu_memory(n_pixels: int, collection: Collection) -> int:
+    """Peak memory of a GPU that forms an image of n_pixels, bytes."""
+    n, bins = collection.n_range_frequency, profile_bins(collection, UPSAMPLING["gpu"])
+    pixel = 8 * 6 + 4 + 1  # bytes: x, y, height, first, last and image; weight; outside
+    pixel += 4 * 8  # distances of neighbours, in turn
+    return n_pixels * pixel + gpu_pulse_block(collection) * 8 * (2 * n + 4 * bins)
+
+
+def gpu_pulse_block(collection: Collection) -> int:
+    """Pulses on a GPU at a time."""
+    return max(GPU_BLOCK_BYTES // (8 * profile_bins(collection, UPSAMPLING["gpu"])), 1)
 
 
 def _run_tiles(work: Callable[[Tile], None], shape: tuple[int, ...], threads: int) -> None:

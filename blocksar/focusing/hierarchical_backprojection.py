@@ -22,7 +22,7 @@ from blocksar.focusing.hierarchy import LOOKS, Echoes, Hierarchy, Levels
 from blocksar.focusing.parts import Part
 from blocksar.focusing.profiles import MARGIN, spline_lead
 from blocksar.kernels.beam_weights import BeamTaper
-from blocksar.kernels.device import CPU, Device
+from blocksar.kernels.device import Device, on_device
 from blocksar.kernels.fourier import fast_length
 from blocksar.kernels.groups import row_groups, run_groups
 from blocksar.kernels.projection import Sights
@@ -48,7 +48,7 @@ def form_windows(
     levels: Levels,
     threads: int,
     weighting: Weighting = UNIFORM,
-    device: Device = CPU,
+    device: str = "cpu",
 ) -> Iterator[tuple[Window, ComplexArray]]:
     """Form windows of the image, one after the other, from one reading of the samples.
 
@@ -65,7 +65,7 @@ def form_windows(
     threads : int
         The result does not depend on it.
     weighting : Weighting
-    device : Device
+    device : "cpu" or "gpu"
 
     Yields
     ------
@@ -73,12 +73,13 @@ def form_windows(
     image : (n_row, n_column) complex64
         Of each window, in an order that depends on the windows only, as `backprojection.form_image` defines it.
     """
-    former = _Former(geometry, levels, weighting, device)
     whole = [(window, _outline(geometry, x, y, window)) for window in windows]
     # A single window knows itself which pulses light it.
     parts = _joined([outline for _, outline in whole]) if len(windows) > 1 else []
-    tops = [former.gather(read, part, threads) for part in parts]
-    yield from former.windows(read, x, y, whole, tops, threads)
+    with on_device(device) as opened:
+        former = _Former(geometry, levels, weighting, opened)
+        tops = [former.gather(read, part, threads) for part in parts]
+        yield from former.windows(read, x, y, whole, tops, threads)
 
 
 def _outline(geometry: Geometry, x: FloatArray, y: FloatArray, window: Window) -> list[Part]:

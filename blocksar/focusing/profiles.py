@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -130,7 +131,7 @@ def range_profiles(
     centre, spacing = profile_axis(collection, upsampling)
     values = device.empty((signal.shape[0], period + 2 * MARGIN), np.complex64)
     signal, over_band = device.put(signal), device.put(weights)
-    valid = np.empty(signal.shape[0], np.int64 if taper.uniform else np.float64)
+    valid: Any = np.empty(signal.shape[0], np.int64 if taper.uniform else np.float64)
 
     def work(rows: slice) -> None:
         missing = np.isnan(signal[rows])

@@ -28,12 +28,13 @@ from distributed import Client, LocalCluster
 
 from blocksar.budget import WAIT_WORKERS
 from blocksar.errors import InputError, ProcessingError
-from blocksar.graph.admission import NO_WORKER, await_workers, waiting_for_workers
+from blocksar.graph.admission import NO_WORKER, await_workers, waiting_for_workers, workers_of
 from blocksar.graph.compiling import By, compile_kernels, kernels_cached
 from blocksar.graph.forking import start_fork_server, worker_environment
 from blocksar.graph.here import Here
 from blocksar.graph.machine import machine
 from blocksar.graph.recording import serve_dashboard
+from blocksar.graph.units import GPU
 from blocksar.progress import Listener
 from blocksar.version import __version__
 
@@ -74,6 +75,22 @@ def cluster_size(
         _check_versions(client)
         number, memory = len(found), min(int(w["memory_limit"]) or machine()[1] for w in found.values())
     return min(number, workers or number), min(memory, memory_limit or memory)
+
+
+def workers_with_gpu(client: Client) -> int:
+    """How many workers of a cluster have a GPU, as dask's resources say.
+
+    Raises
+    ------
+    InputError
+        If none has.
+    """
+    if found := sum("GPU" in worker.get("resources", {}) for worker in workers_of(client).values()):
+        return found
+    raise InputError(
+        "device gpu: no worker of the cluster has a GPU; start one for each by CUDA_VISIBLE_DEVICES=N dask worker "
+        "SCHEDULER --resources GPU=1, or leave --device out"
+    )
 
 
 def _own_cluster(client: Client) -> OwnCluster | None:
@@ -288,6 +305,7 @@ def _local_cluster(workers: int, threads: int, memory_limit: int | None, scratch
             workers,
             memory,
             threads_per_worker=1,
+            resources=GPU,  # of which a unit of work that needs one has it for itself
             processes=True,
             host="127.0.0.1",
             dashboard_address="127.0.0.1:0",  # any free port, loopback only; needs bokeh to show more than metrics

@@ -391,8 +391,13 @@ def form_parts(
     noises: Sequence[NoiseMap | None],
     run: Run,
     listener: Listener,
+    *,
+    on: str,
 ) -> list[Receipt]:
-    """Form image.zarr straight from phase histories, each by its form; `parts` are windows, whole chunks, by unit."""
+    """Form image.zarr straight from phase histories, each by its form; `parts` are windows, whole chunks, by unit.
+
+    A unit has a CPU for itself, or a worker's GPU: `on` says which.
+    """
     sources = [
         Projected(
             segment.history, segment.geometry.over(None), inspection, noise, segment.number or 0, segment.collection,
@@ -402,7 +407,7 @@ def form_parts(
     ]  # fmt: skip
     on_terrain = segments[0].geometry.terrain is not None
     units = [
-        single_task(client, run, stage, unit, form_chunks, stage, sources, windows, grid, on_terrain)
+        single_task(client, run, stage, unit, form_chunks, stage, sources, windows, grid, on_terrain, on=on)
         for unit, windows in parts.items()
     ]
     raw = any(segment.history.path == segment.of(run).compressed for segment in segments)

@@ -41,6 +41,7 @@ from blocksar.kernels import buffers
 from blocksar.places.place import Place
 from blocksar.places.posix import resource
 from blocksar.planning.block import BlockPlan
+from blocksar.planning.tiling import box_of
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Receipt, Written
 
@@ -255,7 +256,7 @@ def form_chunks(
 ) -> Receipt:  # fmt: skip
     """Form output chunks straight from the samples, of all collections; reads the terrain there as well."""
     started = time.perf_counter()
-    terrain = local_terrain(run, grid, around(windows)) if on_terrain else None
+    terrain = local_terrain(run, grid, box_of(windows)) if on_terrain else None
     sources = [source._replace(geometry=source.geometry.over(terrain)) for source in sources]
     collections = {source.number: source.collection for source in sources if source.collection is not None}
     noises = {source.number: source.noise for source in sources if source.noise is not None}
@@ -279,12 +280,6 @@ def form_chunks(
                 *write_layers(alike, window, layers.over(window, owner)),
             ]
     return sign(run, Receipt(unit=unit, stage=stage, written=tuple(written)), started)
-
-
-def around(windows: Sequence[Window]) -> Window:
-    """The window around some."""
-    spans = [slice(min(w[k].start for w in windows), max(w[k].stop for w in windows)) for k in (0, 1)]
-    return spans[0], spans[1]
 
 
 def _form(run: Run, source: Projected, windows: Sequence[Window], grid: Grid) -> Iterator[tuple[Window, ComplexArray]]:

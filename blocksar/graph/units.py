@@ -16,6 +16,8 @@ from blocksar.progress import Listener
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import Receipt
 
+GPU = {"GPU": 1}  # dask's resources of a worker that has one
+
 
 @dataclass
 class Spare:
@@ -38,10 +40,13 @@ def spans(n: int, size: int) -> list[tuple[int, int]]:
     return [(first, min(first + size, n)) for first in range(0, n, size)]
 
 
-def single_task(client: Client, run: Run, step: str, unit: str, task: Callable[..., Receipt], *arguments: Any) -> Unit:
-    """Return a unit of work that is a single task, `task(run, unit, *arguments)`."""
+def single_task(
+    client: Client, run: Run, step: str, unit: str, task: Callable[..., Receipt], *arguments: Any, on: str = "cpu"
+) -> Unit:
+    """Return a unit of work that is a single task, `task(run, unit, *arguments)`; on a GPU it has one for itself."""
     key = f"{step}-{run.token}-{unit}"
-    return unit, partial(client.submit, task, run, unit, *arguments, key=key, pure=False)
+    needed = {"resources": GPU} if on == "gpu" else {}
+    return unit, partial(client.submit, task, run, unit, *arguments, key=key, pure=False, **needed)
 
 
 def run_units(

@@ -6,21 +6,21 @@ NumPy's.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.errors import InputError
+from blocksar.errors import InputError, ProcessingError
 from blocksar.kernels.decimation import Decimation, add_decimated, turn_and_decimate
 from blocksar.kernels.fourier import fft_rows
 from blocksar.kernels.groups import row_groups, run_groups
-from blocksar.kernels.projection import Sights, project
+from blocksar.kernels.projection import UPSAMPLING, Sights, project
 from blocksar.kernels.scratch import Scratch
 
-DeviceName = Literal["cpu", "gpu", "auto"]
 Tile = tuple[slice, slice]
 TILE = 128  # pixels per side: enough that the preparation of a tile costs little
 
@@ -72,7 +72,7 @@ class Cpu:
     """The cores of this machine."""
 
     name = "cpu"
-    upsampling = 6
+    upsampling = UPSAMPLING["cpu"]
 
     def put(self, values: Any) -> Any:
         return values
@@ -129,10 +129,10 @@ def tiles(shape: tuple[int, ...]) -> list[Tile]:
 def has_gpu() -> bool:
     """Whether this process could run on a GPU: it finds one, and the packages for it."""
     try:
-        from blocksar.kernels.gpu import count
-    except ImportError:
+        device("gpu")
+    except InputError:
         return False
-    return count() > 0
+    return True
 
 
 @cache
@@ -147,10 +147,32 @@ def device(name: str) -> Device:
     if name == "cpu":
         return CPU
     try:
-        from blocksar.kernels.gpu import Gpu
+        from blocksar.kernels.gpu import Gpu, missing
     except ImportError as error:
         raise InputError(
-            f"device gpu needs a package that is not installed ({error.name}); "
+            f"device gpu needs {error.name or error}, which is not installed; "
             "install it by pip install 'blocksar[gpu]', or leave --device out"
         ) from None
+    if (lack := missing()) is not None:
+        raise InputError(f"device gpu: {lack}; leave --device out")
     return Gpu()
+
+
+@contextmanager
+def on_device(name: str) -> Iterator[Device]:
+    """The device of a name; if its memory does not suffice, that is a sentence.
+
+    Raises
+    ------
+    ProcessingError
+        If its memory does not suffice.
+    """
+    try:
+        yield device(name)
+    except MemoryError as error:
+        if name == "cpu":
+            raise
+        cause = " ".join(str(error).split())
+        raise ProcessingError(
+            f"the GPU has too little memory ({cause}); end what else uses it, or leave --device out"
+        ) from None

@@ -1,8 +1,8 @@
 """The loops of back-projection on a GPU: turns, filters along rows and columns, and sums over pulses at pixels.
 
-They are the formulas of `decimation` and `projection`. A thread sums SIDE x SIDE neighbouring pixels about their middle:
-the range of the middle, its phase, and its place in the profile are float64, once for each pulse; with R that range,
-e the direction, u the pixel's offset from the middle, and g = 1 / (2 R), the range of a pixel is that of the middle and
+They are the formulas of `decimation` and `projection`. A thread sums SIDE x SIDE pixels about their middle, whose
+range, phase, and place in the profile are float64, once for each pulse. With R that range, e the direction, u a
+pixel's offset from the middle, and g = 1 / (2 R), the range of the pixel is that of the middle and
 
     z (1 - q + 2 q^2),  z = e u + g |u|^2,  q = g z,
 
@@ -16,20 +16,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cache
+from importlib import import_module
 from typing import Any
 
+import numba.cuda
 import numpy as np
-from numba import config, cuda
 
-from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.arrays import FloatArray
 from blocksar.kernels.beam_weights import place_tables
 from blocksar.kernels.decimation import Decimation, padded
 from blocksar.kernels.fourier import fft_rows
-from blocksar.kernels.projection import Sights, halves
+from blocksar.kernels.projection import UPSAMPLING, Sights, halves
 from blocksar.kernels.scratch import Scratch
 
-SIMULATED = bool(config.ENABLE_CUDASIM)
-UPSAMPLING = 10  # bins of a profile per range cell: the error of the quadratic spline is then -82 dB
+cuda: Any = numba.cuda
+SIMULATED = bool(getattr(numba.config, "ENABLE_CUDASIM", False))
+Single, Whole = np.float32, np.int32
 SIDE = 2  # pixels along either side that a thread sums
 THREADS = (4, 4) if SIMULATED else (8, 16)  # of a block, along columns and rows
 ROW_THREADS = 4 if SIMULATED else 128
@@ -37,8 +39,14 @@ MOST_CYCLES = 64.0  # from the middle, of which float32 has enough of the phase:
 FAR = 1e30  # m, no range: the loops know no infinity
 NEAR = 0.02  # of the distance, within which a pixel lies from the middle
 
+xp: Any = np if SIMULATED else import_module("cupy")
+
+
+def _inlined(function: Callable[..., Any]) -> Any:
+    return cuda.jit(function, device=True, inline="always", fastmath=True)
+
+
 if SIMULATED:
-    xp = np
 
     def _real(sample: Any) -> Any:
         return np.float64(sample).view(np.complex64).real
@@ -47,19 +55,18 @@ if SIMULATED:
         return np.float64(sample).view(np.complex64).imag
 
 else:
-    import cupy as xp
-    from numba.cuda import libdevice
+    libdevice: Any = import_module("numba.cuda.libdevice")
 
-    @cuda.jit(device=True, inline=True)
+    @_inlined
     def _real(sample: Any) -> Any:
         return libdevice.int_as_float(libdevice.double2loint(sample))
 
-    @cuda.jit(device=True, inline=True)
+    @_inlined
     def _imag(sample: Any) -> Any:
         return libdevice.int_as_float(libdevice.double2hiint(sample))
 
 
-@cuda.jit(fastmath=True)
+@cuda.jit(fastmath=True, cache=True)
 def _turn(values: Any, first: Any, step: Any, out: Any) -> None:
     """out[r, i] = values[r, i] exp(2j pi (first[r] + step[r] i)), and zero behind the row."""
     i, r = cuda.grid(2)
@@ -74,7 +81,7 @@ def _turn(values: Any, first: Any, step: Any, out: Any) -> None:
             out[r, i] = 0
 
 
-@cuda.jit(fastmath=True)
+@cuda.jit(fastmath=True, cache=True)
 def _decimate_rows(values: Any, taps: Any, factor: Any, start: Any, out: Any) -> None:
     """out[r, j] = sum over k of taps[k] values[r, start + j factor + k]."""
     j, r = cuda.grid(2)
@@ -88,7 +95,7 @@ def _decimate_rows(values: Any, taps: Any, factor: Any, start: Any, out: Any) ->
         out[r, j] = complex(re, im)
 
 
-@cuda.jit(fastmath=True)
+@cuda.jit(fastmath=True, cache=True)
 def _add_decimated_columns(values: Any, taps: Any, factor: Any, start: Any, out: Any) -> None:
     """out[k, c] += sum over t of taps[t] values[start + k factor + t, c]."""
     c, k = cuda.grid(2)
@@ -102,117 +109,113 @@ def _add_decimated_columns(values: Any, taps: Any, factor: Any, start: Any, out:
         out[k, c] += complex(re, im)
 
 
-@cuda.jit(device=True, inline=True)
-def _weight(v: Any, terms: Any, half_frequency: Any) -> Any:
-    """sum_k terms_k cos(2 pi k half_frequency v)."""
+@_inlined
+def _weight(places: Any, k: Any, x: Any, y: Any, z: Any, hilly: Any, terms: Any, half_frequency: Any) -> Any:
+    """The weight of pulse k at (x, y, z) m from the tile's centre: sum_n terms_n cos(2 pi n half_frequency v)."""
+    v = np.float32(places[k, 0]) + y * (np.float32(places[k, 2]) + y * np.float32(places[k, 5]))
+    v += x * (np.float32(places[k, 1]) + x * np.float32(places[k, 3]) + y * np.float32(places[k, 4]))
+    if hilly:
+        along = np.float32(places[k, 7]) + x * np.float32(places[k, 8]) + y * np.float32(places[k, 9])
+        v += z * (along + z * np.float32(places[k, 10]))
     total = np.float32(0)
-    for k in range(terms.size):
-        total += terms[k] * math.cos(np.float32(2 * math.pi * k) * half_frequency * v)
+    for n in range(terms.size):
+        total += terms[n] * math.cos(np.float32(2 * math.pi * n) * np.float32(half_frequency) * v)
     return total
+
+
+@_inlined
+def _sample(samples: Any, row: Any, bin_: Any, right: Any) -> Any:
+    """Real and imaginary part of the quadratic spline at `right` bins from a bin."""
+    half, square = np.float32(0.5), right * right
+    even, odd = half * square + np.float32(0.125), half * right
+    before, here, after = even - odd, np.float32(0.75) - square, even + odd
+    s, t, u = samples[row, bin_ - 1], samples[row, bin_], samples[row, bin_ + 1]
+    return (
+        before * _real(s) + here * _real(t) + after * _real(u),
+        before * _imag(s) + here * _imag(t) + after * _imag(u),
+    )
+
+
+@_inlined
+def _see(sights: Any, k: Any, x: Any, y: Any, z: Any, scales: Any) -> Any:
+    """How pulse k sees the middle (x, y, z) of a thread's pixels.
+
+    Range over the reference range, m; its phase, in cycles about a whole number; its bin, and how far it lies from
+    there; the direction; and 1 / (2 R).
+    """
+    dx, dy, dz = x - sights[k, 0], y - sights[k, 1], z - sights[k, 2]
+    distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+    away = distance - sights[k, 3]
+    turns, position = away * scales[1], away * scales[2] + scales[0]
+    turn, whole = turns - math.floor(turns + 0.5), math.floor(position + 0.5)
+    inverse = np.float32(1) / np.float32(distance)
+    return (
+        np.float32(away), np.float32(turn), int(whole), np.float32(position - whole), np.float32(dx) * inverse,
+        np.float32(dy) * inverse, np.float32(dz) * inverse, np.float32(0.5) * inverse,
+    )  # fmt: skip
 
 
 @cache
 def _adder(side: int, weighted: bool, hilly: bool) -> Any:
-    """The kernel by which each thread sums `side` pixels along either side."""
+    """The kernel by which each thread sums `side` pixels along either side.
+
+    Of its `scales`: the bin of the reference range, cycles and bins per metre, the largest unambiguous range, the
+    centre of the places in the beam, m, and half of the frequency of weights over it.
+    """
     count = side * side
 
-    @cuda.jit(fastmath=True)
+    @cuda.jit(fastmath=True, cache=True)
     def add(
         image: Any, outside: Any, weight: Any, samples: Any, x: Any, y: Any, height: Any, first: Any, last: Any,
-        begin: Any, end: Any, sights: Any, rows: Any, middle: Any, cycles_per_metre: Any, bins_per_metre: Any,
-        half_window: Any, places: Any, centre_x: Any, centre_y: Any, centre_z: Any, terms: Any, half_frequency: Any,
+        begin: Any, end: Any, sights: Any, rows: Any, scales: Any, places: Any, terms: Any,
     ) -> None:  # fmt: skip
         column, row = cuda.grid(2)
-        column *= side
-        row *= side
+        column, row = column * side, row * side
         if row >= image.shape[0] or column >= image.shape[1]:
             return
-        # Pixels beyond the image are those at its end, which are then not written.
-        ux = cuda.local.array(count, np.float32)
-        uy = cuda.local.array(count, np.float32)
-        uz = cuda.local.array(count, np.float32)
-        re = cuda.local.array(count, np.float32)
-        im = cuda.local.array(count, np.float32)
-        total = cuda.local.array(count, np.float32)
-        lit = cuda.local.array(count, np.int32)
-        unlit = cuda.local.array(count, np.int32)
-        after_row, after_column = min(row + side, image.shape[0]) - 1, min(column + side, image.shape[1]) - 1
-        mx = (x[row, column] + x[after_row, after_column]) / 2
-        my = (y[row, column] + y[after_row, after_column]) / 2
-        mz = 0.0
-        if hilly:
-            mz = (height[row, column] + height[after_row, after_column]) / 2
+        ux, uy, uz = cuda.local.array(count, Single), cuda.local.array(count, Single), cuda.local.array(count, Single)
+        re, im, far = cuda.local.array(count, Single), cuda.local.array(count, Single), cuda.local.array(count, Single)
+        total, lit = cuda.local.array(count, Single), cuda.local.array(count, Whole)
+        unlit = cuda.local.array(count, Whole)
+        # Pixels beyond the image are those at its end, and are not written.
+        bottom, right = min(row + side, image.shape[0]) - 1, min(column + side, image.shape[1]) - 1
+        mx, my = (x[row, column] + x[bottom, right]) / 2, (y[row, column] + y[bottom, right]) / 2
+        mz = (height[row, column] + height[bottom, right]) / 2 if hilly else 0.0
         low, high = end, begin
         for i in range(count):
-            r, c = min(row + i // side, after_row), min(column + i % side, after_column)
-            ux[i], uy[i], uz[i] = x[r, c] - mx, y[r, c] - my, 0
-            if hilly:
-                uz[i] = height[r, c] - mz
+            r, c = min(row + i // side, bottom), min(column + i % side, right)
+            ux[i], uy[i], uz[i] = x[r, c] - mx, y[r, c] - my, (height[r, c] - mz if hilly else 0.0)
             lit[i], unlit[i] = max(first[r, c], begin), min(last[r, c], end)
             low, high = min(low, lit[i]), max(high, unlit[i])
-            re[i] = im[i] = total[i] = 0
-        farthest, half = np.float32(0), np.float32(0.5)
-        per_cycle, cycles = np.float32(bins_per_metre), np.float32(cycles_per_metre)
-        bins = samples.shape[1]
+            re[i], im[i], total[i], far[i] = 0, 0, 0, 0
+        cx, cy, cz = np.float32(mx - scales[4]), np.float32(my - scales[5]), np.float32(mz - scales[6])
+        half, one, cycles, bins = np.float32(0.5), np.float32(1), np.float32(scales[1]), np.float32(scales[2])
         for p in range(low, high):
             k = p - begin
-            dx, dy, dz = mx - sights[k, 0], my - sights[k, 1], mz - sights[k, 2]
-            distance = math.sqrt(dx * dx + dy * dy + dz * dz)
-            away = distance - sights[k, 3]
-            turns = away * cycles_per_metre
-            turn = np.float32(turns - math.floor(turns + 0.5))
-            position = away * bins_per_metre + middle
-            whole = math.floor(position + 0.5)
-            offset, bin_ = np.float32(position - whole), int(whole)
-            inverse = np.float32(1) / np.float32(distance)
-            ex, ey, ez = np.float32(dx) * inverse, np.float32(dy) * inverse, np.float32(dz) * inverse
-            g, far = half * inverse, np.float32(away)
-            at = rows[k]
+            away, turn, whole, offset, ex, ey, ez, g = _see(sights, k, mx, my, mz, scales)
             for i in range(count):
-                z = ex * ux[i] + ey * uy[i] + g * (ux[i] * ux[i] + uy[i] * uy[i] + uz[i] * uz[i])
-                if hilly:
-                    z += ez * uz[i]
+                z = ex * ux[i] + ey * uy[i] + ez * uz[i] + g * (ux[i] * ux[i] + uy[i] * uy[i] + uz[i] * uz[i])
                 q = g * z
-                more = z + z * (q * (q + q - np.float32(1)))
-                place = offset + more * per_cycle
+                more = z + z * (q * (q + q - one))
+                place = offset + more * bins
                 nearest = math.floor(place + half)
-                right = place - nearest
-                b = min(max(bin_ + int(nearest), 1), bins - 2)
-                angle = (turn + more * cycles) * np.float32(2 * math.pi)
-                seen = lit[i] <= p and p < unlit[i]
-                if seen:
-                    farthest = max(farthest, abs(far + more))
-                part = np.float32(1) if seen else np.float32(0)
-                if weighted:
-                    if seen:
-                        vx = np.float32(mx - centre_x) + ux[i]
-                        vy = np.float32(my - centre_y) + uy[i]
-                        v = np.float32(places[k, 0]) + vx * (
-                            np.float32(places[k, 1]) + vx * np.float32(places[k, 3]) + vy * np.float32(places[k, 4])
-                        )
-                        v += vy * (np.float32(places[k, 2]) + vy * np.float32(places[k, 5]))
-                        if hilly:
-                            vz = np.float32(mz - centre_z) + uz[i]
-                            v += vz * (
-                                np.float32(places[k, 7]) + vx * np.float32(places[k, 8])
-                                + vy * np.float32(places[k, 9]) + vz * np.float32(places[k, 10])
-                            )  # fmt: skip
-                        part = _weight(v, terms, np.float32(half_frequency))
+                bin_ = min(max(whole + int(nearest), 1), samples.shape[1] - 2)
+                a, b = _sample(samples, rows[k], bin_, place - nearest)
+                if lit[i] <= p < unlit[i]:
+                    far[i] = max(far[i], abs(away + more))
+                    if weighted:
+                        part = _weight(places, k, cx + ux[i], cy + uy[i], cz + uz[i], hilly, terms, scales[7])
                         total[i] += part * np.float32(places[k, 6])
-                square = right * right
-                even, odd = half * square + np.float32(0.125), half * right
-                before, here, after = (even - odd) * part, (np.float32(0.75) - square) * part, (even + odd) * part
-                s, t, u = samples[at, b - 1], samples[at, b], samples[at, b + 1]
-                a = before * _real(s) + here * _real(t) + after * _real(u)
-                d = before * _imag(s) + here * _imag(t) + after * _imag(u)
-                cos, sin = math.cos(angle), math.sin(angle)
-                re[i] += a * cos - d * sin
-                im[i] += a * sin + d * cos
+                        a, b = a * part, b * part
+                    angle = (turn + more * cycles) * np.float32(2 * math.pi)
+                    cos, sin = math.cos(angle), math.sin(angle)
+                    re[i] += a * cos - b * sin
+                    im[i] += a * sin + b * cos
         for i in range(count):
             r, c = row + i // side, column + i % side
             if r < image.shape[0] and c < image.shape[1]:
                 image[r, c] += complex(re[i], im[i])
-                if farthest > half_window:
+                if far[i] > scales[3]:
                     outside[r, c] = True
                 if weighted:
                     weight[r, c] += total[i]
@@ -220,21 +223,21 @@ def _adder(side: int, weighted: bool, hilly: bool) -> Any:
     return add
 
 
-def count() -> int:
-    """How many GPUs there are."""
+def missing() -> str | None:
+    """Why there is no GPU; None if there is one."""
     if SIMULATED:
-        return 1
+        return None
     try:
-        return int(xp.cuda.runtime.getDeviceCount())
-    except xp.cuda.runtime.CUDARuntimeError:
-        return 0
+        return None if xp.cuda.runtime.getDeviceCount() else "no GPU is found"
+    except xp.cuda.runtime.CUDARuntimeError as error:
+        return f"no GPU is found ({' '.join(str(error).split())})"
 
 
 class Gpu:
     """A GPU: the one that this process is given."""
 
     name = "gpu"
-    upsampling = UPSAMPLING
+    upsampling = UPSAMPLING["gpu"]
 
     def put(self, values: Any) -> Any:
         return None if values is None else xp.asarray(values)
@@ -281,40 +284,29 @@ class Gpu:
         threads: int = 1,
     ) -> None:  # fmt: skip
         """Sum; under a taper over the beam by parts over which the place in it is a polynomial."""
-        n = sights.reference_range.size
+        n, weighted, hilly = sights.reference_range.size, sights.taper is not None, height is not None
         low, high = (np.array([float(f(axis)) for axis in (x, y)]) for f in (np.min, np.max))
-        over = None
-        if height is not None:
-            ends = float(height.min()), float(height.max())
-            over = (ends[0] + ends[1]) / 2, (ends[1] - ends[0]) / 2
-        places, precise = place_tables(sights.taper, slice(0, n), low, high, over)
+        top = (float(height.min()), float(height.max())) if hilly else (0.0, 0.0)
+        middle, reach = (top[0] + top[1]) / 2, (top[1] - top[0]) / 2
+        places, precise = place_tables(sights.taper, slice(0, n), low, high, (middle, reach) if hilly else None)
         if image.size > 1 and not precise:
             for part in halves(image.shape):
-                of_part = None if height is None else height[part], None if weight is None else weight[part]
-                self.project(
-                    image[part],
-                    outside[part],
-                    sights,
-                    x[part],
-                    y[part],
-                    first[part],
-                    last[part],
-                    of_part[1],
-                    of_part[0],
-                )
+                over = None if weight is None else weight[part]
+                up = height[part] if hilly else None
+                pixels = x[part], y[part], first[part], last[part]
+                self.project(image[part], outside[part], sights, *pixels, over, up)
             return
-        table = np.column_stack([sights.antenna.T, sights.reference_range])
-        weighted, centre = sights.taper is not None, (low + high) / 2
-        terms = np.zeros(1, np.float32) if sights.taper is None else sights.taper.series
-        side = SIDE if _near(sights, image.shape, x, y, height) else 1
         none = xp.zeros((1, 1))
+        table = np.column_stack([sights.antenna.T, sights.reference_range])
+        terms, frequency = (sights.taper.series, sights.taper.frequency) if sights.taper else (np.zeros(1), 0.0)
+        of_pulses = sights.middle, sights.cycles_per_metre, sights.bins_per_metre, min(sights.half_window, FAR)
+        scales = np.array([*of_pulses, *((low + high) / 2), middle, frequency / 2])
+        side = SIDE if _near(sights, image.shape, x, y, height) else 1
         _launch(
-            _adder(side, weighted, height is not None), tuple(-(-k // side) for k in image.shape),
-            image, outside, none.astype(np.float32) if weight is None else weight, sights.values.view(np.float64), x, y,
-            none if height is None else height, first, last, sights.start, sights.start + n, xp.asarray(table),
-            xp.asarray(sights.rows, np.int32), float(sights.middle), sights.cycles_per_metre, sights.bins_per_metre,
-            min(sights.half_window, FAR), xp.asarray(places) if places.size else none, *centre, over[0] if over else 0.0,
-            xp.asarray(terms), 0.0 if sights.taper is None else sights.taper.frequency / 2, threads=THREADS,
+            _adder(side, weighted, hilly), (-(-image.shape[0] // side), -(-image.shape[1] // side)), image, outside,
+            weight if weighted else none, sights.values.view(np.float64), x, y, height if hilly else none, first, last,
+            sights.start, sights.start + n, xp.asarray(table), xp.asarray(sights.rows, np.int32), xp.asarray(scales),
+            xp.asarray(places) if weighted else none, xp.asarray(terms, np.float32), threads=THREADS,
         )  # fmt: skip
 
 

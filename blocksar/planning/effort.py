@@ -23,7 +23,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.plan import Plan
-from blocksar.planning.tiling import chunks_of, image_chunk, inspection_width, touched_chunks
+from blocksar.planning.tiling import box_of, chunks_of, image_chunk, inspection_width, touched_chunks
 from blocksar.planning.work import block_work
 from blocksar.progress import Work
 from blocksar.progress.estimate import finishing_times
@@ -38,6 +38,9 @@ ELEVATION = 5e-7  # more with a pattern in elevation, whose means it divides by
 LAYERS = 1.1e-8  # per pixel of a chunk whose layers are added, on a terrain
 MERGE = 1.3e-8  # per merged pixel of a patch's chunk
 INSPECT = 2e-8  # per sample
+GPU_UPDATE = 6e-12  # per lit pulse and pixel, on a GPU
+GPU_PIXEL = 5e-8  # per pixel, besides, and per sample that is read, sent and transformed
+GPU_SAMPLE = 2e-9
 BACK_PROJECT = 1.9e-9  # per lit pulse and pixel: the sum, and range profiles of a chunk's pulses
 GAINS = 7e-9  # more under an antenna's pattern, whose sums it divides by
 FINISH = 0.4  # to end the cluster and flush files to the disk
@@ -188,10 +191,18 @@ def of_compression(echoes: Iterable[tuple[int, int]]) -> Work:
     return {"range-compress": units} if units else {}
 
 
-def projection_seconds(geometry: Geometry, x: FloatArray, y: FloatArray) -> float:
+def projection_seconds(geometry: Geometry, x: FloatArray, y: FloatArray, update: float = BACK_PROJECT) -> float:
     """Seconds of back-projection of a chunk at x (n_x,) and y (n_y,), by the lit pulses of a few of its pixels."""
     collection = geometry.collection
     start, end = dwell(geometry, *np.meshgrid(x[:: max(x.size // 8, 1)], y[:: max(y.size // 8, 1)]))
     lit = np.maximum(end - start, 0.0).mean() / collection.pulse_interval
-    per_pulse = BACK_PROJECT + (GAINS if collection.has_pattern else 0.0)
+    per_pulse = update + (GAINS if collection.has_pattern else 0.0)
     return per_pulse * x.size * y.size * max(float(lit), 1.0)
+
+
+def gpu_seconds(geometry: Geometry, grid: Grid, windows: Sequence[tuple[slice, slice]]) -> float:
+    """Seconds to form windows of the image together on a GPU, from one reading of the samples."""
+    rows, columns = box_of(windows)
+    collection, pixels = geometry.collection, (rows.stop - rows.start) * (columns.stop - columns.start)
+    sums = projection_seconds(geometry, grid.x[columns], grid.y[rows], GPU_UPDATE)
+    return sums + GPU_PIXEL * pixels + GPU_SAMPLE * collection.n_pulse * collection.n_range_frequency

@@ -32,25 +32,57 @@ from blocksar.focusing.parts import Part, Path
 from blocksar.focusing.profiles import spline_error
 from blocksar.kernels.fourier import fast_length
 from blocksar.planning.memory import PROCESS_MEMORY
-from blocksar.planning.tiling import image_chunk
+from blocksar.planning.tiling import image_chunk, units_of
 
 EDGE = 0.38  # e of the filters: higher ones have long tails, lower ones leave more samples
 RATIOS = (2.0, 3.0, 4.0, 6.0)  # of the sides of a level and the next
-LAST_SIDES = (32, 48, 64, 96, 128, 192)  # pixels
 UPSAMPLINGS = range(2, 25)
 NODES = 3  # along a part's side, at which it is found what lights it
 DIVISIONS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # of the image along either side, into units of work
 PLACES = (0.5, 0.25, 0.75)  # of the image, along either side, at which costs are found
-# Seconds of one thread where `graph.machine.pace` is 1.
-TURN = 0.5e-9  # per sample whose phase is turned
-TAP = 0.028e-9  # per sample and tap, along range
-ROW_TAP = 0.028e-9  # and along pulses
-PART = 0.5e-3  # per part, besides
-PROFILE = 1.1e-9  # per bin of a range profile
-UPDATE = 1.9e-9  # per pixel and pulse
+PIXEL_BYTES = 72  # of a window's pixel while it is formed
+GPU_PIXEL_BYTES = 64  # of it on a GPU
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rates:
+    """What work takes, s, of one thread where `graph.machine.pace` is 1; or of a GPU.
+
+    Attributes
+    ----------
+    turn : float
+        Per sample whose phase is turned.
+    tap : float
+        Per sample and tap, along either axis.
+    part : float
+        Per part, besides.
+    profile : float
+        Per bin of a range profile.
+    update : float
+        Per pixel and pulse.
+    last_sides : tuple of int
+        Of last parts that are tried, pixels.
+    """
+
+    turn: float
+    tap: float
+    part: float
+    profile: float
+    update: float
+    last_sides: tuple[int, ...]
+
+
+RATES = {
+    "cpu": Rates(
+        turn=0.5e-9, tap=0.028e-9, part=0.5e-3, profile=1.1e-9, update=1.9e-9, last_sides=(32, 48, 64, 96, 128, 192)
+    ),
+    "gpu": Rates(
+        turn=2e-11, tap=2e-12, part=3e-3, profile=2e-11, update=6e-12, last_sides=(128, 192, 256, 384, 512, 1024)
+    ),
+}
+# On a GPU as well these are a thread's of the CPU.
 PIXEL = 120e-9  # per pixel: which pulses light it, weights, normalisation and writing
 READ = 0.7e-9  # per sample read
-PIXEL_BYTES = 72  # of a window's pixel while it is formed
 
 
 def planned_error(levels: Levels, *, stages: int) -> float:
@@ -96,10 +128,11 @@ class Ladders:
     hierarchy : Hierarchy
     geometry : Geometry
     grid : Grid
+    rates : Rates
     """
 
-    def __init__(self, hierarchy: Hierarchy, geometry: Geometry, grid: Grid) -> None:
-        self.hierarchy, self.geometry, self.grid = hierarchy, geometry, grid
+    def __init__(self, hierarchy: Hierarchy, geometry: Geometry, grid: Grid, rates: Rates) -> None:
+        self.hierarchy, self.geometry, self.grid, self.rates = hierarchy, geometry, grid, rates
 
     def part(self, place: tuple[float, float], side: tuple[float, float]) -> Part:
         """A part of a size (m along x and y) about a place, as its border sees the beam."""
@@ -120,7 +153,7 @@ class Ladders:
         n_frequency = self.geometry.collection.n_range_frequency
         seconds, samples = READ * (end - begin) * n_frequency, 0
         filters, frame = entered
-        seconds += _filtering(filters, frame, end - begin, 0, n_frequency)
+        seconds += self._filtering(filters, frame, end - begin, 0, n_frequency)
         samples += _samples(frame)
         count = 1.0
         for above, below in pairwise(sides):
@@ -131,7 +164,7 @@ class Ladders:
             count *= above[0] * above[1] / (below[0] * below[1])
             filters, left = descended
             edges = len(range(*filters.kept.indices(frame.pulses.size)))
-            seconds += count * (PART + _filtering(filters, left, edges, frame.size, frame.columns))
+            seconds += count * (self.rates.part + self._filtering(filters, left, edges, frame.size, frame.columns))
             frame = left
             samples += _samples(frame)
         return Cost(seconds=seconds + count * self._last(frame, part, sides[-1]), samples=samples)
@@ -143,24 +176,23 @@ class Ladders:
         lit = float((part.last - part.first).mean())
         each = frame.size + lit - (frame.inside[1] - frame.inside[0]) if frame.size else lit
         bins = fast_length(self.hierarchy.levels.upsampling * frame.columns)
-        return PART + PROFILE * rows * bins + pixels * (UPDATE * max(each, 1) + PIXEL)
+        return self.rates.part + self.rates.profile * rows * bins + pixels * (self.rates.update * max(each, 1) + PIXEL)
+
+    def _filtering(self, filters: Filters, left: Frame, edges: int, interior: int, columns: int) -> float:
+        """Seconds to turn and filter rows of `columns` samples, so many edges and of the interior, to a frame."""
+        across = 2 * filters.across.half if filters.across.factor > 1 else 0
+        rows = edges + interior
+        seconds = rows * (self.rates.turn * columns + self.rates.tap * left.columns * across)
+        taps = 0.0
+        if interior:
+            taps += interior * (2 * filters.further.half + 1) / filters.further.factor
+        if left.size:
+            taps += max(edges - left.pulses.size, 0) * (2 * filters.single.half + 1) / filters.single.factor
+        return seconds + self.rates.tap * taps * left.columns
 
 
 def _samples(frame: Frame) -> int:
     return (frame.size + frame.pulses.size) * frame.columns
-
-
-def _filtering(filters: Filters, left: Frame, edges: int, interior: int, columns: int) -> float:
-    """Seconds to turn and filter rows of `columns` samples, so many edges and of the interior, to a frame."""
-    across = 2 * filters.across.half if filters.across.factor > 1 else 0
-    rows = edges + interior
-    seconds = rows * (TURN * columns + TAP * left.columns * across)
-    taps = 0.0
-    if interior:
-        taps += interior * (2 * filters.further.half + 1) / filters.further.factor
-    if left.size:
-        taps += max(edges - left.pulses.size, 0) * (2 * filters.single.half + 1) / filters.single.factor
-    return seconds + ROW_TAP * taps * left.columns
 
 
 def _halved(unit: tuple[int, int], chunk: tuple[int, int]) -> list[tuple[int, int]]:
@@ -188,6 +220,8 @@ class Division:
         Of one thread for all units, where the pace is 1.
     memory : int
         Of a task, bytes.
+    on_gpu : int
+        Of the GPU, bytes; 0 without one.
     stages : int
         Filters, along either axis, between the samples and the last parts.
     """
@@ -196,6 +230,7 @@ class Division:
     levels: Levels
     seconds: float
     memory: int
+    on_gpu: int
     stages: int
 
     @property
@@ -203,40 +238,30 @@ class Division:
         """Error power of the image over that of all that its data hold."""
         return planned_error(self.levels, stages=self.stages)
 
-    def units(self, grid: Grid, chunks: tuple[int, int] | None = None) -> list[list[tuple[slice, slice]]]:
-        """The windows of each unit: chunks of the image; `chunks` along rows and columns instead of its own."""
-        side, (high, wide) = image_chunk(grid), chunks or self.chunks
-        spans = [
-            [slice(first, min(first + step, n)) for first in range(0, n, step)]
-            for n, step in zip(grid.shape, side, strict=True)
-        ]
-        rows, columns = (
-            [each[first : first + number] for first in range(0, len(each), number)]
-            for each, number in zip(spans, (high, wide), strict=True)
-        )
-        return [[(row, column) for row in some for column in others] for some in rows for others in columns]
-
 
 def divide(
-    geometry: Geometry, grid: Grid, *, fidelity: float, weighting: Weighting, workers: int, memory_limit: float
-) -> Division:
+    geometry: Geometry, grid: Grid, *, fidelity: float, weighting: Weighting, workers: int, memory_limit: float,
+    device: str = "cpu",
+) -> Division:  # fmt: skip
     """The division that takes the least predicted time on so many workers of one thread, within their memory, bytes.
 
     Where none fits, it is the one that takes the least memory.
     """
-    found = list(_divisions(geometry, grid, fidelity=fidelity, weighting=weighting))
+    found = list(_divisions(geometry, grid, fidelity=fidelity, weighting=weighting, device=device))
     fitting = [each for each in found if each.memory <= memory_limit]
     if not fitting:
         return min(found, key=lambda each: each.memory)
 
     def time(each: Division) -> float:
-        units = len(each.units(grid))
+        units = len(units_of(grid, each.chunks))
         return math.ceil(units / workers) * each.seconds / units
 
     return min(fitting, key=time)
 
 
-def _divisions(geometry: Geometry, grid: Grid, *, fidelity: float, weighting: Weighting) -> Iterator[Division]:
+def _divisions(
+    geometry: Geometry, grid: Grid, *, fidelity: float, weighting: Weighting, device: str
+) -> Iterator[Division]:
     """Every division that is worth a thought."""
     chunk, waves = image_chunk(grid), dwell_waves(geometry, weighting)
     path = Path(geometry)
@@ -248,13 +273,13 @@ def _divisions(geometry: Geometry, grid: Grid, *, fidelity: float, weighting: We
     for division in _unit_sizes(grid, counts):
         unit = tuple(min(c * side, n) for c, side, n in zip(division, chunk, grid.shape, strict=True))
         steps = _halved((unit[0], unit[1]), chunk)
-        tried = [(r, last) for r in RATIOS for last in LAST_SIDES] if ladder is None else [ladder]
+        tried = [(r, last) for r in RATIOS for last in RATES[device].last_sides] if ladder is None else [ladder]
         best: tuple[float, Division] | None = None
         for ratio, last in tried:
             sides = [(columns * grid.dx, rows * grid.dy) for rows, columns in steps]
             below = _ladder(sides[-1], (last * grid.dx, last * grid.dy), ratio)
             levels = levels_for(fidelity, tuple(max(side) for side in below), stages=len(sides) + len(below))
-            ladders = Ladders(Hierarchy(geometry, levels, waves=waves, path=path), geometry, grid)
+            ladders = Ladders(Hierarchy(geometry, levels, waves=waves, path=path), geometry, grid, RATES[device])
             some = places if ladder is not None else places[len(places) // 2 :: len(places)]
             costs = [cost for place in some if (cost := ladders.cost(place, [*sides, *below])) is not None]
             if not costs:
@@ -263,7 +288,9 @@ def _divisions(geometry: Geometry, grid: Grid, *, fidelity: float, weighting: We
             seconds = area * float(np.mean([cost.seconds for cost in costs]))
             samples = max(cost.samples for cost in costs)
             each = Division(
-                chunks=division, levels=levels, seconds=seconds, memory=_memory(geometry, samples, chunk),
+                chunks=division, levels=levels, seconds=seconds,
+                memory=_memory(geometry, 0 if device == "gpu" else samples, chunk),
+                on_gpu=_gpu_memory(geometry, samples, chunk, levels) if device == "gpu" else 0,
                 stages=len(sides) + len(below),
             )  # fmt: skip
             if best is None or seconds < best[0]:
@@ -302,3 +329,11 @@ def _memory(geometry: Geometry, samples: int, chunk: tuple[int, int]) -> int:
     block = max(PULSE_BLOCK_BYTES, 8 * geometry.collection.n_range_frequency)
     path = 2 * 3 * 3 * 8 * 3 * geometry.collection.n_pulse
     return PROCESS_MEMORY + 4 * block + 8 * int(1.25 * samples) + PIXEL_BYTES * chunk[0] * chunk[1] + path
+
+
+def _gpu_memory(geometry: Geometry, samples: int, chunk: tuple[int, int], levels: Levels) -> int:
+    """Memory of a GPU, bytes: samples of all levels, a block that is read and turned, profiles, and a window."""
+    n = geometry.collection.n_range_frequency
+    block = max(PULSE_BLOCK_BYTES, 8 * n)
+    profiles = 4 * 8 * samples * levels.upsampling // max(len(levels.sides), 1)
+    return 8 * int(1.25 * 2 * samples) + 4 * block + profiles + GPU_PIXEL_BYTES * chunk[0] * chunk[1]

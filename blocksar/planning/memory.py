@@ -18,7 +18,7 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.constants import MIB
 from blocksar.errors import InputError
-from blocksar.focusing.backprojection import image_memory
+from blocksar.focusing.backprojection import gpu_memory, image_memory
 from blocksar.focusing.range_compression import COMPRESSED_ROWS, RawCompression
 from blocksar.focusing.range_gate import RangeGate
 from blocksar.kernels.fourier import Axis
@@ -27,6 +27,7 @@ from blocksar.planning.tiling import image_chunk, inspection_width
 
 MEMORY_SHARE = 0.8  # fraction of a worker's limit that a plan may fill
 PROCESS_MEMORY = 288 * MIB  # a worker's interpreter and libraries, without samples
+GPU_PROCESS_MEMORY = 640 * MIB  # more with the libraries of a GPU
 PROFILES = 3 * 2  # bytes of range profiles and their copies, for each of the samples, which are zero-padded twofold
 # On a terrain: heights, angles and layers of two strips of chunks, samples of the terrain that are kept, and bent taps.
 RELIEF_MEMORY = 72 * MIB
@@ -34,7 +35,9 @@ TRACK_MEMORY = 48 * MIB  # forms of splines, and what is read and written
 CHIP_COPIES = 8  # of the chips of all points while the track's error is estimated
 
 
-def checked_back_projection_memory(collection: Collection, grid: Grid, threads: int, memory_limit: int) -> int:
+def checked_back_projection_memory(
+    collection: Collection, grid: Grid, threads: int, memory_limit: int, chunks: tuple[int, int] | None = None
+) -> int:
     """Peak memory of a worker that back-projects, bytes, if its limit holds it.
 
     Raises
@@ -42,7 +45,7 @@ def checked_back_projection_memory(collection: Collection, grid: Grid, threads: 
     InputError
         If the limit is too low.
     """
-    memory = back_projection_memory(collection, grid, threads=threads)
+    memory = back_projection_memory(collection, grid, threads=threads, chunks=chunks)
     return checked_memory("back-projection", memory, memory_limit)
 
 
@@ -79,12 +82,27 @@ def track_memory(collection: Collection, n_pulse: int, chips: int) -> int:
     return PROCESS_MEMORY + TRACK_MEMORY + max((2 + PROFILES) * samples, CHIP_COPIES * chips)
 
 
-def back_projection_memory(collection: Collection, grid: Grid, *, threads: int) -> int:
-    """Peak memory of a worker that inspects a phase history and back-projects it, bytes."""
-    pixels, part = math.prod(image_chunk(grid)), min(math.prod(image_chunk(grid)), BACKPROJECTION_CHUNK**2)
+def back_projection_memory(
+    collection: Collection, grid: Grid, *, threads: int, chunks: tuple[int, int] | None = None
+) -> int:
+    """Peak memory of a worker that inspects a phase history and back-projects it, bytes; on a GPU so many chunks."""
+    pixels = math.prod(image_chunk(grid))
+    part = min(pixels, BACKPROJECTION_CHUNK**2)
+    if chunks is not None:
+        part = pixels = _box(grid, chunks)
     inspecting = 2 * 8 * inspection_width(collection) * collection.n_pulse  # as an array, and as chunks read
     forming = 3 * 8 * pixels + image_memory(part, collection, threads=threads)  # image, covered part, bytes to write
-    return PROCESS_MEMORY + max(inspecting, forming)
+    return PROCESS_MEMORY + max(inspecting, forming) + (0 if chunks is None else GPU_PROCESS_MEMORY)
+
+
+def gpu_back_projection_memory(collection: Collection, grid: Grid, chunks: tuple[int, int]) -> int:
+    """Peak memory of a GPU that back-projects to so many chunks at a time, bytes."""
+    return gpu_memory(_box(grid, chunks), collection)
+
+
+def _box(grid: Grid, chunks: tuple[int, int]) -> int:
+    """Pixels of a box of chunks."""
+    return math.prod(min(n, k * side) for n, k, side in zip(grid.shape, chunks, image_chunk(grid), strict=True))
 
 
 def block_memory(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from blocksar.arrays import FloatArray
@@ -26,6 +28,25 @@ def chunks_of(grid: Grid) -> list[tuple[FloatArray, FloatArray]]:
         for row in range(0, grid.shape[0], n_y)
         for column in range(0, grid.shape[1], n_x)
     ]
+
+
+def units_of(grid: Grid, chunks: tuple[int, int]) -> list[list[tuple[slice, slice]]]:
+    """The windows of units of so many rows and columns of the image's chunks: a window for each chunk."""
+    spans = [
+        [slice(first, min(first + step, n)) for first in range(0, n, step)]
+        for n, step in zip(grid.shape, image_chunk(grid), strict=True)
+    ]
+    rows, columns = (
+        [each[first : first + number] for first in range(0, len(each), number)]
+        for each, number in zip(spans, chunks, strict=True)
+    )
+    return [[(row, column) for row in some for column in others] for some in rows for others in columns]
+
+
+def box_of(windows: Sequence[tuple[slice, slice]]) -> tuple[slice, slice]:
+    """The window around some."""
+    spans = [slice(min(w[k].start for w in windows), max(w[k].stop for w in windows)) for k in (0, 1)]
+    return spans[0], spans[1]
 
 
 def chunk_window(cell: tuple[int, int], grid: Grid) -> tuple[slice, slice]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
+from blocksar.errors import InputError
 from blocksar.options import options_of, read_options
 from blocksar.plugins import Registry
 
@@ -17,7 +18,7 @@ def _check(processor: Processor) -> None:
     options_of(processor.options)
     if not all((processor.summary, callable(processor.plan), callable(processor.check))):
         raise TypeError("a processor has a summary, options, and functions to check these and to plan")
-    _ = processor.universal, processor.compared
+    _ = processor.universal, processor.compared, processor.on_gpu
 
 
 # For editors; the registry knows more.
@@ -25,6 +26,7 @@ OwnProcessor = Literal[
     "angular-division", "keystone-resampling", "high-order-phase", "hierarchical-backprojection", "backprojection",
     "auto",
 ]  # fmt: skip
+OwnDevice = Literal["cpu", "gpu", "auto"]
 CHAINS = "blocksar.processors.chain"
 PROCESSORS: Registry[Processor] = Registry(
     "blocksar.processors",
@@ -41,6 +43,25 @@ PROCESSORS: Registry[Processor] = Registry(
 )
 REFERENCE = "backprojection"  # takes any collection; all others are judged by it
 AUTO = "auto"  # chooses among the others
+
+
+def device_for(name: str, asked: str) -> str:
+    """What a processor runs on, "cpu" or "gpu"; `asked` may be "auto": a GPU if one is found.
+
+    Raises
+    ------
+    InputError
+        If it does not run on a GPU, which is asked for.
+    """
+    able = PROCESSORS.get(name).on_gpu
+    if asked == "gpu" and not able:
+        others = " or ".join(each for each, part in PROCESSORS.sound() if part.on_gpu)
+        raise InputError(f"processor {name} does not run on a GPU; give --processor {others}, or leave --device out")
+    if asked != "auto" or not able:
+        return "cpu" if asked == "auto" else asked
+    from blocksar.kernels.device import has_gpu  # with the loops, which take long to load
+
+    return "gpu" if has_gpu() else "cpu"
 
 
 def options_for(name: str, given: Mapping[str, Any]) -> Any:

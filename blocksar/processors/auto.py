@@ -40,6 +40,7 @@ class Auto:
     options = ChainOptions
     universal = True
     compared = False
+    on_gpu = True
 
     def check(self, options: Any) -> None:
         """Check that processors are compared as they are.
@@ -62,7 +63,11 @@ class Auto:
         InputError
             If no processor can form it: the reason of the last, which takes any collection.
         """
-        candidates = [_candidate(name, problem) for name, part in PROCESSORS.sound() if part.compared]
+        candidates = [
+            _candidate(name, problem)
+            for name, part in PROCESSORS.sound()
+            if part.compared and (part.on_gpu or problem.device == "cpu")
+        ]
         planned = [(each, each.plan) for each in candidates if each.plan is not None]
         if not planned:
             raise InputError(candidates[-1].refusal)

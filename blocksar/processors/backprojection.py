@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -20,13 +20,16 @@ from blocksar.focusing.backprojection import ReadPulses, form_image
 from blocksar.focusing.method import ChainOptions, Method
 from blocksar.graph import compiling
 from blocksar.inspection.sentences import doubts_of_track
+from blocksar.kernels.device import on_device
 from blocksar.planning import effort
-from blocksar.planning.memory import checked_back_projection_memory
-from blocksar.processors.base import ChunkPlan, ImagePlan, Problem
+from blocksar.planning.memory import checked_back_projection_memory, gpu_back_projection_memory
+from blocksar.planning.tiling import box_of
+from blocksar.processors.base import ChunkPlan, ImagePlan, Problem, Window
 from blocksar.processors.lines import lit_pulses
+from blocksar.progress import Work
 
 if TYPE_CHECKING:
-    from blocksar.graph.tasks import Form
+    from blocksar.graph.tasks import Form, FormParts
 
 
 class Backprojection:
@@ -40,6 +43,7 @@ class Backprojection:
     options = ChainOptions
     universal = True
     compared = True
+    on_gpu = True
 
     def check(self, options: Any) -> None:
         """Check that no option of chains is chosen.
@@ -62,16 +66,22 @@ class Backprojection:
             If the grid is missing, or a worker has too little memory.
         """
         grid, machine = problem.points, problem.machine
+        chunks = None if problem.device == "cpu" else GPU_CHUNKS
         memory = max(
-            checked_back_projection_memory(each, grid, machine.threads, machine.memory_limit)
+            checked_back_projection_memory(each, grid, machine.threads, machine.memory_limit, chunks)
             for each in problem.collections
         )
+        on_gpu = [
+            0 if chunks is None else gpu_back_projection_memory(each, grid, chunks) for each in problem.collections
+        ]
         return BackprojectionPlan(
-            processor=self.name, grid=grid, pieces=problem.pieces, terrain=problem.terrain, needed=memory
-        )
+            processor=self.name, grid=grid, pieces=problem.pieces, terrain=problem.terrain, needed=memory,
+            device=problem.device, chunks=chunks or (1, 1), on_gpu=max(on_gpu),
+        )  # fmt: skip
 
 
 EXACT = Backprojection()
+GPU_CHUNKS = (8, 8)  # of the image, in a unit of work: enough that reading and transforming the samples costs little
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,8 +95,23 @@ class BackprojectionPlan(ChunkPlan):
     def seconds(self, geometry: Geometry, x: FloatArray, y: FloatArray) -> float:
         return effort.projection_seconds(geometry, x, y)
 
+    def work(self, *, workers: int) -> Work:
+        geometries = [piece.geometry for piece in self.pieces]
+        if self.device == "cpu":
+            return effort.of_chunks(geometries, self.grid, self.processor, self.seconds)
+        costs = [
+            sum(effort.gpu_seconds(each, self.grid, windows) for each in geometries)
+            for windows in self.parts().values()
+        ]
+        return effort.of_parts(geometries, self.processor, costs)
+
     def forming(self, weighting: Weighting) -> Form:
         return partial(form_parts, weighting=weighting)
+
+    def forming_parts(self, number: int, weighting: Weighting) -> FormParts:
+        if self.device == "cpu":
+            return super().forming_parts(number, weighting)
+        return partial(form_together, weighting=weighting, device=self.device)
 
     def loops(self) -> Sequence[str]:
         return compiling.PATTERNS
@@ -98,7 +123,7 @@ class BackprojectionPlan(ChunkPlan):
         return [
             f"exact back-projection of {self.grid.shape[1]} x {self.grid.shape[0]} pixels, {lit} lit pulses each: "
             f"{pixels * lit / 1e9:.3g} G updates at most",
-            f"peak memory of a worker {self.needed / MIB:.0f} MiB",
+            *self.memory_lines(),
             f"a run writes at most {sum(self.stored().values()) / MIB:.0f} MiB",
             *dict.fromkeys(doubts),
         ]
@@ -116,3 +141,21 @@ def form_parts(
                 read, geometry, x[columns], y[rows], threads=threads, weighting=weighting
             )  # fmt: skip
     return image
+
+
+def form_together(
+    read: ReadPulses, geometry: Geometry, x: FloatArray, y: FloatArray, windows: Sequence[Window], *, threads: int,
+    weighting: Weighting, device: str,
+) -> Iterator[tuple[Window, ComplexArray]]:  # fmt: skip
+    """Form the box around windows in one pass over the samples."""
+    rows, columns = box_of(windows)
+    with on_device(device) as opened:
+        image = form_image(read, geometry, x[columns], y[rows], threads=threads, weighting=weighting, device=opened)
+    for window in windows:
+        yield (
+            window,
+            image[
+                window[0].start - rows.start : window[0].stop - rows.start,
+                window[1].start - columns.start : window[1].stop - columns.start,
+            ],
+        )

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
-import numpy as np
-
 from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
@@ -20,7 +18,7 @@ from blocksar.constants import MIB
 from blocksar.planning import effort
 from blocksar.planning.disk import exact_bytes
 from blocksar.planning.segments import joint_grid
-from blocksar.planning.tiling import chunk_window, image_chunk
+from blocksar.planning.tiling import units_of
 from blocksar.progress import Listener, Work
 from blocksar.tables import Table
 
@@ -61,6 +59,8 @@ class Problem:
     options : object
         Of the processor's model of options.
     machine : Resources
+    device : "cpu" or "gpu"
+        What back-projection runs on.
     """
 
     collections: Sequence[Collection]
@@ -71,6 +71,7 @@ class Problem:
     weighting: Weighting
     options: Any
     machine: Resources
+    device: str = "cpu"
 
     @cached_property
     def points(self) -> Grid:
@@ -140,6 +141,7 @@ class ImagePlan(ABC):
     pieces: tuple[Piece, ...]
 
     refusal: str | None = None  # why the image cannot be formed, with the figure
+    device: str = "cpu"  # or "gpu": what back-projection runs on
     coherence: float = 1.0  # least predicted coherence with exact back-projection
     faithful: bool = True  # whether it keeps the fidelity that was asked for
     reads_later: bool = False  # whether samples are read again after the first stage
@@ -227,14 +229,25 @@ class PartPlan(ImagePlan):
         Peak memory of a worker, bytes.
     terrain : Terrain or None
         The ground, if the processor takes one.
+    chunks : tuple of int
+        Rows and columns of chunks of the image in a unit of work.
+    on_gpu : int
+        Memory of the GPU, bytes; 0 without one.
     """
 
     needed: int
     terrain: Terrain | None = None
+    chunks: tuple[int, int] = (1, 1)
+    on_gpu: int = 0
 
-    @abstractmethod
     def parts(self) -> dict[str, list[Window]]:
         """Windows of the image, whole chunks, of each unit of work."""
+        return {f"part-{number}": windows for number, windows in enumerate(units_of(self.grid, self.chunks))}
+
+    def memory_lines(self) -> list[str]:
+        """What a worker needs."""
+        gpu = f", and {self.on_gpu / MIB:.0f} MiB of its GPU" if self.on_gpu else ""
+        return [f"peak memory of a worker {self.needed / MIB:.0f} MiB{gpu}"]
 
     @abstractmethod
     def forming_parts(self, number: int, weighting: Weighting) -> FormParts:
@@ -259,8 +272,9 @@ class PartPlan(ImagePlan):
         noises = execution.noises([inspection.lit for inspection in inspections])
         forms = [self.forming_parts(number, execution.weighting) for number in range(len(segments))]
         formed = stages.form_parts(
-            client, self.processor, forms, self.parts(), segments, self.grid, inspections, noises, run, listener
-        )
+            client, self.processor, forms, self.parts(), segments, self.grid, inspections, noises, run, listener,
+            on=self.device,
+        )  # fmt: skip
         execution.end(self.processor)
         return [*(receipt for each in read for receipt in each.receipts), *formed]
 
@@ -285,11 +299,6 @@ class ChunkPlan(PartPlan):
 
         return partial(each_alone, form=self.forming(weighting))
 
-    def parts(self) -> dict[str, list[Window]]:
-        side = image_chunk(self.grid)
-        cells = np.ndindex(*(-(-n // k) for n, k in zip(self.grid.shape, side, strict=True)))
-        return {f"chunk-{row}-{column}": [chunk_window((row, column), self.grid)] for row, column in cells}
-
     def work(self, *, workers: int) -> Work:
         return effort.of_chunks([piece.geometry for piece in self.pieces], self.grid, self.processor, self.seconds)
 
@@ -309,6 +318,8 @@ class Processor(Protocol):
         Whether it takes any track and grid: nothing is expanded about a place or a time.
     compared : bool
         Whether `auto` considers it.
+    on_gpu : bool
+        Whether it can run on a GPU.
     """
 
     name: str
@@ -316,6 +327,7 @@ class Processor(Protocol):
     options: type
     universal: bool
     compared: bool
+    on_gpu: bool
 
     def check(self, options: Any) -> None:
         """Check that options go together.

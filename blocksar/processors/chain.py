@@ -44,6 +44,7 @@ class Chain:
     name: Name
     summary: str
     compared: bool = False
+    on_gpu: bool = False
     options = ChainOptions
     universal = False
 

@@ -17,7 +17,7 @@ from blocksar.inspection.sentences import doubts_of_track
 from blocksar.planning import effort
 from blocksar.planning.hierarchy import Division, coherence_of, divide
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY, checked_memory
-from blocksar.processors.base import ImagePlan, NoOptions, PartPlan, Problem, Window
+from blocksar.processors.base import ImagePlan, NoOptions, PartPlan, Problem
 from blocksar.progress import Work
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ class HierarchicalBackprojection:
     options = NoOptions
     universal = True
     compared = True
+    on_gpu = True
 
     def check(self, options: Any) -> None:
         """There are none."""
@@ -53,7 +54,7 @@ class HierarchicalBackprojection:
         divisions = tuple(
             divide(
                 piece.geometry, grid, fidelity=problem.fidelity, weighting=problem.weighting,
-                workers=max(machine.workers, 1), memory_limit=share,
+                workers=max(machine.workers, 1), memory_limit=share, device=problem.device,
             )
             for piece in pieces
         )  # fmt: skip
@@ -61,6 +62,8 @@ class HierarchicalBackprojection:
         memory = PROCESS_MEMORY + sum(each.memory - PROCESS_MEMORY for each in divisions)
         return HierarchicalPlan(
             processor=self.name, grid=grid, pieces=pieces, terrain=problem.terrain, divisions=divisions,
+            device=problem.device, on_gpu=sum(each.on_gpu for each in divisions),
+            chunks=(min(each.chunks[0] for each in divisions), min(each.chunks[1] for each in divisions)),
             needed=checked_memory("hierarchical back-projection", memory, machine.memory_limit),
             coherence=coherence, faithful=coherence >= problem.fidelity,
         )  # fmt: skip
@@ -79,17 +82,8 @@ class HierarchicalPlan(PartPlan):
     def result(self) -> Grid:
         return self.grid
 
-    @property
-    def chunks(self) -> tuple[int, int]:
-        """Rows and columns of chunks of the image in a unit of work: as many as suit all pieces."""
-        return min(each.chunks[0] for each in self.divisions), min(each.chunks[1] for each in self.divisions)
-
-    def parts(self) -> dict[str, list[Window]]:
-        units = self.divisions[0].units(self.grid, self.chunks)
-        return {f"part-{number}": windows for number, windows in enumerate(units)}
-
     def forming_parts(self, number: int, weighting: Weighting) -> FormParts:
-        return partial(form_windows, levels=self.divisions[number].levels, weighting=weighting)
+        return partial(form_windows, levels=self.divisions[number].levels, weighting=weighting, device=self.device)
 
     def work(self, *, workers: int) -> Work:
         count, seconds = len(self.parts()), sum(each.seconds for each in self.divisions)
@@ -109,7 +103,7 @@ class HierarchicalPlan(PartPlan):
             f"{sides} m",
             f"predicted coherence with exact back-projection: at least {self.coherence:.8f}; errors are "
             f"{error:.0f} dB below the power of all that a part's data hold, bright places beside it as well",
-            f"peak memory of a worker {self.needed / MIB:.0f} MiB",
+            *self.memory_lines(),
             f"a run writes at most {sum(self.stored().values()) / MIB:.0f} MiB",
             *dict.fromkeys(doubts),
         ]

@@ -36,6 +36,7 @@ control = "points.json"
 source = "ph.zarr"
 out = "run"
 processor = "high-order-phase"
+device = "auto"
 blocks = 5
 fidelity = 0.9995
 weighting = "hann"
@@ -134,7 +135,7 @@ def test_the_printed_configuration_is_read_back(text: str, seen: Any) -> None:
     [
         ("blokcs = 3", "c.toml: 'blokcs' is no option of focus; did you mean blocks?"),
         ("weighting_asimuth = 'hann'", "did you mean weighting-azimuth?"),
-        ("zzz = 1", "'zzz' is no option of focus; known are source, out, processor, blocks"),
+        ("zzz = 1", "'zzz' is no option of focus; known are source, out, processor, device, blocks"),
         ("[focus]\nblocks = 3", "'focus' is no option of focus; did you mean autofocus?"),
         ("dry-run = true", "'dry-run' is no option of focus"),
         ("memory_limit = '1GiB'\nmemory-limit = '2GiB'", "c.toml: memory_limit and memory-limit are one option"),

@@ -23,7 +23,7 @@ class Options:
 
 class Omega:
     name, summary, options = "omega-k", "exact for straight tracks", Options
-    universal = compared = False
+    universal = compared = on_gpu = False
 
     def check(self, options):
         raise InputError(f"asked for {options}")

@@ -164,7 +164,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes(environment: dict[str, str], spo
     assert run(environment, *polar(spotlight, whole, "--workers", 0, grid=grid)).returncode == 0
     words = (sys.executable, "-m", "blocksar", *map(str, polar(spotlight, cut, "--workers", 1, grid=grid)))
     with subprocess.Popen(words, env=environment, stderr=subprocess.DEVNULL, start_new_session=True) as process:
-        while process.poll() is None and not list((cut / "receipts").rglob("*chunk*")):
+        while process.poll() is None and not list((cut / "receipts").rglob("*part-*")):
             time.sleep(0.02)
         assert process.poll() is None, "the run ended before it could be killed"
         os.killpg(process.pid, signal.SIGKILL)

@@ -19,8 +19,9 @@ from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.beam import lit_interval
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
-from blocksar.focusing.backprojection import TILE, accumulate, form_points, pulse_block_size
+from blocksar.focusing.backprojection import accumulate, form_points, pulse_block_size
 from blocksar.focusing.profiles import range_profiles
+from blocksar.kernels.device import TILE
 from blocksar.measurement.coherence import coherence
 from blocksar.planning.plan import Plan
 

@@ -120,6 +120,7 @@ class PolarFormat:
     summary = "a spotlight by plane waves about each chunk of its image"
     options = PolarOptions
     universal = False
+    on_gpu = False
     compared = False
 
     def check(self, options: PolarOptions) -> None: ...
