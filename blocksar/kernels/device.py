@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.errors import InputError, ProcessingError
+from blocksar.errors import InputError, ProcessingError, library_for
 from blocksar.kernels.decimation import Decimation, add_decimated, turn_and_decimate
 from blocksar.kernels.fourier import fft_rows
 from blocksar.kernels.groups import row_groups, run_groups
@@ -146,13 +146,8 @@ def device(name: str) -> Device:
     """
     if name == "cpu":
         return CPU
-    try:
+    with library_for("--device gpu needs", "gpu"):
         from blocksar.kernels.gpu import Gpu, missing
-    except ImportError as error:
-        raise InputError(
-            f"device gpu needs {error.name or error}, which is not installed; "
-            "install it by pip install 'blocksar[gpu]', or leave --device out"
-        ) from None
     if (lack := missing()) is not None:
         raise InputError(f"device gpu: {lack}; leave --device out")
     return Gpu()

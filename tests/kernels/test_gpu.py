@@ -116,7 +116,7 @@ def test_exact_back_projection(name: str) -> None:
 
 
 @on_gpu
-@pytest.mark.parametrize("name", ["Table 1", "weighted", "on hills, weighted"])
+@pytest.mark.parametrize("name", ["on hills, weighted"])
 def test_hierarchical_back_projection(name: str) -> None:
     made = scene(**SCENES[name])
     x: FloatArray = made["x"]
