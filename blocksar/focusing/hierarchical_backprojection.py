@@ -18,7 +18,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, UNIFORM, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.backprojection import PixelSums, ReadPulses, pulse_blocks
-from blocksar.focusing.hierarchy import LOOKS, Echoes, Hierarchy, Levels
+from blocksar.focusing.hierarchy import Echoes, Hierarchy, Levels
 from blocksar.focusing.parts import Part
 from blocksar.focusing.profiles import MARGIN, spline_lead
 from blocksar.kernels.beam_weights import BeamTaper
@@ -31,7 +31,7 @@ from blocksar.kernels.scratch import Scratch
 SAFE = 0.45  # of the unambiguous window: ranges that stay within are interpolated without a test of each
 NOTICED = 1e-4  # of a taper's terms: waves of the weights that a filter has to pass
 PULSE_BLOCK_BYTES = 16 * 1024**2  # samples that are read at a time
-CHECKED = 16  # pixels a side of the parts that are tested one by one for the unambiguous window
+CHECKED = 8  # pixels a side of the parts of which each pixel is tested for the unambiguous window
 MOST_WINDOWS = 16  # that are formed from the same echoes
 SAMPLED = 16  # places along the side of a window at which it is found which pulses light it
 Window = tuple[slice, slice]
@@ -93,8 +93,9 @@ def _outline(geometry: Geometry, x: FloatArray, y: FloatArray, window: Window) -
     z = geometry.height(mesh_x, mesh_y)
     parts = []
     for first, last in zip(*lit_passes(geometry, mesh_x, mesh_y), strict=True):
+        leave_outside(geometry, Part(x=x[columns], y=y[rows], z=np.asarray(z), first=first, last=last))
         (begin, end), (start, stop) = Part(x=x[columns], y=y[rows], z=np.asarray(z), first=first, last=last).lit()
-        apart = 2 + max(int(np.abs(np.diff(ends, axis=k)).max(initial=0)) for ends in (first, last) for k in (0, 1))
+        apart = 2 + max(_apart(ends, last > first) for ends in (first, last))
         n = geometry.collection.n_pulse
         free = begin == 0 and start == 0, end == n and stop == n  # all of the collection lights it
         begin, end = max(begin - apart, 0), min(end + apart, n)
@@ -109,6 +110,15 @@ def _outline(geometry: Geometry, x: FloatArray, y: FloatArray, window: Window) -
             )
         )
     return parts
+
+
+def _apart(ends: IntArray, lit: BoolArray) -> int:
+    """Largest step from one lit place (n_row, n_column) to the next, of the pulses at which dwells begin or end."""
+    steps = [
+        np.abs(np.diff(ends, axis=k))[np.delete(lit, 0, axis=k) & np.delete(lit, -1, axis=k)].max(initial=0)
+        for k in (0, 1)
+    ]
+    return int(max(steps))
 
 
 def _halves(outlines: Sequence[Outlined]) -> list[list[Outlined]]:
@@ -219,7 +229,7 @@ class _Former:
         image = self.device.put(sums.image)
         for number, (first, last) in enumerate(_whole_passes(sums)):
             part = Part(x=x, y=y, z=z, first=first, last=last)
-            mark_outside(geometry, part, sums.outside)
+            sums.outside |= leave_outside(geometry, part)
             top, echoes = tops[number] if number < len(tops) else (part, None)
             if _holds(echoes, part):
                 left = None if echoes is None else self.hierarchy.divide(top, echoes, part, self._scratch(), -1)
@@ -265,12 +275,11 @@ class _Former:
         before, n = frame.before, frame.size
         rows = np.concatenate([frame.pulses[:before], frame.grid, frame.pulses[before:]])
         values = [echoes.edges[:before], echoes.interior, echoes.edges[before:]]
-        begin = int(rows[0]) if before else frame.inside[0]
-        first = np.maximum(part.first - begin, 0)
-        last = before + n + part.last - frame.inside[1] if n else np.maximum(part.last - begin, 0)
+        begin, lit = int(rows[0]) if before else frame.inside[0], part.last > part.first
+        first = np.where(lit, np.maximum(part.first - begin, 0), 0)
+        last = np.where(lit, part.last + (before + n - frame.inside[1] if n else -begin), 0)
         put, period = self.device.put, fast_length(self.hierarchy.levels.upsampling * frame.columns)
         window, middle = SPEED_OF_LIGHT / (2 * frame.step), frame.columns // 2
-        reach = path.reach(rows[:: max(rows.size // LOOKS, 1)], part)[0]
         antenna = path.at(rows).T
         antenna[2] -= collection.ground_height
         sights = Sights(
@@ -282,7 +291,7 @@ class _Former:
             cycles_per_metre=2 * (collection.carrier + frame.start + middle * frame.step) / SPEED_OF_LIGHT,
             antenna=np.ascontiguousarray(antenna),
             reference_range=path.ranges(rows, part.centre),
-            half_window=np.inf if reach < SAFE * window else window / 2,
+            half_window=np.inf if frame.reach < SAFE * window else window / 2,
             taper=None if self.taper.uniform else self._beam_taper(rows),
         )
         x, y = np.meshgrid(part.x, part.y)
@@ -365,9 +374,17 @@ def _holds(echoes: Echoes | None, part: Part) -> bool:
     return min(known, default=end) <= begin and end - 1 <= max(known, default=begin - 1)
 
 
+def leave_outside(geometry: Geometry, part: Part) -> BoolArray:
+    """Where `mark_outside` sets it; no pulse of the part lights these pixels any more."""
+    outside = np.zeros(part.shape, np.bool_)
+    mark_outside(geometry, part, outside)
+    part.first[outside], part.last[outside] = 0, 0
+    return outside
+
+
 def mark_outside(geometry: Geometry, part: Part, outside: BoolArray) -> None:
     """Set `outside` where a lit pulse sees a pixel of a part outside the unambiguous window, in place."""
-    (begin, end), _ = part.lit()
+    (begin, end), (start, stop) = part.lit()
     if begin == end:
         return
     collection, centre = geometry.collection, part.centre
@@ -377,17 +394,18 @@ def mark_outside(geometry: Geometry, part: Part, outside: BoolArray) -> None:
     radius = float(np.linalg.norm(part.border - centre, axis=1).max())
     if away.max() + radius <= half:
         return
-    if max(part.shape) > CHECKED:
+    if away[start - begin : stop - begin].max(initial=0) - radius > half:
+        outside[:] = True
+    elif max(part.shape) > CHECKED:
         for window in part.divide(part.side / 2 * (1 + 1e-9)):
             mark_outside(geometry, part.within(window), outside[window])
-        return
-    z = np.broadcast_to(part.z, part.shape)
-    pulses = np.arange(begin, end)
-    for row, column in np.ndindex(part.shape):
-        point = np.array([part.x[column], part.y[row], z[row, column]])
-        lit = (pulses >= part.first[row, column]) & (pulses < part.last[row, column])
-        away = np.abs(np.linalg.norm(position - point, axis=1) - reference)
-        outside[row, column] |= bool((away[lit] > half).any())
+    else:
+        x, y = np.meshgrid(part.x, part.y)
+        ground = np.stack([x, y, np.broadcast_to(part.z, part.shape)], axis=-1)
+        ranges = np.sqrt(sum(np.square(ground[..., k, None] - position[:, k]) for k in range(3)))
+        pulses = np.arange(begin, end)
+        lit = (pulses >= part.first[..., None]) & (pulses < part.last[..., None])
+        outside |= (lit & (np.abs(ranges - reference) > half)).any(axis=-1)
 
 
 def dwell_waves(geometry: Geometry, weighting: Weighting) -> float:

@@ -99,6 +99,8 @@ class Frame:
         Range frequency of the first column, and spacing, Hz.
     bend : float
         How Doppler bends over the dwell, per pulse^2: see `Path.bend`.
+    reach : float
+        Largest |R_x - R_c| of the part, m.
     """
 
     at: int
@@ -110,6 +112,7 @@ class Frame:
     step: float
     columns: int
     bend: float
+    reach: float = np.inf
 
     @property
     def grid(self) -> IntArray:
@@ -220,7 +223,7 @@ class Hierarchy:
         at -= (at - low) // single.factor * single.factor
         columns, first = across.span(frame.columns)
         left = Frame(
-            at=at, stride=single.factor, inside=inside, columns=padded(columns), bend=frame.bend,
+            at=at, stride=single.factor, inside=inside, columns=padded(columns), bend=frame.bend, reach=reach,
             size=(high - at) // single.factor + 1 if inside[0] < inside[1] else 0,
             pulses=pulses[(pulses < inside[0]) | (pulses >= inside[1])],
             start=frame.start + first * frame.step, step=frame.step * across.factor,

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import cached_property
+from itertools import pairwise, product
 
 import numpy as np
 
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.collection.geometry import Geometry
 
+BORDER = np.array([(x, y, z) for z in (0, 2) for x, y in product((0, 1, 2), repeat=2)])  # of a box: see `Part.border`
 BEND_NODES = 256  # pulses at which it is found how Doppler bends over a dwell
 
 
@@ -114,10 +116,16 @@ class Part:
         """Rows and columns."""
         return self.y.size, self.x.size
 
+    @cached_property
+    def _box(self) -> FloatArray:
+        """Low end, middle and high end (3, 3) of x, y and z."""
+        ends = np.array([(axis.min(), axis.max()) for axis in (self.x, self.y, self.z)])
+        return np.stack([ends[:, 0], ends.mean(axis=1), ends[:, 1]])
+
     @property
     def centre(self) -> FloatArray:
         """The middle (3,) of the box around it, m."""
-        return np.array([(axis.min() + axis.max()) / 2 for axis in (self.x, self.y, self.z)])
+        return self._box[1]
 
     @property
     def border(self) -> FloatArray:
@@ -125,12 +133,8 @@ class Part:
 
         Close by, the nearest point of a side is not one of its ends.
         """
-        low, middle, high = (
-            [function(axis) for axis in (self.x, self.y, self.z)]
-            for function in (np.min, lambda axis: (axis.min() + axis.max()) / 2, np.max)
-        )
-        ends = [np.unique(nodes) for nodes in zip(low, middle, high, strict=True)]
-        return np.stack([axis.ravel() for axis in np.meshgrid(ends[0], ends[1], ends[2][[0, -1]])], axis=1)
+        nodes = BORDER if self.z.ndim else BORDER[:9]  # on a plane its lower half is all of it
+        return self._box[nodes, np.arange(3)]
 
     @property
     def side(self) -> float:
@@ -138,13 +142,13 @@ class Part:
         return float(max(abs(self.x[-1] - self.x[0]), abs(self.y[-1] - self.y[0])))
 
     def lit(self) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Pulses begin <= p < end that light some of it, and first <= p < last that light all of it; or none."""
+        """Pulses begin <= p < end that light some of it, and first <= p < last that light all that is lit; or none."""
         lit = self.last > self.first
         if not lit.any():
             return (0, 0), (0, 0)
         some = int(self.first[lit].min()), int(self.last[lit].max())
-        whole = int(self.first.max()), int(self.last.min())
-        return some, whole if lit.all() and whole[0] < whole[1] else (some[1], some[1])
+        whole = int(self.first[lit].max()), int(self.last[lit].min())
+        return some, whole if whole[0] < whole[1] else (some[1], some[1])
 
     def divide(self, side: float) -> Iterator[tuple[slice, slice]]:
         """Rows and columns of its parts of at most `side` m, all about as large."""
