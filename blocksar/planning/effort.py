@@ -41,7 +41,7 @@ INSPECT = 2e-8  # per sample
 GPU_UPDATE = 6e-12  # per lit pulse and pixel, on a GPU
 GPU_PIXEL = 5e-8  # per pixel, besides, and per sample that is read, sent and transformed
 GPU_SAMPLE = 2e-9
-BACK_PROJECT = 1.9e-9  # per lit pulse and pixel: the sum, and range profiles of a chunk's pulses
+BACK_PROJECT = 3.7e-9  # per lit pulse and pixel: the sum, and range profiles of a chunk's pulses
 GAINS = 7e-9  # more under an antenna's pattern, whose sums it divides by
 FINISH = 0.4  # to end the cluster and flush files to the disk
 

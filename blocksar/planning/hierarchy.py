@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from blocksar.collection.beam import lit_passes
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Weighting
-from blocksar.focusing.hierarchical_backprojection import MOST_WINDOWS, PULSE_BLOCK_BYTES, dwell_waves
+from blocksar.focusing.hierarchical_backprojection import MOST_WINDOWS, PULSE_BLOCK_BYTES, dwell_waves, leave_outside
 from blocksar.focusing.hierarchy import Filters, Frame, Hierarchy, Levels
 from blocksar.focusing.parts import Part, Path
 from blocksar.focusing.profiles import spline_error
@@ -39,7 +39,7 @@ RATIOS = (2.0, 3.0, 4.0, 6.0)  # of the sides of a level and the next
 UPSAMPLINGS = range(2, 25)
 NODES = 3  # along a part's side, at which it is found what lights it
 DIVISIONS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # of the image along either side, into units of work
-PLACES = (0.5, 0.25, 0.75)  # of the image, along either side, at which costs are found
+PLACES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the image, along either side, at which costs are found
 PIXEL_BYTES = 72  # of a window's pixel while it is formed
 GPU_PIXEL_BYTES = 64  # of it on a GPU
 
@@ -74,14 +74,14 @@ class Rates:
 
 RATES = {
     "cpu": Rates(
-        turn=0.5e-9, tap=0.028e-9, part=0.5e-3, profile=1.1e-9, update=1.9e-9, last_sides=(32, 48, 64, 96, 128, 192)
+        turn=0.7e-9, tap=0.07e-9, part=1.4e-3, profile=3e-9, update=3.1e-9, last_sides=(32, 48, 64, 96, 128, 192)
     ),
     "gpu": Rates(
         turn=2e-11, tap=2e-12, part=3e-3, profile=2e-11, update=6e-12, last_sides=(128, 192, 256, 384, 512, 1024)
     ),
 }
 # On a GPU as well these are a thread's of the CPU.
-PIXEL = 120e-9  # per pixel: which pulses light it, weights, normalisation and writing
+PIXEL = 80e-9  # per pixel: which pulses light it, weights, normalisation and writing
 READ = 0.7e-9  # per sample read
 
 
@@ -141,7 +141,9 @@ class Ladders:
         first, last = lit_passes(self.geometry, *mesh)
         longest = int((last - first).sum(axis=(1, 2)).argmax())
         z = np.nan_to_num(np.asarray(self.geometry.height(*mesh)), nan=self.geometry.collection.ground_height)
-        return Part(x=x, y=y, z=z, first=first[longest], last=last[longest])
+        part = Part(x=x, y=y, z=z, first=first[longest], last=last[longest])
+        leave_outside(self.geometry, part)
+        return part
 
     def cost(self, place: tuple[float, float], sides: Sequence[tuple[float, float]]) -> Cost | None:
         """What the first of some parts costs, each of which is divided into the next; None where nothing lights it."""
@@ -265,9 +267,8 @@ def _divisions(
     """Every division that is worth a thought."""
     chunk, waves = image_chunk(grid), dwell_waves(geometry, weighting)
     path = Path(geometry)
-    places = [
-        (grid.x0 + u * grid.dx * grid.shape[1], grid.y0 + v * grid.dy * grid.shape[0]) for u in PLACES for v in PLACES
-    ]
+    nodes = sorted(product(PLACES, PLACES), key=lambda node: math.hypot(node[0] - 0.5, node[1] - 0.5))
+    places = [(grid.x0 + u * grid.dx * grid.shape[1], grid.y0 + v * grid.dy * grid.shape[0]) for u, v in nodes]
     counts = [math.ceil(n / side) for n, side in zip(grid.shape, chunk, strict=True)]
     ladder: tuple[float, int] | None = None  # ratio and last side: those of the first units serve all
     for division in _unit_sizes(grid, counts):
@@ -280,10 +281,12 @@ def _divisions(
             below = _ladder(sides[-1], (last * grid.dx, last * grid.dy), ratio)
             levels = levels_for(fidelity, tuple(max(side) for side in below), stages=len(sides) + len(below))
             ladders = Ladders(Hierarchy(geometry, levels, waves=waves, path=path), geometry, grid, RATES[device])
-            some = places if ladder is not None else places[len(places) // 2 :: len(places)]
-            costs = [cost for place in some if (cost := ladders.cost(place, [*sides, *below])) is not None]
-            if not costs:
-                costs = [Cost(seconds=PIXEL * unit[0] * unit[1], samples=0)]
+            unlit = Cost(seconds=PIXEL * unit[0] * unit[1], samples=0)
+            each_place = (ladders.cost(place, [*sides, *below]) for place in places)
+            if ladder is None:  # a place that is lit
+                costs = [next((cost for cost in each_place if cost is not None), unlit)]
+            else:
+                costs = [cost or unlit for cost in each_place]
             area = grid.shape[0] * grid.shape[1] / (unit[0] * unit[1])
             seconds = area * float(np.mean([cost.seconds for cost in costs]))
             samples = max(cost.samples for cost in costs)
