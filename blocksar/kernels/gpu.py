@@ -39,6 +39,7 @@ MOST_CYCLES = 64.0  # from the middle, of which float32 has enough of the phase:
 FAR = 1e30  # m, no range: the loops know no infinity
 NEAR = 0.02  # of the distance, within which a pixel lies from the middle
 
+numba.config.CUDA_LOW_OCCUPANCY_WARNINGS = 0  # type: ignore[attr-defined]  # small parts are no fault
 xp: Any = np if SIMULATED else import_module("cupy")
 
 

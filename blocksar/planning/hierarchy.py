@@ -31,7 +31,7 @@ from blocksar.focusing.hierarchy import Filters, Frame, Hierarchy, Levels
 from blocksar.focusing.parts import Part, Path
 from blocksar.focusing.profiles import spline_error
 from blocksar.kernels.fourier import fast_length
-from blocksar.planning.memory import PROCESS_MEMORY
+from blocksar.planning.memory import GPU_PROCESS_MEMORY, PROCESS_MEMORY
 from blocksar.planning.tiling import image_chunk, units_of
 
 EDGE = 0.38  # e of the filters: higher ones have long tails, lower ones leave more samples
@@ -77,7 +77,7 @@ RATES = {
         turn=0.7e-9, tap=0.07e-9, part=1.4e-3, profile=3e-9, update=3.1e-9, last_sides=(32, 48, 64, 96, 128, 192)
     ),
     "gpu": Rates(
-        turn=2e-11, tap=2e-12, part=3e-3, profile=2e-11, update=6e-12, last_sides=(128, 192, 256, 384, 512, 1024)
+        turn=2e-11, tap=2e-12, part=1e-2, profile=2e-11, update=6e-12, last_sides=(128, 192, 256, 384, 512, 1024)
     ),
 }
 # On a GPU as well these are a thread's of the CPU.
@@ -292,7 +292,7 @@ def _divisions(
             samples = max(cost.samples for cost in costs)
             each = Division(
                 chunks=division, levels=levels, seconds=seconds,
-                memory=_memory(geometry, 0 if device == "gpu" else samples, chunk),
+                memory=_memory(geometry, samples, chunk, device),
                 on_gpu=_gpu_memory(geometry, samples, chunk, levels) if device == "gpu" else 0,
                 stages=len(sides) + len(below),
             )  # fmt: skip
@@ -327,11 +327,12 @@ def _ladder(window: tuple[float, float], last: tuple[float, float], ratio: float
     ]
 
 
-def _memory(geometry: Geometry, samples: int, chunk: tuple[int, int]) -> int:
-    """Peak memory of a worker of one thread, bytes."""
+def _memory(geometry: Geometry, samples: int, chunk: tuple[int, int], device: str) -> int:
+    """Peak memory of a worker of one thread, bytes; a GPU has the samples for itself."""
     block = max(PULSE_BLOCK_BYTES, 8 * geometry.collection.n_range_frequency)
     path = 2 * 3 * 3 * 8 * 3 * geometry.collection.n_pulse
-    return PROCESS_MEMORY + 4 * block + 8 * int(1.25 * samples) + PIXEL_BYTES * chunk[0] * chunk[1] + path
+    own = 8 * int(1.25 * samples) if device == "cpu" else GPU_PROCESS_MEMORY
+    return PROCESS_MEMORY + 4 * block + own + PIXEL_BYTES * chunk[0] * chunk[1] + path
 
 
 def _gpu_memory(geometry: Geometry, samples: int, chunk: tuple[int, int], levels: Levels) -> int:

@@ -27,7 +27,7 @@ from blocksar.planning.tiling import image_chunk, inspection_width
 
 MEMORY_SHARE = 0.8  # fraction of a worker's limit that a plan may fill
 PROCESS_MEMORY = 288 * MIB  # a worker's interpreter and libraries, without samples
-GPU_PROCESS_MEMORY = 640 * MIB  # more with the libraries of a GPU
+GPU_PROCESS_MEMORY = 768 * MIB  # more with the libraries of a GPU
 PROFILES = 3 * 2  # bytes of range profiles and their copies, for each of the samples, which are zero-padded twofold
 # On a terrain: heights, angles and layers of two strips of chunks, samples of the terrain that are kept, and bent taps.
 RELIEF_MEMORY = 72 * MIB
