@@ -6,7 +6,7 @@ average, and what is stopped is far below: an image whose samples have passed n 
 
     n / 2 10^(-A / 10) + spline_error(upsampling)^2
 
-of all that its data hold. Half of what the fidelity allows is given to each term. The coherence of an image with an
+of all that its data hold. Each term has SHARE of what the fidelity allows. The coherence of an image with an
 error power e, which is not coherent with it, is (1 + e)^(-1/2).
 
 What levels there are, and how large the last parts, is chosen by the predicted time: the filters of each level, and the
@@ -31,9 +31,11 @@ from blocksar.focusing.hierarchy import Filters, Frame, Hierarchy, Levels
 from blocksar.focusing.parts import Part, Path
 from blocksar.focusing.profiles import spline_error
 from blocksar.kernels.fourier import fast_length
+from blocksar.planning import effort
 from blocksar.planning.memory import GPU_PROCESS_MEMORY, PROCESS_MEMORY
 from blocksar.planning.tiling import image_chunk, units_of
 
+SHARE = 0.4  # of what the fidelity allows: some places of an image err by 1 dB more than its mean
 EDGE = 0.38  # e of the filters: higher ones have long tails, lower ones leave more samples
 RATIOS = (2.0, 3.0, 4.0, 6.0)  # of the sides of a level and the next
 UPSAMPLINGS = range(2, 25)
@@ -98,7 +100,7 @@ def coherence_of(error: float) -> float:
 
 def levels_for(fidelity: float, sides: tuple[float, ...], *, stages: int) -> Levels:
     """Levels whose error power is 1 - fidelity at most."""
-    allowed = (1 - fidelity) / 2
+    allowed = SHARE * (1 - fidelity)
     attenuation = 10 * math.log10(stages / allowed)
     upsampling = next((n for n in UPSAMPLINGS if spline_error(upsampling=n) ** 2 <= allowed), UPSAMPLINGS[-1])
     return Levels(sides=sides, attenuation=attenuation, edge=EDGE, upsampling=upsampling)
@@ -133,6 +135,8 @@ class Ladders:
 
     def __init__(self, hierarchy: Hierarchy, geometry: Geometry, grid: Grid, rates: Rates) -> None:
         self.hierarchy, self.geometry, self.grid, self.rates = hierarchy, geometry, grid, rates
+        # Waves are those of a taper over the beam, by whose sums the image is divided.
+        self.gains = effort.GAINS if geometry.collection.has_pattern or hierarchy.waves else 0.0
 
     def part(self, place: tuple[float, float], side: tuple[float, float]) -> Part:
         """A part of a size (m along x and y) about a place, as its border sees the beam."""
@@ -178,7 +182,8 @@ class Ladders:
         lit = float((part.last - part.first).mean())
         each = frame.size + lit - (frame.inside[1] - frame.inside[0]) if frame.size else lit
         bins = fast_length(self.hierarchy.levels.upsampling * frame.columns)
-        return self.rates.part + self.rates.profile * rows * bins + pixels * (self.rates.update * max(each, 1) + PIXEL)
+        pixel = PIXEL + self.rates.update * max(each, 1) + self.gains * lit
+        return self.rates.part + self.rates.profile * rows * bins + pixels * pixel
 
     def _filtering(self, filters: Filters, left: Frame, edges: int, interior: int, columns: int) -> float:
         """Seconds to turn and filter rows of `columns` samples, so many edges and of the interior, to a frame."""
