@@ -62,6 +62,8 @@ class Rates:
         Per bin of a range profile.
     update : float
         Per pixel and pulse.
+    pixel : float
+        Per pixel: which pulses light it, weights, normalisation and writing, all of which a CPU does.
     last_sides : tuple of int
         Of last parts that are tried, pixels.
     """
@@ -71,20 +73,31 @@ class Rates:
     part: float
     profile: float
     update: float
+    pixel: float
     last_sides: tuple[int, ...]
 
 
 RATES = {
     "cpu": Rates(
-        turn=0.7e-9, tap=0.07e-9, part=1.4e-3, profile=3e-9, update=3.1e-9, last_sides=(32, 48, 64, 96, 128, 192)
+        turn=0.7e-9,
+        tap=0.07e-9,
+        part=1.4e-3,
+        profile=3e-9,
+        update=3.1e-9,
+        pixel=80e-9,
+        last_sides=(32, 48, 64, 96, 128, 192),
     ),
     "gpu": Rates(
-        turn=2e-11, tap=2e-12, part=1e-2, profile=2e-11, update=6e-12, last_sides=(128, 192, 256, 384, 512, 1024)
+        turn=2e-11,
+        tap=2e-12,
+        part=1e-2,
+        profile=2e-11,
+        update=6e-12,
+        pixel=6e-7,
+        last_sides=(128, 192, 256, 384, 512, 1024),
     ),
 }
-# On a GPU as well these are a thread's of the CPU.
-PIXEL = 80e-9  # per pixel: which pulses light it, weights, normalisation and writing
-READ = 0.7e-9  # per sample read
+READ = 0.7e-9  # s of a thread per sample read
 
 
 def planned_error(levels: Levels, *, stages: int) -> float:
@@ -182,7 +195,7 @@ class Ladders:
         lit = float((part.last - part.first).mean())
         each = frame.size + lit - (frame.inside[1] - frame.inside[0]) if frame.size else lit
         bins = fast_length(self.hierarchy.levels.upsampling * frame.columns)
-        pixel = PIXEL + self.rates.update * max(each, 1) + self.gains * lit
+        pixel = self.rates.pixel + self.rates.update * max(each, 1) + self.gains * lit
         return self.rates.part + self.rates.profile * rows * bins + pixels * pixel
 
     def _filtering(self, filters: Filters, left: Frame, edges: int, interior: int, columns: int) -> float:
@@ -286,7 +299,7 @@ def _divisions(
             below = _ladder(sides[-1], (last * grid.dx, last * grid.dy), ratio)
             levels = levels_for(fidelity, tuple(max(side) for side in below), stages=len(sides) + len(below))
             ladders = Ladders(Hierarchy(geometry, levels, waves=waves, path=path), geometry, grid, RATES[device])
-            unlit = Cost(seconds=PIXEL * unit[0] * unit[1], samples=0)
+            unlit = Cost(seconds=RATES[device].pixel * unit[0] * unit[1], samples=0)
             each_place = (ladders.cost(place, [*sides, *below]) for place in places)
             if ladder is None:  # a place that is lit
                 costs = [next((cost for cost in each_place if cost is not None), unlit)]
