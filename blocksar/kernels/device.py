@@ -146,8 +146,11 @@ def device(name: str) -> Device:
     """
     if name == "cpu":
         return CPU
-    with library_for("--device gpu needs", "gpu"):
-        from blocksar.kernels.gpu import Gpu, missing
+    try:
+        with library_for("--device gpu needs", "gpu"):
+            from blocksar.kernels.gpu import Gpu, missing
+    except ImportError as error:  # of libraries that are there, but lack others of the system
+        raise InputError(f"device gpu: {' '.join(str(error).split())}; leave --device out") from None
     if (lack := missing()) is not None:
         raise InputError(f"device gpu: {lack}; leave --device out")
     return Gpu()
