@@ -177,7 +177,10 @@ class Ladders:
         count = 1.0
         for above, below in pairwise(sides):
             part = self.part(place, below)
-            descended = self.hierarchy.descend(frame, part)
+            (begin, end), _ = part.lit()
+            # Between the few places that are looked at, a part may be lit when its parent is not.
+            held = frame.size or bool(((frame.pulses >= begin) & (frame.pulses < end)).any())
+            descended = self.hierarchy.descend(frame, part) if held else None
             if descended is None:
                 return None
             count *= above[0] * above[1] / (below[0] * below[1])
