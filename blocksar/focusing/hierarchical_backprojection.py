@@ -93,22 +93,19 @@ def _outline(geometry: Geometry, x: FloatArray, y: FloatArray, window: Window) -
     z = geometry.height(mesh_x, mesh_y)
     parts = []
     for first, last in zip(*lit_passes(geometry, mesh_x, mesh_y), strict=True):
-        leave_outside(geometry, Part(x=x[columns], y=y[rows], z=np.asarray(z), first=first, last=last))
-        (begin, end), (start, stop) = Part(x=x[columns], y=y[rows], z=np.asarray(z), first=first, last=last).lit()
-        apart = 2 + max(_apart(ends, last > first) for ends in (first, last))
+        seen = Part(x=x[columns], y=y[rows], z=np.asarray(z), first=first, last=last)
+        leave_outside(geometry, seen)
+        (begin, end), (start, stop) = seen.lit()
+        lit, apart = begin < end, 2 + max(_apart(ends, last > first) for ends in (first, last))
         n = geometry.collection.n_pulse
         free = begin == 0 and start == 0, end == n and stop == n  # all of the collection lights it
         begin, end = max(begin - apart, 0), min(end + apart, n)
         start, stop = (0 if free[0] else start + apart), (n if free[1] else stop - apart)
-        parts.append(
-            Part(
-                x=x[columns],
-                y=y[rows],
-                z=np.atleast_1d(z).ravel(),
-                first=np.array([begin, start]),
-                last=np.array([end, stop if start < stop else start]),
-            )
-        )
+        # Two places that say as much: where no pulse lights all of the window, none lights both.
+        ends = [(begin, end), (start, stop)] if start < stop else [(begin, begin + 1), (end - 1, end)]
+        ends = ends if lit else [(0, 0)]
+        places = np.array(ends).T
+        parts.append(Part(x=x[columns], y=y[rows], z=np.atleast_1d(z).ravel(), first=places[0], last=places[1]))
     return parts
 
 

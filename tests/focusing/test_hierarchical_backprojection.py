@@ -176,3 +176,20 @@ def test_the_error_follows_filters_and_interpolation(attenuation: float, upsampl
     exact = back_projection(c, samples, *np.meshgrid(x[::5], y[::5]))
     away = np.abs(found[::5, ::5] - exact)
     assert 10 * np.log10((away**2).sum() / (np.abs(exact) ** 2).sum()) < -attenuation + 4
+
+
+@pytest.mark.parametrize("beam_width", [0.0012, 0.0003])
+def test_windows_share_one_reading_also_where_no_pulse_lights_all_of_one(beam_width: float) -> None:
+    c = replace(axis_collection("tops", n_pulse=800), beam_width=beam_width)
+    samples, geometry = noise(c), Geometry(collection=c)
+    x, y = 9000 + np.arange(-40.0, 40.0), np.arange(-40.0, 40.0)
+    windows = [(slice(i, i + 40), slice(j, j + 40)) for i in (0, 40) for j in (0, 40)]
+    pulses: list[int] = []
+
+    def read(some: slice) -> ComplexArray:
+        pulses.extend(range(some.start, some.stop))
+        return samples[some]
+
+    formed = [image for _, image in form_windows(read, geometry, x, y, windows, levels=LEVELS, threads=1)]
+    assert all(np.isfinite(image).any() for image in formed)
+    assert len(pulses) == len(set(pulses))
