@@ -31,7 +31,7 @@ from blocksar.places.shared_work import locked
 def loops() -> Iterator[tuple[str, Dispatcher]]:
     """Return the package's compiled functions with their names."""
     for module in pkgutil.walk_packages(blocksar.__path__, "blocksar."):
-        if not module.name.endswith("__main__"):
+        if not module.name.endswith(("__main__", "kernels.gpu")):  # the latter's are no loops of the CPU, and need CuPy
             importlib.import_module(module.name)
     yield from dispatchers("blocksar").items()
 
