@@ -62,7 +62,7 @@ def focus(
     source: Source,
     out: Location,
     *,
-    processor: OwnProcessor = "angular-division",
+    processor: OwnProcessor = "auto",
     device: OwnDevice = "cpu",
     blocks: int | Literal["auto"] = "auto",
     fidelity: float = FIDELITY,
@@ -109,7 +109,8 @@ def focus(
     processor : str
         How the image is formed: by a chain of steps ("angular-division", "keystone-resampling", "high-order-phase");
         "hierarchical-backprojection": any geometry, as exactly as `fidelity` asks; "backprojection": exact and slow;
-        "auto": the fastest of all that keeps `fidelity`. Default: "angular-division".
+        "auto" (default): the fastest of all that keeps `fidelity`; with `blocks`
+        or an option of chains, "angular-division".
     device : {"cpu", "gpu", "auto"}
         What back-projection runs on; chains run on the CPU. "auto": a GPU if this process finds one and the processor
         runs there. Default: "cpu".

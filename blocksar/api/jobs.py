@@ -387,7 +387,7 @@ class Job:
             grid=grid_numbers(self.grid),
             predicted=(predicted := self.plan.blocks()),
             coherence=self.plan.coherence if not predicted and self.plan.coherence < 1 else None,
-            processor=self.plan.processor if self.plan.compared else "",
+            processor="" if self.plan.processor == self.request.processor else self.plan.processor,
             checksum=stores.checksum_bytes(self.packed),
         )
         return RunRecord(

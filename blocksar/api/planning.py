@@ -37,7 +37,7 @@ from blocksar.processors.lines import exact_line, time_line
 def plan(
     source: Source,
     *,
-    processor: OwnProcessor = "angular-division",
+    processor: OwnProcessor = "auto",
     device: OwnDevice = "cpu",
     blocks: int | Literal["auto"] = "auto",
     fidelity: float = FIDELITY,
@@ -70,7 +70,8 @@ def plan(
     processor : str
         How the image is formed: by a chain of steps ("angular-division", "keystone-resampling", "high-order-phase");
         "hierarchical-backprojection": any geometry, as exactly as `fidelity` asks; "backprojection": exact and slow;
-        "auto": the fastest of all that keeps `fidelity`. Default: "angular-division".
+        "auto" (default): the fastest of all that keeps `fidelity`; with `blocks`
+        or an option of chains, "angular-division".
     device : {"cpu", "gpu", "auto"}
         What back-projection runs on; chains run on the CPU. "auto": a GPU if this process finds one and the processor
         runs there. Default: "cpu".
@@ -139,13 +140,14 @@ def plan(
         If the source is no collection, a setting is wrong, the PRF is too low, or the grid lies outside the swath.
     """
     settings = Settings.of(locals())
-    chosen = options_for(processor, settings.options)
+    way = PROCESSORS.get(settings.processor)
+    chosen = options_for(settings.processor, settings.options)
     points, ground = settings.points, settings.ground
     collections = collections_of(source if looks is None else one_source(source, looks), ground_height, terrain=terrain)
     parts = None if looks is None else divide_dwells(collections[0], looks, points)
     points = points if parts is None else parts.grid
     here = in_this_process(workers, collections)
-    runs_on = device_for(processor, device)
+    runs_on = device_for(settings.processor, device)
     if runs_on == "gpu" and not here:
         workers = workers or 1
     share = resources(0 if here else workers, None, settings.memory_limit)
@@ -167,11 +169,11 @@ def plan(
     with naming_exact(collections, points, assumed):
         if parts is not None:
             report = report_looks(
-                lambda seen: PROCESSORS.get(processor).plan(replace(problem, collections=[seen])),
+                lambda seen: way.plan(replace(problem, collections=[seen])),
                 collections[0], parts, assumed,
             )  # fmt: skip
         else:
-            planned = PROCESSORS.get(processor).plan(problem)
+            planned = way.plan(problem)
             report = _report(planned, assumed, time.perf_counter() - started)
     if report.refusal is not None:
         return replace(report, refusal=report.refusal + exact_way(collections, points, assumed))
@@ -199,7 +201,6 @@ def _report(plan: ImagePlan, assumed: Resources, planning: float) -> PlanReport:
             *recorded_lines([piece.geometry for piece in plan.pieces], plan.grid),
             time_line(work, assumed, planning),
             *exact_line([plan], work, assumed, planning),
-            *([f"to focus with it: --processor {plan.processor}"] if compared else []),
         ],
         result=plan.result,
         plan=plan,

@@ -7,7 +7,7 @@ its field. The values go on as one `Settings`. Options of processors are theirs,
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
@@ -16,7 +16,7 @@ from blocksar.budget import FIDELITY, WAIT_WORKERS
 from blocksar.collection.surface import Surface
 from blocksar.focusing.method import ChainOptions
 from blocksar.options import Option, Stated, options_of, read_values
-from blocksar.processors import PROCESSORS, OwnDevice
+from blocksar.processors import AUTO, CHAIN, PROCESSORS, OwnDevice
 
 if TYPE_CHECKING:
     from blocksar.api.parsing import GridLike
@@ -43,7 +43,7 @@ _PROCESSOR = Option(
 class Imaging:
     """What the image depends on."""
 
-    processor: Annotated[str, _PROCESSOR] = "angular-division"
+    processor: Annotated[str, _PROCESSOR] = "auto"
     device: Annotated[
         OwnDevice,
         Option("What back-projection runs on: cpu, gpu, or auto, a GPU if one is found.", metavar="NAME"),
@@ -147,11 +147,19 @@ class Settings(Output, Machine, Imaging):  # whose fields stand in the opposite 
         ------
         InputError
             If one cannot be read.
+
+        Notes
+        -----
+        Blocks and options that only chains have leave `auto` nothing to choose: they ask for the main chain.
         """
         known = {each.name: each for each in options_of(cls)}
         own = {name: value for name, value in given.items() if name in known}
         chains = {each.name: given[each.name] for each in options_of(ChainOptions) if each.name in given}
-        return cls(**read_values(known.values(), own), options=chains | given.get("options", {}))
+        read = cls(**read_values(known.values(), own), options=chains | given.get("options", {}))
+        divided = read.blocks != "auto" or any(
+            read.options.get(each.name, each.default) not in (None, each.default) for each in options_of(ChainOptions)
+        )
+        return replace(read, processor=CHAIN) if read.processor == AUTO and divided else read
 
     @property
     def points(self) -> Grid | None:

@@ -50,13 +50,13 @@ def plan(
     show(proposal, context)
     if proposal.refusal is not None:
         complain(proposal.refusal, WRONG_INPUT)
-    _hint_after_plan(context, source, proposal)
+    _hint_after_plan(context, source)
 
 
 OF_PLAN = ("everything", "explain")  # its options that `focus` has not
 
 
-def _hint_after_plan(context: typer.Context, sources: list[str], proposal: Any) -> None:
+def _hint_after_plan(context: typer.Context, sources: list[str]) -> None:
     """Simulate a scene, or focus phase histories with the same options."""
     from blocksar.api.arguments import is_scene
 
@@ -64,17 +64,7 @@ def _hint_after_plan(context: typer.Context, sources: list[str], proposal: Any) 
         if is_scene(source):
             hint(context, "simulate", source, "--out", f"{Path(source).stem}.zarr")
             return
-    chosen = context.params["processor"] == "auto" and proposal.plan is not None  # not of looks
-    proposed = ["--processor", proposal.plan.processor] if chosen else []
-    hint(
-        context,
-        "focus",
-        *sources,
-        "--out",
-        "run",
-        *proposed,
-        *given(context, *OF_PLAN, *(["processor"] if proposed else [])),
-    )
+    hint(context, "focus", *sources, "--out", "run", *given(context, *OF_PLAN))
 
 
 @taking(options_taken("focus"))

@@ -30,8 +30,9 @@ from blocksar.progress.estimate import finishing_times
 
 COMPRESS = 6e-8  # per sample of the echo
 RECOVER = 3.2e-8  # per written sample of the spectrum
+GATE = 2.6e-8  # per written sample of a range sub-block
 STEPS = 8.5e-11  # per operation of the blocks' transforms and resamplings, as Plan.work counts them
-EDGES = 7e-7  # per written pixel of a patch's chunks whose edges of dwells are back-projected
+EDGES = 3e-7  # per written pixel of a patch's chunks whose edges of dwells are back-projected
 CORRECT = 2.7e-8  # per written pixel of a patch's chunks
 ON_TERRAIN = 1.3e-8  # more on a terrain: heights, and their part of the correction
 ELEVATION = 5e-7  # more with a pattern in elevation, whose means it divides by
@@ -41,7 +42,7 @@ INSPECT = 2e-8  # per sample
 GPU_UPDATE = 6e-12  # per lit pulse and pixel, on a GPU
 GPU_PIXEL = 4e-7  # per pixel, besides, and per sample that is read, sent and transformed: work of the CPU
 GPU_SAMPLE = 2e-9
-BACK_PROJECT = 3.7e-9  # per lit pulse and pixel: the sum, and range profiles of a chunk's pulses
+BACK_PROJECT = 2.2e-9  # per lit pulse and pixel: the sum, and range profiles of a chunk's pulses
 GAINS = 7e-9  # more under an antenna's pattern, whose sums it divides by
 FINISH = 0.4  # to end the cluster and flush files to the disk
 
@@ -128,7 +129,8 @@ def together(works: Sequence[Work]) -> Work:
 def _gating(plan: Plan) -> dict[str, list[float]]:
     """Work of the range gates; nothing without sub-blocks."""
     groups = plan.gate_spans()
-    return {"gate": [STEPS * plan.gate_work() / len(groups)] * len(groups)} if groups else {}
+    seconds = STEPS * plan.gate_work() + GATE * plan.gated_samples()
+    return {"gate": [seconds / len(groups)] * len(groups)} if groups else {}
 
 
 def of_backprojection(geometries: Sequence[Geometry], grid: Grid) -> Work:

@@ -79,12 +79,12 @@ class Rates:
 
 RATES = {
     "cpu": Rates(
-        turn=0.7e-9,
-        tap=0.07e-9,
-        part=1.4e-3,
-        profile=3e-9,
-        update=3.1e-9,
-        pixel=80e-9,
+        turn=0.55e-9,
+        tap=0.055e-9,
+        part=1.1e-3,
+        profile=2.4e-9,
+        update=2.5e-9,
+        pixel=64e-9,
         last_sides=(32, 48, 64, 96, 128, 192),
     ),
     "gpu": Rates(
@@ -97,7 +97,7 @@ RATES = {
         last_sides=(128, 192, 256, 384, 512, 1024),
     ),
 }
-READ = 0.7e-9  # s of a thread per sample read
+READ = 0.55e-9  # s of a thread per sample read
 
 
 def planned_error(levels: Levels, *, stages: int) -> float:

@@ -226,6 +226,10 @@ class Plan:
         """Floating-point operations of the range gates' transforms."""
         return sum(each.count * fft_work(each.length) for each in self._gate_transforms())
 
+    def gated_samples(self) -> int:
+        """Samples that the range gates write."""
+        return sum(each.count * each.length for each in self._gate_transforms()[1:])
+
     def work(self) -> float:
         """Floating-point operations of all transforms and resamplings of the blocks."""
         return self.gate_work() + sum(map(block_work, self.blocks))

@@ -43,6 +43,7 @@ PROCESSORS: Registry[Processor] = Registry(
 )
 REFERENCE = "backprojection"  # takes any collection; all others are judged by it
 AUTO = "auto"  # chooses among the others
+CHAIN = "angular-division"  # of the chains, which are alike, the one that it considers
 
 
 def device_for(name: str, asked: str) -> str:

@@ -43,17 +43,7 @@ class Auto:
     on_gpu = True
 
     def check(self, options: Any) -> None:
-        """Check that processors are compared as they are.
-
-        Raises
-        ------
-        InputError
-            If an option is given.
-        """
-        if departures := options.departures:
-            raise InputError(
-                f"{' and '.join(departures)}: processor auto compares processors as they are; leave it out"
-            )
+        """Processors are compared as they are: options of chains ask for a chain."""
 
     def plan(self, problem: Problem) -> ImagePlan:
         """Plan an image by several processors; the plan of the chosen one, with all of them in `compared`.

@@ -370,6 +370,8 @@ class RunRecord:
             return f"format {self.format!r}"
         own = _BEFORE | dict(self.settings)
         recorded = {name: own.get(name) for name in (*settings, *(name for name in _IF_USED if name in own))}
+        if self.finished and recorded.get("processor") == "angular-division" and settings.get("processor") == "auto":
+            recorded["processor"] = "auto"  # of version 0.2.0, whose default it was
         if changed := {name: value for name, value in recorded.items() if value != settings.get(name)}:
             return ", ".join(f"{name} {value!r}" for name, value in changed.items())
         return None if self.input.fingerprint == fingerprint else "another input"

@@ -25,7 +25,7 @@ def repeat_command(settings: Mapping[str, Any], paths: Sequence[str], folder: st
     inside = any(f"{path}/".startswith(f"{folder}/{INPUT}/") for path in paths)
     words = ["blocksar", "focus", *paths, "--out", f"{folder}-again" if inside else folder]
     defaults = Method().as_settings() | {
-        "processor": "angular-division",
+        "processor": "auto",
         "blocks": "auto",
         "fidelity": FIDELITY,
         "grid": None,
