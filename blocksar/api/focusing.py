@@ -109,16 +109,15 @@ def focus(
     processor : str
         How the image is formed: by a chain of steps ("angular-division", "keystone-resampling", "high-order-phase");
         "hierarchical-backprojection": any geometry, as exactly as `fidelity` asks; "backprojection": exact and slow;
-        "auto" (default): the fastest of all that keeps `fidelity`; with `blocks`
-        or an option of chains, "angular-division".
+        "auto" (default): the fastest of all that keeps `fidelity`; with `blocks` or
+        an option of chains, "angular-division".
     device : {"cpu", "gpu", "auto"}
         What back-projection runs on; chains run on the CPU. "auto": a GPU if this process finds one and the processor
         runs there. Default: "cpu".
     blocks : int or "auto"
         Number of angular blocks, at least 1. "auto" (default): the fewest that keep `fidelity` and fit the memory.
     fidelity : float
-        Coherence with exact back-projection that "auto" keeps where it can, below 1. Where whole dwells do not keep it,
-        their edges are back-projected, also with a number of blocks. Default: 0.999.
+        Coherence with exact back-projection that "auto" keeps where it can, below 1. Default: 0.999.
     weighting : str
         Taper over band and dwell: "uniform", "taylor:NBAR:SLL" (such as "taylor:4:-35"), "hamming", "hann" or
         "kaiser:BETA". Default: "uniform".

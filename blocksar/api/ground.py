@@ -12,7 +12,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
-from blocksar.collection.region import default_grid, plan_region
+from blocksar.collection.region import check_seen, default_grid, plan_region
 from blocksar.collection.terrain import Terrain
 from blocksar.ingestion.terrain.reading import Ground
 from blocksar.places.place import Place
@@ -73,8 +73,8 @@ def ground_settings(ground: Ground, terrain: Terrain | None, surroundings: Terra
 def check_ground(collections: Sequence[Collection], grid: Grid | None, *, any_grid: bool) -> None:
     """Find the ground to image before the work starts: the plan does so only after loops are compiled.
 
-    Of several collections, those that cover nothing of a grid are left out later; back-projection takes any grid, and
-    the ranges of a terrain are not those of the plane.
+    Of several collections, those that cover nothing of a grid are left out later. Back-projection takes any grid of
+    which something is seen.
 
     Raises
     ------
@@ -83,5 +83,9 @@ def check_ground(collections: Sequence[Collection], grid: Grid | None, *, any_gr
     """
     if grid is None:
         joint_grid([Geometry(collection=collection) for collection in collections])
-    elif len(collections) == 1 and not any_grid:
-        plan_region(Geometry(collection=collections[0]), grid)
+    elif len(collections) == 1:
+        geometry = Geometry(collection=collections[0])
+        if any_grid:
+            check_seen([geometry], grid)
+        else:
+            plan_region(geometry, grid)

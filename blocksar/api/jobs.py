@@ -121,7 +121,8 @@ class Request:
                 run_folder.refuse_overlap(place(history.path), folder)
         histories = imaging_parts(histories, grid, whole_pulses=whole_pulses)
         centred = [history.collection.centred() for history in histories]
-        check_ground(centred, grid, any_grid=PROCESSORS.get(settings.processor).universal or not ground.plane)
+        if grid is None or ground.plane:  # the ranges of a terrain are not those of the plane
+            check_ground(centred, grid, any_grid=PROCESSORS.get(settings.processor).universal)
         terrain, around = None, None
         if not ground.plane:
             under = grid or joint_grid([Geometry(collection=collection) for collection in centred])

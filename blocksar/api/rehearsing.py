@@ -8,6 +8,7 @@ from blocksar.api.room import Beside, needed, remedy
 from blocksar.api.shown import RunReport
 from blocksar.graph.machine import Resources
 from blocksar.places.room import size_text
+from blocksar.processors import REFERENCE
 from blocksar.processors.lines import time_line, workforce
 from blocksar.runs.folder import is_begun
 from blocksar.runs.record import RunRecord
@@ -19,7 +20,7 @@ def rehearse(request: Request, earlier: RunRecord | None, machine: Resources, be
     """Say what `focus` would do with a request: its plan, memory, and disk. Writes nothing.
 
     `earlier` is the run in the folder that would be resumed, or is finished; `result` is the plan, a tuple of them
-    for several segments, None for back-projection or if nothing is left to do.
+    for several segments, None for exact back-projection or if nothing is left to do.
 
     Raises
     ------
@@ -47,7 +48,7 @@ def rehearse(request: Request, earlier: RunRecord | None, machine: Resources, be
             _doing(request, job, earlier, beside),
             NOTHING_DONE,
         ],
-        result=plan.result if any(piece.plan for piece in plan.pieces) else None,
+        result=None if plan.processor == REFERENCE else plan.result,
     )
 
 

@@ -150,6 +150,8 @@ def _create_image(run: Run, job: Job, record: RunRecord) -> None:
         "ground_height": job.history.collection.ground_height if terrain is None else terrain.mean,
         "calibration": "a target of reflectivity 1 peaks at 1 + 0j",
         "predicted": [block.as_json() for block in record.plan.predicted],
+        "processor": record.processor,
+        **({} if record.plan.coherence is None else {"predicted_coherence": record.plan.coherence}),
         "warnings": list(record.warnings),
         "scene": attrs.get("scene", ""),
     }

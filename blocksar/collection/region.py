@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray
-from blocksar.collection.beam import dwell, dwell_at, has_full_dwell, lit_yaw, wrapped
+from blocksar.collection.beam import dwell, dwell_at, has_full_dwell, lit_passes, lit_yaw, wrapped
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution, outline
 from blocksar.collection.outside import MOVE, remedied, remedy
@@ -27,6 +27,7 @@ FEW_RANGES, LIT_RANGES = 17, 129
 SIDE_ENDS = 0.02  # rad along the flight and against it, where nothing is imaged
 FULL_RANGES, FULL_YAWS = 33, 257  # at which the ground with full dwell is looked for
 MOST_SAMPLES = 1024  # of a terrain, along each axis, that are asked for their range
+SEEN_AT = 64  # points along a side of a grid, of which it is asked whether any is seen
 LOOKED_AT = 256  # points along a side of a grid, of which those outside the window are counted
 
 
@@ -261,6 +262,29 @@ def grid_extent(geometry: Geometry, region: Region, grid: Grid, owned: Owned | N
         near=float(rng[covered].min() - step),
         far=float(rng[covered].max() + step),
     )
+
+
+def check_seen(geometries: Sequence[Geometry], grid: Grid) -> None:
+    """Check that some collection sees any of a grid: that points are lit, with ranges in the range window then.
+
+    Raises
+    ------
+    OutsideSwath
+        If none does.
+    """
+    if any(_sees_some(geometry, grid) for geometry in geometries):
+        return
+    grid_extent(geometries[0], plan_region(geometries[0], grid), grid)  # which tells why
+    raise OutsideSwath(f"grid lies outside the swath: nothing of it is lit; {remedy(geometries[0], grid)}")
+
+
+def _sees_some(geometry: Geometry, grid: Grid) -> bool:
+    collection = geometry.collection
+    x, y = np.meshgrid(*(axis[:: math.ceil(axis.size / SEEN_AT)] for axis in (grid.x, grid.y)))
+    first, last = lit_passes(geometry, x, y)
+    points, middle = geometry.on_ground(x, y), np.minimum((first + last) // 2, collection.n_pulse - 1)
+    away = np.linalg.norm(points - collection.antenna_position[middle], axis=-1) - collection.reference_range[middle]
+    return bool(((last > first) & (np.abs(away) <= collection.range_window / 2)).any())
 
 
 def share_outside(lit: Sequence[tuple[Geometry, Region]], grid: Grid) -> float:

@@ -6,8 +6,8 @@ average, and what is stopped is far below: an image whose samples have passed n 
 
     n / 2 10^(-A / 10) + spline_error(upsampling)^2
 
-of all that its data hold. Each term has SHARE of what the fidelity allows. The coherence of an image with an
-error power e, which is not coherent with it, is (1 + e)^(-1/2).
+of all that its data hold. Each term has SHARE of what the fidelity allows, or of ERROR where that is less. The
+coherence of an image with an error power e, which is not coherent with it, is (1 + e)^(-1/2).
 
 What levels there are, and how large the last parts, is chosen by the predicted time: the filters of each level, and the
 sums over what is left, are counted with the frames of `focusing.hierarchy`, which plan what samples follow.
@@ -35,7 +35,8 @@ from blocksar.planning import effort
 from blocksar.planning.memory import GPU_PROCESS_MEMORY, PROCESS_MEMORY
 from blocksar.planning.tiling import image_chunk, units_of
 
-SHARE = 0.4  # of what the fidelity allows: some places of an image err by 1 dB more than its mean
+ERROR = 1e-5  # error power that no image exceeds: less costs hardly any time, and dark places show it
+SHARE = 0.4  # of what is allowed: some places of an image err by 1 dB more than its mean
 EDGE = 0.38  # e of the filters: higher ones have long tails, lower ones leave more samples
 RATIOS = (2.0, 3.0, 4.0, 6.0)  # of the sides of a level and the next
 UPSAMPLINGS = range(2, 25)
@@ -112,8 +113,8 @@ def coherence_of(error: float) -> float:
 
 
 def levels_for(fidelity: float, sides: tuple[float, ...], *, stages: int) -> Levels:
-    """Levels whose error power is 1 - fidelity at most."""
-    allowed = SHARE * (1 - fidelity)
+    """Levels whose error power is 1 - fidelity at most, or ERROR where that is less."""
+    allowed = SHARE * min(1 - fidelity, ERROR)
     attenuation = 10 * math.log10(stages / allowed)
     upsampling = next((n for n in UPSAMPLINGS if spline_error(upsampling=n) ** 2 <= allowed), UPSAMPLINGS[-1])
     return Levels(sides=sides, attenuation=attenuation, edge=EDGE, upsampling=upsampling)

@@ -84,7 +84,7 @@ EXACT = Backprojection()
 GPU_CHUNKS = (8, 8)  # of the image, in a unit of work: enough that reading and transforming the samples costs little
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class BackprojectionPlan(ChunkPlan):
     """The plan of an image by exact back-projection."""
 
@@ -126,6 +126,7 @@ class BackprojectionPlan(ChunkPlan):
             *self.memory_lines(),
             f"a run writes at most {sum(self.stored().values()) / MIB:.0f} MiB",
             *dict.fromkeys(doubts),
+            *self.notes(),
         ]
 
 

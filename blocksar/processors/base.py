@@ -12,10 +12,12 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
+from blocksar.collection.region import check_seen
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
 from blocksar.planning import effort
+from blocksar.planning.ambiguity import azimuth_ambiguities
 from blocksar.planning.disk import exact_bytes
 from blocksar.planning.segments import joint_grid
 from blocksar.planning.tiling import units_of
@@ -80,11 +82,18 @@ class Problem:
 
     @cached_property
     def pieces(self) -> tuple[Piece, ...]:
-        """Each collection as a whole, over the ground."""
+        """Each collection as a whole, over the ground.
+
+        Raises
+        ------
+        OutsideSwath
+            If none sees any of the grid.
+        """
         ground = [
             Geometry(collection=each) if self.terrain is None else over_terrain(each, self.terrain)
             for each in self.collections
         ]
+        check_seen(ground, self.points)
         return tuple(Piece(collection=i, geometry=each, first_block=i) for i, each in enumerate(ground))
 
 
@@ -120,7 +129,7 @@ class Comparison(NamedTuple):
     table: Table
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ImagePlan(ABC):
     """How a processor forms an image: what follows from metadata alone, before any sample is read.
 
@@ -171,6 +180,9 @@ class ImagePlan(ABC):
             If a unit of work fails.
         """
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.headline()}>"
+
     def blocks(self) -> tuple[PredictedBlock, ...]:
         """What is predicted of each block."""
         return ()
@@ -216,7 +228,7 @@ class ImagePlan(ABC):
         return self
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PartPlan(ImagePlan):
     """A plan by which parts of the image, whole chunks, are formed straight from the samples.
 
@@ -256,6 +268,9 @@ class PartPlan(ImagePlan):
     def memory(self, threads: int) -> int:
         return self.needed
 
+    def notes(self) -> list[str]:
+        return azimuth_ambiguities([piece.geometry for piece in self.pieces], self.grid)
+
     def stored(self) -> dict[str, int]:
         noise = any(piece.geometry.collection.noise_power for piece in self.pieces)
         return exact_bytes(self.grid, self.terrain, noise=noise)
@@ -279,7 +294,7 @@ class PartPlan(ImagePlan):
         return [*(receipt for each in read for receipt in each.receipts), *formed]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ChunkPlan(PartPlan):
     """A plan by which each chunk of the image is formed by itself, whatever other chunks are.
 

@@ -104,7 +104,7 @@ def chain_plan(name: str, segments: Sequence[PlannedSegment]) -> ChainPlan:
     )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ChainPlan(ImagePlan):
     """The plan of an image by a chain: one of its own for each collection, or for each part of it along time.
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
 from blocksar.focusing.hierarchical_backprojection import form_windows
@@ -72,15 +71,11 @@ class HierarchicalBackprojection:
 HIERARCHICAL = HierarchicalBackprojection()
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class HierarchicalPlan(PartPlan):
     """The plan of an image by hierarchical back-projection; `divisions` has that of each piece."""
 
     divisions: tuple[Division, ...]
-
-    @property
-    def result(self) -> Grid:
-        return self.grid
 
     def forming_parts(self, number: int, weighting: Weighting) -> FormParts:
         return partial(form_windows, levels=self.divisions[number].levels, weighting=weighting, device=self.device)
@@ -106,4 +101,5 @@ class HierarchicalPlan(PartPlan):
             *self.memory_lines(),
             f"a run writes at most {sum(self.stored().values()) / MIB:.0f} MiB",
             *dict.fromkeys(doubts),
+            *self.notes(),
         ]

@@ -411,7 +411,9 @@ def _image_facts(dataset: xr.Dataset) -> list[tuple[str, str]]:
             rows.append((name, f"{axis[0]:.6g} .. {axis[-1]:.6g} m every {step:.4g} m"))
     settings, predicted = attrs.get("settings"), attrs.get("predicted")
     if isinstance(settings, dict) and "processor" in settings:
-        rows.append(("processor", str(settings["processor"])))
+        rows.append(("processor", str(attrs.get("processor", settings["processor"]))))
+    if "predicted_coherence" in attrs:
+        rows.append(("predicted coherence", f"at least {attrs['predicted_coherence']:.6f}"))
     if isinstance(predicted, list) and predicted:
         least = min(block.get("coherence") or 0.0 for block in predicted)
         rows.append(

@@ -38,7 +38,7 @@ def store(dataset: xr.Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path
 def focused(store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run from the store."""
     run = tmp_path_factory.mktemp("run") / "run"
-    blocksar.focus(store, run, grid=GRID, workers=0)
+    blocksar.focus(store, run, grid=GRID, workers=0, processor="angular-division")
     return run
 
 
@@ -47,7 +47,7 @@ def pixels(run: Path) -> Any:
 
 
 def focus(source: Any, run: Path, **settings: Any) -> Any:
-    return blocksar.focus(source, run, **{"grid": GRID, "workers": 0, **settings})
+    return blocksar.focus(source, run, **{"grid": GRID, "workers": 0, "processor": "angular-division", **settings})
 
 
 # ---------------------------------------------------------------- building and writing

@@ -39,12 +39,13 @@ def dataset() -> xr.Dataset:
 
 @pytest.fixture(scope="module")
 def plan(dataset: xr.Dataset) -> PlanReport:
-    return blocksar.plan(dataset)
+    return blocksar.plan(dataset, processor="angular-division")
 
 
 @pytest.fixture(scope="module")
 def run(dataset: xr.Dataset, tmp_path_factory: pytest.TempPathFactory) -> RunReport:
-    return blocksar.focus(dataset, tmp_path_factory.mktemp("run") / "run", grid=GRID, workers=0)
+    folder = tmp_path_factory.mktemp("run") / "run"
+    return blocksar.focus(dataset, folder, grid=GRID, workers=0, processor="angular-division")
 
 
 class Tags(HTMLParser):
@@ -203,8 +204,8 @@ def cell(monkeypatch: pytest.MonkeyPatch) -> Cell:
 def test_a_notebook_shows_bars(cell: Cell, dataset: xr.Dataset, tmp_path: Path) -> None:
     blocksar.focus(dataset, tmp_path / "run", grid=GRID, workers=0)
     last = Tags(cell.shown[-1])
-    assert all(f"{stage} " in last.text for stage in ("plan", "recover", "focus", "mosaic", "finish"))
-    assert last.seen.count("progress") >= 5 and "elapsed" in last.text
+    assert all(f"{stage} " in last.text for stage in ("plan", "inspect", "hierarchical-backprojection", "finish"))
+    assert last.seen.count("progress") >= 4 and "elapsed" in last.text
     assert 5 <= len(cell.shown) < 60
 
 

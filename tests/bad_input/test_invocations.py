@@ -79,7 +79,6 @@ CASES = {
     "plan ph.zarr --fidelity=nan": "fidelity = nan: ask for a coherence from 0.5",
     "plan ph.zarr --blocks=1001": "'1001' is neither 'auto' nor a whole number from 1 to 1000; try",
     "plan ph.zarr --looks=33": "looks = 33: give 2 to 32 looks",
-    "plan ph.zarr --processor=auto --no-keystone": "processor auto compares processors as they are; leave it out",
     "plan ph.zarr --range-model=conventional": "ask for coefficients closed-form",
     "plan ph.zarr --surface=sphere": "'sphere' is not one of",
     "plan ph.zarr --surface=ellipsoid": "put the attribute georeference into the phase history",

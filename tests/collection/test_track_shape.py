@@ -117,7 +117,7 @@ def test_back_projection_forms_what_chains_refuse(tmp_path: Path) -> None:
     dataset = blocksar.collection(**near_range(track=scan()))
     settings: dict[str, Any] = {"grid": GRID, "workers": 0}
     with pytest.raises(InputError) as caught:
-        blocksar.focus(dataset, tmp_path / "run", **settings)
+        blocksar.focus(dataset, tmp_path / "run", **settings, processor="angular-division")
     assert "a raster of 8 rows" in str(caught.value)
     assert "exact back-projection has no such limit: processor backprojection, about " in str(caught.value)
     assert not (tmp_path / "run" / "image.zarr").exists()

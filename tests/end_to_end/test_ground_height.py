@@ -81,8 +81,8 @@ def test_the_stored_height_is_the_default(store: Path, tmp_path: Path) -> None:
 
 
 def test_plan_and_check_take_it(store: Path) -> None:
-    plans = [blocksar.plan(store, grid=GRID, ground_height=height).result for height in (None, 0.0, HEIGHT)]
-    heights = [plan.geometry.collection.ground_height for plan in plans]  # type: ignore[union-attr]
+    plans = [blocksar.plan(store, grid=GRID, ground_height=height).plan for height in (None, 0.0, HEIGHT)]
+    heights = [plan.pieces[0].geometry.collection.ground_height for plan in plans]
     assert heights == [0.0, 0.0, HEIGHT]
     assert blocksar.check(store, grid=GRID, ground_height=HEIGHT).result["warning"] is None
 

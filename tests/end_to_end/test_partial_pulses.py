@@ -141,7 +141,7 @@ def test_whole_pulses_only_on_demand(store: Path, tmp_path: Path) -> None:
 def test_ground_with_whole_pulses_needs_no_longer_transform(store: Path) -> None:
     inside = blocksar.plan(store, grid=((-100.0, 100.0, STEP), (-40.0, 40.0, STEP)))
     beyond = blocksar.plan(store, grid=GRID)
-    steps = [plan.result.geometry.collection.range_frequency_step for plan in (inside, beyond)]
+    steps = [report.plan.pieces[0].geometry.collection.range_frequency_step for report in (inside, beyond)]
     assert steps[0] == pytest.approx(raw_strips.SAMPLING / raw_strips.N_TIME)
     n = raw_strips.SAMPLING / steps[1]
     padded = raw_strips.N_TIME + 2 * PULSE * raw_strips.SAMPLING

@@ -95,8 +95,8 @@ def test_segments_of_a_resumed_run_have_no_seam(
     run = tmp_path / "run"
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(stages, "mosaic", interrupted)
-        blocksar.focus(store, run, grid=GRID, workers=0)
-    report = blocksar.focus(store, run, grid=GRID, workers=0)
+        blocksar.focus(store, run, grid=GRID, workers=0, processor="angular-division")
+    report = blocksar.focus(store, run, grid=GRID, workers=0, processor="angular-division")
     assert "went on from an unfinished run" in report.summary[0]
     image = blocksar.open(run)
     assert "collection" not in image

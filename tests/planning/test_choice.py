@@ -9,7 +9,6 @@ import pytest
 from scenes import PAPERS, scene
 
 import blocksar
-from blocksar.errors import InputError
 
 
 def test_the_frequency_perturbation_alone_does_not_focus_paper_b() -> None:
@@ -70,7 +69,6 @@ def test_auto_takes_the_fastest_that_keeps_the_fidelity() -> None:
     assert list(by_name) == ["angular-division", "hierarchical-backprojection", "backprojection"]
     chosen = report.plan.processor
     assert report.summary[0].startswith(f"{chosen} is chosen: it keeps the fidelity, in about ")
-    assert report.summary[-1] == f"to focus with it: --processor {chosen}"
     assert by_name[chosen]["keeps the fidelity"] == by_name["backprojection"]["keeps the fidelity"] == "yes"
     own = blocksar.plan("paper_c", processor=chosen, grid=grid).plan
     assert by_name[chosen]["coherence"].startswith(f"{own.coherence:.4f}"[:6])
@@ -86,6 +84,7 @@ def test_auto_gives_the_reason_why_a_processor_does_not_serve(tmp_path: Path) ->
     assert "angular-division cannot: " in report.summary[0] and "PRF 3000 Hz is too low" in report.summary[0]
 
 
-def test_auto_and_rivals_cannot_be_combined() -> None:
-    with pytest.raises(InputError, match="keystone and derotation: processor auto compares processors as they are"):
-        blocksar.plan("table1", processor="auto", keystone=False, derotation="linear")
+@pytest.mark.parametrize("asked", [{"keystone": False}, {"blocks": 3}])
+def test_what_only_chains_have_asks_for_the_main_chain(asked: dict[str, Any]) -> None:
+    plan = blocksar.plan("table1", processor="auto", **asked).plan
+    assert plan.processor == "angular-division" and plan.compared is None

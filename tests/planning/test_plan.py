@@ -67,7 +67,7 @@ def test_looking_along_the_velocity_is_refused(tmp_path: Path) -> None:
     assert "along the velocity" in report.refusal
     store = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "phase_history.zarr")
     with pytest.raises(InputError, match="along the velocity"):
-        blocksar.focus(store, tmp_path / "run", workers=0)
+        blocksar.focus(store, tmp_path / "run", workers=0, processor="angular-division")
     assert not (tmp_path / "run").exists()
 
 

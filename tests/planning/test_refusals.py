@@ -44,7 +44,7 @@ def test_the_best_division_of_what_keeps_no_fidelity_is_found_soon(close: Any, m
 
 
 def test_ranges_below_a_kilometre_are_told_in_metres(close: Any) -> None:
-    small = blocksar.plan(close, grid="-0.1:0.1:0.02,-0.1:0.1:0.02", workers=0)
+    small = blocksar.plan(close, grid="-0.1:0.1:0.02,-0.1:0.1:0.02", workers=0, processor="angular-division")
     header, rows = small.details[0]
     column = header.index("range (m)")
     near, far = (float(end) for end in rows[0][column].split(" .. "))

@@ -224,7 +224,7 @@ def test_wrong_settings_are_refused(settings: dict[str, Any], message: str, stor
 def test_a_prf_too_low_is_refused_with_the_prf_needed(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(scene(prf=3000.0))
     with pytest.raises(InputError, match=r"PRF 3000 Hz is too low: .* at least \d+(\.\d+)? Hz is needed"):
-        blocksar.plan(tmp_path / "scene.toml")
+        blocksar.plan(tmp_path / "scene.toml", processor="angular-division")
 
 
 def test_folders_that_are_not_runs_are_not_changed(store: Path, tmp_path: Path) -> None:

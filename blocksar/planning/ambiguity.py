@@ -1,0 +1,114 @@
+"""Azimuth ambiguities: places whose echoes fold onto others, since the PRF is below the Doppler that is lit together.
+
+Two places share range and Doppler in samples at the pulses where their ranges are equal and their range rates differ by
+a multiple of lambda PRF / 2. With u the unit vector to a point at horizontal distance d, range r and azimuth phi about
+the nadir, the range rate is -v u = -(d / r) |v_h| cos(phi - phi_v) + v_z h / r: at the same range and height
+
+    cos(phi' - phi_v) = cos(phi - phi_v) -+ lambda PRF r / (2 d |v_h|).
+
+Its ghost at the other place has the amplitude of the sum that back-projection makes of its echo there, at the pulses
+that light both: the largest over a shift in Doppler, by which it may lie beside that place.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from blocksar.collection.beam import is_lit, pattern_gain, pulse_weights
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
+from blocksar.collection.weighting import FLAT, Taper
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.kernels.fourier import fast_length, fft_rows
+
+SHARES = (0.05, 0.5, 0.95)  # of a grid along either side, at which ghosts are looked for
+TOLD = 0.01  # amplitude below which a ghost is not told
+PADDING = 4  # of the transform over pulses
+
+
+class Ambiguity(NamedTuple):
+    """The ghost of a place at another one: m, and its amplitude over that of an equal target there."""
+
+    source: tuple[float, float]
+    ghost: tuple[float, float]
+    amplitude: float
+
+
+def worst_ambiguity(geometry: Geometry, grid: Grid, taper: Taper) -> Ambiguity | None:
+    """The strongest ghost at a few places of an image; None where there is none above TOLD.
+
+    Where no beam is known, everything counts as lit, and only ghosts of places of the image itself are looked for.
+    """
+    collection = geometry.collection
+    xs, ys = (low + np.array(SHARES) * (high - low) for low, high in ((grid.x0, grid.x1), (grid.y0, grid.y1)))
+    found = [
+        _ghost(geometry, (x, y), source, taper)
+        for x in xs.tolist()
+        for y in ys.tolist()
+        for source in _sources(geometry, x, y)
+        if collection.steered or (grid.x0 <= source[0] < grid.x1 and grid.y0 <= source[1] < grid.y1)
+    ]
+    worst = max(found, key=lambda each: each.amplitude, default=None)
+    return worst if worst is not None and worst.amplitude > TOLD else None
+
+
+def _sources(geometry: Geometry, x: float, y: float) -> list[tuple[float, float]]:
+    """Places that share range and folded Doppler with a place, at the middle of its lit pulses."""
+    collection, z = geometry.collection, _height(geometry, x, y)
+    lit = np.flatnonzero(is_lit(geometry, np.array(x), np.array(y), z=np.array(z)))
+    if not lit.size or not math.isfinite(z):
+        return []
+    time = np.array(collection.time[lit[lit.size // 2]])
+    position, velocity = geometry.track.position(time), geometry.track.velocity(time)
+    away = np.array([x, y]) - position[:2]
+    distance, speed = math.hypot(*away), math.hypot(*velocity[:2])
+    if not distance * speed:
+        return []
+    rng, heading = math.hypot(distance, position[2] - z), math.atan2(velocity[1], velocity[0])
+    turn = math.atan2(away[1], away[0]) - heading
+    places = []
+    for fold in (-1, 1):
+        cosine = math.cos(turn) + fold * collection.wavelength * collection.prf / 2 * rng / (distance * speed)
+        if abs(cosine) <= 1:  # on the same side of the track
+            azimuth = heading + math.copysign(math.acos(cosine), math.sin(turn))
+            places.append((position[0] + distance * math.cos(azimuth), position[1] + distance * math.sin(azimuth)))
+    return places
+
+
+def _ghost(geometry: Geometry, at: tuple[float, float], source: tuple[float, float], taper: Taper) -> Ambiguity:
+    """What the echo of a source comes to at a place, by the pulses that light both."""
+    collection, z = geometry.collection, np.array([_height(geometry, *at)])
+    pulses, (x, y) = slice(None), (np.array([a, b]) for a, b in zip(at, source, strict=True))
+    lit = is_lit(geometry, x, y, z=np.repeat(z, 2))
+    offsets = np.stack([*np.broadcast_arrays(x, y, z)], axis=-1)[:, None] - collection.antenna_position
+    away = np.subtract(*np.sqrt((offsets**2).sum(axis=-1)))
+    gain = [pattern_gain(geometry, a, b, pulses, z) for a, b in zip(x[:, None], y[:, None], strict=True)]
+    weight = np.where(lit[0], pulse_weights(geometry, x[:1], y[:1], np.arange(away.size), taper, z), 0.0)
+    turns = 2 * collection.bandwidth / SPEED_OF_LIGHT * away
+    echo = np.where(lit[1], weight * gain[1] * np.sinc(turns), 0.0)
+    padded = np.zeros((1, fast_length(PADDING * away.size)), np.complex128)
+    padded[0, : away.size] = echo * np.exp(4j * np.pi / collection.wavelength * away)
+    summed = fft_rows(padded, inverse=False)
+    total = float((weight * gain[0]).sum())
+    return Ambiguity(source, at, float(np.abs(summed).max()) / total if total > 0 else 0.0)
+
+
+def _height(geometry: Geometry, x: float, y: float) -> float:
+    return float(np.asarray(geometry.height(np.array([x]), np.array([y]))).ravel()[0])
+
+
+def azimuth_ambiguities(geometries: Sequence[Geometry], grid: Grid) -> list[str]:
+    """A sentence on the strongest ghost of all collections, without a weighting; none where there is none."""
+    found = [(each, geometry) for geometry in geometries if (each := worst_ambiguity(geometry, grid, FLAT)) is not None]
+    if not found:
+        return []
+    worst, geometry = max(found, key=lambda each: each[0].amplitude)
+    places = [f"x = {x:.6g}, y = {y:.6g} m" for x, y in (worst.source, worst.ghost)]
+    return [
+        f"PRF {geometry.collection.prf:.6g} Hz is below the Doppler that is lit together: echoes fold, such as from "
+        f"{places[0]} to {places[1]}, where their ghosts have {20 * math.log10(worst.amplitude):.0f} dB"
+    ]
