@@ -74,22 +74,15 @@ def lit_total(
     yaw: FloatArray,
     valid: FloatArray,
     taper: Taper = FLAT,
-    *,
-    stays: bool = False,
-    tapered: Geometry | None = None,
 ) -> FloatArray:
     """Sum of `valid` (n_pulse,) times taper and antenna's pattern over lit pulses: (n_range, n_yaw), at (n,) m and rad.
 
-    Dwells begin and end between pulses here, so that the sum is continuous. Where the beam `stays`, over all pulses.
-    The taper is that of the beam of `tapered`, if given.
+    Dwells begin and end between pulses here, so that the sum is continuous.
     """
     collection = geometry.collection
     shape = epoch_range.size, yaw.size
-    start, end = aperture(collection)
-    if stays:
-        first, last = np.full(shape, start), np.full(shape, end)
-    else:
-        first, last = dwell_at(geometry, yaw, epoch_range[:, None])
+    start, _ = aperture(collection)
+    first, last = dwell_at(geometry, yaw, epoch_range[:, None])
     begin, stop = (np.broadcast_to(np.clip((t - start) * collection.prf, 0, None), shape) for t in (first, last))
     before, pulse = np.concatenate([[0.0], np.cumsum(valid)]), np.arange(valid.size + 1.0)
     x, y = geometry.ground_axes(epoch_range[:, None], yaw)
@@ -101,7 +94,7 @@ def lit_total(
         count = np.interp(high, pulse, before) - np.interp(low, pulse, before)
         if weighed:
             middle = np.clip((low + high) / 2, 0, valid.size - 1).astype(np.int64)
-            weight = pulse_weights(tapered or geometry, x, y, middle, taper, z)
+            weight = pulse_weights(geometry, x, y, middle, taper, z)
             count = count * weight * pattern_gain(geometry, x, y, middle, z)
         total += count
     return np.asarray(np.where((last > first) & np.isfinite(x), np.maximum(total, 0.0), 0.0))

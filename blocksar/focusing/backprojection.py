@@ -62,7 +62,6 @@ def accumulate(
     taper: Taper = FLAT,
     weight: Float32Array | None = None,
     height: FloatArray | None = None,
-    fade: int = 0,
     device: Device = CPU,
 ) -> None:
     """Add a block of pulses to the image, in place: image += sum over lit pulses of the profile at the pixel's range.
@@ -86,8 +85,6 @@ def accumulate(
         Rises by the sum of weights; needed under a weighting.
     height : (n_row, n_column) float, optional
         Of the pixels over the plane z = ground_height, m; finite. None: they lie on it.
-    fade : int
-        Where positive, weights are multiplied by what the chain takes from the edges of dwells (`dwell_edges`).
     device : Device
         Which has the arrays of pixels, and the profiles.
 
@@ -96,7 +93,7 @@ def accumulate(
     ValueError
         If a weighting has no array of weights.
     """
-    if (fade or not taper.uniform) and weight is None:
+    if not taper.uniform and weight is None:
         raise ValueError(f"{taper.text} needs an array for the sum of weights")
     collection, pulses = geometry.collection, profiles.pulses
     middle = collection.range_frequency[collection.n_range_frequency // 2]
@@ -111,7 +108,7 @@ def accumulate(
         antenna=position - np.array([[0.0], [0.0], [collection.ground_height]]),
         reference_range=collection.reference_range[pulses],
         half_window=collection.range_window / 2,
-        taper=_beam_taper(taper, profiles, geometry, fade) if fade or not taper.uniform else None,
+        taper=None if taper.uniform else _beam_taper(taper, profiles, geometry),
     )
     device.project(image, outside, sights, x, y, first, last, weight, height, threads)
 
@@ -126,7 +123,7 @@ def _relief(geometry: Geometry, x: FloatArray, y: FloatArray, outside: BoolArray
     return np.where(unknown, 0.0, height)
 
 
-def _beam_taper(taper: Taper, profiles: Profiles, geometry: Geometry, fade: int) -> BeamTaper:
+def _beam_taper(taper: Taper, profiles: Profiles, geometry: Geometry) -> BeamTaper:
     """The weights of a block of pulses under a taper over the beam."""
     start, half = profiles.pulses.start, (geometry.collection.beam_width or np.inf) / 2
 
@@ -136,7 +133,7 @@ def _beam_taper(taper: Taper, profiles: Profiles, geometry: Geometry, fade: int)
         return beam_offset(geometry, x[:, None], y[:, None], block, z) / half
 
     valid = profiles.valid / geometry.collection.n_range_frequency
-    return BeamTaper(terms=taper.series[0], frequency=taper.series[1], valid=valid, place=place, fade=fade)
+    return BeamTaper(terms=taper.series[0], frequency=taper.series[1], valid=valid, place=place)
 
 
 def form_points(

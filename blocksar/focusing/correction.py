@@ -10,7 +10,6 @@ weights in vector registers.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -19,7 +18,6 @@ from numba import types
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.collection.grid import spacing
-from blocksar.focusing.aperture_waves import sum_waves
 from blocksar.focusing.ground_map import GroundMap, tile_extent
 from blocksar.focusing.pixel_rows import (
     DOPPLER_UNIT,
@@ -156,18 +154,6 @@ def _correct(
 ) -> ComplexArray:  # fmt: skip
     """`correct` without a pattern in elevation."""
     out = np.empty((y.size, x.size), np.complex64) if out is None else out
-    if ground.waves is not None:
-        plain = replace(ground, waves=None)
-        # On a terrain each shift has tiles of its own.
-        found = None if ground.relief is not None else tiles or tiles_of(plain, [(x, y)], [z])[0]
-
-        def weigh_equally(shift: float) -> ComplexArray:
-            part = replace(plain, doppler=replace(plain.doppler, start=plain.doppler.start - shift))
-            moved = None if found is None else found.moved(shift / plain.doppler.step)
-            return _correct(block, part, x=x, y=y, z=z, tiles=moved, threads=threads)
-
-        out[...] = sum_waves(weigh_equally, plain, ground.waves, x=x, y=y)
-        return out
     tiles = tiles or tiles_of(ground, [(x, y)], [z])[0]
     side, places, polynomials, _ = tiles
     _blank_others(out, places, side)

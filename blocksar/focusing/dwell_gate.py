@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.collection.weighting import AxisTaper
 from blocksar.focusing.dwell_taper import DwellTaper, HalfDwell
 from blocksar.focusing.lines import RowPolynomial
 from blocksar.kernels.fourier import Axis
@@ -36,7 +35,6 @@ class DwellGate:
     A step in Doppler that delays by D(f) turns a sharp end after it into a smeared one before it. The smear is again
     that of a Fresnel integral, with D' in place of e', and adds to it: with e' + D' instead of e' the dwell has sharp
     ends at the time when the target was lit, as in back-projection, for the targets with a D' amid those of the block.
-    In the time after a step that stretches lines by s, its smear is s D'; ends that fade out are made with that.
 
     The keystone scales time by 1 + f / fc, so a dwell does not end at the same time for all range frequencies. The
     window that differs least from steps at times spread evenly over +-`blur` is their mean: it loses a third less than
@@ -45,12 +43,8 @@ class DwellGate:
     are raised, by a triangle of the height `lift` from 0 to 4 blurs, which has what is lacking.
 
     Under a weighting, each window rises (or falls) as the taper does, from its end to the dwell's middle, and stays at
-    the middle's weight beyond (`dwell_taper`). It begins from zero where the edges of dwells are back-projected
-    (`dwell_edges`), and then `blur` has no effect.
-
-    That scaling also moves the slopes of a taper, and ends that fade out. Where this costs too much, the band is
-    divided by Lagrange's polynomials L_k(f) through a few frequencies f_k: images of the samples times L_k, each with
-    windows for dwells as they are at f_k, add up to one whose windows follow f to the order of the polynomials.
+    the middle's weight beyond (`dwell_taper`). That scaling also moves the slopes of a taper, which windows do not
+    follow: `planning.fidelity` counts it.
 
     Attributes
     ----------
@@ -71,8 +65,6 @@ class DwellGate:
         Slow time after the gate, about 0, s.
     taper : DwellTaper or None
         None where all of a dwell has equal weights.
-    share : AxisTaper or None
-        L_k over range frequency, Hz; None for all of the band.
     """
 
     begin: RowPolynomial
@@ -85,7 +77,6 @@ class DwellGate:
     length: float
     time: Axis
     taper: DwellTaper | None = None
-    share: AxisTaper | None = None
 
     def window(self, slope: float, end: Literal["begin", "end"]) -> ComplexArray:
         """G over `time` for one end of the dwell, (time.size,) complex64; it fades out well beyond the other end."""
@@ -136,10 +127,3 @@ class DwellGate:
             length = half.length.evaluate(rng, doppler[..., None])[0]
             found.append((half, np.asarray(side * (time - end) / length), length))
         return tuple(found)
-
-    def levels(self, rng: FloatArray, doppler: FloatArray, time: FloatArray) -> FloatArray | float:
-        """Factors (..., n) by which the windows raise weights at times of targets, as in `halves`; 1 where none do."""
-        if self.taper is None or not (self.taper.begin.level or self.taper.end.level):
-            return 1.0
-        (begin, since, _), (end, until, _) = self.halves(rng, doppler, time)
-        return np.where(since < 1, begin.levels(since), 1.0) * np.where(until < 1, end.levels(until), 1.0)

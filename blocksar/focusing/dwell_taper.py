@@ -25,8 +25,7 @@ from blocksar.kernels.fourier import fast_length, fft_rows
 from blocksar.kernels.operations import BLEND_BEYOND
 
 Step = Callable[[FloatArray, float], NDArray[np.complex128]]  # (times since an end, s; slope, s/Hz) -> its smeared step
-FADE_SAMPLES = 16  # at least, of the grid on which a faded window is smeared, over its fade
-RISE_SAMPLES = 256  # at least, of that of any other one over its half
+RISE_SAMPLES = 256  # at least, of the grid on which a window is smeared, over its half
 SMEARS = 12.0  # sqrt(e) beyond which the smear is small
 
 
@@ -40,56 +39,22 @@ class HalfDwell:
         Along Doppler, s.
     lengths : tuple of float
         Those for which windows are made, equally spaced, s.
-    edge : float
-        The share of the half in which its edge fades out, where it does: over it the place in the beam changes by
-        1 / fade. It differs from 1 / fade itself where targets pass the beam's edge faster or slower than its centre.
-    knots : tuple of (float, float)
-        With edges that fade out, for each of `lengths` the shares of it at which the edge is over, and at which v is
-        1 / 2; none where v is linear.
-    level : float
-        By how much weights at the end of the half are raised over those in the middle, linearly in between: steps in
-        Doppler that stretch a line in time by s have changed its amplitude by 1 / sqrt(s), its sum by sqrt(s).
     """
 
     length: RowPolynomial
     lengths: tuple[float, ...]
-    edge: float = 0.0
-    knots: tuple[tuple[float, float], ...] = ()
-    level: float = 0.0
 
-    def levels(self, share: FloatArray) -> FloatArray:
-        """Factors by which weights are raised at shares of the half."""
-        return np.asarray(1 + self.level * np.clip(1 - share, 0.0, 1.0))
-
-    def place(self, since: FloatArray, fade: int, knots: tuple[float, float] | None, *, length: float) -> FloatArray:
-        """Places v at times since the end of a half of some length, s.
-
-        Linear over the half; where its edge fades out, linear over the edge and over the rest, or by `knots` a cubic.
-        """
-        if not fade:
-            return np.clip(1 - since / length, 0.0, 1.0)
-        outer = 1 - 1 / fade
-        if knots is None:
-            return np.interp(since, [0.0, self.edge * length, length], [1.0, outer, 0.0])
-        # The cubic through the end, where the edge is over, v = 1 / 2 and the middle.
-        (edge, halfway), u = knots, np.clip(since / length, 0.0, 1.0)
-        cubic = (u - edge) * (u - halfway) * (u - 1) / (-edge * halfway)
-        cubic += outer * u * (u - halfway) * (u - 1) / (edge * (edge - halfway) * (edge - 1))
-        cubic += 0.5 * u * (u - edge) * (u - 1) / (halfway * (halfway - edge) * (halfway - 1))
-        return np.asarray(cubic)
-
-    def blended(self, taper: Taper, since: FloatArray, length: FloatArray, *, fade: int) -> FloatArray:
+    def blended(self, taper: Taper, since: FloatArray, length: FloatArray) -> FloatArray:
         """What windows blended for halves of lengths (..., 1), s, give sharp echoes at times (..., n) since their end.
 
-        Over the middle's weight, without levels.
+        Over the middle's weight.
         """
         count, total = len(self.lengths), np.zeros(np.broadcast_shapes(since.shape, length.shape))
         apart = max(self.lengths[-1] - self.lengths[0], 1e-12)
         at = np.clip((length - self.lengths[0]) / apart, *BLEND_BEYOND) * (count - 1)
-        for k, (window, knots) in enumerate(zip(self.lengths, self.knots or [None] * count, strict=True)):
+        for k, window in enumerate(self.lengths):
             share = math.prod((at - other) / (k - other) for other in range(count) if other != k)
-            v = self.place(np.maximum(since, 0.0), fade, knots, length=window)
-            total += share * (faded_taper(taper, v, fade) if fade else taper(v))
+            total += share * taper(np.clip(1 - since / window, 0.0, 1.0))
         return total / float(taper(np.array(0.0)))
 
     def blending(self, rng: FloatArray) -> FloatArray:
@@ -101,27 +66,17 @@ class HalfDwell:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DwellTaper:
-    """The weighting over dwells, and the halves into which their middles divide them.
-
-    With a positive `fade`, weights fade to zero over the last 1 / fade of each half (`dwell_edges`).
-    """
+    """The weighting over dwells, and the halves into which their middles divide them."""
 
     taper: Taper
     begin: HalfDwell
     end: HalfDwell
-    fade: int = 0
 
     def rises(self, half: HalfDwell, since: FloatArray, *, slope: float, step: Step) -> list[NDArray[np.complex128]]:
         """Windows over one of the halves, one for each of its lengths, (n,) each, relative to the middle's weight.
 
         They are convolved with the Fresnel kernel of the area `slope` > 0, s/Hz (`dwell_gate`), as `step` is.
         """
-        if self.fade:
-            knots = half.knots or [None] * len(half.lengths)
-            return [
-                faded_rise(self.taper, half, since, length, each, slope=slope, fade=self.fade)
-                for length, each in zip(half.lengths, knots, strict=True)
-            ]
         stepped = step(since, slope)
         return [stepped_rise(self.taper, since, length, stepped, slope=slope) for length in half.lengths]
 
@@ -143,26 +98,6 @@ def stepped_rise(
     return edge * step + _smeared(rest, since, length, slope=slope, finer=finer)
 
 
-def faded_rise(
-    taper: Taper,
-    half: HalfDwell,
-    since: FloatArray,
-    length: float,
-    knots: tuple[float, float] | None,
-    *,
-    slope: float,
-    fade: int,
-) -> NDArray[np.complex128]:
-    """The same for a taper that fades to zero over the first 1 / fade of a half."""
-
-    def profile(time: FloatArray) -> FloatArray:
-        rise = faded_taper(taper, half.place(time, fade, knots, length=length), fade) / taper(np.array(0.0))
-        return rise * half.levels(time / length) if half.level else rise
-
-    finer = math.ceil(abs(float(since[1] - since[0])) * fade / length * FADE_SAMPLES)
-    return _smeared(profile, since, length, slope=slope, finer=finer)
-
-
 def _smeared(
     profile: Callable[[FloatArray], FloatArray], since: FloatArray, length: float, *, slope: float, finer: int
 ) -> NDArray[np.complex128]:
@@ -180,8 +115,3 @@ def _smeared(
     spectrum = fft_rows(values[None].astype(np.complex128), inverse=False)
     window = fft_rows(spectrum * kernel, inverse=True)[0, before * finer :: finer][: since.size]
     return window if since[1] > since[0] else window[::-1]
-
-
-def faded_taper(taper: Taper, v: FloatArray, fade: int) -> FloatArray:
-    """The taper at places v in the beam, -1 .. 1, times sin^2(pi fade (1 - |v|) / 2) for 1 - |v| < 1 / fade."""
-    return taper(v) * np.sin(np.pi / 2 * np.clip(fade * (1 - np.abs(v)), 0, 1)) ** 2

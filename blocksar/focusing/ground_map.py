@@ -31,31 +31,6 @@ YAW_STEPS = 4096  # of the range window's limits and the number of lit pulses al
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ApertureWaves:
-    """Weights of all pulses that differ from place to place: see `focusing.aperture_waves`.
-
-    Attributes
-    ----------
-    step : float
-        h, Hz.
-    middle : float
-        m, s.
-    constant : Surface
-        a_0.
-    pairs : tuple of (Surface, Surface)
-        a_k and b_k for k = 1, 2, ..
-    error : float
-        What they leave of the weights of the target that they serve worst, root mean square.
-    """
-
-    step: float
-    middle: float
-    constant: Surface
-    pairs: tuple[tuple[Surface, Surface], ...]
-    error: float = 0.0
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class GroundMap:
     """The position of each ground point in a block's image, and the complex value of a unit target there.
 
@@ -88,8 +63,6 @@ class GroundMap:
         Epoch ranges at the ends of the range window at each yaw, m.
     taper, range_taper : Taper
         Weighting over the dwells, and over the band.
-    stays : bool
-        From `planning.staying`: whether all pulses are summed, lit or not.
     scale : float
         n_range_frequency / period of the range transform, times the mean weight over range frequency.
     range_taps, doppler_taps : (int, float)
@@ -98,10 +71,6 @@ class GroundMap:
         What the taps may err by, from `budget.image_tap_error`.
     relief : ReliefMap or None
         The same with the height as third coordinate, which a terrain needs in place of the five surfaces.
-    waves : ApertureWaves or None
-        Weights that the block's chain has not applied.
-    tapered : Geometry or None
-        With the beam that the taper follows, where that is a steadier one.
     valid : (n_pulse,) float or None
         The fraction of each pulse's samples that is there; None: all of them.
     tilt : Surface or None
@@ -128,14 +97,11 @@ class GroundMap:
     far_limit: FloatArray
     taper: Taper
     range_taper: Taper
-    stays: bool
     scale: float
     range_taps: tuple[int, float]
     doppler_taps: tuple[int, float]
     tap_error: float
     relief: ReliefMap | None = None
-    waves: ApertureWaves | None = None
-    tapered: Geometry | None = None
     valid: FloatArray | None = None
     tilt: Surface | None = None
 
@@ -144,18 +110,17 @@ class GroundMap:
         """Number of lit pulses at each yaw (n,), missing ones left out: the sum of `valid` times the taper.
 
         Where dwells depend on range, or the antenna has a pattern over the beam, which weighs the pulses besides:
-        (n_range, n), at LIT_RANGES from near to far. Where the beam `stays`, over all pulses. A pattern in elevation
-        does not count: see `elevation_means`. Only a block that is focused needs them, not one that is planned.
+        (n_range, n), at LIT_RANGES from near to far. A pattern in elevation does not
+        count: see `elevation_means`. Only a block that is focused needs them, not one that is planned.
         """
         geometry, taper = self.geometry, self.taper
         if geometry.collection.elevation_pattern is not None:
             geometry = geometry.lit_by(geometry.collection.without_elevation)
         valid = np.ones(geometry.collection.n_pulse) if self.valid is None else self.valid
         if not by_range(geometry):
-            centre = None if self.tapered is None else self.tapered.collection.beam_azimuth
-            return weighted_pulses(geometry.collection, self.yaw_axis, valid, taper, centre=centre)
+            return weighted_pulses(geometry.collection, self.yaw_axis, valid, taper)
         ranges = np.linspace(self.near, self.far, LIT_RANGES)
-        return lit_total(geometry, ranges, self.yaw_axis, valid, taper, stays=self.stays, tapered=self.tapered)
+        return lit_total(geometry, ranges, self.yaw_axis, valid, taper)
 
     @property
     def levels(self) -> tuple[float, float]:
@@ -206,10 +171,7 @@ class GroundMap:
         return lit * self.elevation_means(x, y, z).weighed
 
     def elevation_means(self, x: FloatArray, y: FloatArray, z: FloatArray | None) -> ElevationMeans:
-        """Means of the pattern in elevation at ground points (...), m, which `lit` is to be multiplied by.
-
-        They are over the lit pulses; all but the plain ones over all pulses where the beam `stays`.
-        """
+        """Means over lit pulses of the pattern in elevation at ground points (...), m: `lit` is multiplied by them."""
         flat, shape = [np.ravel(axis)[None] for axis in (x, y, *([] if z is None else [z]))], np.shape(x)
         means = np.empty((len(ElevationMeans._fields), flat[0].size))
         for part in (slice(first, first + ELEVATIONS_AT_ONCE) for first in range(0, flat[0].size, ELEVATIONS_AT_ONCE)):
@@ -221,8 +183,6 @@ class GroundMap:
         geometry, settings = self.geometry, dict[str, Any](valid=self.valid, taper=self.taper)
         at: Any = x, y, None if z is None else z - geometry.collection.ground_height
         means = mean_elevations(geometry, *at, passes=lit_passes(geometry, x, y, z), **settings)
-        if self.stays:
-            means = mean_elevations(geometry, *at, **settings)._replace(plain=means.plain)
         return np.concatenate(means)
 
     def tilted_gain(self, x: FloatArray, y: FloatArray, z: FloatArray | None, tilt: FloatArray) -> FloatArray:

@@ -127,13 +127,9 @@ class Focus:
     `phase` (cycles) and `gain` (sum over the dwell relative to the lit time, near 1) calibrate it. `residual` is the
     largest phase error over the dwell (rad), `quadratic` its quadratic part at the dwell's edge (rad; pi/4 is the usual
     limit), `migration` the extent of its range over the dwell (m).
-
-    `levels` (..., n) are factors that windows apply to the weights besides (`DwellGate.levels`), to make up for the
-    stretch of lines: they count in sums, not in what these are divided by.
     """
 
     line: Line
-    levels: FloatArray | float = 1.0
 
     @cached_property
     def time(self) -> FloatArray:
@@ -175,7 +171,7 @@ class Focus:
         """Weights along each line, and their sum."""
         with np.errstate(invalid="ignore"):
             # A signal stretched in time by s keeps its energy: its amplitude falls as 1 / sqrt(s), ds = s dt.
-            weight = self.line.weight * np.sqrt(np.maximum(self.line.stretch, LEAST_STRETCH)) * self.levels
+            weight = self.line.weight * np.sqrt(np.maximum(self.line.stretch, LEAST_STRETCH))
         return weight, weight.sum(axis=-1)
 
     def _mean(self, values: FloatArray) -> FloatArray:
@@ -224,9 +220,9 @@ class Focus:
         return np.asarray((self._weight[0] * np.exp(1j * self._error)).sum(axis=-1))
 
 
-def focus(line: Line, levels: FloatArray | float = 1.0) -> Focus:
+def focus(line: Line) -> Focus:
     """Focus levelled lines."""
-    return Focus(line, levels)
+    return Focus(line)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -174,9 +174,7 @@ class Compression(Step):
 
     def operations(self) -> list[Operation]:
         """Rows of range_frequency.size samples to rows.size ranges, one per time or Doppler: the block's columns."""
-        gate = self.axes.gate
-        share = None if gate is None else gate.share
-        weighted = [weights for weights in (self.taper, share, self._evenness) if weights is not None]
+        weighted = [weights for weights in (self.taper, self._evenness) if weights is not None]
         return [
             Turn(self.correction),
             *(_weigh(weights, self.source, self.n_row) for weights in weighted),

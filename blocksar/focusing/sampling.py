@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
@@ -38,8 +38,6 @@ class Sampling:
         Doppler of the final transform, Hz.
     gate : DwellGate or None
         None where all targets are lit at the same time.
-    over_band : tuple of DwellGate
-        Where dwells need windows of their own over the band: the gates of its parts, which take the place of `gate`.
     summed : (float, float) or None
         First and last slow time that the final transform sums, s; None: all of `long_time`.
     """
@@ -55,13 +53,7 @@ class Sampling:
     range_occupancy: float
     focused_doppler: Axis
     gate: DwellGate | None
-    over_band: tuple[DwellGate, ...] = ()
     summed: tuple[float, float] | None = None
-
-    @property
-    def branches(self) -> tuple[Sampling, ...]:
-        """The samplings under which a block is compressed in range and focused: its images add up."""
-        return tuple(replace(self, gate=gate, over_band=()) for gate in self.over_band) or (self,)
 
     @property
     def range_period(self) -> int:

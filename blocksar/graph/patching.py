@@ -16,13 +16,11 @@ from blocksar.chunks import TILED_CHUNKS
 from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Weighting
 from blocksar.focusing.correction import Tiles, correct, tiles_of
-from blocksar.focusing.dwell_edges import KeptProfiles
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.recorded_pulses import divide_by_recorded
 from blocksar.focusing.terrain_layers import Sight
 from blocksar.graph.alike import AlikeChunks
-from blocksar.graph.edges import Edges, by_yaw
 from blocksar.graph.layers import GroundHeights, TerrainLayers, strips_of, write_layers, write_noise
 from blocksar.graph.spectrum import Window
 from blocksar.graph.tasks import Samples, naming_failures, shifted, sign, write_image
@@ -47,8 +45,6 @@ class Patch:
         Chunks of the image that no other block touches: they become the image's as they are.
     noise : NoiseMap or None
         The block's noise, where it is known.
-    edges : Edges or None
-        Edges of dwells that are added to the pixels.
     sight : Sight or None
         On a terrain: `own` chunks get their layers with their pixels; None: later.
     """
@@ -57,7 +53,6 @@ class Patch:
     grid: Grid
     own: frozenset[tuple[int, int]]
     noise: NoiseMap | None
-    edges: Edges | None
     sight: Sight | None
 
 
@@ -73,17 +68,18 @@ def write_patch(run: Run, unit: str, block: BlockPlan, samples: Samples, patch: 
     layers = TerrainLayers(run, grid, {} if sight is None else {block.index: sight})
     heights, alike = GroundHeights(run, grid, on_terrain=ground.relief is not None), AlikeChunks(run)
     writer = _PatchWriter(run=run, block=block, grid=grid, origin=origin, noise=patch.noise, alike=alike)
-    corrector = _Corrector.of(run, block, samples, patch)
-    with WritesBehind(threads=corrector.at_once) as behind:
+    assert samples.values is not None
+    corrector = _Corrector(run=run, block=block, values=samples.values, patch=patch)
+    with WritesBehind(threads=run.threads) as behind:
         chunks = [np.empty(side[0] * side[1], np.complex64) for _ in range(behind.held)]
-        batches = _batches(corrector.cells(), grid, heights, layers, patch.own)
+        batches = _batches(touched_chunks(ground, grid), grid, heights, layers, patch.own)
         # The layers of a strip are asked for before the next strip begins.
         for some in ([batch] for batch in batches) if heights.on_terrain else [batches]:
             jobs = (
                 partial(corrector.pixels, behind.turn(), chunks, cell, z, tiles)
                 for cell, z, tiles in _tiled(some, ground, grid)
             )
-            for turn, cell, z, pixels, owner in in_threads(jobs, corrector.at_once):
+            for turn, cell, z, pixels, owner in in_threads(jobs, run.threads):
                 if owner is None:
                     continue
                 window, merged = chunk_window(cell, grid), cell not in patch.own
@@ -108,50 +104,25 @@ class _Corrected(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Corrector:
-    """Computes the chunks of a patch: several at once, each in a thread, or one in all threads if edges are added.
-
-    Attributes
-    ----------
-    at_once : int
-        Chunks that are computed at once.
-    kept : KeptProfiles or None
-        For the edges; they are kept from chunk to chunk.
-    """
+    """Computes the chunks of a patch: several at once, each in a thread."""
 
     run: Run
     block: BlockPlan
     values: ComplexArray
     patch: Patch
-    at_once: int
-    kept: KeptProfiles | None
-
-    @classmethod
-    def of(cls, run: Run, block: BlockPlan, samples: Samples, patch: Patch) -> _Corrector:
-        edges = patch.edges
-        kept = None if edges is None else edges.profiles(patch.ground, threads=run.threads)
-        assert samples.values is not None
-        at_once = run.threads if edges is None else 1
-        return cls(run=run, block=block, values=samples.values, patch=patch, at_once=at_once, kept=kept)
-
-    def cells(self) -> Sequence[tuple[int, int]]:
-        """The chunks that the patch touches, in the order in which they are computed."""
-        cells = touched_chunks(self.patch.ground, self.patch.grid)
-        return cells if self.patch.edges is None else by_yaw(cells, self.patch.ground, self.patch.grid)
 
     def pixels(
         self, turn: Turn, chunks: Sequence[ComplexArray], cell: tuple[int, int], z: FloatArray | None, tiles: Tiles
     ) -> _Corrected:
         """Compute a chunk's pixels, in the memory that its turn has of `chunks`."""
-        ground, grid, edges = self.patch.ground, self.patch.grid, self.patch.edges
-        window, threads = chunk_window(cell, grid), self.run.threads if self.at_once == 1 else 1
+        ground, grid = self.patch.ground, self.patch.grid
+        window = chunk_window(cell, grid)
         x, y = grid.x[window[1]], grid.y[window[0]]
         out = chunks[turn.memory][: y.size * x.size].reshape(y.size, x.size)
-        pixels = correct(self.values, ground, x=x, y=y, z=z, tiles=tiles, threads=threads, out=out)
-        if edges is not None and self.kept is not None:
-            edges.add(pixels, self.kept, ground, window, grid, height=z, threads=threads)
+        pixels = correct(self.values, ground, x=x, y=y, z=z, tiles=tiles, threads=1, out=out)
         if (recorded := ground.geometry.collection.recorded) is not None and recorded.partial:  # else all are whole
             weighting = Weighting(ground.range_taper, ground.taper)
-            divide_by_recorded(pixels, ground.geometry, x, y[:, None], z, weighting=weighting, threads=threads)
+            divide_by_recorded(pixels, ground.geometry, x, y[:, None], z, weighting=weighting, threads=1)
         return _Corrected(turn, cell, z, pixels, _owner(pixels, self.block.index))
 
 

@@ -30,8 +30,6 @@ from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.graph.admission import Unit
-from blocksar.graph.branches import run_branches
-from blocksar.graph.edges import Edges
 from blocksar.graph.gating import Gated, gate_bins
 from blocksar.graph.layer_units import LayerUnits
 from blocksar.graph.merging import PatchChunk, merge_chunks
@@ -209,7 +207,7 @@ def focus_blocks(
     """Focus every block, from its segment's spectrum to patches/<block>, by a chain of tasks of its own.
 
     For every segment, the receipts of recovery and of the range gates have the checksums of spectra, and the inspection
-    the valid fraction of each pulse. Its samples are read again where the edges of dwells are back-projected.
+    the valid fraction of each pulse.
 
     The layers of a terrain are added by the blocks themselves if these keep all of so many `workers` busy to the end.
     Otherwise workers without a block begin with the layers of blocks that are done.
@@ -232,13 +230,10 @@ def focus_blocks(
         segment, inspection = segments[number], inspections[number]
         plan, own = segment.planned, segment.of(run)
         alone = frozenset(cell for cell in cells if touching[cell] == 1)
-        edges = None
-        if plan.completed:
-            edges = Edges(segment.history, inspection, plan.weighting, plan.fade, plan.gated)
         slab = spectra[number] if block.range_gate is None else _gated_spectrum(plan, own, block, receipts[number])
         patch = Patch(
             ground=replace(block.ground, valid=inspection.lit), grid=plan.grid, own=alone, noise=noises[number],
-            edges=edges, sight=layers.sights.get(segment.number or 0) if within else None,
+            sight=layers.sights.get(segment.number or 0) if within else None,
         )  # fmt: skip
         units.append(
             (
@@ -271,14 +266,11 @@ def _submit_chain(
     unit = block_unit(block.name)
     tail = f"{run.token}-{unit}"
     submit = partial(client.submit, pure=False, priority=priority)
-    first, branches = block.first_stage, block.branches
+    first, *rest = block.stages
     slab = spectrum.within(block.first_bin, block.first_bin + block.n_bin)
     node = submit(read_slab, run, block, first, slab, key=f"read-slab+{first.name}-{tail}")
-    if len(branches) > 1:
-        node = submit(run_branches, run, block, node, key=f"branches-{tail}")
-    else:
-        for stage in branches[0]:
-            node = submit(run_stage, run, block, stage, node, key=f"{stage.name}-{tail}")
+    for stage in rest:
+        node = submit(run_stage, run, block, stage, node, key=f"{stage.name}-{tail}")
     key = f"geometric-correction-{tail}"
     return submit(write_patch, run, unit, block, node, patch, key=key)
 

@@ -24,7 +24,6 @@ from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.step import Stage
 from blocksar.focusing.terrain_layers import Sight
 from blocksar.graph.alike import AlikeChunks
-from blocksar.graph.edges import read_valid
 from blocksar.graph.layers import (
     TerrainLayers,
     local_terrain,
@@ -36,7 +35,7 @@ from blocksar.graph.layers import (
 from blocksar.graph.segments import Merged
 from blocksar.graph.spectrum import SpectrumChunks, Window, chunk_spans, read_ahead
 from blocksar.graph.writing import WritesBehind
-from blocksar.inspection.samples import Inspection
+from blocksar.inspection.samples import Inspection, mask_outliers
 from blocksar.kernels import buffers
 from blocksar.places.place import Place
 from blocksar.places.posix import resource
@@ -289,3 +288,10 @@ def _form(run: Run, source: Projected, windows: Sequence[Window], grid: Grid) ->
         return read_valid(source.source, source.inspection, pulses)
 
     return source.form(read, source.geometry, grid.x, grid.y, windows, threads=run.threads)
+
+
+def read_valid(source: stores.PhaseHistory, inspection: Inspection, pulses: slice) -> ComplexArray:
+    """All columns of pulses; outliers are missing."""
+    signal = source.read(pulses, slice(None))
+    mask_outliers(signal, inspection, pulses=pulses)
+    return signal

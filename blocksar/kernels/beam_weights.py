@@ -1,25 +1,20 @@
 """Weights of pulses over a tile of pixels, under a taper over a steered beam.
 
 The place v in the beam is a quadratic polynomial over a tile, through 3 x 3 places; tiles are divided until it errs by
-less than PLACE_ERROR. Of pulses that only complete a sum whose ends fade out, the weight is multiplied by what the fade
-takes (`BeamTaper.fade`).
+less than PLACE_ERROR.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from numpy.polynomial import chebyshev
 
 from blocksar.arrays import FloatArray
-from blocksar.kernels.phase import Float32Array
 from blocksar.solvers import least_squares, product
 
 PLACE_ERROR = 1e-5  # of a place in the beam, whose half width is 1
-FADE_DEGREE = 6  # of the polynomial of weights over an edge: they err by less than 1e-4 of the largest
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,30 +30,12 @@ class BeamTaper:
     place : callable
         v (n_point, n) of points x, y (n_point,), m, for some pulses of the block: -1 .. 1 where they light them. Last
         their heights (n_point,) over the ground, m; None: they lie on it.
-    fade : int
-        Where positive, weights are multiplied by cos^2(pi fade (1 - |v|) / 2), which falls from 1 at |v| = 1 to 0 at
-        |v| = 1 - 1 / fade, and are 0 further inside.
     """
 
     terms: FloatArray
     frequency: float
     valid: FloatArray
     place: Callable[[FloatArray, FloatArray, slice, FloatArray | None], FloatArray]
-    fade: int = 0
-
-    @cached_property
-    def series(self) -> Float32Array:
-        """What the loop sums: terms of the taper, or power coefficients in u / 2 of the weights, u = fade (1 - |v|)."""
-        if not self.fade:
-            return self.terms.astype(np.float32)
-
-        def weights(half: FloatArray) -> FloatArray:
-            turns = np.pi * self.frequency * (1 - 2 * half / self.fade)[:, None] * np.arange(self.terms.size)
-            return np.asarray((self.terms * np.cos(turns)).sum(axis=1) * np.cos(np.pi * half) ** 2)
-
-        fitted = chebyshev.Chebyshev.interpolate(weights, FADE_DEGREE, domain=[0.0, 0.5])
-        plain = fitted.convert(kind=np.polynomial.Polynomial, domain=[-1, 1], window=[-1, 1])
-        return np.asarray(plain.coef, np.float32)
 
 
 def place_tables(

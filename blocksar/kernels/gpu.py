@@ -299,7 +299,9 @@ class Gpu:
             return
         none = xp.zeros((1, 1))
         table = np.column_stack([sights.antenna.T, sights.reference_range])
-        terms, frequency = (sights.taper.series, sights.taper.frequency) if sights.taper else (np.zeros(1), 0.0)
+        terms, frequency = (
+            (sights.taper.terms.astype(np.float32), sights.taper.frequency) if sights.taper else (np.zeros(1), 0.0)
+        )
         of_pulses = sights.middle, sights.cycles_per_metre, sights.bins_per_metre, min(sights.half_window, FAR)
         scales = np.array([*of_pulses, *((low + high) / 2), middle, frequency / 2])
         side = SIDE if _near(sights, image.shape, x, y, height) else 1

@@ -155,14 +155,14 @@ def project(
     middles, close = _middles([*place, relief] if relief.size else [*place], sights)
     close &= bool(series[0, :-FEW].all())
     sums, farthest = np.zeros((3, place[0].size), np.float32), np.zeros(place[0].size)
-    terms = np.zeros(0, np.float32) if sights.taper is None else sights.taper.series
-    frequency, fade = (0.0, 0) if sights.taper is None else (sights.taper.frequency, sights.taper.fade)
+    terms = np.zeros(0, np.float32) if sights.taper is None else sights.taper.terms.astype(np.float32)
+    frequency = 0.0 if sights.taper is None else sights.taper.frequency
     # A sample is loaded as one number of 64 bits, so that vectors of samples are transposed whole.
     samples, origins = sights.values.reshape(-1).view(np.float64), sights.rows[pulses] * n_bin + sights.middle
     add_pulses(
         *sums, farthest, samples, origins, *(axis.ravel() for axis in place), *centre, *(axis.ravel() for axis in lit),
         spans, close, middles, begin, series, roots, sights.cycles_per_metre, sights.bins_per_metre,
-        sights.half_window, places, terms, frequency / 2, fade / 2, relief.ravel(),
+        sights.half_window, places, terms, frequency / 2, relief.ravel(),
     )  # fmt: skip
     if sights.taper is not None:
         weight += _from_groups(sums[2], side, image.shape)

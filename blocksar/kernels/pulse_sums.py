@@ -122,14 +122,6 @@ def _rise(places: Any, k: Any, dx: Any, dy: Any, dz: Any) -> Any:
 
 
 @njit(inline="always")
-def _weight(v: Any, terms: Any, half_frequency: Any, half_fade: Any) -> Any:
-    """The weight at a place v in the beam; where it fades, beyond the beam that at its edge."""
-    return (
-        _faded(smaller(larger(v, -1.0), 1.0), terms, half_fade) if half_fade > 0 else _taper(v, terms, half_frequency)
-    )
-
-
-@njit(inline="always")
 def _taper(v: Any, terms: Any, half_frequency: Any) -> Any:
     """sum_k terms_k cos(2 pi k half_frequency v), by Clenshaw's recurrence; at most |half_frequency v| = 1/2."""
     turned = remainder(v * half_frequency)
@@ -139,15 +131,6 @@ def _taper(v: Any, terms: Any, half_frequency: Any) -> Any:
     for k in range(terms.size - 1):
         last, total = total, terms[terms.size - 1 - k] + (twice * total - last)
     return terms[0] + (cos * total - last)
-
-
-@njit(inline="always")
-def _faded(v: Any, terms: Any, half_fade: Any) -> Any:
-    """The same times what the fade takes, from the FADE_DEGREE + 1 power coefficients of both."""
-    half = remainder(smaller((1.0 - larger(v, 0.0 - v)) * half_fade, 0.5))
-    square = half * half
-    high = square * terms[6] + (half * terms[5] + terms[4])
-    return (half * terms[1] + terms[0]) + square * ((half * terms[3] + terms[2]) + square * high)
 
 
 @njit(inline="always")
@@ -161,7 +144,7 @@ def _added(re: Any, im: Any, a: Any, b: Any, turn: Any) -> Any:
     types.float32[::1], types.float32[::1], types.float32[::1], types.float64[::1], REAL_ROW, ORIGINS,
     REAL_ROW, REAL_ROW, types.float64, types.float64, PULSES, PULSES, types.int64[:, ::1], types.boolean[::1],
     REAL_ROWS, types.int64, REAL_ROWS, REAL_ROWS, types.float64, types.float64, types.float64, REAL_ROWS, WEIGHTS,
-    types.float64, types.float64, REAL_ROW, **COMPILED,
+    types.float64, REAL_ROW, **COMPILED,
 )  # fmt: skip
 def add_pulses(
     real: NDArray[np.float32],
@@ -188,7 +171,6 @@ def add_pulses(
     places: FloatArray,
     terms: NDArray[np.float32],
     half_frequency: float,
-    half_fade: float,
     relief: FloatArray,
 ) -> None:  # longer than most: arrays that inlined functions take have their references counted for every pulse
     """Sum the lit pulses, in ascending order, at pixels (n,).
@@ -235,8 +217,6 @@ def add_pulses(
         Of the weight as a function of v; empty without weights.
     half_frequency : float
         Cosines of the weight have k half_frequency v turns.
-    half_fade : float
-        Weights fade at the edges of the beam where this is positive: `terms` are then power coefficients.
     relief : (n,) float
         Heights of the pixels over the tile's centre, m; empty on a plane.
     """
@@ -260,7 +240,7 @@ def add_pulses(
                     v = _place(places, p - start, dx, dy)
                     if hilly:
                         v = v + _rise(places, p - start, dx, dy, dz)
-                    part = within(_weight(v, terms, half_frequency, half_fade), lit, p, unlit)
+                    part = within(_taper(v, terms, half_frequency), lit, p, unlit)
                     store(shares, (p - low) * FEW, part)
                     share = share + part * np.float32(places[p - start, 6])
                 store(weight, i, share)

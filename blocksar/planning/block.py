@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import chain
 
 import numpy as np
 
 from blocksar.chunks import DOPPLER_GROUP
-from blocksar.collection.weighting import FLAT, AxisTaper
+from blocksar.collection.weighting import AxisTaper
 from blocksar.errors import OutsideSwath
 from blocksar.focusing.chains import steps_of
 from blocksar.focusing.ground_map import GroundMap
@@ -24,7 +23,7 @@ from blocksar.planning.block_lines import CoarseLines, FineLines, follow_terrain
 from blocksar.planning.block_sampling import plan_sampling, plan_slab
 from blocksar.planning.coefficients import Choice, choose
 from blocksar.planning.contrast import dark_contrast
-from blocksar.planning.dwell_gate import plan_dwell_gate, plan_over_band
+from blocksar.planning.dwell_gate import plan_dwell_gate
 from blocksar.planning.fitting import RESAMPLING_ORDERS
 from blocksar.planning.image_edges import ImageEdges
 from blocksar.planning.memory import RELIEF_MEMORY, block_memory
@@ -89,20 +88,8 @@ class BlockPlan:
 
     @property
     def stages(self) -> list[Stage]:
-        """All that is run, in order: the first stage, and the rest of the steps once for each part of the gate."""
-        return list(chain([self.first_stage], *self.branches))
-
-    @property
-    def first_stage(self) -> Stage:
-        return stages(self.steps)[0]
-
-    @property
-    def branches(self) -> list[list[Stage]]:
-        """The stages after the first, once for each part of the gate over the band: their images add up."""
-        rest = self.steps[len(self.first_stage.steps) :]
-        if not self.sampling.over_band:
-            return [stages(rest)]
-        return [stages([step.sampled(sampling) for step in rest]) for sampling in self.sampling.branches]
+        """All that is run, in order."""
+        return stages(self.steps)
 
     @property
     def even(self) -> bool:
@@ -158,7 +145,7 @@ def _plan_block(
             f"block {index} lies outside the swath: the beam lights none of its ground, yaw "
             f"{np.degrees(sector.low):.2f} .. {np.degrees(sector.high):.2f} degrees; move the grid"
         )
-    margin = tail_margin(coarse.duration, stays=sector.staying is not None)
+    margin = tail_margin(coarse.duration)
     slab = plan_slab(collection, sector.recovery.doppler, coarse.everywhere, margin=margin)
     range_gate = None if part is None else plan_range_gate(band, slab.doppler, coarse.everywhere, collection.carrier)
     constants = _constants(sector, slab, band, coarse.line)
@@ -176,8 +163,6 @@ def _plan_block(
     )  # fmt: skip
     sampling = _with_gate(sector, azimuth, sampling, lines)
     mapped = under_tiles(sector, azimuth, lines)
-    if sampling.gate is not None:
-        lines, mapped = lines.levelled_by(sampling.gate), mapped.levelled_by(sampling.gate)
     steps, ground = azimuth.sampled(sampling), plan_ground(sector, azimuth, sampling, mapped)
     return BlockPlan(
         index=index, part=part, low=sector.low, high=sector.high, first_bin=slab.first_bin, n_bin=slab.doppler.size,
@@ -205,10 +190,9 @@ def _constants(sector: Sector, slab: Slab, band: Axis, line: Line) -> Constants:
 
 
 def _pulse_taper(sector: Sector) -> AxisTaper | None:
-    """The weighting over the pulses of a beam that is not steered; none where it stays, and depends on the place."""
+    """The weighting over the pulses of a beam that is not steered."""
     pulses = sector.recovery.pulses
-    taper = sector.weighting.azimuth if sector.staying is None else FLAT
-    return AxisTaper.over(taper, pulses.start, pulses.step, pulses.size)
+    return AxisTaper.over(sector.weighting.azimuth, pulses.start, pulses.step, pulses.size)
 
 
 def _plan_azimuth(
@@ -248,12 +232,10 @@ def _plan_azimuth(
 
 
 def _with_gate(sector: Sector, azimuth: AzimuthPart, sampling: Sampling, lines: FineLines) -> Sampling:
-    """The sampling with the dwell gate, and with its parts over the band."""
+    """The sampling with the dwell gate."""
     gated = follow_terrain(sector, azimuth, lines) if sector.gates_by_height else lines
     beside = lit_beside(sector, azimuth, gated)
-    gate = plan_dwell_gate(sector, sampling, gated, beside)
-    over_band = () if gate is None else plan_over_band(sector, sampling, gated, beside, gate)
-    return replace(sampling, gate=gate, over_band=over_band)
+    return replace(sampling, gate=plan_dwell_gate(sector, sampling, gated, beside))
 
 
 def _predict(
@@ -262,8 +244,6 @@ def _predict(
     """The prediction from the block's lines; on a terrain from those of targets at usual heights.
 
     Side lobes also from those of targets that lie low, and of such that lie high.
-
-    Weights made of waves that err by e of themselves, root mean square, lose at most e^2 / 2.
     """
     targets, reached, layers = lines.targets(sector.geometry), None, []
     if sector.relief is not None:
@@ -271,7 +251,7 @@ def _predict(
         targets, layers = _on(targets, usual), end_layers(sector, azimuth, lines)
     imaged = _imaged(sector, lines)
     predicted = predict(
-        targets, sampling.gate, parts=sector.gate_parts, reached=reached, imaged=imaged, band=sector.weighting.range,
+        targets, sampling.gate, reached=reached, imaged=imaged, band=sector.weighting.range,
         contrast=None if sampling.gate is None else dark_contrast(sector, lines.epoch_range, lines.yaw),
     )  # fmt: skip
     for layer in layers:
@@ -279,10 +259,9 @@ def _predict(
         judged = Judged.of(others, reached, imaged)
         predicted = predicted.or_lobes(worst_lobes(others, sampling.gate, judged, band=sector.weighting.range))
     seen = np.logical_and.reduce([lines.ends.full, *(each.held for each in imaged)])
-    of_dwells = sector.taper_loss + (0.0 if ground.waves is None else ground.waves.error**2 / 2)
     if reached is not None:
         seen, layers = seen & reached, [usual, *layers]
-    return predicted.less(of_dwells, map_loss(ground, lines, seen, layers))
+    return predicted.less(sector.beam_loss, map_loss(ground, lines, seen, layers))
 
 
 def _on(targets: TracedTargets, layer: Layer) -> TracedTargets:
@@ -311,6 +290,5 @@ def _plan_memory(sector: Sector, range_gate: RangeGate | None, range_part: Range
         n_row=sampling.rows.size,
         n_image=sampling.image_doppler.size,
         length=max(sampling.long_time.size, sampling.range_period),
-        divided=bool(sampling.over_band),
     )
-    return chain_memory + sector.edge_memory + (0 if sector.relief is None else RELIEF_MEMORY)
+    return chain_memory + (0 if sector.relief is None else RELIEF_MEMORY)

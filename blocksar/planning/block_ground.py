@@ -19,7 +19,6 @@ from blocksar.focusing.relief_map import NodeHeights, straighten
 from blocksar.focusing.sampling import Sampling
 from blocksar.focusing.surfaces import Surface, fit_surface
 from blocksar.kernels.interpolation import taps_needed
-from blocksar.planning.aperture_waves import plan_waves
 from blocksar.planning.binding import AzimuthPart
 from blocksar.planning.block_lines import MORE_RANGES, FineLines, retrace, trace_finely
 from blocksar.planning.relief import Layer, map_relief, turns_of
@@ -36,12 +35,6 @@ STEPS_BY_RANGE = 512  # of yaw, where the sum over lit pulses is a table over ra
 def plan_ground(sector: Sector, azimuth: AzimuthPart, sampling: Sampling, lines: FineLines) -> GroundMap:
     """The map of a block with its sampling; lines (n_range, n_yaw) are through the whole chain."""
     ground = _on_smooth_ground(sector, sampling, lines)
-    if sector.staying is not None and not sector.taper.uniform:
-        waves = plan_waves(
-            sector.staying, sector.taper, lines.lit, lines.line, along=sector.ground_range,
-            epoch_range=lines.epoch_range, yaw=lines.yaw,
-        )  # fmt: skip
-        ground = replace(ground, waves=waves)
     return ground if sector.relief is None else _raise(sector, azimuth, ground, lines)
 
 
@@ -54,7 +47,7 @@ def _on_smooth_ground(sector: Sector, sampling: Sampling, lines: FineLines) -> G
     reach = np.abs(lines.line.time - _carrier_time(sector, lines, lines.spots)[..., None]).max()
     filled = float(min(2.2 * reach * sampling.image_doppler.step, 0.9))
     return GroundMap(
-        geometry=sector.lit,
+        geometry=sector.geometry,
         low=sector.low,
         high=sector.high,
         near=sector.near,
@@ -73,12 +66,10 @@ def _on_smooth_ground(sector: Sector, sampling: Sampling, lines: FineLines) -> G
         far_limit=far_limit,
         taper=sector.taper,
         range_taper=sector.weighting.range,
-        stays=sector.staying is not None,
         scale=range_scale(collection, sampling.range_frequency, sampling.range_period, sector.weighting.range),
         range_taps=(taps_needed(sampling.range_occupancy, error=sector.tap_error), sampling.range_occupancy),
         doppler_taps=(taps_needed(filled, error=sector.tap_error), filled),
         tap_error=sector.tap_error,
-        tapered=None if sector.wobbling is None else sector.geometry,
         tilt=None if lines.weights.elevation is None else _tilt(sector, lines),
     )
 
@@ -87,7 +78,7 @@ def _tilt(sector: Sector, lines: FineLines) -> Surface:
     """How fast what the chain makes of echoes grows over the dwell, from -1 to 1, over its mean: see `GroundMap`."""
     time, weight = lines.lit.time, lines.weights.weigh_chain(lines.line).weight
     place = 2 * (time - time[..., :1]) / (time[..., -1:] - time[..., :1]) - 1
-    made = np.sqrt(np.maximum(lines.line.stretch, LEAST_STRETCH)) * lines.spots.levels
+    made = np.sqrt(np.maximum(lines.line.stretch, LEAST_STRETCH))
     total = weight.sum(axis=-1)
     middle = ((weight * place).sum(axis=-1) / total)[..., None]
     slope = (weight * (place - middle) * made).sum(axis=-1) / (weight * (place - middle) ** 2).sum(axis=-1)
@@ -170,12 +161,9 @@ def _degree(sector: Sector, lines: FineLines) -> tuple[int, int]:
 def _carrier_time(sector: Sector, lines: FineLines, spots: Focus) -> FloatArray:
     """Time (n_range, n_yaw), s, about which a target's response is interpolated along Doppler: the middle of its dwell.
 
-    Where all pulses are summed their weights can tilt, up to ten to one at the rim of a beam. Their mean would leave
-    the first or the last of them beyond what the taps pass. Nor does a series follow it where a pattern in elevation
-    has zeros.
+    No series follows the mean of the weights where a pattern in elevation has zeros.
     """
-    tilted = sector.staying is not None or sector.geometry.collection.elevation_pattern is not None
-    if not tilted or lines.weights.uniform:
+    if sector.geometry.collection.elevation_pattern is None or lines.weights.uniform:
         return spots.time
     return np.asarray((spots.line.time[..., 0] + spots.line.time[..., -1]) / 2)
 
@@ -184,7 +172,7 @@ def _yaw_steps(sector: Sector) -> int:
     """Yaws at which a block knows its limits: its share of the region's, so that many narrow blocks are small."""
     step = float(np.ptp(sector.region.yaw)) / REGION_STEPS
     share = (sector.high - sector.low) / step if step > 0 else math.inf
-    return math.ceil(min(max(share, LEAST_STEPS), STEPS_BY_RANGE if by_range(sector.lighting) else YAW_STEPS))
+    return math.ceil(min(max(share, LEAST_STEPS), STEPS_BY_RANGE if by_range(sector.geometry) else YAW_STEPS))
 
 
 def _raise(sector: Sector, azimuth: AzimuthPart, ground: GroundMap, lines: FineLines) -> GroundMap:

@@ -15,7 +15,6 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import AxisTaper
-from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.ground_map import tile_extent
 from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line, focus
 from blocksar.planning.apertures import level_aperture, levelled
@@ -72,13 +71,6 @@ class FineLines(NamedTuple):
     weights: DwellWeights
     ends: DwellEnds
     in_time: AxisTaper | None  # over the pulses of a beam that is not steered
-
-    def levelled_by(self, gate: DwellGate) -> FineLines:
-        """The lines with their focus under a gate that makes up for their stretch; as they are under any other."""
-        levels = gate.levels(self.spots.range, self.spots.doppler, self.line.time)
-        if isinstance(levels, float):
-            return self
-        return self._replace(spots=focus(self.weights.weigh_chain(self.line), levels))
 
     def targets(self, geometry: Geometry) -> TracedTargets:
         """Their targets on the ground of a geometry, as the chain leaves them."""
@@ -153,7 +145,7 @@ def lit_beside(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> FineLi
     steps are not made for them.
     """
     collection, region = sector.geometry.collection, sector.region
-    if sector.fade or sector.gates_by_height or not beam_moves(collection) or scans_evenly(collection):
+    if sector.gates_by_height or not beam_moves(collection) or scans_evenly(collection):
         return None
     reach, middle = collection.beam_width or 0.0, (sector.near + sector.far) / 2
     if collection.has_axis:

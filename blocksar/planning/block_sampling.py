@@ -17,7 +17,6 @@ from blocksar.kernels.fourier import Axis
 from blocksar.planning.binding import AzimuthPart, Slab
 from blocksar.planning.block_lines import FineLines
 from blocksar.planning.dwell_ends import GUARD, DwellEnds, smear_room
-from blocksar.planning.dwell_gate import faded_room
 from blocksar.planning.dwell_weights import beam_moves
 from blocksar.planning.row_sampling import plan_rows
 from blocksar.planning.sector import Sector
@@ -77,8 +76,7 @@ def plan_sampling(
     begin = min(float(focused.time.min()) - guard, time.start)
     end = max(float(focused.time.max()) + guard, time.start + time.extent)
     roomy = azimuth.range_part.freedom.resampling or not gated
-    slope = float(np.ptp(spots.time) / max(np.ptp(spots.doppler), 1e-9))
-    held = _held_time(sector, lines.ends, time, slope=slope)
+    held = _held_time(sector, lines.ends, time)
     padded = (ROOM if roomy else 1.0) * time.size
     n_padded = fourier.fast_length(max((end - begin) / time.step, padded, held / time.step))
     beyond = 0.0 if gated else n_padded * time.step - (end - begin)
@@ -129,12 +127,9 @@ def _plan_time(recovery: Recovery, slab: Slab, straight: Line, *, bandwidth: flo
     return Axis(recovery.time.start + first * step, step, n_time)
 
 
-def _held_time(sector: Sector, ends: DwellEnds, time: Axis, *, slope: float) -> float:
-    """The time that the dwell gate has to hold, s; dwells move by `slope` along Doppler, s/Hz."""
-    uncut = ends.longest if sector.geometry.collection.steered else 0.0
-    held = LEAST_ROOM * uncut
-    if sector.fade:
-        held = max(held, faded_room(uncut, slope))
+def _held_time(sector: Sector, ends: DwellEnds, time: Axis) -> float:
+    """The time that the dwell gate has to hold, s."""
+    held = LEAST_ROOM * (ends.longest if sector.geometry.collection.steered else 0.0)
     if sector.keeps_rims and (overhang := _overhang(sector, ends)):
         # Gates stay open beyond the collection: steps in Doppler wrap no noise from its other end to there.
         held = max(held, time.extent + overhang)

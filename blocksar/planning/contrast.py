@@ -42,7 +42,7 @@ def dark_contrast(sector: Sector, epoch_range: FloatArray, yaw: FloatArray) -> F
     epoch_range, yaw : (n_range,), (n_yaw,) float
         Ascending, m and rad.
     """
-    collection = sector.lit.collection
+    collection = sector.geometry.collection
     if sector.relief is None or collection.elevation_pattern is None:
         return None
     u, v, power = _look_at_terrain(sector, sector.relief.samples)
@@ -70,7 +70,7 @@ def _look_at_terrain(sector: Sector, samples: Samples) -> tuple[FloatArray, Floa
 
     They have the block's ranges, and lie in it or within a beam's width on either side; those that an image shows.
     """
-    geometry, half = sector.lit, (sector.high - sector.low) / 2
+    geometry, half = sector.geometry, (sector.high - sector.low) / 2
     turn = wrapped(samples.yaw - (sector.low + sector.high) / 2)
     u = (2 * samples.epoch_range - sector.near - sector.far) / (sector.far - sector.near)
     some = np.flatnonzero((np.abs(u) <= 1) & (np.abs(turn) <= half + (geometry.collection.beam_width or 0.0)))

@@ -15,7 +15,6 @@ from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import Geometry
 from blocksar.focusing.lines import Line
-from blocksar.planning.band_parts import Scaling
 from blocksar.planning.dwell_weights import beam_moves
 
 GUARD = 0.05  # of a dwell, kept beyond the ends of lines in time
@@ -23,19 +22,6 @@ SMEAR_ROOM = 100.0  # see `smear_room`
 FULL = 0.999  # of the longest dwell: a full one
 
 Moments = tuple[FloatArray, FloatArray]  # of each target in the first and in the second half of its dwell, s
-
-
-class Passing(NamedTuple):
-    """Slow times at which places of the beam pass targets, s from the epoch, (n_range, n_yaw); None where of no use."""
-
-    centre: FloatArray | None = None
-    edges: Moments | None = None  # edges that fade out: when the one after the begin ends, the other begins
-    halfways: Moments | None = None  # halfway between the centre and an edge, where the place is not linear in time
-
-    def scaled(self, scaling: Scaling) -> Passing:
-        """The same at a range frequency."""
-        pairs = (None if pair is None else (scaling(pair[0]), scaling(pair[1])) for pair in self[1:])
-        return Passing(None if self.centre is None else scaling(self.centre), *pairs)
 
 
 class DwellEnds(NamedTuple):
@@ -46,7 +32,7 @@ class DwellEnds(NamedTuple):
     scaled_about: float | None  # time about which a keystone scales time, s
     moves: FloatArray | None  # from `band_moves`, (n_range, n_yaw, n); None with a keystone
     full: BoolArray  # (n_range, n_yaw), from `full_dwells`
-    passing: Passing  # from `Sector.passing`
+    passing: FloatArray | None  # from `Sector.passing`
 
     @property
     def longest(self) -> float:
@@ -136,18 +122,17 @@ def band_moves(line: Line, rate: FloatArray) -> FloatArray:
     return np.where(passed, line.doppler / np.where(passed, rate, 1.0), 0.0)
 
 
-def end_smear(line: Line, rate: FloatArray, *, faded: bool = False) -> FloatArray:
+def end_smear(line: Line, rate: FloatArray) -> FloatArray:
     """Slope D' (..., 2) of the delay that the steps in Doppler give the begin and the end of dwells, s/Hz.
 
     `rate` is the lines' Doppler rate before these steps. Where it vanishes, so does the smear: no Doppler is passed.
 
     The area of the smear is D' times the stretch of the line, since the end is smeared in the time after the steps.
-    Windows of ends that are `faded` are made with that. Those of whole dwells are not, which costs at most 1e-4 of
-    coherence on `table1`.
+    Windows are not made with that, which costs at most 1e-4 of coherence on `table1`.
     """
     ends, rate = line.stretch[..., [0, -1]], rate[..., [0, -1]]
     passed = np.abs(rate) > 1e-6 * np.abs(rate).max()
-    return np.where(passed, (1 - ends) / np.where(passed, rate, 1.0), 0.0) * (ends if faded else 1.0)
+    return np.where(passed, (1 - ends) / np.where(passed, rate, 1.0), 0.0)
 
 
 def smear_room(line: Line, rate: FloatArray) -> float:

@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from types import EllipsisType
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from blocksar import solvers
-from blocksar.arrays import Complex128Array, FloatArray
+from blocksar.arrays import FloatArray
 from blocksar.collection.beam import STILL, at_times, beam_offset, pattern_gain
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, Taper, Weighting
-from blocksar.focusing.dwell_taper import faded_taper
 from blocksar.focusing.lines import Line
 from blocksar.focusing.pattern_sums import LEAST_ELEVATION
 from blocksar.planning.steadiness import scans_evenly
-
-Sums = TypeVar("Sums", FloatArray, Complex128Array)
-
-LEAST_SHARE = 1e-4  # that a chain is taken to sum: the collection may cut a dwell to what is back-projected
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,7 +31,7 @@ class DwellWeights:
     edge : (...) float
         The same at the ends of the dwells.
     patterned : bool
-        Whether dwells have other weights than the whole taper: an antenna's pattern, or a part of the taper.
+        Whether dwells have other weights than the whole taper: an antenna's pattern.
     alone : (..., n) float
         The weighting w without the pattern.
     change : (..., n) float
@@ -48,8 +42,6 @@ class DwellWeights:
         That in elevation, no smaller than `pattern_sums.LEAST_ELEVATION`.
     lit_band : (...) float
         Band of Doppler that is lit at a time where the target is, Hz.
-    share : (..., n) float or None
-        What the chain sums of each node, where it fades the edges of dwells out: the rest is back-projected.
     """
 
     taper: Taper
@@ -61,7 +53,6 @@ class DwellWeights:
     pattern: FloatArray | None = None
     elevation: FloatArray | None = None
     lit_band: FloatArray | float = 1.0
-    share: FloatArray | None = None
 
     @property
     def uniform(self) -> bool:
@@ -94,27 +85,11 @@ class DwellWeights:
         return line if self.uniform else line.weighed(self.nodes)
 
     def weigh_chain(self, line: Line) -> Line:
-        """The lines with the weights that a chain is calibrated by: without what is back-projected.
+        """The lines with the weights that a chain is calibrated by: without a pattern in elevation.
 
-        Nor do they have a pattern in elevation: by it, places, phases and gains would bend near zeros as no series over
-        the ground does.
+        By it, places, phases and gains would bend near zeros as no series over the ground does.
         """
-        if self.share is None and self.elevation is None:
-            return self.weigh(line)
-        weights = self.nodes if self.elevation is None else self.nodes / self.elevation
-        return line.weighed(weights if self.share is None else weights * np.maximum(self.share, LEAST_SHARE))
-
-    def with_edges(
-        self, summed: Sums, gain: FloatArray | float = 1.0, *, at: tuple[int, ...] | EllipsisType = ...
-    ) -> Sums:
-        """Add what is back-projected to what a chain makes, over its gain, of echoes that are 1.
-
-        Of all targets (..., n), or of the one `at` (n,).
-        """
-        if self.share is None:
-            return summed
-        share = self.share[at]
-        return share * (summed / gain) + (1 - share)
+        return self.weigh(line) if self.elevation is None else line.weighed(self.nodes / self.elevation)
 
 
 def dwell_weights(
@@ -125,10 +100,8 @@ def dwell_weights(
     uncut: tuple[FloatArray, FloatArray],
     epoch_range: FloatArray,
     yaw: FloatArray,
-    stays: bool = False,
     moves: FloatArray | None = None,
     lit_band: FloatArray | float = 1.0,
-    fade: int = 0,
 ) -> DwellWeights:
     """The weights of targets at epoch ranges (n_range,), m, and yaws (n_yaw,), rad.
 
@@ -139,36 +112,29 @@ def dwell_weights(
     uncut : pair of (n_yaw,) or (n_range, n_yaw) float
         Slow time, s from the epoch, at which the dwells would begin and end if the collection did not cut them. The
         place in a beam that scans evenly, or is not steered, is taken as linear in between.
-    stays : bool
-        From `planning.staying`: each target then has a part of the taper of its own.
     moves : (n_range, n_yaw, n) float, optional
         Time, s, by which relative range frequency moves the echoes at the nodes of the lines.
     lit_band : (n_range, n_yaw) float
         Band of Doppler that is lit at a time where the targets are, Hz.
-    fade : int
-        Of the edges of dwells, see `focusing.dwell_edges`.
     """
     collection = geometry.collection
     at = epoch_range[:, None], yaw
     x, y, z = (np.asarray(axis)[..., None] for axis in (*geometry.ground_axes(*at), geometry.level(*at)))
     time, edge = lit.time + geometry.epoch, float(taper(np.array(1.0)))
     change: FloatArray | float = 0.0
-    share: FloatArray | None = None
     nodes = np.ones(lit.time.shape)
-    if fade or not taper.uniform:
+    if not taper.uniform:
         dwell = (uncut[1] - uncut[0])[..., None]
         if collection.beam_width is not None and not scans_evenly(collection):
             place = 2 * at_times(geometry, x, y, time, beam_offset, z) / collection.beam_width
         else:
             place = (2 * lit.time - (uncut[0] + uncut[1])[..., None]) / dwell
         nodes = taper(place)
-        share = faded_taper(FLAT, place, fade) if fade else None
-        if collection.steered and not (stays or taper.uniform) and moves is not None:
+        if collection.steered and moves is not None:
             # A beam that turns back before it reaches a target gives it a dwell of 0 s: no weights that would move.
             change = taper.slope(place) * 2 / np.where(dwell > 0, dwell, np.inf) * moves
     weights = DwellWeights(
-        taper=taper, nodes=nodes, edge=edge, patterned=stays and not taper.uniform, alone=nodes, change=change,
-        lit_band=lit_band, share=share,
+        taper=taper, nodes=nodes, edge=edge, patterned=False, alone=nodes, change=change, lit_band=lit_band,
     )  # fmt: skip
     if not collection.has_pattern:
         return weights

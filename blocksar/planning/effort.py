@@ -3,8 +3,8 @@
 While a command runs only ratios between stages matter, since the pace is measured; `plan` multiplies by
 `graph.machine.pace`. The constants below are CPU seconds of one thread where that pace is 1, on a virtual machine of 2
 cores (EPYC with AVX-512) that are both busy. Those of recovery, steps, correction, layers and mosaic are from the
-receipts of `table1`, also over hills; those of edges and back-projection from a TOPS scene of 3000 pulses besides,
-whose beam wobbles. Those of compression and inspection are estimates; each matters only relative to the others of its
+receipts of `table1`, also over hills; that of back-projection from a TOPS scene of 3000
+pulses besides. Those of compression and inspection are estimates; each matters only relative to the others of its
 own command.
 """
 
@@ -21,7 +21,6 @@ from blocksar.chunks import LAYER_CHUNKS, MOSAIC_CHUNKS, TILE
 from blocksar.collection.beam import dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.planning.block import BlockPlan
 from blocksar.planning.plan import Plan
 from blocksar.planning.tiling import box_of, chunks_of, image_chunk, inspection_width, touched_chunks
 from blocksar.planning.work import block_work
@@ -32,7 +31,6 @@ COMPRESS = 6e-8  # per sample of the echo
 RECOVER = 3.2e-8  # per written sample of the spectrum
 GATE = 2.6e-8  # per written sample of a range sub-block
 STEPS = 8.5e-11  # per operation of the blocks' transforms and resamplings, as Plan.work counts them
-EDGES = 3e-7  # per written pixel of a patch's chunks whose edges of dwells are back-projected
 CORRECT = 2.7e-8  # per written pixel of a patch's chunks
 ON_TERRAIN = 1.3e-8  # more on a terrain: heights, and their part of the correction
 ELEVATION = 5e-7  # more with a pattern in elevation, whose means it divides by
@@ -80,9 +78,9 @@ def blocks_add_layers(blocks: int, workers: int) -> bool:
 def of_plan(plan: Plan, *, workers: int = 1) -> Work:
     """Work of focusing by a plan, without that of a raw echo."""
     collection, side = plan.geometry.collection, image_chunk(plan.grid)
-    written = CORRECT + _completing(plan)
+    written = CORRECT
     written += 0.0 if plan.geometry.terrain is None else ON_TERRAIN
-    written += 0.0 if collection.elevation_pattern is None else ELEVATION * (1 + plan.completed)
+    written += 0.0 if collection.elevation_pattern is None else ELEVATION
     columns = np.diff([*range(0, collection.n_range_frequency, plan.column_group), collection.n_range_frequency])
     chunks = [touched_chunks(block.ground, plan.grid) for block in plan.blocks]
     patches = Counter(chunk for touched in chunks for chunk in touched)  # by chunk of the mosaic
@@ -94,7 +92,7 @@ def of_plan(plan: Plan, *, workers: int = 1) -> Work:
         "recover": (RECOVER * plan.recovery.doppler.size * columns).tolist(),
         **_gating(plan),
         "focus": [
-            STEPS * block_work(block) + (written + CORRECT * _more_passes(block)) * len(touched) * side[0] * side[1]
+            STEPS * block_work(block) + written * len(touched) * side[0] * side[1]
             for block, touched in zip(plan.blocks, chunks, strict=True)
         ],
         "mosaic": [
@@ -108,16 +106,6 @@ def of_plan(plan: Plan, *, workers: int = 1) -> Work:
         ],
     }
     return stages | {"finish": [FINISH]}
-
-
-def _more_passes(block: BlockPlan) -> int:
-    """Times that pixels are corrected besides the first: twice for each wave of weights that differ over the ground."""
-    return 0 if block.ground.waves is None else 2 * len(block.ground.waves.pairs)
-
-
-def _completing(plan: Plan) -> float:
-    """Seconds per written pixel of a patch's chunks for the pulses that are back-projected besides."""
-    return (EDGES if plan.completed else 0.0) + BACK_PROJECT * plan.gated.pulses
 
 
 def together(works: Sequence[Work]) -> Work:

@@ -42,16 +42,13 @@ def gate_blur(collection: Collection, spread: float) -> float:
     return math.hypot(spread, collection.pulse_interval / 2)
 
 
-def end_lift(blur: float, spread: float, band: Taper = FLAT, *, follows: bool = False) -> float:
-    """`DwellGate.lift`: the height h of the triangle, for ends at +-`spread`, s, over a band with a weighting.
-
-    With `follows` windows move over the band as the ends do: the gate has parts.
-    """
+def end_lift(blur: float, spread: float, band: Taper = FLAT) -> float:
+    """`DwellGate.lift`: the height h of the triangle, for ends at +-`spread`, s, over a band with a weighting."""
     if not spread:
         return 0.0
     nodes, weights = solvers.gauss_legendre(BAND_NODES)
     shares = weights * band(nodes)
-    squared = 0.0 if follows else spread**2 * float((shares * nodes**2).sum() / shares.sum())
+    squared = spread**2 * float((shares * nodes**2).sum() / shares.sum())
     return (blur**2 + squared) / (4 * blur) / (2 * blur - squared / (8 * blur))
 
 

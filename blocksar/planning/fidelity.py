@@ -19,30 +19,20 @@ one displaced by d, the weights differ by the energy
     h = (z (C(z) + S(z)) + (cos(pi z^2 / 2) - sin(pi z^2 / 2)) / pi) / sqrt(2),
 
 from |F - H|^2 integrated at d = 0 in frequency, sqrt(a / 2) / pi, and d/dd = 2 Re F(d) - 1. Half of it, over the dwell,
-would be lost at each end if every pulse held all Dopplers: whether edges are needed is found by it. A plan predicts
-what is lost in the echoes that are there (`lit_ends`), times CHIPS, by which single chips lose more than their mean.
-
-Where the edges of dwells are back-projected (`focusing.dwell_edges`), phase and range err in what the chain sums of a
-pulse only. The chain's ends fade over a time T, and differ by less. With P(u) = cos(pi u) / (1 - 4 u^2), the spectrum
-of the fade's slope at u = f T,
-
-    integral of |F(t) - H(t - d)|^2 dt = T / pi^2 integral of P^2 (1 - cos(pi a u^2 / T^2) cos(2 pi u d / T)) / u^2 du.
+would be lost at each end if every pulse held all Dopplers. A plan predicts what is lost in the echoes that are there
+(`lit_ends`), times CHIPS, by which single chips lose more than their mean.
 
 A keystone also moves the slopes of a taper, by (t - m) f / fc about its time m, and a chain without one by fd f / (fc
 rate) (`band_moves`). The weights of a range frequency differ by dw/dt times that, and half the mean of its square is
 lost, over the mean of w^2.
 
-Where the gate has parts over the band (`dwell_gate`), what is left of a shift is what Lagrange's polynomials leave of
-it: exp(-2j pi u d / T) becomes its interpolation through the parts' own shifts, and slopes are followed.
-
 On a terrain heights displace both ends of a dwell to the same side. What the gate lets in beyond the one is no echo, as
 what has the pixel's Doppler there has left the beam. Only what it cuts off at the other is lost: half of the sum. Both
-count where echoes lie on either side of an end: of looks, which the whole beam lights beyond their dwells, and where
-ends fade out within the dwell.
+count where echoes lie on either side of an end: of sub-apertures, which the whole beam lights beyond their dwells.
 
 Under a weighting w both sums have the weights w besides, and under an antenna's pattern g the echo has g: the inner
-product along the dwell has (w g)^2, and an end that fades loses by that value there; at a whole one, the pattern counts
-for each echo where this is in the beam. Means over the band have the square of its weighting.
+product along the dwell has (w g)^2; at an end the pattern counts for each echo where this is in the beam. Means over
+the band have the square of its weighting.
 """
 
 from __future__ import annotations
@@ -62,7 +52,6 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line
 from blocksar.kernels.fresnel import FAR, far_fresnel_integral
-from blocksar.planning.band_parts import gate_parts
 from blocksar.planning.dwell_ends import dwell_ends, end_smear
 from blocksar.planning.dwell_weights import DwellWeights
 from blocksar.planning.end_windows import lift_energy
@@ -76,7 +65,6 @@ BAND_NODES = 4  # of the means over range frequency
 MIGRATION_NODES = 12  # of that over the phase by range migration, under a weighting
 CHIPS = 1.25  # what the worst chips of an image lose at whole ends, over the mean: 1.1 to 1.6 measured
 KNOTS = 128  # of the table of the energy of an end, per unit of z
-FADE_NODES, FADE_REACH = 48, 2.5  # of the integral over u, and where it ends: P^2 / u^2 is 1e-5 there
 KNOT_NODES = 6  # of the integrals from one of them to the next
 
 
@@ -93,7 +81,6 @@ def worst_losses(
     targets: TracedTargets,
     gate: DwellGate | None,
     *,
-    parts: int,
     track_phase: float,
     full: BoolArray,
     reached: BoolArray | None = None,
@@ -108,8 +95,6 @@ def worst_losses(
     targets : TracedTargets
     gate : DwellGate or None
         None where the sum over time is that over the pulses.
-    parts : int
-        Of the gate over the band; 1 for one gate.
     track_phase : float
         Root mean square phase that the noise of the track leaves, rad.
     full : (n_range, n_yaw) bool
@@ -123,7 +108,7 @@ def worst_losses(
         From `contrast.dark_contrast`: ends lose so many times as much.
     """
     phase, migration = _along_dwell(targets, band)
-    ends = np.zeros_like(phase) if gate is None else _gated(targets, gate, parts=parts, reached=reached, band=band)
+    ends = np.zeros_like(phase) if gate is None else _gated(targets, gate, reached=reached, band=band)
     ends = ends if contrast is None else ends * contrast
     for edge in edges:
         phase, migration, ends = (edge.at(each) for each in (phase, migration, ends))
@@ -149,8 +134,7 @@ def _along_dwell(targets: TracedTargets, band: Taper) -> tuple[FloatArray, Float
     else:
         nodes, shares = band_nodes(band, MIGRATION_NODES)
         response = sum(share * np.cos(np.pi * node * turns) for node, share in zip(nodes, shares, strict=True))
-    turned = np.sqrt(stretch) * spots.levels * np.exp(2j * np.pi * level)
-    turned, response = weights.with_edges(turned, spots.gain[..., None]), weights.with_edges(response)
+    turned = np.sqrt(stretch) * np.exp(2j * np.pi * level)
     whole = line.weight.sum(axis=-1)
     norm = np.sqrt(whole * (line.weight * np.abs(turned) ** 2).sum(axis=-1))
     phase = 1 - np.abs((line.weight * turned).sum(axis=-1)) / norm
@@ -158,31 +142,21 @@ def _along_dwell(targets: TracedTargets, band: Taper) -> tuple[FloatArray, Float
     return phase, np.maximum(both - phase, 0.0)
 
 
-def _gated(
-    targets: TracedTargets, gate: DwellGate, *, parts: int, reached: BoolArray | None, band: Taper
-) -> FloatArray:
+def _gated(targets: TracedTargets, gate: DwellGate, *, reached: BoolArray | None, band: Taper) -> FloatArray:
     """Loss by the gate: ends of dwells, and slopes of weights that it does not follow."""
     line, weights, collection = targets.line, targets.weights, targets.geometry.collection
-    whole = _whole_alone(gate, collection)
+    whole = collection.lit_widths == 1  # echoes lie to one side of the ends: no dwell is a part of the beam's own
     by_lit = whole and (reached is None or weights.pattern is not None)
-    lost = _at_ends(targets, gate, parts=parts, by_lit=by_lit, band=band)
+    lost = _at_ends(targets, gate, by_lit=by_lit, band=band)
     lost *= line.weight.sum(axis=-1)
-    if gate.taper is not None and gate.taper.fade:
-        lost *= weights.edge**2
     if whole and not by_lit:
         lost *= ONE_SIDE
-    if parts == 1:
-        lost += slope_loss(collection, band) * (line.weight * np.square(weights.change)).sum(axis=-1)
+    lost += slope_loss(collection, band) * (line.weight * np.square(weights.change)).sum(axis=-1)
     lost /= line.weighed(weights.nodes**2).weight.sum(axis=-1)
     fitting = scans_evenly(collection) and reached is None
     if gate.taper is not None and not gate.taper.taper.uniform and not fitting:
         lost += _by_place(line, targets.spots, gate, weights)
     return lost
-
-
-def _whole_alone(gate: DwellGate, collection: Collection) -> bool:
-    """Whether echoes lie to one side of the ends of dwells: these are whole, and no part of the beam's own."""
-    return (gate.taper is None or not gate.taper.fade) and collection.lit_widths == 1
 
 
 def _by_place(line: Line, spots: Focus, gate: DwellGate, weights: DwellWeights) -> FloatArray:
@@ -192,40 +166,29 @@ def _by_place(line: Line, spots: Focus, gate: DwellGate, weights: DwellWeights) 
     terrain that of the smooth ground, from which heights move dwells.
     """
     assert gate.taper is not None
-    taper, fade = gate.taper.taper, gate.taper.fade
     made = np.ones(line.time.shape)
     for half, share, length in gate.halves(spots.range, spots.doppler, line.time):
-        made *= half.blended(taper, share * length, length, fade=fade)
-    # Edges that fade out are back-projected.
-    whole = weights.alone if weights.share is None else weights.alone * weights.share
-    found, wanted = made + (weights.alone - whole) / float(taper(np.array(0.0))), weights.nodes
-    found *= weights.nodes / weights.alone
+        made *= half.blended(gate.taper.taper, share * length, length)
+    wanted, found = weights.nodes, made * weights.nodes / weights.alone
     power = (line.weight * wanted**2).sum(axis=-1) * (line.weight * found**2).sum(axis=-1)
     # Under a taper to zero targets that are hardly lit weigh nothing at all.
     return 1 - np.abs((line.weight * wanted * found).sum(axis=-1)) / np.sqrt(np.where(power > 0, power, np.inf))
 
 
-def _at_ends(targets: TracedTargets, gate: DwellGate, *, parts: int, by_lit: bool, band: Taper) -> FloatArray:
-    """Loss by ends of the dwell that are smeared or displaced; none at an end that the collection's end cuts.
-
-    That of faded ends is yet to be weighed by their weight.
-    """
+def _at_ends(targets: TracedTargets, gate: DwellGate, *, by_lit: bool, band: Taper) -> FloatArray:
+    """Loss by ends of the dwell that are smeared or displaced; none at an end that the collection's end cuts."""
     line, spots, weights, collection = targets.line, targets.spots, targets.weights, targets.geometry.collection
     lit = line.weight.sum(axis=-1)
     lost = np.zeros(lit.shape)
     edge_of_band = collection.bandwidth / 2 / collection.carrier
-    fade = 0 if gate.taper is None else gate.taper.fade
-    smear = end_smear(line, targets.rate, faded=fade > 0)
+    smear = end_smear(line, targets.rate)
     for end, phase, slope in ((0, gate.begin, gate.begin_slope), (-1, gate.end, gate.end_slope)):
         side = -1 if end == 0 else 1
         _, at, pace = (v[..., 0] for v in phase.evaluate(spots.range, spots.doppler[..., None]))
         left = smear[..., end] - (slope.coefficients(spots.range)[..., 0] - pace)
         displaced = (at + side * gate.length / 2 - targets.ends[end]) / line.stretch[..., end]
         spread = targets.moved(end) * edge_of_band
-        if fade:
-            area = left / line.stretch[..., end] ** 2
-            total = faded_energy(area, displaced, spread, lit / (2 * fade), band, parts=parts)
-        elif by_lit:
+        if by_lit:
             total = lit_energy(
                 left, displaced, spread, blur=gate.blur, pulse_interval=collection.pulse_interval,
                 lit_band=weights.lit_band, band=band_nodes(band, BAND_NODES), gain=weights.gains(side),
@@ -290,40 +253,6 @@ def blurred_energy(
     apart = np.hypot(displaced - band * spread - gate * blur, pulse_interval / np.sqrt(12))
     total = np.einsum("i,j,ij...->...", 2 * shares, weights, end_energy(area, apart)) / 4
     return np.maximum(total - blur / 3, 0.0)
-
-
-def whole_pulse_energy(pulse_interval: float) -> float:
-    """Mean energy by which an end at a whole pulse differs from one at any time, s."""
-    none = np.zeros(1)
-    return float(blurred_energy(none, none, none, pulse_interval / 2, pulse_interval)[0])
-
-
-def faded_energy(
-    area: FloatArray,
-    displaced: FloatArray,
-    spread: FloatArray,
-    duration: FloatArray | float,
-    taper: Taper = FLAT,
-    *,
-    parts: int = 1,
-) -> FloatArray:
-    """Mean energy by which ends that fade over a time `duration` and are moved by +-`spread` differ from their gate, s.
-
-    Area, s^2, displacement, s, as in `end_energy`. The gate has `parts` over the band.
-    """
-    nodes, weights = solvers.gauss_legendre(FADE_NODES)
-    u, du = FADE_REACH * (1 + nodes) / 2, FADE_REACH * weights / 2
-    slope = np.pi / 4 * (np.sinc(u + 0.5) + np.sinc(u - 0.5))
-    energy = np.zeros(np.broadcast_shapes(area.shape, displaced.shape, spread.shape))
-    for node, share in zip(*band_nodes(taper, BAND_NODES), strict=True):
-        # The shift that the gate's parts leave, as the factor of the gate's spectrum over that of the ends.
-        left = np.exp(2j * np.pi * u * (displaced / duration)[..., None]) * sum(
-            part * np.exp(2j * np.pi * u * ((at - node) * spread / duration)[..., None])
-            for at, part in zip(gate_parts(parts).nodes, gate_parts(parts).at(node), strict=True)
-        )
-        turned = np.cos(np.pi * u**2 * (area / duration**2)[..., None]) * left.real
-        energy += share * (slope**2 / u**2 * ((1 + np.abs(left) ** 2) / 2 - turned) * du).sum(axis=-1)
-    return np.asarray(energy * duration / np.pi**2)
 
 
 def band_nodes(taper: Taper, n: int) -> tuple[FloatArray, FloatArray]:

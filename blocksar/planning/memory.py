@@ -114,13 +114,11 @@ def block_memory(
     n_image: int,
     length: int,
     n_short: int = 0,
-    divided: bool = False,
 ) -> int:
     """Peak memory of a worker that focuses a block, bytes: the largest input and output of its stages.
 
     Stages work in place, except on rows of `n_short` samples that become longer, and on an image wider in Doppler than
-    the signal is long. `n_bin` counts the Doppler bins of whole chunks. A block that is `divided` over the band
-    keeps the samples for the other parts, and the sum of their images.
+    the signal is long. `n_bin` counts the Doppler bins of whole chunks.
     """
     buffer = max(frequency.size, n_row) * n_column
     loaded = n_bin * COLUMN_CHUNK
@@ -129,8 +127,6 @@ def block_memory(
         held.append(buffer + max(frequency.size, n_row) * n_short)
     if n_image > n_column:
         held.append(buffer + n_row * n_image)
-    if divided:
-        held = [*held, max(held[1:], default=buffer) + 2 * max(buffer, n_row * n_image)]
     return PROCESS_MEMORY + 8 * max(*held, buffer + 2 * (WRITES_AT_ONCE + 1) * IMAGE_PIXELS) + group_memory(length)
 
 

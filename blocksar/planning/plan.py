@@ -31,7 +31,6 @@ from blocksar.focusing.range_gate import RangeGate
 from blocksar.focusing.recovery import Recovery
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.memory import PROCESS_MEMORY, gating_memory, thread_memory
-from blocksar.planning.steadiness import Gated
 from blocksar.planning.work import Transforms, block_work, fft_work
 
 
@@ -51,12 +50,8 @@ class Plan:
         Coherence with exact back-projection that `auto` keeps where it can.
     weighting : Weighting
         Tapers over band and dwell.
-    fade : int
-        From `planning.edges`: where positive, the edges of dwells are back-projected.
-    stays : bool
-        From `planning.staying`: whether all pulses are summed, and those that do not light a pixel taken out.
-    gated : Gated
-        From `planning.steadiness`: the beam that dwell gates follow.
+    away : float
+        From `planning.steadiness`: angle between the beam and the smoothed one that dwell gates follow, rad; 0: none.
     refusal : str or None
         Why the geometry cannot be focused, with the figure.
     searched : bool
@@ -73,10 +68,8 @@ class Plan:
     method: Method
     fidelity: float
     weighting: Weighting
-    fade: int
-    stays: bool
-    gated: Gated
     refusal: str | None
+    away: float = 0.0
     searched: bool = False
 
     def __repr__(self) -> str:
@@ -175,24 +168,10 @@ class Plan:
         return min(block.prediction.coherence for block in self.blocks)
 
     @property
-    def completed(self) -> bool:
-        """Whether the chains' image is completed by back-projection of some pulses."""
-        return self.fade > 0 or self.stays
-
-    @property
     def blends(self) -> bool:
         """Whether windows for dwells of several lengths are blended."""
         gates = [block.sampling.gate for block in self.blocks]
         return any(gate is not None and gate.taper is not None for gate in gates)
-
-    @property
-    def edge_pulses(self) -> int:
-        """Pulses at either end of a dwell that are back-projected; 0 where none are."""
-        gates = [block.sampling.gate for block in self.blocks]
-        lengths = [gate.length for gate in gates if gate is not None]
-        if not self.fade or not lengths:
-            return 0
-        return math.ceil(max(lengths) * self.geometry.collection.prf / (2 * self.fade))
 
     def transforms(self) -> list[Transforms]:
         """All FFTs of samples in the plan, in order."""

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, partial
+from functools import cached_property
 from itertools import chain, pairwise
 from typing import Literal
 
@@ -26,14 +26,11 @@ from blocksar.collection.track_shape import find_flaw
 from blocksar.collection.weighting import UNIFORM, Weighting
 from blocksar.constants import MIB, SPEED_OF_LIGHT
 from blocksar.errors import InputError, OutsideSwath, Unfocusable
-from blocksar.focusing.chains import steps_of
 from blocksar.focusing.method import DEFAULT, Method
 from blocksar.focusing.recovery import Recovery
 from blocksar.planning.block import BlockPlan, plan_block
 from blocksar.planning.coefficients import Choice
 from blocksar.planning.division import MAX_BLOCKS, MOST_DIVIDED, MOST_REFERENCES, find_division
-from blocksar.planning.edge_search import find_edges
-from blocksar.planning.edges import Edges, plan_edges
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY
 from blocksar.planning.plan import Plan
 from blocksar.planning.recovery import plan_recovery
@@ -42,7 +39,7 @@ from blocksar.planning.relief import Relief, Samples, find_relief, sample_terrai
 from blocksar.planning.sector import Sector, ground_range
 from blocksar.planning.segments import Divided, Planner
 from blocksar.planning.staying import beam_stays
-from blocksar.planning.steadiness import PROBED, Gated, first_that, gated_beams
+from blocksar.planning.steadiness import Smoothed, smoothed_beam
 
 MAX_PARTS = 64  # range sub-blocks of a block
 WHOLE_WINDOWS, PART_WINDOWS = 2.5, 0.97  # range windows that a whole block, and a range sub-block, may hold
@@ -78,56 +75,31 @@ def plan_collection(
     region = plan_region(geometry, grid)
     grid = grid or default_grid(geometry, region)
     extent = grid_extent(geometry, region, grid, owned)
-    stays = beam_stays(geometry, region, extent)
-    if stays:
-        gates = [Gated(geometry.collection.unsteered())]
-    else:
-        gates = gated_beams(geometry, region, fidelity, weighting.azimuth)
-
-    @cache
-    def follow(gated: Gated) -> Callable[[float], DivisionPlanner]:
-        """Planners for edges of several lengths, of a gate that follows a beam."""
-        summed = gated.over(geometry)
-        recovery = plan_recovery(summed, region, method, stays=stays, beam_width=collection.beam_width)
-        edges = partial(
-            plan_edges, summed, region, fidelity=fidelity, weighting=weighting,
-            band=recovery.band[1] - recovery.band[0], keystone=any(kind.scales_time for kind in steps_of(method)),
+    if beam_stays(geometry, region, extent):
+        raise Unfocusable(
+            "the beam stays on its ground, as in a spotlight, and chains follow only dwells that pass over it"
+        )
+    beam = smoothed_beam(geometry, region, fidelity, weighting.azimuth)
+    planner = DivisionPlanner(
+        geometry=beam.geometry, beam=beam, region=region, recovery=plan_recovery(beam.geometry, region, method),
+        grid=grid, extent=extent, method=method, fidelity=fidelity, weighting=weighting,
+    )  # fmt: skip
+    if blocks == "auto":
+        first = find_division(
+            planner.plan, workers=workers, parts=None if parts == "auto" else parts,
+            scattered=terrain is not None, jointly=terrain is None and not collection.has_axis,
+            exceeds=planner.exceeds, refuses=planner.refuses,
         )  # fmt: skip
-        return cache(lambda times: DivisionPlanner(
-            geometry=geometry, gated=gated, stays=stays, region=region, recovery=recovery, grid=grid, extent=extent,
-            method=method, fidelity=fidelity, weighting=weighting,
-            edges=edges(times=max(times, 1.0) if gated.wobbles else times),
-        ))  # fmt: skip
-
-    def excess(gated: Gated) -> float:
-        try:
-            probe = follow(gated)(0.0).plan(PROBED, 1, True)
-        except Unfocusable:
-            return math.inf
-        except InputError:  # no block of so many holds a point of the grid
-            return 0.0
-        return probe.excess() if probe.refusal is None else math.inf
-
-    planner = follow(first_that(gates, excess))
-
-    def choose(times: float) -> Plan:
-        if blocks == "auto":
-            return find_division(
-                planner(times).plan, workers=workers, parts=None if parts == "auto" else parts,
-                scattered=terrain is not None, jointly=terrain is None and not collection.has_axis,
-                exceeds=planner(times).exceeds, refuses=planner(times).refuses,
-            )  # fmt: skip
-        return planner(times).plan(blocks, 1 if parts == "auto" else parts, False)
-
-    times, first = find_edges(lambda times, count, n_parts, probe: planner(times).plan(count, n_parts, probe), choose)
+    else:
+        first = planner.plan(blocks, 1 if parts == "auto" else parts, False)
     first = replace(first, searched=blocks == "auto")
     if first.refusal is not None:
-        return replace(first, refusal=_explain(first, planner(times)))
+        return replace(first, refusal=_explain(first, planner))
     if memory_limit is None:
         return first
 
     def divide(n_parts: int) -> Plan:
-        return replace(planner(times).plan(first.n_blocks, n_parts, False), searched=first.searched)
+        return replace(planner.plan(first.n_blocks, n_parts, False), searched=first.searched)
 
     return _fewest_parts(divide, first, memory_limit, fixed=parts != "auto")
 
@@ -204,17 +176,14 @@ class DivisionPlanner:
 
     Attributes
     ----------
-    gated : Gated
-        The beam that the dwell gate follows; where it stays, one that lights everything.
-    stays : bool
-        From `planning.staying`.
+    beam : Smoothed
+        The beam that dwell gates follow, which is that of the geometry.
     planned : dict
         The blocks by (blocks, sub-blocks, index): a plan after its probe plans the rest, and none is planned twice.
     """
 
     geometry: Geometry
-    gated: Gated
-    stays: bool
+    beam: Smoothed
     region: Region
     recovery: Recovery
     grid: Grid
@@ -222,13 +191,7 @@ class DivisionPlanner:
     method: Method
     fidelity: float
     weighting: Weighting
-    edges: Edges
     planned: dict[tuple[int, int, int], list[BlockPlan]] = field(default_factory=dict)
-
-    @cached_property
-    def summed(self) -> Geometry:
-        """Under the beam that gates follow."""
-        return self.gated.over(self.geometry)
 
     def plan(self, count: int, n_parts: int, probe: bool) -> Plan:
         """Plan all blocks that the grid touches; a probe plans only the outermost ones and the one in the middle."""
@@ -245,8 +208,7 @@ class DivisionPlanner:
         return Plan(
             geometry=self.geometry, grid=self.grid, region=self.region, recovery=self.recovery, seams=seams,
             parts=n_parts, blocks=tuple(planned), method=self.method, fidelity=self.fidelity,
-            weighting=self.weighting, fade=self.edges.fade, stays=self.stays, gated=self.gated,
-            refusal=find_refusal(planned, self.method, self.gated),
+            weighting=self.weighting, away=self.beam.away, refusal=find_refusal(planned, self.method),
         )  # fmt: skip
 
     def exceeds(self, count: int, n_parts: int, limit: float) -> bool:
@@ -264,7 +226,7 @@ class DivisionPlanner:
         """Whether a block of a probe is refused, an outermost one first; none is planned after that."""
         seams, touched = self._touched(count, probe=True)
         planned = (self._plan_index(seams, index, n_parts, None) for index in touched)
-        return any(find_refusal(blocks, self.method, self.gated) is not None for blocks in planned)
+        return any(find_refusal(blocks, self.method) is not None for blocks in planned)
 
     def _touched(self, count: int, probe: bool) -> tuple[FloatArray, list[int]]:
         """The seams of so many blocks, rad, and the indices of those that the grid touches, for a probe of some."""
@@ -302,15 +264,12 @@ class DivisionPlanner:
         parts: list[BlockPlan] = []
         for part, (nearest, farthest) in enumerate(pairwise(edges.tolist())):
             relief = self._relief(low, high, nearest, farthest)
-            summed, lit = self.summed, self.geometry
-            if relief is not None:
-                summed, lit = (each.over(None, relief.smooth) for each in (summed, lit))
+            geometry = self.geometry if relief is None else self.geometry.over(None, relief.smooth)
             sector = Sector(
-                geometry=summed, recovery=self.recovery, region=self.region, low=low, high=high, near=nearest,
+                geometry=geometry, recovery=self.recovery, region=self.region, low=low, high=high, near=nearest,
                 far=farthest, weighting=self.weighting, fidelity=self.fidelity, relief=relief,
-                tap_error=image_tap_error(self.fidelity), fade=self.edges.fade, gate_parts=self.edges.parts,
-                staying=self.geometry if self.stays else None, taper_loss=self.gated.taper_loss,
-                wobbling=lit if self.gated.wobbles else None, imaged=(self.extent.low, self.extent.high),
+                tap_error=image_tap_error(self.fidelity), beam_loss=self.beam.loss,
+                imaged=(self.extent.low, self.extent.high),
             )  # fmt: skip
             like = parts[-1].choice if parts else neighbour
             number = part if n_parts > 1 else None

@@ -70,13 +70,12 @@ def predict(
     targets: TracedTargets,
     gate: DwellGate | None,
     *,
-    parts: int = 1,
     reached: BoolArray | None = None,
     imaged: tuple[ImageEdges, ImageEdges] | None = None,
     band: Taper = FLAT,
     contrast: FloatArray | None = None,
 ) -> Prediction:
-    """The worst figures of traced targets under a gate of `parts` over the band, and a weighting `band` along it.
+    """The worst figures of traced targets under a gate, and a weighting `band` along it.
 
     The ideal side lobes are those that exact back-projection gives the target with the worst phase. Level lines make
     time after all steps a linear function of the direction in which a target is seen, so that they are those of its
@@ -104,7 +103,6 @@ def predict(
     lost = worst_losses(
         targets,
         gate,
-        parts=parts,
         track_phase=track_phase,
         full=judged.full,
         reached=reached,
@@ -221,9 +219,8 @@ def _azimuth_lobes(
     line, spots, weights = targets.line, targets.spots, targets.weights
     weight = weights.weigh(line).weight[target]
     level = line.phase[target] - spots.doppler[target] * line.time[target] - spots.phase[target]
-    raised = np.broadcast_to(spots.levels, line.time.shape)[target]
-    turned = np.sqrt(np.maximum(line.stretch[target], LEAST_STRETCH)) * raised * np.exp(2j * np.pi * level)
-    made = weight * weights.with_edges(turned, spots.gain[target], at=target)
+    turned = np.sqrt(np.maximum(line.stretch[target], LEAST_STRETCH)) * np.exp(2j * np.pi * level)
+    made = weight * turned
     time = line.time[target] - spots.time[target]
     if changed is not None:
         at, change = (each[target] for each in changed)

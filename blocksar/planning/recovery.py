@@ -35,13 +35,8 @@ def plan_recovery(
     geometry: Geometry,
     region: Region,
     method: Method = DEFAULT,
-    *,
-    stays: bool = False,
-    beam_width: float | None = None,
 ) -> Recovery:
-    """Plan unified walk, derotation and padding, and check the PRF; `stays` is from `planning.staying`.
-
-    `beam_width` is that of the beam that there is, rad, which is doubted where a unit explains that the PRF is too low.
+    """Plan unified walk, derotation and padding, and check the PRF.
 
     A method with linear derotation removes one Doppler rate only (paper A, Figure 6 b), and needs a higher PRF.
 
@@ -63,9 +58,9 @@ def plan_recovery(
     line = _lit_lines(geometry, region, origin, walk, common, margin=0.0)
     inner = _lit_lines(geometry, region, origin, walk, common, margin=WINDOW_EDGE)
     derotation, band = _plan_derotation(pulses, inner, linear=method.derotation == "linear")
-    _check_prf(geometry, method, (band[1] - band[0]) * (1 + band_edge), beam_width)
+    _check_prf(geometry, method, (band[1] - band[0]) * (1 + band_edge))
     padded = fourier.fast_length((1.02 + band_edge) * pulses.size + 16)  # the keystone scales time by the band
-    doppler = _plan_spectrum(geometry, region, line, padded=padded, band_edge=band_edge, stays=stays)
+    doppler = _plan_spectrum(geometry, region, line, padded=padded, band_edge=band_edge)
     recovery = Recovery(
         carrier=collection.carrier,
         pulses=pulses,
@@ -109,13 +104,13 @@ def _plan_derotation(pulses: Axis, line: Line, *, linear: bool) -> tuple[FloatAr
     return np.asarray(chebyshev.chebint(series) * half), (low, high)
 
 
-def _check_prf(geometry: Geometry, method: Method, spread: float, beam_width: float | None) -> None:
+def _check_prf(geometry: Geometry, method: Method, spread: float) -> None:
     """Raise PrfTooLow, or what is wrong with track or beam, if the derotated band, `spread` Hz, exceeds the PRF."""
     collection = geometry.collection
     if collection.prf < spread:
         if (flaw := find_flaw(collection)) is not None:
             raise Unfocusable(str(flaw))
-        if (doubt := doubt_width(beam_width, collection.prf, spread)) is not None:
+        if (doubt := doubt_width(collection.beam_width, collection.prf, spread)) is not None:
             raise InputError(doubt)
         needed = float(10 * np.ceil(1.002 * spread / 10))  # another PRF cuts the dwells a little differently
         remedy = (
@@ -137,13 +132,11 @@ def _of_terrain(geometry: Geometry) -> str:
     return f", or correct the terrain's heights (unit, datum) if they are not z = {low:.6g} .. {high:.6g} m"
 
 
-def _plan_spectrum(
-    geometry: Geometry, region: Region, line: Line, *, padded: int, band_edge: float, stays: bool
-) -> Axis:
+def _plan_spectrum(geometry: Geometry, region: Region, line: Line, *, padded: int, band_edge: float) -> Axis:
     """Doppler of the recovered spectrum: all that is lit, at all range frequencies, with a margin for tails."""
     low, high = float(line.doppler.min()), float(line.doppler.max())
     dwell = float(np.max(np.subtract(*dwell_at(geometry, region.yaw, (region.near + region.far) / 2)[::-1])))
-    margin = tail_margin(dwell, stays=stays)
+    margin = tail_margin(dwell)
     duration = padded * geometry.collection.pulse_interval
     edge = band_edge * max(abs(low), abs(high))
     size = fourier.fast_length(duration * (high - low + 2 * edge + 2 * margin))

@@ -14,20 +14,19 @@ from blocksar.collection.beam import aperture, dwell_at
 from blocksar.focusing.method import DEFAULT, Method
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.staying import MOST_DWELL, longest_stay
-from blocksar.planning.steadiness import Gated
 
 
-def find_refusal(blocks: Sequence[BlockPlan], method: Method, gated: Gated) -> str | None:
+def find_refusal(blocks: Sequence[BlockPlan], method: Method) -> str | None:
     """The reason why a plan cannot be carried out, or None. Rivals may blur: they are built to show it."""
     blur = None if method.rival else find_blur(blocks)
-    return _find_lingering(blocks, gated) or find_folding(blocks, method) or _find_uneven(blocks) or blur
+    return _find_lingering(blocks) or find_folding(blocks, method) or _find_uneven(blocks) or blur
 
 
-def _find_lingering(blocks: Sequence[BlockPlan], gated: Gated) -> str | None:
+def _find_lingering(blocks: Sequence[BlockPlan]) -> str | None:
     """The reason why a beam about its axis stays too long on some of a block's ground for a dwell gate, or None."""
     for block in blocks:
-        geometry = gated.over(block.ground.geometry)
-        if block.ground.stays or not geometry.collection.has_axis:
+        geometry = block.ground.geometry
+        if not geometry.collection.has_axis:
             return None
         ranges = np.linspace(block.ground.near, block.ground.far, 9)[:, None]
         longest = longest_stay(geometry, ranges, np.linspace(block.low, block.high, 33))

@@ -13,8 +13,6 @@ from blocksar.arrays import BoolArray, FloatArray
 from blocksar.focusing.lines import Focus, RowPolynomial
 from blocksar.kernels.fourier import Axis
 
-UNKNOWN = 1e-4  # weight in a fit of values that are not known: there polynomials only have to stay small
-
 
 class RowFit(NamedTuple):
     """Where polynomials along rows lie: ranges, m, and the centre and scale of Doppler, Hz."""
@@ -35,37 +33,14 @@ class RowFit(NamedTuple):
     def polynomial(self, series: FloatArray) -> RowPolynomial:
         return RowPolynomial(series=series, near=self.near, far=self.far, centre=self.centre, scale=self.scale)
 
-    def fit(
-        self,
-        spots: Focus,
-        values: FloatArray,
-        degrees: tuple[int, int],
-        *,
-        known: BoolArray,
-        precision: float = 0.0,
-    ) -> list[FloatArray]:
-        """Fit values (n, n_range, n_yaw), s, where targets focus: series in range of powers of z, one for each.
-
-        With a `precision`, s, the lowest degree in Doppler is taken that meets the `known` values to it, up to that of
-        `degrees`, and the others count little: the image of a block also has the ends of dwells of targets beyond it,
-        and polynomials of a high degree leave them.
-        """
+    def fit(self, spots: Focus, values: FloatArray, degrees: tuple[int, int]) -> list[FloatArray]:
+        """Fit values (n, n_range, n_yaw), s, where targets focus: series in range of powers of z, one for each."""
         u = (2 * spots.range.ravel() - self.near - self.far) / (self.far - self.near)
         z = (spots.doppler.ravel() - self.centre) / self.scale
-        flat, counts = values.reshape(values.shape[0], -1), np.where(known.ravel(), 1.0, UNKNOWN)
-        in_range, most = degrees
-        for degree in range(1 if precision > 0 else most, most + 1):
-            basis = np.asarray(chebyshev.chebvander2d(u, z, [in_range, degree]).T, np.float64)
-            fitted = solvers.least_squares(basis * counts, flat * counts, damping=1e-20 * u.size)
-            left = solvers.product(basis.T, fitted).T - flat
-            if degree == most or np.abs(left[:, known.ravel()]).max(initial=0.0) <= precision:
-                break
-        found = []
-        for row in fitted.T:
-            series = np.zeros((in_range + 1, most + 1))
-            series[:, : degree + 1] = row.reshape(-1, degree + 1)
-            found.append(solvers.product(series, _to_powers(most)))
-        return found
+        basis = np.asarray(chebyshev.chebvander2d(u, z, degrees).T, np.float64)
+        fitted = solvers.least_squares(basis, values.reshape(values.shape[0], -1), damping=1e-20 * u.size)
+        shape = degrees[0] + 1, degrees[1] + 1
+        return [solvers.product(row.reshape(shape), _to_powers(degrees[1])) for row in fitted.T]
 
     def fit_amid(self, rng: FloatArray, values: FloatArray, which: BoolArray, *, degree: int) -> FloatArray:
         """Fit a series in range amid those of values (n_range, n_yaw) at each range that are chosen by `which`."""

@@ -9,36 +9,30 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.budget import FIDELITY, IMAGE_TAP_ERROR
-from blocksar.chunks import IMAGE_PIXELS
 from blocksar.collection import range_series
 from blocksar.collection.beam import passing_at
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
 from blocksar.collection.weighting import UNIFORM, Taper, Weighting
-from blocksar.focusing.dwell_edges import edge_memory
 from blocksar.focusing.lines import Line
 from blocksar.focusing.recovery import Recovery
 from blocksar.focusing.surfaces import GroundRange
-from blocksar.planning.dwell_ends import Passing
 from blocksar.planning.dwell_weights import DwellWeights, dwell_weights, taper_over_dwells
 from blocksar.planning.relief import Relief, stacked
 from blocksar.planning.steadiness import scans_evenly
 from blocksar.planning.target_lines import Dwells, find_dwells
 
 REFERENCE_ORDER = 8  # of the range series of a block's centre
-HALFWAY_FADE = 4  # from which on edges that fade out leave room for a place halfway between them and the middle
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sector:
     """The ground that a block owns: yaws [low, high), rad, at epoch ranges [near, far), m.
 
-    With the weighting of its image and the fidelity that it keeps, the error that the interpolation of the focused
-    block may have, the `fade`, and the number of the gate's parts over the band. On a terrain the geometry is over the
-    smooth part of it, and `relief` has the rest. Where the beam stays on its ground, the geometry is that of a beam
-    that lights everything, and `staying` has the beam (`planning.staying`). Where gates follow a steadier beam, it has
-    that, `wobbling` the true one, and a taper loses `taper_loss` of coherence (`planning.steadiness`). The grid spans
-    the yaws `imaged`.
+    With the weighting of its image and the fidelity that it keeps, and the error that the interpolation of the focused
+    block may have. On a terrain the geometry is over the smooth part of it, and `relief` has the rest. Where gates
+    follow a smoothed beam, this loses `beam_loss` of coherence (`planning.steadiness`). The grid spans the yaws
+    `imaged`.
     """
 
     geometry: Geometry
@@ -52,11 +46,7 @@ class Sector:
     fidelity: float = FIDELITY
     tap_error: float = IMAGE_TAP_ERROR
     relief: Relief | None = None
-    fade: int = 0
-    gate_parts: int = 1
-    staying: Geometry | None = None
-    wobbling: Geometry | None = None
-    taper_loss: float = 0.0
+    beam_loss: float = 0.0
     imaged: tuple[float, float] = (-np.inf, np.inf)
 
     @property
@@ -65,19 +55,9 @@ class Sector:
         return ground_range(self.geometry, self.near, self.far)
 
     @property
-    def lighting(self) -> Geometry:
-        """The geometry with the beam that gates follow, or that stays."""
-        return self.geometry if self.staying is None else self.staying
-
-    @property
-    def lit(self) -> Geometry:
-        """The geometry with the beam as it is."""
-        return self.lighting if self.wobbling is None else self.wobbling
-
-    @property
     def taper(self) -> Taper:
         """The weighting over dwells."""
-        return taper_over_dwells(self.lighting.collection, self.weighting)
+        return taper_over_dwells(self.geometry.collection, self.weighting)
 
     def weights(
         self,
@@ -90,9 +70,8 @@ class Sector:
     ) -> DwellWeights:
         """Weights of targets over their dwells: see `dwell_weights`."""
         return dwell_weights(
-            self.lighting, self.taper, lit, uncut=uncut, epoch_range=epoch_range, yaw=yaw,
-            stays=self.staying is not None, moves=moves,
-            lit_band=self._lit_band(lit, uncut), fade=self.fade,
+            self.geometry, self.taper, lit, uncut=uncut, epoch_range=epoch_range, yaw=yaw, moves=moves,
+            lit_band=self._lit_band(lit, uncut),
         )  # fmt: skip
 
     def _lit_band(self, lit: Line, uncut: tuple[FloatArray, FloatArray]) -> FloatArray:
@@ -115,33 +94,19 @@ class Sector:
             coarsely=coarsely, as_many=None if like is None else like.time.shape[-1],
         )  # fmt: skip
 
-    def passing(self, epoch_range: FloatArray, yaw: FloatArray) -> Passing:
-        """When the beam passes targets: what a weighting over dwells, and edges that fade out, need to know of it."""
-
-        def at(v: float) -> FloatArray:
-            return np.asarray(passing_at(self.geometry, yaw, epoch_range, v) - self.geometry.epoch)
-
-        uneven = not scans_evenly(self.geometry.collection)
-        if not self.fade:
-            return Passing(centre=at(0.0) if uneven and not self.taper.uniform else None)
-        edge = 1 - 1 / self.fade
-        by_halves = uneven and self.fade >= HALFWAY_FADE  # the place in the beam is not linear in time
-        return Passing(at(0.0), (at(-edge), at(edge)), (at(-0.5), at(0.5)) if by_halves else None)
-
-    @property
-    def edge_memory(self) -> int:
-        """What the edges of dwells add to the peak memory, bytes."""
-        summed = self.fade > 0 or self.staying is not None
-        return edge_memory(IMAGE_PIXELS, self.lighting.collection) if summed else 0
+    def passing(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray | None:
+        """When the beam's centre passes targets, s from the epoch, where a taper asks; None: amid their dwells."""
+        if self.taper.uniform or scans_evenly(self.geometry.collection):
+            return None
+        return np.asarray(passing_at(self.geometry, yaw, epoch_range, 0.0) - self.geometry.epoch)
 
     @property
     def keeps_rims(self) -> bool:
         """Whether chains have room in time for dwells that the collection cuts, so that no noise wraps into them.
 
-        Under a beam about its axis cut dwells are a large part of an image; otherwise where edges are back-projected.
+        Under a beam about its axis cut dwells are a large part of an image.
         """
-        collection = self.geometry.collection
-        return collection.steered and (collection.has_axis or self.fade > 0)
+        return self.geometry.collection.steered and self.geometry.collection.has_axis
 
     @property
     def gates_by_height(self) -> bool:

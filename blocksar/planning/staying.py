@@ -1,9 +1,7 @@
-"""Whether the beam stays on the ground of a plan, as in a spotlight, so that chains sum all pulses.
+"""Whether a staring beam stays on the ground of a plan, as in a spotlight, which chains do not focus.
 
 A dwell gate follows the ends of dwells as smooth functions of range and Doppler. Near the point on which a beam turns,
-ground passes it ever more slowly, and on the far side the other way: no such function exists. Most of that ground is
-lit by all pulses, as under a beam that is not steered. Chains then work as if everything were lit all the time, and
-what is not is taken out afterwards (`focusing.dwell_edges`).
+ground passes it ever more slowly, and on the far side the other way: no such function exists.
 """
 
 from __future__ import annotations
@@ -18,16 +16,13 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Extent, Region
 
 MOST_DWELL = 2.5  # durations of the collection for which a gate can hold ground in the beam, if it went on
-LEAST_LIT = 0.5  # of the pulses that light ground, on average, where all pulses are summed
+LEAST_LIT = 0.5  # of the pulses that light ground, on average, where it stays
 INTERVALS = 4  # of the splines that a beam which wobbles is taken to follow: where it goes on is seen at its ends
 PLACES = 17, 65  # ranges and yaws at which dwells are looked at
 
 
 def beam_stays(geometry: Geometry, region: Region, extent: Extent) -> bool:
-    """Whether a beam about its axis stays on the ground of an extent: on some too long for a gate, and lights the most.
-
-    Where it stays on some ground but passes over much more, most pulses would have to be taken out again.
-    """
+    """Whether a beam about its axis stays on ground of an extent for too long for a gate, and lights the most of it."""
     collection = geometry.collection
     if not collection.has_axis:
         return False

@@ -20,8 +20,6 @@ from blocksar.focusing.recovery import NO_COMMON_RANGE, CommonRange
 LINE_NODES = 16  # of a line along a polynomial track
 NODES_PER_INTERVAL, MOST_NODES = 0.75, 256  # of a line along a spline, whose intervals are a fraction of its waves
 TAIL_ENERGY = 1e-3  # fraction of a target's energy that may lie outside its block's Doppler support
-# Where a beam stays on its ground: its ends are the same for all targets, and what lies outside adds up.
-STAYING_TAIL_ENERGY = 2e-4
 
 
 class Nodes(NamedTuple):
@@ -150,15 +148,13 @@ def _line_nodes(geometry: Geometry, longest: float, *, coarsely: bool) -> int:
     return min(max(LINE_NODES, math.ceil(density * longest / wobble.step) + 8), MOST_NODES)
 
 
-def tail_margin(duration: float, *, stays: bool = False) -> float:
+def tail_margin(duration: float) -> float:
     """Doppler margin beyond a line's ends that holds all but TAIL_ENERGY of a target lit for `duration`, Hz.
-
-    Or all but STAYING_TAIL_ENERGY where the beam `stays` on its ground.
 
     A chirp that starts and stops sharply has spectral tails 1 / (2 pi f) at either end. The fraction of its energy
     beyond f is 1 / (pi^2 f duration).
     """
-    return 1.0 / (np.pi**2 * (STAYING_TAIL_ENERGY if stays else TAIL_ENERGY) * duration)
+    return 1.0 / (np.pi**2 * TAIL_ENERGY * duration)
 
 
 def middle_line(u: FloatArray, doppler: FloatArray, *, order: int) -> FloatArray:

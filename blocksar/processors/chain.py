@@ -20,12 +20,12 @@ from blocksar.planning.segments import PlannedSegment, plan_segments
 from blocksar.processors.base import Execution, ImagePlan, Piece, Problem
 from blocksar.processors.chain_lines import (
     cut_dwells,
+    jittering_beam,
     missed_fidelity,
     outside_window,
     plan_lines,
     short_dwells,
     undersampling,
-    wobbling_beam,
 )
 from blocksar.processors.chain_tables import block_table, plan_details
 from blocksar.progress import Work
@@ -100,16 +100,12 @@ def chain_plan(name: str, segments: Sequence[PlannedSegment]) -> ChainPlan:
     return ChainPlan(
         processor=name, grid=plans[0].grid, pieces=pieces, refusal=refusal,
         coherence=min(plan.coherence for plan in plans), faithful=all(plan.faithful for plan in plans),
-        reads_later=any(plan.completed for plan in plans),
     )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ChainPlan(ImagePlan):
-    """The plan of an image by a chain: one of its own for each collection, or for each part of it along time.
-
-    Samples are read again where the edges of dwells are back-projected.
-    """
+    """The plan of an image by a chain: one of its own for each collection, or for each part of it along time."""
 
     @cached_property
     def plans(self) -> list[Plan]:
@@ -133,13 +129,10 @@ class ChainPlan(ImagePlan):
         return tuple(chain.from_iterable(map(predicted_blocks, self.plans)))
 
     def loops(self) -> Sequence[str]:
-        return (
-            *(compiling.PATTERNS if self.reads_later else ()),
-            *(compiling.WEIGHTS if any(plan.blends for plan in self.plans) else ()),
-        )
+        return (*(compiling.WEIGHTS if any(plan.blends for plan in self.plans) else ()),)
 
     def notes(self) -> list[str]:
-        doubts = undersampling, short_dwells, cut_dwells, wobbling_beam, missed_fidelity
+        doubts = undersampling, short_dwells, cut_dwells, jittering_beam, missed_fidelity
         found = [next((line for plan in self.plans if (line := doubt(plan))), None) for doubt in doubts]
         return [*filter(None, found), *outside_window(self.plans)]
 
@@ -186,8 +179,7 @@ class ChainPlan(ImagePlan):
         recovered = execution.joined(stages.recover(client, segments, run, listener))
         execution.end("recover")
         execution.accept(recovered)
-        if not self.reads_later:
-            execution.input_read()
+        execution.input_read()
         gated = stages.gate_ranges(client, segments, run, recovered, listener)
         if any(gated):
             execution.end("gate")
@@ -198,8 +190,6 @@ class ChainPlan(ImagePlan):
             client, segments, run, receipts, inspections, noises, listener, workers=execution.workers
         )
         execution.end("focus")
-        if self.reads_later:
-            execution.input_read()
         if execution.discard:
             stages.discard_spectra(segments, run, receipts)
         merged = stages.mosaic(client, segments, run, focused, noises, listener)

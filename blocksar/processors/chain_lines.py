@@ -54,23 +54,13 @@ def plan_lines(plan: Plan, *, compared: bool = False) -> list[str]:
     )
     if not plan.weighting.uniform:
         azimuth = plan.weighting.azimuth.ideal.pslr
-        if plan.stays:  # each target has a part of the taper
-            azimuth = max(block.prediction.ideal_pslr for block in plan.blocks)
         lines.append(
             f"weighting {plan.weighting.text}: ideal side lobes {plan.weighting.range.ideal.pslr:.2f} dB in range, "
             f"{azimuth:.2f} dB in azimuth"
         )
-    if plan.stays:
-        lines.append(
-            "the beam stays on its ground: all pulses are summed, and those that do not light a pixel taken out"
-        )
-    if plan.edge_pulses:
-        lines.append(f"the edges of dwells, some {plan.edge_pulses} pulses at either end, are back-projected")
-    if (parts := max(len(block.sampling.over_band) for block in plan.blocks)) > 1:
-        lines.append(f"dwells are gated in {parts} parts over the band, which are focused one after the other")
     lines.append(_disk_line(plan))
     lines += doubts_of_track(plan.geometry.collection)
-    doubts = undersampling, short_dwells, cut_dwells, cut_lobes, wobbling_beam
+    doubts = undersampling, short_dwells, cut_dwells, cut_lobes, jittering_beam
     lines += [line for doubt in doubts if (line := doubt(plan)) is not None]
     noise = max(block.prediction.track_phase for block in plan.blocks)
     if noise > TRACK_TOLD:
@@ -176,15 +166,14 @@ def short_dwells(plan: Plan) -> str | None:
     )
 
 
-def wobbling_beam(plan: Plan) -> str | None:
-    """A sentence if dwells are gated by a steadier beam than there is, else None."""
-    gated, width = plan.gated, plan.geometry.collection.beam_width
-    if not gated.wobbles or width is None:
+def jittering_beam(plan: Plan) -> str | None:
+    """A sentence if dwells are gated by a smoothed beam, else None."""
+    width = plan.geometry.collection.beam_width
+    if not plan.away or width is None:
         return None
     return (
-        f"the beam wobbles by {np.rad2deg(gated.away):.2g} deg on average, {100 * gated.away / width:.2g} % of its "
-        f"width: dwells are gated by a steadier beam, and some {math.ceil(gated.pulses)} pulses of a dwell "
-        "back-projected besides"
+        f"the beam's pointing jitters by {np.rad2deg(plan.away):.2g} deg on average, {100 * plan.away / width:.2g} % "
+        "of its width: dwells are gated by a smoothed beam"
     )
 
 

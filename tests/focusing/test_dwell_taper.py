@@ -37,14 +37,13 @@ def test_the_share_of_a_length_is_its_place_among_the_lengths() -> None:
     np.testing.assert_allclose(half.blending(np.zeros(1)), [[(1.0 - 0.9) / 0.4]])
 
 
-@pytest.mark.parametrize("fade", [0, 8])
-def test_blends_are_told_of_the_windows_that_are_made(fade: int) -> None:
+def test_blends_are_told_of_the_windows_that_are_made() -> None:
     """Beyond a smear that is small they are those windows, blended by Lagrange's polynomials of the length."""
     taper, since, length = Taper.parse("taylor:4:-35"), np.arange(0.01, 0.6, 2e-4), 0.42
-    half = HalfDwell(length=ONE, lengths=(0.3, 0.4, 0.5), edge=0.13)
-    windows = DwellTaper(taper=taper, begin=half, end=half, fade=fade).rises(
+    half = HalfDwell(length=ONE, lengths=(0.3, 0.4, 0.5))
+    windows = DwellTaper(taper=taper, begin=half, end=half).rises(
         half, since, slope=1e-9, step=lambda time, slope: smeared_step(time, slope=slope, blur=0.0)
     )
     made = sum(share * window for share, window in zip((-0.08, 0.96, 0.12), windows, strict=True))
-    found = half.blended(taper, since, np.array([length]), fade=fade)
+    found = half.blended(taper, since, np.array([length]))
     np.testing.assert_allclose(found, made.real, atol=2e-3)

@@ -6,7 +6,6 @@ import numpy as np
 
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.focusing.correction import correct
-from blocksar.focusing.dwell_edges import add_edges, edge_profiles, take_unlit
 from blocksar.focusing.recovery import recover_columns
 from blocksar.planning.plan import Plan
 
@@ -21,20 +20,5 @@ def focus(plan: Plan, signal: ComplexArray, z: FloatArray | None = None) -> Comp
         for step in block.chain:
             slab = step.apply(slab, threads=2)
         part = correct(np.ascontiguousarray(slab), block.ground, x=grid.x, y=grid.y, z=z, threads=2)
-        kept = edge_profiles(
-            lambda pulses: signal[pulses], plan.geometry.collection, plan.weighting, fade=plan.fade, threads=2
-        )
-        if plan.stays:
-            take_unlit(
-                part, kept, block.ground.geometry, x=grid.x, y=grid.y, total=block.ground.lit_at,
-                valid=np.ones(signal.shape[0]), weighting=plan.weighting, height=z, threads=2,
-            )  # fmt: skip
-        if plan.fade:
-            lit = block.ground.lit_at(*np.meshgrid(grid.x, grid.y), z)
-            add_edges(
-                part, kept, plan.gated.over(block.ground.geometry), x=grid.x, y=grid.y, lit=lit,
-                valid=np.ones(signal.shape[0]), fade=plan.fade, weighting=plan.weighting, height=z, threads=2,
-                wobbling=block.ground.geometry if plan.gated.wobbles else None,
-            )  # fmt: skip
         image[~np.isnan(part)] = part[~np.isnan(part)]
     return image

@@ -7,7 +7,7 @@ import pytest
 
 from blocksar.collection.weighting import Weighting
 from blocksar.focusing.lines import RowPolynomial
-from blocksar.planning.dwell_taper import Half, plan_taper
+from blocksar.planning.dwell_taper import plan_taper
 
 ANY = RowPolynomial(series=np.ones((1, 1)), near=0.0, far=1.0, centre=0.0, scale=1.0)
 
@@ -17,9 +17,8 @@ def test_dwells_that_the_collection_cuts_leave_full_ones_their_windows(longest: 
     """Four windows up to 1.7 s gave dwells of 0.3 to 0.42 s weights that were off by 0.1."""
     taper = Weighting.parse("taylor:4:-35").azimuth
     lengths = np.concatenate([np.linspace(0.3, 0.42, 9), np.linspace(0.43, longest, 9)])[None]
-    half = Half(lengths, None, None)
-    planned = plan_taper(taper, 0, (half, half), (ANY, ANY), full=lengths <= 0.42, levels=(0.0, 0.0)).begin
+    planned = plan_taper(taper, (lengths, lengths), (ANY, ANY), full=lengths <= 0.42).begin
     full = lengths[0, :9, None]
     since = full * np.linspace(0.02, 1.2, 60)
     wanted = taper(np.maximum(1 - since / full, 0.0)) / taper(np.array(0.0))
-    assert np.abs(planned.blended(taper, since, full, fade=0) - wanted).max() < 8e-3
+    assert np.abs(planned.blended(taper, since, full) - wanted).max() < 8e-3
