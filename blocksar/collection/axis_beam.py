@@ -66,18 +66,17 @@ def axis_offset(
 
 
 def axis_passes(
-    collection: Collection, x: FloatArray, y: FloatArray, z: Height | None = None, *, width: float | None = None
+    collection: Collection, x: FloatArray, y: FloatArray, z: Height | None = None
 ) -> tuple[IntArray, IntArray]:
     """Pulses first <= p < last that light points x, y, z (n,), m: exactly those with |offset| <= beam_width / 2.
 
-    Or half of another `width`, rad. Several passes where the beam turns back or wobbles, leaves a point and comes to it
-    again: (n_pass, n), in the order of time. Those that a point lacks are empty, at the end of the one before; so a
-    point that is never lit has 0 and 0.
+    Several passes where the beam turns back or wobbles, leaves a point and comes to it again: (n_pass, n), in the order
+    of time. Those that a point lacks are empty, at the end of the one before; so a point that is never lit has 0 and 0.
     """
     from blocksar.kernels.beam_passes import find_passes, largest_steps  # load numba, which other beams do without
 
-    points, half = Points.of(collection, x, y, z).each(), _half(collection) if width is None else width / 2
-    table, most, m = _table(collection, half), FEW_PASSES, 0
+    points = Points.of(collection, x, y, z).each()
+    table, most, m = _table(collection, _half(collection)), FEW_PASSES, 0
     steps = largest_steps(table)
     while most > m:
         m = most

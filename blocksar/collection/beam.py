@@ -15,7 +15,6 @@ Points x, y lie on the ground, or at heights z, m, which count under a beam abou
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -138,35 +137,6 @@ def lit_interval(geometry: Geometry, x: FloatArray, y: FloatArray) -> tuple[IntA
     longest = (passes[1] - passes[0]).argmax(axis=0)
     first, last = np.take_along_axis(passes, longest[None, None], axis=1)[:, 0]
     return first, last
-
-
-def inner_interval(
-    geometry: Geometry, x: FloatArray, y: FloatArray, share: float, z: Height | None = None
-) -> tuple[IntArray, IntArray]:
-    """The pulses first <= p < last between whose ends |offset| <= share beam_width / 2; equal where none has.
-
-    With a share of 1, from the first of `lit_passes` to the last.
-
-    Parameters
-    ----------
-    geometry : Geometry
-        With a steered beam.
-    x, y : (...) float
-        m, scene frame; of one shape.
-    share : float
-        0 .. 1.
-    z : (...) float, optional
-        m; by default that of the ground.
-    """
-    collection = geometry.collection
-    width = share * (collection.beam_width or 0.0)
-    if collection.has_axis:
-        passes = axis_passes(collection, *_raveled(x, y, _height(geometry, x, y, z)), width=width)
-        first, last = passes[0][0], passes[1][-1]
-    else:
-        narrow = replace(collection, beam_width=width)
-        first, last = yaw_interval(narrow, np.asarray(geometry.yaw(*_raveled(x, y, 0.0)[:2])), tolerance=0.0)
-    return first.reshape(np.shape(x)), last.reshape(np.shape(x))
 
 
 # ---------------------------------------------------------------- angles off the beam's centre, weights and patterns

@@ -218,10 +218,6 @@ class Geometry:
         """The same collection over another ground; what is known of its track is kept."""
         return self._keeping_track(Geometry(collection=self.collection, terrain=terrain, smooth=smooth))
 
-    def unsteered(self) -> Geometry:
-        """The same under a beam that lights everything all the time; what is known of its track is kept."""
-        return self.lit_by(self.collection.unsteered())
-
     def lit_by(self, collection: Collection) -> Geometry:
         """The same under the beam of another collection; what is known of its track is kept."""
         return self._keeping_track(Geometry(collection=collection, terrain=self.terrain, smooth=self.smooth))

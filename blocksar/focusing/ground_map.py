@@ -160,16 +160,6 @@ class GroundMap:
         """Yaw less the block's middle, wrapped to +-pi."""
         return wrapped(self.geometry.yaw(x, y) - self.middle_yaw)
 
-    def lit_at(self, x: FloatArray, y: FloatArray, z: FloatArray | None = None) -> FloatArray:
-        """`lit` at ground points (...), m, times the mean of a pattern in elevation: what an image is divided by.
-
-        On a terrain their heights z, m, which are finite, tell where on the smooth ground they have the same dwell.
-        """
-        lit = self._interpolate_lit(x, y, z)
-        if self.geometry.collection.elevation_pattern is None:
-            return lit
-        return lit * self.elevation_means(x, y, z).weighed
-
     def elevation_means(self, x: FloatArray, y: FloatArray, z: FloatArray | None) -> ElevationMeans:
         """Means over lit pulses of the pattern in elevation at ground points (...), m: `lit` is multiplied by them."""
         flat, shape = [np.ravel(axis)[None] for axis in (x, y, *([] if z is None else [z]))], np.shape(x)
@@ -191,26 +181,6 @@ class GroundMap:
             return np.ones(np.shape(x))
         yaw = self.middle_yaw + self.relative_yaw(x, y)
         return 1 + self.tilt(self.geometry.epoch_range(x, y, z), yaw) * tilt
-
-    def _interpolate_lit(self, x: FloatArray, y: FloatArray, z: FloatArray | None) -> FloatArray:
-        """`lit` at the nearest yaw, or linear between ranges and between yaws."""
-        turn = self.relative_yaw(x, y) + (self.middle_yaw - self.yaw_axis[0])
-        epoch_range = np.zeros(1)
-        if self.lit.ndim > 1:
-            epoch_range = self.geometry.epoch_range(x, y, z)
-            if self.relief is not None and z is not None:
-                turn = turn + self.relief.turn(epoch_range, self.yaw_axis[0] + turn, z)
-        place = np.clip(turn / (self.yaw_axis[1] - self.yaw_axis[0]), 0.0, self.yaw_axis.size - 1.0)
-        if self.lit.ndim == 1:
-            return np.asarray(self.lit[(place + 0.5).astype(np.intp)])
-        n_range = self.lit.shape[0]
-        away = (epoch_range - self.near) / (self.far - self.near)
-        row = np.clip(away * (n_range - 1), 0.0, n_range - 1.0)
-        i, j = np.minimum(row.astype(np.intp), n_range - 2), np.minimum(place.astype(np.intp), self.yaw_axis.size - 2)
-        down, along = row - i, place - j
-        near = self.lit[i, j] * (1 - along) + self.lit[i, j + 1] * along
-        far = self.lit[i + 1, j] * (1 - along) + self.lit[i + 1, j + 1] * along
-        return np.asarray(near * (1 - down) + far * down)
 
     def widened(self, region: Region, room: float) -> GroundMap:
         """The same with limits and sums over lit pulses known `room`, rad, beyond the block."""

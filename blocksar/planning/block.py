@@ -22,7 +22,6 @@ from blocksar.planning.block_ground import end_layers, map_loss, plan_ground, tr
 from blocksar.planning.block_lines import CoarseLines, FineLines, follow_terrain, lit_beside, under_tiles
 from blocksar.planning.block_sampling import plan_sampling, plan_slab
 from blocksar.planning.coefficients import Choice, choose
-from blocksar.planning.contrast import dark_contrast
 from blocksar.planning.dwell_gate import plan_dwell_gate
 from blocksar.planning.fitting import RESAMPLING_ORDERS
 from blocksar.planning.image_edges import ImageEdges
@@ -252,7 +251,6 @@ def _predict(
     imaged = _imaged(sector, lines)
     predicted = predict(
         targets, sampling.gate, reached=reached, imaged=imaged, band=sector.weighting.range,
-        contrast=None if sampling.gate is None else dark_contrast(sector, lines.epoch_range, lines.yaw),
     )  # fmt: skip
     for layer in layers:
         others = _on(targets, layer)

@@ -86,7 +86,6 @@ def worst_losses(
     reached: BoolArray | None = None,
     band: Taper = FLAT,
     edges: Sequence[ImageEdges] = (),
-    contrast: FloatArray | None = None,
 ) -> Losses:
     """Losses of the target with full dwell that loses most; on a terrain, of those that are there, if any of them is.
 
@@ -104,12 +103,9 @@ def worst_losses(
     band : Taper
         Weighting along range frequency.
     edges : sequence of ImageEdges
-    contrast : (n_range, n_yaw) float, optional
-        From `contrast.dark_contrast`: ends lose so many times as much.
     """
     phase, migration = _along_dwell(targets, band)
     ends = np.zeros_like(phase) if gate is None else _gated(targets, gate, reached=reached, band=band)
-    ends = ends if contrast is None else ends * contrast
     for edge in edges:
         phase, migration, ends = (edge.at(each) for each in (phase, migration, ends))
         full = full | edge.before | edge.behind

@@ -213,9 +213,9 @@ class Plan:
         """Floating-point operations of all transforms and resamplings of the blocks."""
         return self.gate_work() + sum(map(block_work, self.blocks))
 
-    def excess(self, *, migration: bool = True) -> float:
+    def excess(self) -> float:
         """The largest excess of any block over what the fidelity allows; see `Prediction.excess`."""
-        return max(block.prediction.excess(self.fidelity, migration=migration) for block in self.blocks)
+        return max(block.prediction.excess(self.fidelity) for block in self.blocks)
 
     @property
     def faithful(self) -> bool:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import chain, pairwise
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -30,7 +30,7 @@ from blocksar.focusing.method import DEFAULT, Method
 from blocksar.focusing.recovery import Recovery
 from blocksar.planning.block import BlockPlan, plan_block
 from blocksar.planning.coefficients import Choice
-from blocksar.planning.division import MAX_BLOCKS, MOST_DIVIDED, MOST_REFERENCES, find_division
+from blocksar.planning.division import MAX_BLOCKS, find_division, finest_is_refused
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY
 from blocksar.planning.plan import Plan
 from blocksar.planning.recovery import plan_recovery
@@ -61,8 +61,8 @@ def plan_collection(
 ) -> Plan:
     """Plan a collection for a method; with `owned`, only the blocks with ground for which it is true.
 
-    `auto` takes the fewest blocks that keep the fidelity, at least one a worker, and the fewest range sub-blocks of
-    each that migration needs (`find_division`) and that fit a worker's memory.
+    `auto` takes the fewest blocks that keep the fidelity, at least one a worker (`find_division`), and the fewest range
+    sub-blocks of each that fit a worker's memory.
 
     Raises
     ------
@@ -79,19 +79,20 @@ def plan_collection(
         raise Unfocusable(
             "the beam stays on its ground, as in a spotlight, and chains follow only dwells that pass over it"
         )
+    if terrain is not None and collection.elevation_pattern is not None:
+        raise Unfocusable("chains take a pattern in elevation over a plane only, and this ground has heights")
     beam = smoothed_beam(geometry, region, fidelity, weighting.azimuth)
     planner = DivisionPlanner(
         geometry=beam.geometry, beam=beam, region=region, recovery=plan_recovery(beam.geometry, region, method),
         grid=grid, extent=extent, method=method, fidelity=fidelity, weighting=weighting,
     )  # fmt: skip
+    n_parts = 1 if parts == "auto" else parts
     if blocks == "auto":
         first = find_division(
-            planner.plan, workers=workers, parts=None if parts == "auto" else parts,
-            scattered=terrain is not None, jointly=terrain is None and not collection.has_axis,
-            exceeds=planner.exceeds, refuses=planner.refuses,
+            lambda count, probe: planner.plan(count, n_parts, probe), workers=workers, scattered=terrain is not None
         )  # fmt: skip
     else:
-        first = planner.plan(blocks, 1 if parts == "auto" else parts, False)
+        first = planner.plan(blocks, n_parts, False)
     first = replace(first, searched=blocks == "auto")
     if first.refusal is not None:
         return replace(first, refusal=_explain(first, planner))
@@ -113,8 +114,8 @@ def _explain(refused: Plan, planner: DivisionPlanner) -> str:
         return reason
     if refused.searched:
         return f"{reason}, and too much of it in every division that was tried"
-    if planner.refuses(MOST_DIVIDED, MOST_REFERENCES):
-        return f"{reason}, and too much of it with {MOST_DIVIDED} blocks"
+    if finest_is_refused(lambda count, probe: planner.plan(count, 1, probe)):
+        return f"{reason}, and too much of it with {MAX_BLOCKS} blocks"
     return f"{reason}; ask for more --blocks, or for --blocks auto"
 
 
@@ -210,23 +211,6 @@ class DivisionPlanner:
             parts=n_parts, blocks=tuple(planned), method=self.method, fidelity=self.fidelity,
             weighting=self.weighting, away=self.beam.away, refusal=find_refusal(planned, self.method),
         )  # fmt: skip
-
-    def exceeds(self, count: int, n_parts: int, limit: float) -> bool:
-        """Whether a block of a probe exceeds the fidelity by more than a limit; none is planned after the first one.
-
-        It begins with the block in the middle, which has the most ground.
-        """
-        seams, touched = self._touched(count, probe=True)
-        middle = len(touched) // 2
-        touched = touched[middle : middle + 1] + touched[:middle] + touched[middle + 1 :]
-        planned = chain.from_iterable(self._plan_index(seams, index, n_parts, None) for index in touched)
-        return any(block.prediction.excess(self.fidelity) > limit for block in planned)
-
-    def refuses(self, count: int, n_parts: int) -> bool:
-        """Whether a block of a probe is refused, an outermost one first; none is planned after that."""
-        seams, touched = self._touched(count, probe=True)
-        planned = (self._plan_index(seams, index, n_parts, None) for index in touched)
-        return any(find_refusal(blocks, self.method) is not None for blocks in planned)
 
     def _touched(self, count: int, probe: bool) -> tuple[FloatArray, list[int]]:
         """The seams of so many blocks, rad, and the indices of those that the grid touches, for a probe of some."""

@@ -56,12 +56,9 @@ class Prediction(NamedTuple):
             return self
         return self._replace(pslr=lobes.side, width=lobes.widened, ideal_pslr=lobes.ideal_side)
 
-    def excess(self, fidelity: float, *, migration: bool = True) -> float:
-        """Loss of coherence and change of the side lobes over what `fidelity` allows: the worse of the two.
-
-        Without `migration`, the loss by range migration is left out.
-        """
-        loss = self.phase_loss + self.dispersion_loss + self.track_loss + (self.range_loss if migration else 0.0)
+    def excess(self, fidelity: float) -> float:
+        """Loss of coherence and change of the side lobes over what `fidelity` allows: the worse of the two."""
+        loss = self.phase_loss + self.range_loss + self.dispersion_loss + self.track_loss
         allowed = side_lobe_budget(fidelity, self.ideal_pslr)
         return max(loss / (1 - fidelity), abs(self.pslr - self.ideal_pslr) / allowed)
 
@@ -73,7 +70,6 @@ def predict(
     reached: BoolArray | None = None,
     imaged: tuple[ImageEdges, ImageEdges] | None = None,
     band: Taper = FLAT,
-    contrast: FloatArray | None = None,
 ) -> Prediction:
     """The worst figures of traced targets under a gate, and a weighting `band` along it.
 
@@ -83,7 +79,7 @@ def predict(
     dwells are cut: on the curved track of `paper_b` by 0.5 dB under a taper. To these comes what `lobes` has under a
     weighting. On a terrain `reached` (n_range, n_yaw) tells which of the targets there are, and `imaged` where the
     image begins and ends along yaw and along range: a block may be wider than the grid, and the range window slants
-    over a wide one. `contrast` is that of `worst_losses`.
+    over a wide one.
     """
     line, spots, weights, geometry = targets.line, targets.spots, targets.weights, targets.geometry
     rng, yaw = targets.epoch_range, targets.yaw
@@ -108,7 +104,6 @@ def predict(
         reached=reached,
         band=band,
         edges=judged.edges,
-        contrast=contrast,
     )
     return Prediction(
         residual_phase=float(residual[judged.there].max()),

@@ -18,7 +18,6 @@ from blocksar.collection.beam import (
     dwell,
     dwell_at,
     has_full_dwell,
-    inner_interval,
     is_lit,
     lit_interval,
     lit_passes,
@@ -155,7 +154,6 @@ def test_a_beam_may_pass_points_several_times(turns: float) -> None:
     begin, end = lit_interval(geometry, x, y)
     np.testing.assert_array_equal(end - begin, (last - first).max(axis=0))
     assert not has_full_dwell(geometry, x, y)[number > 1].any()
-    np.testing.assert_array_equal(inner_interval(geometry, x, y, 1.0), (first[0], last[-1]))
 
 
 @pytest.mark.parametrize("text", ["uniform", "taylor:4:-35"])
