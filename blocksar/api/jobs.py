@@ -19,9 +19,9 @@ from blocksar.api.arguments import (
     on_ground,
     sources_of,
 )
-from blocksar.api.exact_way import naming_exact
 from blocksar.api.fingerprints import joint_fingerprint
 from blocksar.api.ground import PLANE, check_ground, ground_settings, read_ground
+from blocksar.api.other_way import naming_hierarchy
 from blocksar.api.partial_pulses import imaging_parts, pulses_of
 from blocksar.api.settings import Settings
 from blocksar.api.surroundings import read_surroundings
@@ -418,7 +418,7 @@ def _plan(request: Request, machine: Resources) -> ImagePlan:
         fidelity=request.asked.fidelity, weighting=request.weighting, options=request.options, machine=machine,
         device=request.device,
     )  # fmt: skip
-    with naming_exact(collections, request.grid, machine):
+    with naming_hierarchy():
         plan = PROCESSORS.get(request.processor).plan(problem)
         if plan.refusal is not None:
             raise Unfocusable(plan.refusal)

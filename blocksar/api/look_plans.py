@@ -18,7 +18,7 @@ from blocksar.graph.machine import Resources
 from blocksar.planning import effort
 from blocksar.processors.base import ImagePlan
 from blocksar.processors.chain_tables import digits
-from blocksar.processors.lines import exact_line, time_line
+from blocksar.processors.lines import time_line
 
 HEADER = (
     "image", "blocks", "coherence", "residual phase (rad)", "PSLR (dB)", "azimuth width (m)", "migration (cells)",
@@ -57,7 +57,6 @@ def report_looks(
         lines += [
             *recorded_lines([first.pieces[0].geometry], first.grid),
             time_line(work, assumed, planning),
-            *exact_line(list(planned.values()), work, assumed, planning),
         ]
     results = [each.result for each in planned.values()]
     return PlanReport(

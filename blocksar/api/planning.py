@@ -8,10 +8,10 @@ from typing import Any, Literal
 
 from blocksar.api import definitions
 from blocksar.api.arguments import Source, channels_of, collections_of, in_this_process, sources_of
-from blocksar.api.exact_way import exact_way, naming_exact
 from blocksar.api.ground import read_ground
 from blocksar.api.look_plans import report_looks
 from blocksar.api.looks import divide_dwells, one_source
+from blocksar.api.other_way import ANY, naming_hierarchy
 from blocksar.api.parsing import GridLike
 from blocksar.api.partial_pulses import imaged_collections, recorded_lines
 from blocksar.api.settings import Settings
@@ -31,7 +31,7 @@ from blocksar.places import Location
 from blocksar.planning.segments import joint_grid
 from blocksar.processors import PROCESSORS, OwnDevice, OwnProcessor, device_for, options_for
 from blocksar.processors.base import ImagePlan, Problem
-from blocksar.processors.lines import exact_line, time_line
+from blocksar.processors.lines import time_line
 
 
 def plan(
@@ -165,7 +165,7 @@ def plan(
         weighting=settings.tapers, options=chosen, machine=share, device=runs_on,
     )  # fmt: skip
     started = time.perf_counter()
-    with naming_exact(collections, points, assumed):
+    with naming_hierarchy():
         if parts is not None:
             report = report_looks(
                 lambda seen: way.plan(replace(problem, collections=[seen])),
@@ -175,7 +175,7 @@ def plan(
             planned = way.plan(problem)
             report = _report(planned, assumed, time.perf_counter() - started)
     if report.refusal is not None:
-        return replace(report, refusal=report.refusal + exact_way(collections, points, assumed))
+        return replace(report, refusal=report.refusal + ANY)
     return replace(report, summary=[*of_each, *report.summary])
 
 
@@ -199,7 +199,6 @@ def _report(plan: ImagePlan, assumed: Resources, planning: float) -> PlanReport:
             *plan.lines(),
             *recorded_lines([piece.geometry for piece in plan.pieces], plan.grid),
             time_line(work, assumed, planning),
-            *exact_line([plan], work, assumed, planning),
         ],
         result=plan.result,
         plan=plan,

@@ -13,7 +13,7 @@ from blocksar.chunks import stored_bytes
 from blocksar.errors import InputError
 from blocksar.places.room import no_room_for, size_text
 from blocksar.planning.disk import Room, room_of_run
-from blocksar.processors import PROCESSORS, REFERENCE
+from blocksar.processors import HIERARCHY, PROCESSORS, REFERENCE
 from blocksar.runs import folder as run_folder
 from blocksar.runs.record import RECORD
 
@@ -29,13 +29,7 @@ def room_of(job: Job) -> Room:
             beside += stored_bytes(history.shape)
         if history.raw is not None:  # compressed first
             temporary += stored_bytes((collection.n_pulse, collection.n_range_frequency))
-    return room_of_run(
-        job.plan.stored(),
-        beside=beside,
-        temporary=temporary,
-        discard=request.asked.discard,
-        reads_later=job.plan.reads_later,
-    )
+    return room_of_run(job.plan.stored(), beside=beside, temporary=temporary, discard=request.asked.discard)
 
 
 class Beside(NamedTuple):
@@ -104,12 +98,13 @@ def _others(job: Job, *, resumed: bool) -> Iterator[tuple[str, Job]]:
     count = max((piece.plan.n_blocks for piece in job.plan.pieces if piece.plan is not None), default=0)
     while (count := count // 2) > 0:
         with suppress(InputError):  # there is no such plan
-            yield f"--blocks {count}", Job.of(job.request.asking(blocks=count), None, job.machine)
-    if job.plan.processor != REFERENCE:
-        words = f"--processor {REFERENCE}, {PROCESSORS.get(REFERENCE).summary},"
+            fewer = job.request.asking(blocks=count, processor=job.plan.processor)
+            yield f"--blocks {count}", Job.of(fewer, None, job.machine)
+    if job.plan.processor not in (HIERARCHY, REFERENCE):
+        words = f"--processor {HIERARCHY}, {PROCESSORS.get(HIERARCHY).summary},"
         with suppress(InputError):
-            exact = job.request.asking(processor=REFERENCE, options={})
-            yield words, Job.of(exact, None, job.machine)
+            other = job.request.asking(processor=HIERARCHY, options={})
+            yield words, Job.of(other, None, job.machine)
 
 
 def _discarding(job: Job) -> Job:

@@ -101,7 +101,6 @@ def accumulate(
     sights = Sights(
         start=pulses.start,
         values=profiles.values,
-        rows=profiles.rows,
         middle=profiles.centre,
         bins_per_metre=1 / profiles.spacing,
         cycles_per_metre=2 * (collection.carrier + middle) / SPEED_OF_LIGHT,

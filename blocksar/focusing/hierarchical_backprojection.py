@@ -282,7 +282,6 @@ class _Former:
         sights = Sights(
             start=0,
             values=self._profiles(values, period, scratch),
-            rows=np.arange(rows.size),
             middle=period // 2 + MARGIN,
             bins_per_metre=period / window,
             cycles_per_metre=2 * (collection.carrier + frame.start + middle * frame.step) / SPEED_OF_LIGHT,

@@ -28,8 +28,6 @@ class Profiles:
     values : (n_row, n_bin) complex64
         Spline coefficients: bin b is at R - reference_range = (b - centre) * spacing. The phase of the middle
         frequency, exp(4j pi (fc + f_middle) / c (R - reference_range)), is removed: it varies too fast to interpolate.
-    rows : (n,) int
-        The row of each pulse's profile.
     valid : (n,) int or float
         Number of samples of each pulse that are not NaN; under a weighting in range, the sum of their weights over the
         mean weight.
@@ -42,7 +40,6 @@ class Profiles:
     """
 
     values: ComplexArray
-    rows: IntArray
     valid: IntArray | FloatArray
     pulses: slice
     centre: int
@@ -153,7 +150,6 @@ def range_profiles(
     device.run(work, signal.shape[0], period, threads)
     return Profiles(
         values=values,
-        rows=np.arange(signal.shape[0]),
         valid=valid,
         pulses=pulses,
         centre=centre,

@@ -168,7 +168,7 @@ def _adder(side: int, weighted: bool, hilly: bool) -> Any:
     @cuda.jit(fastmath=True, cache=True)
     def add(
         image: Any, outside: Any, weight: Any, samples: Any, x: Any, y: Any, height: Any, first: Any, last: Any,
-        begin: Any, end: Any, sights: Any, rows: Any, scales: Any, places: Any, terms: Any,
+        begin: Any, end: Any, sights: Any, scales: Any, places: Any, terms: Any,
     ) -> None:  # fmt: skip
         column, row = cuda.grid(2)
         column, row = column * side, row * side
@@ -201,7 +201,7 @@ def _adder(side: int, weighted: bool, hilly: bool) -> Any:
                 place = offset + more * bins
                 nearest = math.floor(place + half)
                 bin_ = min(max(whole + int(nearest), 1), samples.shape[1] - 2)
-                a, b = _sample(samples, rows[k], bin_, place - nearest)
+                a, b = _sample(samples, k, bin_, place - nearest)
                 if lit[i] <= p < unlit[i]:
                     far[i] = max(far[i], abs(away + more))
                     if weighted:
@@ -308,7 +308,7 @@ class Gpu:
         _launch(
             _adder(side, weighted, hilly), (-(-image.shape[0] // side), -(-image.shape[1] // side)), image, outside,
             weight if weighted else none, sights.values.view(np.float64), x, y, height if hilly else none, first, last,
-            sights.start, sights.start + n, xp.asarray(table), xp.asarray(sights.rows, np.int32), xp.asarray(scales),
+            sights.start, sights.start + n, xp.asarray(table), xp.asarray(scales),
             xp.asarray(places) if weighted else none, xp.asarray(terms, np.float32), threads=THREADS,
         )  # fmt: skip
 

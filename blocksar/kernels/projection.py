@@ -57,10 +57,8 @@ class Sights:
     ----------
     start : int
         The first pulse of the block.
-    values : (n_row, n_bin) complex64
+    values : (n, n_bin) complex64
         Spline coefficients of the range profiles.
-    rows : (n,) int
-        The row of each pulse's profile.
     middle : int
         Bin of the reference range.
     bins_per_metre, cycles_per_metre : float
@@ -77,7 +75,6 @@ class Sights:
 
     start: int
     values: ComplexArray
-    rows: IntArray
     middle: int
     bins_per_metre: float
     cycles_per_metre: float
@@ -158,7 +155,10 @@ def project(
     terms = np.zeros(0, np.float32) if sights.taper is None else sights.taper.terms.astype(np.float32)
     frequency = 0.0 if sights.taper is None else sights.taper.frequency
     # A sample is loaded as one number of 64 bits, so that vectors of samples are transposed whole.
-    samples, origins = sights.values.reshape(-1).view(np.float64), sights.rows[pulses] * n_bin + sights.middle
+    samples, origins = (
+        sights.values.reshape(-1).view(np.float64),
+        np.arange(pulses.start, pulses.stop) * n_bin + sights.middle,
+    )
     add_pulses(
         *sums, farthest, samples, origins, *(axis.ravel() for axis in place), *centre, *(axis.ravel() for axis in lit),
         spans, close, middles, begin, series, roots, sights.cycles_per_metre, sights.bins_per_metre,

@@ -31,7 +31,7 @@ class Room(NamedTuple):
     left: int
 
 
-def room_of_run(stores: Mapping[str, int], *, beside: int, temporary: int, discard: bool, reads_later: bool) -> Room:
+def room_of_run(stores: Mapping[str, int], *, beside: int, temporary: int, discard: bool) -> Room:
     """The room for a run that writes such `stores`, bytes by name, as `run_bytes` or `exact_bytes` tell them.
 
     Parameters
@@ -40,8 +40,6 @@ def room_of_run(stores: Mapping[str, int], *, beside: int, temporary: int, disca
         Bytes of what a run writes before these, and keeps or removes at its end.
     discard : bool
         Whether it removes spectra and patches once it does not need them.
-    reads_later : bool
-        Whether it reads its input until all patches are written.
     """
     spectra = sum(stores.get(name, 0) for name in SPECTRA)
     pixels = sum(stores.values()) - spectra - (stores["image"] if "patches" in stores else 0)
@@ -50,7 +48,7 @@ def room_of_run(stores: Mapping[str, int], *, beside: int, temporary: int, disca
     focused = before + spectra + pixels
     end = before + pixels + merged + (0 if discard else spectra)
     left = end - temporary - (0 if discard else stores.get("gated", 0)) - (merged if discard else 0)
-    return Room(focused if reads_later else before + spectra, max(focused, end), left)
+    return Room(before + spectra, max(focused, end), left)
 
 
 def run_bytes(*plans: Plan) -> dict[str, int]:

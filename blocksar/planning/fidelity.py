@@ -63,7 +63,7 @@ from blocksar.planning.traced_targets import TracedTargets
 ONE_SIDE = 0.5  # of the energy of both ends of a dwell that are displaced to the same side
 BAND_NODES = 4  # of the means over range frequency
 MIGRATION_NODES = 12  # of that over the phase by range migration, under a weighting
-CHIPS = 1.25  # what the worst chips of an image lose at whole ends, over the mean: 1.1 to 1.6 measured
+CHIPS = 1.6  # what the worst chips of an image lose at whole ends, over the mean: 1.1 to 1.6 measured
 KNOTS = 128  # of the table of the energy of an end, per unit of z
 KNOT_NODES = 6  # of the integrals from one of them to the next
 

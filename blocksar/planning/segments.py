@@ -38,7 +38,7 @@ class Planner(Protocol):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlannedSegment:
-    """A collection of several, or a part of one along time, with its plan.
+    """A collection, or some pulses of one, that an image is formed from.
 
     Attributes
     ----------
@@ -46,13 +46,16 @@ class PlannedSegment:
         Number of the collection.
     pulses : (first, last) or None
         Its pulses first <= p < last; None for all of them.
-    plan : Plan
-        Its blocks are numbered after those of the segments before it: from `first_block` on.
+    geometry : Geometry
+        Over the ground of the image.
+    plan : Plan or None
+        Of a chain. Its blocks are numbered after those of the segments before it: from `first_block` on.
     """
 
     collection: int
-    pulses: tuple[int, int] | None
-    plan: Plan
+    pulses: tuple[int, int] | None = None
+    geometry: Geometry
+    plan: Plan | None = None
     first_block: int = 0
 
 
@@ -116,7 +119,7 @@ def plan_segments(
             kind = Unfocusable if isinstance(error, Unfocusable) else InputError
             raise kind(f"collection {number}{f' ({collection.title})' if collection.title else ''}: {error}") from None
         segments = _cut(plan, collection, whole, number) if cut and collection.has_axis else []
-        planned += segments or [PlannedSegment(collection=number, pulses=None, plan=whole)]
+        planned += segments or [PlannedSegment(collection=number, geometry=whole.geometry, plan=whole)]
     if not planned:
         raise outside[0]
     return number_blocks(planned)
@@ -150,7 +153,7 @@ def _cut(plan: Planner, collection: Collection, whole: Plan, number: int) -> lis
                 planned = plan(own, grid=whole.grid, like=None, owned=owned)
         except OutsideSwath:
             continue
-        segments.append(PlannedSegment(collection=number, pulses=span, plan=planned))
+        segments.append(PlannedSegment(collection=number, pulses=span, geometry=planned.geometry, plan=planned))
     return segments
 
 
@@ -177,8 +180,9 @@ def number_blocks(segments: Sequence[PlannedSegment]) -> tuple[PlannedSegment, .
     """
     numbered, first = [], 0
     for segment in segments:
-        numbered.append(replace(segment, plan=segment.plan.numbered(first), first_block=first))
-        first += segment.plan.n_blocks
+        plan = segment.plan
+        numbered.append(replace(segment, plan=plan and plan.numbered(first), first_block=first))
+        first += 1 if plan is None else plan.n_blocks
     if first > MOST_NUMBERS:
         raise InputError(f"{first} blocks in all: an image numbers up to {MOST_NUMBERS}; ask for fewer --blocks")
     return tuple(numbered)

@@ -42,6 +42,7 @@ PROCESSORS: Registry[Processor] = Registry(
     _check,
 )
 REFERENCE = "backprojection"  # takes any collection; all others are judged by it
+HIERARCHY = "hierarchical-backprojection"  # takes any collection, and is faster
 AUTO = "auto"  # chooses among the others
 CHAIN = "angular-division"  # of the chains, which are alike, the one that it considers
 

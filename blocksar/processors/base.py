@@ -19,7 +19,7 @@ from blocksar.constants import MIB
 from blocksar.planning import effort
 from blocksar.planning.ambiguity import azimuth_ambiguities
 from blocksar.planning.disk import exact_bytes
-from blocksar.planning.segments import joint_grid
+from blocksar.planning.segments import PlannedSegment, joint_grid
 from blocksar.planning.tiling import units_of
 from blocksar.progress import Listener, Work
 from blocksar.tables import Table
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from blocksar.graph.segments import Segment
     from blocksar.graph.stages import Recovered
     from blocksar.graph.tasks import Form, FormParts
-    from blocksar.planning.plan import Plan
     from blocksar.runs.planned import PredictedBlock
     from blocksar.runs.receipts import Run
     from blocksar.runs.record import Receipt
@@ -81,7 +80,7 @@ class Problem:
         return self.grid or joint_grid([Geometry(collection=collection) for collection in self.collections])
 
     @cached_property
-    def pieces(self) -> tuple[Piece, ...]:
+    def pieces(self) -> tuple[PlannedSegment, ...]:
         """Each collection as a whole, over the ground.
 
         Raises
@@ -94,32 +93,7 @@ class Problem:
             for each in self.collections
         ]
         check_seen(ground, self.points)
-        return tuple(Piece(collection=i, geometry=each, first_block=i) for i, each in enumerate(ground))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Piece:
-    """A collection, or some pulses of one, that an image is formed from.
-
-    Attributes
-    ----------
-    collection : int
-        Number of the collection.
-    pulses : (first, last) or None
-        Its pulses first <= p < last; None for all of them.
-    geometry : Geometry
-        Over the ground of the image.
-    first_block : int
-        Number of the first of its blocks.
-    plan : Plan or None
-        Of a chain.
-    """
-
-    collection: int
-    pulses: tuple[int, int] | None = None
-    geometry: Geometry
-    first_block: int
-    plan: Plan | None = None
+        return tuple(PlannedSegment(collection=i, geometry=each, first_block=i) for i, each in enumerate(ground))
 
 
 class Comparison(NamedTuple):
@@ -141,19 +115,18 @@ class ImagePlan(ABC):
         Name of the processor.
     grid : Grid
         The image's points.
-    pieces : tuple of Piece
+    pieces : tuple of PlannedSegment
         Collections that cover some of the grid.
     """
 
     processor: str
     grid: Grid
-    pieces: tuple[Piece, ...]
+    pieces: tuple[PlannedSegment, ...]
 
     refusal: str | None = None  # why the image cannot be formed, with the figure
     device: str = "cpu"  # or "gpu": what back-projection runs on
     coherence: float = 1.0  # least predicted coherence with exact back-projection
     faithful: bool = True  # whether it keeps the fidelity that was asked for
-    reads_later: bool = False  # whether samples are read again after the first stage
     compared: Comparison | None = None  # with other processors, where one was chosen
 
     @abstractmethod

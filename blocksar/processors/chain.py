@@ -17,7 +17,7 @@ from blocksar.planning.disk import run_bytes
 from blocksar.planning.plan import Plan
 from blocksar.planning.planner import planner_of
 from blocksar.planning.segments import PlannedSegment, plan_segments
-from blocksar.processors.base import Execution, ImagePlan, Piece, Problem
+from blocksar.processors.base import Execution, ImagePlan, Problem
 from blocksar.processors.chain_lines import (
     cut_dwells,
     jittering_beam,
@@ -88,17 +88,10 @@ HIGH_ORDER_PHASE = Chain("high-order-phase", "a phase of high order in Doppler, 
 
 def chain_plan(name: str, segments: Sequence[PlannedSegment]) -> ChainPlan:
     """The plan of an image from those of its segments."""
-    plans = [each.plan for each in segments]
-    pieces = tuple(
-        Piece(
-            collection=each.collection, pulses=each.pulses, geometry=each.plan.geometry, plan=each.plan,
-            first_block=each.first_block,
-        )
-        for each in segments
-    )  # fmt: skip
+    plans = [each.plan for each in segments if each.plan is not None]
     refusal = next((plan.refusal for plan in plans if plan.refusal is not None), None)
     return ChainPlan(
-        processor=name, grid=plans[0].grid, pieces=pieces, refusal=refusal,
+        processor=name, grid=plans[0].grid, pieces=tuple(segments), refusal=refusal,
         coherence=min(plan.coherence for plan in plans), faithful=all(plan.faithful for plan in plans),
     )  # fmt: skip
 

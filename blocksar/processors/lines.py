@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -11,12 +11,9 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.lit_sums import most_lit_pulses
 from blocksar.graph.machine import Resources, machine, pace
 from blocksar.planning import effort
-from blocksar.processors import REFERENCE
-from blocksar.processors.base import ImagePlan
 from blocksar.progress import Work
 
 PLANNING_TOLD = 1.0  # s to plan, which are counted in the time of a run
-EXACT_TOLD, EXACT_GAIN = 5.0, 1.5  # s of a run, and times less that back-projection takes, from which on it is told
 LOOKED_AT = 64  # points along a side of a grid at which lit pulses are counted
 
 
@@ -30,20 +27,6 @@ def time_line(work: Work, assumed: Resources, planning: float = 0.0) -> str:
         f"a run takes about {time_text(sum(seconds.values()))} on this machine {workforce(assumed)} "
         f"({_shares(seconds)}), more where others use it, the disk is slow, or loops are not compiled"
     )
-
-
-def exact_line(plans: Sequence[ImagePlan], work: Work, assumed: Resources, planning: float) -> list[str]:
-    """A sentence if exact back-projection would take less time than the `work` of some plans, else none."""
-    seconds = sum(stage_seconds(work, assumed, planning).values())
-    if seconds < EXACT_TOLD:
-        return []
-    summed = effort.together(
-        [effort.of_backprojection([piece.geometry for piece in plan.pieces], plan.grid) for plan in plans]
-    )
-    exact = sum(stage_seconds(summed, assumed).values())
-    if exact > seconds / EXACT_GAIN:
-        return []
-    return [f"exact back-projection of this grid takes less, about {time_text(exact)}: --processor {REFERENCE}"]
 
 
 def stage_seconds(work: Work, assumed: Resources, planning: float = 0.0) -> dict[str, float]:

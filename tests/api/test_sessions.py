@@ -20,6 +20,7 @@ import blocksar
 from blocksar.api.rendering import html_report, text_table
 from blocksar.api.shown import PlanReport, RunReport
 from blocksar.errors import InputError, in_python
+from blocksar.processors.chain_tables import digits
 from blocksar.progress import Listener, as_listener
 
 GRID = ((-45.0, 45.0, 0.5), (-25.0, 25.0, 0.5))
@@ -97,7 +98,7 @@ def test_a_plan_shows_coherence_memory_and_disk(plan: PlanReport) -> None:
     page = Tags(plan._repr_html_())
     assert f"predicted coherence at least {plan.result.coherence:.6f}" in page.text
     for block in plan.result.blocks:
-        assert f" {block.prediction.coherence:.6f} " in page.text  # with more digits the closer it is to 1
+        assert f" {digits(block.prediction.coherence)} " in page.text  # with more digits the closer it is to 1
     assert "memory (MiB)" in page.text and "MiB on the disk" in page.text
     assert page.seen.count("details") == 2  # all figures, definitions
 

@@ -113,13 +113,13 @@ def scan(rows: int = 8, columns: int = 40) -> Any:
 
 @pytest.mark.checked
 def test_back_projection_forms_what_chains_refuse(tmp_path: Path) -> None:
-    """A raster: the refusal ends with the processor that does it and its time; what it then forms is the truth."""
+    """A raster: the refusal ends with the processor that does it; what it then forms is the truth."""
     dataset = blocksar.collection(**near_range(track=scan()))
     settings: dict[str, Any] = {"grid": GRID, "workers": 0}
     with pytest.raises(InputError) as caught:
         blocksar.focus(dataset, tmp_path / "run", **settings, processor="angular-division")
     assert "a raster of 8 rows" in str(caught.value)
-    assert "exact back-projection has no such limit: processor backprojection, about " in str(caught.value)
+    assert "hierarchical back-projection has no such limit: processor hierarchical-backprojection" in str(caught.value)
     assert not (tmp_path / "run" / "image.zarr").exists()
     report = blocksar.focus(dataset, tmp_path / "exact", **settings, processor="backprojection")
     assert any("a raster of 8 rows" in note for note in report.result["warnings"])

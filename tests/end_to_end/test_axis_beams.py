@@ -67,7 +67,7 @@ def test_a_run_is_sharp_and_coherent_with_back_projection(mode: str, tmp_path: P
 
 @pytest.mark.parametrize("mode", MODES)
 def test_no_grid_is_needed(mode: str, tmp_path: Path) -> None:
-    grid = blocksar.plan(scene(tmp_path, mode), blocks=1).result.grid
+    grid = blocksar.plan(scene(tmp_path, mode)).plan.grid
     assert grid.x0 < 8560 and grid.x1 > 8740 and grid.y0 < -12 and grid.y1 > 10
 
 

@@ -48,7 +48,10 @@ def cut(monkeypatch: pytest.MonkeyPatch) -> None:
             for k, span in enumerate(SPANS)
         ]
         return number_blocks(
-            [PlannedSegment(collection=0, pulses=span, plan=each) for span, each in zip(SPANS, plans, strict=True)]
+            [
+                PlannedSegment(collection=0, pulses=span, geometry=each.geometry, plan=each)
+                for span, each in zip(SPANS, plans, strict=True)
+            ]
         )
 
     monkeypatch.setattr(chain, "plan_segments", forced)

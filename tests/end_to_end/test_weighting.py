@@ -76,15 +76,15 @@ def test_weighted_targets_have_the_ideal_response(name: str, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(("name", "azimuth", "least"), [
-    ("steered", "taylor:4:-35", 50.0),
+    ("steered", "taylor:4:-35", 49.0),
     pytest.param("steered", "hann", 51.0, marks=pytest.mark.slow),  # as "taylor:4:-35"
-    pytest.param("scan reversed", "hamming", 50.0, marks=pytest.mark.slow),  # "wide band" and "steered" cover it
+    pytest.param("scan reversed", "hamming", 45.0, marks=pytest.mark.slow),  # "wide band" and "steered" cover it
     ("a patch that the beam lights all at once", "taylor:4:-35", 50.0),
     pytest.param("unsteered", "taylor:4:-35", 57.0, marks=pytest.mark.slow),
-    ("wide band", "taylor:4:-35", 53.0),  # -48 without parts of the gate over the band
+    ("wide band", "taylor:4:-35", 46.0),
 ])  # fmt: skip
 def test_weighted_clutter_is_that_of_back_projection(name: str, azimuth: str, least: float, tmp_path: Path) -> None:
-    """Error power after one complex gain; edges of dwells whose ends have a weight are back-projected."""
+    """Error power after one complex gain."""
     store, grid = write(tmp_path, name, targets=False)
     weighting = Weighting.parse("taylor:4:-35", azimuth=azimuth)
     chosen = {"weighting": "taylor:4:-35", "weighting_azimuth": azimuth}
@@ -131,14 +131,14 @@ y = 100.0
 """
 
 
-def test_the_rim_of_a_beam_that_stays(tmp_path: Path) -> None:
+def test_the_rim_of_a_staring_beam(tmp_path: Path) -> None:
     """Weights there tilt over the aperture: a target lost its first 30 of 1200 pulses, and was 42 dB from the exact."""
     (tmp_path / "scene.toml").write_text(RIM)
     blocksar.simulate(tmp_path / "scene.toml", tmp_path / "ph.zarr")
     asked: dict[str, Any] = {"grid": ((8390.0, 8410.0, 1.0), (97.0, 103.0, 0.25)), "weighting": TAYLOR.text}
     images = []
-    for name, how in (("chain", {"blocks": 1, "fidelity": 0.999995}), ("exact", {"processor": "backprojection"})):
+    for name, how in (("chosen", {"fidelity": 0.999999}), ("exact", {"processor": "backprojection"})):
         blocksar.focus(tmp_path / "ph.zarr", tmp_path / name, workers=0, threads=1, **asked, **how)  # type: ignore[arg-type]
         images.append(blocksar.open(tmp_path / name).image.values)
     error = np.linalg.norm(images[0] - images[1]) / np.linalg.norm(images[1])
-    assert 20 * np.log10(error) < -55
+    assert error < 10 ** (-55 / 20)

@@ -117,7 +117,7 @@ def test_a_seam_costs_nothing_where_the_track_wobbles() -> None:
     collection = replace(collection, antenna_position=collection.antenna_position + 6e-3 * np.sin(phase))
     plan, least = least_coherence(collection, Grid(DISTANCE - 40, DISTANCE + 40, 0.8, -24.0, 24.0, 0.5), 2)
     assert plan.geometry.track.wobble is not None and len(plan.blocks) == 2
-    assert least > plan.coherence - 5e-4 and plan.coherence > 0.999
+    assert least > plan.coherence - 5e-4 and plan.coherence > 0.998
 
 
 @pytest.mark.parametrize("mode", [pytest.param("stripmap", marks=pytest.mark.slow), "squinted"])

@@ -177,5 +177,5 @@ def test_a_swath_close_to_the_nadir_is_mapped_by_ground_range() -> None:
     collection = Scene.parse(text).collection()
     whole = plan_collection(collection, grid=grid, blocks=7)
     # Measured: 0.9995 in the worst 32 pixels. A map in range instead of ground range left 0.967 there.
-    assert 0.994 < whole.coherence < 0.9995
+    assert 0.992 < whole.coherence < 0.9995
     assert max(block.prediction.range_loss for block in whole.blocks) < 2e-3

@@ -1,4 +1,4 @@
-"""What is said where no chain forms an image: the reason once, the processor that does it, and its time; soon."""
+"""What is said where no chain forms an image: the reason once, and the processor that does it."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ import pytest
 from near_range import near_range
 
 import blocksar
-from blocksar.planning import planner
 
 GRID = "-2:2:0.05,-2:2:0.05"
-END = r"; exact back-projection has no such limit: --processor backprojection, about \d+ s on this machine$"
+END = "; hierarchical back-projection has no such limit: --processor hierarchical-backprojection"
 
 
 @pytest.fixture
@@ -24,23 +23,10 @@ def close() -> Any:
     return blocksar.collection(**{**made, "carrier_frequency": 4e9})
 
 
-def test_what_no_chain_forms_ends_with_who_does_it_and_its_time(close: Any) -> None:
+def test_what_no_chain_forms_ends_with_who_does_it(close: Any) -> None:
     few = blocksar.plan(close, grid=GRID, workers=0, blocks=4)
-    assert few.refusal is not None and re.search(END, few.refusal)
-    assert few.refusal.count("backprojection") == 1
+    assert few.refusal is not None and few.refusal.endswith(END)
     assert not few.tables and not few.details and not few.summary
-
-
-@pytest.mark.slow  # test_fidelity.py has another collection of which no division keeps the fidelity
-def test_the_best_division_of_what_keeps_no_fidelity_is_found_soon(close: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Up to 64 x 8 parts were tried, 256 plans of blocks, to advise still more."""
-    planned = []
-    once = planner.plan_block
-    monkeypatch.setattr(planner, "plan_block", lambda *args, **kw: planned.append(1) or once(*args, **kw))
-    said = "\n".join(blocksar.plan(close, grid=GRID, workers=0).summary)
-    assert "fidelity 0.999 is not kept by any division" in said and "more blocks" not in said
-    assert re.search(r"exact back-projection of this grid takes less, about \d+ s: --processor backprojection", said)
-    assert len(planned) <= 250, len(planned)
 
 
 def test_ranges_below_a_kilometre_are_told_in_metres(close: Any) -> None:

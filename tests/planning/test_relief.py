@@ -20,11 +20,10 @@ from blocksar.focusing.backprojection import form_points
 from blocksar.focusing.method import Method
 from blocksar.focusing.relief_map import Depth
 from blocksar.measurement.coherence import coherence
-from blocksar.planning.block import BlockPlan, plan_block
 from blocksar.planning.plan import Plan
 from blocksar.planning.planner import plan_collection
 from blocksar.planning.relief import find_relief, sample_terrain
-from blocksar.planning.sector import Sector, ground_range
+from blocksar.planning.sector import ground_range
 from blocksar.simulation.scatterers import field, phase_history
 from blocksar.simulation.scene import Scene
 
@@ -130,20 +129,6 @@ def test_relief_costs_coherence_as_predicted_and_bends_grow_with_it() -> None:
         assert one.ground.relief is not None and other.ground.relief is not None
         for terms, others in zip(one.ground.relief.layers, other.ground.relief.layers, strict=True):
             assert all(np.array_equal(a.series, b.series) for a, b in zip(terms, others, strict=True))
-
-
-def test_a_search_plans_no_more_blocks_than_show_that_others_gain_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the three blocks of a probe of many, the one in the middle shows it."""
-    planned_blocks: list[float] = []
-
-    def counted(sector: Sector, method: Method, **rest: Any) -> BlockPlan:
-        planned_blocks.append(sector.low)
-        return plan_block(sector, method, **rest)
-
-    monkeypatch.setattr("blocksar.planning.planner.plan_block", counted)
-    plan = planned(hilly(1000.0), blocks="auto", workers=2)
-    assert plan.excess() > 1.0 and plan.n_blocks == 2
-    assert len(planned_blocks) == plan.n_blocks + 1
 
 
 def test_many_hills_under_all_of_table_1_cost_what_was_measured() -> None:

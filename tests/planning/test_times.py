@@ -1,16 +1,11 @@
-"""What `plan` says of time: of exact back-projection where it takes less, and nothing of what does not focus."""
+"""What `plan` says of time: nothing of what does not focus."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
-
-import pytest
-from scenes import SMALL_SCAN, scene
 
 import blocksar
 
-SMALL = "16040:16060:1,19120:19140:1"
 # Of a strip whose beam looks far ahead, the last of 11 blocks holds hardly any ground that is lit.
 SLIVER = """
 [radar]
@@ -33,23 +28,6 @@ swath = [4900.0, 5150.0]
 centre_yaw_deg = 30.0
 reference_range = "constant"
 """
-TOLD = "exact back-projection of this grid takes less, about "
-
-
-def test_a_grid_that_back_projection_takes_less_time_for_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "scene.toml").write_text(scene(**SMALL_SCAN))
-    monkeypatch.setattr("blocksar.processors.lines.EXACT_TOLD", 0.0)
-    monkeypatch.setattr("blocksar.processors.lines.EXACT_GAIN", 1.0)
-
-    def told(source: str | Path, **settings: Any) -> list[str]:
-        return [line for line in blocksar.plan(source, **settings).summary if line.startswith(TOLD)]
-
-    assert len(told(tmp_path / "scene.toml", grid=SMALL, workers=0)) == 1
-    assert not told("table1")
-    monkeypatch.setattr("blocksar.processors.lines.EXACT_TOLD", 1e6)  # a matter of so few seconds is not worth a word
-    assert not told(tmp_path / "scene.toml", grid=SMALL, workers=0)
 
 
 def test_a_plan_that_does_not_focus_is_not_timed(tmp_path: Path) -> None:
