@@ -28,7 +28,7 @@ def machine() -> tuple[int, int]:
     return _cores(), _memory()
 
 
-PACE_SAMPLES, PACE_TRIALS = 1 << 16, 8
+PACE_SAMPLES, PACE_TRIALS = 1 << 16, 16
 PACE_SECONDS = 1.9e-3  # that a trial takes on the machine of the constants in `planning.effort`
 
 
@@ -36,7 +36,8 @@ PACE_SECONDS = 1.9e-3  # that a trial takes on the machine of the constants in `
 def pace() -> float:
     """Return how many seconds a second of work on the machine of `planning.effort` takes on this one, measured.
 
-    A few phases are multiplied, as focusing does; the best of some trials, since others may be using the machine.
+    A few phases are multiplied, as focusing does; the median of some trials, since cores that are shared with others, or
+    change their clock, are at their best only at times.
     """
     import numpy as np  # slow to import, and cores are counted before anything else
 
@@ -47,7 +48,7 @@ def pace() -> float:
         begun = perf_counter()
         samples * np.exp(1j * phase).astype(np.complex64)
         seconds.append(perf_counter() - begun)
-    return min(seconds) / PACE_SECONDS
+    return float(np.median(seconds)) / PACE_SECONDS
 
 
 class Resources(NamedTuple):
