@@ -36,8 +36,8 @@ PACE_SECONDS = 1.9e-3  # that a trial takes on the machine of the constants in `
 def pace() -> float:
     """Return how many seconds a second of work on the machine of `planning.effort` takes on this one, measured.
 
-    A few phases are multiplied, as focusing does; the median of some trials, since cores that are shared with others, or
-    change their clock, are at their best only at times.
+    A few phases are multiplied, as focusing does; the median of some trials, since cores that are shared with others,
+    or change their clock, are at their best only at times.
     """
     import numpy as np  # slow to import, and cores are counted before anything else
 

@@ -16,7 +16,7 @@ sums over what is left, are counted with the frames of `focusing.hierarchy`, whi
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
 
@@ -43,6 +43,7 @@ UPSAMPLINGS = range(2, 25)
 NODES = 3  # along a part's side, at which it is found what lights it
 DIVISIONS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # of the image along either side, into units of work
 PLACES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the image, along either side, at which costs are found
+FEW = 3  # of so many places one, by which divisions are ranked
 PIXEL_BYTES = 72  # of a window's pixel while it is formed
 GPU_PIXEL_BYTES = 64  # of it on a GPU
 
@@ -269,60 +270,71 @@ def divide(
 ) -> Division:  # fmt: skip
     """The division that takes the least predicted time on so many workers of one thread, within their memory, bytes.
 
-    Where none fits, it is the one that takes the least memory.
+    Divisions are ranked by what they cost at a few places; the chosen one is known at all. Where none fits, it is the
+    one that takes the least memory.
     """
-    found = list(_divisions(geometry, grid, fidelity=fidelity, weighting=weighting, device=device))
-    fitting = [each for each in found if each.memory <= memory_limit]
-    if not fitting:
-        return min(found, key=lambda each: each.memory)
+    trial = _Trial(geometry, grid, fidelity, weighting, device)
+    units = trial.unit_sizes()
+    ladder = trial.best_ladder(units[0])
 
     def time(each: Division) -> float:
         units = len(units_of(grid, each.chunks))
         return math.ceil(units / workers) * each.seconds / units
 
-    return min(fitting, key=time)
+    found = sorted((trial.division(unit, ladder, trial.places[::FEW]) for unit in units), key=time)
+    for each in (each for each in found if each.memory <= memory_limit):
+        whole = trial.division(each.chunks, ladder, trial.places)
+        if whole.memory <= memory_limit:
+            return whole
+    return trial.division(min(found, key=lambda each: each.memory).chunks, ladder, trial.places)
 
 
-def _divisions(
-    geometry: Geometry, grid: Grid, *, fidelity: float, weighting: Weighting, device: str
-) -> Iterator[Division]:
-    """Every division that is worth a thought."""
-    chunk, waves = image_chunk(grid), dwell_waves(geometry, weighting)
-    path = Path(geometry)
-    nodes = sorted(product(PLACES, PLACES), key=lambda node: math.hypot(node[0] - 0.5, node[1] - 0.5))
-    places = [(grid.x0 + u * grid.dx * grid.shape[1], grid.y0 + v * grid.dy * grid.shape[0]) for u, v in nodes]
-    counts = [math.ceil(n / side) for n, side in zip(grid.shape, chunk, strict=True)]
-    ladder: tuple[float, int] | None = None  # ratio and last side: those of the first units serve all
-    for division in _unit_sizes(grid, counts):
-        unit = tuple(min(c * side, n) for c, side, n in zip(division, chunk, grid.shape, strict=True))
-        steps = _halved((unit[0], unit[1]), chunk)
-        tried = [(r, last) for r in RATIOS for last in RATES[device].last_sides] if ladder is None else [ladder]
-        best: tuple[float, Division] | None = None
-        for ratio, last in tried:
-            sides = [(columns * grid.dx, rows * grid.dy) for rows, columns in steps]
-            below = _ladder(sides[-1], (last * grid.dx, last * grid.dy), ratio)
-            levels = levels_for(fidelity, tuple(max(side) for side in below), stages=len(sides) + len(below))
-            ladders = Ladders(Hierarchy(geometry, levels, waves=waves, path=path), geometry, grid, RATES[device])
-            unlit = Cost(seconds=RATES[device].pixel * unit[0] * unit[1], samples=0)
-            each_place = (ladders.cost(place, [*sides, *below]) for place in places)
-            if ladder is None:  # a place that is lit
-                costs = [next((cost for cost in each_place if cost is not None), unlit)]
-            else:
-                costs = [cost or unlit for cost in each_place]
-            area = grid.shape[0] * grid.shape[1] / (unit[0] * unit[1])
-            seconds = area * float(np.mean([cost.seconds for cost in costs]))
-            samples = max(cost.samples for cost in costs)
-            each = Division(
-                chunks=division, levels=levels, seconds=seconds,
-                memory=_memory(geometry, samples, chunk, device),
-                on_gpu=_gpu_memory(geometry, samples, chunk, levels) if device == "gpu" else 0,
-                stages=len(sides) + len(below),
-            )  # fmt: skip
-            if best is None or seconds < best[0]:
-                best, chosen = (seconds, each), (ratio, last)
-        assert best is not None
-        ladder = chosen
-        yield best[1]
+class _Trial:
+    """Divisions of an image, with what they cost."""
+
+    def __init__(self, geometry: Geometry, grid: Grid, fidelity: float, weighting: Weighting, device: str) -> None:
+        self.geometry, self.grid, self.fidelity, self.device = geometry, grid, fidelity, device
+        self.chunk, self.waves, self.path = image_chunk(grid), dwell_waves(geometry, weighting), Path(geometry)
+        nodes = sorted(product(PLACES, PLACES), key=lambda node: math.hypot(node[0] - 0.5, node[1] - 0.5))
+        self.places = [(grid.x0 + u * grid.dx * grid.shape[1], grid.y0 + v * grid.dy * grid.shape[0]) for u, v in nodes]
+
+    def unit_sizes(self) -> list[tuple[int, int]]:
+        """Chunks of units along rows and columns, of all sizes that are tried."""
+        return _unit_sizes(
+            self.grid, [math.ceil(n / side) for n, side in zip(self.grid.shape, self.chunk, strict=True)]
+        )
+
+    def best_ladder(self, division: tuple[int, int]) -> tuple[float, int]:
+        """Ratio of sides and last side, pixels, that serve units of a size best, at a place that is lit."""
+        ladders = list(product(RATIOS, RATES[self.device].last_sides))
+        return min(ladders, key=lambda each: self.division(division, each, self.places, first_lit=True).seconds)
+
+    def division(
+        self, division: tuple[int, int], ladder: tuple[float, int], places: Sequence[tuple[float, float]],
+        *, first_lit: bool = False,
+    ) -> Division:  # fmt: skip
+        """The division into units of so many chunks, by what they cost at places, or at the first that is lit."""
+        grid, geometry, rates = self.grid, self.geometry, RATES[self.device]
+        unit = tuple(min(c * side, n) for c, side, n in zip(division, self.chunk, grid.shape, strict=True))
+        sides = [(columns * grid.dx, rows * grid.dy) for rows, columns in _halved((unit[0], unit[1]), self.chunk)]
+        ratio, last = ladder
+        below = _ladder(sides[-1], (last * grid.dx, last * grid.dy), ratio)
+        levels = levels_for(self.fidelity, tuple(max(side) for side in below), stages=len(sides) + len(below))
+        ladders = Ladders(Hierarchy(geometry, levels, waves=self.waves, path=self.path), geometry, grid, rates)
+        unlit = Cost(seconds=rates.pixel * unit[0] * unit[1], samples=0)
+        each_place = (ladders.cost(place, [*sides, *below]) for place in places)
+        if first_lit:
+            costs = [next((cost for cost in each_place if cost is not None), unlit)]
+        else:
+            costs = [cost or unlit for cost in each_place]
+        area = grid.shape[0] * grid.shape[1] / (unit[0] * unit[1])
+        samples = max(cost.samples for cost in costs)
+        return Division(
+            chunks=division, levels=levels, seconds=area * float(np.mean([cost.seconds for cost in costs])),
+            memory=_memory(geometry, samples, self.chunk, self.device),
+            on_gpu=_gpu_memory(geometry, samples, self.chunk, levels) if self.device == "gpu" else 0,
+            stages=len(sides) + len(below),
+        )  # fmt: skip
 
 
 def _unit_sizes(grid: Grid, counts: list[int]) -> list[tuple[int, int]]:

@@ -19,7 +19,7 @@ from blocksar.processors.base import Comparison, ImagePlan, Problem
 from blocksar.processors.chain_tables import digits
 from blocksar.processors.lines import time_text
 
-HEADER = ("processor", "coherence", "time", "memory (MiB)", "disk (MiB)", "keeps the fidelity")
+HEADER = ("processor", "coherence", "time, usual pace", "memory (MiB)", "disk (MiB)", "keeps the fidelity")
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Auto:
         if serving:
             best, plan = min(serving, key=lambda each: each[0].seconds)
             faster = [each for each, _ in planned if each.seconds < best.seconds]
-            reason = f"{best.processor} is chosen: it keeps the fidelity, in about {time_text(best.seconds)}"
+            reason = f"{best.processor} is chosen: it keeps the fidelity in the least time"
             reason += "".join(f"; {each.processor}, which takes less, does not" for each in faster)
         else:
             best, plan = max(planned, key=lambda each: each[1].coherence)
