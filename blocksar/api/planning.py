@@ -78,7 +78,8 @@ def plan(
     blocks : int or "auto"
         Number of angular blocks, at least 1. "auto" (default): the fewest that keep `fidelity` and fit the memory.
     fidelity : float
-        Coherence with exact back-projection that "auto" keeps where it can, below 1. Default: 0.999.
+        Least coherence with exact back-projection that processor and blocks keep where they can, below 1.
+        Default: 0.999.
     weighting : str
         Taper over band and dwell: "uniform", "taylor:NBAR:SLL" (such as "taylor:4:-35"), "hamming", "hann" or
         "kaiser:BETA". Default: "uniform".

@@ -54,7 +54,7 @@ class Imaging:
     ] = "auto"
     fidelity: Annotated[
         float,
-        Option("Coherence with exact back-projection that --blocks auto keeps.", metavar="C", read=fidelity_of),
+        Option("Least coherence with exact back-projection that is kept.", metavar="C", read=fidelity_of),
     ] = FIDELITY
     weighting: Annotated[str, Option(f"Weighting of band and dwell: {_TAPERS}.", metavar="NAME")] = "uniform"
     weighting_range: Annotated[str | None, Option("Weighting of the band instead.", metavar="NAME")] = None

@@ -1,4 +1,4 @@
-"""The processors as lists of steps; a rival is the same list with a step changed or left out.
+"""The processors as lists of steps; a variant is the same list with a step changed or left out.
 
     angular-division     paper A: keystone, RCMC, frequency perturbation, deramp
     keystone-resampling  paper B: keystone, RCMC, time perturbation, Doppler resampling, deramp

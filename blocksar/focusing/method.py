@@ -89,7 +89,7 @@ class Method(ChainOptions):
             )
 
     @property
-    def rival(self) -> bool:
+    def variant(self) -> bool:
         """Whether the method is for comparison only: its residuals are then no reason to refuse a plan."""
         return bool(self.departures)
 

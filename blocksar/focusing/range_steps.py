@@ -256,7 +256,7 @@ class RangeCompression(Compression):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TimeDomainCompression(RangeCompression):
-    """RCMC by one reference without a keystone before it (paper A, Figure 11 a-c): a rival of the chain with one.
+    """RCMC by one reference without a keystone before it (paper A, Figure 11 a-c): a variant of the chain with one.
 
     Multiplies by exp{4j pi f / c sum_n k_n t^n}, n >= 2. The difference between a target's range walk and the
     reference's, due to yaw, remains. There is no SRC: without keystone there is no coupling to correct.

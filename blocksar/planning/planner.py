@@ -110,7 +110,7 @@ def _explain(refused: Plan, planner: DivisionPlanner) -> str:
     if (flaw := find_flaw(refused.geometry.collection)) is not None:
         return str(flaw)
     reason = str(refused.refusal)
-    if refused.method.rival or reason != find_blur(refused.blocks):
+    if refused.method.variant or reason != find_blur(refused.blocks):
         return reason
     if refused.searched:
         return f"{reason}, and too much of it in every division that was tried"

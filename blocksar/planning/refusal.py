@@ -17,8 +17,8 @@ from blocksar.planning.staying import MOST_DWELL, longest_stay
 
 
 def find_refusal(blocks: Sequence[BlockPlan], method: Method) -> str | None:
-    """The reason why a plan cannot be carried out, or None. Rivals may blur: they are built to show it."""
-    blur = None if method.rival else find_blur(blocks)
+    """The reason why a plan cannot be carried out, or None. Variants may blur: they are built to show it."""
+    blur = None if method.variant else find_blur(blocks)
     return _find_lingering(blocks) or find_folding(blocks, method) or _find_uneven(blocks) or blur
 
 

@@ -35,7 +35,7 @@ def describe_shortfall(plan: Plan, *, compared: bool = False) -> str:
         remedy = REMEDIES[cause][0]
     else:
         remedy = "ask for more --blocks, or for --blocks auto"
-    if plan.method.rival:
+    if plan.method.variant:
         remedy += ", or leave the alternative methods out"
     if 1 - p.coherence > 1 - plan.fidelity:
         kept, figure = f"fidelity {plan.fidelity:.12g} is", f"coherence {p.coherence:.6g}"

@@ -180,7 +180,7 @@ def test_after_every_step_the_measured_line_equals_the_traced_one(name: str, pla
         line = traced
     method = Method(**METHODS.get(name, {}))
     assert tuple(seen) == steps_of(method, measured="wobble" in name)
-    if not method.rival:
+    if not method.variant:
         assert np.ptp(line.doppler) < (4.0 if "wobble" in name else 0.5)  # Hz: level, the purpose of the chain
 
 

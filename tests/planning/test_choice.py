@@ -1,4 +1,4 @@
-"""The proposed processor, and the phase errors that closed forms and rival processors leave in a plan."""
+"""The proposed processor, and the phase errors that closed forms and variant processors leave in a plan."""
 
 from __future__ import annotations
 

@@ -43,4 +43,4 @@ def test_meaningless_options_are_refused(options: dict[str, Any], message: str, 
 def test_a_method_names_its_departures() -> None:
     method = Method(processor="keystone-resampling", perturbation="frequency", derotation="linear")
     assert method.departures == ["perturbation", "derotation"]
-    assert method.rival and not Method(processor="high-order-phase").rival
+    assert method.variant and not Method(processor="high-order-phase").variant
