@@ -74,6 +74,8 @@ def test_an_image_on_a_terrain_has_its_layers_and_its_noise(hills: Path, tmp_pat
     assert "predicted coherence with exact back-projection at least 0.99999" in str(
         blocksar.info(tmp_path / HIERARCHICAL)
     )
+    page = blocksar.report(tmp_path / HIERARCHICAL).result.path.read_text(encoding="utf-8")
+    assert "Predicted coherence with exact back-projection of the same samples: at least 0.99999" in page
 
 
 def test_of_several_collections_each_pixel_is_that_of_the_one_which_saw_it_best(tmp_path: Path) -> None:
@@ -81,7 +83,7 @@ def test_of_several_collections_each_pixel_is_that_of_the_one_which_saw_it_best(
     x, y = ([round(each[k]) for each in targets] for k in (0, 1))
     grid = ((min(x) - 60.0, max(x) + 60.0, 3.0), (min(y) - 60.0, max(y) + 60.0, 3.0))
     found, exact = both(write_bursts(tmp_path, targets), tmp_path, grid=grid)
-    assert error(found, exact) < -28
+    assert error(found, exact) < -48  # at the default fidelity as well
     np.testing.assert_array_equal(found.collection.values, exact.collection.values)
 
 

@@ -109,6 +109,11 @@ def plan_sentence(run: Facts) -> str:
             "those measured at its fully lit targets. Memory is that of a worker process, interpreter and libraries "
             "included."
         )
+    if (coherence := run.record.plan.coherence) is not None:
+        return (
+            f"Predicted coherence with exact back-projection of the same samples: at least {coherence:.8g}. Parts of "
+            "the image have no figures of their own."
+        )
     return "Exact back-projection makes no approximation, so the plan predicts no figures."
 
 
