@@ -40,7 +40,7 @@ INSPECT = 2e-8  # per sample
 GPU_UPDATE = 6e-12  # per lit pulse and pixel, on a GPU
 GPU_PIXEL = 4e-7  # per pixel, besides, and per sample that is read, sent and transformed: work of the CPU
 GPU_SAMPLE = 2e-9
-BACK_PROJECT = 2.4e-9  # per lit pulse and pixel: the sum, and range profiles of a chunk's pulses
+BACK_PROJECT = 2.2e-9  # per lit pulse and pixel: the sum, and range profiles of a chunk's pulses
 GAINS = 7e-9  # more under an antenna's pattern, whose sums it divides by
 FINISH = 0.4  # to end the cluster and flush files to the disk
 

@@ -81,12 +81,12 @@ class Rates:
 
 RATES = {
     "cpu": Rates(
-        turn=0.6e-9,
-        tap=0.06e-9,
-        part=1.2e-3,
-        profile=2.6e-9,
-        update=2.75e-9,
-        pixel=70e-9,
+        turn=0.55e-9,
+        tap=0.055e-9,
+        part=1.1e-3,
+        profile=2.4e-9,
+        update=2.5e-9,
+        pixel=64e-9,
         last_sides=(32, 48, 64, 96, 128, 192),
     ),
     "gpu": Rates(
@@ -99,7 +99,7 @@ RATES = {
         last_sides=(128, 192, 256, 384, 512, 1024),
     ),
 }
-READ = 0.6e-9  # s of a thread per sample read
+READ = 0.55e-9  # s of a thread per sample read
 
 
 def planned_error(levels: Levels, *, stages: int) -> float:
