@@ -35,19 +35,14 @@ def lit_pulses(collection: Collection, yaw: FloatArray, valid: FloatArray) -> Fl
     return np.asarray(total[last] - total[first])
 
 
-def weighted_pulses(
-    collection: Collection, yaw: FloatArray, valid: FloatArray, taper: Taper, *, centre: FloatArray | None = None
-) -> FloatArray:
-    """Sum of `valid` (n_pulse,) times the taper over the pulses that light points at yaws (n,); see `lit_pulses`.
-
-    The taper is about azimuths `centre` (n_pulse,), rad; by default those of the beam.
-    """
+def weighted_pulses(collection: Collection, yaw: FloatArray, valid: FloatArray, taper: Taper) -> FloatArray:
+    """Sum of `valid` (n_pulse,) times the taper over the pulses that light points at yaws (n,); see `lit_pulses`."""
     if taper.uniform:
         return lit_pulses(collection, yaw, valid)
     if collection.beam_width is None:
         return np.full(yaw.shape, float((valid * taper.samples(collection.n_pulse)).sum()))
     first, last = yaw_interval(collection, yaw, tolerance=EDGE)
-    beam, half = collection.beam_azimuth if centre is None else centre, collection.beam_width / 2
+    beam, half = collection.beam_azimuth, collection.beam_width / 2
     middle = float(beam[0] + beam[-1]) / 2
     point, along = wrapped(yaw - middle) / half, (beam - middle) / half
     # Each cosine of the difference is a product of two phasors, so that one running sum serves all points.

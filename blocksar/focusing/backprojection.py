@@ -385,10 +385,10 @@ def pulse_block_size(collection: Collection) -> int:
     return min(max(pulses, MIN_PULSE_BLOCK), MAX_PULSE_BLOCK)
 
 
-def image_memory(n_pixels: int, collection: Collection, *, threads: int = 1, pulse_block: int | None = None) -> int:
+def image_memory(n_pixels: int, collection: Collection, *, threads: int = 1) -> int:
     """Upper bound of the memory to form an image of n_pixels, bytes, including the result of `read`."""
     n, bins = collection.n_range_frequency, profile_bins(collection)
-    pulses = pulse_block or pulse_block_size(collection)
+    pulses = pulse_block_size(collection)
     pixel = 8 * 5 + 4 + 1 + 2  # bytes: x, y, first, last and image; weight; outside and a mask
     pixel += 16 if collection.has_pattern else 0  # sums of gains, and what is divided by
     scratch = 4 * (GROUP_BYTES + 8 * bins) + 16 * 8 * TILE**2

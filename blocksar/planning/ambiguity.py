@@ -18,10 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from blocksar.collection.beam import is_lit, pattern_gain, pulse_weights
+from blocksar.collection.beam import is_lit, pattern_gain
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.kernels.fourier import fast_length, fft_rows
 
@@ -38,15 +37,15 @@ class Ambiguity(NamedTuple):
     amplitude: float
 
 
-def worst_ambiguity(geometry: Geometry, grid: Grid, taper: Taper) -> Ambiguity | None:
-    """The strongest ghost at a few places of an image; None where there is none above TOLD.
+def worst_ambiguity(geometry: Geometry, grid: Grid) -> Ambiguity | None:
+    """The strongest ghost at a few places of an image, without a weighting; None where there is none above TOLD.
 
     Where no beam is known, everything counts as lit, and only ghosts of places of the image itself are looked for.
     """
     collection = geometry.collection
     xs, ys = (low + np.array(SHARES) * (high - low) for low, high in ((grid.x0, grid.x1), (grid.y0, grid.y1)))
     found = [
-        _ghost(geometry, (x, y), source, taper)
+        _ghost(geometry, (x, y), source)
         for x in xs.tolist()
         for y in ys.tolist()
         for source in _sources(geometry, x, y)
@@ -79,7 +78,7 @@ def _sources(geometry: Geometry, x: float, y: float) -> list[tuple[float, float]
     return places
 
 
-def _ghost(geometry: Geometry, at: tuple[float, float], source: tuple[float, float], taper: Taper) -> Ambiguity:
+def _ghost(geometry: Geometry, at: tuple[float, float], source: tuple[float, float]) -> Ambiguity:
     """What the echo of a source comes to at a place, by the pulses that light both."""
     collection, z = geometry.collection, np.array([_height(geometry, *at)])
     pulses, (x, y) = slice(None), (np.array([a, b]) for a, b in zip(at, source, strict=True))
@@ -87,13 +86,12 @@ def _ghost(geometry: Geometry, at: tuple[float, float], source: tuple[float, flo
     offsets = np.stack([*np.broadcast_arrays(x, y, z)], axis=-1)[:, None] - collection.antenna_position
     away = np.subtract(*np.sqrt((offsets**2).sum(axis=-1)))
     gain = [pattern_gain(geometry, a, b, pulses, z) for a, b in zip(x[:, None], y[:, None], strict=True)]
-    weight = np.where(lit[0], pulse_weights(geometry, x[:1], y[:1], np.arange(away.size), taper, z), 0.0)
     turns = 2 * collection.bandwidth / SPEED_OF_LIGHT * away
-    echo = np.where(lit[1], weight * gain[1] * np.sinc(turns), 0.0)
+    echo = np.where(lit.all(axis=0), gain[1] * np.sinc(turns), 0.0)
     padded = np.zeros((1, fast_length(PADDING * away.size)), np.complex128)
     padded[0, : away.size] = echo * np.exp(4j * np.pi / collection.wavelength * away)
     summed = fft_rows(padded, inverse=False)
-    total = float((weight * gain[0]).sum())
+    total = float(gain[0][lit[0]].sum())
     return Ambiguity(source, at, float(np.abs(summed).max()) / total if total > 0 else 0.0)
 
 
@@ -102,8 +100,8 @@ def _height(geometry: Geometry, x: float, y: float) -> float:
 
 
 def azimuth_ambiguities(geometries: Sequence[Geometry], grid: Grid) -> list[str]:
-    """A sentence on the strongest ghost of all collections, without a weighting; none where there is none."""
-    found = [(each, geometry) for geometry in geometries if (each := worst_ambiguity(geometry, grid, FLAT)) is not None]
+    """A sentence on the strongest ghost of all collections; none where there is none."""
+    found = [(each, geometry) for geometry in geometries if (each := worst_ambiguity(geometry, grid)) is not None]
     if not found:
         return []
     worst, geometry = max(found, key=lambda each: each[0].amplitude)

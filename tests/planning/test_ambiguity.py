@@ -11,7 +11,6 @@ from strips import DISTANCE, strip_collection
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.collection.weighting import FLAT
 from blocksar.focusing.backprojection import form_image
 from blocksar.planning.ambiguity import worst_ambiguity
 from blocksar.simulation.antenna import named_pattern
@@ -30,7 +29,7 @@ def strip(prf: float, *, pattern: bool = False) -> Collection:
 def test_a_ghost_lies_where_it_is_told_and_is_as_strong(pattern: bool) -> None:
     collection = strip(260.0, pattern=pattern)
     geometry, grid = Geometry(collection=collection), Grid(DISTANCE - 30, DISTANCE + 30, 0.7, -10.0, 10.0, 0.3)
-    found = worst_ambiguity(geometry, grid, FLAT)
+    found = worst_ambiguity(geometry, grid)
     assert found is not None and found.amplitude > 0.02
     x, y = (np.array([value]) for value in found.source)
     signal = simulate_pulses(collection, x, y, np.ones(1), threads=1)
@@ -41,4 +40,4 @@ def test_a_ghost_lies_where_it_is_told_and_is_as_strong(pattern: bool) -> None:
 
 def test_a_prf_that_holds_what_is_lit_together_has_none() -> None:
     grid = Grid(DISTANCE - 30, DISTANCE + 30, 0.7, -10.0, 10.0, 0.3)
-    assert worst_ambiguity(Geometry(collection=strip(1600.0)), grid, FLAT) is None
+    assert worst_ambiguity(Geometry(collection=strip(1600.0)), grid) is None
