@@ -282,6 +282,7 @@ class Job:
             plan = _plan(request, machine)
             packed = stored_plan.pack(plan)
         else:
+            PROCESSORS.get(earlier.processor)  # loads what its plan is made of, also where `auto` has chosen it
             plan, packed = stored_plan.read(request.folder, earlier.plan.checksum, ImagePlan)  # type: ignore[type-abstract]
             checked_memory("the plan of the unfinished run", plan.memory(machine.threads), machine.memory_limit)
         several, collections = len(plan.pieces) > 1 or len(request.histories) > 1, len(request.histories)

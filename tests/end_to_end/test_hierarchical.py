@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +110,25 @@ def test_an_interrupted_run_goes_on_and_ends_with_the_same_bytes(hills: Path, tm
     assert any(line.startswith("went on from an unfinished run: ") for line in report.summary)
     assert digests(tmp_path / "run" / "image.zarr") == digests(tmp_path / "whole" / "image.zarr")
     assert not (tmp_path / "run" / "plan.bin").exists()
+
+
+class Begun(Listener):
+    """Ends a run once all samples are read."""
+
+    def update(self, stage: str, done: int, total: int) -> None:
+        if stage in ("inspect", "recover") and done == total:
+            raise KeyboardInterrupt
+
+
+def test_another_process_goes_on_with_what_auto_has_chosen(hills: Path, tmp_path: Path) -> None:
+    """It has not loaded the processor, of whose types the plan in the folder is made."""
+    run = tmp_path / "run"
+    with pytest.raises(KeyboardInterrupt):
+        blocksar.focus(hills, run, grid=GRID, workers=0, progress=Begun())
+    again = f"import blocksar; blocksar.focus({str(hills)!r}, {str(run)!r}, grid={GRID!r}, workers=0, progress=False)"
+    done = subprocess.run([sys.executable, "-c", again], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert RunRecord.from_json(json.loads((run / "run.json").read_text())).finished
 
 
 def test_the_choice_of_auto_is_recorded(hills: Path, tmp_path: Path) -> None:
