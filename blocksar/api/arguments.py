@@ -38,21 +38,16 @@ def in_this_process(workers: int | None, collections: Sequence[Collection]) -> b
 
 
 def gpu_workers(workers: int | None) -> int:
-    """The workers of a local run on a GPU: the calling process (0), or one.
+    """The workers of a local run on a GPU, which share it: one by default; 0 is the calling process.
 
     Raises
     ------
     InputError
-        If there is no GPU, or more are given.
+        If there is no GPU.
     """
     from blocksar.kernels.device import device  # with the loops, which take long to load
 
     device("gpu")
-    if workers is not None and workers > 1:
-        raise InputError(
-            f"workers is {workers}, but a local run on a GPU has one; leave --workers out, or give the --scheduler of "
-            "a cluster with a worker for each GPU"
-        )
     return 1 if workers is None else workers
 
 

@@ -22,7 +22,7 @@ from blocksar.focusing.hierarchy import Echoes, Hierarchy, Levels
 from blocksar.focusing.parts import Part
 from blocksar.focusing.profiles import MARGIN, spline_lead
 from blocksar.kernels.beam_weights import BeamTaper
-from blocksar.kernels.device import Device, on_device
+from blocksar.kernels.device import CPU, Device, on_device
 from blocksar.kernels.fourier import fast_length
 from blocksar.kernels.groups import row_groups, run_groups
 from blocksar.kernels.projection import Sights
@@ -49,6 +49,7 @@ def form_windows(
     threads: int,
     weighting: Weighting = UNIFORM,
     device: str = "cpu",
+    memory: int = 0,
 ) -> Iterator[tuple[Window, ComplexArray]]:
     """Form windows of the image, one after the other, from one reading of the samples.
 
@@ -66,6 +67,8 @@ def form_windows(
         The result does not depend on it.
     weighting : Weighting
     device : "cpu" or "gpu"
+    memory : int
+        Of a GPU that may be taken, bytes; 0: all.
 
     Yields
     ------
@@ -76,7 +79,7 @@ def form_windows(
     whole = [(window, _outline(geometry, x, y, window)) for window in windows]
     # A single window knows itself which pulses light it.
     parts = _joined([outline for _, outline in whole]) if len(windows) > 1 else []
-    with on_device(device) as opened:
+    with on_device(device, memory) as opened:
         former = _Former(geometry, levels, weighting, opened)
         tops = [former.gather(read, part, threads) for part in parts]
         yield from former.windows(read, x, y, whole, tops, threads)
@@ -260,7 +263,7 @@ class _Former:
             if left is not None:
                 self.form(child, left, image[window], level=level + 1, scratch=memory)
 
-        run_groups(work, part.divide(sides[level]), threads)
+        run_groups(work, part.divide(sides[level]), threads if self.device is CPU else 1)
 
     def _sum(self, part: Part, echoes: Echoes, image: ComplexArray, scratch: Scratch) -> None:
         """Back-project what is left to the pixels of a last part, each from the pulses that light it.

@@ -38,6 +38,15 @@ class Device(Protocol):
     name: str
     upsampling: int
 
+    def limit(self, memory: int) -> None:
+        """Take no more memory than so many bytes.
+
+        Raises
+        ------
+        MemoryError
+            If less is free.
+        """
+
     def put(self, values: Any) -> Any:
         """An array of this device's with the values of one of NumPy's; None for None."""
 
@@ -73,6 +82,9 @@ class Cpu:
 
     name = "cpu"
     upsampling = UPSAMPLING["cpu"]
+
+    def limit(self, memory: int) -> None:
+        """Its processes have theirs limited by dask."""
 
     def put(self, values: Any) -> Any:
         return values
@@ -157,8 +169,8 @@ def device(name: str) -> Device:
 
 
 @contextmanager
-def on_device(name: str) -> Iterator[Device]:
-    """The device of a name; if its memory does not suffice, that is a sentence.
+def on_device(name: str, memory: int) -> Iterator[Device]:
+    """The device of a name; if `memory` bytes of a GPU (0: all of it) are not there or not enough, that is a sentence.
 
     Raises
     ------
@@ -166,11 +178,14 @@ def on_device(name: str) -> Iterator[Device]:
         If its memory does not suffice.
     """
     try:
-        yield device(name)
+        opened = device(name)
+        opened.limit(memory)
+        yield opened
     except MemoryError as error:
         if name == "cpu":
             raise
         cause = " ".join(str(error).split())
         raise ProcessingError(
-            f"the GPU has too little memory ({cause}); end what else uses it, or leave --device out"
+            f"the GPU has too little memory ({cause}); end what else uses it, give fewer --workers, or leave --device "
+            "out"
         ) from None

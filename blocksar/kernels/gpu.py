@@ -23,6 +23,7 @@ import numba.cuda
 import numpy as np
 
 from blocksar.arrays import FloatArray
+from blocksar.constants import MIB
 from blocksar.kernels.beam_weights import place_tables
 from blocksar.kernels.decimation import Decimation, padded
 from blocksar.kernels.fourier import fft_rows
@@ -37,6 +38,7 @@ THREADS = (4, 4) if SIMULATED else (8, 16)  # of a block, along columns and rows
 ROW_THREADS = 4 if SIMULATED else 128
 MOST_CYCLES = 64.0  # from the middle, of which float32 has enough of the phase: 3e-5 rad
 FAR = 1e30  # m, no range: the loops know no infinity
+TRANSFORMS = 2  # whose work areas are kept
 NEAR = 0.02  # of the distance, within which a pixel lies from the middle
 
 numba.config.CUDA_LOW_OCCUPANCY_WARNINGS = 0  # type: ignore[attr-defined]  # small parts are no fault
@@ -239,6 +241,16 @@ class Gpu:
 
     name = "gpu"
     upsampling = UPSAMPLING["gpu"]
+
+    def limit(self, memory: int) -> None:
+        if SIMULATED:
+            return
+        pool = xp.get_default_memory_pool()
+        xp.fft.config.get_plan_cache().set_size(TRANSFORMS)  # each keeps its work area
+        pool.set_limit(size=memory)
+        free = xp.cuda.runtime.memGetInfo()[0] + pool.total_bytes()
+        if free < memory:
+            raise MemoryError(f"{memory / MIB:.0f} MiB are needed, {free / MIB:.0f} MiB are free")
 
     def put(self, values: Any) -> Any:
         return None if values is None else xp.asarray(values)

@@ -95,7 +95,7 @@ RATES = {
         part=1e-2,
         profile=2e-11,
         update=6e-12,
-        pixel=6e-7,
+        pixel=4e-7,
         last_sides=(128, 192, 256, 384, 512, 1024),
     ),
 }

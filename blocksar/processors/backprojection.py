@@ -111,7 +111,7 @@ class BackprojectionPlan(ChunkPlan):
     def forming_parts(self, number: int, weighting: Weighting) -> FormParts:
         if self.device == "cpu":
             return super().forming_parts(number, weighting)
-        return partial(form_together, weighting=weighting, device=self.device)
+        return partial(form_together, weighting=weighting, device=self.device, memory=self.on_gpu)
 
     def loops(self) -> Sequence[str]:
         return compiling.PATTERNS
@@ -146,11 +146,11 @@ def form_parts(
 
 def form_together(
     read: ReadPulses, geometry: Geometry, x: FloatArray, y: FloatArray, windows: Sequence[Window], *, threads: int,
-    weighting: Weighting, device: str,
+    weighting: Weighting, device: str, memory: int,
 ) -> Iterator[tuple[Window, ComplexArray]]:  # fmt: skip
     """Form the box around windows in one pass over the samples."""
     rows, columns = box_of(windows)
-    with on_device(device) as opened:
+    with on_device(device, memory) as opened:
         image = form_image(read, geometry, x[columns], y[rows], threads=threads, weighting=weighting, device=opened)
     for window in windows:
         yield (

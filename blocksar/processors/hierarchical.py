@@ -78,7 +78,10 @@ class HierarchicalPlan(PartPlan):
     divisions: tuple[Division, ...]
 
     def forming_parts(self, number: int, weighting: Weighting) -> FormParts:
-        return partial(form_windows, levels=self.divisions[number].levels, weighting=weighting, device=self.device)
+        return partial(
+            form_windows, levels=self.divisions[number].levels, weighting=weighting, device=self.device,
+            memory=self.on_gpu,
+        )  # fmt: skip
 
     def work(self, *, workers: int) -> Work:
         count, seconds = len(self.parts()), sum(each.seconds for each in self.divisions)

@@ -32,14 +32,12 @@ def test_auto_takes_a_gpu_that_is_found(monkeypatch: pytest.MonkeyPatch) -> None
         assert device_for("backprojection", "gpu") == "gpu"  # of another machine, perhaps
 
 
-def test_a_local_run_has_one_worker(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_local_run_has_one_worker_unless_more_are_given(monkeypatch: pytest.MonkeyPatch) -> None:
     if not devices.has_gpu():
         with pytest.raises(InputError, match=r"which --device gpu needs; install blocksar\[gpu\]|no GPU is found"):
             gpu_workers(None)
     monkeypatch.setattr(devices, "device", lambda name: None)
-    assert (gpu_workers(None), gpu_workers(0), gpu_workers(1)) == (1, 0, 1)
-    with pytest.raises(InputError, match="workers is 2, but a local run on a GPU has one"):
-        gpu_workers(2)
+    assert (gpu_workers(None), gpu_workers(0), gpu_workers(2)) == (1, 0, 2)
 
 
 def test_a_cluster_says_which_workers_have_one(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -58,8 +56,11 @@ def test_a_plan_says_what_a_gpu_needs(processor: Any) -> None:
 
 
 def test_too_little_memory_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(devices, "device", lambda name: None)
-    with pytest.raises(ProcessingError, match="the GPU has too little memory"), devices.on_device("gpu"):
+    limits = []
+    gpu = type("Small", (devices.Cpu,), {"limit": lambda self, memory: limits.append(memory)})
+    monkeypatch.setattr(devices, "device", lambda name: gpu())
+    with pytest.raises(ProcessingError, match="the GPU has too little memory"), devices.on_device("gpu", 4):
         raise MemoryError("out of memory\nallocating 5 bytes")
-    with pytest.raises(MemoryError), devices.on_device("cpu"):
+    with pytest.raises(MemoryError), devices.on_device("cpu", 0):
         raise MemoryError
+    assert limits == [4, 0]
