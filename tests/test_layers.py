@@ -252,7 +252,7 @@ def functions_of(path: Path) -> Iterator[tuple[ast.FunctionDef, int, bool]]:
 def test_modules_and_functions_stay_small() -> None:
     sizes, wrong = [], []
     for path in [*MODULES, *sorted((ROOT / "workflows").rglob("*.py")), *sorted((ROOT / "deploy").rglob("*.py"))]:
-        if (length := len(path.read_text(encoding="utf-8").splitlines())) > 500:
+        if (length := len(path.read_text(encoding="utf-8").splitlines())) > 800:
             wrong.append(f"{path.relative_to(ROOT)} has {length} lines; split it where it has two subjects")
         for function, size, excused in functions_of(path):
             sizes.append(size)

@@ -9,7 +9,7 @@ import numpy as np
 
 from blocksar.api.reports import Table
 from blocksar.errors import InputError
-from blocksar.measurement.alignment import align
+from blocksar.measurement.coherence import align
 from blocksar.runs.finished import FinishedRun
 
 CHIPS = 6  # along either axis, evenly over the image; at most, and no more than it has room for

@@ -29,8 +29,7 @@ from blocksar.graph.machine import resources
 from blocksar.graph.track_stages import copy_store
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, lies_in, place
-from blocksar.places.place import Place
-from blocksar.places.room import check_room
+from blocksar.places.place import Place, check_room
 from blocksar.progress import Listener, as_listener
 from blocksar.progress import Wanted as Progress
 from blocksar.runs import folder as run_folder

@@ -17,8 +17,8 @@ from blocksar.api.pulses import pulse_reader
 from blocksar.api.reports import Report, Table
 from blocksar.arrays import ComplexArray
 from blocksar.chunks import TILE
+from blocksar.collection.empty_pulses import find_real
 from blocksar.collection.grid import Grid
-from blocksar.collection.real_samples import find_real
 from blocksar.collection.region import grid_extent, plan_region
 from blocksar.collection.surface import Surface
 from blocksar.collection.terrain import Terrain

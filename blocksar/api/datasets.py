@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 from blocksar import stores
 from blocksar.api.arguments import is_dataset
 from blocksar.arrays import FloatArray
-from blocksar.collection.georeference import Georeference
-from blocksar.collection.scene_centre import find_scene_centre
+from blocksar.collection.georeference import Georeference, find_scene_centre
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.ingestion.timeline import stated_times

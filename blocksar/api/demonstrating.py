@@ -15,12 +15,11 @@ from blocksar.api.sources import simulate
 from blocksar.api.target_files import targets_of
 from blocksar.errors import InputError, library_for
 from blocksar.graph import compiling, recording
+from blocksar.measurement.figures import TABLE3
 from blocksar.measurement.response import Response
-from blocksar.measurement.table3 import TABLE3
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
-from blocksar.places.place import Place
-from blocksar.places.room import check_room
+from blocksar.places.place import Place, check_room
 from blocksar.planning import effort
 from blocksar.progress import Wanted as Progress
 from blocksar.progress import as_listener

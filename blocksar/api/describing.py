@@ -21,9 +21,8 @@ from blocksar.ingestion.kinds import SCENE
 from blocksar.ingestion.readers import READERS, Reader
 from blocksar.places import Location, place, readable
 from blocksar.places.local import LocalPlace
-from blocksar.places.place import Place
+from blocksar.places.place import Place, size_text
 from blocksar.places.ranges import Readable, WebFile
-from blocksar.places.room import size_text
 from blocksar.runs.folder import member
 from blocksar.runs.record import RECORD, RunRecord
 from blocksar.simulation.scene import Scene

@@ -22,8 +22,7 @@ from blocksar.constants import SPEED_OF_LIGHT, unit_of_lengths
 from blocksar.errors import InputError
 from blocksar.focusing.method import Method
 from blocksar.places.local import LocalPlace
-from blocksar.places.place import Place
-from blocksar.places.room import size_text
+from blocksar.places.place import Place, size_text
 from blocksar.runs.record import RunRecord
 
 Rows = list[tuple[str, str]]

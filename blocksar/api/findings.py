@@ -18,12 +18,11 @@ from blocksar.collection.track_shape import find_flaw
 from blocksar.errors import InputError
 from blocksar.graph.segments import Segment, by_collection
 from blocksar.graph.stages import Recovered
-from blocksar.inspection import centroid, samples, sentences
+from blocksar.inspection import centroid, samples
 from blocksar.inspection.samples import Inspection
 from blocksar.processors import PROCESSORS
 from blocksar.progress import Listener
-from blocksar.runs.record import RunRecord
-from blocksar.runs.sources import CentroidError, SampleCounts
+from blocksar.runs.record import CentroidError, RunRecord, SampleCounts
 
 MANY_MISSING = 0.02  # of the samples, from which on the image may be worse than predicted
 Check = tuple[str | None, str]  # of a collection's samples: a warning, or a sentence that all is well
@@ -104,8 +103,8 @@ def _of_collection(
         raise InputError(without_samples(history, zeros=False))
     if not inspections[-1].valid:
         raise InputError(without_samples(history, zeros=True))
-    lines = [line for each in inspections for line in sentences.describe(each)]
-    lines += sentences.doubts_of_track(history.collection, exact=exact)
+    lines = [line for each in inspections for line in samples.describe(each)]
+    lines += samples.doubts_of_track(history.collection, exact=exact)
     missing, size = sum(inspections[-1].missing.values()), math.prod(history.shape)
     if missing > MANY_MISSING * size and not exact:
         lines.append(

@@ -34,7 +34,7 @@ from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, ProcessingError, Unfocusable, changes_while_read
 from blocksar.focusing.noise import NoiseMap
-from blocksar.focusing.range_compression import RawCompression
+from blocksar.focusing.range_gate import RawCompression
 from blocksar.graph.machine import Resources
 from blocksar.graph.segments import Segment
 from blocksar.ingestion.terrain.reading import Ground
@@ -49,9 +49,7 @@ from blocksar.processors.base import ImagePlan, Problem
 from blocksar.progress import Work
 from blocksar.runs import folder as run_folder
 from blocksar.runs import stored_plan
-from blocksar.runs.planned import RunPlan
-from blocksar.runs.record import FORMAT, UNFINISHED, RunRecord
-from blocksar.runs.sources import RunInput, RunSegment
+from blocksar.runs.record import FORMAT, UNFINISHED, RunInput, RunPlan, RunRecord, RunSegment
 from blocksar.version import __version__
 
 

@@ -38,8 +38,7 @@ from blocksar.planning.memory import PROCESS_MEMORY, checked_memory
 from blocksar.progress import Wanted as Progress
 from blocksar.progress import as_listener
 from blocksar.runs import folder as run_folder
-from blocksar.runs.record import FINISHED, FORMAT, RECORD, UNFINISHED, Receipt, RunRecord, Written
-from blocksar.runs.sources import RunInput
+from blocksar.runs.record import FINISHED, FORMAT, RECORD, UNFINISHED, Receipt, RunInput, RunRecord, Written
 from blocksar.version import __version__
 
 if TYPE_CHECKING:

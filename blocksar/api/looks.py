@@ -14,7 +14,7 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.region import grid_extent, plan_region
 from blocksar.collection.sublooks import checked_count, entering_side, look_of
 from blocksar.errors import InputError
-from blocksar.planning.staying import beam_stays
+from blocksar.planning.planner import beam_stays
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,8 @@ from blocksar.api.reports import Report, Table
 from blocksar.api.shadows import in_shadow
 from blocksar.api.target_files import targets_of
 from blocksar.collection.weighting import CUT_WIDTHS, Weighting
-from blocksar.measurement.bar import rank
-from blocksar.measurement.figures import PointResponse, as_json, measure_target, summary
+from blocksar.measurement.figures import TABLE3, PointResponse, as_json, measure_target, rank, summary
 from blocksar.measurement.response import MIN_HALF_TAPS, Response, read_response
-from blocksar.measurement.table3 import TABLE3
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.place import Place

@@ -11,7 +11,7 @@ from blocksar.arrays import ComplexArray
 from blocksar.chunks import TILE
 from blocksar.collection.empty_pulses import missing_pulses
 from blocksar.collection.sublooks import whole_beam
-from blocksar.focusing.range_compression import RawCompression
+from blocksar.focusing.range_gate import RawCompression
 
 
 def pulse_reader(history: stores.PhaseHistory) -> Callable[[slice], ComplexArray]:

@@ -21,12 +21,11 @@ from blocksar.collection.region import plan_region
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_chips
 from blocksar.graph.machine import machine
-from blocksar.measurement.coherence import ChipComparison, coherence, joint_coherence
-from blocksar.measurement.reach import power_within_reach, referred
+from blocksar.measurement.coherence import ChipComparison, coherence, joint_coherence, power_within_reach, referred
 from blocksar.places import place
 from blocksar.runs.finished import FinishedRun
 from blocksar.runs.folder import INPUT
-from blocksar.runs.planned import RunPlan
+from blocksar.runs.record import RunPlan
 
 FULL_DWELL_YAWS = 257  # at which full dwells are looked for under a beam about its axis
 RANGES_COMPARED = (("near", 0.1), ("middle", 0.5), ("far", 0.9))  # name, share of the swath
@@ -135,7 +134,7 @@ def _compare(run: FinishedRun, inputs: Mapping[str, stores.PhaseHistory]) -> Com
 
 
 def _within_reach(run: FinishedRun, rows: slice, columns: slice) -> float:
-    """The power within reach of a chip of the image; see `measurement.reach`."""
+    """The power within reach of a chip of the image; see `measurement.coherence`."""
     spans = [
         slice(max(span.start - SURROUNDINGS, 0), min(span.stop + SURROUNDINGS, size))
         for span, size in ((rows, run.y.size), (columns, run.x.size))

@@ -7,7 +7,7 @@ from blocksar.api.partial_pulses import recorded_lines
 from blocksar.api.room import Beside, needed, remedy
 from blocksar.api.shown import RunReport
 from blocksar.graph.machine import Resources
-from blocksar.places.room import size_text
+from blocksar.places.place import size_text
 from blocksar.processors import REFERENCE
 from blocksar.processors.lines import time_line, workforce
 from blocksar.runs.folder import is_begun

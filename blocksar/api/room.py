@@ -11,7 +11,7 @@ from blocksar import stores
 from blocksar.api.jobs import Job
 from blocksar.chunks import stored_bytes
 from blocksar.errors import InputError
-from blocksar.places.room import no_room_for, size_text
+from blocksar.places.place import no_room_for, size_text
 from blocksar.planning.disk import Room, room_of_run
 from blocksar.processors import HIERARCHY, PROCESSORS, REFERENCE
 from blocksar.runs import folder as run_folder

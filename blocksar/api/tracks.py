@@ -27,8 +27,7 @@ from blocksar.constants import MIB
 from blocksar.errors import FolderError, InputError, ProcessingError, changes_while_read
 from blocksar.graph import cluster, compiling
 from blocksar.graph.machine import Resources
-from blocksar.graph.tie_stages import tie_tracks
-from blocksar.graph.track_stages import Estimated, estimate_track
+from blocksar.graph.track_stages import Estimated, estimate_track, tie_tracks
 from blocksar.ingestion.terrain.reading import Ground
 from blocksar.measurement.targets import Target
 from blocksar.places.place import Place

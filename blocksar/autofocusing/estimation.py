@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -10,21 +10,166 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar import solvers
-from blocksar.arrays import FloatArray, IntArray
+from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.autofocusing.bridging import bridged, refuse_gaps, stitched
 from blocksar.autofocusing.chips import ChipPart, Chips, join_chips, mean_sight
 from blocksar.autofocusing.correction import Correction, Knots, intervals, narrowing
-from blocksar.autofocusing.entropy import entropies
-from blocksar.autofocusing.fine_phase import believed, is_pattern, shared_samples, standing_alone
+from blocksar.autofocusing.fine_phase import believed, by_least_squares, is_pattern, shared_samples, standing_alone
 from blocksar.autofocusing.information import bending, factor, information
-from blocksar.autofocusing.least_squares import by_least_squares
-from blocksar.autofocusing.minimising import minimise
-from blocksar.autofocusing.phase_gradient import LEAST_BAND, NARROWING, line_of_sight, strongest_lines
-from blocksar.autofocusing.robust import own_errors, point_weights
+from blocksar.autofocusing.phase_gradient import (
+    LEAST_BAND,
+    NARROWING,
+    line_of_sight,
+    own_errors,
+    point_weights,
+    strongest_lines,
+)
 from blocksar.autofocusing.selection import Points
 from blocksar.autofocusing.spectral_drift import phase_of_drift
 from blocksar.autofocusing.work import Work
-from blocksar.kernels.groups import run_groups
+from blocksar.kernels.fourier import fast_length, fft_rows
+from blocksar.kernels.groups import GROUP_BYTES, run_groups
+
+MEMORY = 12  # steps whose curvature is kept
+ARMIJO = 1e-4
+CURVATURE = 0.9  # of the slope may be left after a step
+TRIES = 20  # of a step's length
+
+
+class Minimum(NamedTuple):
+    """Where a function is smallest, its value there, and the number of evaluations."""
+
+    at: FloatArray
+    value: float
+    evaluations: int
+
+
+def minimise(
+    function: Callable[[FloatArray], tuple[float, FloatArray]],
+    start: FloatArray,
+    *,
+    iterations: int,
+    gain: float,
+    first_step: float,
+) -> Minimum:
+    """Minimise a smooth function of (n,) that returns its value and gradient.
+
+    Parameters
+    ----------
+    iterations : int
+        At most.
+    gain : float
+        Stop when two steps together lower the value by less.
+    first_step : float
+        Length of the first step, in units of the argument.
+
+    References
+    ----------
+    Nocedal, Wright, "Numerical Optimization", 2nd edition, algorithms 7.4 and 3.5 (bisection in place of zoom).
+    """
+    x = start.copy()
+    value, slope = function(x)
+    count, gains = 1, [np.inf, np.inf]
+    pairs: list[tuple[FloatArray, FloatArray]] = []
+    for _ in range(iterations):
+        way = -_product(slope, pairs)
+        down = float((way * slope).sum())
+        if not down < 0:
+            pairs, way = [], -slope
+            down = float((way * slope).sum())
+        if down == 0:
+            break
+        length = 1.0 if pairs else first_step / float(np.sqrt((way * way).sum()))
+        low, high = 0.0, np.inf
+        for _ in range(TRIES):
+            new = x + length * way
+            new_value, new_slope = function(new)
+            count += 1
+            if new_value > value + ARMIJO * length * down:
+                high = length
+            elif float((new_slope * way).sum()) < CURVATURE * down:
+                low = length
+            else:
+                break
+            length = (low + high) / 2 if np.isfinite(high) else 2 * low
+        if new_value >= value:
+            break
+        step, change = new - x, new_slope - slope
+        if float((step * change).sum()) > 0:
+            pairs = [*pairs[-MEMORY + 1 :], (step, change)]
+        gains = [gains[1], value - new_value]
+        x, value, slope = new, new_value, new_slope
+        if sum(gains) < gain:
+            break
+    return Minimum(x, value, count)
+
+
+def _product(slope: FloatArray, pairs: list[tuple[FloatArray, FloatArray]]) -> FloatArray:
+    """The approximate inverse Hessian times a slope, from pairs of steps and changes of the slope."""
+    q, factors = slope.copy(), []
+    for step, change in reversed(pairs):
+        factor = float((step * q).sum() / (step * change).sum())
+        q -= factor * change
+        factors.append(factor)
+    if pairs:
+        step, change = pairs[-1]
+        q *= float((step * change).sum() / (change * change).sum())
+    for (step, change), factor in zip(pairs, reversed(factors), strict=True):
+        q += (factor - float((change * q).sum() / (step * change).sum())) * step
+    return q
+
+
+TINY = 1e-30
+PADDING = 2.0  # Doppler cells for each sample: with |Y|^2 sampled so finely, to move a chip costs nothing
+
+
+def entropies(values: ComplexArray, phase: FloatArray, threads: int = 1) -> tuple[FloatArray, FloatArray]:
+    """Entropy of each chip, and its gradient.
+
+    E = -sum p ln p over range lines and Doppler, p = |Y|^2 / sum |Y|^2, Y the transform of values exp(j phase).
+    dE / dphase_t = 2 Im(x_t conj(sum_k (ln p_k + 1) Y_k exp(+2j pi k t / N))) / sum |Y|^2, summed over lines.
+
+    Parameters
+    ----------
+    values : (n_point, n_line, n) complex64
+    phase : (n_point, n) float
+        rad.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    (n_point,) float, (n_point, n) float
+        Nats, and nats per rad.
+    """
+    n_point, n_line, n = values.shape
+    length = fast_length(PADDING * n)
+    entropy, gradient = np.zeros(n_point), np.zeros((n_point, n))
+
+    def some(rows: slice) -> None:
+        turned = values[rows] * np.exp(1j * phase[rows]).astype(np.complex64)[:, None]
+        image = np.zeros((turned.shape[0], n_line, length), np.complex64)
+        image[..., :n] = turned
+        image = fft_rows(image.reshape(-1, length), inverse=False).reshape(image.shape)
+        share = image.real**2
+        share += image.imag**2
+        total = share.sum(axis=(1, 2), dtype=np.float64)
+        told = total > 0
+        scale = np.where(told, 1 / np.where(told, total, 1.0), 0.0)
+        share *= scale.astype(np.float32)[:, None, None]
+        logarithm = share + np.float32(TINY)
+        np.log(logarithm, out=logarithm)
+        entropy[rows] = -(share * logarithm).sum(axis=(1, 2), dtype=np.float64)
+        logarithm += 1
+        image *= logarithm
+        back = fft_rows(image.reshape(-1, length), inverse=True).reshape(image.shape)[..., :n]
+        imaginary = turned.imag * back.real - turned.real * back.imag
+        gradient[rows] = imaginary.sum(axis=1, dtype=np.float64) * (2 * length * scale)[:, None]
+
+    many = max(GROUP_BYTES // (8 * n_line * length), 1)
+    run_groups(some, [slice(i, min(i + many, n_point)) for i in range(0, n_point, many)], threads)
+    return entropy, gradient
+
 
 GRADIENTS = 8  # iterations of the phase gradient
 WIDEST_BAND = 0.45  # of a chip's Doppler cells to either side, in the first of them

@@ -10,8 +10,7 @@ import math
 from numba import types
 
 from blocksar.arrays import FloatArray
-from blocksar.kernels.loops import loop
-from blocksar.kernels.signatures import REAL_ROWS, UNCHECKED
+from blocksar.kernels.loops import REAL_ROWS, UNCHECKED, loop
 
 SUMS = types.float64[:, ::1]
 EXACT = {"nogil": True, **UNCHECKED}

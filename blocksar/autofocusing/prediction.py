@@ -14,8 +14,7 @@ from blocksar.autofocusing.bridging import long_gaps, straddling
 from blocksar.autofocusing.chips import SHORT_GAP, Chips, missing_runs
 from blocksar.autofocusing.correction import Correction, Knots, intervals
 from blocksar.autofocusing.estimation import defocus, without_line
-from blocksar.autofocusing.fine_phase import shared_samples
-from blocksar.autofocusing.least_squares import point_phases, point_shares, rms
+from blocksar.autofocusing.fine_phase import point_phases, point_shares, rms, shared_samples
 from blocksar.autofocusing.selection import Points
 from blocksar.autofocusing.work import FILTER_LENGTH
 

@@ -14,9 +14,8 @@ from blocksar.collection.collection import Collection
 from blocksar.kernels.fourier import fast_length, fft_rows
 from blocksar.kernels.groups import row_groups, run_groups
 from blocksar.kernels.interpolation import interpolation_taps
-from blocksar.kernels.loops import loop
+from blocksar.kernels.loops import COMPILED, REAL_ROW, REAL_ROWS, SAMPLES_IN, loop
 from blocksar.kernels.phase import Float32Array
-from blocksar.kernels.signatures import COMPILED, REAL_ROW, REAL_ROWS, SAMPLES_IN
 
 UPSAMPLING = 2  # bins per range cell, at least
 N_TAP = 6  # with it, errors are below -60 dB

@@ -10,8 +10,7 @@ from blocksar.autofocusing.correction import Correction
 from blocksar.autofocusing.estimation import estimate
 from blocksar.autofocusing.finishing import Result, estimate_half, finish
 from blocksar.autofocusing.selection import find_candidates, select_points
-from blocksar.autofocusing.settings import Settings
-from blocksar.autofocusing.work import begin
+from blocksar.autofocusing.work import Settings, begin
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 

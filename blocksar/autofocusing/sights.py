@@ -10,8 +10,7 @@ import math
 from numba import types
 
 from blocksar.arrays import FloatArray, IntArray
-from blocksar.kernels.loops import loop
-from blocksar.kernels.signatures import REAL_ROWS, UNCHECKED
+from blocksar.kernels.loops import REAL_ROWS, UNCHECKED, loop
 
 SIGHTS = types.Array(types.float64, 3, "C", readonly=True)
 INDICES = types.Array(types.int64, 1, "C", readonly=True)

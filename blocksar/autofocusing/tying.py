@@ -16,11 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray, IntArray
-from blocksar.autofocusing.anchoring import Control, anchored, responses_of
+from blocksar.autofocusing.anchoring import Control, Seen, anchored, responses_of
 from blocksar.autofocusing.chips import ChipPart, Chips, join_chips
 from blocksar.autofocusing.correction import Correction
 from blocksar.autofocusing.finishing import Result
-from blocksar.autofocusing.responses import Seen
 from blocksar.autofocusing.selection import Points
 from blocksar.autofocusing.work import Work
 from blocksar.collection.beam import lit_interval

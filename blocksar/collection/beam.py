@@ -10,10 +10,17 @@ positions ask `is_lit`, `lit_passes` and `dwell`; `is_lit` and `lit_passes` comp
 in the polar frame ask `yaw_interval`, `dwell_at` and `lit_sums`, which allow for the rounding of computed yaws
 (`EDGE`). `pulse_weights` are the weights over a dwell, `pattern_gain` is the antenna's pattern.
 Points x, y lie on the ground, or at heights z, m, which count under a beam about its axis and in elevation patterns.
+
+Which of several collections, or segments of one, an image's pixel comes from: the one that saw more of its dwell.
+
+The share of a point's dwell that a collection saw is 1 + margin / dwell, with the margin by which the dwell lies inside
+the collection's time, below 0 where an end of the collection cuts it. Where several saw all of it, the one with the
+larger margin counts, so that a seam runs through the middle of what they share.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TypeVar
 
@@ -23,7 +30,7 @@ from blocksar.arrays import BoolArray, FloatArray, IntArray
 from blocksar.collection.axis_beam import Height, axis_dwell, axis_offset, axis_passes, axis_passing
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.weighting import Taper
+from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import TURN
 from blocksar.errors import InputError
 
@@ -425,3 +432,111 @@ def full_dwell_yaw(collection: Collection) -> tuple[float, float]:
     """
     half = (collection.beam_width or 0.0) / 2
     return float(collection.beam_azimuth.min() + half), float(collection.beam_azimuth.max() - half)
+
+
+GAIN_PARTS = 32  # of a dwell, in each of which weights and the antenna's pattern are taken as constant
+
+
+def lit_pulses(collection: Collection, yaw: FloatArray, valid: FloatArray) -> FloatArray:
+    """Number of valid pulses that light points at yaws (n,): sum of `valid` (n_pulse,) over the lit ones.
+
+    `valid` is the fraction of each pulse's samples that is there; 0 for a missing pulse. Yaws on the edge of the beam
+    but for rounding (`EDGE`) are lit.
+    """
+    total = np.concatenate([[0.0], np.cumsum(valid)])
+    first, last = yaw_interval(collection, yaw, tolerance=EDGE)
+    return np.asarray(total[last] - total[first])
+
+
+def weighted_pulses(collection: Collection, yaw: FloatArray, valid: FloatArray, taper: Taper) -> FloatArray:
+    """Sum of `valid` (n_pulse,) times the taper over the pulses that light points at yaws (n,); see `lit_pulses`."""
+    if taper.uniform:
+        return lit_pulses(collection, yaw, valid)
+    if collection.beam_width is None:
+        return np.full(yaw.shape, float((valid * taper.samples(collection.n_pulse)).sum()))
+    first, last = yaw_interval(collection, yaw, tolerance=EDGE)
+    beam, half = collection.beam_azimuth, collection.beam_width / 2
+    middle = float(beam[0] + beam[-1]) / 2
+    point, along = wrapped(yaw - middle) / half, (beam - middle) / half
+    # Each cosine of the difference is a product of two phasors, so that one running sum serves all points.
+    total, (terms, frequency) = np.zeros(yaw.shape), taper.series
+    for k, term in enumerate(terms):
+        running = np.concatenate([[0.0], np.cumsum(valid * np.exp(-1j * np.pi * frequency * k * along))])
+        total += term * (np.exp(1j * np.pi * frequency * k * point) * (running[last] - running[first])).real
+    return total
+
+
+def most_lit_pulses(geometry: Geometry, x: FloatArray, y: FloatArray) -> int:
+    """The largest number of pulses that light any one point; under a beam about its axis, any of those at x, y, m."""
+    collection = geometry.collection
+    if collection.has_axis:
+        first, last = dwell(geometry, x, y)
+        lasts = (last - first)[np.isfinite(last - first)]  # elsewhere the terrain has no height
+        return math.ceil(float(lasts.max(initial=0.0)) * collection.prf)
+    return int(lit_pulses(collection, collection.beam_azimuth, np.ones(collection.n_pulse)).max())
+
+
+def lit_total(
+    geometry: Geometry,
+    epoch_range: FloatArray,
+    yaw: FloatArray,
+    valid: FloatArray,
+    taper: Taper = FLAT,
+) -> FloatArray:
+    """Sum of `valid` (n_pulse,) times taper and antenna's pattern over lit pulses: (n_range, n_yaw), at (n,) m and rad.
+
+    Dwells begin and end between pulses here, so that the sum is continuous.
+    """
+    collection = geometry.collection
+    shape = epoch_range.size, yaw.size
+    start, _ = aperture(collection)
+    first, last = dwell_at(geometry, yaw, epoch_range[:, None])
+    begin, stop = (np.broadcast_to(np.clip((t - start) * collection.prf, 0, None), shape) for t in (first, last))
+    before, pulse = np.concatenate([[0.0], np.cumsum(valid)]), np.arange(valid.size + 1.0)
+    x, y = geometry.ground_axes(epoch_range[:, None], yaw)
+    z = geometry.level(epoch_range[:, None], yaw)
+    weighed = collection.has_pattern or not taper.uniform
+    parts, total = GAIN_PARTS if weighed else 1, np.zeros(shape)
+    for part in range(parts):
+        low, high = (begin + (stop - begin) * (part + k) / parts for k in (0, 1))
+        count = np.interp(high, pulse, before) - np.interp(low, pulse, before)
+        if weighed:
+            middle = np.clip((low + high) / 2, 0, valid.size - 1).astype(np.int64)
+            weight = pulse_weights(geometry, x, y, middle, taper, z)
+            count = count * weight * pattern_gain(geometry, x, y, middle, z)
+        total += count
+    return np.asarray(np.where((last > first) & np.isfinite(x), np.maximum(total, 0.0), 0.0))
+
+
+NODES = 33  # places along each side of a part of an image at which margins are computed; linear in between
+
+
+def dwell_margin(geometry: Geometry, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Margin by which the dwell of points x, y (...), m, lies inside the collection, over the dwell; see above.
+
+    0 where the beam is not steered, or lights a point all the time; -inf where it never does.
+    """
+    start, end = aperture(geometry.collection)
+    first, last = dwell(geometry, x, y, uncut=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        margin = np.minimum(first - start, end - last) / (last - first)
+    margin = np.where((first <= start) & (last >= end), 0.0, margin)
+    return np.where(last > first, margin, -np.inf)
+
+
+def margins_over(geometry: Geometry, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Margins at NODES x NODES places of a part of an image with axes x and y, m: (NODES, NODES), rows along y."""
+    places = np.linspace(x[0], x[-1], NODES), np.linspace(y[0], y[-1], NODES)
+    return dwell_margin(geometry, *np.meshgrid(*places))
+
+
+def expand(margins: FloatArray, shape: tuple[int, int]) -> FloatArray:
+    """Margins at all pixels of that part, (n_y, n_x), linear between places; -inf around places that are never lit."""
+    with np.errstate(invalid="ignore"):
+        for axis, n in enumerate(shape):
+            place = np.linspace(0, NODES - 1, n) if n > 1 else np.zeros(1)
+            below = np.minimum(place.astype(np.int64), NODES - 2)
+            part = (place - below)[:, None] if axis == 0 else place - below
+            low, high = np.take(margins, below, axis), np.take(margins, below + 1, axis)
+            margins = np.asarray(low * (1 - part) + high * part)
+    return np.nan_to_num(margins, nan=-np.inf, posinf=np.inf, neginf=-np.inf)

@@ -15,7 +15,7 @@ import numpy as np
 
 from blocksar.arrays import FloatArray, check_axis
 from blocksar.collection.beam_checks import check_axis_beam, check_cover, check_pattern
-from blocksar.collection.recorded import RecordedRanges
+from blocksar.collection.raw_echo import RecordedRanges
 from blocksar.collection.spline import smoothed
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError

@@ -18,8 +18,7 @@ from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.budget import AZIMUTH_TAP_ERROR
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import Line, RowPolynomial
-from blocksar.focusing.sampling import Sampling
-from blocksar.focusing.step import Constants, Step
+from blocksar.focusing.step import Constants, Sampling, Step
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.interpolation import tap_polynomials, taps_needed
 from blocksar.kernels.operations import Blend, Operation, Resample, Transform, Turn, Window

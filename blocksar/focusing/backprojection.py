@@ -34,11 +34,10 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.pattern_sums import add_gains, mean_elevations
 from blocksar.focusing.profiles import Profiles, profile_bins, range_profiles
 from blocksar.focusing.recorded_pulses import divide_by_recorded
-from blocksar.kernels.beam_weights import BeamTaper
 from blocksar.kernels.device import CPU, TILE, Device, Tile, tiles
 from blocksar.kernels.groups import GROUP_BYTES, run_groups
 from blocksar.kernels.phase import Float32Array
-from blocksar.kernels.projection import UPSAMPLING, Sights
+from blocksar.kernels.projection import UPSAMPLING, BeamTaper, Sights
 
 ReadPulses = Callable[[slice], ComplexArray]  # (n, n_range_frequency) samples of a slice of pulses
 Pass = tuple[Tile, IntArray, IntArray]  # pixels, and the pulses first <= p < last that light them

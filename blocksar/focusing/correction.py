@@ -43,9 +43,8 @@ from blocksar.focusing.relief_correction import bent_taps_of, nodes_of, resample
 from blocksar.kernels import interpolation
 from blocksar.kernels.groups import run_groups
 from blocksar.kernels.lanes import FEW
-from blocksar.kernels.loops import loop
+from blocksar.kernels.loops import COMPILED, FLOATS_IN, PAIR, POWERS, REAL_ROW, REAL_ROWS, SAMPLES_OUT, TILES, loop
 from blocksar.kernels.phase import Float32Array
-from blocksar.kernels.signatures import COMPILED, FLOATS_IN, PAIR, POWERS, REAL_ROW, REAL_ROWS, SAMPLES_OUT, TILES
 from blocksar.solvers import product
 
 TILE_PIXELS = 128

@@ -18,15 +18,12 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, UNIFORM, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.backprojection import PixelSums, ReadPulses, pulse_blocks
-from blocksar.focusing.hierarchy import Echoes, Hierarchy, Levels
-from blocksar.focusing.parts import Part
+from blocksar.focusing.hierarchy import Echoes, Hierarchy, Levels, Part
 from blocksar.focusing.profiles import MARGIN, spline_lead
-from blocksar.kernels.beam_weights import BeamTaper
 from blocksar.kernels.device import CPU, Device, on_device
 from blocksar.kernels.fourier import fast_length
-from blocksar.kernels.groups import row_groups, run_groups
-from blocksar.kernels.projection import Sights
-from blocksar.kernels.scratch import Scratch
+from blocksar.kernels.groups import Scratch, row_groups, run_groups
+from blocksar.kernels.projection import BeamTaper, Sights
 
 SAFE = 0.45  # of the unambiguous window: ranges that stay within are interpolated without a test of each
 NOTICED = 1e-4  # of a taper's terms: waves of the weights that a filter has to pass

@@ -33,7 +33,7 @@ class ChainOptions:
         "linear": the recovery removes one Doppler rate only (paper A, Figure 6 b), and needs a higher PRF.
     range_model : {"polar", "conventional"}
         "conventional": closed-form coefficients from a range model whose variables are substituted after range-walk
-        correction; with one block, the reference method of paper A's Table 2 and Figure 14 (`planning.closed_form`).
+        correction; with one block, the reference method of paper A's Table 2 and Figure 14 (`planning.coefficients`).
     """
 
     coefficients: Annotated[Coefficients, Option("Fitted to time-frequency lines, or by the paper's closed forms.")] = (

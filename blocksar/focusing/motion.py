@@ -29,8 +29,7 @@ import numpy as np
 from blocksar.arrays import FloatArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Line
-from blocksar.focusing.motion_phase import Motion
-from blocksar.focusing.step import Constants, Step
+from blocksar.focusing.step import Constants, Motion, Step
 from blocksar.kernels import fourier
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.operations import Operation, ScaledTurn, Transform

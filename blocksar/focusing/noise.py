@@ -21,9 +21,8 @@ import numpy as np
 
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.collection.axis_beam import Height
-from blocksar.collection.beam import aperture, dwell, lit_passes, pattern_gain, pulse_weights
+from blocksar.collection.beam import GAIN_PARTS, aperture, dwell, lit_passes, pattern_gain, pulse_weights
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.lit_sums import GAIN_PARTS
 from blocksar.collection.weighting import Weighting
 from blocksar.focusing.pattern_sums import mean_elevations
 from blocksar.focusing.recorded_pulses import divide_by_recorded

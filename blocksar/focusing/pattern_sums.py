@@ -21,9 +21,8 @@ from blocksar.arrays import BoolArray, FloatArray, IntArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import TURN
-from blocksar.kernels.loops import loop
-from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS, UNCHECKED
-from blocksar.kernels.trigonometry import fit_even
+from blocksar.kernels.lanes import fit_even
+from blocksar.kernels.loops import COMPILED, PART, REAL_ROW, REAL_ROWS, UNCHECKED, loop
 
 TOGETHER = 32  # pixels of a row
 DEGREE = 12  # of P: 2e-12 rad for angles up to WIDEST

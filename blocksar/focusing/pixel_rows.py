@@ -11,10 +11,9 @@ import numpy as np
 from numba import njit
 
 from blocksar.arrays import FloatArray, IntArray
-from blocksar.kernels.lanes import FEW, WEIGHED_ROWS, load_few, spread_few, totals, weigh_rows
+from blocksar.kernels.lanes import FEW, WEIGHED_ROWS, cosine, load_few, sine, spread_few, totals, weigh_rows
+from blocksar.kernels.loops import COMPILED, PART, UNCHECKED, UNCONTRACTED
 from blocksar.kernels.phase import Float32Array
-from blocksar.kernels.signatures import COMPILED, PART, UNCHECKED, UNCONTRACTED
-from blocksar.kernels.trigonometry import cosine, sine
 
 N_CARRIER = 1024  # carriers along Doppler that are told apart, in steps of 1 / N_CARRIER cycles per sample
 N_PHASE = 64  # intervals of a sample in a table of taps; between them taps are interpolated, to 1e-4

@@ -40,9 +40,7 @@ from blocksar.focusing.pixel_rows import (
 from blocksar.kernels import interpolation
 from blocksar.kernels.groups import run_groups
 from blocksar.kernels.interpolation import bent_errors
-from blocksar.kernels.loops import loop
-from blocksar.kernels.phase import Float32Array
-from blocksar.kernels.signatures import (
+from blocksar.kernels.loops import (
     COMPILED,
     FLOATS_IN,
     PAIR,
@@ -55,7 +53,9 @@ from blocksar.kernels.signatures import (
     TUPLE,
     UNCHECKED,
     UNCONTRACTED,
+    loop,
 )
+from blocksar.kernels.phase import Float32Array
 from blocksar.solvers import least_squares
 
 DEGREE = 3  # of a tile's polynomials in x and y

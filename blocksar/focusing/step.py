@@ -12,14 +12,163 @@ from functools import cached_property
 from itertools import groupby
 from typing import ClassVar, Literal, Self
 
-from blocksar.arrays import ComplexArray, FloatArray
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from blocksar.arrays import ComplexArray, FloatArray, unrepeated
 from blocksar.collection.weighting import AxisTaper
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import AzimuthPolynomials, Line
-from blocksar.focusing.motion_phase import Motion
-from blocksar.focusing.sampling import Sampling
+from blocksar.kernels import fourier
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.operations import Operation
 from blocksar.kernels.rows import Layout, Program
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sampling:
+    """The axes of a block's samples from slab to focused block, and their occupancy.
+
+    Attributes
+    ----------
+    slab : Axis
+        Doppler of the block's part of the recovered spectrum, Hz.
+    range_frequency : Axis
+        Hz.
+    time : Axis
+        Slow time from the epoch in which the block's targets are lit, s.
+    time_occupancy : float
+        Fraction of the sampling rate of `time` that the block's Doppler fills.
+    doppler : Axis
+        Absolute Doppler of the steps between the transforms, Hz.
+    long_time : Axis
+        Slow time, extended for the delays of the steps in Doppler, s.
+    doppler_occupancy : float
+        Fraction of the extended time that samples fill, and so of the sampling of `doppler`.
+    rows : Axis
+        Ranges less the range origin, m.
+    range_occupancy : float
+        Fraction of the sampling rate of `rows` that responses fill.
+    focused_doppler : Axis
+        Doppler of the final transform, Hz.
+    gate : DwellGate or None
+        None where all targets are lit at the same time.
+    summed : (float, float) or None
+        First and last slow time that the final transform sums, s; None: all of `long_time`.
+    """
+
+    slab: Axis
+    range_frequency: Axis
+    time: Axis
+    time_occupancy: float
+    doppler: Axis
+    long_time: Axis
+    doppler_occupancy: float
+    rows: Axis
+    range_occupancy: float
+    focused_doppler: Axis
+    gate: DwellGate | None
+    summed: tuple[float, float] | None = None
+
+    @property
+    def range_period(self) -> int:
+        """Length of the range transform."""
+        return round(SPEED_OF_LIGHT / (2 * self.range_frequency.step * self.rows.step))
+
+    @property
+    def image_doppler(self) -> Axis:
+        """Doppler of the focused block, Hz: coarser than that of the final transform where there is a gate."""
+        if self.gate is None:
+            return self.focused_doppler
+        return fourier.dual(self.long_time, size=self.gate.time.size, centre=self.focused_doppler.centre)
+
+    @property
+    def n_buffer_row(self) -> int:
+        """Rows of a buffer that holds the block at every stage after its slab."""
+        return max(self.range_frequency.size, self.rows.size)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """The phase psi of motion compensation: a Chebyshev series in range of functions of slow time.
+
+    The second derivatives are linear between uniform times, so that value and slope follow exactly.
+
+    Attributes
+    ----------
+    start, step : float
+        Slow time from the epoch, s.
+    value, slope, bend : (n, n_term) float
+        psi_k (cycles), psi_k' (Hz) and psi_k'' (Hz/s) at those times.
+    near, far : float
+        Domain of range, m from the origin.
+    """
+
+    start: float
+    step: float
+    value: FloatArray
+    slope: FloatArray
+    bend: FloatArray
+    near: float
+    far: float
+
+    @classmethod
+    def integrate(
+        cls, bend: FloatArray, like: FloatArray, *, start: float, step: float, near: float, far: float
+    ) -> Self:
+        """From second derivatives (n, n_term); constant and slope such that the values are `like` on average."""
+        half_step = step / 2
+        slope = np.zeros_like(bend)
+        slope[1:] = np.cumsum(half_step * (bend[1:] + bend[:-1]), axis=0)
+        value = np.zeros_like(bend)
+        value[1:] = np.cumsum(step * slope[:-1] + step**2 / 6 * (2 * bend[:-1] + bend[1:]), axis=0)
+        time = step * (np.arange(bend.shape[0]) - (bend.shape[0] - 1) / 2)
+        apart = like - value
+        mean = apart.mean(axis=0)
+        tilt = (apart * time[:, None]).sum(axis=0) / (time * time).sum()
+        return cls(
+            start=start, step=step, value=value + mean + tilt * time[:, None], slope=slope + tilt, bend=bend,
+            near=near, far=far,
+        )  # fmt: skip
+
+    @property
+    def n_term(self) -> int:
+        return self.value.shape[1]
+
+    def terms(self, time: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """psi_k and its first two derivatives, (..., n_term), at slow times of any shape.
+
+        Axes along which the times are repeated (`np.broadcast_to`) have length 1 in the result.
+        """
+        time = unrepeated(time)
+        position = (time - self.start) / self.step
+        i = np.clip(np.floor(position), 0, self.value.shape[0] - 2).astype(np.int64)
+        t = ((position - i) * self.step)[..., None]
+        value, slope, bend = self.value[i], self.slope[i], self.bend[i]
+        twist = (self.bend[i + 1] - bend) / self.step
+        return (
+            value + t * (slope + t * (bend / 2 + t * twist / 6)),
+            slope + t * (bend + t * twist / 2),
+            bend + t * twist,
+        )
+
+    @cached_property
+    def at_middle(self) -> Motion:
+        """psi of the middle range alone: one term, with the factor 1."""
+        sums = ((values * self.middle).sum(axis=1, keepdims=True) for values in (self.value, self.slope, self.bend))
+        value, slope, bend = sums
+        return replace(self, value=value, slope=slope, bend=bend)
+
+    def factors(self, rng: FloatArray) -> FloatArray:
+        """What multiplies each psi_k at ranges (...): (..., n_term)."""
+        u = (2 * rng - self.near - self.far) / (self.far - self.near)
+        return np.asarray(chebyshev.chebvander(u, self.n_term - 1), np.float64).reshape(*np.shape(rng), self.n_term)
+
+    @property
+    def middle(self) -> FloatArray:
+        """The factors at the middle range, (n_term,)."""
+        return self.factors(np.array((self.near + self.far) / 2))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -9,8 +9,7 @@ from numba import njit, types
 
 from blocksar import solvers
 from blocksar.arrays import FloatArray
-from blocksar.kernels.loops import loop
-from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS
+from blocksar.kernels.loops import COMPILED, PART, REAL_ROW, REAL_ROWS, loop
 
 SERIES = types.Array(types.float64, 4, "C", readonly=True)
 

@@ -28,13 +28,11 @@ from distributed import Client, LocalCluster
 
 from blocksar.budget import WAIT_WORKERS
 from blocksar.errors import InputError, ProcessingError
-from blocksar.graph.admission import NO_WORKER, await_workers, waiting_for_workers, workers_of
 from blocksar.graph.compiling import By, compile_kernels, kernels_cached
-from blocksar.graph.forking import start_fork_server, worker_environment
-from blocksar.graph.here import Here
 from blocksar.graph.machine import machine
 from blocksar.graph.recording import serve_dashboard
-from blocksar.graph.units import GPU
+from blocksar.graph.starting import start_fork_server, worker_environment
+from blocksar.graph.units import GPU, NO_WORKER, Here, await_workers, waiting_for_workers, workers_of
 from blocksar.progress import Listener
 from blocksar.version import __version__
 
@@ -42,7 +40,7 @@ WORKER_TTL = 60.0  # s without a message from a worker of the local cluster befo
 HUNG = 8.0  # s after which a worker that has been given up, but lives, is killed
 CONNECT = 20.0  # s for a running scheduler to answer
 PRE_SPAWN = "distributed.nanny.pre-spawn-environ"
-# `forking` says what the fork server imports. Otherwise dask would import pandas here to say so.
+# `starting` says what the fork server imports. Otherwise dask would import pandas here to say so.
 distributed.utils._forkserver_preload_set = True
 SETTINGS = {"distributed.admin.low-level-log-length": 10}  # dask would keep the last 1000 messages to workers
 
@@ -61,7 +59,7 @@ def cluster_size(
     """Return the number of workers of a cluster, and the smallest of their memory limits, bytes.
 
     At most so many `workers` and so much memory, where they are given. Without any worker, wait for the first; see
-    `admission.waiting_for_workers`.
+    `units.waiting_for_workers`.
 
     Raises
     ------

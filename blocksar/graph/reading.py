@@ -3,20 +3,111 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from blocksar import stores
 from blocksar.arrays import ComplexArray
-from blocksar.focusing.range_compression import RawCompression
+from blocksar.focusing.range_gate import RangeGate, RawCompression
 from blocksar.focusing.recovery import Recovery, recover_columns
-from blocksar.graph.spectrum import Window, chunk_spans, stays_cached
-from blocksar.graph.tasks import sign
-from blocksar.graph.writing import WritesBehind
+from blocksar.graph.spectrum import SpectrumChunks, Window, WritesBehind, chunk_spans, stays_cached
+from blocksar.graph.tasks import naming_failures, sign
 from blocksar.inspection.samples import inspect
 from blocksar.kernels import buffers
+from blocksar.kernels.rows import Program
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Receipt, Written
+
+
+@dataclass(frozen=True)
+class Gated:
+    """A range sub-block and its gated spectrum.
+
+    Attributes
+    ----------
+    block : str
+        Its name.
+    gate : RangeGate
+    first_bin : int
+        Doppler bin at which the gate begins.
+    store_bin : int
+        Doppler bin of the first row of the store.
+    chunk : (int, int)
+        Doppler bins and range frequencies of a chunk of the store.
+    """
+
+    block: str
+    gate: RangeGate
+    first_bin: int
+    store_bin: int
+    chunk: tuple[int, int]
+
+    def common(self, first: int, last: int) -> tuple[int, int]:
+        """Those of the bins first .. last - 1 that the gate has; the second number is not above the first if none."""
+        return max(first, self.first_bin), min(last, self.first_bin + self.gate.n_row)
+
+    def within(self, first: int, last: int) -> Gated:
+        """The same at the bins first .. last - 1 only, of which the gate has some."""
+        first, last = self.common(first, last)
+        gate = self.gate.within(first - self.first_bin, last - self.first_bin)
+        return replace(self, gate=gate, first_bin=first)
+
+
+@naming_failures(lambda run, unit, *_: f"range-gate of {unit}")
+def gate_bins(
+    run: Run, unit: str, bins: tuple[int, int], spectrum: SpectrumChunks, targets: Sequence[Gated]
+) -> Receipt:
+    """Gate the Doppler bins first .. last - 1, whole chunks of the spectrum, for all sub-blocks that have some of them.
+
+    Chunks are written by other threads while the next ones are computed.
+    """
+    started = time.perf_counter()
+    values = spectrum.read((slice(*bins), slice(0, spectrum.shape[1])))
+    reading = time.perf_counter() - started
+    transform, group = targets[0].gate.to_delay, targets[0].chunk[0]
+    to_delay = Program([transform], source=transform.source, n_row=group)
+    delays = buffers.empty((group, transform.period))
+    with WritesBehind() as behind:
+        for first, last in chunk_spans(*bins, group):
+            touched = [target for target in targets if target.common(first, last)[1] > target.common(first, last)[0]]
+            if touched:
+                to_delay.run(values[first - bins[0] : last - bins[0]], out=delays, threads=run.threads)
+            for target in touched:
+                turn = behind.turn()
+                rows = _gate(target, delays, (first, last), threads=run.threads)
+                turn.submit(_write_rows, run, target, rows, first)
+        computed = time.perf_counter()
+    steps = {
+        "read-spectrum": reading,
+        RangeGate.name: computed - started - reading - behind.waited,
+        "write-gated": time.perf_counter() - computed + behind.waited,
+    }
+    return sign(run, Receipt(unit=unit, stage="gate", written=behind.written, steps=steps), started)
+
+
+def _gate(target: Gated, delays: ComplexArray, bins: tuple[int, int], *, threads: int) -> ComplexArray:
+    """The gated rows of some bins from their delays; zero outside the gate's slab."""
+    first, last = target.common(*bins)
+    part = delays[first - bins[0] : last - bins[0]]
+    rows = target.gate.from_delay.run(part, first=first - target.first_bin, threads=threads)
+    if (first, last) == bins:
+        return rows
+    whole = buffers.empty((bins[1] - bins[0], rows.shape[1]))
+    whole[: first - bins[0]] = 0
+    whole[first - bins[0] : last - bins[0]] = rows
+    whole[last - bins[0] :] = 0
+    return whole
+
+
+def _write_rows(run: Run, target: Gated, rows: ComplexArray, first: int) -> list[Written]:
+    """Write the rows from a Doppler bin on, a chunk's columns at a time."""
+    bins = slice(first - target.store_bin, first - target.store_bin + rows.shape[0])
+    return [
+        write(run, run.gated(target.block), "spectrum", (bins, slice(a, b)), np.ascontiguousarray(rows[:, a:b]))
+        for a, b in chunk_spans(0, rows.shape[1], target.chunk[1])
+    ]
 
 
 def compress_pulses(

@@ -10,8 +10,8 @@ import numpy as np
 
 from blocksar import stores
 from blocksar.arrays import BoolArray, FloatArray
+from blocksar.collection.beam import expand
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.ownership import expand
 from blocksar.planning.plan import Plan
 from blocksar.runs.receipts import Run
 

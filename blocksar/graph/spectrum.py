@@ -2,23 +2,130 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from math import prod
+from types import TracebackType
+from typing import Any, TypeVar
 
 from blocksar import stores
 from blocksar.arrays import ComplexArray
-from blocksar.chunks import SPECTRUM_BYTES
+from blocksar.chunks import SPECTRUM_BYTES, WRITES_AT_ONCE, WRITES_PER_THREAD
 from blocksar.errors import ProcessingError
 from blocksar.graph.machine import machine
-from blocksar.graph.writing import ahead
 from blocksar.kernels import buffers
 from blocksar.places.place import Place
 from blocksar.runs.record import Written
+
+T = TypeVar("T")
+
+
+class WritesBehind:
+    """Writes that lag behind what is computed by a few turns; the end of the `with` waits for the last of them.
+
+    Parameters
+    ----------
+    held : int, optional
+        Turns whose results are held at a time: those that are computed, and those that are written meanwhile. Default:
+        so many that neither waits for the other.
+    threads : int
+        Threads that compute, by `in_threads`.
+
+    Attributes
+    ----------
+    held : int
+    waited : float
+        Seconds for which turns have waited.
+    """
+
+    def __init__(self, held: int | None = None, *, threads: int = 1) -> None:
+        writers = writes_at_once(threads)
+        self.held, self.waited = held or turns_at_once(threads) + writers, 0.0
+        self._pool = ThreadPoolExecutor(writers)
+        self._turns: list[Turn] = []
+
+    def __enter__(self) -> WritesBehind:
+        return self
+
+    def __exit__(self, *error: type[BaseException] | BaseException | TracebackType | None) -> None:
+        self._pool.shutdown(wait=True)
+
+    def turn(self) -> Turn:
+        """Begin a turn when the one whose memory it takes is written."""
+        if len(self._turns) >= self.held:
+            began = time.perf_counter()
+            self._turns[-self.held].wait()
+            self.waited += time.perf_counter() - began
+        self._turns.append(Turn(self._pool, len(self._turns) % self.held))
+        return self._turns[-1]
+
+    @property
+    def written(self) -> tuple[Written, ...]:
+        """All that was written, in the order of the turns; waits for what is not written yet."""
+        return tuple(part for turn in self._turns for part in turn.wait())
+
+
+class Turn:
+    """What is computed at a time, and written behind.
+
+    Attributes
+    ----------
+    memory : int
+        Number of the memory that its results may take: 0 .. held - 1.
+    """
+
+    def __init__(self, pool: Executor, memory: int) -> None:
+        self.memory = memory
+        self._pool, self._writes = pool, list[Future[Sequence[Written]]]()
+
+    def submit(self, write: Callable[..., Sequence[Written]], *arguments: Any, **options: Any) -> None:
+        """Have something written that the turn has computed."""
+        self._writes.append(self._pool.submit(write, *arguments, **options))
+
+    def wait(self) -> list[Written]:
+        """What the turn has written, once it is."""
+        return [part for write in self._writes for part in write.result()]
+
+
+def writes_at_once(threads: int) -> int:
+    """Threads that write behind so many threads that compute."""
+    return max(WRITES_AT_ONCE, math.ceil(WRITES_PER_THREAD * threads))
+
+
+def turns_at_once(threads: int) -> int:
+    """Turns that `in_threads` has begun and not yielded."""
+    return threads + 1 if threads > 1 else 1
+
+
+def in_threads(jobs: Iterable[Callable[[], T]], threads: int) -> Iterator[T]:
+    """The results of jobs in their order, computed in so many threads; by the caller if it is one.
+
+    Job k is asked for when all before job k - turns_at_once(threads) + 1 have been used.
+    """
+    if threads == 1:
+        for job in jobs:
+            yield job()
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        yield from ahead(pool, jobs, threads)
+
+
+def ahead(pool: Executor, jobs: Iterable[Callable[[], T]], count: int) -> Iterator[T]:
+    """The results of jobs in their order; up to `count` are done in the pool while the one before them is used."""
+    coming: deque[Future[T]] = deque()
+    for job in jobs:
+        coming.append(pool.submit(job))
+        if len(coming) > count:
+            yield coming.popleft().result()
+    while coming:
+        yield coming.popleft().result()
+
 
 Window = tuple[slice, slice]  # rows and columns
 CACHED_SHARE = 1 / 8  # of the memory that a recovered spectrum may take of the page cache

@@ -4,6 +4,10 @@ Tasks receive paths and small constants, write their samples to zarr and return 
 `step-run-block`: the dashboard is readable, and no result of another run is reused. A unit of work writes whole chunks
 that no other unit writes, then its receipt. A lost worker therefore costs time only, and an interrupted run resumes
 from its receipts.
+
+The units of work that add the layers of a terrain to chunks of an image that one block covers.
+
+The blocks of a full round add theirs themselves, chunk by chunk, while the disk waits for their pixels.
 """
 
 from __future__ import annotations
@@ -11,7 +15,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import chain, islice
 from typing import Any, NamedTuple
 
@@ -20,27 +24,23 @@ from distributed import Client, Future
 
 from blocksar import stores
 from blocksar.arrays import FloatArray
-from blocksar.chunks import MOSAIC_CHUNKS, TILE
+from blocksar.chunks import LAYER_CHUNKS, MOSAIC_CHUNKS, TILE
+from blocksar.collection.beam import margins_over
 from blocksar.collection.collection import Collection
 from blocksar.collection.empty_pulses import missing_pulses
 from blocksar.collection.grid import Grid
-from blocksar.collection.ownership import margins_over
 from blocksar.collection.sublooks import whole_beam
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.noise import NoiseMap
-from blocksar.focusing.range_compression import RawCompression
-from blocksar.graph.admission import Unit
-from blocksar.graph.gating import Gated, gate_bins
-from blocksar.graph.layer_units import LayerUnits
-from blocksar.graph.merging import PatchChunk, merge_chunks
-from blocksar.graph.patching import Patch, write_patch
-from blocksar.graph.reading import compress_pulses, inspect_group, recover_group
+from blocksar.focusing.range_gate import RawCompression
+from blocksar.graph.layers import sights_of
+from blocksar.graph.patching import Patch, PatchChunk, merge_chunks, write_patch
+from blocksar.graph.reading import Gated, compress_pulses, gate_bins, inspect_group, recover_group
 from blocksar.graph.segments import Segment, by_collection
 from blocksar.graph.spectrum import SpectrumChunks, Window
-from blocksar.graph.tasks import FormParts, Projected, form_chunks, read_slab, run_stage
-from blocksar.graph.units import Spare, run_units, single_task, spans
-from blocksar.inspection.samples import Inspection, merge
-from blocksar.inspection.sentences import refusal
+from blocksar.graph.tasks import FormParts, Projected, add_layers, form_chunks, read_slab, run_stage
+from blocksar.graph.units import Spare, Unit, run_units, single_task, spans
+from blocksar.inspection.samples import Inspection, merge, refusal
 from blocksar.places.place import Place
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.effort import blocks_add_layers
@@ -49,6 +49,55 @@ from blocksar.planning.tiling import chunk_window, image_chunk, inspection_width
 from blocksar.progress import Listener
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import Receipt, Written, block_unit
+
+
+class LayerUnits:
+    """Units for the chunks that blocks have written to the image; none on the plane.
+
+    Attributes
+    ----------
+    sights : dict of Sight
+        The antenna as pixels see it, by number of the segment; empty on the plane.
+    """
+
+    def __init__(self, client: Client, segments: Sequence[Segment], run: Run) -> None:
+        self._client, self._run, self._grid = client, run, segments[0].planned.grid
+        on_terrain = segments[0].planned.geometry.terrain is not None
+        seen = [(segment.number or 0, segment.planned.geometry) for segment in segments if on_terrain]
+        self.sights = sights_of(run, self._grid, seen)
+        self._blocks = {
+            block_unit(block.name): (block.index, segment.number or 0)
+            for segment in segments
+            for block in segment.planned.blocks
+        }
+
+    def after(self, unit: str, receipt: Receipt) -> list[Unit]:
+        """The units that can begin once a block is done, given by its unit and its receipt."""
+        if not self.sights:
+            return []
+        (index, segment), side, image = self._blocks[unit], image_chunk(self._grid), self._run.name_of(self._run.image)
+        added = {part.region for part in receipt.written if part.store == image and part.variable in stores.ON_TERRAIN}
+        cells = [
+            ((part.region[0][0] // side[0], part.region[1][0] // side[1]), index if _is_all(part, index) else None)
+            for part in receipt.written
+            if part.store == image and part.variable == "block" and part.region not in added
+        ]
+        units = []
+        for first, end in spans(len(cells), LAYER_CHUNKS):
+            name, sights = "layers-{}-{}".format(*cells[first][0]), {index: self.sights[segment]}
+            task = add_layers, dict(cells[first:end]), self._grid, sights
+            units.append(single_task(self._client, self._run, "layers", name, *task))
+        return units
+
+
+def _is_all(owners: Written, block: int) -> bool:
+    """Whether all pixels of a chunk come from a block, as the checksum of its owners tells."""
+    return owners.checksum == _checksum_of_all(tuple(end - first for first, end in owners.region), block)
+
+
+@lru_cache(maxsize=64)
+def _checksum_of_all(shape: tuple[int, ...], block: int) -> str:
+    return stores.checksum(np.full(shape, block, np.int16))
 
 
 class Recovered(NamedTuple):

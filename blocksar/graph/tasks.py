@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 
 from blocksar import stores
 from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.beam import margins_over
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.collection.ownership import margins_over
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.backprojection import ReadPulses
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.step import Stage
 from blocksar.focusing.terrain_layers import Sight
-from blocksar.graph.alike import AlikeChunks
 from blocksar.graph.layers import (
+    AlikeChunks,
     TerrainLayers,
     local_terrain,
     sights_of,
@@ -33,8 +33,7 @@ from blocksar.graph.layers import (
     write_noise,
 )
 from blocksar.graph.segments import Merged
-from blocksar.graph.spectrum import SpectrumChunks, Window, chunk_spans, read_ahead
-from blocksar.graph.writing import WritesBehind
+from blocksar.graph.spectrum import SpectrumChunks, Window, WritesBehind, chunk_spans, read_ahead
 from blocksar.inspection.samples import Inspection, mask_outliers
 from blocksar.kernels import buffers
 from blocksar.places.place import Place

@@ -17,7 +17,7 @@ from blocksar.collection.region import Region
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.inspection.prominent import Echo
-from blocksar.kernels.chirp import chirp_spectrum
+from blocksar.kernels.fourier import chirp_spectrum
 
 SAME_BEAM = 0.2  # beam widths: beams that differ by less are not tried
 IN_DEGREES = 0.1  # rad: smaller angles are not taken for degrees

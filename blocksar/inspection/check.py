@@ -12,11 +12,23 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.collection.terrain import Terrain
 from blocksar.inspection.alternatives import IN_DEGREES, Alternative, alternatives
-from blocksar.inspection.comparison import FEW_PATCHES, PATCHES, Ground, View, after_refocus, as_given, compare
-from blocksar.inspection.contrast import SIGNIFICANT
+from blocksar.inspection.comparison import (
+    FEW_PATCHES,
+    PATCHES,
+    Ground,
+    Refocus,
+    View,
+    after_refocus,
+    as_given,
+    blurring_phase,
+    compare,
+    concentration,
+    explain,
+    judged_by_others,
+    refocus,
+)
 from blocksar.inspection.pointing import beam_angle, point
-from blocksar.inspection.prominent import SHORT, Line, Samples
-from blocksar.inspection.sharpness import Refocus, blurring_phase, concentration, explain, judged_by_others, refocus
+from blocksar.inspection.prominent import SHORT, SIGNIFICANT, Line, Samples
 from blocksar.inspection.verdict import FOCUSED, SHARP, Findings, Points, Trial
 
 FEWEST = 2  # of these, from which the track is judged

@@ -13,9 +13,8 @@ from numba import njit, types
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.constants import TURN
 from blocksar.kernels.lanes import LANES, load_imag, load_real, store
-from blocksar.kernels.loops import loop
+from blocksar.kernels.loops import COMPILED, PART, SAMPLES_IN, loop
 from blocksar.kernels.phase import Float32Array
-from blocksar.kernels.signatures import COMPILED, PART, SAMPLES_IN
 
 STANDS_OUT = 100.0  # an impossible sample over its neighbours, and over its column's median
 BEYOND_ALL = 1e8  # an impossible sample over its column's median, whatever its neighbours

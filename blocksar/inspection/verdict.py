@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from blocksar.inspection.contrast import SIGNIFICANT, Contrast, deviations
 from blocksar.inspection.pointing import Pointing
+from blocksar.inspection.prominent import SIGNIFICANT, Contrast, deviations
 
 IN_FOCUS = 0.5  # share of the energy near it that a point in focus holds; the largest of speckle holds a fifth
 AS_SHARP = 0.6  # of the best focus of any alternative: with less, one is not believed

@@ -14,8 +14,7 @@ import numpy as np
 from numba import njit, types
 
 from blocksar.arrays import BoolArray, FloatArray, IntArray
-from blocksar.kernels.loops import loop
-from blocksar.kernels.signatures import PART, REAL_ROW, REAL_ROWS, UNCHECKED, UNCONTRACTED
+from blocksar.kernels.loops import PART, REAL_ROW, REAL_ROWS, UNCHECKED, UNCONTRACTED, loop
 
 EXACT: dict[str, Any] = {**UNCONTRACTED, **UNCHECKED}
 INDICES = types.Array(types.int64, 1, "C", readonly=True)

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.kernels.lanes import LANES, load, load_imag, load_real, store_complex
-from blocksar.kernels.loops import loop
+from blocksar.kernels.loops import COMPILED, PART, REAL_ROW, REAL_ROWS, SAMPLES_IN, SAMPLES_OUT, loop
 from blocksar.kernels.operations import BLEND_BEYOND
-from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS, SAMPLES_IN, SAMPLES_OUT
 
 SHARES = types.float32[:, ::1]
 

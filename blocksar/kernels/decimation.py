@@ -25,23 +25,23 @@ import numpy as np
 from numba import njit, types
 
 from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.kernels.groups import Scratch
 from blocksar.kernels.lanes import (
     FEW,
     LANES,
+    cosine,
     load,
     load_few,
     load_imag,
     load_real,
     remainder,
+    sine,
     spread_few,
     store,
     totals,
 )  # fmt: skip
-from blocksar.kernels.loops import loop
+from blocksar.kernels.loops import COMPILED, PART, REAL_ROW, SAMPLES_IN, SAMPLES_OUT, loop
 from blocksar.kernels.phase import Float32Array, rotate
-from blocksar.kernels.scratch import Scratch
-from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, SAMPLES_IN, SAMPLES_OUT
-from blocksar.kernels.trigonometry import cosine, sine
 
 WHOLE = FEW // 2  # decimated rows are made of whole vectors of real numbers
 BLOCK = 4 * FEW  # real numbers of a row that are summed in registers

@@ -17,9 +17,8 @@ from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.errors import InputError, ProcessingError, library_for
 from blocksar.kernels.decimation import Decimation, add_decimated, turn_and_decimate
 from blocksar.kernels.fourier import fft_rows
-from blocksar.kernels.groups import row_groups, run_groups
+from blocksar.kernels.groups import Scratch, row_groups, run_groups
 from blocksar.kernels.projection import UPSAMPLING, Sights, project
-from blocksar.kernels.scratch import Scratch
 
 Tile = tuple[slice, slice]
 TILE = 128  # pixels per side: enough that the preparation of a tile costs little

@@ -24,11 +24,10 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.constants import MIB
-from blocksar.kernels.beam_weights import place_tables
 from blocksar.kernels.decimation import Decimation, padded
 from blocksar.kernels.fourier import fft_rows
-from blocksar.kernels.projection import UPSAMPLING, Sights, halves
-from blocksar.kernels.scratch import Scratch
+from blocksar.kernels.groups import Scratch
+from blocksar.kernels.projection import UPSAMPLING, Sights, halves, place_tables
 
 cuda: Any = numba.cuda
 SIMULATED = bool(getattr(numba.config, "ENABLE_CUDASIM", False))

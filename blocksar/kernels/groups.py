@@ -2,9 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import math
+from collections.abc import Callable, Hashable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from typing import Any, TypeVar
+
+import numpy as np
+
+from blocksar.arrays import ComplexArray
+
+ROOM = 1.25  # times what is asked for: later arrays are often a little larger
+
+
+class Scratch:
+    """Named arrays, each of which takes the memory of the one before of its name."""
+
+    def __init__(self, empty: Callable[..., Any] = np.empty) -> None:
+        self._empty = empty  # of a device
+        self._kept: dict[Hashable, ComplexArray] = {}
+
+    def array(self, name: Hashable, shape: tuple[int, ...]) -> ComplexArray:
+        """An array of complex64, not cleared; one of this name that was taken before is lost."""
+        size = math.prod(shape)
+        kept = self._kept.get(name)
+        if kept is None or kept.size < size:
+            kept = self._kept[name] = self._empty(int(ROOM * size), np.complex64)
+        return kept[:size].reshape(shape)
+
 
 GROUP_BYTES = 768 * 1024  # of the rows in a group, to stay within a core's second-level cache
 GROUP_ROWS = 4  # group sizes are multiples of this: the FFT library transforms so many rows at once

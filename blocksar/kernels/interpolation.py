@@ -11,11 +11,9 @@ from numba import njit, types
 
 from blocksar import solvers
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.kernels.lanes import LANES, count_lanes, load, load_imag, load_real, spread, store, store_complex
-from blocksar.kernels.loops import loop
+from blocksar.kernels.lanes import LANES, count_lanes, horner, load, load_imag, load_real, spread, store, store_complex
+from blocksar.kernels.loops import COMPILED, PART, REAL_ROW, REAL_ROWS, SAMPLES_IN, SAMPLES_OUT, loop
 from blocksar.kernels.phase import Float32Array
-from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS, SAMPLES_IN, SAMPLES_OUT
-from blocksar.kernels.trigonometry import horner
 
 PIECE = LANES * LANES  # samples of a row interpolated from one buffer that fits the first-level cache
 BENT_NODES = 96  # of the integrals over the band for taps that remove a phase

@@ -22,8 +22,7 @@ import numpy as np
 from numba import njit, types
 
 from blocksar.arrays import FloatArray, IntArray
-from blocksar.kernels.loops import loop
-from blocksar.kernels.signatures import PART
+from blocksar.kernels.loops import PART, loop
 
 POWERS = 6  # of a variable, from 0: orders up to 5, with their derivatives
 LEAST_DAMPING, MOST_DAMPING = 1e-14, 1e12

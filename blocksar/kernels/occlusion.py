@@ -21,8 +21,7 @@ from numba import njit, types
 from numpy.typing import NDArray
 
 from blocksar.arrays import BoolArray, FloatArray
-from blocksar.kernels.loops import loop
-from blocksar.kernels.signatures import PART, REAL_ROW, REAL_ROWS
+from blocksar.kernels.loops import PART, REAL_ROW, REAL_ROWS, loop
 
 VISIBLE, LAYOVER, SHADOW, UNKNOWN = 0, 1, 2, 255
 BLOCK = 16  # samples a side

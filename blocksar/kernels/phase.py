@@ -22,10 +22,19 @@ from numpy.typing import NDArray
 from blocksar import solvers
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.kernels.fourier import Axis
-from blocksar.kernels.lanes import LANES, load, load_imag, load_real, prefetch, remainder, store_complex
-from blocksar.kernels.loops import loop
-from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS, SAMPLES_IN, SAMPLES_OUT
-from blocksar.kernels.trigonometry import cosine, horner, sine
+from blocksar.kernels.lanes import (
+    LANES,
+    cosine,
+    horner,
+    load,
+    load_imag,
+    load_real,
+    prefetch,
+    remainder,
+    sine,
+    store_complex,
+)
+from blocksar.kernels.loops import COMPILED, PART, REAL_ROW, REAL_ROWS, SAMPLES_IN, SAMPLES_OUT, loop
 
 Float32Array = NDArray[np.float32]
 

@@ -12,6 +12,8 @@ from blocksar.arrays import BoolArray, FloatArray, IntArray
 from blocksar.kernels.lanes import (
     FEW,
     FIXED_POINT,
+    cosine,
+    cosine_and_sine,
     from_half,
     from_whole,
     larger,
@@ -28,9 +30,7 @@ from blocksar.kernels.lanes import (
     whole,
     within,
 )
-from blocksar.kernels.loops import loop
-from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS
-from blocksar.kernels.trigonometry import cosine, cosine_and_sine
+from blocksar.kernels.loops import COMPILED, PART, REAL_ROW, REAL_ROWS, loop
 
 CHUNK = 32  # pulses whose profiles, as far as neighbouring pixels read them, stay in the first-level cache
 PULSES = types.int32[::1]
@@ -176,7 +176,7 @@ def add_pulses(
     """Sum the lit pulses, in ascending order, at pixels (n,).
 
     Pixels n are those of n_group groups of FEW, one after the other. Tables are of n_pulse pulses from `start` on, made
-    by `projection.pulse_tables` and `beam_weights.place_tables`.
+    by `projection.pulse_tables` and `projection.place_tables`.
 
     Parameters
     ----------

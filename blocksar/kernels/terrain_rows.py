@@ -14,8 +14,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from blocksar.arrays import FloatArray, IntArray
-from blocksar.kernels.loops import loop
-from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS, UNCHECKED, UNCONTRACTED
+from blocksar.kernels.loops import COMPILED, PART, REAL_ROW, REAL_ROWS, UNCHECKED, UNCONTRACTED, loop
 
 INDICES = types.Array(types.int64, 1, "C", readonly=True)
 PLANES = types.Array(types.float64, 3, "C", readonly=True)

@@ -9,6 +9,20 @@ removed at q is zero, so the value there keeps its true phase.
 The response's own axes are neither x and y nor orthogonal. Its range cut runs along constant Doppler
 (across the direction in which grad R turns during the dwell), its azimuth cut along constant range (across
 grad R at t_m).
+
+The ideal response of a point target: the exact back-projection of its echo alone.
+
+With dR(t) the range of a point p less that of the target q, over the times at which both are lit,
+
+    h(p) = integral of w_p g_q W^(2 B dR / c) exp(4j pi fc dR / c) dt / integral over p's own dwell of w_p g_p dt
+
+W^(u) is the ideal response of the weighting over the band B (`Taper.response`), w that over the dwell, and g the
+antenna's gain. On a small band and over a small turn of the line of sight h is the product of two such responses: the
+wavenumbers fill a rectangle. Else they fill part of a ring, whose side lobes and widths differ: over a band of 40 % the
+azimuth side lobes are -14.4 dB, and a flight through an arc of 25 degrees about a spot has side lobes of -25 dB in
+range. Where the dwell is little longer than the response, the beam moves on between p and q, which widens h.
+
+Pulses are taken as dense: the mean over them is an integral, from half an interval before the first one on.
 """
 
 from __future__ import annotations
@@ -18,15 +32,91 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from blocksar.arrays import Complex128Array, FloatArray
-from blocksar.collection.beam import has_full_dwell
+from blocksar import solvers
+from blocksar.arrays import Complex128Array, FloatArray, IntArray
+from blocksar.budget import SIDE_LOBE_BUDGET, WEIGHTED_SIDE_LOBE_BUDGET
+from blocksar.collection.axis_beam import Height
+from blocksar.collection.beam import at_times, dwell, dwell_weight, has_full_dwell, pattern_gain, pulse_weights
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.weighting import CUT_WIDTHS, UNIFORM, Weighting
-from blocksar.constants import SINC_ISLR, SINC_PSLR, SINC_WIDTH
+from blocksar.collection.weighting import CUT_WIDTHS, NODES, UNIFORM, Taper, Weighting
+from blocksar.constants import SINC_ISLR, SINC_PSLR, SINC_WIDTH, SPEED_OF_LIGHT
 from blocksar.measurement.axes import ResponseAxes, response_axes
-from blocksar.measurement.ideal import ideal_response
 from blocksar.measurement.response import ReadChip, Response, read_response
 from blocksar.measurement.targets import Target
+
+LEAST_NODES = 48  # over a dwell; two more for each turn of phase by which a point's range changes in it
+STEPS = 128  # of the table of W^, per unit of u: linear between them to 1e-5
+
+
+def ideal_response(
+    geometry: Geometry, origin: tuple[float, float], x: FloatArray, y: FloatArray, weighting: Weighting = UNIFORM
+) -> Complex128Array:
+    """The response h (n,) of a target of reflectivity 1 on the ground at `origin`, at ground points x, y (n,), m.
+
+    0 where target and point are never lit together, NaN where the terrain has no height, and all NaN where it has none
+    at the target, or the target is never lit.
+    """
+    collection, taper = geometry.collection, weighting.azimuth
+    of_x, of_y = np.array([origin[0]]), np.array([origin[1]])
+    begin, end = (float(edge[0]) for edge in dwell(geometry, of_x, of_y))
+    if not (begin < end and np.isfinite(geometry.on_ground(of_x, of_y)).all()):
+        return np.full(x.shape, np.nan + 0j)
+    own_begin, own_end = dwell(geometry, x, y)
+    known = np.isfinite(geometry.on_ground(x, y)).all(axis=-1)
+    both = known & (np.minimum(own_end, end) > np.maximum(own_begin, begin))
+    x, y, own_begin, own_end = x[both], y[both], own_begin[both], own_end[both]
+    first, last = np.maximum(own_begin, begin), np.minimum(own_end, end)
+
+    plain = taper.uniform and not collection.has_pattern
+    swing = _swing(geometry, origin, x, y, np.linspace(begin, end, 17))
+    nodes, weights = solvers.gauss_legendre(max(LEAST_NODES + 2 * int(np.ceil(swing)), 0 if plain else NODES))
+
+    def over(first: FloatArray, last: FloatArray) -> FloatArray:
+        """Times (n, nodes) between those (n,)."""
+        return np.asarray((last + first)[:, None] / 2 + (last - first)[:, None] / 2 * nodes)
+
+    def tapered(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: IntArray, z: Height | None) -> FloatArray:
+        return pulse_weights(geometry, x, y, pulses, taper, z)
+
+    time = over(first, last)
+    offset = _offset(geometry, origin, x, y, time)
+    made = _over_band(weighting.range, collection.bandwidth, offset)
+    whole = own_end - own_begin
+    if not plain:
+        made *= at_times(geometry, x[:, None], y[:, None], time, tapered)
+        made *= at_times(geometry, of_x, of_y, time, pattern_gain)
+        counted = dwell_weight(geometry, x[:, None], y[:, None], over(own_begin, own_end), taper)
+        whole = whole * (counted @ weights) / 2
+    turned = (made * np.exp(4j * np.pi * collection.carrier / SPEED_OF_LIGHT * offset)) @ weights / 2
+    response = np.where(known, 0j, np.nan + 0j)
+    response[both] = turned * (last - first) / np.where(whole > 0, whole, np.inf)
+    return response
+
+
+def _offset(
+    geometry: Geometry, origin: tuple[float, float], x: FloatArray, y: FloatArray, time: FloatArray
+) -> FloatArray:
+    """dR of points (n,) at times (n, m), or (m,), m."""
+    point, target = geometry.on_ground(x, y)[:, None, :], geometry.on_ground(*(np.array(at) for at in origin))
+    antenna = geometry.track.position(time)
+    return np.asarray(np.linalg.norm(point - antenna, axis=-1) - np.linalg.norm(target - antenna, axis=-1))
+
+
+def _swing(geometry: Geometry, origin: tuple[float, float], x: FloatArray, y: FloatArray, time: FloatArray) -> float:
+    """Largest turn of phase (cycles, at the top of the band) by which dR of points (n,) changes over times (m,)."""
+    collection = geometry.collection
+    top = collection.carrier + collection.bandwidth / 2
+    return float(2 * top / SPEED_OF_LIGHT * np.ptp(_offset(geometry, origin, x, y, time), axis=1).max(initial=0.0))
+
+
+def _over_band(taper: Taper, bandwidth: float, offset: FloatArray) -> FloatArray:
+    """W^(2 B dR / c)."""
+    u = 2 * bandwidth / SPEED_OF_LIGHT * offset
+    if taper.uniform:
+        return np.asarray(np.sinc(u))
+    known = np.arange(int(np.abs(u).max(initial=0.0) * STEPS) + 2) / STEPS
+    return np.interp(np.abs(u), known, taper.response(known))
+
 
 SAMPLES_PER_WIDTH = 64  # of a cut: resolves the height of a side lobe to 0.001 dB
 BEYOND = 0.5  # widths that a cut reaches beyond what is measured
@@ -377,3 +467,85 @@ def _plain(record: Mapping[str, Any]) -> dict[str, Any]:
         return value
 
     return {name: plain(value) for name, value in record.items()}
+
+
+class Bar(NamedTuple):
+    """How far a figure may deviate from the ideal one."""
+
+    name: str
+    limit: float  # of |deviation|
+    text: str  # the limit with its unit, for people
+    deviation: Callable[[PointResponse], float]
+
+
+LOW = SINC_PSLR - 1.0  # dB: below lie those of all weights, and of a band of a third or more
+LOBES = f"{SIDE_LOBE_BUDGET:g} dB"
+BARS = {
+    "range_pslr": Bar("range PSLR", SIDE_LOBE_BUDGET, LOBES, lambda r: r.range_pslr - r.range_pslr_theory),
+    "range_irw": Bar("range width", 0.01, "1 %", lambda r: r.range_irw / r.range_irw_theory - 1),
+    "azimuth_pslr": Bar("azimuth PSLR", SIDE_LOBE_BUDGET, LOBES, lambda r: r.azimuth_pslr - r.azimuth_pslr_theory),
+    "azimuth_irw": Bar("azimuth width", 0.01, "1 %", lambda r: r.azimuth_irw / r.azimuth_irw_theory - 1),
+    "error_x": Bar("position in x", 0.05, "50 mm", lambda r: r.error_x),
+    "error_y": Bar("position in y", 0.05, "50 mm", lambda r: r.error_y),
+    "amplitude": Bar("amplitude", 0.02, "2 %", lambda r: abs(r.value) - 1),
+    "phase": Bar("phase", 0.05, "0.05 rad", lambda r: float(np.angle(r.value))),
+}
+
+
+def limit(response: PointResponse, figure: str) -> tuple[float, str]:
+    """How far a figure may deviate, and in words; further for the lower side lobes that weights make."""
+    bar = BARS[figure]
+    if figure.endswith("pslr") and getattr(response, f"{figure}_theory") < LOW:
+        return WEIGHTED_SIDE_LOBE_BUDGET, f"{WEIGHTED_SIDE_LOBE_BUDGET:g} dB"
+    return bar.limit, bar.text
+
+
+def excess(response: PointResponse, figure: str) -> float:
+    """A figure's deviation divided by its limit; infinite where it could not be measured."""
+    deviation = BARS[figure].deviation(response)
+    return float(np.nan_to_num(abs(deviation) / limit(response, figure)[0], nan=np.inf))
+
+
+def worst_excess(response: PointResponse) -> float:
+    """The largest excess of all figures; a response within the limits has at most 1."""
+    return max(excess(response, figure) for figure in BARS)
+
+
+def is_judged(response: PointResponse) -> bool:
+    """Whether the limits apply to a target: it is lit over its full dwell, and covered."""
+    return response.full_dwell and response.covered
+
+
+def select_judged(responses: Sequence[PointResponse]) -> list[PointResponse]:
+    """The responses to which the limits apply."""
+    return [r for r in responses if is_judged(r)]
+
+
+def rank(response: PointResponse) -> tuple[bool, float]:
+    """Sort key: judged targets first, and the worst of them before the others."""
+    return not is_judged(response), -worst_excess(response)
+
+
+class PaperResponse(NamedTuple):
+    """One row of the paper's Table 3: PSLR and ISLR in dB, IRW in m (of slant range in range)."""
+
+    range_pslr: float
+    range_islr: float
+    range_irw: float
+    azimuth_pslr: float
+    azimuth_islr: float
+    azimuth_irw: float
+
+
+# The rows of the paper's proposed method. The paper does not state its definition of the ISLR.
+TABLE3: dict[str, PaperResponse] = {
+    "A1": PaperResponse(-13.26, -10.97, 2.68, -12.81, -10.30, 1.85),
+    "A2": PaperResponse(-13.23, -10.98, 2.68, -13.10, -10.52, 1.85),
+    "A3": PaperResponse(-13.21, -10.92, 2.68, -13.30, -10.79, 1.89),
+    "B1": PaperResponse(-13.23, -10.98, 2.68, -13.25, -10.77, 1.89),
+    "B2": PaperResponse(-13.14, -10.89, 2.67, -13.24, -10.70, 1.89),
+    "B3": PaperResponse(-13.24, -10.97, 2.68, -13.14, -10.59, 1.89),
+    "C1": PaperResponse(-13.19, -10.95, 2.68, -13.14, -10.64, 1.85),
+    "C2": PaperResponse(-13.18, -10.97, 2.68, -13.21, -10.65, 1.85),
+    "C3": PaperResponse(-13.25, -10.96, 2.68, -12.92, -10.41, 1.85),
+}

@@ -14,26 +14,20 @@ from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.lines import Line
 from blocksar.focusing.method import Method
 from blocksar.focusing.range_gate import RangeGate
-from blocksar.focusing.sampling import Sampling
-from blocksar.focusing.step import Constants, Stage, Step, stages
+from blocksar.focusing.step import Constants, Sampling, Stage, Step, stages
 from blocksar.kernels.fourier import Axis
-from blocksar.planning.binding import AzimuthPart, RangePart, Slab
+from blocksar.planning.binding import RESAMPLING_ORDERS, AzimuthPart, RangePart, Slab, plan_motion, plan_range_gate
 from blocksar.planning.block_ground import end_layers, map_loss, plan_ground, trace_for_map, usual_layer
-from blocksar.planning.block_lines import CoarseLines, FineLines, follow_terrain, lit_beside, under_tiles
+from blocksar.planning.block_lines import CoarseLines, FineLines, common_ranges, follow_terrain, lit_beside, under_tiles
 from blocksar.planning.block_sampling import plan_sampling, plan_slab
 from blocksar.planning.coefficients import Choice, choose
+from blocksar.planning.dwell_ends import ImageEdges
 from blocksar.planning.dwell_gate import plan_dwell_gate
-from blocksar.planning.fitting import RESAMPLING_ORDERS
-from blocksar.planning.image_edges import ImageEdges
 from blocksar.planning.memory import RELIEF_MEMORY, block_memory
-from blocksar.planning.motion import plan_motion
-from blocksar.planning.nodes import common_ranges
 from blocksar.planning.prediction import Judged, Prediction, predict, worst_lobes
-from blocksar.planning.range_gate import plan_range_gate
 from blocksar.planning.relief import Layer
 from blocksar.planning.sector import Sector
-from blocksar.planning.target_lines import tail_margin
-from blocksar.planning.traced_targets import TracedTargets
+from blocksar.planning.target_lines import TracedTargets, tail_margin
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -13,16 +13,15 @@ from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, by_range, surfaces
+from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, NodeHeights, by_range, straighten, surfaces
 from blocksar.focusing.lines import LEAST_STRETCH, Focus
-from blocksar.focusing.relief_map import NodeHeights, straighten
-from blocksar.focusing.sampling import Sampling
+from blocksar.focusing.step import Sampling
 from blocksar.focusing.surfaces import Surface, fit_surface
 from blocksar.kernels.interpolation import taps_needed
 from blocksar.planning.binding import AzimuthPart
 from blocksar.planning.block_lines import MORE_RANGES, FineLines, retrace, trace_finely
+from blocksar.planning.block_sampling import range_scale
 from blocksar.planning.relief import Layer, map_relief, turns_of
-from blocksar.planning.row_sampling import range_scale
 from blocksar.planning.sector import Sector
 
 RANGE_DEGREE, YAW_DEGREE = 0.75, 16  # of what the map knows, along range for each node, and along yaw

@@ -2,10 +2,44 @@
 
 Steps in Doppler delay a signal, and the more the farther its Doppler is from the block's: a dwell begins and ends at
 other times after the steps of a chain than when its target was lit, and its ends are no longer sharp.
+
+Windows at the ends of whole dwells: how far a keystone spreads these over the band, and what targets lose by it.
+
+A keystone scales time with range frequency, so that ends of dwells lie at +-`spread` at the edges of the band. Windows
+rise there as the mean of steps over +-`blur` does. At range frequencies where a target is lit beyond its window it
+loses, and where the window reaches beyond the target it gains nothing: for an end at d, |d| < b, the mean step S loses
+
+    integral of 1 - S beyond d = (b - d)^2 / 4 b,    on average over the band (b^2 + mean of d^2) / 4 b,
+
+of the weight at the end: b / 3 with equal weights over the band and b the spread. All targets lose that, and it changes
+their side lobes, by a fifth under `hamming` and a band of 7 %. So windows are raised just inside the end, by a triangle
+from 0 to 4 b. With the height h its area is 2 b h, of which half of the ends, those at d > 0, lack h d^2 / 4 b. What
+remains is that the middle of the triangle lies 2 b inside the end, and its energy, h^2 4 b / 3, which is a tenth of
+that by which the ends differ.
+
+What ends of whole dwells lose in the echoes of what is lit there.
+
+At the begin of a pixel's dwell its own Doppler has just entered the beam. The echoes of that moment come from there to
+the other edge of the beam: in the signal without the pixel's own phase they have Dopplers from 0 to B, the band that is
+lit at a time, all to one side. An error e(t) of the weights at that end then has the energy
+
+    integral from 0 to B of g(f / B)^2 |E(f)|^2 df
+
+with E the spectrum of e and g the antenna's pattern over the beam, from the edge at the pixel. Only if a pulse's echoes
+filled all Dopplers was it that of e itself, which `fidelity.blurred_energy` has: at most half of that, and much less
+where the PRF is high over the band.
+
+The definition sums pulses, an interval p apart: from the first one in a dwell on, the sum of exp(2j pi f t) p is that
+of an integral from half an interval before, over sinc(f p). Where that begins is spread evenly over an interval. The
+chain integrates, from an end that is spread over +-b (`dwell_gate`), smeared by an area a, and displaced by d, either
+way alike:
+
+    |E(f)|^2 = (1 / sinc(f p)^2 + s^2 - 2 s cos(pi a f^2) cos(2 pi f d)) / (2 pi f)^2,    s = sinc(2 f b).
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -13,9 +47,165 @@ import numpy as np
 from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.beam import dwell_at
+from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.weighting import FLAT, Taper
 from blocksar.focusing.lines import Line
 from blocksar.planning.dwell_weights import beam_moves
+
+BAND_NODES = 32  # of a mean over the band
+
+
+def band_spread(collection: Collection, uncut: tuple[FloatArray, FloatArray], *, scaled_about: float | None) -> float:
+    """Half of the time over which a keystone about a time spreads the ends of dwells, s; 0 without one.
+
+    `uncut` are the ends, s from the epoch, as if the collection did not cut them.
+    """
+    if scaled_about is None:
+        return 0.0
+    return float(np.abs(np.array(uncut) - scaled_about).mean()) * collection.bandwidth / 2 / collection.carrier
+
+
+def gate_blur(collection: Collection, spread: float) -> float:
+    """Half of the time over which the ends of dwells are spread, s: over the band, and by the grid of pulses."""
+    return math.hypot(spread, collection.pulse_interval / 2)
+
+
+def end_lift(blur: float, spread: float, band: Taper = FLAT) -> float:
+    """`DwellGate.lift`: the height h of the triangle, for ends at +-`spread`, s, over a band with a weighting."""
+    if not spread:
+        return 0.0
+    nodes, weights = solvers.gauss_legendre(BAND_NODES)
+    shares = weights * band(nodes)
+    squared = spread**2 * float((shares * nodes**2).sum() / shares.sum())
+    return (blur**2 + squared) / (4 * blur) / (2 * blur - squared / (8 * blur))
+
+
+def at_ends(blur: float, lift: float, time: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What raised windows change in sums over dwells whose pulses count `weight` (..., 2) at the ends, at `time`, s.
+
+    Times (..., 4), s, and weights (..., 4), s, to be summed like the nodes of a quadrature.
+    """
+    inside, area = time + 2 * blur * np.array([1.0, -1.0]), 2 * blur * lift
+    return np.concatenate([time, inside], axis=-1), area * np.concatenate([-weight, weight], axis=-1)
+
+
+def lift_energy(blur: float, lift: float) -> float:
+    """Energy by which raised windows differ from others at one end, s."""
+    return 4 / 3 * blur * lift**2
+
+
+TURNS = 3.0  # of f, in the time by which ends are smeared and displaced, up to which cosines are followed
+LEAST_SINC = 0.2  # echoes of the far edge of the beam last too briefly for their sum to be ambiguous
+NODES, FAR_NODES = 40, 12  # of the integrals up to there and beyond, where cosines vanish in the mean
+
+
+def lit_energy(
+    area: FloatArray,
+    displaced: FloatArray,
+    spread: FloatArray,
+    *,
+    blur: float,
+    pulse_interval: float,
+    lit_band: FloatArray | float,
+    band: tuple[FloatArray, FloatArray],
+    gain: FloatArray | None = None,
+) -> FloatArray:
+    """Mean energy (...) by which the ends of a chain differ from those at whole pulses, in what is lit, s.
+
+    Parameters
+    ----------
+    area, displaced, spread : (...) float
+        s^2, s, and s: ends lie at `displaced` -+ `spread` at the edges of the band.
+    blur : float
+        That of the gate, s.
+    pulse_interval : float
+        s.
+    lit_band : (...) float
+        B, Hz.
+    band : pair of (n,) float
+        Nodes over the band, -1 .. 1, and their shares.
+    gain : (..., n) float, optional
+        Legendre series of g^2 over the beam, from -1 at the edge where the end is to 1 at the other; default: 1.
+    """
+    area, displaced, spread, top = np.broadcast_arrays(area, displaced, spread, lit_band)
+    shifts = displaced[..., None] - spread[..., None] * band[0]
+    long = np.maximum(np.sqrt(np.abs(area)), np.abs(shifts).max(axis=-1))
+    last = np.minimum(top, TURNS / np.maximum(long, 1e-12))
+
+    def over(f: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """g^2, the energy of the sum over pulses over that of an integral, and s, at frequencies (..., m)."""
+        at = 2 * f / top[..., None] - 1
+        series = None if gain is None else np.moveaxis(gain, -1, 0)[..., None]
+        power = np.ones(f.shape) if series is None else np.polynomial.legendre.legval(at, series, tensor=False)
+        summed = 1 / np.maximum(np.sinc(f * pulse_interval), LEAST_SINC) ** 2
+        return np.maximum(power, 0.0), summed, np.sinc(2 * f * blur)
+
+    nodes, weights = solvers.gauss_legendre(NODES)
+    f = last[..., None] * (1 + nodes) / 2
+    power, summed, s = over(f)
+    shifted = sum(share * np.cos(2 * np.pi * f * shifts[..., i, None]) for i, share in enumerate(band[1].tolist()))
+    both = s * np.cos(np.pi * area[..., None] * f**2) * shifted
+    near = (weights * power * (summed + s**2 - 2 * both) / f**2).sum(axis=-1) * last / 2
+
+    nodes, weights = solvers.gauss_legendre(FAR_NODES)
+    width = 1 / last - 1 / top
+    power, summed, s = over(1 / (1 / top[..., None] + width[..., None] * (1 + nodes) / 2))
+    far = (weights * power * (summed + s**2)).sum(axis=-1) * width / 2
+    return np.asarray((near + far) / (4 * np.pi**2))
+
+
+class ImageEdges(NamedTuple):
+    """Where what is imaged begins and ends between places at which targets are traced: (n_range, n_yaw) each.
+
+    Targets next beyond stand for targets at the edge: what those lose is interpolated between them and the next ones.
+    """
+
+    held: BoolArray  # the targets inside; where none lies inside, those on either side of it
+    before: BoolArray  # those next beyond the beginning
+    behind: BoolArray  # those next beyond the end
+    share: FloatArray  # of the way to them at which the edge lies, from the ones next to them
+    axis: int
+
+    @classmethod
+    def between(cls, places: FloatArray, first: FloatArray, last: FloatArray, *, axis: int) -> ImageEdges:
+        """Of places (n,) along an axis and, at each place (m,) along the other, the first and the last imaged."""
+        at, step = places[:, None], np.diff(places)[:, None]
+        held = (at >= first) & (at <= last)
+        before, behind, share = np.zeros_like(held), np.zeros_like(held), np.zeros(held.shape)
+        before[:-1], behind[1:] = (at[:-1] < first) & (at[1:] >= first), (at[1:] > last) & (at[:-1] <= last)
+        share[:-1] = np.where(before[:-1], (at[1:] - first) / step, 0.0)
+        share[1:] += np.where(behind[1:], (last - at[:-1]) / step, 0.0)
+        held = held if held.any() else before | behind
+        return cls(held.T, before.T, behind.T, share.T, axis) if axis else cls(held, before, behind, share, axis)
+
+    def of_dwells(self, full: BoolArray) -> ImageEdges:
+        """Those where the targets on either side have full dwell."""
+        before, behind = self.before & full, self.behind & full
+        along = (before.T, behind.T, full.T) if self.axis else (before, behind, full)
+        along[0][:-1] &= along[2][1:]
+        along[1][1:] &= along[2][:-1]
+        return self._replace(before=before, behind=behind)
+
+    def beside(self, target: tuple[int, ...]) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
+        """Pairs of targets, beyond an edge and next to it inside, at a target's place along the other axis."""
+        row, column = target
+        pairs: list[tuple[tuple[int, ...], tuple[int, ...]]] = []
+        for beyond, step in ((self.before, 1), (self.behind, -1)):
+            if self.axis:
+                pairs += [((row, at), (row, at + step)) for at in np.flatnonzero(beyond[row]).tolist()]
+            else:
+                pairs += [((at, column), (at + step, column)) for at in np.flatnonzero(beyond[:, column]).tolist()]
+        return pairs
+
+    def at(self, lost: FloatArray) -> FloatArray:
+        """Losses (n_range, n_yaw), with those at the edges in place of those beyond."""
+        inner = lost.copy()
+        into, own, behind = (inner.T, lost.T, self.behind.T) if self.axis else (inner, lost, self.behind)
+        into[:-1] = own[1:]
+        into[1:] = np.where(behind[1:], own[:-1], into[1:])
+        return np.where(self.before | self.behind, inner + self.share * (lost - inner), lost)
+
 
 GUARD = 0.05  # of a dwell, kept beyond the ends of lines in time
 SMEAR_ROOM = 100.0  # see `smear_room`

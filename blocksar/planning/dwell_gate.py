@@ -2,23 +2,132 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import chebyshev
 
-from blocksar.arrays import FloatArray
-from blocksar.focusing.dwell_gate import DwellGate
+from blocksar import solvers
+from blocksar.arrays import BoolArray, FloatArray
+from blocksar.collection.weighting import Taper
+from blocksar.focusing.dwell_gate import DwellGate, DwellTaper, HalfDwell
 from blocksar.focusing.lines import Focus, RowPolynomial
-from blocksar.focusing.sampling import Sampling
+from blocksar.focusing.step import Sampling
 from blocksar.kernels import fourier
+from blocksar.kernels.fourier import Axis
 from blocksar.planning.block_lines import FineLines
-from blocksar.planning.dwell_ends import LitTimes, Moments, end_smear
-from blocksar.planning.dwell_taper import divide_dwells, plan_taper
+from blocksar.planning.dwell_ends import LitTimes, Moments, band_spread, end_lift, end_smear, gate_blur
 from blocksar.planning.dwell_weights import beam_moves
-from blocksar.planning.end_windows import band_spread, end_lift, gate_blur
 from blocksar.planning.relief import FINE_DEGREE
-from blocksar.planning.row_fit import RowFit
 from blocksar.planning.sector import Sector
+
+LENGTHS, MOST_LENGTHS = {1e-3: 1, 0.04: 2, 0.15: 3}, 4  # windows by the relative spread of the halves' lengths
+MOST_SPREAD = 1.6  # the longest half over the shortest, between which so many windows are blended
+
+
+def divide_dwells(times: LitTimes, ends: Moments, middle: FloatArray) -> Moments:
+    """Lengths of both halves of the dwells that begin and end at `ends` after all steps, (n_range, n_yaw), s.
+
+    The beam's centre passes targets at the moment `middle`, s from the epoch.
+    """
+    divide = times.after(middle)
+    return divide - ends[0], ends[1] - divide
+
+
+def plan_taper(
+    taper: Taper, halves: Sequence[FloatArray], lengths: Sequence[RowPolynomial], *, full: BoolArray
+) -> DwellTaper:
+    """The taper over dwells with halves of these lengths (n_range, n_yaw), s, which polynomials fit."""
+    begin, end = (
+        HalfDwell(length=length, lengths=_window_lengths(*_blended(half, full)))
+        for half, length in zip(halves, lengths, strict=True)
+    )
+    return DwellTaper(taper=taper, begin=begin, end=end)
+
+
+def _blended(lengths: FloatArray, full: BoolArray) -> tuple[float, float]:
+    """Shortest and longest half for which windows are made, s.
+
+    Where a beam turns slowly near the collection's ends, dwells that these cut may be several times as long as those
+    with `full` dwell; windows for both would lie too far apart to be blended. Then they are made for full dwells, and
+    for others as far as `MOST_SPREAD` reaches.
+    """
+    shortest, longest = float(lengths.min()), float(lengths.max())
+    if longest > MOST_SPREAD * shortest and full.any():
+        least, most = float(lengths[full].min()), float(lengths[full].max())
+        room = max(MOST_SPREAD * least / most, 1.0) ** 0.5
+        shortest = max(shortest, least / room)
+        longest = min(longest, max(most, MOST_SPREAD * shortest))
+    return shortest, longest
+
+
+def _window_lengths(shortest: float, longest: float) -> tuple[float, ...]:
+    """So many lengths between two, s, that blending windows of them errs by less than a thousandth."""
+    count = next((n for spread, n in LENGTHS.items() if longest <= (1 + spread) * shortest), MOST_LENGTHS)
+    if count == 1:
+        return ((shortest + longest) / 2,)
+    return tuple(np.linspace(shortest, longest, count).tolist())
+
+
+class RowFit(NamedTuple):
+    """Where polynomials along rows lie: ranges, m, and the centre and scale of Doppler, Hz."""
+
+    near: float
+    far: float
+    centre: float
+    scale: float
+
+    @classmethod
+    def over(cls, rows: Axis, spots: Focus) -> RowFit:
+        """Over the rows of an image, and the Doppler at which targets focus."""
+        doppler = spots.doppler
+        scale = max(float(np.ptp(doppler) / 2), 1e-6)
+        centre = float((doppler.min() + doppler.max()) / 2)
+        return cls(rows.start, rows.start + rows.extent, centre=centre, scale=scale)
+
+    def polynomial(self, series: FloatArray) -> RowPolynomial:
+        return RowPolynomial(series=series, near=self.near, far=self.far, centre=self.centre, scale=self.scale)
+
+    def fit(self, spots: Focus, values: FloatArray, degrees: tuple[int, int]) -> list[FloatArray]:
+        """Fit values (n, n_range, n_yaw), s, where targets focus: series in range of powers of z, one for each."""
+        u = (2 * spots.range.ravel() - self.near - self.far) / (self.far - self.near)
+        z = (spots.doppler.ravel() - self.centre) / self.scale
+        basis = np.asarray(chebyshev.chebvander2d(u, z, degrees).T, np.float64)
+        fitted = solvers.least_squares(basis, values.reshape(values.shape[0], -1), damping=1e-20 * u.size)
+        shape = degrees[0] + 1, degrees[1] + 1
+        return [solvers.product(row.reshape(shape), _to_powers(degrees[1])) for row in fitted.T]
+
+    def fit_amid(self, rng: FloatArray, values: FloatArray, which: BoolArray, *, degree: int) -> FloatArray:
+        """Fit a series in range amid those of values (n_range, n_yaw) at each range that are chosen by `which`."""
+        whole = which.any(axis=1)
+        rows = [(values[i, which[i]], rng[i, which[i]].mean()) for i in np.flatnonzero(whole)]
+        u = np.array([(2 * mean - self.near - self.far) / (self.far - self.near) for _, mean in rows])
+        middles = np.array([(row.min() + row.max()) / 2 for row, _ in rows])
+        terms = chebyshev.chebvander(u, min(degree, (len(rows) - 1) // 2)).T
+        return np.asarray(solvers.least_squares(terms, middles, damping=1e-20 * u.size))
+
+    def integral(self, series: FloatArray) -> RowPolynomial:
+        """The polynomial whose derivative has these coefficients (n, order + 1): cycles."""
+        integral = np.zeros((series.shape[0], series.shape[1] + 1))
+        integral[:, 1:] = series / np.arange(1, series.shape[1] + 1) * self.scale
+        return self.polynomial(integral)
+
+    def slope(self, series: FloatArray) -> RowPolynomial:
+        """The linear coefficient, per Hz."""
+        return self.polynomial(series[:, 1:2] / self.scale)
+
+
+@lru_cache
+def _to_powers(most: int) -> FloatArray:
+    """Power coefficients of the Chebyshev polynomials of degrees 0 .. most, one a row; read-only."""
+    powers = np.zeros((most + 1, most + 1))
+    for degree, row in enumerate(np.eye(most + 1)):
+        powers[degree, : degree + 1] = chebyshev.cheb2poly(row[: degree + 1])
+    powers.flags.writeable = False
+    return powers
+
 
 # Dwells that the sampling in Doppler has room for; of a look it needs room for what the whole beam lights, which would
 # wrap into it.

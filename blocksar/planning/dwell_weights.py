@@ -12,10 +12,44 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.beam import STILL, at_times, beam_offset, pattern_gain
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.weighting import FLAT, Taper, Weighting
-from blocksar.focusing.lines import Line
+from blocksar.collection.weighting import FLAT, AxisTaper, Taper, Weighting
+from blocksar.focusing.lines import LEAST_STRETCH, Line
 from blocksar.focusing.pattern_sums import LEAST_ELEVATION
 from blocksar.planning.steadiness import scans_evenly
+
+LEVEL_DEGREE = 8
+
+
+def level_aperture(line: Line, taper: AxisTaper) -> tuple[AxisTaper, Line]:
+    """The taper over the pulses that also levels what the steps in Doppler do to amplitudes, and the lines under it.
+
+    A step in Doppler that stretches time by s weakens a signal by sqrt(s). Where all targets are lit all the time, s is
+    nearly the same function of time for all of them, and the taper is divided by that of its mean. In what follows the
+    stretch of `line`, after all steps, is then that of each target over the mean. The sum of weights stays that of the
+    taper.
+
+    Parameters
+    ----------
+    line : Line
+        (n_range, n_yaw, n), whose nodes span the pulses.
+    taper : AxisTaper
+    """
+    stretch = np.maximum(line.stretch, LEAST_STRETCH).reshape(-1, line.stretch.shape[-1])
+    nodes, weights = solvers.gauss_legendre(stretch.shape[-1])
+    shares = weights * taper.taper(nodes)
+    degree = min(LEVEL_DEGREE, nodes.size - 1)
+    mean = (stretch / stretch.mean(axis=1, keepdims=True)).mean(axis=0)
+    series = solvers.product(solvers.legendre_series(nodes.size, degree), (1 / np.sqrt(mean))[:, None])[:, 0]
+    level = np.polynomial.legendre.legval(nodes, series)
+    share = float((shares * level).sum() / shares.sum())
+    under = replace(taper, level=tuple((series / share).tolist()))
+    return under, replace(line, stretch=line.stretch * (level / share) ** 2)
+
+
+def levelled(line: Line, taper: AxisTaper) -> Line:
+    """Other lines under a taper that `level_aperture` has made."""
+    level = np.polynomial.legendre.legval(solvers.gauss_legendre(line.stretch.shape[-1])[0], np.array(taper.level))
+    return replace(line, stretch=line.stretch * level**2)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -21,9 +21,8 @@ from blocksar.chunks import LAYER_CHUNKS, MOSAIC_CHUNKS, TILE
 from blocksar.collection.beam import dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.planning.plan import Plan
+from blocksar.planning.plan import Plan, block_work
 from blocksar.planning.tiling import box_of, chunks_of, image_chunk, inspection_width, touched_chunks
-from blocksar.planning.work import block_work
 from blocksar.progress import Work
 from blocksar.progress.estimate import finishing_times
 

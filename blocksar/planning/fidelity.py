@@ -20,7 +20,7 @@ one displaced by d, the weights differ by the energy
 
 from |F - H|^2 integrated at d = 0 in frequency, sqrt(a / 2) / pi, and d/dd = 2 Re F(d) - 1. Half of it, over the dwell,
 would be lost at each end if every pulse held all Dopplers. A plan predicts what is lost in the echoes that are there
-(`lit_ends`), times CHIPS, by which single chips lose more than their mean.
+(`dwell_ends`), times CHIPS, by which single chips lose more than their mean.
 
 A keystone also moves the slopes of a taper, by (t - m) f / fc about its time m, and a chain without one by fd f / (fc
 rate) (`band_moves`). The weights of a range frequency differ by dw/dt times that, and half the mean of its square is
@@ -52,13 +52,10 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line
 from blocksar.kernels.fresnel import FAR, far_fresnel_integral
-from blocksar.planning.dwell_ends import dwell_ends, end_smear
+from blocksar.planning.dwell_ends import ImageEdges, dwell_ends, end_smear, lift_energy, lit_energy
 from blocksar.planning.dwell_weights import DwellWeights
-from blocksar.planning.end_windows import lift_energy
-from blocksar.planning.image_edges import ImageEdges
-from blocksar.planning.lit_ends import lit_energy
 from blocksar.planning.steadiness import scans_evenly
-from blocksar.planning.traced_targets import TracedTargets
+from blocksar.planning.target_lines import TracedTargets
 
 ONE_SIDE = 0.5  # of the energy of both ends of a dwell that are displaced to the same side
 BAND_NODES = 4  # of the means over range frequency

@@ -27,8 +27,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Weighting
 from blocksar.focusing.hierarchical_backprojection import MOST_WINDOWS, PULSE_BLOCK_BYTES, dwell_waves, leave_outside
-from blocksar.focusing.hierarchy import Filters, Frame, Hierarchy, Levels
-from blocksar.focusing.parts import Part, Path
+from blocksar.focusing.hierarchy import Filters, Frame, Hierarchy, Levels, Part, Path
 from blocksar.focusing.profiles import spline_error
 from blocksar.kernels.fourier import fast_length
 from blocksar.planning import effort

@@ -19,8 +19,7 @@ from blocksar.collection.raw_echo import RawEcho
 from blocksar.constants import MIB
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import gpu_memory, image_memory
-from blocksar.focusing.range_compression import COMPRESSED_ROWS, RawCompression
-from blocksar.focusing.range_gate import RangeGate
+from blocksar.focusing.range_gate import COMPRESSED_ROWS, RangeGate, RawCompression
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.groups import GROUP_BYTES
 from blocksar.planning.tiling import image_chunk, inspection_width

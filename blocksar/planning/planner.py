@@ -1,22 +1,36 @@
 """Plan a collection for a method: choose the beam that gates follow, the edges and the division, and plan each block.
 
 Everything follows from metadata; no sample is read.
+
+Whether a staring beam stays on the ground of a plan, as in a spotlight, which chains do not focus.
+
+A dwell gate follows the ends of dwells as smooth functions of range and Doppler. Near the point on which a beam turns,
+ground passes it ever more slowly, and on the far side the other way: no such function exists.
+
+Reasons to refuse a plan: targets that share their Doppler, or that stay blurred.
+
+Exact back-projection has none of them; who shows a reason adds that, with its time.
+
+Division of the scene: the fewest angular blocks that keep the fidelity.
+
+Blocks reduce all errors that vary with angle. Where they do not suffice, hierarchical back-projection does.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, Protocol, TypeVar
 
 import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.budget import FIDELITY, MOST_BLOCKS, image_tap_error
+from blocksar.collection.beam import aperture, dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
@@ -30,16 +44,233 @@ from blocksar.focusing.method import DEFAULT, Method
 from blocksar.focusing.recovery import Recovery
 from blocksar.planning.block import BlockPlan, plan_block
 from blocksar.planning.coefficients import Choice
-from blocksar.planning.division import MAX_BLOCKS, find_division, finest_is_refused
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY
 from blocksar.planning.plan import Plan
 from blocksar.planning.recovery import plan_recovery
-from blocksar.planning.refusal import find_blur, find_refusal
 from blocksar.planning.relief import Relief, Samples, find_relief, sample_terrain
 from blocksar.planning.sector import Sector, ground_range
 from blocksar.planning.segments import Divided, Planner
-from blocksar.planning.staying import beam_stays
 from blocksar.planning.steadiness import Smoothed, smoothed_beam
+
+MOST_DWELL = 2.5  # durations of the collection for which a gate can hold ground in the beam, if it went on
+LEAST_LIT = 0.5  # of the pulses that light ground, on average, where it stays
+INTERVALS = 4  # of the splines that a beam which wobbles is taken to follow: where it goes on is seen at its ends
+PLACES = 17, 65  # ranges and yaws at which dwells are looked at
+
+
+def beam_stays(geometry: Geometry, region: Region, extent: Extent) -> bool:
+    """Whether a beam about its axis stays on ground of an extent for too long for a gate, and lights the most of it."""
+    collection = geometry.collection
+    if not collection.has_axis:
+        return False
+    if collection.steady is not collection:
+        geometry = geometry.lit_by(collection.steadied(INTERVALS))
+    yaw = np.linspace(extent.low, extent.high, PLACES[1])
+    near, far = region.at(yaw)
+    near, far = np.maximum(near, extent.near), np.minimum(far, extent.far)
+    ranges = near + (far - near) * np.linspace(0, 1, PLACES[0])[:, None]
+    start, stop = aperture(geometry.collection)
+    if longest_stay(geometry, ranges[:, far > near], yaw[far > near]) <= MOST_DWELL * (stop - start):
+        return False
+    first, last = dwell_at(geometry, yaw, ranges)
+    lit = (last > first) & (far > near)
+    return float((last - first)[lit].mean()) >= LEAST_LIT * (stop - start)
+
+
+def longest_stay(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray) -> float:
+    """The longest time for which a beam about its axis would stay on lit ground, if it went on, s; 0 if none is lit.
+
+    Infinite where ground that is lit all the time turns back in the beam. Ranges (m) and yaws (rad) are broadcast.
+    """
+    first, last = dwell_at(geometry, yaw, epoch_range)
+    begin, end = dwell_at(geometry, yaw, epoch_range, uncut=True)
+    start, stop = aperture(geometry.collection)
+    lit, whole = last > first, (begin <= start) & (end >= stop)
+    length = np.where(lit, end - begin, 0.0)
+    turning = lit & whole & (length <= (stop - start) * (1 + 1e-9))  # offsets turn back: dwells are not continued
+    return math.inf if turning.any() else float(length.max(initial=0.0))
+
+
+def find_refusal(blocks: Sequence[BlockPlan], method: Method) -> str | None:
+    """The reason why a plan cannot be carried out, or None. Variants may blur: they are built to show it."""
+    blur = None if method.variant else find_blur(blocks)
+    return _find_lingering(blocks) or find_folding(blocks, method) or _find_uneven(blocks) or blur
+
+
+def _find_lingering(blocks: Sequence[BlockPlan]) -> str | None:
+    """The reason why a beam about its axis stays too long on some of a block's ground for a dwell gate, or None."""
+    for block in blocks:
+        geometry = block.ground.geometry
+        if not geometry.collection.has_axis:
+            return None
+        ranges = np.linspace(block.ground.near, block.ground.far, 9)[:, None]
+        longest = longest_stay(geometry, ranges, np.linspace(block.low, block.high, 33))
+        start, stop = aperture(geometry.collection)
+        if longest > MOST_DWELL * (stop - start):
+            stays = "for ever" if longest == np.inf else f"for {longest:.3g} s"
+            return (
+                f"{_describe_block(block)}: beam_steering turns with the line of sight of some ground, so that the "
+                f"beam would stay on it {stays}, beyond the {stop - start:.3g} s of the collection, and passes over "
+                "more; cut the collection, or image a smaller grid"
+            )
+    return None
+
+
+def find_folding(blocks: Sequence[BlockPlan], method: Method = DEFAULT) -> str | None:
+    """The reason why yaws of a block share their Doppler, so that no transform separates them, or None.
+
+    Yaws along the velocity share it in the echo itself. Where the platform's acceleration cancels the Doppler rate, as
+    on a circle, yaws share it after a deramp without a bias chirp before it.
+    """
+    for block in blocks:
+        slope = block.ground.doppler_slope() * np.pi / 180
+        if slope.min() * slope.max() > 0:
+            continue
+        change = f"Doppler changes by {slope.min():.3g} .. {slope.max():.3g} Hz a degree of yaw, through zero"
+        echo = _echo_slope(block)
+        if echo.min() * echo.max() <= 0:
+            return (
+                f"{_describe_block(block)} looks along the velocity: {change}, so yaws cannot be told apart; image "
+                "ground away from the direction of flight"
+            )
+        cause = f"{change}, after its last step, as acceleration cancels the Doppler rate"
+        biased = method.processor == DEFAULT.processor
+        remedy = "" if biased else f"; --processor {DEFAULT.processor} may add a bias chirp"
+        return f"{_describe_block(block)}: {cause}{remedy}"
+    return None
+
+
+def _find_uneven(blocks: Sequence[BlockPlan]) -> str | None:
+    """The reason why a Doppler resampling cannot be applied, or None: that of a closed form has all of its orders."""
+    for block in blocks:
+        if not block.even:
+            return (
+                f"{_describe_block(block)} would resample Doppler by more than a factor of two, or too unevenly, "
+                "beyond its targets; use --coefficients fitted, or --processor angular-division"
+            )
+    return None
+
+
+def _echo_slope(block: BlockPlan) -> FloatArray:
+    """Range rate at the middle of the dwell per yaw, m/s per rad, over a block's ranges and yaws (9, 33)."""
+    geometry = block.ground.geometry
+    yaw = np.linspace(block.low, block.high, 33)
+    rng, yaws = np.meshgrid(np.linspace(block.ground.near, block.ground.far, 9), yaw, indexing="ij")
+    start, end = dwell_at(geometry, yaws, rng)
+    _, rate = geometry.range_history(geometry.ground_point(rng, yaws), (start + end) / 2)
+    return np.gradient(rate, yaw, axis=1)
+
+
+def find_blur(blocks: Sequence[BlockPlan]) -> str | None:
+    """The reason why a block cannot be in focus, or None."""
+    for block in blocks:
+        phase, migration = block.prediction.residual_phase, block.prediction.migration
+        error = None
+        if not phase < np.pi / 2:
+            error = f"a phase error of {phase:.3g} rad"
+        elif not migration < 1.0:
+            error = f"a range migration of {migration:.3g} resolution cells"
+        if error is not None:
+            return f"{_describe_block(block)} would keep {error} over the dwell"
+    return None
+
+
+def _describe_block(block: BlockPlan) -> str:
+    return f"block {block.name} (yaw {np.degrees(block.low):.2f} .. {np.degrees(block.high):.2f} degrees)"
+
+
+MAX_BLOCKS = 32  # that `auto` tries
+GROWTH = 0.6  # power of the excess by which the number of blocks grows at a time
+MOST_GROWTH, LEAST_GROWTH = 4.0, 1.2  # excess above which it grows no faster; factor by which it grows at least
+FINE = 12  # the fewest blocks are found to one in as many
+FALL, PATIENCE = 0.97, 3  # factor by which the excess has to fall, and so many numbers without it end the search
+ALIKE = 1.03  # times the least excess: among divisions within that, the one with the fewest blocks is taken
+REFUSED = 2  # divisions in a row, after which the finest one tells whether any will do
+# The same on a terrain: each division is predicted at other places of it, so that predictions scatter by this factor
+# (excess 1.5 .. 3.0 from 1 to 10 blocks of hills of 60 m every 450 m under Table 1, without a trend).
+SCATTER = 1.5
+
+
+class Planned(Protocol):
+    """What the search asks of a plan."""
+
+    @property
+    def blocks(self) -> tuple[BlockPlan, ...]: ...
+
+    @property
+    def refusal(self) -> str | None: ...
+
+    def excess(self) -> float: ...
+
+
+P = TypeVar("P", bound=Planned)
+
+
+def find_division(plan: Callable[[int, bool], P], *, workers: int, scattered: bool = False) -> P:
+    """The plan with the fewest blocks that keep the fidelity, at least one a worker; without one, the closest.
+
+    Numbers grow with the excess; once one serves, those in between are tried by bisection. Probes of the outermost
+    blocks and the middle one decide while plans are far from the fidelity. The search ends without success if PATIENCE
+    numbers in a row have gained nothing, since margins do not shrink with the blocks.
+
+    Parameters
+    ----------
+    plan : callable
+        Plan for a number of blocks; True for a probe.
+    workers : int
+    scattered : bool
+        Whether predictions scatter from division to division, as on a terrain: more blocks are then a gain only beyond
+        that scatter.
+    """
+    plan = cache(plan)
+    fall, alike = (1 / SCATTER, SCATTER) if scattered else (FALL, ALIKE)
+    tried: list[tuple[float, int]] = []  # excess and number of blocks
+    count, stale, failed, sound = min(max(workers, 1), MAX_BLOCKS), 0, 0, False
+    while True:
+        division = _probe(plan, count)
+        excess = division.excess()
+        if excess <= 1.0:
+            return _fewest_between(plan, failed, count)
+        sound = sound or division.refusal is None
+        if not sound and find_folding(division.blocks) is not None:  # more blocks share their Doppler as well
+            return plan(count, False)
+        stale = 0 if not tried or excess <= fall * min(tried)[0] else stale + 1
+        tried.append((excess, count))
+        if not sound and len(tried) >= REFUSED and finest_is_refused(plan):
+            return plan(min(tried)[1], True)  # which has the reason, and nothing else is asked of it
+        if stale == PATIENCE or count == MAX_BLOCKS:
+            break
+        growth = max(min(excess, MOST_GROWTH) ** GROWTH, LEAST_GROWTH)
+        failed, count = count, min(math.ceil(count * growth), MAX_BLOCKS)
+    least, count = min(tried)
+    # A probe looks at fewer places of a terrain than the whole plan.
+    most = alike * (plan(count, False).excess() if scattered else least)
+    return plan(min(count for excess, count in tried if excess <= most), False)
+
+
+def finest_is_refused(plan: Callable[[int, bool], P]) -> bool:
+    """Whether the most blocks that are tried are refused; not where a grid has no point in any that is looked at."""
+    with suppress(OutsideSwath):
+        return plan(MAX_BLOCKS, True).refusal is not None
+    return False
+
+
+def _probe(plan: Callable[[int, bool], P], count: int) -> P:
+    """A probe of a division; the whole plan if the probe keeps the fidelity."""
+    probe = plan(count, True)
+    return plan(count, False) if probe.excess() <= 1.0 else probe
+
+
+def _fewest_between(plan: Callable[[int, bool], P], failed: int, serving: int) -> P:
+    """The plan with the fewest blocks above `failed` and up to `serving`, which serves."""
+    while serving - failed > max(1, serving // FINE) and failed:
+        count = (failed + serving) // 2
+        if plan(count, True).excess() <= 1.0 and plan(count, False).excess() <= 1.0:
+            serving = count
+        else:
+            failed = count
+    return plan(serving, False)
+
 
 MAX_PARTS = 64  # range sub-blocks of a block
 WHOLE_WINDOWS, PART_WINDOWS = 2.5, 0.97  # range windows that a whole block, and a range sub-block, may hold

@@ -11,9 +11,9 @@ from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import centre_yaw, dwell_at
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.outside import doubt_width
 from blocksar.collection.region import Region
 from blocksar.collection.track_shape import find_flaw
-from blocksar.collection.units import doubt_width
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, PrfTooLow, Unfocusable
 from blocksar.focusing.lines import Line

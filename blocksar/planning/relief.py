@@ -14,8 +14,8 @@ from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray, IntArray
 from blocksar.collection.beam import at_times, beam_offset, dwell_at, wrapped
 from blocksar.collection.geometry import Geometry
+from blocksar.focusing.ground_map import QUANTITIES, Depth, ReliefMap, SmoothGround
 from blocksar.focusing.lines import Focus, Line
-from blocksar.focusing.relief_map import QUANTITIES, Depth, ReliefMap, SmoothGround
 from blocksar.focusing.surfaces import GroundRange, Surface, fit_surface
 
 SMOOTH_DEGREE = 2, 2  # of the smooth ground, along range and yaw, on which coefficients are fitted: no finer is better

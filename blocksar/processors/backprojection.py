@@ -19,7 +19,7 @@ from blocksar.errors import InputError
 from blocksar.focusing.backprojection import ReadPulses, form_image
 from blocksar.focusing.method import ChainOptions, Method
 from blocksar.graph import compiling
-from blocksar.inspection.sentences import doubts_of_track
+from blocksar.inspection.samples import doubts_of_track
 from blocksar.kernels.device import on_device
 from blocksar.planning import effort
 from blocksar.planning.memory import checked_back_projection_memory, gpu_back_projection_memory

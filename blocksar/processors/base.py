@@ -33,9 +33,8 @@ if TYPE_CHECKING:
     from blocksar.graph.segments import Segment
     from blocksar.graph.stages import Recovered
     from blocksar.graph.tasks import Form, FormParts
-    from blocksar.runs.planned import PredictedBlock
     from blocksar.runs.receipts import Run
-    from blocksar.runs.record import Receipt
+    from blocksar.runs.record import PredictedBlock, Receipt
 
 Window = tuple[slice, slice]
 

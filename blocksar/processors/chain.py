@@ -29,8 +29,7 @@ from blocksar.processors.chain_lines import (
 )
 from blocksar.processors.chain_tables import block_table, plan_details
 from blocksar.progress import Work
-from blocksar.runs.planned import PredictedBlock
-from blocksar.runs.record import Receipt
+from blocksar.runs.record import PredictedBlock, Receipt
 from blocksar.tables import Table
 
 if TYPE_CHECKING:

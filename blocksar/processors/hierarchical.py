@@ -12,7 +12,7 @@ from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
 from blocksar.focusing.hierarchical_backprojection import form_windows
 from blocksar.graph import compiling
-from blocksar.inspection.sentences import doubts_of_track
+from blocksar.inspection.samples import doubts_of_track
 from blocksar.planning import effort
 from blocksar.planning.hierarchy import Division, coherence_of, divide
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY, checked_memory

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from blocksar.collection.beam import most_lit_pulses
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.collection.lit_sums import most_lit_pulses
 from blocksar.graph.machine import Resources, machine, pace
 from blocksar.planning import effort
 from blocksar.progress import Work

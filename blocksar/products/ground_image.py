@@ -15,7 +15,7 @@ import numpy as np
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT, TURN
-from blocksar.kernels.sampling import HALF_TAPS, sample_places
+from blocksar.kernels.posts import HALF_TAPS, sample_places
 from blocksar.products.sicd.aperture import centre_time, find_support, lines_of_sight
 from blocksar.runs.finished import FinishedRun
 

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from blocksar.errors import InputError, ProcessingError, in_the_way, is_full, no_room
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace, flush_file, held_part, new_file
-from blocksar.places.room import check_room
+from blocksar.places.place import check_room
 from blocksar.runs.record import RECORD
 
 

@@ -15,10 +15,9 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from blocksar.constants import GIB
-from blocksar.progress.estimate import Estimate, Stage
+from blocksar.progress.estimate import Estimate, Stage, clock_time, rate_text, rough_time
 from blocksar.progress.listening import NOBODY, Listener, Work, Workers
 from blocksar.progress.log import Log
-from blocksar.progress.words import clock_time, rate_text, rough_time
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType

@@ -10,8 +10,7 @@ from html import escape
 from typing import Any
 
 from blocksar.progress.display import FRAMES, Progress
-from blocksar.progress.estimate import Stage
-from blocksar.progress.words import clock_time, rough_time
+from blocksar.progress.estimate import Stage, clock_time, rough_time
 
 
 def in_notebook() -> bool:

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from blocksar import stores
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
+from blocksar.collection.beam import dwell_margin
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.georeference import Georeference
-from blocksar.collection.ownership import dwell_margin
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError
 from blocksar.measurement.noise import NoiseFigures

@@ -6,17 +6,365 @@ unusable must raise FORMAT.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import reprlib
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, Self
+from math import nan
+from typing import Any, Self, TypeVar
 
 from blocksar import stores
+from blocksar.constants import SINC_PSLR
 from blocksar.errors import FolderError
 from blocksar.places.place import Place
-from blocksar.runs.fields import Field
-from blocksar.runs.planned import RunPlan
-from blocksar.runs.sources import CentroidError, RunInput, RunSegment, SampleCounts
 from blocksar.version import __version__
+
+T = TypeVar("T")
+LARGEST = 1 << 63  # magnitude of a valid number
+
+
+@dataclass(frozen=True)
+class Field:
+    """A value of a JSON file.
+
+    All conversions raise FolderError where the value is missing or of another type; see `optional`.
+
+    Attributes
+    ----------
+    value : any JSON value
+        None where the file has null, or no such field.
+    name : str
+        Path of the field within the file, such as `plan.predicted[3].yaw`; empty for the whole.
+    file : str
+        The file, for messages.
+    present : bool
+        Whether the file has the field.
+    """
+
+    value: Any
+    name: str
+    file: str
+    present: bool = True
+
+    def fail(self, expected: str) -> FolderError:
+        """Return the error that names the field, its value and the remedy."""
+        actual = "missing" if not self.present else "null" if self.value is None else reprlib.repr(self.value)
+        return FolderError(
+            f"{self.file} is damaged: {self.name or 'the record'} is {actual}, not {expected}; "
+            "focus again with --overwrite",
+            replaceable=True,
+        )
+
+    def __getitem__(self, key: str) -> Field:
+        """Return a member of an object."""
+        if not isinstance(self.value, Mapping):
+            raise self.fail("an object")
+        return Field(self.value.get(key), f"{self.name}.{key}".lstrip("."), self.file, key in self.value)
+
+    def __bool__(self) -> bool:
+        """Tell whether there is a value: neither missing nor null."""
+        return self.value is not None
+
+    def __iter__(self) -> Iterator[Field]:
+        """Iterate over the members of a list; a missing list is empty."""
+        if not isinstance(self.value, list | tuple | None):
+            raise self.fail("a list")
+        for index, value in enumerate(self.value or ()):
+            yield Field(value, f"{self.name}[{index}]", self.file)
+
+    def optional(self, convert: Callable[[Field], T]) -> T | None:
+        """Convert a value; None where it is missing or null."""
+        return convert(self) if self else None
+
+    def mapping(self) -> dict[str, Any]:
+        """Return an object as it is, empty if missing."""
+        if not isinstance(self.value, Mapping | None):
+            raise self.fail("an object")
+        return dict(self.value or {})
+
+    def items(self) -> Iterator[tuple[str, Field]]:
+        """Iterate over the members of an object, with their keys; none if it is missing."""
+        return ((key, self[key]) for key in self.mapping())
+
+    def text(self, default: str | None = None) -> str:
+        if self.value is None and default is not None:
+            return default
+        if not isinstance(self.value, str):
+            raise self.fail("a text")
+        return self.value
+
+    def path(self) -> str:
+        """Return a path below the folder of the file."""
+        parts = self.text().split("/")
+        if not all(parts) or {".", ".."} & set(parts) or "\0" in self.text():
+            raise self.fail("a path within the run")
+        return self.text()
+
+    def number(self) -> float:
+        """Return a finite number; integers stay integers."""
+        value = self.value
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
+            raise self.fail("a number")
+        return value
+
+    def number_or_nan(self) -> float:
+        """Return a finite number, or NaN for null, which stands for it in JSON."""
+        return nan if self.present and self.value is None else float(self.number())
+
+    def integer(self) -> int:
+        if (value := self.number()) != int(value):
+            raise self.fail("a whole number")
+        return int(value)
+
+    def count(self) -> int:
+        """Return a whole number that is at least 1."""
+        if (value := self.integer()) < 1:
+            raise self.fail("at least 1")
+        return value
+
+    def flag(self) -> bool:
+        """Return true or false; false if missing."""
+        if not isinstance(self.value, bool | None):
+            raise self.fail("true or false")
+        return bool(self.value)
+
+    def pair(self) -> tuple[float, float]:
+        numbers = [member.number() for member in self]
+        if len(numbers) != 2:
+            raise self.fail("a pair of numbers")
+        return numbers[0], numbers[1]
+
+    def integers(self) -> tuple[int, int]:
+        numbers = [member.integer() for member in self]
+        if len(numbers) != 2:
+            raise self.fail("a pair of whole numbers")
+        return numbers[0], numbers[1]
+
+
+@dataclass(frozen=True)
+class RunInput:
+    """The phase history of a run; empty where the record does not name it."""
+
+    path: str = ""
+    fingerprint: str = ""
+
+    @classmethod
+    def of(cls, entry: Field) -> Self:
+        return cls(entry["path"].text(""), entry["fingerprint"].text(""))
+
+
+@dataclass(frozen=True)
+class SampleCounts:
+    """Number of samples that are missing, and of those that are impossible."""
+
+    missing: int
+    impossible: int
+
+    @classmethod
+    def of(cls, entry: Field) -> Self:
+        return cls(entry["missing"].integer(), entry["impossible"].integer())
+
+
+@dataclass(frozen=True)
+class CentroidError:
+    """Measured Doppler centroid minus that of track and beam, Hz, and the coherence of the measurement; may be NaN."""
+
+    error: float
+    coherence: float
+
+    @classmethod
+    def of(cls, entry: Field) -> Self:
+        return cls(entry["error"].number_or_nan(), entry["coherence"].number_or_nan())
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSegment:
+    """A collection of several, or a part of one along time, which was planned by itself.
+
+    Attributes
+    ----------
+    collection : int
+        Number of the collection, as in `collection` of the image.
+    path, fingerprint : str
+        Of its phase history.
+    pulses : (first, last) or None
+        Its pulses first <= p < last; None for all of them.
+    blocks, parts : int or None
+        Number of its blocks, and of range sub-blocks in each; None for back-projection.
+    first_block : int
+        Number of its first block in the run.
+    """
+
+    collection: int
+    path: str
+    fingerprint: str
+    pulses: tuple[int, int] | None
+    blocks: int | None
+    parts: int | None
+    first_block: int
+
+    @classmethod
+    def of(cls, entry: Field) -> Self:
+        return cls(
+            collection=entry["collection"].integer(),
+            path=entry["path"].text(),
+            fingerprint=entry["fingerprint"].text(),
+            pulses=entry["pulses"].optional(Field.integers),
+            blocks=entry["blocks"].optional(Field.count),
+            parts=entry["parts"].optional(Field.count),
+            first_block=entry["first_block"].integer(),
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        return asdict(self) | {"pulses": self.pulses and list(self.pulses)}
+
+
+# Figures of a block that records of earlier versions lack.
+_ADDED = (
+    "bias", "quadratic_phase", "resolution", "track_phase", "coherence", "phase_loss", "range_loss",
+    "dispersion_loss", "track_loss", "ideal_pslr",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictedBlock:
+    """Predicted quality of a block, or of a range sub-block: that of its worst target.
+
+    Attributes
+    ----------
+    block : int
+    part : int or None
+        Number of the range sub-block; None where the block is not divided in range.
+    yaw, range : (low, high), (near, far)
+        Borders in yaw, rad, and in range at t = 0, m.
+    memory : float
+        Peak of a worker, bytes.
+    bias : float
+        Range acceleration that the time perturbation adds, m/s^2.
+    residual_phase, quadratic_phase : float
+        Largest phase error over the dwell, and its quadratic part at the edge of the dwell, rad.
+    pslr, ideal_pslr : float
+        In azimuth, dB; and that of exact back-projection.
+    width : float
+        In azimuth, relative to the limit set by the dwell.
+    migration : float
+        Over the dwell, range resolution cells.
+    resolution : float
+        In azimuth, m.
+    track_phase : float
+        Root mean square phase that the noise of the track leaves over a dwell, rad.
+    coherence : float
+        With exact back-projection: 1 less the losses of the target that loses most.
+    phase_loss, range_loss, dispersion_loss, track_loss : float
+        What residual phase, range migration, the ends of the dwell and the noise of the track take from it.
+    """
+
+    block: int
+    part: int | None
+    yaw: tuple[float, float]
+    range: tuple[float, float]
+    memory: float
+    bias: float = nan
+    residual_phase: float
+    quadratic_phase: float = nan
+    pslr: float
+    width: float
+    migration: float
+    resolution: float = nan
+    track_phase: float = nan
+    coherence: float = nan
+    phase_loss: float = nan
+    range_loss: float = nan
+    dispersion_loss: float = nan
+    track_loss: float = nan
+    ideal_pslr: float = SINC_PSLR
+
+    @property
+    def name(self) -> str:
+        """`2`, or `2.0` for a range sub-block."""
+        return str(self.block) if self.part is None else f"{self.block}.{self.part}"
+
+    @classmethod
+    def of(cls, entry: Field) -> Self:
+        required = ("residual_phase", "pslr", "width", "migration")
+        optional = [name for name in _ADDED if entry[name]]
+        return cls(
+            block=entry["block"].integer(),
+            part=entry["part"].optional(Field.integer),
+            yaw=entry["yaw"].pair(),
+            range=entry["range"].pair(),
+            memory=entry["memory"].number(),
+            **{name: entry[name].number_or_nan() for name in (*required, *optional)},
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        return asdict(self) | {"yaw": list(self.yaw), "range": list(self.range)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunPlan:
+    """Division of a run into blocks, and its predicted quality.
+
+    Attributes
+    ----------
+    blocks, parts : int or None
+        Number of blocks, and of range sub-blocks in each; None for back-projection.
+    memory : float or None
+        Predicted peak of a worker, bytes.
+    grid : (x0, x1, dx, y0, y1, dy) or None, m
+    predicted : tuple of PredictedBlock
+        Empty for back-projection.
+    coherence : float or None
+        Least predicted coherence with exact back-projection, of an image without blocks; None for the exact one.
+    processor : str
+        Where it was chosen by the plan; else empty, and that of the settings.
+    checksum : str
+        Of the plan that an unfinished run keeps in its folder; empty in runs of earlier versions.
+    """
+
+    blocks: int | None = None
+    parts: int | None = None
+    memory: float | None = None
+    grid: tuple[float, ...] | None = None
+    predicted: tuple[PredictedBlock, ...] = ()
+    coherence: float | None = None
+    processor: str = ""
+    checksum: str = ""
+
+    @property
+    def least(self) -> float:
+        """Least predicted coherence with exact back-projection; NaN if unknown."""
+        return min(
+            (block.coherence for block in self.predicted), default=nan if self.coherence is None else self.coherence
+        )
+
+    @classmethod
+    def of(cls, entry: Field) -> Self:
+        grid = tuple(number.number() for number in entry["grid"]) if entry["grid"] else None
+        if grid is not None and len(grid) != 6:
+            raise entry["grid"].fail("x0, x1, dx, y0, y1, dy")
+        return cls(
+            blocks=entry["blocks"].optional(Field.count),
+            parts=entry["parts"].optional(Field.count),
+            memory=entry["memory"].optional(Field.number),
+            grid=grid,
+            predicted=tuple(map(PredictedBlock.of, entry["predicted"])),
+            coherence=entry["coherence"].optional(Field.number),
+            processor=entry["processor"].text(""),
+            checksum=entry["checksum"].text(""),
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "blocks": self.blocks,
+            "parts": self.parts,
+            "memory": self.memory,
+            "grid": self.grid and list(self.grid),
+            "predicted": [block.as_json() for block in self.predicted],
+            **({"coherence": self.coherence} if self.coherence is not None else {}),
+            **({"processor": self.processor} if self.processor else {}),
+            **({"checksum": self.checksum} if self.checksum else {}),
+        }
+
 
 FORMAT = 6  # version of the run folder's layout
 FINISHED, UNFINISHED = "finished", "unfinished"

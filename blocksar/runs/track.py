@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from blocksar.arrays import FloatArray
 from blocksar.errors import InputError
-from blocksar.runs.fields import Field
+from blocksar.runs.record import Field
 from blocksar.version import __version__
 
 ATTRIBUTE = "autofocus"

@@ -23,9 +23,8 @@ from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace, flush_file, held_part, new_file
 from blocksar.progress.listening import Callback
 from blocksar.simulation.cphd_beam import antenna_content, antenna_frame, gain_table, lit_area
-from blocksar.simulation.lengths import next_smooth_even
 from blocksar.simulation.phase_history import sampler, write_truth
-from blocksar.simulation.scene import RANGE_GUARD, Scene
+from blocksar.simulation.scene import RANGE_GUARD, Scene, next_smooth_even
 from blocksar.version import __version__
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ from blocksar.errors import InputError
 from blocksar.ingestion.terrain.around import Box, read_around
 from blocksar.ingestion.terrain.earth import ellipsoid
 from blocksar.ingestion.terrain.reading import Ground
-from blocksar.simulation.fields import Positive, Table
 from blocksar.simulation.shadow import reach_of_shadow
+from blocksar.simulation.tables import Positive, Table
 
 SAMPLES = 40  # of a hill's width, by default
 MOST_SAMPLES = 1 << 26  # of the ground: 512 MiB

@@ -10,7 +10,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from blocksar.simulation.fields import LARGEST, SMALLEST
+from blocksar.simulation.tables import LARGEST, SMALLEST
 
 
 def message_of(label: str, problems: list[str]) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import finufft
 import numpy as np
@@ -14,16 +14,44 @@ from numba import njit, types
 from numpy.typing import NDArray
 from scipy import fft  # not kernels.fourier: this inverse transform leads to fast time, on its own grid
 
-from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.collection.beam import EDGE, beam_at, in_beam, is_lit, pattern_gain, wrapped
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
 from blocksar.constants import SPEED_OF_LIGHT, TURN
-from blocksar.kernels.chirp import chirp_spectrum
-from blocksar.kernels.trigonometry import cosine, sine
-from blocksar.simulation.columns import Scatterers, compiled
+from blocksar.kernels.fourier import chirp_spectrum
+from blocksar.kernels.lanes import cosine, sine
+from blocksar.kernels.loops import COMPILED, REAL_ROW, Loop, loop
 from blocksar.simulation.shadow import Shadow, cast_shadow
+
+_FIELD = (
+    *(REAL_ROW, REAL_ROW, REAL_ROW, types.Array(types.complex128, 1, "C", readonly=True)),
+    types.none,
+    types.Array(types.float64, 1, "A", readonly=True),
+)  # types of a field's x, y, yaw, reflectivity and z, and of the antenna's position
+_RAISED = (*_FIELD[:4], REAL_ROW, _FIELD[5])  # of a field with heights
+
+
+def compiled(function: Callable[..., None], *arguments: Any) -> tuple[Loop, Loop]:
+    """A loop over scatterers, compiled for those on the ground plane, and for those with heights."""
+    plain, raised = (loop(*field, *arguments, **COMPILED) for field in (_FIELD, _RAISED))
+    return plain(function), raised(function)
+
+
+class Scatterers(NamedTuple):
+    """Places (n,), m, yaw, rad, and reflectivity of scatterers; heights z, or None on the ground plane."""
+
+    x: FloatArray
+    y: FloatArray
+    yaw: FloatArray
+    reflectivity: NDArray[np.complex128]
+    z: FloatArray | None = None
+
+    def at(self, which: slice | BoolArray | IntArray) -> Scatterers:
+        """Some of them."""
+        return Scatterers(*(None if column is None else column[which] for column in self))  # type: ignore[arg-type]
+
 
 NUFFT_ACCURACY = 1e-7  # relative to the norm of the lit reflectivity: below the rounding error of complex64
 DIRECT_LIMIT = 400  # scatterers beyond which the non-uniform transform is faster

@@ -26,13 +26,14 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import PrivateAttr, ValidationError
 
 from blocksar.arrays import FloatArray, IntArray
@@ -44,11 +45,82 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.simulation.antenna import axis_beam, lit_yaws, patterns
 from blocksar.simulation.ground import hiding_terrain, terrain_of
-from blocksar.simulation.lengths import next_smooth_even
 from blocksar.simulation.messages import describe_error, impossible_values, message_of
-from blocksar.simulation.reflectors import PointTarget, Scatterers, draw_field, read_map
 from blocksar.simulation.scene_tables import SceneTables
 from blocksar.simulation.shipped import shipped_scenes, shipped_text
+from blocksar.simulation.tables import ClutterTable, ReflectivityTable
+
+
+def next_smooth_even(least: int) -> int:
+    """Return the least even number >= max(least, 16) whose prime factors are 2, 3 and 5.
+
+    >>> next_smooth_even(2342)
+    2400
+    """
+    n = max(least + least % 2, 16)
+    while True:
+        rest = n
+        for factor in (2, 3, 5):
+            while rest % factor == 0:
+                rest //= factor
+        if rest == 1:
+            return n
+        n += 2
+
+
+class PointTarget(NamedTuple):
+    """A named point target: x, y in m in the scene frame, and z; None on the ground plane."""
+
+    name: str
+    x: float
+    y: float
+    reflectivity: complex
+    z: float | None = None
+
+
+class Scatterers(NamedTuple):
+    """Many nameless scatterers: x, y (n,) m in the scene frame, reflectivity (n,) complex64."""
+
+    x: FloatArray
+    y: FloatArray
+    reflectivity: NDArray[np.complex64]
+
+
+def draw_field(
+    table: ClutterTable,
+    ranges: tuple[float, float],
+    yaws: tuple[float, float],
+    ground_point: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]],
+) -> Scatterers:
+    """Draw a random field: uniform over the table's box, or over the ground between slant ranges (m) and yaws (rad).
+
+    `ground_point` returns x, y (m) at slant ranges (m) and yaws (rad).
+    """
+    random = np.random.default_rng(table.seed)
+    u, v = random.random((2, table.scatterers))
+    if table.x is not None and table.y is not None:
+        x = table.x[0] + u * (table.x[1] - table.x[0])
+        y = table.y[0] + v * (table.y[1] - table.y[0])
+    else:
+        # Ground area grows with the square of the distance, and that with the square of the slant range.
+        squared = ranges[0] ** 2 + u * (ranges[1] ** 2 - ranges[0] ** 2)
+        x, y = ground_point(np.sqrt(squared), yaws[0] + v * (yaws[1] - yaws[0]))
+    parts = random.standard_normal((2, table.scatterers)) * np.sqrt(table.power / 2)
+    return Scatterers(x, y, (parts[0] + 1j * parts[1]).astype(np.complex64))
+
+
+def read_map(table: ReflectivityTable) -> Scatterers:
+    """Read a reflectivity map: a scatterer for each pixel that is not zero."""
+    pixels = np.load(table.file, allow_pickle=False)
+    row, column = np.nonzero(pixels)
+    values = pixels[row, column].astype(np.complex64)
+    if table.seed is not None:
+        # One phase for each pixel of the map, empty ones included: editing a pixel leaves the others unchanged.
+        phase = np.random.default_rng(table.seed).random(pixels.shape)[row, column]
+        values = values * np.exp(2j * np.pi * phase).astype(np.complex64)
+    x, y = table.x0 + table.dx * column.astype(np.float64), table.y0 + table.dy * row.astype(np.float64)
+    return Scatterers(x, y, values)
+
 
 RANGE_GUARD = 1.05  # ratio of the range window to what lit targets need
 MAX_FAST_TIME_SAMPLES = 1 << 20

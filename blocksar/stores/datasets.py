@@ -13,7 +13,7 @@ import xxhash
 
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.chunks import TILE
-from blocksar.collection.real_samples import find_real, real_numbers
+from blocksar.collection.empty_pulses import find_real, real_numbers
 from blocksar.errors import InputError
 from blocksar.places import Location, place
 from blocksar.places.place import Place

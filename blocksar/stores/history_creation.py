@@ -10,12 +10,11 @@ import numpy as np
 
 from blocksar.chunks import TILE, stored_bytes
 from blocksar.collection.collection import Collection
+from blocksar.collection.raw_echo import ATTRIBUTE as RECORDED
 from blocksar.collection.raw_echo import RawEcho
-from blocksar.collection.recorded import ATTRIBUTE as RECORDED
 from blocksar.places import Location
 from blocksar.places import place as place_of
-from blocksar.places.place import Place
-from blocksar.places.room import REMEDY, check_room
+from blocksar.places.place import REMEDY, Place, check_room
 from blocksar.stores.channels import check_channels, with_channels
 from blocksar.stores.contract import stated
 from blocksar.stores.creation import create

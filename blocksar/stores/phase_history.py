@@ -19,9 +19,8 @@ from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection import sublooks
 from blocksar.collection.collection import Collection
 from blocksar.collection.georeference import Georeference
-from blocksar.collection.raw_echo import RawEcho
-from blocksar.collection.recorded import ATTRIBUTE as RECORDED
-from blocksar.collection.recorded import RecordedRanges
+from blocksar.collection.raw_echo import ATTRIBUTE as RECORDED
+from blocksar.collection.raw_echo import RawEcho, RecordedRanges
 from blocksar.errors import InputError, changes_while_read
 from blocksar.places import Location
 from blocksar.places import place as place_of

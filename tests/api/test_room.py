@@ -17,7 +17,7 @@ from blocksar.api.room import needed
 from blocksar.errors import NoRoom, in_python
 from blocksar.places import place
 from blocksar.places.local import LocalPlace
-from blocksar.places.room import size_text
+from blocksar.places.place import size_text
 from blocksar.progress import Listener
 
 SCENE: dict[str, Any] = {

@@ -12,7 +12,7 @@ from blocksar.autofocusing.estimation import coarse_error
 from blocksar.autofocusing.finishing import Result
 from blocksar.autofocusing.selection import Refused, stands_out
 from blocksar.autofocusing.serial import find_track_error
-from blocksar.autofocusing.settings import Settings
+from blocksar.autofocusing.work import Settings
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError

@@ -13,7 +13,7 @@ import zarr
 
 import blocksar
 from blocksar.errors import InputError
-from blocksar.measurement.bar import rank
+from blocksar.measurement.figures import rank
 from blocksar.measurement.targets import Target
 from blocksar.products.page.facts import responses_of
 

@@ -21,12 +21,13 @@ from blocksar.collection.beam import (
     is_lit,
     lit_interval,
     lit_passes,
+    lit_total,
+    most_lit_pulses,
     pattern_gain,
 )
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid, ground_resolution
-from blocksar.collection.lit_sums import lit_total, most_lit_pulses
 from blocksar.collection.region import default_grid, plan_region
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Taper

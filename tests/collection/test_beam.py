@@ -20,13 +20,14 @@ from blocksar.collection.beam import (
     in_beam,
     is_lit,
     lit_interval,
+    lit_pulses,
     lit_yaw,
+    most_lit_pulses,
     turned_near,
     wrapped,
 )
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.lit_sums import lit_pulses, most_lit_pulses
 from blocksar.errors import InputError
 
 TURN = 2 * math.pi

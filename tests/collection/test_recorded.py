@@ -12,12 +12,11 @@ from scipy.special import fresnel
 from blocksar import stores
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.raw_echo import RawEcho
-from blocksar.collection.recorded import RecordedRanges
+from blocksar.collection.raw_echo import RawEcho, RecordedRanges
 from blocksar.collection.region import default_grid, plan_region
 from blocksar.collection.weighting import Taper
 from blocksar.errors import InputError, OutsideSwath
-from blocksar.kernels.chirp import chirp_spectrum
+from blocksar.kernels.fourier import chirp_spectrum
 
 RECORDED = RecordedRanges(near=9000.0, far=11000.0, pulse=600.0)
 

@@ -10,9 +10,8 @@ from scipy.integrate import quad
 from scipy.signal import windows
 from steps import collection
 
-from blocksar.collection.beam import beam_offset, is_lit
+from blocksar.collection.beam import beam_offset, is_lit, weighted_pulses
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.lit_sums import weighted_pulses
 from blocksar.collection.weighting import UNIFORM, Taper, Weighting
 from blocksar.errors import InputError
 

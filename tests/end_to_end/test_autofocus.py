@@ -22,7 +22,7 @@ from blocksar import stores
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
 from blocksar.graph import cluster
-from blocksar.graph.here import Here
+from blocksar.graph.units import Here
 from blocksar.measurement.targets import Target
 from blocksar.places import place
 from blocksar.places.place import Place

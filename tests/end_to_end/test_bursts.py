@@ -15,10 +15,9 @@ from bursts import CENTRE, SLANT, STEP, ground, write_bursts
 import blocksar
 from blocksar import stores
 from blocksar.arrays import ComplexArray
-from blocksar.collection.beam import lit_interval
+from blocksar.collection.beam import dwell_margin, lit_interval
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.collection.ownership import dwell_margin
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_image
 from blocksar.graph import stages

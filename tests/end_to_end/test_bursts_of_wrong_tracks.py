@@ -20,7 +20,7 @@ from blocksar.collection.beam import lit_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
-from blocksar.graph import tie_stages
+from blocksar.graph import track_stages
 from blocksar.simulation.scene import Scene
 
 RANDOM = np.random.default_rng(3)
@@ -129,7 +129,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(
     def interrupted(*_: Any, **__: Any) -> Any:
         raise KeyboardInterrupt
 
-    for module, name in ((tie_stages, "tie_track"), (tracks, "replace")):  # within a tie, and after all
+    for module, name in ((track_stages, "tie_track"), (tracks, "replace")):  # within a tie, and after all
         with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
             patch.setattr(module, name, interrupted)
             blocksar.focus(bursts[:2], tmp_path / "run", **SETTINGS)

@@ -24,7 +24,7 @@ from scenes import write_store
 
 import blocksar
 from blocksar.errors import InputError, ProcessingError
-from blocksar.graph import admission, cluster
+from blocksar.graph import cluster, units
 from blocksar.progress import Listener
 
 SCENE: dict[str, Any] = {
@@ -53,7 +53,7 @@ def test_workers_are_counted_while_the_client_asks_for_something_else(
     forget = property(lambda _: {"workers": {}}, lambda _, answer: None)  # a later answer came
     monkeypatch.setattr(Client, "_scheduler_identity", forget, raising=False)
     assert not client.scheduler_info(n_workers=-1)["workers"]
-    assert admission.workers_of(client).keys() == client.nthreads().keys()
+    assert units.workers_of(client).keys() == client.nthreads().keys()
     assert cluster.cluster_size(client) == (2, 3 * 2**30)
     assert cluster.cluster_size(client, workers=1, memory_limit=2**30) == (1, 2**30)
     assert cluster.cluster_size(client, workers=8, memory_limit=2**40) == (2, 3 * 2**30)
@@ -71,7 +71,7 @@ def test_units_lost_by_the_scheduler_are_started_again(client: Client) -> None:
         return future
 
     units = [(unit, partial(start, unit)) for unit in "abcd"]
-    outcomes = {unit: future.result() for unit, future in admission.as_completed(client, "focus", units, 2, Listener())}
+    outcomes = {unit: future.result() for unit, future in units.as_completed(client, "focus", units, 2, Listener())}
     assert outcomes == {unit: unit for unit in "abcd"}
     assert [started.count(unit) for unit in "ad"] == [1, 1] and min(started.count(unit) for unit in "bc") >= 3
 
@@ -139,7 +139,7 @@ class Foreman(Listener):
         if self.goes and stage == "recover" and done:
             self.goes = False
             self.client.cluster.scale(0)
-            until(lambda: not admission.workers_of(self.client), "the end of the worker")
+            until(lambda: not units.workers_of(self.client), "the end of the worker")
 
     def note(self, text: str, *, again: bool = False) -> None:
         self.notes.append(text)

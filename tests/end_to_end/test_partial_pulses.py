@@ -18,7 +18,7 @@ from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_image
 from blocksar.focusing.noise import NoiseMap
-from blocksar.focusing.range_compression import RawCompression
+from blocksar.focusing.range_gate import RawCompression
 
 GRID = ((-1760.0, 1800.0, STEP), (-40.0, 40.0, STEP))
 

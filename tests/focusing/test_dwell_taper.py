@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from blocksar.collection.weighting import Taper
-from blocksar.focusing.dwell_taper import DwellTaper, HalfDwell, stepped_rise
+from blocksar.focusing.dwell_gate import DwellTaper, HalfDwell, stepped_rise
 from blocksar.focusing.lines import RowPolynomial
 from blocksar.kernels.fresnel import smeared_step
 

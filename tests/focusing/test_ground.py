@@ -20,7 +20,7 @@ from steps import Planned, collection, line_of, planned, signal_of, slab_of, tar
 from blocksar import solvers
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.budget import IMAGE_TAP_ERROR
-from blocksar.collection.lit_sums import lit_pulses
+from blocksar.collection.beam import lit_pulses
 from blocksar.focusing.correction import N_CARRIER, N_PHASE, correct, touched
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.lines import focus

@@ -20,7 +20,7 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.region import plan_region
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.focusing.range_compression import COMPRESSED_ROWS, RawCompression
+from blocksar.focusing.range_gate import COMPRESSED_ROWS, RawCompression
 from blocksar.focusing.recovery import Recovery, recover_columns
 from blocksar.kernels import fourier, rows
 from blocksar.kernels.fourier import Axis

@@ -12,7 +12,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.focusing.correction import correct
-from blocksar.focusing.ground_map import GroundMap
+from blocksar.focusing.ground_map import GroundMap, straighten
 from blocksar.focusing.lines import Line
 from blocksar.focusing.relief_correction import (
     DEGREE,
@@ -22,7 +22,6 @@ from blocksar.focusing.relief_correction import (
     locate_on_relief,
     tile_polynomials,
 )
-from blocksar.focusing.relief_map import straighten
 from blocksar.kernels.interpolation import bent_errors, bent_taps, interpolation_error, interpolation_taps
 from blocksar.planning.planner import plan_collection
 from blocksar.simulation.scene import Scene

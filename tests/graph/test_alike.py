@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from blocksar import stores
-from blocksar.graph.alike import AlikeChunks
+from blocksar.graph.layers import AlikeChunks
 from blocksar.graph.spectrum import Window
 from blocksar.places import place
 from blocksar.runs.receipts import Run

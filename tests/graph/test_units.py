@@ -10,9 +10,7 @@ from typing import Any
 
 from distributed import Client
 
-from blocksar.graph.admission import Unit
-from blocksar.graph.here import Here
-from blocksar.graph.units import Spare, run_units
+from blocksar.graph.units import Here, Spare, Unit, run_units
 from blocksar.places import place
 from blocksar.progress import Listener
 from blocksar.runs.receipts import Run

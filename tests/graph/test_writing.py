@@ -8,7 +8,7 @@ from threading import Event, Timer, get_ident
 
 import pytest
 
-from blocksar.graph.writing import Turn, WritesBehind, in_threads, turns_at_once
+from blocksar.graph.spectrum import Turn, WritesBehind, in_threads, turns_at_once
 from blocksar.runs.record import Written
 
 

@@ -390,7 +390,7 @@ def become(order: dict[str, Any], programs: dict[str, Callable[[], Any]]) -> Non
     """Run the ordered program with a session, streams, signals and temporary files of its own."""
     import dask
 
-    from blocksar.graph import admission, cluster
+    from blocksar.graph import cluster, units
     from blocksar.places.local import LocalPlace
 
     os.setsid()
@@ -407,7 +407,7 @@ def become(order: dict[str, Any], programs: dict[str, Callable[[], Any]]) -> Non
         elif "." in name:
             dask.config.set({name: value})
         else:
-            homes = [module for module in (cluster, admission) if name in vars(module)]
+            homes = [module for module in (cluster, units) if name in vars(module)]
             assert homes, name
             for module in homes:
                 setattr(module, name, value)

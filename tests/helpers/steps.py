@@ -20,7 +20,7 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Line
 from blocksar.focusing.method import DEFAULT, Method
 from blocksar.focusing.recovery import Recovery, recover_columns
-from blocksar.focusing.sampling import Sampling
+from blocksar.focusing.step import Sampling
 from blocksar.kernels.fourier import Axis
 from blocksar.planning.block import BlockPlan, plan_block
 from blocksar.planning.recovery import plan_recovery

@@ -9,7 +9,7 @@ import numpy as np
 from blocksar.arrays import FloatArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Line
-from blocksar.planning import closed_form
+from blocksar.planning import coefficients
 
 CARRIER = 15e9
 LAMBDA = SPEED_OF_LIGHT / CARRIER
@@ -63,7 +63,7 @@ def straight_series(cell: float, *, half: float = 500.0) -> FloatArray:
     return powers.T[None]
 
 
-def levelled(line: Line, found: closed_form.Levelling) -> Line:
+def levelled(line: Line, found: coefficients.Levelling) -> Line:
     """Apply the steps that closed-form coefficients (of one range) define to the lines."""
 
     def polynomial(powers: FloatArray, values: FloatArray) -> Any:

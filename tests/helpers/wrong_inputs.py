@@ -19,7 +19,7 @@ from blocksar.errors import InputError
 from blocksar.inspection.alternatives import doppler_period
 from blocksar.inspection.check import check
 from blocksar.inspection.verdict import Findings
-from blocksar.kernels.chirp import chirp_spectrum
+from blocksar.kernels.fourier import chirp_spectrum
 
 OUTCOMES = ("named", "tied", "other", "untold", "missed", "refused")
 TRACK = "prominent places reach"  # so much of the sharpness that a refocus gives them

@@ -23,7 +23,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError
 from blocksar.inspection.check import check, part_of, part_to_read
-from blocksar.inspection.contrast import Contrast
+from blocksar.inspection.prominent import Contrast
 from blocksar.inspection.verdict import Findings, Points, Trial
 from blocksar.simulation.phase_history import sampler
 from blocksar.simulation.scene import Scene

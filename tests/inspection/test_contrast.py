@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from blocksar.inspection.contrast import SIGNIFICANT, SPECKLE, UNLIT, contrast, deviations
+from blocksar.inspection.prominent import SIGNIFICANT, SPECKLE, UNLIT, contrast, deviations
 
 SHAPE = 40, 40
 

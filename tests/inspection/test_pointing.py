@@ -15,9 +15,8 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import plan_region
 from blocksar.inspection.check import check
-from blocksar.inspection.contrast import Contrast
 from blocksar.inspection.pointing import Pointing, point
-from blocksar.inspection.prominent import Samples
+from blocksar.inspection.prominent import Contrast, Samples
 from blocksar.inspection.verdict import Findings, Trial
 from blocksar.simulation.phase_history import sampler
 from blocksar.simulation.scene import Scene

@@ -16,8 +16,16 @@ from samples import clutter
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.focusing.recovery import Recovery
 from blocksar.inspection.centroid import measure_centroid
-from blocksar.inspection.samples import SEGMENTS, Inspection, inspect, mask_outliers, merge
-from blocksar.inspection.sentences import describe, is_saturated, refusal
+from blocksar.inspection.samples import (
+    SEGMENTS,
+    Inspection,
+    describe,
+    inspect,
+    is_saturated,
+    mask_outliers,
+    merge,
+    refusal,
+)
 from blocksar.kernels.fourier import Axis
 
 CARRIER, STEP = 10e9, 1e6  # Hz

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from blocksar.kernels.chirp import chirp_spectrum
+from blocksar.kernels.fourier import chirp_spectrum
 
 
 def test_chirp_spectrum_is_its_fourier_integral() -> None:

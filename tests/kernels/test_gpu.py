@@ -20,7 +20,7 @@ from blocksar.focusing.hierarchical_backprojection import form_windows
 from blocksar.focusing.hierarchy import Levels
 from blocksar.kernels.decimation import Decimation
 from blocksar.kernels.device import CPU, device, has_gpu
-from blocksar.kernels.scratch import Scratch
+from blocksar.kernels.groups import Scratch
 
 HERE = os.environ.get("NUMBA_ENABLE_CUDASIM") == "1" or has_gpu()
 on_gpu = pytest.mark.skipif(not HERE, reason="no GPU: these run in numba's simulator, by the first test")

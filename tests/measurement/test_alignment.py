@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from blocksar.arrays import ComplexArray
-from blocksar.measurement.alignment import align
+from blocksar.measurement.coherence import align
 
 SIZE = (48, 64)
 

@@ -29,6 +29,7 @@ from blocksar.measurement.axes import response_axes
 from blocksar.measurement.coherence import coherence
 from blocksar.measurement.figures import (
     DEFINITIONS,
+    TABLE3,
     PointResponse,
     as_json,
     cuts,
@@ -39,7 +40,6 @@ from blocksar.measurement.figures import (
     summary,
 )
 from blocksar.measurement.response import ReadChip, carrier_phase, read_response
-from blocksar.measurement.table3 import TABLE3
 from blocksar.measurement.targets import Target
 from blocksar.simulation.scatterers import simulate_pulses
 

@@ -13,8 +13,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Weighting
 from blocksar.measurement.axes import response_axes
-from blocksar.measurement.figures import ideal_cuts, profile_quality
-from blocksar.measurement.ideal import ideal_response
+from blocksar.measurement.figures import ideal_cuts, ideal_response, profile_quality
 from blocksar.measurement.targets import Target
 
 

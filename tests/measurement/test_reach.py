@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import fftconvolve
 
-from blocksar.measurement.coherence import coherence
-from blocksar.measurement.reach import power_within_reach, referred
+from blocksar.measurement.coherence import coherence, power_within_reach, referred
 
 SIDE = 64
 CHIP = slice(224, 224 + SIDE)

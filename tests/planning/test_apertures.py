@@ -8,7 +8,7 @@ from steps import collection, planned
 
 from blocksar.collection.weighting import AxisTaper, Taper
 from blocksar.focusing.step import trace
-from blocksar.planning.apertures import level_aperture
+from blocksar.planning.dwell_weights import level_aperture
 from blocksar.planning.target_lines import find_dwells
 
 

@@ -13,7 +13,7 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import focus
 from blocksar.focusing.range_steps import DopplerCompression
 from blocksar.kernels import fourier
-from blocksar.planning import closed_form
+from blocksar.planning import coefficients
 
 # ---------------------------------------------------------------- Closed forms
 
@@ -21,7 +21,7 @@ from blocksar.planning import closed_form
 def test_high_order_phase_of_the_straight_track() -> None:
     """The general form, applied to the squinted hyperbola, equals paper C's in R', v and theta_0."""
     cell = 15e3
-    found = closed_form.corrected(straight_series(cell), wavelength=LAMBDA)
+    found = coefficients.corrected(straight_series(cell), wavelength=LAMBDA)
     wanted = -cell * LAMBDA**2 * SIN / (12 * SPEED**3 * COS**4)
     assert found.doppler[0, 3] == pytest.approx(wanted, rel=1e-6)
     wanted = -cell * LAMBDA**3 * (3 + 7 * SIN**2) / (192 * SPEED**4 * COS**6)
@@ -29,7 +29,7 @@ def test_high_order_phase_of_the_straight_track() -> None:
     assert found.deramp[0, 2] == pytest.approx(SPEED**2 * COS**2 / (LAMBDA * cell), rel=1e-9)
     assert found.deramp[0, 3] == pytest.approx(SPEED**3 * SIN * COS**2 / (3 * LAMBDA * cell**2), rel=1e-6)
     # The cubic term equals that of paper A's (30), in any azimuth coordinate.
-    printed = closed_form.printed(straight_series(cell), wavelength=LAMBDA)
+    printed = coefficients.printed(straight_series(cell), wavelength=LAMBDA)
     assert printed.doppler[0, 3] == pytest.approx(found.doppler[0, 3], rel=1e-6)
 
 
@@ -38,7 +38,7 @@ def test_the_residual_of_a_closed_form_decreases_with_its_order(kind: str, order
     """The residual Doppler rate grows as place^order: at half the distance it is smaller by 2^order."""
     k = straight_series(15e3)
     settings = {"half_dwell": 1.0} if kind == "resampled" else {}
-    found = getattr(closed_form, kind)(k, wavelength=LAMBDA, **settings)
+    found = getattr(coefficients, kind)(k, wavelength=LAMBDA, **settings)
     for side in (-1.0, 1.0):
         line = levelled(straight_lines(15e3, side * np.array([100.0, 200.0, 400.0]), dwell=2e-3), found)
         slope = np.abs(np.ptp(line.doppler, axis=1) / np.ptp(line.time, axis=1))
@@ -49,10 +49,10 @@ def test_closed_forms_level_lines_that_a_deramp_does_not_level() -> None:
     """Largest phase error over a dwell of 2 s, for targets within 300 m: rad."""
     k, line = straight_series(15e3), straight_lines(15e3, np.linspace(-300, 300, 7))
     left = {
-        "deramped": closed_form.deramped(k, wavelength=LAMBDA),
-        "printed": closed_form.printed(k, wavelength=LAMBDA),
-        "corrected": closed_form.corrected(k, wavelength=LAMBDA),
-        "resampled": closed_form.resampled(k, wavelength=LAMBDA, half_dwell=1.0),
+        "deramped": coefficients.deramped(k, wavelength=LAMBDA),
+        "printed": coefficients.printed(k, wavelength=LAMBDA),
+        "corrected": coefficients.corrected(k, wavelength=LAMBDA),
+        "resampled": coefficients.resampled(k, wavelength=LAMBDA, half_dwell=1.0),
     }
     errors = {name: float(focus(levelled(line, found)).residual.max()) for name, found in left.items()}
     assert errors["deramped"] > 10
@@ -65,7 +65,7 @@ def test_without_variation_there_is_no_perturbation() -> None:
     """At broadside r1 = 0: the time perturbation would be infinite, and is omitted."""
     k = np.zeros((1, 5, 5))
     k[0, 0, 0], k[0, 1, 1], k[0, 2, 0] = 15e3, -300.0, 3.0
-    found = closed_form.resampled(k, wavelength=LAMBDA, half_dwell=1.0)
+    found = coefficients.resampled(k, wavelength=LAMBDA, half_dwell=1.0)
     assert not found.time.any() and not found.resampling.any()
     assert found.deramp[0, 2] == pytest.approx(2 * 3.0 / LAMBDA)
 

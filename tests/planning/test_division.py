@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from blocksar.planning.block import BlockPlan
-from blocksar.planning.division import MAX_BLOCKS, find_division
+from blocksar.planning.planner import MAX_BLOCKS, find_division
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def test_at_least_a_block_a_worker() -> None:
 
 def test_a_refused_division_does_not_end_a_search_that_has_sound_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     """One of many numbers of blocks may cut a sliver of unlit ground that folds."""
-    monkeypatch.setattr("blocksar.planning.division.find_folding", lambda blocks: "folds" if blocks else None)
+    monkeypatch.setattr("blocksar.planning.planner.find_folding", lambda blocks: "folds" if blocks else None)
 
     def plan(count: int, probe: bool) -> Division:
         folds = count in (1, 4)

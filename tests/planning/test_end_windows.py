@@ -10,15 +10,15 @@ import pytest
 from axis_beams import axis_collection
 
 import blocksar
+from blocksar.collection.beam import lit_pulses
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.collection.lit_sums import lit_pulses
 from blocksar.collection.sublooks import narrowed
 from blocksar.collection.weighting import Taper, Weighting
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import RowPolynomial, focus
 from blocksar.kernels import fourier
-from blocksar.planning.end_windows import end_lift
+from blocksar.planning.dwell_ends import end_lift
 from blocksar.planning.fidelity import smear_loss
 from blocksar.planning.planner import plan_collection
 from blocksar.planning.target_lines import find_dwells

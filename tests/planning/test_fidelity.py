@@ -16,10 +16,10 @@ import blocksar
 from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Taper
 from blocksar.errors import InputError
+from blocksar.planning.dwell_ends import ImageEdges
 from blocksar.planning.fidelity import end_energy
-from blocksar.planning.image_edges import ImageEdges
 from blocksar.planning.planner import plan_collection
-from blocksar.processors.shortfall import describe_shortfall
+from blocksar.processors.chain_lines import describe_shortfall
 from blocksar.simulation.scene import Scene
 
 

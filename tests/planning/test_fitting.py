@@ -13,8 +13,8 @@ from blocksar.arrays import FloatArray
 from blocksar.focusing.lines import Line, focus
 from blocksar.kernels import levelling
 from blocksar.kernels.levelling import Problem
-from blocksar.planning import closed_form, fitting
-from blocksar.planning.fitting import Candidate, Freedom
+from blocksar.planning import binding, coefficients
+from blocksar.planning.binding import Candidate, Freedom
 
 # ---------------------------------------------------------------- The fit
 
@@ -56,11 +56,11 @@ def test_the_fit_and_its_derivatives(freedom: Freedom, monkeypatch: pytest.Monke
         checked.append(x.size)
         return start
 
-    monkeypatch.setattr(fitting, "level_lines", check)
+    monkeypatch.setattr(binding, "level_lines", check)
     line = straight_lines(15e3, np.linspace(-300, 300, 5))
     whole = Line(**{name: np.stack([getattr(line, name)] * 2) for name in Line.__dataclass_fields__})
     ranges = np.array([14.9e3, 15.1e3])
-    fitting.fit(whole, ranges=ranges, candidate=Candidate(0.0, freedom.time), freedom=freedom, wavelength=LAMBDA)
+    binding.fit(whole, ranges=ranges, candidate=Candidate(0.0, freedom.time), freedom=freedom, wavelength=LAMBDA)
     assert checked == [2 * freedom.time + 4 * freedom.doppler + 3 * freedom.resampling + 3] * 2
 
 
@@ -69,14 +69,14 @@ def test_the_fit_levels_lines_at_least_as_well_as_the_closed_form(freedom: Freed
     line = straight_lines(15e3, np.linspace(-300, 300, 7))
     k = straight_series(15e3)
     found = (
-        closed_form.resampled(k, wavelength=LAMBDA, half_dwell=1.0)
+        coefficients.resampled(k, wavelength=LAMBDA, half_dwell=1.0)
         if freedom.resampling
-        else closed_form.corrected(k, wavelength=LAMBDA)
+        else coefficients.corrected(k, wavelength=LAMBDA)
     )
     whole = Line(**{name: np.stack([getattr(line, name)] * 2) for name in Line.__dataclass_fields__})
     whole = whole.shift_range(np.array([-15e3, -14.9e3])[:, None, None])
     ranges = np.array([0.0, 100.0])
-    fitted = fitting.fit(
+    fitted = binding.fit(
         whole, ranges=ranges, candidate=Candidate(0.0, freedom.time), freedom=freedom, wavelength=LAMBDA
     )
     row = whole.range.mean(axis=-1)

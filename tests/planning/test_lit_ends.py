@@ -8,7 +8,7 @@ import pytest
 from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.kernels.fresnel import smeared_step
-from blocksar.planning.lit_ends import lit_energy
+from blocksar.planning.dwell_ends import lit_energy
 
 INTERVAL = 1.0 / 3000  # s
 FINE = 24  # samples of the integral over an interval

@@ -14,8 +14,8 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Weighting
 from blocksar.measurement.axes import response_axes
 from blocksar.measurement.targets import Target
-from blocksar.planning.lobes import LOBES, SAMPLES, side_lobe, side_lobe_as_in
 from blocksar.planning.planner import plan_collection
+from blocksar.planning.prediction import LOBES, SAMPLES, side_lobe, side_lobe_as_in
 
 TAYLOR = "taylor:4:-35"
 RADAR = """

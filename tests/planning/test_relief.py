@@ -17,8 +17,8 @@ from blocksar.collection.sublooks import look_of
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.focusing.backprojection import form_points
+from blocksar.focusing.ground_map import Depth
 from blocksar.focusing.method import Method
-from blocksar.focusing.relief_map import Depth
 from blocksar.measurement.coherence import coherence
 from blocksar.planning.plan import Plan
 from blocksar.planning.planner import plan_collection

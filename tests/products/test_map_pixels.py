@@ -18,7 +18,7 @@ import blocksar
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
-from blocksar.kernels.sampling import sample_places
+from blocksar.kernels.posts import sample_places
 
 SYDNEY = Georeference(latitude=-33.1, longitude=151.2, height=40.0, rotation=200.0)
 CENTRE = {

@@ -16,9 +16,7 @@ from blocksar.errors import FolderError, InputError, PrfTooLow
 from blocksar.places import place
 from blocksar.runs import folder
 from blocksar.runs.finished import FinishedRun, finished_record
-from blocksar.runs.planned import PredictedBlock, RunPlan
-from blocksar.runs.record import FORMAT, Receipt, RunRecord, Written, block_unit
-from blocksar.runs.sources import RunInput
+from blocksar.runs.record import FORMAT, PredictedBlock, Receipt, RunInput, RunPlan, RunRecord, Written, block_unit
 from blocksar.version import __version__
 
 SETTINGS = {"processor": "angular-division", "blocks": 2, "grid": None}

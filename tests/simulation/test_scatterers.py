@@ -14,7 +14,7 @@ from blocksar.collection.beam import dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.kernels.chirp import chirp_spectrum
+from blocksar.kernels.fourier import chirp_spectrum
 from blocksar.simulation.scatterers import DIRECT_LIMIT, field, phase_history, raw_echo, simulate_pulses
 from blocksar.simulation.scene import Scene
 

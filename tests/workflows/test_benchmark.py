@@ -22,8 +22,7 @@ from blocksar import stores
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_points
-from blocksar.planning.plan import Plan
-from blocksar.planning.work import Transforms
+from blocksar.planning.plan import Plan, Transforms
 from blocksar.simulation.scene import Scene
 
 SMALL = {"duration": 0.15, "steering": (48.0, 52.0), "swath": [29900.0, 30100.0]}

@@ -8,7 +8,7 @@ from typing import Any
 
 from distributed import Client, Future
 
-from blocksar.graph.admission import Unit, as_completed
+from blocksar.graph.units import Unit, as_completed
 from blocksar.progress import Listener
 
 CHAIN = 5  # tasks of a block: three stages with the slab's reading, the geometric correction, and one of the mosaic

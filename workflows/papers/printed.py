@@ -1,12 +1,12 @@
 """Numbers and names that the papers print, each with the place where they print it.
 
 Paper A is the angular-division paper, paper B the keystone-resampling paper. Paper A's Table 3 is in
-`blocksar.measurement.table3`, as the package uses it too.
+`blocksar.measurement.figures`, as the package uses it too.
 """
 
 from __future__ import annotations
 
-from blocksar.measurement.table3 import TABLE3, PaperResponse
+from blocksar.measurement.figures import TABLE3, PaperResponse
 
 # Paper A, Tables 2 and 3, first column: the targets that are measured.
 NAMES = ("A1", "A2", "A3", "B1", "B2", "B3", "C1", "C2", "C3")

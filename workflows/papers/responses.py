@@ -8,8 +8,7 @@ import numpy as np
 
 from blocksar.collection.weighting import CUT_WIDTHS
 from blocksar.constants import SINC_WIDTH
-from blocksar.measurement.figures import PointResponse
-from blocksar.measurement.table3 import TABLE3, PaperResponse
+from blocksar.measurement.figures import TABLE3, PaperResponse, PointResponse
 from blocksar.products.pictures import responses
 from papers.bench import Bench, Run, targets
 from papers.comparison import Cell, Exhibit, Row, Table, crossed, minus

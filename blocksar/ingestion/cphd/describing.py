@@ -10,8 +10,8 @@ from blocksar.ingestion.cphd.choices import Choices
 from blocksar.ingestion.cphd.files import library, open_file, opened, reading_file
 from blocksar.ingestion.cphd.ingestion import prepare
 from blocksar.ingestion.readers import Described
+from blocksar.places.place import size_text
 from blocksar.places.ranges import Readable
-from blocksar.places.room import size_text
 
 
 def describe(path: Readable, given: str) -> Described:

@@ -11,9 +11,8 @@ from blocksar.errors import InputError
 from blocksar.ingestion.gotcha.files import read_headers
 from blocksar.ingestion.readers import Described
 from blocksar.places.local import LocalPlace
-from blocksar.places.place import Place
+from blocksar.places.place import Place, size_text
 from blocksar.places.ranges import Readable
-from blocksar.places.room import size_text
 
 MOST_READ = 16  # files that are read; of more, the first and the last
 

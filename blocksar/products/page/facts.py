@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 
 from blocksar.collection.beam import turned_near
-from blocksar.measurement.bar import rank, select_judged
-from blocksar.measurement.figures import PointResponse
+from blocksar.measurement.figures import PointResponse, rank, select_judged
 from blocksar.measurement.targets import Target
 from blocksar.products.page.words import DASH, count, number
 from blocksar.runs.finished import FinishedRun
-from blocksar.runs.planned import PredictedBlock
-from blocksar.runs.record import Receipt, RunRecord, block_unit
+from blocksar.runs.record import PredictedBlock, Receipt, RunRecord, block_unit
 
 MOST_DRAWN = 9  # targets whose responses are drawn
 MOST_ROWS = 300  # rows of a table, and marks on the picture

@@ -23,7 +23,7 @@ from blocksar.products.page.facts import MOST_ROWS
 from blocksar.products.pictures.overview import overview, reader_of, stretch
 from blocksar.progress.listening import Callback
 from blocksar.runs.finished import FinishedRun
-from blocksar.runs.planned import PredictedBlock
+from blocksar.runs.record import PredictedBlock
 
 PIXELS = 1600  # along the longer side, at most: a page of clutter is then some 3 MB
 DEEPEST = 100.0  # dB, range of the grey levels below the strongest cell, at most

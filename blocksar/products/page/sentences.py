@@ -7,8 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.measurement.bar import BARS, excess, limit, rank, worst_excess
-from blocksar.measurement.figures import PointResponse
+from blocksar.measurement.figures import BARS, PointResponse, excess, limit, rank, worst_excess
 from blocksar.products.page.facts import Facts
 from blocksar.products.page.words import SPACE, TIMES, count, memory, number
 

@@ -10,12 +10,11 @@ import numpy as np
 
 from blocksar.budget import FIDELITY, side_lobe_budget
 from blocksar.constants import MIB, unit_of_lengths
-from blocksar.measurement.bar import excess, worst_excess
-from blocksar.measurement.figures import PointResponse
+from blocksar.measurement.figures import PointResponse, excess, worst_excess
 from blocksar.products.page.facts import MOST_ROWS, Facts
 from blocksar.products.page.picture import Picture
 from blocksar.products.page.words import TIMES, number
-from blocksar.runs.planned import PredictedBlock
+from blocksar.runs.record import PredictedBlock
 
 UNITS = {
     "range-compress": "range compression",
