@@ -299,7 +299,8 @@ class DopplerCompression(Compression):
 
     (4) is right as printed, and so is the sign of (3). Only the change of Phi_1 with fa may be compensated, otherwise
     the reference's range would be removed too. A target then comes to lie at R' = R0 + x sin theta0. Targets of one
-    output range differ in R0 and therefore in Doppler rate, which the correction in azimuth equalises (`planning.coefficients`).
+    output range differ in R0 and therefore in Doppler rate, which the correction in azimuth
+    equalises (`planning.coefficients`).
 
     All of this follows from one function. A target's history on the carrier has a spectrum of phase Psi(fa). Phase and
     Doppler scale with 1 + f / fc, so at the frequency f

@@ -179,8 +179,8 @@ def predict(
     The ideal side lobes are those that exact back-projection gives the target with the worst phase. Level lines make
     time after all steps a linear function of the direction in which a target is seen, so that they are those of its
     weights at these times. They differ from the taper's where a beam does not turn evenly, an antenna has a pattern, or
-    dwells are cut: on the curved track of `paper_b` by 0.5 dB under a taper. To these comes what `responses` has under a
-    weighting. On a terrain `reached` (n_range, n_yaw) tells which of the targets there are, and `imaged` where the
+    dwells are cut: on the curved track of `paper_b` by 0.5 dB under a taper. To these comes what `responses` has under
+    a weighting. On a terrain `reached` (n_range, n_yaw) tells which of the targets there are, and `imaged` where the
     image begins and ends along yaw and along range: a block may be wider than the grid, and the range window slants
     over a wide one.
     """
