@@ -53,6 +53,7 @@ UNITS = {
     "gate": "groups of Doppler bins",
     "focus": "blocks",
     "mosaic": "parts of the mosaic",
+    "layers": "parts of the mosaic",
     "backprojection": "parts of the mosaic",
     "hierarchical-backprojection": "parts of the mosaic",
 }  # names of each stage's units of work, in the summary

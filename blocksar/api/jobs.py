@@ -353,7 +353,7 @@ class Job:
             else RawCompression.of_echo(history.raw, history.collection).length * history.collection.n_pulse
             for number, history in histories.items()
         }
-        work = dict(self.plan.work(workers=self.machine.workers))
+        work = dict(self.plan.work())
         compressing = effort.of_compression(
             (history.collection.n_pulse, echoes[number]) for number, history in histories.items()
         )

@@ -190,7 +190,7 @@ def _report(plan: ImagePlan, assumed: Resources, planning: float) -> PlanReport:
     """Report a plan; `planning` as for `time_line`."""
     if plan.refusal is not None:  # the samples of what does not focus may have no bounds
         return PlanReport(refusal=plan.refusal, result=plan.result, plan=plan)
-    work, tables, compared = plan.work(workers=assumed.workers), plan.tables(), plan.compared
+    work, tables, compared = plan.work(), plan.tables(), plan.compared
     return PlanReport(
         tables=[*([compared.table] if compared else []), *tables],
         details=[*([compared.table] if compared else []), *plan.details()],

@@ -182,11 +182,6 @@ class TerrainLayers:
         terrain = around if self._around is self._stored else self._stored.read(*boxes[0])
         self._surfaces = _Surfaces(strip, self._grid, terrain, around)
 
-    def heights_of(self, window: Window) -> FloatArray:
-        """Heights (n_y, n_x), m, of a window of the strip."""
-        surfaces, number = self._at(window)
-        return surfaces.any_of(number, next(iter(self.sights.values()))).height
-
     def over(self, window: Window, owner: NDArray[np.int16] | int) -> dict[str, NDArray[Any]]:
         """The layers of a window of the strip, or of any other, by name.
 

@@ -23,8 +23,7 @@ from blocksar.focusing.correction import Tiles, correct, tiles_of
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.recorded_pulses import divide_by_recorded
-from blocksar.focusing.terrain_layers import Sight
-from blocksar.graph.layers import AlikeChunks, GroundHeights, TerrainLayers, strips_of, write_layers, write_noise
+from blocksar.graph.layers import AlikeChunks, GroundHeights, strips_of, write_noise
 from blocksar.graph.segments import Margins, Merged
 from blocksar.graph.spectrum import Turn, Window, WritesBehind, ahead, in_threads
 from blocksar.graph.tasks import Samples, naming_failures, shifted, sign, write_image
@@ -57,17 +56,14 @@ def merge_chunks(
     grid: Grid,
     margins: Mapping[tuple[int, int], Margins],
     noises: Mapping[int, NoiseMap] | None = None,
-    sights: Mapping[int, Sight] | None = None,
+    on_terrain: bool = False,
 ) -> Receipt:
     """Merge patches into output chunks of the mosaic, given by row and column of the chunk.
 
-    Where several segments cover some of a chunk, `margins` has theirs; `noises` has those of segments, if known, and
-    `sights` those of segments on a terrain.
+    Where several segments cover some of a chunk, `margins` has theirs; `noises` has those of segments, if known.
     """
     started = time.perf_counter()
-    every = [part for patches in cells.values() for part in patches]
-    layers = TerrainLayers(run, grid, {part.block: sights[part.segment] for part in every} if sights else {})
-    alike = AlikeChunks(run)
+    heights, alike = GroundHeights(run, grid, on_terrain=on_terrain), AlikeChunks(run)
     pool = ThreadPoolExecutor(READS_AT_ONCE)
     with pool, WritesBehind() as behind:
         coming = _read_ahead(pool, run, cells, grid)
@@ -79,10 +75,9 @@ def merge_chunks(
             source = None if alone is None else (run.patch(alone.name), shifted(window, alone.origin))
             collections = {part.block: part.collection for part in patches if part.collection is not None}
             of_blocks = {part.block: noises[part.segment] for part in patches} if noises else {}
-            height = layers.heights.over(window) if of_blocks else None
+            height = heights.over(window) if of_blocks else None
             turn.submit(write_image, run, window, image, owner, collections, source, patches[0].checksum, alike)
             turn.submit(write_noise, run, window, owner, grid, of_blocks, height)
-            turn.submit(write_layers, alike, window, layers.over(window, owner))
     return sign(run, Receipt(unit=unit, stage="mosaic", written=behind.written), started)
 
 
@@ -157,15 +152,12 @@ class Patch:
         Chunks of the image that no other block touches: they become the image's as they are.
     noise : NoiseMap or None
         The block's noise, where it is known.
-    sight : Sight or None
-        On a terrain: `own` chunks get their layers with their pixels; None: later.
     """
 
     ground: GroundMap
     grid: Grid
     own: frozenset[tuple[int, int]]
     noise: NoiseMap | None
-    sight: Sight | None
 
 
 @naming_failures(lambda run, unit, block, *_: f"geometric-correction of block {block.name}")
@@ -175,29 +167,22 @@ def write_patch(run: Run, unit: str, block: BlockPlan, samples: Samples, patch: 
     Chunks are written by other threads while the next ones are computed.
     """
     started = time.perf_counter()
-    ground, grid, sight = patch.ground, patch.grid, patch.sight
+    ground, grid = patch.ground, patch.grid
     origin, side = patch_window(ground, grid)[:2], image_chunk(grid)
-    layers = TerrainLayers(run, grid, {} if sight is None else {block.index: sight})
     heights, alike = GroundHeights(run, grid, on_terrain=ground.relief is not None), AlikeChunks(run)
     writer = _PatchWriter(run=run, block=block, grid=grid, origin=origin, noise=patch.noise, alike=alike)
     assert samples.values is not None
     corrector = _Corrector(run=run, block=block, values=samples.values, patch=patch)
     with WritesBehind(threads=run.threads) as behind:
         chunks = [np.empty(side[0] * side[1], np.complex64) for _ in range(behind.held)]
-        batches = _batches(touched_chunks(ground, grid), grid, heights, layers, patch.own)
-        # The layers of a strip are asked for before the next strip begins.
-        for some in ([batch] for batch in batches) if heights.on_terrain else [batches]:
-            jobs = (
-                partial(corrector.pixels, behind.turn(), chunks, cell, z, tiles)
-                for cell, z, tiles in _tiled(some, ground, grid)
-            )
-            for turn, cell, z, pixels, owner in in_threads(jobs, run.threads):
-                if owner is None:
-                    continue
-                window, merged = chunk_window(cell, grid), cell not in patch.own
-                turn.submit(writer.write, pixels, owner, window, z, merged=merged)
-                if sight is not None and not merged:
-                    turn.submit(write_layers, alike, window, layers.over(window, owner))
+        batches = _batches(touched_chunks(ground, grid), grid, heights)
+        jobs = (
+            partial(corrector.pixels, behind.turn(), chunks, cell, z, tiles)
+            for cell, z, tiles in _tiled(batches, ground, grid)
+        )
+        for turn, cell, z, pixels, owner in in_threads(jobs, run.threads):
+            if owner is not None:
+                turn.submit(writer.write, pixels, owner, chunk_window(cell, grid), z, merged=cell not in patch.own)
     seconds = samples.seconds | {"geometric-correction": time.perf_counter() - started}
     # The receipt covers the whole block: the tasks before this one have no receipts.
     receipt = Receipt(unit=unit, stage="focus", written=behind.written, origin=origin, steps=seconds)
@@ -245,13 +230,7 @@ class Batch(NamedTuple):
     heights: Sequence[FloatArray | None]
 
 
-def _batches(
-    cells: Sequence[tuple[int, int]],
-    grid: Grid,
-    heights: GroundHeights,
-    layers: TerrainLayers,
-    own: frozenset[tuple[int, int]],
-) -> Iterator[Batch]:
+def _batches(cells: Sequence[tuple[int, int]], grid: Grid, heights: GroundHeights) -> Iterator[Batch]:
     """Divide the chunks of a patch: on the plane into some that are not too many, on a terrain into strips."""
     if not heights.on_terrain:
         for first in range(0, len(cells), TILED_CHUNKS):
@@ -259,12 +238,7 @@ def _batches(
             yield Batch(some, [None] * len(some))
         return
     for some, strip in strips_of(cells, grid):
-        # Chunks that get their layers at once need the same things of the terrain for these.
-        if own.isdisjoint(some) or not layers.sights:
-            yield Batch(some, [heights.over((strip.rows, columns)) for columns in strip.columns])
-        else:
-            layers.begin(strip)
-            yield Batch(some, [layers.heights_of((strip.rows, columns)) for columns in strip.columns])
+        yield Batch(some, [heights.over((strip.rows, columns)) for columns in strip.columns])
 
 
 def _tiled(

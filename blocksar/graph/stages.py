@@ -4,10 +4,6 @@ Tasks receive paths and small constants, write their samples to zarr and return 
 `step-run-block`: the dashboard is readable, and no result of another run is reused. A unit of work writes whole chunks
 that no other unit writes, then its receipt. A lost worker therefore costs time only, and an interrupted run resumes
 from its receipts.
-
-The units of work that add the layers of a terrain to chunks of an image that one block covers.
-
-The blocks of a full round add theirs themselves, chunk by chunk, while the disk waits for their pixels.
 """
 
 from __future__ import annotations
@@ -15,7 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
 from itertools import chain, islice
 from typing import Any, NamedTuple
 
@@ -39,11 +35,10 @@ from blocksar.graph.reading import Gated, compress_pulses, gate_bins, inspect_gr
 from blocksar.graph.segments import Segment, by_collection
 from blocksar.graph.spectrum import SpectrumChunks, Window
 from blocksar.graph.tasks import FormParts, Projected, add_layers, form_chunks, read_slab, run_stage
-from blocksar.graph.units import Spare, Unit, run_units, single_task, spans
+from blocksar.graph.units import Unit, run_units, single_task, spans
 from blocksar.inspection.samples import Inspection, merge, refusal
 from blocksar.places.place import Place
 from blocksar.planning.block import BlockPlan
-from blocksar.planning.effort import blocks_add_layers
 from blocksar.planning.plan import Plan
 from blocksar.planning.tiling import chunk_window, image_chunk, inspection_width, patch_window, touched_chunks
 from blocksar.progress import Listener
@@ -51,68 +46,11 @@ from blocksar.runs.receipts import Run
 from blocksar.runs.record import Receipt, Written, block_unit
 
 
-class LayerUnits:
-    """Units for the chunks that blocks have written to the image; none on the plane.
-
-    Attributes
-    ----------
-    sights : dict of Sight
-        The antenna as pixels see it, by number of the segment; empty on the plane.
-    """
-
-    def __init__(self, client: Client, segments: Sequence[Segment], run: Run) -> None:
-        self._client, self._run, self._grid = client, run, segments[0].planned.grid
-        on_terrain = segments[0].planned.geometry.terrain is not None
-        seen = [(segment.number or 0, segment.planned.geometry) for segment in segments if on_terrain]
-        self.sights = sights_of(run, self._grid, seen)
-        self._blocks = {
-            block_unit(block.name): (block.index, segment.number or 0)
-            for segment in segments
-            for block in segment.planned.blocks
-        }
-
-    def after(self, unit: str, receipt: Receipt) -> list[Unit]:
-        """The units that can begin once a block is done, given by its unit and its receipt."""
-        if not self.sights:
-            return []
-        (index, segment), side, image = self._blocks[unit], image_chunk(self._grid), self._run.name_of(self._run.image)
-        added = {part.region for part in receipt.written if part.store == image and part.variable in stores.ON_TERRAIN}
-        cells = [
-            ((part.region[0][0] // side[0], part.region[1][0] // side[1]), index if _is_all(part, index) else None)
-            for part in receipt.written
-            if part.store == image and part.variable == "block" and part.region not in added
-        ]
-        units = []
-        for first, end in spans(len(cells), LAYER_CHUNKS):
-            name, sights = "layers-{}-{}".format(*cells[first][0]), {index: self.sights[segment]}
-            task = add_layers, dict(cells[first:end]), self._grid, sights
-            units.append(single_task(self._client, self._run, "layers", name, *task))
-        return units
-
-
-def _is_all(owners: Written, block: int) -> bool:
-    """Whether all pixels of a chunk come from a block, as the checksum of its owners tells."""
-    return owners.checksum == _checksum_of_all(tuple(end - first for first, end in owners.region), block)
-
-
-@lru_cache(maxsize=64)
-def _checksum_of_all(shape: tuple[int, ...], block: int) -> str:
-    return stores.checksum(np.full(shape, block, np.int16))
-
-
 class Recovered(NamedTuple):
     """Receipts of a segment's recovered or inspected samples, and their inspection."""
 
     receipts: list[Receipt]
     inspection: Inspection
-
-
-class Focused(NamedTuple):
-    """Receipts of the patches; the units of a terrain's layers, and by unit the receipts of those done so far."""
-
-    patches: list[Receipt]
-    layers: LayerUnits
-    added: dict[str, Receipt]
 
 
 def recover(client: Client, segments: Sequence[Segment], run: Run, listener: Listener) -> list[Recovered]:
@@ -250,16 +188,11 @@ def focus_blocks(
     inspections: Sequence[Inspection],
     noises: Sequence[NoiseMap | None],
     listener: Listener,
-    *,
-    workers: int,
-) -> Focused:
+) -> list[Receipt]:
     """Focus every block, from its segment's spectrum to patches/<block>, by a chain of tasks of its own.
 
     For every segment, the receipts of recovery and of the range gates have the checksums of spectra, and the inspection
     the valid fraction of each pulse.
-
-    The layers of a terrain are added by the blocks themselves if these keep all of so many `workers` busy to the end.
-    Otherwise workers without a block begin with the layers of blocks that are done.
     """
     # Create all patches here, before the first task: a late task of a lost worker must not empty a store that another
     # task has written to.
@@ -272,8 +205,6 @@ def focus_blocks(
         _whole_spectrum(segment.planned, segment.of(run), some)
         for segment, some in zip(segments, receipts, strict=True)
     ]
-    layers = LayerUnits(client, segments, run)
-    within = blocks_add_layers(len(blocks), workers)
     units: list[Unit] = []
     for position, ((number, block), cells) in enumerate(zip(blocks, chunks, strict=True)):
         segment, inspection = segments[number], inspections[number]
@@ -281,18 +212,15 @@ def focus_blocks(
         alone = frozenset(cell for cell in cells if touching[cell] == 1)
         slab = spectra[number] if block.range_gate is None else _gated_spectrum(plan, own, block, receipts[number])
         patch = Patch(
-            ground=replace(block.ground, valid=inspection.lit), grid=plan.grid, own=alone, noise=noises[number],
-            sight=layers.sights.get(segment.number or 0) if within else None,
-        )  # fmt: skip
+            ground=replace(block.ground, valid=inspection.lit), grid=plan.grid, own=alone, noise=noises[number]
+        )
         units.append(
             (
                 block_unit(block.name),
                 partial(_submit_chain, client, own, block, slab, patch, -position),
             )
         )
-    spare = Spare(layers.after)
-    patches = run_units(client, "focus", units, run, listener, spare=spare)
-    return Focused(patches, layers, spare.receipts)
+    return run_units(client, "focus", units, run, listener)
 
 
 def _create_patch(run: Run, block: BlockPlan, grid: Grid) -> None:
@@ -338,17 +266,21 @@ def mosaic(
     client: Client,
     segments: Sequence[Segment],
     run: Run,
-    focused: Focused,
+    patches: Sequence[Receipt],
     noises: Sequence[NoiseMap | None],
     listener: Listener,
 ) -> list[Receipt]:
     """Merge the patches into image.zarr, by output chunk, where several blocks may own pixels.
 
-    Chunks that only one block touches are there already; on a terrain their layers, if they lack, are added here.
-    Chunks that no block covers are not written.
+    Chunks that only one block touches are there already; those that no block covers are not written.
     """
     grid = segments[0].planned.grid
-    cells = _chunks_to_merge(segments, run, focused.patches, image_chunk(grid))
+    cells = {
+        cell: [part for part, _ in parts]
+        for cell, parts in _patch_chunks(segments, run, patches).items()
+        if not all(complete for _, complete in parts)
+    }
+    on_terrain = segments[0].geometry.terrain is not None
     known = {segment.number or 0: noise for segment, noise in zip(segments, noises, strict=True) if noise is not None}
     ordered = sorted(cells)
     units = []
@@ -357,18 +289,63 @@ def mosaic(
         margins = {cell: _margins(segments, cell, grid, parts) for cell, parts in group.items()}
         row, column = ordered[first]
         unit = f"chunk-{row}-{column}"
-        task = merge_chunks, group, grid, margins, known, focused.layers.sights
+        task = merge_chunks, group, grid, margins, known, on_terrain
         units.append(single_task(client, run, "mosaic", unit, *task))
-    for receipt in focused.patches:
-        units += [unit for unit in focused.layers.after(receipt.unit, receipt) if unit[0] not in focused.added]
-    return [*focused.added.values(), *run_units(client, "mosaic", units, run, listener, per_worker=2)]
+    return run_units(client, "mosaic", units, run, listener, per_worker=2)
 
 
-def _chunks_to_merge(
-    segments: Sequence[Segment], run: Run, patches: Sequence[Receipt], side: tuple[int, int]
-) -> dict[tuple[int, int], list[PatchChunk]]:
-    """By row and column of an output chunk, those of the patches that are not its image already."""
-    cells: dict[tuple[int, int], list[PatchChunk]] = {}
+def layers_of_blocks(
+    client: Client, segments: Sequence[Segment], run: Run, patches: Sequence[Receipt], listener: Listener
+) -> list[Receipt]:
+    """Add the layers of a terrain to the chunks of the image that blocks cover; nothing on the plane."""
+    seen_by = {block.index: segment.number or 0 for segment in segments for block in segment.planned.blocks}
+    cells = {
+        cell: {part.block: seen_by[part.block] for part, _ in parts}
+        for cell, parts in _patch_chunks(segments, run, patches).items()
+    }
+    return _add_layers(client, segments, run, segments[0].planned.grid, cells, listener)
+
+
+def layers_of_parts(
+    client: Client, segments: Sequence[Segment], run: Run, grid: Grid, formed: Sequence[Receipt], listener: Listener
+) -> list[Receipt]:
+    """Add the layers of a terrain to the chunks of the image that `form_parts` wrote; nothing on the plane."""
+    every = {segment.number or 0: segment.number or 0 for segment in segments}
+    image, side = run.name_of(run.image), image_chunk(grid)
+    regions = [
+        part.region for receipt in formed for part in receipt.written if (part.store, part.variable) == (image, "block")
+    ]
+    cells = {(rows[0] // side[0], columns[0] // side[1]): every for rows, columns in regions}
+    return _add_layers(client, segments, run, grid, cells, listener)
+
+
+def _add_layers(
+    client: Client,
+    segments: Sequence[Segment],
+    run: Run,
+    grid: Grid,
+    cells: Mapping[tuple[int, int], Mapping[int, int]],
+    listener: Listener,
+) -> list[Receipt]:
+    """Add layers to chunks of the image, by row and column; of each, the segments that see what owns its pixels."""
+    seen = [(segment.number or 0, segment.geometry) for segment in segments if segment.geometry.terrain is not None]
+    if not seen:
+        return []
+    sights, ordered, units = sights_of(run, grid, seen), sorted(cells), []
+    for first, end in spans(len(ordered), LAYER_CHUNKS):
+        group = ordered[first:end]
+        owners = {owner: sights[number] for cell in group for owner, number in cells[cell].items()}
+        unit = "layers-{}-{}".format(*group[0])
+        units.append(single_task(client, run, "layers", unit, add_layers, group, grid, owners))
+    return run_units(client, "layers", units, run, listener, per_worker=2)
+
+
+def _patch_chunks(
+    segments: Sequence[Segment], run: Run, patches: Sequence[Receipt]
+) -> dict[tuple[int, int], list[tuple[PatchChunk, bool]]]:
+    """By row and column of an output chunk, the parts of it that blocks focused, and whether these are its image."""
+    side = image_chunk(segments[0].planned.grid)
+    cells: dict[tuple[int, int], list[tuple[PatchChunk, bool]]] = {}
     blocks = [(segment, block) for segment in segments for block in segment.planned.blocks]
     for (segment, block), receipt in zip(blocks, patches, strict=True):
         assert receipt.origin is not None
@@ -378,13 +355,13 @@ def _chunks_to_merge(
         for part in receipt.written:
             (y, y_end), (x, x_end) = part.region
             region = ((first_y + y, first_y + y_end), (first_x + x, first_x + x_end))
-            if part.store != patch or region in complete:
+            if part.store != patch:
                 continue
             cell = ((first_y + y) // side[0], (first_x + x) // side[1])
             chunk = PatchChunk(
                 block.index, block.name, (first_y, first_x), part.checksum, segment.number or 0, segment.collection
             )
-            cells.setdefault(cell, []).append(chunk)
+            cells.setdefault(cell, []).append((chunk, region in complete))
     return cells
 
 

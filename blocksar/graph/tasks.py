@@ -25,9 +25,9 @@ from blocksar.focusing.step import Stage
 from blocksar.focusing.terrain_layers import Sight
 from blocksar.graph.layers import (
     AlikeChunks,
+    GroundHeights,
     TerrainLayers,
     local_terrain,
-    sights_of,
     strips_of,
     write_layers,
     write_noise,
@@ -228,38 +228,36 @@ def write_owner(
 
 @naming_failures(lambda run, unit, *_: f"layers of {unit}")
 def add_layers(
-    run: Run, unit: str, cells: Mapping[tuple[int, int], int | None], grid: Grid, sights: Mapping[int, Sight]
+    run: Run, unit: str, cells: Sequence[tuple[int, int]], grid: Grid, sights: Mapping[int, Sight]
 ) -> Receipt:
     """Write the layers of output chunks on a terrain, given by row and column, whose image and owners are written.
 
-    `cells` has the block that all pixels of a chunk come from, or None where the owners are read. Chunks are written by
-    other threads while the next ones are computed.
+    `sights` has the antenna as the pixels of each owner see it. Chunks are written by other threads while the next ones
+    are computed.
     """
     started = time.perf_counter()
     layers, alike = TerrainLayers(run, grid, sights), AlikeChunks(run)
     with WritesBehind() as behind:
-        for some, strip in strips_of(list(cells), grid):
+        for _, strip in strips_of(cells, grid):
             layers.begin(strip)
-            for cell, columns in zip(some, strip.columns, strict=True):
-                turn = behind.turn()
-                window, block = (strip.rows, columns), cells[cell]
-                owner = stores.read_region(run.image, "block", window, cached=False) if block is None else block
+            for columns in strip.columns:
+                turn, window = behind.turn(), (strip.rows, columns)
+                owner = stores.read_region(run.image, "block", window, cached=False)
                 turn.submit(write_layers, alike, window, layers.over(window, owner))
-    return sign(run, Receipt(unit=unit, stage="mosaic", written=behind.written), started)
+    return sign(run, Receipt(unit=unit, stage="layers", written=behind.written), started)
 
 
 def form_chunks(
     run: Run, unit: str, stage: str, sources: Sequence[Projected], windows: Sequence[Window], grid: Grid,
     on_terrain: bool = False,
 ) -> Receipt:  # fmt: skip
-    """Form output chunks straight from the samples, of all collections; reads the terrain there as well."""
+    """Form output chunks straight from the samples, of all collections, on the terrain if there is one."""
     started = time.perf_counter()
     terrain = local_terrain(run, grid, box_of(windows)) if on_terrain else None
     sources = [source._replace(geometry=source.geometry.over(terrain)) for source in sources]
     collections = {source.number: source.collection for source in sources if source.collection is not None}
     noises = {source.number: source.noise for source in sources if source.noise is not None}
-    seen = [(source.number, source.geometry) for source in sources if on_terrain]
-    layers, alike = TerrainLayers(run, grid, sights_of(run, grid, seen)), AlikeChunks(run)
+    heights, alike = GroundHeights(run, grid, on_terrain=on_terrain), AlikeChunks(run)
     written: list[Written] = []
     for formed in zip(*(_form(run, source, windows, grid) for source in sources), strict=True):
         window, image = formed[0]
@@ -274,8 +272,7 @@ def form_chunks(
             written += [
                 write(run, run.image, "image", window, image),
                 *write_owner(alike, window, owner, collections),
-                *write_noise(run, window, owner, grid, noises, layers.heights.over(window) if noises else None),
-                *write_layers(alike, window, layers.over(window, owner)),
+                *write_noise(run, window, owner, grid, noises, heights.over(window) if noises else None),
             ]
     return sign(run, Receipt(unit=unit, stage=stage, written=tuple(written)), started)
 

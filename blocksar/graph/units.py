@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -248,22 +248,6 @@ class Watch:
 GPU = {"GPU": 1}  # dask's resources of a worker that has one
 
 
-@dataclass
-class Spare:
-    """Units of a later stage for places on workers that no unit of a stage takes any more.
-
-    Attributes
-    ----------
-    after : function
-        Those that can begin once a unit of the stage is done, given by its name and its receipt.
-    receipts : dict of Receipt
-        Of those that were done before the stage ended, by name; the others are left to the later stage.
-    """
-
-    after: Callable[[str, Receipt], Sequence[Unit]]
-    receipts: dict[str, Receipt] = field(default_factory=dict)
-
-
 def spans(n: int, size: int) -> list[tuple[int, int]]:
     """Divide 0 .. n into spans (first, end) of `size`; the last may be shorter."""
     return [(first, min(first + size, n)) for first in range(0, n, size)]
@@ -288,7 +272,6 @@ def run_units(
     per_worker: int = 1,
     ahead: bool = False,
     reading_input: Iterable[str] = (),
-    spare: Spare | None = None,
 ) -> list[Receipt]:
     """Run the units that have no valid receipt; return the receipts of all units in order.
 
@@ -300,8 +283,6 @@ def run_units(
         One more for each worker of one thread, to follow at once; for units of one task.
     reading_input : iterable of str
         Units that read the input of the run: their InputErrors are raised as such.
-    spare : Spare, optional
-        Gets the receipts of its units that were run.
 
     Returns
     -------
@@ -332,20 +313,10 @@ def run_units(
     listener.begin(stage, reused=len(receipts))
     listener.update(stage, len(receipts), len(units))
     waiting = deque(unit for unit in units if unit[0] not in receipts)
-    own = {unit for unit, _ in waiting}
     for unit, future in as_completed(client, stage, waiting, per_worker, listener, ahead=ahead):
         signed: Receipt = _result(future, stage, unit, reads_input=unit in readers)
-        if spare is not None and unit not in own:
-            spare.receipts[unit] = signed
-            continue
         receipts[unit] = replace(signed, damaged=unit in damaged)
         listener.update(stage, len(receipts), len(units))
-        if spare is None:
-            continue
-        if len(receipts) < len(units):
-            waiting.extend(spare.after(unit, signed))
-        else:
-            waiting.clear()
     return [receipts[unit] for unit, _ in units]
 
 

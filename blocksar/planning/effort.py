@@ -65,16 +65,13 @@ THREAD_GAIN = 0.5  # of a further thread of a worker, over the first: 0.9 of two
 FOCUS: Work = dict.fromkeys(("plan", "compile", "start-workers", "recover", "focus", "mosaic", "finish"), ())
 
 
-def blocks_add_layers(blocks: int, workers: int) -> bool:
-    """Whether blocks add the layers of a terrain to their chunks: if they keep all workers busy in every round.
-
-    Layers take the disk as long as pixels do, and it waits while pixels are computed. Workers that have no block in the
-    last round take the layers of the others meanwhile.
-    """
-    return blocks % max(workers, 1) == 0
+def _layers(chunks: int, side: tuple[int, int]) -> Work:
+    """Work of the layers of a terrain for so many chunks of the image, of `side` pixels; nothing for none."""
+    counts = [min(chunks - first, LAYER_CHUNKS) for first in range(0, chunks, LAYER_CHUNKS)]
+    return {"layers": [LAYERS * count * side[0] * side[1] for count in counts]} if counts else {}
 
 
-def of_plan(plan: Plan, *, workers: int = 1) -> Work:
+def of_plan(plan: Plan) -> Work:
     """Work of focusing by a plan, without that of a raw echo."""
     collection, side = plan.geometry.collection, image_chunk(plan.grid)
     written = CORRECT
@@ -84,9 +81,7 @@ def of_plan(plan: Plan, *, workers: int = 1) -> Work:
     chunks = [touched_chunks(block.ground, plan.grid) for block in plan.blocks]
     patches = Counter(chunk for touched in chunks for chunk in touched)  # by chunk of the mosaic
     merged = [patches[chunk] for chunk in sorted(patches) if patches[chunk] > 1]
-    alone = [] if plan.geometry.terrain is None else [sum(patches[chunk] == 1 for chunk in each) for each in chunks]
-    if blocks_add_layers(len(plan.blocks), workers):
-        written, alone = written + (LAYERS if alone else 0.0), []
+    layered = 0 if plan.geometry.terrain is None else len(patches)
     stages = {
         "recover": (RECOVER * plan.recovery.doppler.size * columns).tolist(),
         **_gating(plan),
@@ -97,12 +92,8 @@ def of_plan(plan: Plan, *, workers: int = 1) -> Work:
         "mosaic": [
             MERGE * sum(merged[first : first + MOSAIC_CHUNKS]) * side[0] * side[1]
             for first in range(0, len(merged), MOSAIC_CHUNKS)
-        ]
-        + [
-            LAYERS * min(count - first, LAYER_CHUNKS) * side[0] * side[1]
-            for count in alone
-            for first in range(0, count, LAYER_CHUNKS)
         ],
+        **_layers(layered, side),
     }
     return stages | {"finish": [FINISH]}
 
@@ -130,17 +121,18 @@ def of_chunks(
 ) -> Work:
     """Work of forming each chunk of an image from all samples, without that of raw echoes; `seconds` is of a chunk."""
     costs = [sum(seconds(geometry, x, y) for geometry in geometries) for x, y in chunks_of(grid)]
-    return of_parts(geometries, stage, costs)
+    return of_parts(geometries, grid, stage, costs)
 
 
-def of_parts(geometries: Sequence[Geometry], stage: str, costs: Sequence[float]) -> Work:
+def of_parts(geometries: Sequence[Geometry], grid: Grid, stage: str, costs: Sequence[float]) -> Work:
     """Work of inspecting all samples, and of forming parts of an image from them, which take so many seconds."""
     inspect: list[float] = []
     for geometry in geometries:
         collection = geometry.collection
         n_tasks = math.ceil(collection.n_range_frequency / inspection_width(collection))
         inspect += [INSPECT * collection.n_pulse * collection.n_range_frequency / n_tasks] * n_tasks
-    return {"inspect": inspect, stage: costs, "finish": [FINISH]}
+    layered = 0 if geometries[0].terrain is None else len(chunks_of(grid))
+    return {"inspect": inspect, stage: costs, **_layers(layered, image_chunk(grid)), "finish": [FINISH]}
 
 
 def of_demo(*, simulated: bool, compiled: bool) -> Work:

@@ -86,7 +86,7 @@ def _candidate(name: str, problem: Problem) -> Candidate:
         return Candidate(name, refusal=str(error))
     if plan.refusal is not None:
         return Candidate(name, refusal=plan.refusal)
-    work = plan.work(workers=machine.workers)
+    work = plan.work()
     seconds = effort.seconds_of(work, workers=max(machine.workers, 1), threads=machine.threads, pace=1.0)
     return Candidate(name, plan, sum(seconds.values()))
 

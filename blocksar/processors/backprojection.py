@@ -95,7 +95,7 @@ class BackprojectionPlan(ChunkPlan):
     def seconds(self, geometry: Geometry, x: FloatArray, y: FloatArray) -> float:
         return effort.projection_seconds(geometry, x, y)
 
-    def work(self, *, workers: int) -> Work:
+    def work(self) -> Work:
         geometries = [piece.geometry for piece in self.pieces]
         if self.device == "cpu":
             return effort.of_chunks(geometries, self.grid, self.processor, self.seconds)
@@ -103,7 +103,7 @@ class BackprojectionPlan(ChunkPlan):
             sum(effort.gpu_seconds(each, self.grid, windows) for each in geometries)
             for windows in self.parts().values()
         ]
-        return effort.of_parts(geometries, self.processor, costs)
+        return effort.of_parts(geometries, self.grid, self.processor, costs)
 
     def forming(self, weighting: Weighting) -> Form:
         return partial(form_parts, weighting=weighting)

@@ -133,7 +133,7 @@ class ImagePlan(ABC):
         """Predicted peak memory of a worker of so many threads, bytes."""
 
     @abstractmethod
-    def work(self, *, workers: int) -> Work:
+    def work(self) -> Work:
         """Seconds of each stage's units without those of raw echoes: see `planning.effort`."""
 
     @abstractmethod
@@ -263,7 +263,10 @@ class PartPlan(ImagePlan):
             on=self.device,
         )  # fmt: skip
         execution.end(self.processor)
-        return [*(receipt for each in read for receipt in each.receipts), *formed]
+        layers = stages.layers_of_parts(client, segments, run, self.grid, formed, listener)
+        if layers:
+            execution.end("layers")
+        return [*(receipt for each in read for receipt in each.receipts), *formed, *layers]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -286,7 +289,7 @@ class ChunkPlan(PartPlan):
 
         return partial(each_alone, form=self.forming(weighting))
 
-    def work(self, *, workers: int) -> Work:
+    def work(self) -> Work:
         return effort.of_chunks([piece.geometry for piece in self.pieces], self.grid, self.processor, self.seconds)
 
 

@@ -111,8 +111,8 @@ class ChainPlan(ImagePlan):
     def memory(self, threads: int) -> int:
         return max(plan.memory_of(threads) for plan in self.plans)
 
-    def work(self, *, workers: int) -> Work:
-        return effort.together([effort.of_plan(plan, workers=workers) for plan in self.plans])
+    def work(self) -> Work:
+        return effort.together([effort.of_plan(plan) for plan in self.plans])
 
     def stored(self) -> dict[str, int]:
         return run_bytes(*self.plans)
@@ -178,16 +178,17 @@ class ChainPlan(ImagePlan):
         receipts = [(*each.receipts, *some) for each, some in zip(recovered, gated, strict=True)]
         inspections = [each.inspection for each in recovered]
         noises = execution.noises([inspection.lit for inspection in inspections])
-        focused = stages.focus_blocks(
-            client, segments, run, receipts, inspections, noises, listener, workers=execution.workers
-        )
+        patches = stages.focus_blocks(client, segments, run, receipts, inspections, noises, listener)
         execution.end("focus")
         if execution.discard:
             stages.discard_spectra(segments, run, receipts)
-        merged = stages.mosaic(client, segments, run, focused, noises, listener)
+        merged = stages.mosaic(client, segments, run, patches, noises, listener)
         execution.end("mosaic")
+        layers = stages.layers_of_blocks(client, segments, run, patches, listener)
+        if layers:
+            execution.end("layers")
         read = chain.from_iterable(each.receipts for each in recovered)
-        return [*read, *chain(*gated), *focused.patches, *merged]
+        return [*read, *chain(*gated), *patches, *merged, *layers]
 
 
 def predicted_blocks(plan: Plan) -> tuple[PredictedBlock, ...]:

@@ -83,9 +83,10 @@ class HierarchicalPlan(PartPlan):
             memory=self.on_gpu,
         )  # fmt: skip
 
-    def work(self, *, workers: int) -> Work:
+    def work(self) -> Work:
         count, seconds = len(self.parts()), sum(each.seconds for each in self.divisions)
-        return effort.of_parts([piece.geometry for piece in self.pieces], self.processor, [seconds / count] * count)
+        geometries = [piece.geometry for piece in self.pieces]
+        return effort.of_parts(geometries, self.grid, self.processor, [seconds / count] * count)
 
     def loops(self) -> Sequence[str]:
         return *compiling.PATTERNS, *compiling.HIERARCHY

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from serial_estimate import find_track_error
 
 from blocksar.autofocusing import estimation
 from blocksar.autofocusing.estimation import coarse_error
 from blocksar.autofocusing.finishing import Result
 from blocksar.autofocusing.selection import Refused, stands_out
-from blocksar.autofocusing.serial import find_track_error
 from blocksar.autofocusing.work import Settings
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry

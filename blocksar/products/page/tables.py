@@ -23,6 +23,7 @@ UNITS = {
     "gate": "range gates, by Doppler bins",
     "focus": "blocks",
     "mosaic": "image, by chunks",
+    "layers": "layers of the terrain, by chunks",
     "backprojection": "image, by chunks",
 }  # of a stage
 STAGES = {
@@ -32,6 +33,7 @@ STAGES = {
     "gate": "range gates",
     "focus": "focusing of blocks",
     "mosaic": "mosaic",
+    "layers": "layers of the terrain",
     "backprojection": "back-projection",
     "rest": "start, checks and end",
 }

@@ -1,4 +1,4 @@
-"""All stages in one process: their order, stated once."""
+"""All stages of an estimate of the track in one process, a slow twin of `graph.track_stages`."""
 
 from __future__ import annotations
 
