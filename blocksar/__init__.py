@@ -76,7 +76,7 @@ def __getattr__(name: str) -> Any:
 
 @cache
 def _in_python(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The same function; its errors name parameters where they would name options of the command line."""
+    """Copy of the function whose errors name parameters where they would name options of the command line."""
     from blocksar.errors import InputError, ProcessingError, in_python
 
     @wraps(function)

@@ -99,7 +99,7 @@ class FolderError(InputError):
 
 
 class NoRoom(FolderError):
-    """What is to be written will not fit the disk; nothing of it is written yet."""
+    """Refusal of what will not fit the disk; nothing of it is written yet."""
 
 
 def in_the_way(path: object, state: str = "exists") -> InputError:

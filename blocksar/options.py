@@ -24,7 +24,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 @dataclass(frozen=True)
 class Option:
-    """What a field is, as the last part of its annotation.
+    """Description of a field, as the last part of its annotation.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a table is: its header, and rows of as many cells."""
+"""Table: a header, and rows of as many cells."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the columns of tables mean, one sentence each: printed by `--explain`."""
+"""Definitions of the columns of tables, one sentence each: printed by `--explain`."""
 
 from __future__ import annotations
 

@@ -232,7 +232,7 @@ def _file(where: Readable) -> Report:
 
 
 def _described(reader: Reader, files: Sequence[Readable], name: str, given: str) -> Report:
-    """What a reader says of files, which lie at a place of this name, and are given so to its command."""
+    """Find what a reader says of files, which lie at a place of this name, and are given so to its command."""
     found = reader.describe(files, given)
     rows = [
         *found.rows,

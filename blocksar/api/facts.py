@@ -1,4 +1,4 @@
-"""What `info` says of a collection and of a run: rows of a name and a text, from metadata alone."""
+"""Facts of a collection and of a run for `info`: rows of a name and a text, from metadata alone."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def _beam(collection: Collection) -> str:
 
 
 def _footprint(geometry: Geometry) -> Rows:
-    """What a steered beam lights, and the grid that would cover it; nothing where neither can be said."""
+    """Find what a steered beam lights, and the grid that would cover it; nothing where neither can be said."""
     collection = geometry.collection
     if not collection.steered:
         return []
@@ -214,5 +214,5 @@ def _told(name: str, value: Any) -> bool:
 
 
 def made_row(made: Sequence[str]) -> Rows:
-    """What else lies in a run folder."""
+    """Find what else lies in a run folder."""
     return [("also made", ", ".join(made))] if made else []

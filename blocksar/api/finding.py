@@ -1,4 +1,4 @@
-"""What quality measures without being told of it: bright points, an area, the floor, places of ambiguities."""
+"""Figures that quality finds by itself: bright points, an area, the floor, places of ambiguities."""
 
 from __future__ import annotations
 

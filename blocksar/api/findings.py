@@ -1,4 +1,4 @@
-"""What the samples of a run's collections tell: warnings, counts, and how they fit track and beam."""
+"""Findings in the samples of a run's collections: warnings, counts, and how they fit track and beam."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def add_findings(
 
 
 class _Told(NamedTuple):
-    """What the samples of a collection tell; see `RunRecord`."""
+    """Findings in the samples of a collection; see `RunRecord`."""
 
     warnings: list[str]
     check: str
@@ -88,7 +88,7 @@ def _of_collection(
     several: bool,
     exact: bool,
 ) -> _Told:
-    """What the inspections of a collection's segments tell, then its check; of one of `several`, with its path.
+    """Find what the inspections of a collection's segments tell, then its check; of one of `several`, with its path.
 
     `exact`: for an image that takes any track.
 
@@ -129,7 +129,7 @@ def _universal(job: Job) -> bool:
 
 
 def without_samples(history: stores.PhaseHistory, *, zeros: bool) -> str:
-    """What is wrong with a phase history that has no valid sample, or none but zeros."""
+    """Say what is wrong with a phase history that has no valid sample, or none but zeros."""
     wrong = (
         "holds zeros only; write it again from its source" if zeros else "holds no valid sample; is it the right store?"
     )

@@ -287,7 +287,7 @@ def _focus_image(
 
 
 def _beside(request: Request, following: int) -> Beside:
-    """What a run needs room for besides its own stores: so many that follow, and the correction of its track."""
+    """Find what a run needs room for besides its own stores: so many that follow, and the correction of its track."""
     if request.track is None:
         return Beside(following)
     from blocksar.api.tracks import estimates_of

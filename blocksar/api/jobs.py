@@ -142,7 +142,7 @@ class Request:
         )  # fmt: skip
 
     def asking(self, **changes: Any) -> Request:
-        """The same with other settings, of those that nothing read from files depends on."""
+        """Copy with other settings, of those that nothing read from files depends on."""
         return replace(self, asked=replace(self.asked, **changes))
 
     @property
@@ -152,7 +152,7 @@ class Request:
 
     @cached_property
     def device(self) -> str:
-        """What back-projection runs on, "cpu" or "gpu"."""
+        """Find what back-projection runs on, "cpu" or "gpu"."""
         return device_for(self.asked.processor, self.asked.device)
 
     @cached_property
@@ -167,7 +167,7 @@ class Request:
 
     @property
     def fingerprint(self) -> str:
-        """That of the phase history, or of all of them."""
+        """Fingerprint of the phase history, or of all of them."""
         return joint_fingerprint(self.fingerprints)
 
     @property
@@ -307,7 +307,7 @@ class Job:
         return [f"{', '.join(paths)} {'covers' if len(paths) == 1 else 'cover'} nothing of the grid"] if paths else []
 
     def with_stored_input(self) -> Job:
-        """The same job with its samples in a store: those in memory are written into the run folder, once.
+        """Copy of the job with its samples in a store: those in memory are written into the run folder, once.
 
         Tasks read their input by chunks, and a run that is resumed reads the same.
 

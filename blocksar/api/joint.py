@@ -51,7 +51,7 @@ SAME = ("block", "collection", *stores.ON_TERRAIN)  # those of the first
 
 @dataclass(frozen=True)
 class Members:
-    """What each channel or look is focused from, by name, what they are ("channel" or "look"), and of what."""
+    """Inputs of each channel or look, by name, with the dimension ("channel" or "look") and the phase history."""
 
     dimension: str
     histories: dict[str, list[stores.PhaseHistory]]
@@ -80,7 +80,7 @@ class Members:
 
     @property
     def path(self) -> str:
-        """That of the first phase history."""
+        """Path of the first phase history."""
         return str(next(iter(self.histories.values()))[0].path)
 
 
@@ -376,7 +376,7 @@ def _join(
 
 
 def _parts(record: RunRecord, variable: str) -> Iterator[Written]:
-    """What a run wrote of a variable of its image."""
+    """Find what a run wrote of a variable of its image."""
     for receipt in record.receipts:
         yield from (part for part in receipt.written if part.store == "image.zarr" and part.variable == variable)
 

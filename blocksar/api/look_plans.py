@@ -1,4 +1,4 @@
-"""What looks do to the prediction: the plan of each, as `focus` makes it, beside that of whole dwells."""
+"""Predictions for looks: the plan of each, as `focus` makes it, beside that of whole dwells."""
 
 from __future__ import annotations
 

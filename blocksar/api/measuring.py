@@ -132,7 +132,7 @@ def measure(
 
 
 class Part(NamedTuple):
-    """What a report has on one subject: entries of its result, sentences and tables."""
+    """Part of a report on one subject: entries of its result, sentences and tables."""
 
     result: Mapping[str, Any]
     lines: Sequence[str] = ()
@@ -280,7 +280,7 @@ def _response_table(responses: Sequence[PointResponse]) -> Table:
 
 
 def _weighting_lines(weighting: Weighting, patterned: bool) -> list[str]:
-    """What the tapers of a weighted image make of its ideal response."""
+    """Find what the tapers of a weighted image make of its ideal response."""
     if weighting.uniform:
         return []
     along = (("range", weighting.range), ("azimuth", weighting.azimuth))
@@ -384,7 +384,7 @@ def _table3(responses: Sequence[PointResponse]) -> Table:
 
 
 def _track_table(track: TrackCorrection) -> Table:
-    """What was taken off the track, axis by axis, mm."""
+    """Say what was taken off the track, axis by axis, mm."""
     header = ("track's error", "at the first pulse (mm)", "in the middle (mm)", "at the last pulse (mm)", "r.m.s. (mm)",
               "largest uncertainty (mm)")  # fmt: skip
     middle = track.time.size // 2

@@ -1,4 +1,4 @@
-"""What was given instead of a phase history, and the command that leads from there to one."""
+"""Paths that are no phase history, and the command that leads from there to one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every refusal of a chain ends with: hierarchical back-projection does it."""
+"""Sentence at the end of every refusal of a chain: hierarchical back-projection does it."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ def imaged_collections(
 
 
 def pulses_of(histories: Sequence[stores.PhaseHistory]) -> str | None:
-    """Which pulses are imaged, as the settings of a run say it: WHOLE, or PARTS as well; None without a raw echo."""
+    """Find which pulses are imaged, as a run's settings say it: WHOLE, or PARTS as well; None without a raw echo."""
     recorded = [each for history in histories if (each := history.collection.recorded) is not None]
     return None if not recorded else PARTS if any(each.partial for each in recorded) else WHOLE
 

@@ -181,7 +181,7 @@ def plan(
 
 
 def _channels_line(source: Source) -> list[str]:
-    """That the plan is one of several channels, if it is."""
+    """State that the plan is one of several channels, if it is."""
     names = channels_of(source)
     return [f"{len(names)} channels ({', '.join(names)}), one after the other, each as follows"] if names else []
 

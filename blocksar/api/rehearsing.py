@@ -1,4 +1,4 @@
-"""What `focus` would do, without doing it."""
+"""Dry run of `focus`: what it would do, without doing it."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def rehearse(request: Request, earlier: RunRecord | None, machine: Resources, be
 
 
 def _doing(request: Request, job: Job, earlier: RunRecord | None, beside: Beside) -> str:
-    """What would be written, and how much room there is for it."""
+    """Find what would be written, and how much room there is for it."""
     folder = request.folder
     resumed = earlier is not None or is_begun(folder, job.record())
     replaced = request.asked.overwrite and folder.exists() and folder.names()

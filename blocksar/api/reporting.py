@@ -83,7 +83,7 @@ def report(
 
 
 class _Common(NamedTuple):
-    """What the pages of all channels or looks of a run share."""
+    """Parts that the pages of all channels or looks of a run share."""
 
     composite: Any  # the Pauli composite of channels; None without the polarisations
     looks: Any  # the spectra of looks; None of other runs
@@ -115,7 +115,7 @@ def _page_module() -> ModuleType:
 
 @dataclass(frozen=True, kw_only=True)
 class _Writer:
-    """What the pages of all channels or looks of a run are written with."""
+    """Settings with which the pages of all channels or looks of a run are written."""
 
     run: Place
     out: Location | None

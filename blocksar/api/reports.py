@@ -1,4 +1,4 @@
-"""What a command returns: tables and sentences for people, and the result itself."""
+"""Reports of commands: tables and sentences for people, and the result itself."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ LONGEST = 300  # characters of a report's repr
 
 @dataclass(frozen=True, repr=False)
 class Report:
-    """What a function returns: tables and sentences for people, and the result itself.
+    """Report of a function: tables and sentences for people, and the result itself.
 
     Its repr is one line; `print` shows tables and sentences, and a notebook shows them as HTML.
 

@@ -33,7 +33,7 @@ def room_of(job: Job) -> Room:
 
 
 class Beside(NamedTuple):
-    """What a run needs room for besides its own stores.
+    """Room that a run needs besides its own stores.
 
     Attributes
     ----------

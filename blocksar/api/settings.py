@@ -41,7 +41,7 @@ _PROCESSOR = Option(
 
 @dataclass(frozen=True, kw_only=True)
 class Imaging:
-    """What the image depends on."""
+    """Settings that the image depends on."""
 
     processor: Annotated[str, _PROCESSOR] = "auto"
     device: Annotated[
@@ -116,7 +116,7 @@ class Machine:
 
 @dataclass(frozen=True, kw_only=True)
 class Output:
-    """What is written, replaced and kept."""
+    """Settings of what is written, replaced and kept."""
 
     performance_report: Annotated[
         Path | None,
@@ -175,7 +175,7 @@ class Settings(Output, Machine, Imaging):  # whose fields stand in the opposite 
 
     @property
     def ground(self) -> Ground:
-        """What is said of the ground."""
+        """Say what is said of the ground."""
         from blocksar.ingestion.terrain.reading import Ground
 
         return Ground(terrain=self.terrain, surface=self.surface, vertical=self.vertical)

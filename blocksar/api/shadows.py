@@ -1,4 +1,4 @@
-"""Which targets of a run lie in the shadow of its terrain."""
+"""Targets of a run that lie in the shadow of its terrain."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class PlanReport(Report):
-    """What `plan` returns.
+    """Report of `plan`.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ def is_measurable(record: RunRecord) -> bool:
 
 @dataclass(frozen=True, repr=False)
 class RunReport(Report):
-    """What `focus` returns.
+    """Report of `focus`.
 
     Attributes
     ----------

@@ -29,7 +29,7 @@ KNOWN = {*Target._fields, *PointResponse._fields}
 
 
 class Placed(Protocol):
-    """What has a scene frame: a finished run, or a `Frame`."""
+    """Owner of a scene frame: a finished run, or a `Frame`."""
 
     @property
     def georeference(self) -> Georeference | None: ...

@@ -302,7 +302,7 @@ def _named(estimate: TrackEstimate | None) -> Iterator[None]:
 
 
 def estimates_of(request: Request, place: TrackPlace) -> list[TrackEstimate]:
-    """What each phase history of a run needs for its track."""
+    """Find what each phase history of a run needs for its track."""
     alone = len(place.channels) == 1
     return [
         TrackEstimate(

@@ -291,7 +291,7 @@ def anchored(work: Work, result: Result, names: Sequence[str], found: Sequence[S
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Fit:
-    """What some control points tell of the track.
+    """Fit of the track to some control points.
 
     Attributes
     ----------

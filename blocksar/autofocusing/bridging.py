@@ -66,7 +66,7 @@ def stitched(chips: Chips, displacement: FloatArray, weights: FloatArray) -> Flo
 
 
 def straddling(chips: Chips, gap: slice) -> BoolArray:
-    """Which points (n_point,) are seen on either side of a gap."""
+    """Find which points (n_point,) are seen on either side of a gap."""
     told, later = chips.told, chips.index >= gap.stop
     return np.asarray(np.minimum((told & later).sum(axis=1), (told & ~later).sum(axis=1)) >= SLOPE)
 

@@ -23,7 +23,7 @@ PLACE_PADDING = 2.0  # Doppler cells for each sample, between which the brightes
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ChipPart:
-    """What a block of pulses adds to the chips.
+    """Contribution of a block of pulses to the chips.
 
     Attributes
     ----------
@@ -99,12 +99,12 @@ class Chips:
 
     @property
     def lit(self) -> BoolArray:
-        """Which samples of the chips there are, (n_point, n)."""
+        """Find which samples of the chips there are, (n_point, n)."""
         return np.asarray(np.arange(self.values.shape[2]) < self.count[:, None])
 
     @property
     def told(self) -> BoolArray:
-        """Which of them are not missing, (n_point, n)."""
+        """Find which of them are not missing, (n_point, n)."""
         return np.asarray(self.lit & self.seen[self.index])
 
     def narrowed(self, factor: int) -> Chips:

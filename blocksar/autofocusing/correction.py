@@ -17,7 +17,7 @@ SAMPLES_PER_INTERVAL = 4  # of a chip, at least
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Correction:
-    """What is added to the stated positions, after some loops.
+    """Displacement that is added to the stated positions, after some loops.
 
     Attributes
     ----------

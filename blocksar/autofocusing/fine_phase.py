@@ -1,4 +1,4 @@
-"""What is too fine for the splines: the line-of-sight phase of each sample, from the points' strongest lines.
+"""Phase too fine for the splines: along the line of sight, of each sample, from the points' strongest lines.
 
 Once the chips are sharp, each sample's phase can be read off the points themselves: the angle of the sum of their
 strongest lines, each turned back by its own phase. That is noise, unless the track really has so fine an error, as a
@@ -98,7 +98,7 @@ def is_pattern(first: FloatArray, second: FloatArray) -> bool:
 
 
 def standing_alone(chips: Chips) -> BoolArray:
-    """Which points (n_point,) have most of the power of their strongest lines.
+    """Find which points (n_point,) have most of the power of their strongest lines.
 
     The others share these with more points.
     """
@@ -146,7 +146,7 @@ def own_phase(rows: ComplexArray, chips: Chips) -> tuple[Complex128Array, FloatA
 
 
 def believed(first: FloatArray, second: FloatArray) -> FinePhase:
-    """What two independent estimates (n, 2) of a phase, rad, and of a relative amplitude have in common.
+    """Find what two independent estimates (n, 2) of a phase, rad, and of a relative amplitude have in common.
 
     By a Wiener filter: of a signal S and noise N in each, the mean of both has the power S + N / 2, and half of their
     difference N / 2. That tells S, less what amplitudes have in common. Where it does not stand out of the noise,

@@ -60,7 +60,7 @@ class Result:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HalfEstimate:
-    """What one half of the points tells: splines of a displacement (n_sample, 3), m, added to `Correction.previous`."""
+    """Estimate from one half of the points: splines of a displacement (n_sample, 3), m, on `Correction.previous`."""
 
     displacement: FloatArray
 

@@ -25,7 +25,7 @@ class Information(NamedTuple):
 
 
 def information(chips: Chips, knots: Knots, weights: FloatArray) -> Information:
-    """What chips tell and what not, each chip weighed by one of `weights` (n_point,)."""
+    """Find what chips tell and what not, each chip weighed by one of `weights` (n_point,)."""
     told = chips.told
     each = np.where(told, (weights / np.maximum(told.sum(axis=1), 1))[:, None], 0.0)
     squares, form = np.zeros((chips.time.size, 3, 3)), np.zeros((3 * knots.size, 3 * knots.size))

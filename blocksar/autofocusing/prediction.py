@@ -148,7 +148,7 @@ def amplitude_in_common(chips: Chips, correction: Correction) -> float:
 
 
 def far_from_gaps(chips: Chips) -> BoolArray:
-    """Which samples (n_sample,) lie outside the long gaps, and the low-pass of which does not reach into one."""
+    """Find which samples (n_sample,) lie outside the long gaps, and the low-pass of which does not reach into one."""
     far = np.ones(chips.seen.size, bool)
     for run in missing_runs(chips.seen):
         if run.stop - run.start > SHORT_GAP:

@@ -217,7 +217,7 @@ def _coarse_image(
 
 
 def _range_sidelobes(bright: Bright, work: Work, pulses: slice) -> NDArray[np.bool_]:
-    """Which of bright samples (n,) may be sidelobes in range of others, which have their Doppler and are brighter."""
+    """Find which of bright samples (n,) may be sidelobes in range of others, of their Doppler and brighter."""
     n = work.geometry.collection.n_range_frequency
     cells = np.abs(bright.distance[:, None] - bright.distance) / work.cell
     apart = np.abs(bright.rate[:, None] - bright.rate) / (2 * np.pi) / _doppler_cell(work, pulses)
@@ -328,7 +328,7 @@ def select_points(channels: Sequence[Sequence[Candidates]], work: Work) -> Chose
 
 
 def stands_out(prominence: FloatArray, cells: int) -> NDArray[np.bool_]:
-    """Which prominences (n,) noise does not show, but once in 1 / FALSE searches of so many cells.
+    """Find which prominences (n,) noise does not show, but once in 1 / FALSE searches of so many cells.
 
     The power of a cell of noise is distributed exponentially: with probability 2^-p it is over p times its median. So
     is that of clutter of many scatterers a cell.

@@ -69,7 +69,7 @@ def add_to_form(squares: FloatArray, knot: IntArray, basis: FloatArray, form: Fl
 def flat_parts(
     sight: FloatArray, first: IntArray, weights: FloatArray, knot: IntArray, basis: FloatArray, out: FloatArray
 ) -> None:
-    """What coefficients add to a constant and to a line over each chip, each of unit norm with weights[i, m].
+    """Find what coefficients add to a constant and to a line over each chip, each of unit norm with weights[i, m].
 
     Adds to out (2 n_point, 3 size), for splines with `Knots.basis`. Weights are equal where they are not 0.
     """

@@ -40,7 +40,7 @@ class Places:
 
 
 def shared_points(one: Work, other: Work, points: Sequence[Points]) -> Points:
-    """Those of the points of either collection that both see for most of a dwell, with the pulses of `one`.
+    """Select points of either collection that both see for most of a dwell, with the pulses of `one`.
 
     Both have them in their range windows, where a chip would hold other ranges otherwise. No more than an estimate has.
     """
@@ -114,7 +114,7 @@ def _place(work: Work, points: Points, chips: Chips, i: int, one: Seen) -> tuple
 
 
 def places_seen(work: Work, places: Places) -> Places:
-    """Those of some places that another collection sees."""
+    """Select places that another collection sees."""
     first, last = lit_interval(work.geometry, places.x, places.y)
     inside = _in_window(work, places.x, places.y, places.z, first, last)
     seen = np.flatnonzero((last - first >= 2 * work.decimation) & inside)

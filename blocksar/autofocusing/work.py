@@ -1,4 +1,4 @@
-"""What an estimate is made of: the geometry, the short apertures, the blocks of pulses and the samples of chips."""
+"""Inputs of an estimate: the geometry, the short apertures, the blocks of pulses and the samples of chips."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from blocksar.errors import InputError
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """What the estimator is told.
+    """Settings of the estimator.
 
     Attributes
     ----------

@@ -105,7 +105,7 @@ def _shown(value: Any) -> str:
 
 
 def _problem(error: Any) -> str:
-    """What is wrong with a value, without the name of the option."""
+    """Say what is wrong with a value, without the name of the option."""
     message = plain(str(error.message))
     return message[:1].lower() + message[1:]
 

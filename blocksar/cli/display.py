@@ -35,7 +35,7 @@ class Report(Protocol):
 
     @property
     def definitions(self) -> Sequence[str]:
-        """What the columns mean."""
+        """Find what the columns mean."""
 
     def table(self) -> Sequence[tuple[Sequence[str], Sequence[Sequence[str]]]]:
         """Return the tables as (header, rows), with cells as text."""

@@ -84,7 +84,7 @@ class Commands(TyperGroup):
 
 
 def _without_types(parameters: Any) -> Any:
-    """The same parameters of a command, the flags among them without their type."""
+    """Copy of a command's parameters, the flags among them without their type."""
     for parameter in parameters:
         if getattr(parameter, "is_flag", False) and parameter.metavar is None:
             parameter.metavar = ""

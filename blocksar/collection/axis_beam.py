@@ -48,7 +48,7 @@ class Points(NamedTuple):
         return Points(self.x[which], self.y[which], self.z[which] if isinstance(self.z, np.ndarray) else self.z)
 
     def each(self) -> Points:
-        """The same, contiguous, with a height for each point."""
+        """Broadcast to contiguous arrays, with a height for each point."""
         z = np.broadcast_to(np.asarray(self.z, np.float64), self.x.shape)
         return Points(*(np.ascontiguousarray(part, np.float64) for part in (self.x, self.y, z)))
 

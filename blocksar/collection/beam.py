@@ -1,4 +1,4 @@
-"""Which pulses light a ground point: the one rule, and what follows from it.
+"""Pulses that light a ground point: the one rule, and what follows from it.
 
 A beam that is described by its yaw lights a point while |wrapped(yaw - beam_azimuth)| <= beam_width / 2, where yaw is
 the point's angle about the platform's nadir at t = 0. A beam about the antenna's own axis (`axis_beam`) lights it while
@@ -50,12 +50,12 @@ NOT_STEERED = "not steered: it lights everything all the time, so that a grid is
 
 
 def wrapped(angle: Angle) -> Angle:
-    """The same angle in [-pi, pi], rad; exactly the input where it lies there already."""
+    """Wrap an angle to [-pi, pi], rad; exactly the input where it lies there already."""
     return angle - TURN * np.rint(angle / TURN)
 
 
 def turned_near(angle: Angle, centre: float) -> Angle:
-    """The same angle within pi of `centre`, rad."""
+    """Turn an angle by whole circles to within pi of `centre`, rad."""
     # Not centre + wrapped(angle - centre): plans depend on this rounding, and must repeat to the bit.
     return centre + np.mod(angle - centre + np.pi, TURN) - np.pi
 
@@ -86,7 +86,7 @@ def beam_at(collection: Collection, pulses: slice) -> tuple[FloatArray, float]:
 def is_lit(
     geometry: Geometry, x: FloatArray, y: FloatArray, pulses: slice = slice(None), z: Height | None = None
 ) -> BoolArray:
-    """Which pulses light points x, y (...), m: (..., n_pulse)."""
+    """Find which pulses light points x, y (...), m: (..., n_pulse)."""
     if geometry.collection.has_axis:
         px, py, pz = (np.asarray(axis)[..., None] for axis in (x, y, _height(geometry, x, y, z)))
         offset = beam_offset(geometry, px, py, pulses, pz)

@@ -422,7 +422,7 @@ class Collection:
         return SPEED_OF_LIGHT / self.carrier
 
     def centred(self) -> Collection:
-        """The same collection with its carrier in the middle of the band, as processing requires.
+        """Copy of the collection with its carrier in the middle of the band, as processing requires.
 
         The signal depends on carrier + range_frequency only, so the samples stay as they are.
         """
@@ -442,7 +442,7 @@ class Collection:
         return Collection(**{**self.as_dict(), **cut, "time": time})
 
     def steadied(self, n_interval: int) -> Collection:
-        """The same collection under a steered beam that follows cubic splines of so many intervals; 0: straight lines.
+        """Copy under a steered beam that follows cubic splines of so many intervals; 0: straight lines.
 
         Itself where its pulses are too few for that, or a yaw would turn back or stand still.
         """
@@ -482,7 +482,7 @@ class Collection:
         return steady if apart.mean() > WOBBLES * self.beam_width else self
 
     def unsteered(self) -> Collection:
-        """The same collection under a beam that lights everything all the time."""
+        """Copy of the collection under a beam that lights everything all the time."""
         beam = ("beam_width", "beam_axis", "beam_steering", "beam_offset", "beam_pattern")
         nowhere = {"beam_azimuth": np.full(self.n_pulse, np.nan)}
         return Collection(**{**self.as_dict(), **dict.fromkeys(beam), **nowhere})

@@ -57,7 +57,7 @@ ANALYTIC = {
 
 
 def real_numbers(name: str, kind: str, least: float) -> str:
-    """What is wrong with samples of a real type, and what to do.
+    """Say what is wrong with samples of a real type, and what to do.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def _of_real(name: str) -> str:
 
 
 def find_real(name: str, collection: Collection, parts: Iterable[tuple[tuple[slice, ...], ComplexArray]]) -> str | None:
-    """What is wrong with complex samples that are real, with what to do; None if they are not.
+    """Say what is wrong with complex samples that are real, with what to do; None if they are not.
 
     As they are, or but for the phase of the reference range. Samples of one sign may be those of a single target at
     that range.

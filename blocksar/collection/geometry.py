@@ -215,11 +215,11 @@ class Geometry:
     def over(
         self, terrain: Terrain | None, smooth: Callable[[FloatArray, FloatArray], FloatArray] | None = None
     ) -> Geometry:
-        """The same collection over another ground; what is known of its track is kept."""
+        """Copy of the collection over another ground; what is known of its track is kept."""
         return self._keeping_track(Geometry(collection=self.collection, terrain=terrain, smooth=smooth))
 
     def lit_by(self, collection: Collection) -> Geometry:
-        """The same under the beam of another collection; what is known of its track is kept."""
+        """Copy under the beam of another collection; what is known of its track is kept."""
         return self._keeping_track(Geometry(collection=collection, terrain=self.terrain, smooth=self.smooth))
 
     def _keeping_track(self, other: Geometry) -> Geometry:

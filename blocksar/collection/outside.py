@@ -1,4 +1,4 @@
-"""What is said of a grid that lies outside the swath: why, and what to do.
+"""Sentences on a grid that lies outside the swath: why, and what to do.
 
 What numbers may mean where a grid lies outside the swath: degrees, beam widths, feet or kilometres.
 
@@ -31,7 +31,7 @@ BAND = 4.0  # times the PRF, from which on a band of Doppler is no matter of the
 
 
 def find_meant(collection: Collection, grid: Grid, *, on_terrain: bool) -> str | None:
-    """What to do about a grid outside the swath if a wrong unit explains it, else None.
+    """Say what to do about a grid outside the swath if a wrong unit explains it, else None.
 
     On a terrain units of heights and ranges are not tried: its own heights are as likely to be wrong.
     """
@@ -55,7 +55,7 @@ def _of_steering(collection: Collection) -> Iterator[tuple[str, dict[str, Any]]]
 
 
 def _candidates(collection: Collection) -> Iterator[tuple[str, dict[str, Any]]]:
-    """What may be meant, and the fields as they would then be."""
+    """Say what may be meant, and the fields as they would then be."""
     if collection.steered and not collection.has_axis:
         azimuth = np.radians(collection.beam_azimuth)
         yield "beam_azimuth looks like degrees: give radians", {"beam_azimuth": azimuth}
@@ -103,7 +103,7 @@ def _degrees(*ends: float) -> str:
 
 
 def doubt_width(width: float | None, prf: float, band: float) -> str | None:
-    """What is wrong where a band of Doppler (Hz) exceeds the PRF, if a beam's width (rad) in degrees explains it."""
+    """Say what is wrong where a band of Doppler (Hz) exceeds the PRF, if a beam's width (rad) in degrees does."""
     if width is None or width <= WIDE or band < BAND * prf or np.radians(band) > prf:
         return None
     return (
@@ -177,7 +177,7 @@ def remedied(geometry: Geometry, grid: Grid) -> Iterator[None]:
 
 
 def remedy(geometry: Geometry, grid: Grid) -> str:
-    """What to do about a grid outside the swath.
+    """Say what to do about a grid outside the swath.
 
     A unit may be wrong (`find_meant`). On a terrain these may be wrong heights: of those in the swath the middle
     is told, z = height of the antenna - sqrt(reference range^2 - distance^2).

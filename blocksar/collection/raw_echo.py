@@ -67,7 +67,7 @@ class RecordedRanges:
 
     @classmethod
     def among(cls, attrs: Mapping[str, Any]) -> Self | None:
-        """Those that the attributes of a store state; None if they state none.
+        """Read the recorded ranges that the attributes of a store state; None if they state none.
 
         Raises
         ------
@@ -182,7 +182,7 @@ class RawEcho:
 
     @property
     def padded_range_frequency(self) -> FloatArray:
-        """The same where ground with parts of pulses is imaged as well, of a transform of n + 2 T rate samples, Hz.
+        """Range frequencies, Hz, of a transform of n + 2 T rate samples, for ground with parts of pulses as well.
 
         No two echoes may share a delay there, which takes n dt + T. Padded by a pulse more, what folds stays as far
         from all ground as a pulse is long, and ground that is divided by a small part does not show its side lobes. A

@@ -53,7 +53,7 @@ def narrowed(collection: Collection, number: int, count: int, sign: float) -> Co
 
 
 def whole_beam(collection: Collection, look: tuple[int, int, float] | None) -> Collection:
-    """What the whole beam saw of which `narrowed` made a look (number, count, sign), but for the rounding of its beam.
+    """Find what the whole beam saw of which `narrowed` made a look (number, count, sign), but for rounding.
 
     A collection of no look, or of some pulses, is that itself.
     """

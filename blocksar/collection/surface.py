@@ -1,4 +1,4 @@
-"""What the ground is without heights; apart, since the command line needs no arrays to name its options."""
+"""Names of grounds without heights; apart, since the command line needs no arrays to name its options."""
 
 from __future__ import annotations
 

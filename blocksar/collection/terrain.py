@@ -121,7 +121,7 @@ class Terrain:
         return in_x, self._taps((y - self.y0) / self.dy, self.row, self.heights.shape[0])
 
     def rates_of(self, x: FloatArray, y: FloatArray, taps: tuple[Taps, Taps]) -> tuple[Taps, Taps]:
-        """Those whose sums are derivatives, per sample, with `taps` of the other direction, as `taps_of` has them."""
+        """Tap weights whose sums are derivatives, per sample, with `taps` of the other direction, as in `taps_of`."""
         in_x, in_y = taps
         up_x = self._rates((x - self.x0) / self.dx, self.column, in_x)
         return up_x, self._rates((y - self.y0) / self.dy, self.row, in_y)

@@ -31,7 +31,7 @@ REPEATS = 0.5  # of the pulses at the very place of the pulse before, from which
 
 
 class Flaw(NamedTuple):
-    """What is unusual about a track: the fact with its figures, what to do for chains to focus it, and its ways."""
+    """Unusual way of a track: the fact with its figures, what to do for chains to focus it, and its ways."""
 
     fact: str
     remedy: str
@@ -42,7 +42,7 @@ class Flaw(NamedTuple):
 
 
 def find_flaw(collection: Collection) -> Flaw | None:
-    """What makes a track unfit for a transform to Doppler, if anything."""
+    """Find what makes a track unfit for a transform to Doppler, if anything."""
     every = math.ceil(collection.n_pulse / MOST_PULSES)
     position, step = (
         collection.antenna_position[::every],

@@ -172,7 +172,7 @@ FLAT = Taper()
 
 @dataclass(frozen=True, eq=False)
 class DwellShape:
-    """What a point's dwell counts in the sum to an image: weights over v, from -1 to 1 between its ends.
+    """Weights of a point's dwell in the sum to an image, over v from -1 to 1 between its ends.
 
     v is the place of the line of sight between those at the dwell's ends, along the azimuth cut. It turns unevenly in
     time on a curved or accelerated track.

@@ -279,7 +279,7 @@ class PixelSums:
         self._gains: FloatArray | None = None
 
     def lit(self) -> BoolArray:
-        """Which pulses light any pixel."""
+        """Find which pulses light any pixel."""
         n = self.geometry.collection.n_pulse
         return np.asarray(np.any([lit_pulses(first, last, n) for _, first, last in self.passes], axis=0))
 
@@ -470,7 +470,7 @@ def _normalise_weighted(image: ComplexArray, outside: BoolArray, weight: Float32
 
 
 def lit_pulses(first: IntArray, last: IntArray, n_pulse: int) -> BoolArray:
-    """Which pulses light any pixel."""
+    """Find which pulses light any pixel."""
     begins = np.bincount(first.ravel(), minlength=n_pulse + 1)
     ends = np.bincount(last.ravel(), minlength=n_pulse + 1)
     return np.asarray(np.cumsum(begins - ends)[:-1] > 0)

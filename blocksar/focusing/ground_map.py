@@ -291,7 +291,7 @@ class GroundMap:
 
     @cached_property
     def weight(self) -> FloatArray:
-        """What a pixel's sum is divided by, as a table over range and yaw; or one over that, (1, n), over yaw alone."""
+        """Divisor of a pixel's sum, as a table over range and yaw; or one over that, (1, n), over yaw alone."""
         if self.lit.ndim > 1:
             return self.lit * self.scale
         weight = (1.0 / np.maximum(self.lit, 1e-9) / self.scale)[None]
@@ -324,21 +324,21 @@ class GroundMap:
         return ElevationMeans(*(each.reshape(shape) for each in means))
 
     def _elevation_means(self, x: FloatArray, y: FloatArray, z: FloatArray | None = None) -> FloatArray:
-        """The same of points (1, n): (3, n)."""
+        """Means of points (1, n) under a pattern in elevation: (3, n)."""
         geometry, settings = self.geometry, dict[str, Any](valid=self.valid, taper=self.taper)
         at: Any = x, y, None if z is None else z - geometry.collection.ground_height
         means = mean_elevations(geometry, *at, passes=lit_passes(geometry, x, y, z), **settings)
         return np.concatenate(means)
 
     def tilted_gain(self, x: FloatArray, y: FloatArray, z: FloatArray | None, tilt: FloatArray) -> FloatArray:
-        """What the gain is multiplied by at ground points (...), m, whose dwells a pattern in elevation tilts."""
+        """Say what the gain is multiplied by at ground points (...), m, whose dwells a pattern in elevation tilts."""
         if self.tilt is None:
             return np.ones(np.shape(x))
         yaw = self.middle_yaw + self.relative_yaw(x, y)
         return 1 + self.tilt(self.geometry.epoch_range(x, y, z), yaw) * tilt
 
     def widened(self, region: Region, room: float) -> GroundMap:
-        """The same with limits and sums over lit pulses known `room`, rad, beyond the block."""
+        """Copy with limits and sums over lit pulses known `room`, rad, beyond the block."""
         yaw = np.linspace(self.low - room, self.high + room, self.yaw_axis.size)
         near_limit, far_limit = region.at(yaw)
         return replace(self, yaw_axis=yaw, near_limit=near_limit, far_limit=far_limit)

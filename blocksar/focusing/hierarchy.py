@@ -234,7 +234,7 @@ class Levels:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Frame:
-    """Which samples are left of a phase history for a part, referred to its centre.
+    """Samples that are left of a phase history for a part, referred to its centre.
 
     Attributes
     ----------
@@ -283,7 +283,7 @@ class Echoes(NamedTuple):
 
 
 class Filters(NamedTuple):
-    """What leads from the samples of one part to those of a part of it.
+    """Filters that lead from the samples of one part to those of a part of it.
 
     Attributes
     ----------

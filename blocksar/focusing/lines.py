@@ -108,7 +108,7 @@ class Line:
         return Line(**{**self.__dict__, **changes})
 
     def weighed(self, weights: FloatArray) -> Line:
-        """The same lines with other weights: the weighting at the nodes multiplies those of the quadrature."""
+        """Copy of the lines with other weights: the weighting at the nodes multiplies those of the quadrature."""
         return self._with(weight=self.weight * weights)
 
     @property

@@ -61,7 +61,7 @@ class _Cut(NamedTuple):
 
     @classmethod
     def of(cls, angles: FloatArray | None, values: FloatArray | None, most: float) -> _Cut:
-        """That of angles off a direction of `most` at most, rad; `values` is None where there is no pattern."""
+        """Prepare a pattern for angles up to `most` off a direction, rad; `values` is None without a pattern."""
         most = max(float(most), LEAST)
         series, limit = (_arc_sine(most), float(np.sin(most))) if most <= WIDEST else (np.zeros(0), 1.0)
         if angles is None or values is None:
@@ -143,7 +143,7 @@ class ElevationMeans(NamedTuple):
     tilt: FloatArray
 
     def dark(self, geometry: Geometry) -> BoolArray:
-        """Which pixels are too dark for an image, see `LEAST_ELEVATION`, or not lit at all."""
+        """Find which pixels are too dark for an image, see `LEAST_ELEVATION`, or not lit at all."""
         pattern = geometry.collection.elevation_pattern
         assert pattern is not None
         return np.asarray(~(self.plain >= LEAST_ELEVATION * float(pattern.max())))
@@ -201,7 +201,7 @@ def _places(geometry: Geometry, x: FloatArray, y: FloatArray, height: FloatArray
 
 
 class _Patterns(NamedTuple):
-    """What the compiled loops need to know of the patterns, the weighting, and n pulses.
+    """Tables of the patterns, the weighting, and n pulses for the compiled loops.
 
     Attributes
     ----------

@@ -93,7 +93,7 @@ def divide_by_sums(
     turn: FloatArray, start: float, per_step: float, total: FloatArray, near: float, far: float, rng: FloatArray,
     least: float, loss: FloatArray, owned: FloatArray, amplitude: Float32Array,
 ) -> None:  # fmt: skip
-    """The same factor from sums over lit pulses, `total`, linear between ranges from near to far and between yaws.
+    """Divide amplitudes by sums over lit pulses, `total`, linear between ranges from near to far and between yaws.
 
     NaN where the sum is less than `least`.
     """

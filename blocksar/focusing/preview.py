@@ -38,7 +38,7 @@ BROADER = 1.19  # width of its response over that of the whole band
 
 @dataclass(frozen=True, eq=False)
 class Preview:
-    """What a preview reads.
+    """Samples and grid of a preview.
 
     Attributes
     ----------

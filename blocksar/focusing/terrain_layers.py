@@ -1,4 +1,4 @@
-"""What a terrain does to the pixels of an image: local incidence angle, visibility, and the area of a pixel.
+"""Layers of a terrain for the pixels of an image: local incidence angle, visibility, and the area of a pixel.
 
 All are seen from the antenna at the middle of a point's dwell, with u the unit vector from the point to it, v the
 antenna's velocity then, and n the upward normal of the terrain, which is interpolated as everywhere.
@@ -73,7 +73,7 @@ class Middles:
 
     @classmethod
     def over(cls, geometry: Geometry, box: Box, levels: tuple[float, float]) -> Middles:
-        """Those over a box, between two heights, m."""
+        """Find the middles of dwells over a box, between two heights, m."""
         x, y = (np.linspace(low, max(high, low + 1.0), BOX_NODES) for low, high in box)
         z = np.array([levels[0], max(levels[1], levels[0] + 1.0)])
         start, end = aperture(geometry.collection)
@@ -302,7 +302,7 @@ def _look(sight: Sight, x: FloatArray, y: FloatArray, z: FloatArray | None) -> _
 
 @lru_cache(maxsize=4)
 def _outlook(sight: Sight, box: Box) -> _Outlook:
-    """That of a few places of a box, at a mean height; the reach of a window and its view both ask for it."""
+    """View of a few places of a box, at a mean height; the reach of a window and its view both ask for it."""
     (x0, x1), (y0, y1) = box
     return _look(sight, *np.meshgrid(np.linspace(x0, x1, EDGE_NODES), np.linspace(y0, y1, EDGE_NODES)), None)
 

@@ -47,7 +47,7 @@ HELP = "import sys; from blocksar.graph import compiling; print(compiling.help_t
 
 
 def missing(names: Iterable[str]) -> list[str]:
-    """Those of the loops that numba's cache does not have, by its files: none of them is younger than the source."""
+    """List the loops that numba's cache does not have, by its files: none of them is younger than the source."""
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     found: dict[Path, list[Path]] = {}
     lacking = []

@@ -130,11 +130,11 @@ class _Surfaces:
         return self._found[id(sight)]
 
     def of(self, number: int, sight: Sight) -> SeenGround:
-        """That of window `number` of the strip."""
+        """Ground of window `number` of the strip."""
         return self._of(sight)[number]
 
     def any_of(self, number: int, sight: Sight) -> SeenGround:
-        """The same; its heights are those of all sights, of which `sight` is a free choice, but not its angles."""
+        """Ground of a window with heights, which are those of all sights (`sight` is a free choice), but not its angles."""
         found = next(iter(self._found.values()), None)
         return (self._of(sight) if found is None else found)[number]
 

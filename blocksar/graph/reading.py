@@ -45,11 +45,11 @@ class Gated:
     chunk: tuple[int, int]
 
     def common(self, first: int, last: int) -> tuple[int, int]:
-        """Those of the bins first .. last - 1 that the gate has; the second number is not above the first if none."""
+        """Bins among first .. last - 1 that the gate has; the second number is not above the first if none."""
         return max(first, self.first_bin), min(last, self.first_bin + self.gate.n_row)
 
     def within(self, first: int, last: int) -> Gated:
-        """The same at the bins first .. last - 1 only, of which the gate has some."""
+        """Gate of the bins first .. last - 1 only, of which the gate has some."""
         first, last = self.common(first, last)
         gate = self.gate.within(first - self.first_bin, last - self.first_bin)
         return replace(self, gate=gate, first_bin=first)

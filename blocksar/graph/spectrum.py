@@ -72,7 +72,7 @@ class WritesBehind:
 
 
 class Turn:
-    """What is computed at a time, and written behind.
+    """Piece of work that is computed at a time, and written behind.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Turn:
         self._writes.append(self._pool.submit(write, *arguments, **options))
 
     def wait(self) -> list[Written]:
-        """What the turn has written, once it is."""
+        """Find what the turn has written, once it is."""
         return [part for write in self._writes for part in write.result()]
 
 
@@ -176,7 +176,7 @@ class SpectrumChunks:
         return cls(store, first_bin, shape, chunk, checksums, recovered)
 
     def within(self, first_bin: int, last_bin: int) -> SpectrumChunks:
-        """Those with some of the bins first_bin .. last_bin - 1."""
+        """Chunks with some of the bins first_bin .. last_bin - 1."""
         rows = first_bin - self.first_bin, last_bin - self.first_bin
         first = rows[0] - rows[0] % self.chunk[0]
         kept = {place: checksum for place, checksum in self.checksums.items() if first <= place[0] < rows[1]}

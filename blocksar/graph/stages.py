@@ -160,7 +160,7 @@ def _create_gated(run: Run, plan: Plan, block: BlockPlan) -> None:
 
 
 def _written(run: Run, store: Place, receipts: Sequence[Receipt]) -> list[Written]:
-    """What receipts say was written to a store's spectrum."""
+    """Find what receipts say was written to a store's spectrum."""
     name = run.name_of(store)
     return [part for receipt in receipts for part in receipt.written if part.store == name]
 

@@ -183,7 +183,7 @@ def run_stage(run: Run, block: BlockPlan, stage: Stage, samples: Samples) -> Sam
 
 
 def shifted(window: Window, origin: Sequence[int]) -> Window:
-    """The same window, counted from another first row and column."""
+    """Shift a window, so that it counts from another first row and column."""
     (rows, columns), (y, x) = window, origin
     return slice(rows.start - y, rows.stop - y), slice(columns.start - x, columns.stop - x)
 

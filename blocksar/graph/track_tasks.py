@@ -112,7 +112,7 @@ Span = tuple[int, int]
 
 @lru_cache(maxsize=2)
 def work_of(folder: str, identity: str, grid: Grid | None) -> Work:
-    """What the stages need besides samples, from the collection and the terrain in a folder; the same in every process.
+    """Inputs of the stages besides samples, from the collection and the terrain in a folder; equal in all processes.
 
     A process keeps those of its last two estimates; `identity` tells them apart.
     """

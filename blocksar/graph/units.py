@@ -21,7 +21,7 @@ from blocksar.runs.record import Receipt
 
 
 class Done:
-    """What a task has left: its result or its error. It has those methods of dask's futures that the stages call."""
+    """Result or error of a task in this process, with the methods of dask's futures that stages call."""
 
     def __init__(self, key: str, result: Any = None, error: Exception | None = None) -> None:
         self.key = key

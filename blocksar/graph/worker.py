@@ -1,4 +1,4 @@
-"""What the process that workers are forked from imports and loads, once for all of them."""
+"""Imports of the process that workers are forked from, loaded once for all of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What lies at a place, told by its first bytes, and what reads it."""
+"""Kinds of what lies at a place, told by its first bytes, and what reads it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MOST_FILES = 64  # of a folder, that are looked at
 
 
 class Found(NamedTuple):
-    """What lies at a place: its kind, and the file that shows it, if that is in a folder."""
+    """Kind of what lies at a place, and the file that shows it, if that is in a folder."""
 
     kind: Kind
     start: Start
@@ -32,7 +32,7 @@ class Found(NamedTuple):
         return next((name for name, reader in READERS.sound() if reader.kind is self.kind), None)
 
     def sentence(self, asked: Readable, given: str | None = None) -> str:
-        """What it is, and what leads from there to a phase history; `given` is the path as the user gave it."""
+        """Say what it is, and what leads from there to a phase history; `given` is the path as the user gave it."""
         path = given if given is not None and self.file is asked else str(self.file)
         plain = re.sub(r"\.(gz|z|bz2|xz|zst|lz4)$", "", path, flags=re.IGNORECASE)
         stem = self.file.name.partition(".")[0] or "phase_history"
@@ -77,7 +77,7 @@ def found_at(where: Readable) -> Found | None:
 
 
 def _in_folder(folder: LocalPlace) -> Found | None:
-    """What a folder holds: the first file that `ingest` reads, or else of which the kind is known."""
+    """Find what a folder holds: the first file that `ingest` reads, or else of which the kind is known."""
     names = folder.names()
     if "manifest.safe" in names:
         raw = "_RAW_" in folder.name

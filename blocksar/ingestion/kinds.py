@@ -21,7 +21,7 @@ START = 1 << 15  # bytes that are looked at
 
 @dataclass(frozen=True)
 class Start:
-    """What is known of a file: its name, its first bytes, and whether these are all."""
+    """Start of a file: its name, its first bytes, and whether these are all."""
 
     name: str
     data: bytes

@@ -176,7 +176,7 @@ def plan_lowpass(size: int, steps: int, band: float, present: BoolArray | None =
 
 
 class _Equations:
-    """Those for the weights of samples at some lags, and the responses by which their errors are found."""
+    """Equations for the weights of samples at some lags, and the responses by which their errors are found."""
 
     def __init__(self, lag: IntArray, steps: int, band: float) -> None:
         def ideal(width: float, lag: IntArray) -> FloatArray:

@@ -26,7 +26,7 @@ from blocksar.progress.listening import Callback
 
 @dataclass(frozen=True, kw_only=True)
 class ReaderOptions:
-    """What every reader can be told; those of a format have more fields.
+    """Options of every reader; those of a format have more fields.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Reading:
 
 
 class Described(NamedTuple):
-    """What `info` says of files: their kind, names and texts of a table, and the command that ingests them, as words.
+    """Description of files by `info`: kind, names and texts of a table, and the command that ingests them, as words.
 
     The rows of `attributes` and of a `collection` follow its own rows, and notes those.
     """
@@ -231,7 +231,7 @@ def store(
 
 
 def _by_chunks(pieces: Iterable[Piece], n_pulse: int) -> Iterator[Piece]:
-    """The same samples in pieces that end where chunks of the store do."""
+    """Cut samples into pieces that end where chunks of the store do."""
     rest: Piece | None = None
     for channel, pulses, samples in pieces:
         first, last = pulses.start if rest is None else rest.pulses.start, pulses.stop

@@ -28,7 +28,7 @@ Change = tuple[str, str, dict[str, Any]]  # a name, a remedy, and fields of the 
 
 
 class Alternative(NamedTuple):
-    """What could be wrong, and the collection and samples with it undone.
+    """Alternative to what is said: what could be wrong, and the collection and samples with it undone.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class Alternative(NamedTuple):
     of_sign: bool = False
 
     def echo(self, given: Echo) -> Echo:
-        """The same echo in these samples; and back, as each alternative undoes itself."""
+        """Turn an echo into these samples; and back, as each alternative undoes itself."""
         time, offset, doppler = self.signs
         pulse = given.pulse if time > 0 else self.collection.n_pulse - 1 - given.pulse
         return Echo(pulse, offset * given.offset, doppler * given.doppler)
@@ -120,7 +120,7 @@ def _of_samples(collection: Collection) -> list[Alternative]:
 
 
 def _of_echoes(collection: Collection, raw: RawEcho) -> list[Alternative]:
-    """What may be wrong with a raw echo, in the range frequencies to which it was compressed.
+    """Say what may be wrong with a raw echo, in the range frequencies to which it was compressed.
 
     Compression has divided the echo's spectrum by that of the chirp, C(f), which is even. The chirp of the other sign
     has conj C, so that the right division follows from the wrong one by the factor exp(2j arg C). Of a conjugated echo

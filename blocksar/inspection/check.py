@@ -128,7 +128,7 @@ def check(
 
 
 def _of_the_track(view: View) -> tuple[Findings, FloatArray | None]:
-    """What the prominent places tell of the track, and the phase error that a refocus removes, (n_pulse,) rad."""
+    """Find what the prominent places tell of the track, and the phase error that a refocus removes, (n_pulse,) rad."""
     trial, collection, lines = as_given(view), view.lines.geometry.collection, [line for _, line in view.prominent]
     dark = "the ground that was looked at returns hardly any of the energy"
     unlit = f"no place is lit by {SHORT} pulses or more"
@@ -149,7 +149,7 @@ def _of_the_track(view: View) -> tuple[Findings, FloatArray | None]:
 
 
 def _points(lines: list[Line], mended: Refocus, n_pulse: int) -> Points:
-    """What judges the track: places that are points if there are enough, else all."""
+    """Find what judges the track: places that are points if there are enough, else all."""
     given, others = np.array([concentration(line.values) for line in lines]), judged_by_others(lines, n_pulse)
     alone = np.where(mended.concentration >= CLEAR, mended.concentration, given)
     by_others = np.where(others.covered >= COVERED, others.concentration, alone)

@@ -1,4 +1,4 @@
-"""The same echoes as given and under an alternative.
+"""Comparison of the same echoes as given and under an alternative.
 
 How sharp prominent places are over the whole dwell, and how much sharper a refocus makes them.
 
@@ -370,7 +370,7 @@ def after_refocus(view: View, phase: FloatArray) -> Trial:
 
 
 def compare(given: View, other: Alternative) -> Trial:
-    """The same echoes as given and under an alternative.
+    """Comparison of the same echoes as given and under an alternative.
 
     Those are the prominent ones of either; if the alternative moves them in range, as the chirp's sign does, all that
     short apertures see; and patches of clutter if nothing is prominent.

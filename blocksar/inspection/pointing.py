@@ -47,7 +47,7 @@ TOLD_APART = 0.4  # dB in the median, for which an angle is told from that a PRF
 
 
 class Pointing(NamedTuple):
-    """What places tell of the beam.
+    """Pointing of the beam, as places show it.
 
     Attributes
     ----------
@@ -208,7 +208,7 @@ def _captured(source: Lines, line: Line, collection: Collection, hypotheses: _Hy
 def _judged(
     collection: Collection, hypotheses: _Hypotheses, scores: FloatArray, counts: FloatArray, period: float, reach: float
 ) -> Pointing:
-    """What places with `scores` (n_place, n_hypothesis) of their best, of so many pulses each, say together."""
+    """Find what places with `scores` (n_place, n_hypothesis) of their best, of so many pulses each, say together."""
     width, decibels = collection.beam_width or 0.0, 10 * np.log10(np.maximum(scores, 1e-6))
     together = scores.mean(axis=0)
     best = int(together.argmax())
@@ -243,7 +243,7 @@ def _judged(
 
 
 def _names(collection: Collection, hypotheses: _Hypotheses, which: int) -> tuple[str, str]:
-    """What is wrong under a hypothesis, and what to change."""
+    """Say what is wrong under a hypothesis, and what to change."""
     field = "beam_azimuth" if collection.beam_steering is None else "beam_steering"
     error, width, said = hypotheses.error[which], hypotheses.width[which], collection.beam_width or 1.0
     if hypotheses.law[which] == 1:

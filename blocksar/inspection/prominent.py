@@ -136,7 +136,7 @@ class Place(NamedTuple):
 
 
 class Echo(NamedTuple):
-    """What a pulse sees of a place: R - reference_range, m, and Doppler, Hz, of which the samples leave PRFs open."""
+    """Echo of a place in a pulse: R - reference_range, m, and Doppler, Hz, of which the samples leave PRFs open."""
 
     pulse: int
     offset: float
@@ -388,7 +388,7 @@ class Lines:
         return bool(2 * np.pi * self.turns * self.cell * turn**2 / 8 > MOST_PHASE)
 
     def echo(self, place: Place) -> Echo:
-        """What the place's pulse sees of it."""
+        """Find what the place's pulse sees of it."""
         offset, doppler = self._seen(np.array(place.x), np.array(place.y), place.pulse)
         return Echo(place.pulse, float(offset), float(doppler))
 

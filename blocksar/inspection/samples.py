@@ -100,14 +100,14 @@ class Inspection:
 
     @property
     def is_empty(self) -> BoolArray:
-        """Which pulses hold zeros only, (n_pulse,)."""
+        """Find which pulses hold zeros only, (n_pulse,)."""
         mask = np.zeros(self.n_pulse, np.bool_)
         for first, last in self.empty:
             mask[first:last] = True
         return mask
 
     def without(self, pulses: BoolArray) -> Self:
-        """The same with some more pulses (n_pulse,) missing, all of their samples."""
+        """Copy with some more pulses (n_pulse,) missing, all of their samples."""
         more = dict.fromkeys(np.flatnonzero(pulses).tolist(), self.n_column)
         return replace(self, missing=dict(sorted({**self.missing, **more}.items())))
 
@@ -433,7 +433,7 @@ def _samples(count: int, more: str) -> str:
 
 
 def doubts_of_track(collection: Collection, *, exact: bool = False) -> list[str]:
-    """What is unusual about the track, a sentence each; `exact`: for back-projection, which takes any."""
+    """Say what is unusual about the track, a sentence each; `exact`: for back-projection, which takes any."""
     flaw = find_flaw(collection)
     doubts = [doubted_time(collection), None if flaw is None else flaw.fact if exact else str(flaw)]
     return [doubt for doubt in doubts if doubt is not None]

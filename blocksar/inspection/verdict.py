@@ -1,4 +1,4 @@
-"""What a check found, as figures and as sentences for people."""
+"""Verdict of a check, as figures and as sentences for people."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class Trial:
 
     @property
     def verdict(self) -> str:
-        """What the gain says."""
+        """Say what the gain says."""
         if not self.echoes:
             return "nothing to compare"
         if abs(self.deviations) < SIGNIFICANT:
@@ -155,7 +155,7 @@ class Findings:
 
     @property
     def judged(self) -> Points:
-        """What judges the track: the points, or else the median of all places."""
+        """Find what judges the track: the points, or else the median of all places."""
         return self.points or Points(self.given.sharpness, self.refocused, self.refocused)
 
     @property
@@ -243,7 +243,7 @@ class Findings:
         return self.points is not None and self.sharpness < SHARP and self.points.given > SHARP * self.points.by_others
 
     def warning(self) -> str | None:
-        """What is wrong, with figures and the remedy; None if nothing is."""
+        """Say what is wrong, with figures and the remedy; None if nothing is."""
         if (beam := self.beam) is not None and self.pointing is not None:
             rival = f" (or {self.pointing.rival}: these places do not tell)" if self.pointing.rival else ""
             return (
@@ -300,12 +300,12 @@ class Findings:
         )
 
     def _ties(self) -> str:
-        """What echoes do not tell from what is believed."""
+        """Say what echoes do not tell from what is believed."""
         others = " or ".join(f"{t.name} ({t.gain:.2g} dB: {t.remedy})" for t in self.tied[:2])
         return f". They do not tell whether {others}: look whether the image is mirrored" if others else ""
 
     def _compared(self) -> str:
-        """What was ruled out, and what is not told."""
+        """Say what was ruled out, and what is not told."""
         if len(self.trials) == 1:
             return "; a mirrored image, or one seen a PRF away, may be as sharp, which `blocksar check` tries"
         said = ""

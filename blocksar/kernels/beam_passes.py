@@ -1,4 +1,4 @@
-"""Which pulses of a beam about the antenna's axis light points, compiled.
+"""Compiled search for the pulses of a beam about the antenna's axis that light points.
 
 With s the sine of the angle between the line of sight and the plane normal to the axis, a point is lit at a pulse while
 steering - half <= asin(s) <= steering + half. Sines are compared instead: of both limits there is one for each pulse.
@@ -29,7 +29,7 @@ MOST_SPANS, MOST_DOUBTFUL = 64, 2048  # spans, and pulses of all of them: with m
 
 
 def beam_table(position: FloatArray, axis: FloatArray, steering: FloatArray, half: float) -> FloatArray:
-    """What the loops need of each pulse, (n_pulse, 8), in one line of the cache.
+    """Find what the loops need of each pulse, (n_pulse, 8), in one line of the cache.
 
     Position of the antenna (n_pulse, 3), m; axis of the beam (n_pulse, 3); sines `half` rad before and behind the
     beam's centre, with which those of points are compared as their angles would be. `half` may be negative.
@@ -43,7 +43,7 @@ def beam_table(position: FloatArray, axis: FloatArray, steering: FloatArray, hal
 
 
 def largest_steps(table: FloatArray) -> tuple[float, float]:
-    """What the antenna moves by from a pulse to the next, m, and what axis and limits change by, at most."""
+    """Find what the antenna moves by from a pulse to the next, m, and what axis and limits change by, at most."""
     steps = np.abs(np.diff(table, axis=0))
     moved, turned = (np.sqrt((part**2).sum(axis=1)).max(initial=0.0) for part in (steps[:, :3], steps[:, 3:LOW]))
     return float(moved), float(turned + steps[:, LOW:].max(initial=0.0))

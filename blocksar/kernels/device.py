@@ -1,4 +1,4 @@
-"""What the loops of back-projection run on: the cores of the CPU, or a GPU. Plans and geometry do not know of it.
+"""Devices for the loops of back-projection: the cores of the CPU, or a GPU. Plans and geometry do not know of it.
 
 A device keeps arrays of its own (`put`, `take`), which NumPy's functions take as they do NumPy's; on the CPU they are
 NumPy's.
@@ -25,7 +25,7 @@ TILE = 128  # pixels per side: enough that the preparation of a tile costs littl
 
 
 class Device(Protocol):
-    """What back-projection needs of a device.
+    """Interface of a device for back-projection.
 
     Attributes
     ----------

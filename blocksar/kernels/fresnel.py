@@ -45,7 +45,7 @@ def fresnel_integral(z: FloatArray) -> NDArray[np.complex128]:
 
 
 def far_fresnel_integral(z: FloatArray) -> NDArray[np.complex128]:
-    """The same where all |z| are beyond FAR."""
+    """Fresnel integral where all |z| are beyond FAR."""
     integral = np.empty(z.shape, np.complex128)
     x = np.pi * z**2
     inverse = 1 / x

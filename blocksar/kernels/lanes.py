@@ -390,7 +390,7 @@ def load_triples(typing_context: Any, array: Any, origin: Any, indices: Any, fir
 
 @_numba.intrinsic
 def load_near(typing_context: Any, array: Any, origin: Any, offsets: Any) -> Any:
-    """The same for places origin + offsets, int32 lanes from NEAR[0] to NEAR[1].
+    """Load samples at places origin + offsets, int32 lanes from NEAR[0] to NEAR[1].
 
     All that is as near lies in four registers, which are permuted on CPUs that can; so all of it has to be there.
     """

@@ -120,7 +120,7 @@ def compile_as(dispatcher: Any, arguments: Sequence[Any], *, wait: bool = True) 
 
 
 def _load(cache: Any, held: ExitStack, wait: bool, signature: Any, context: Any) -> Any:
-    """What numba's cache holds for a signature, else None. The dispatcher that calls this holds numba's lock.
+    """Find what numba's cache holds for a signature, else None. The dispatcher that calls this holds numba's lock.
 
     Before None is returned, other processes are kept from compiling, until `held` ends.
     """

@@ -141,7 +141,7 @@ def _sextic(u: float, taps: Any) -> None:
 
 @njit(**PART, **EXACT)
 def _cubic(u: float, taps: Any) -> None:
-    """Those of the posts -1 .. 2."""
+    """Cubic weights of the posts -1 .. 2."""
     taps[0] = ((-0.5 * u + 1.0) * u - 0.5) * u
     taps[1] = (1.5 * u - 2.5) * u * u + 1.0
     taps[2] = ((-1.5 * u + 2.0) * u + 0.5) * u

@@ -140,7 +140,7 @@ NEAREST = 1.0  # m: nearer antennas are left to the square root
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sights:
-    """What a block of pulses sees.
+    """View of the ground from a block of pulses, and its range profiles.
 
     Attributes
     ----------

@@ -59,7 +59,7 @@ def _series(z: Any, g: Any) -> Any:
 
 @njit(**PART, **COMPILED)
 def _see_middle(seen: Any, bins: Any, series: Any, k: Any, j: Any, dx: Any, dy: Any, dz: Any, per_cycle: Any) -> None:
-    """What the pixels about the middle of a group need of FEW pulses, in `seen` (7, n) and `bins` (n,) from j on.
+    """Find what the pixels about the middle of a group need of FEW pulses, in `seen` (7, n) and `bins` (n,) from j on.
 
     The middle lies at (dx, dy, dz) from the tile's centre. In order: its phase, about a whole number of cycles; how far
     it lies from its bin; g and the direction there, in cycles; and what q is of z. The latter follow from those of the
@@ -117,7 +117,7 @@ def _place(places: Any, k: Any, dx: Any, dy: Any) -> Any:
 
 @njit(inline="always")
 def _rise(places: Any, k: Any, dx: Any, dy: Any, dz: Any) -> Any:
-    """What heights dz over the centre's add to it."""
+    """Find what heights dz over the centre's add to it."""
     return (places[k, 7] + places[k, 8] * dx + places[k, 9] * dy + places[k, 10] * dz) * dz
 
 

@@ -1,4 +1,4 @@
-"""What an image shows that nobody named: isolated bright points, looks and level of an area, floor, ambiguities."""
+"""Findings in an image that nobody named: isolated bright points, looks and level of an area, floor, ambiguities."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What blocksar takes from POSIX: locks of files, and limits and use of resources.
+"""Functions of POSIX that blocksar uses: locks of files, and limits and use of resources.
 
 Importing this module on another system raises `UnsupportedSystem`, in one sentence.
 """

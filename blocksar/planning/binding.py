@@ -442,7 +442,7 @@ class AzimuthPart:
         return total
 
     def weighed(self, in_time: AxisTaper) -> AzimuthPart:
-        """The same steps under another taper over the pulses."""
+        """Copy of the steps under another taper over the pulses."""
         steps = tuple(s.weighed(in_time) for s in self.range_part.steps)
         return replace(self, range_part=replace(self.range_part, steps=steps))
 

@@ -167,7 +167,7 @@ def _plan_block(
 
 
 def _constants(sector: Sector, slab: Slab, band: Axis, line: Line) -> Constants:
-    """What the steps are bound to besides the lines of the block."""
+    """Find what the steps are bound to besides the lines of the block."""
     recovery = sector.recovery
     return Constants(
         carrier=sector.geometry.collection.carrier,

@@ -86,7 +86,7 @@ def _tilt(sector: Sector, lines: FineLines) -> Surface:
 
 
 def _surfaces(sector: Sector, lines: FineLines, spots: Focus) -> tuple[Surface, ...]:
-    """What the map knows of a focus, over range and yaw."""
+    """Find what the map knows of a focus, over range and yaw."""
     return surfaces(
         spots, time=_carrier_time(sector, lines, spots), along=sector.ground_range, epoch_range=lines.epoch_range,
         yaw=lines.yaw, origin=sector.recovery.origin, carrier=sector.geometry.collection.carrier,

@@ -81,7 +81,7 @@ class CoarseLines(NamedTuple):
 
     @classmethod
     def of(cls, sector: Sector) -> CoarseLines:
-        """Those of the targets of a sector."""
+        """Trace the lines of the targets of a sector."""
         n_range, n_yaw = COARSE_NODES
         nodes, yaw = nodes_between(sector.near, sector.far, n_range), np.linspace(sector.low, sector.high, n_yaw)
         dwells = sector.dwells(yaw, coarsely=True)

@@ -24,7 +24,7 @@ SPECTRA = ("spectrum", "gated")  # what a run that discards these removes before
 
 
 class Room(NamedTuple):
-    """What a run takes of a disk, bytes: until it has read its input, at most, and once it is finished."""
+    """Room of a run on a disk, bytes: until it has read its input, at most, and once it is finished."""
 
     reading: int
     most: int

@@ -82,7 +82,7 @@ def end_lift(blur: float, spread: float, band: Taper = FLAT) -> float:
 
 
 def at_ends(blur: float, lift: float, time: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """What raised windows change in sums over dwells whose pulses count `weight` (..., 2) at the ends, at `time`, s.
+    """Find what raised windows change in sums over dwells whose pulses count `weight` (..., 2) at the ends, at `time`.
 
     Times (..., 4), s, and weights (..., 4), s, to be summed like the nodes of a quadrature.
     """
@@ -180,7 +180,7 @@ class ImageEdges(NamedTuple):
         return cls(held.T, before.T, behind.T, share.T, axis) if axis else cls(held, before, behind, share, axis)
 
     def of_dwells(self, full: BoolArray) -> ImageEdges:
-        """Those where the targets on either side have full dwell."""
+        """Edges where the targets on either side have full dwell."""
         before, behind = self.before & full, self.behind & full
         along = (before.T, behind.T, full.T) if self.axis else (before, behind, full)
         along[0][:-1] &= along[2][1:]
@@ -215,7 +215,7 @@ Moments = tuple[FloatArray, FloatArray]  # of each target in the first and in th
 
 
 class DwellEnds(NamedTuple):
-    """What the ends of dwells depend on besides the lines."""
+    """Conditions of the ends of dwells besides the lines."""
 
     rate: FloatArray  # of the lines before the steps in Doppler, Hz/s
     uncut: Moments  # (n_yaw,) or (n_range, n_yaw), s from the epoch, as if the collection did not cut the dwells
@@ -285,7 +285,7 @@ def reaches_full(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray) -
 
 
 def full_dwells(line: Line, geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray) -> BoolArray:
-    """Which lines (..., n) of targets at epoch ranges (m) and yaws (rad), broadcast, are lit over a full dwell.
+    """Find which lines (..., n) of targets at epoch ranges (m) and yaws (rad), broadcast, are lit over a full dwell.
 
     It is the target's own dwell as if the ends of the collection did not cut it: dwells depend on range under a beam
     about its axis, and on yaw under one that does not turn evenly. Where there is no such target, or the beam stays, it

@@ -54,7 +54,7 @@ def levelled(line: Line, taper: AxisTaper) -> Line:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DwellWeights:
-    """What the pulses of dwells count in the sum to an image.
+    """Weights of the pulses of dwells in the sum to an image.
 
     Attributes
     ----------

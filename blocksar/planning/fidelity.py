@@ -66,7 +66,7 @@ KNOT_NODES = 6  # of the integrals from one of them to the next
 
 
 class Losses(NamedTuple):
-    """What each cause takes from the coherence of a target."""
+    """Losses of coherence of a target, by cause."""
 
     phase: float
     range: float

@@ -49,7 +49,7 @@ GPU_PIXEL_BYTES = 64  # of it on a GPU
 
 @dataclass(frozen=True, kw_only=True)
 class Rates:
-    """What work takes, s, of one thread where `graph.machine.pace` is 1; or of a GPU.
+    """Rates of work, s, of one thread where `graph.machine.pace` is 1; or of a GPU.
 
     Attributes
     ----------
@@ -122,7 +122,7 @@ def levels_for(fidelity: float, sides: tuple[float, ...], *, stages: int) -> Lev
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cost:
-    """What it takes to form a unit: a part of the image that one task forms from one reading of the samples.
+    """Cost of a unit: a part of the image that one task forms from one reading of the samples.
 
     Attributes
     ----------
@@ -164,7 +164,7 @@ class Ladders:
         return part
 
     def cost(self, place: tuple[float, float], sides: Sequence[tuple[float, float]]) -> Cost | None:
-        """What the first of some parts costs, each of which is divided into the next; None where nothing lights it."""
+        """Cost of the first of some parts, each of which is divided into the next; None where nothing lights it."""
         part = self.part(place, sides[0])
         entered = self.hierarchy.enter(part)
         if entered is None:

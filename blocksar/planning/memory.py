@@ -145,7 +145,7 @@ def group_memory(length: int) -> int:
 
 
 def thread_memory(length: int) -> int:
-    """What each further thread of a worker adds to its peak memory, bytes: groups of rows, and chunks of the image.
+    """Memory that each further thread adds to a worker's peak, bytes: groups of rows, and chunks of the image.
 
     The threads of one stage do not give back what those of another take: each has a heap of its own.
     """

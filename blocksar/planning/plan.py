@@ -120,7 +120,7 @@ class Plan:
         return self.seams.size - 1
 
     def numbered(self, first: int) -> Plan:
-        """The same with its blocks numbered from `first` on, after those of other segments."""
+        """Copy with its blocks numbered from `first` on, after those of other segments."""
         return replace(self, blocks=tuple(replace(block, index=first + block.index) for block in self.blocks))
 
     @property
@@ -220,7 +220,7 @@ class Plan:
         return [span for span in spans if any(first < span[1] and span[0] < last for first, last in slabs)]
 
     def _gate_transforms(self) -> list[Transforms]:
-        """Those of the range gates: each Doppler bin once to delay, and from there for each sub-block."""
+        """Transforms of the range gates: each Doppler bin once to delay, and from there for each sub-block."""
         gates = self._range_gates()
         if not gates:
             return []

@@ -192,7 +192,7 @@ SCATTER = 1.5
 
 
 class Planned(Protocol):
-    """What the search asks of a plan."""
+    """Figures of a plan that the search asks for."""
 
     @property
     def blocks(self) -> tuple[BlockPlan, ...]: ...

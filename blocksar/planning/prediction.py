@@ -144,7 +144,7 @@ class Prediction(NamedTuple):
     ideal_pslr: float  # dB, in exact back-projection
 
     def less(self, of_dwells: float, of_range: float) -> Prediction:
-        """The same where dwells lose some more coherence, and what a division by range mends."""
+        """Copy where dwells lose some more coherence, and what a division by range mends."""
         if not of_dwells + of_range:
             return self
         return self._replace(
@@ -154,7 +154,7 @@ class Prediction(NamedTuple):
         )
 
     def or_lobes(self, lobes: Lobes) -> Prediction:
-        """The same with other side lobes and their width, if these are changed by more."""
+        """Copy with other side lobes and their width, if these are changed by more."""
         if lobes.change() <= abs(self.pslr - self.ideal_pslr):
             return self
         return self._replace(pslr=lobes.side, width=lobes.widened, ideal_pslr=lobes.ideal_side)
@@ -240,16 +240,16 @@ class Lobes(NamedTuple):
         return self.width / self.ideal_width
 
     def change(self) -> float:
-        """What the side lobes differ by from those in back-projection, dB."""
+        """Find what the side lobes differ by from those in back-projection, dB."""
         return abs(self.side - self.ideal_side)
 
     def towards(self, other: Lobes, share: float) -> Lobes:
-        """Those a share of the way to another target."""
+        """Mix with the lobes of another target, by a share."""
         return Lobes(self.target, *(a + share * (b - a) for a, b in zip(self[1:], other[1:], strict=True)))
 
 
 class Judged(NamedTuple):
-    """Which targets are judged."""
+    """Mask of the targets that are judged."""
 
     there: BoolArray  # (n_range, n_yaw): those that there are
     full: BoolArray  # (n_range, n_yaw): those of them with full dwell; of all, if none of them has
@@ -257,7 +257,7 @@ class Judged(NamedTuple):
 
     @classmethod
     def of(cls, targets: TracedTargets, reached: BoolArray | None, imaged: Sequence[ImageEdges]) -> Judged:
-        """Those that an image shows; on a terrain, that are `reached`."""
+        """Select the targets that an image shows; on a terrain, that are `reached`."""
         # Cut dwells have other side lobes under weights: of those with full dwell, where there are any.
         line = targets.line
         uncut = full_dwells(line, targets.geometry, targets.epoch_range[:, None], targets.yaw)
@@ -313,7 +313,7 @@ def _azimuth_lobes(
     changed: tuple[FloatArray, FloatArray] | None,
     beside: Callable[[tuple[int, ...]], Beside] | None,
 ) -> Lobes:
-    """Those of one target, with what windows have `changed` (`_at_ends`), and `beside` it."""
+    """Side lobes of one target, with what windows have `changed` (`_at_ends`), and `beside` it."""
     line, spots, weights = targets.line, targets.spots, targets.weights
     weight = weights.weigh(line).weight[target]
     level = line.phase[target] - spots.doppler[target] * line.time[target] - spots.phase[target]

@@ -125,7 +125,7 @@ def _check_prf(geometry: Geometry, method: Method, spread: float) -> None:
 
 
 def _of_terrain(geometry: Geometry) -> str:
-    """That a terrain may be wrong, if there is one: on ground that is too high or low, all moves otherwise."""
+    """State that a terrain may be wrong, if there is one: on ground that is too high or low, all moves otherwise."""
     if geometry.terrain is None:
         return ""
     low, high = geometry.terrain.limits

@@ -187,7 +187,7 @@ def find_relief(samples: Samples, geometry: Geometry, *, low: float, high: float
 
 
 def _beside(samples: Samples, turn: FloatArray, half: float, along: GroundRange) -> BoolArray:
-    """Which samples (n,) lie in a block or so close to it that they bound its heights.
+    """Find which samples (n,) lie in a block or so close to it that they bound its heights.
 
     A block has yaws of at most `half` from its middle, rad, and the ranges `along`; `turn` (n,) are the samples' yaws
     from its middle. It may be hardly larger than the distance between samples.

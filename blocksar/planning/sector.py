@@ -117,12 +117,12 @@ class Sector:
         return self.relief is not None and not self.geometry.collection.has_axis
 
     def over(self, offset: float) -> Sector:
-        """The same sector with the smooth ground raised by an offset, m."""
+        """Copy of the sector with the smooth ground raised by an offset, m."""
         assert self.relief is not None
         return replace(self, geometry=self.relief.over(self.geometry, offset))
 
     def refined(self) -> Sector:
-        """The same sector, on a terrain over its finer smooth ground."""
+        """Copy of the sector, on a terrain over its finer smooth ground."""
         return self if self.relief is None else replace(self, geometry=self.geometry.over(None, self.relief.fine))
 
     def with_relief(self, line: Line, trace: Callable[[Sector], Line]) -> Line:

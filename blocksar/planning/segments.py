@@ -68,7 +68,7 @@ def within(collection: Collection, spans: Sequence[Span], grid: Grid) -> list[Sp
 
 
 def owned_by(collection: Collection, spans: Sequence[Span], number: int) -> Owned:
-    """Which ground a segment images: what its neighbours see less deep inside their time, and a little beyond."""
+    """Find which ground a segment images: what its neighbours see less deep inside their time, and a little beyond."""
     own, *others = (
         Geometry(collection=collection.segment(*spans[k]))
         for k in (number, number - 1, number + 1)

@@ -48,7 +48,7 @@ CHAIN = "angular-division"  # of the chains, which are alike, the one that it co
 
 
 def device_for(name: str, asked: str) -> str:
-    """What a processor runs on, "cpu" or "gpu"; `asked` may be "auto": a GPU if one is found.
+    """Find what a processor runs on, "cpu" or "gpu"; `asked` may be "auto": a GPU if one is found.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What a processor is: it plans an image, says what that takes, and forms the image by units of work."""
+"""Interface of a processor: it plans an image, says what that takes, and forms the image by units of work."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ Window = tuple[slice, slice]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Problem:
-    """What is to be imaged, and what with.
+    """Problem to plan: what is to be imaged, and what with.
 
     Attributes
     ----------
@@ -156,7 +156,7 @@ class ImagePlan(ABC):
         return f"<{type(self).__name__}: {self.headline()}>"
 
     def blocks(self) -> tuple[PredictedBlock, ...]:
-        """What is predicted of each block."""
+        """Find what is predicted of each block."""
         return ()
 
     def loops(self) -> Sequence[str]:
@@ -164,7 +164,7 @@ class ImagePlan(ABC):
         return ()
 
     def notes(self) -> list[str]:
-        """What a user of the image should know."""
+        """Find what a user of the image should know."""
         return []
 
     def lines(self) -> list[str]:
@@ -196,7 +196,7 @@ class ImagePlan(ABC):
 
     @property
     def result(self) -> Any:
-        """What Python gets as the result of `plan`."""
+        """Find what Python gets as the result of `plan`."""
         return self
 
 
@@ -229,7 +229,7 @@ class PartPlan(ImagePlan):
         return {f"part-{number}": windows for number, windows in enumerate(units_of(self.grid, self.chunks))}
 
     def memory_lines(self) -> list[str]:
-        """What a worker needs."""
+        """Find what a worker needs."""
         gpu = f", and {self.on_gpu / MIB:.0f} MiB of its GPU" if self.on_gpu else ""
         return [f"peak memory of a worker {self.needed / MIB:.0f} MiB{gpu}"]
 
@@ -345,7 +345,7 @@ class NoOptions:
 
 @dataclass(kw_only=True)
 class Execution:
-    """What the stages of a run share: where they run, on what, and who listens.
+    """Execution of the stages of a run: where they run, on what, and who listens.
 
     Attributes
     ----------

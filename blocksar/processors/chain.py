@@ -101,7 +101,7 @@ class ChainPlan(ImagePlan):
 
     @cached_property
     def plans(self) -> list[Plan]:
-        """That of each segment."""
+        """Plan of each segment."""
         return [piece.plan for piece in self.pieces if piece.plan is not None]
 
     @property
@@ -192,7 +192,7 @@ class ChainPlan(ImagePlan):
 
 
 def predicted_blocks(plan: Plan) -> tuple[PredictedBlock, ...]:
-    """What a plan predicts of each block."""
+    """Find what a plan predicts of each block."""
     return tuple(
         PredictedBlock(
             block=block.index,

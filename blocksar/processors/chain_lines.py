@@ -1,4 +1,4 @@
-"""What there is to say of a chain's plan beside its tables, a sentence a line."""
+"""Sentences on a chain's plan beside its tables, one a line."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ REMEDIES = {
 
 
 def describe_shortfall(plan: Plan, *, compared: bool = False) -> str:
-    """Which fidelity is not kept, and what would help most; `compared`: processors were, and this is the best one."""
+    """Say which fidelity is not kept, and what would help most; `compared`: this is the best of several processors."""
     worst = max(plan.blocks, key=lambda block: block.prediction.excess(plan.fidelity))
     p = worst.prediction
     losses = {
@@ -78,7 +78,7 @@ SHORT_DWELL = 12  # pulses, below which a coherence of up to 0.002 less than is 
 
 
 def plan_lines(plan: Plan, *, compared: bool = False) -> list[str]:
-    """What there is to say of a plan besides its tables; `compared` as for `describe_shortfall`."""
+    """Say what there is to say of a plan besides its tables; `compared` as for `describe_shortfall`."""
     recovery, collection, grid = plan.recovery, plan.geometry.collection, plan.grid
     spectrum = recovery.doppler.size * collection.n_range_frequency * 8
     blocks = f"{plan.n_blocks} block{'s' if plan.n_blocks > 1 else ''}"

@@ -105,7 +105,7 @@ class SarAccessor:
         return f"<table>{rows}</table>"
 
     def _facts(self) -> list[tuple[str, str]]:
-        """What the dataset is, as names and texts. Reads no pixels and no samples."""
+        """Find what the dataset is, as names and texts. Reads no pixels and no samples."""
         dataset, attrs = self._dataset, self._dataset.attrs
         rows = [("title", str(attrs["title"]))] if attrs.get("title") else []
         if "image" in dataset.variables:

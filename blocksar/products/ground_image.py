@@ -116,7 +116,7 @@ class _Carrier:
 
     @classmethod
     def about(cls, geometry: Geometry, x: float, y: float) -> _Carrier:
-        """That of the middle of the dwell of a place, where it vanishes, m."""
+        """Carrier at the middle of the dwell of a place x, y, m, where its phase vanishes."""
         point = _on_ground(geometry, x, y)
         time = centre_time(geometry, point)
         return cls(geometry, time, float(geometry.range_history(point, np.array(time))[0]))
@@ -126,7 +126,7 @@ class _Carrier:
         return self.turns_at(self.geometry.on_ground(x, y))
 
     def turns_at(self, points: FloatArray) -> FloatArray:
-        """The same of points (..., 3), m."""
+        """Turns of the carrier at points (..., 3), m."""
         distance = self.geometry.range_history(points, np.array(self.time))[0]
         return 2 * self.geometry.collection.carrier / SPEED_OF_LIGHT * (distance - self.origin)
 

@@ -191,7 +191,7 @@ class MapPixels:
         return worst
 
     def _verticals(self, east: FloatArray, north: FloatArray) -> Verticals:
-        """Those of all pixels, from a mesh of some."""
+        """Interpolate the verticals of all pixels from a mesh of some."""
         from pyproj import Transformer
 
         to_earth = Transformer.from_crs(self.crs, "EPSG:4326", always_xy=True)

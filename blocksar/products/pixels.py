@@ -74,7 +74,7 @@ class Pixels:
 
     @property
     def nodata(self) -> float:
-        """What a pixel that is not covered holds."""
+        """Find what a pixel that is not covered holds."""
         if self.content == "visibility":
             return UNKNOWN
         return np.nan if self.scale is None else 0
@@ -122,7 +122,7 @@ class Pixels:
         return multilook(power, self.looks)
 
     def coded(self, values: NDArray[Any]) -> NDArray[Any]:
-        """What the product holds of values that were measured."""
+        """Find what the product holds of values that were measured."""
         if self.content == "db":
             return self._scaled(decibels(values))
         return np.sqrt(values) if self.content == "amplitude" else values
@@ -136,7 +136,7 @@ class Pixels:
         return [Sight.of(geometry, box, terrain.limits) for geometry in source.segments or (source.geometry,)]
 
     def _gamma_factor(self, rows: slice) -> NDArray[np.float32]:
-        """What the power of whole rows is multiplied by; NaN in layover and shadow."""
+        """Find what the power of whole rows is multiplied by; NaN in layover and shadow."""
         terrain = self.source.geometry.terrain
         assert terrain is not None
         owner = self.source.read_block(rows, slice(None))

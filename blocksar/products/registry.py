@@ -1,4 +1,4 @@
-"""What `export` can write: the products of the package, and those that other packages add as entry points."""
+"""Registry of what `export` can write: products of the package, and those that other packages add as entry points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `blocksar demo` focuses, and how."""
+"""Demonstration: what `blocksar demo` focuses, and how."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ def folder_of(folder: Place, channel: str | None) -> Place:
 
 
 def member_line(folder: Place, channel: str | None) -> list[str]:
-    """Which channel or look of a run is used, in words; nothing of a run that has none.
+    """Find which channel or look of a run is used, in words; nothing of a run that has none.
 
     Raises
     ------

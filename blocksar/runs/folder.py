@@ -323,7 +323,7 @@ def is_begun(folder: Place, record: RunRecord) -> bool:
 
 
 def _identifying(record: RunRecord) -> tuple[object, ...]:
-    """What tells an unfinished run from others; that of several channels or looks has no identity so far."""
+    """Find what tells an unfinished run from others; that of several channels or looks has no identity so far."""
     several = record.channels, record.dimension, record.input.fingerprint
     return record.format, record.version, record.identity, several
 

@@ -32,7 +32,7 @@ UNTOLD = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrackCorrection:
-    """What was done to a track.
+    """Correction of a track: what was taken off, and the figures of its estimate.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ class TrackCorrection:
         )  # fmt: skip
 
     def sentences(self) -> list[str]:
-        """What was done, with figures."""
+        """Say what was done, with figures."""
         f, n = self.figures, self.figures["points"]
         few = f", {f['distinct']} of which stand out of noise and clutter," if f.get("distinct", n) < n else ""
         size = np.sqrt((self.error * self.error).sum(axis=1))
@@ -148,7 +148,7 @@ def _tied(tied: Mapping[str, Any]) -> str:
 
 
 def _anchored(control: Mapping[str, Any]) -> str:
-    """What control points did, with figures."""
+    """Say what control points did, with figures."""
     out = ", ".join(control.get("left_out") or [])
     n = control["points"]
     points, move = ("control points anchor", "move") if n != 1 else ("control point anchors", "moves")

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Seen(Protocol):
-    """What is taken of a scene."""
+    """Part of a scene that its channels need."""
 
     @property
     def channels(self) -> tuple[str, ...]: ...
@@ -43,7 +43,7 @@ def problems(scene: Seen) -> Iterator[str]:
 
 
 def factor(target: TargetTable, channel: str) -> complex:
-    """What a target's reflectivity is multiplied by in a channel: 1 where none is stated, 0 where only others are."""
+    """Factor of a target's reflectivity in a channel: 1 where none is stated, 0 where only others are."""
     if not target.scattering:
         return 1.0
     amplitude, phase_deg = target.scattering.get(channel, (0.0, 0.0))

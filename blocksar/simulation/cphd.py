@@ -270,7 +270,7 @@ def _fill_vectors(vectors: NDArray[Any], collection: Collection, frame: Georefer
 
 
 class _AntennaParts(NamedTuple):
-    """What describes the antenna: per-vector parameters and their layout, and elements; empty where nothing does."""
+    """Antenna in CPHD: per-vector parameters and their layout, and elements; empty where nothing describes it."""
 
     layout: dict[str, dict[str, tuple[str, int]]]
     vectors: dict[str, NDArray[Any]]

@@ -84,7 +84,7 @@ def lit_area(scene: Scene, collection: Collection, moment: FloatArray) -> LitAre
 def _axis_area(
     scene: Scene, collection: Collection, moment: FloatArray, whole: tuple[FloatArray, FloatArray]
 ) -> LitArea:
-    """The same for a beam about its axis, whose dwells depend on range as well as on yaw."""
+    """Image area for a beam about its axis, whose dwells depend on range as well as on yaw."""
     geometry, time = Geometry(collection=collection), collection.time
     ranges, yaws = np.linspace(*scene.area.swath, RANGES), np.linspace(*scene.lit_yaw, SEARCHED)
     first, last = dwell_at(geometry, yaws, ranges[:, None], uncut=True)

@@ -89,7 +89,7 @@ class Field:
         return Geometry(collection=self.collection)
 
     def part(self, pulse: int, first: int, last: int) -> Scatterers:
-        """Those of a slice that a pulse lights, with the antenna's pattern in their reflectivity.
+        """Scatterers of a slice that a pulse lights, with the antenna's pattern in their reflectivity.
 
         Under a beam that is described by its yaw, all of the slice but those in shadow: the loops ask the rule.
         """

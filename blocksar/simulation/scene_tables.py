@@ -54,7 +54,7 @@ class GeoreferenceTable(Table):
 
 
 class SceneTables(Table):
-    """What a scene file states."""
+    """Tables of a scene file."""
 
     title: str = Field("", description="one line about the scene")
     radar: RadarTable = Field(description="the table of the radar")

@@ -1,4 +1,4 @@
-"""Which pulses do not reach scatterers, since the terrain lies between them and the antenna.
+"""Shadow: pulses that do not reach scatterers, since the terrain lies between them and the antenna.
 
 A scatterer is hidden from a pulse if the ray from it to the antenna's place at that pulse passes below the terrain,
 which is bilinear between its samples here, as in the layer `visibility` of images. Rays are followed for some pulses of
@@ -49,7 +49,7 @@ class Shadow:
     pulse: IntArray
 
     def at(self, pulse: int, first: int, last: int) -> BoolArray:
-        """Which of the scatterers first <= i < last a pulse does not reach, (last - first,)."""
+        """Find which of the scatterers first <= i < last a pulse does not reach, (last - first,)."""
         a, b = np.searchsorted(self.index, [first, last])
         changed = self.index[a:b][self.pulse[a:b] <= pulse] - first
         return self.hidden[first:last] ^ (np.bincount(changed, minlength=last - first) % 2 == 1)

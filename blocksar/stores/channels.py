@@ -86,7 +86,7 @@ def look_name(number: int) -> str:
 
 
 def number_of(channels: Sequence[str], channel: str | None, label: str) -> int:
-    """Which of the channels is meant; the first if none is named.
+    """Find which of the channels is meant; the first if none is named.
 
     Raises
     ------

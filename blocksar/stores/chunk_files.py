@@ -307,7 +307,7 @@ def chunk_files_of(path: Place, name: str) -> ChunkFiles | None:
 
 @lru_cache(maxsize=256)
 def _layout_in(metadata: str, version: str) -> Layout | None:
-    """What a metadata file of a version states."""
+    """Find what a metadata file of a version states."""
     with open(metadata, "rb") as file:
         return layout_of(file.read())
 

@@ -24,7 +24,7 @@ FILLS = {"complex64": ["NaN", "NaN"], "float64": "NaN", "float32": "NaN", "int16
 
 
 class Layout(NamedTuple):
-    """What the metadata of a variable states.
+    """Layout that the metadata of a variable state.
 
     Attributes
     ----------

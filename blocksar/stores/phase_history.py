@@ -90,7 +90,7 @@ class PhaseHistory:
 
     @property
     def label(self) -> str:
-        """What messages call it."""
+        """Say what messages call it."""
         return str(self.path)
 
     @property
@@ -111,7 +111,7 @@ class PhaseHistory:
         return int(pulse), int(column)
 
     def of_channel(self, name: str | None) -> PhaseHistory:
-        """The same with the samples of another channel; the first for None.
+        """Copy with the samples of another channel; the first for None.
 
         Raises
         ------
@@ -122,7 +122,7 @@ class PhaseHistory:
         return replace(self, channel=number, versions=None, attrs=attrs_of_channel(self.attrs, self.channels, number))
 
     def of_look(self, number: int, count: int, sign: float) -> PhaseHistory:
-        """The same with a collection that sees one of `count` parts of each dwell, see `collection.sublooks`."""
+        """Copy with a collection that sees one of `count` parts of each dwell, see `collection.sublooks`."""
         collection = sublooks.look_of(self.collection, number, count, sign)
         first, n_pulse = sublooks.pulses_of(self.collection, number, count).start, self.collection.n_pulse
         attrs = _counted_from(self.attrs, float(self.collection.time[first] - collection.time[0]))
@@ -132,14 +132,14 @@ class PhaseHistory:
         )  # fmt: skip
 
     def with_partial_pulses(self) -> PhaseHistory:
-        """The same with ground of whose pulses a raw echo recorded only parts: its transform is longer."""
+        """Copy with ground of whose pulses a raw echo recorded only parts: its transform is longer."""
         if self.raw is None:
             return self
         frequency, recorded = self.raw.padded_range_frequency, self.raw.recorded(partial=True)
         return replace(self, collection=replace(self.collection, range_frequency=frequency, recorded=recorded))
 
     def on_ground(self, height: float | None) -> Self:
-        """The same over another plane, z = height, m; unchanged for None."""
+        """Copy over another plane, z = height, m; unchanged for None."""
         other = self.collection if height is None else replace(self.collection, ground_height=height)
         return self if height is None else replace(self, collection=other, ground_height=height)
 
@@ -149,7 +149,7 @@ class PhaseHistory:
         return self.look is not None and self.collection.steered
 
     def opened_again(self) -> PhaseHistory:
-        """The same channel and look of the store as it is now.
+        """Open the store again, for the same channel and look.
 
         Raises
         ------
@@ -175,7 +175,7 @@ class PhaseHistory:
         )
 
     def pinned(self) -> PhaseHistory:
-        """The same with the versions that its chunks have now: it reads no other ones.
+        """Copy with the versions that its chunks have now: it reads no other ones.
 
         Raises
         ------
@@ -195,14 +195,14 @@ class PhaseHistory:
         return replace(self, collection=collection, cut=(first, self.collection.n_pulse), attrs=attrs)
 
     def _in_store(self, pulses: slice) -> slice:
-        """The same pulses, counted as the store does."""
+        """Pulses as the store counts them."""
         if self.cut is None:
             return pulses
         start, stop, _ = pulses.indices(self.collection.n_pulse)
         return slice(self.cut[0] + start, self.cut[0] + stop)
 
     def within(self, pulses: slice = slice(None), columns: slice = slice(None)) -> PhaseHistory:
-        """The same with the versions of those chunks only that hold these samples: its pickle is small."""
+        """Copy with the versions of those chunks only that hold these samples: its pickle is small."""
         if self.versions is None:
             return self
         array = open_variable(self.path, self.variable)

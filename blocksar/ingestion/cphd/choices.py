@@ -1,4 +1,4 @@
-"""What a user wants of a CPHD file, and says of it against what it says itself."""
+"""Options for a CPHD file, and what a user says of it against what it says itself."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a CPHD file holds, without its samples."""
+"""Description of a CPHD file, without its samples."""
 
 from __future__ import annotations
 

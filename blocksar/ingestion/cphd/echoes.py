@@ -165,7 +165,7 @@ class Reader:
 
 @dataclass(kw_only=True, eq=False)
 class Found:
-    """What the samples of a channel told, once all are written."""
+    """Findings in the samples of a channel, once all are written."""
 
     lost: list[Lost]
     missing: int  # pulses

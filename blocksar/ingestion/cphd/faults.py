@@ -36,7 +36,7 @@ class Lost(NamedTuple):
 
 
 class Usable(NamedTuple):
-    """Which vectors (n_vector,) hold echoes, which have at least a time and a place, and why others do not."""
+    """Vectors (n_vector,) that hold echoes, which have at least a time and a place, and why others do not."""
 
     normal: BoolArray
     placed: BoolArray
@@ -165,7 +165,7 @@ def _neighbours(values: FloatArray, zero: BoolArray, others: IntArray) -> FloatA
 
 
 def describe_lost(lost: Sequence[Lost], first: int = 0) -> str:
-    """Which vectors are lost and why, in words: ranges of vectors, then their reasons; empty if none are.
+    """Find which vectors are lost and why, in words: ranges of vectors, then their reasons; empty if none are.
 
     `first` is the number of the first one in the file.
     """

@@ -86,7 +86,7 @@ class CphdFile:
         return np.asarray(self.vectors[name][rows], dtype=np.float64)
 
     def part(self, pulses: tuple[int, int | None], band: tuple[float, float]) -> CphdFile:
-        """The same with some of the vectors, first and the one behind the last, and frequencies of a band, Hz.
+        """Copy with some of the vectors, first and the one behind the last, and frequencies of a band, Hz.
 
         Raises
         ------

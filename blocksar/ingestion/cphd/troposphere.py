@@ -36,7 +36,7 @@ NAME = "TDTropoSRP"
 
 
 class TroposphericDelay(NamedTuple):
-    """What is taken out of the ranges of vectors (n_vector,), m; and what was found, in words."""
+    """Delay taken out of the ranges of vectors (n_vector,), m; and what was found, in words."""
 
     removed: FloatArray
     message: str | None

@@ -1,4 +1,4 @@
-"""What files of the Gotcha set hold, without their samples."""
+"""Description of files of the Gotcha set, without their samples."""
 
 from __future__ import annotations
 

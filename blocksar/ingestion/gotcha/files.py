@@ -174,7 +174,7 @@ def _numbers(fields: dict[str, Value], name: str, count: int | None = None) -> F
 
 
 def _describe(values: Value) -> str:
-    """What a field holds, in words."""
+    """Find what a field holds, in words."""
     if isinstance(values, str):
         return values
     return "complex" if values.dtype.kind == "c" else f"of type {values.dtype}"

@@ -24,7 +24,7 @@ WHY = "datums differ by up to 100 m"
 
 @dataclass(frozen=True)
 class Datum:
-    """What heights are measured from: "ellipsoid", "egm96" or "egm2008", and the file of the geoid, if one is named."""
+    """Vertical datum of heights: "ellipsoid", "egm96" or "egm2008", and the file of the geoid, if one is named."""
 
     name: str
     grid: str | None = None

@@ -22,7 +22,7 @@ UNTOLD = 1e-6  # of the grid: a share without heights that is not worth a note
 
 @dataclass(frozen=True, kw_only=True)
 class Ground:
-    """What the user says of the ground: a file of heights with its datum, or a surface.
+    """Ground as the user states it: a file of heights with its datum, or a surface.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What a file of heights may not mean: zeros that stand for no data, and feet without their unit."""
+"""Remarks on a file of heights: zeros that may stand for no data, and feet without their unit."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class GeoTIFFOptions:
-    """Which pixels, and on which map."""
+    """Options of pixels and of the map."""
 
     content: Annotated[
         Content | None,

@@ -144,7 +144,7 @@ def stretch(power_db: FloatArray) -> tuple[float, float]:
 
 
 def range_notes(power_db: FloatArray, limits: tuple[float, float]) -> list[str]:
-    """That a range in dB shows next to nothing of a picture, if so; nothing where no cell has power."""
+    """Note that a range in dB shows next to nothing of a picture, if so; nothing where no cell has power."""
     finite = power_db[np.isfinite(power_db)]
     if not finite.size or ((finite > limits[0]) & (finite < limits[1])).mean() >= LEAST_SHOWN:
         return []

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class PNGOptions:
-    """What is drawn, and in which colours."""
+    """Options of what is drawn, and in which colours."""
 
     range: Annotated[Decibels | None, COLOUR_RANGE] = None
     colour_map: Annotated[str | None, COLOUR_MAP] = None

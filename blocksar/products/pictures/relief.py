@@ -57,7 +57,7 @@ class Relief(NamedTuple):
     share: dict[int, float]
 
     def sentences(self) -> list[str]:
-        """What a page says of it."""
+        """Say what a page says of it."""
         low, mean, high = (minus(f"{figure(self.height):.1f}") for figure in (np.nanmin, np.nanmean, np.nanmax))
         lines = [
             f"The image lies on a terrain between z = {low} m and {high} m, {mean} m on average, with slopes of up to "

@@ -75,7 +75,7 @@ def write(
 
 
 def _about_segments(source: FinishedRun) -> list[str]:
-    """That the metadata are those of one segment of several, and how much of the image they do not describe."""
+    """State that the metadata are those of one segment of several, and how much of the image they do not describe."""
     if not source.segments:
         return []
     counts = np.zeros(len(source.segments), np.int64)
