@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from blocksar import stores
 from blocksar.api.reports import Report, only_stage
 from blocksar.errors import InputError
 from blocksar.options import read_options, showing_options
 from blocksar.places import Location, place
 from blocksar.products.registry import PRODUCTS, check_ending
 from blocksar.progress import Wanted as Progress
-from blocksar.runs.finished import finished_record
-from blocksar.runs.record import RECORD
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -21,7 +18,8 @@ if TYPE_CHECKING:
 def open(run: Location) -> xr.Dataset:
     """Open the image of a run as a lazily loaded dataset: `image` and `block` over y and x.
 
-    The dataset follows CF, with a grid mapping if it is georeferenced, and has the accessor `ds.sar`.
+    The dataset follows CF, with a grid mapping if it is georeferenced, and has the accessor `ds.sar`. The same is
+    `xarray.open_dataset(run, engine="blocksar")`; `xarray.open_datatree` has channels, blocks and measurements, too.
 
     Parameters
     ----------
@@ -42,12 +40,7 @@ def open(run: Location) -> xr.Dataset:
     """
     from blocksar.products import dataset  # registers the accessor, and loads xarray
 
-    folder = place(run)
-    if (folder / RECORD).exists():
-        finished_record(folder)
-    elif not (folder / "image.zarr").exists():
-        return dataset.prepare(stores.open_dataset(folder))
-    return dataset.prepare(stores.open_dataset(folder / "image.zarr"))
+    return dataset.open(place(run))
 
 
 @showing_options(*(PRODUCTS.get(name).options for name in PRODUCTS.own))
