@@ -74,12 +74,15 @@ def _quality(run: Place) -> xr.Dataset:
         for name in PointResponse._fields
         if name != "name"
     }
-    return _table("target", [response.name for response in responses], figures, {"title": "targets as measured", "comment": DEFINITIONS})
+    return _table(
+        "target",
+        [response.name for response in responses],
+        figures,
+        {"title": "targets as measured", "comment": DEFINITIONS},
+    )
 
 
-def _table(
-    along: str, names: Sequence[str], figures: Mapping[str, Any], attrs: Mapping[str, Any]
-) -> xr.Dataset:
+def _table(along: str, names: Sequence[str], figures: Mapping[str, Any], attrs: Mapping[str, Any]) -> xr.Dataset:
     """A dataset of figures along a dimension with names; pairs have the dimension `end` as well."""
     made = {}
     for name, values in figures.items():

