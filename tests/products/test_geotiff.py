@@ -178,7 +178,7 @@ def test_whole_numbers_stand_for_decibels(scale: Any, most: int, tmp_path: Path)
         ("png", "a.jpg", {}, "give png a name that ends in .png"),
         ("png", "a.png", {"colour_map": "virids"}, "viridis"),
         ("png", "a.png", {"size": 3}, "200 to 20000 pixels"),
-        ("sicd", "a.nitf", {"crop": "0:1,0:1"}, "option of geotiff and png only"),
+        ("sicd", "a.nitf", {"crop": "0:1,0:1"}, "option of sidd, geotiff and png only"),
     ],
 )
 def test_wrong_options_are_refused_in_a_sentence(

@@ -2,48 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import sarkit.sidd as sksidd
 import sarkit.verification as skver
+import shapely
 from lxml import etree
 from numpy.polynomial import polynomial
 from sicd_files import errors
+from sidd_files import Sidd, read_sidd
 from small_run import DAYTON, TARGETS, Made, hilly, make, ridge
 
 import blocksar
 from blocksar.collection.beam import dwell
 from blocksar.errors import InputError
 from blocksar.products.collect import MARKS
-
-
-@dataclass(frozen=True)
-class Sidd:
-    tree: Any
-    pixels: Any
-    checked: Any
-
-    def load(self, path: str) -> Any:
-        return sksidd.XmlHelper(self.tree).load("/".join(f"{{*}}{part}" for part in path.split("/")))
-
-    def text(self, path: str) -> str:
-        return str(self.tree.findtext("/".join(f"{{*}}{part}" for part in path.split("/"))))
-
-    def row_and_column(self, ecef: Any) -> Any:
-        return sksidd.ecef_to_pixel(self.tree, ecef)
-
-
-def read_sidd(path: Path) -> Sidd:
-    with open(path, "rb") as file:
-        checked = skver.SiddConsistency.from_file(file)
-        checked.check()
-        file.seek(0)
-        with sksidd.NitfReader(file) as reader:
-            return Sidd(reader.metadata.images[0].xmltree, reader.read_image(0), checked)
 
 
 def assert_sound(found: Sidd) -> None:
@@ -134,8 +109,6 @@ def test_an_image_on_a_terrain_is_orthorectified_at_its_heights(tmp_path: Path) 
 def test_valid_data_are_the_outline_of_what_is_covered(made: Made, tmp_path: Path) -> None:
     blocksar.export("sidd", made.folder, tmp_path / "a.nitf")
     found = read_sidd(tmp_path / "a.nitf")
-    import shapely
-
     outline = shapely.Polygon(found.load("Measurement/ValidData"))
     covered = np.argwhere(found.pixels > 0)
     assert shapely.contains_xy(outline.buffer(1e-6), *covered.T).all()
@@ -147,7 +120,7 @@ def test_valid_data_are_the_outline_of_what_is_covered(made: Made, tmp_path: Pat
 
 
 def test_parts_and_ends_of_the_image(tmp_path: Path) -> None:
-    """A crop; an image of layover and shadow; an origin on the equator, whose corners sarkit could not write."""
+    """A crop; an image with layover and shadow; a classification, a polarization and a sensor of a long name."""
     run = make(tmp_path / "plane", hole=False)
     blocksar.export("sidd", run.folder, tmp_path / "crop.nitf", crop="-10:12,-8:9")
     found = read_sidd(tmp_path / "crop.nitf")

@@ -136,7 +136,7 @@ def test_what_makes_no_item_is_refused(made: Made, unplaced: Made, tmp_path: Pat
         (unplaced, {}, "no georeference, and a STAC item says where"),
         (made, {"assets": "nowhere.tif"}, "nowhere.tif is no file; export it first"),
         (made, {"assets": tmp_path / "other.tif"}, "is of another run; export this one's"),
-        (made, {"assets": ["a"], "looks": "2x2"}, "option of geotiff and png only"),
+        (made, {"assets": ["a"], "looks": "2x2"}, "option of sidd, geotiff and png only"),
     ):
         with pytest.raises(InputError, match=words):
             blocksar.export("stac", run.folder, tmp_path / "no.json", **options)
