@@ -37,7 +37,7 @@ def test_geotiff_is_a_valid_cog_with_the_pixels_of_the_image(content: Any, tmp_p
 
 def test_overviews_are_means_of_the_power_that_is_covered(tmp_path: Path) -> None:
     """Each pixel of each level, against a loop over the pixels of the image that it stands for."""
-    run = make(tmp_path, size=(1101, 530), step=0.1)
+    run = make(tmp_path, size=(1031, 61), step=0.1)
     power = np.abs(run.image[::-1].astype(np.complex128)) ** 2  # north up; with a hole, and rows without coverage
     ways: dict[str, Any] = {
         "power": lambda mean: mean,
@@ -52,7 +52,7 @@ def test_overviews_are_means_of_the_power_that_is_covered(tmp_path: Path) -> Non
         assert cog_validate(tmp_path / f"{name}.tif", strict=True, quiet=True) == (True, [], [])
         files[name] = tmp_path / f"{name}.tif"
     for level, factor in enumerate((2, 4)):
-        shape = -(-530 // factor), -(-1101 // factor)
+        shape = -(-61 // factor), -(-1031 // factor)
         mean = np.full(shape, np.nan)
         for i, j in np.ndindex(shape):
             cell = power[i * factor : (i + 1) * factor, j * factor : (j + 1) * factor]
@@ -70,7 +70,7 @@ def test_overviews_are_means_of_the_power_that_is_covered(tmp_path: Path) -> Non
 
 
 def test_overviews_of_a_map_and_of_a_terrain_are_those_of_its_pixels(tmp_path: Path) -> None:
-    run = make(tmp_path, size=(620, 540), step=0.15, terrain=ridge())
+    run = make(tmp_path, size=(530, 71), step=0.15, terrain=ridge())
     for content, options in (("power", {"crs": "EPSG:32616"}), ("height", {}), ("visibility", {}), ("gamma", {})):
         out = tmp_path / f"{content}.tif"
         blocksar.export("geotiff", run.folder, out, content=content, **options)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 NEAREST = ("complex", "visibility")  # contents without a mean
-AT_ONCE = 1 << 20  # pixels of the full image
+AT_ONCE = 1 << 18  # pixels of the full image
 
 State = NDArray[Any]  # (1, rows, columns): pixels; (2, rows, columns): sums of what is covered, and how many
 

@@ -220,16 +220,16 @@ def _polarizations(source: FinishedRun, run: Place) -> list[str]:
 
 def _processing(source: FinishedRun) -> dict[str, Any]:
     """The fields of the extension processing."""
-    settings, versions = source.record.settings, source.record.versions
+    record = source.record
     surface = "the plane" if source.geometry.terrain is None else "a terrain"
-    lineage = f"focused by {settings.get('processor') or 'a processor'} of blocksar on {surface}, calibrated"
+    lineage = f"focused by {record.processor or 'a processor'} of blocksar on {surface}, calibrated"
     tapers = "" if source.weighting.uniform else (
         f"; weighted by {source.weighting.range.text} in range, {source.weighting.azimuth.text} in azimuth"
     )  # fmt: skip
     return {
         "processing:level": "L1",
         "processing:lineage": lineage + tapers,
-        "processing:software": {"blocksar": str(versions.get("blocksar") or __version__)},
+        "processing:software": {"blocksar": str(record.versions.get("blocksar") or __version__)},
     }
 
 
