@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
+from typing import Any
 
 import numpy as np
 
@@ -18,20 +19,26 @@ MARKS = {"TOP SECRET": "T", "SECRET": "S", "CONFIDENTIAL": "C", "RESTRICTED": "R
 
 
 def collect_start(source: FinishedRun) -> tuple[datetime, bool]:
-    """UTC of the first pulse, and whether it is known; EPOCH if not.
+    """UTC of the first pulse, and whether it is known; EPOCH if not."""
+    start = date_of(source.attrs.get("source"), float(source.collection.time[0]))
+    return (EPOCH, False) if start is None else (start, True)
+
+
+def date_of(told: Any, time: float) -> datetime | None:
+    """UTC of a slow time, s; None if it is not known.
 
     The attribute `source` of ingested data holds `collection_start`, UTC in ISO 8601, and `time_zero`, s from there to
     slow time 0.
     """
-    match source.attrs.get("source"):
+    match told:
         case {"collection_start": str(text), "time_zero": int() | float() as zero}:
             try:
                 start = datetime.fromisoformat(text)
                 start = start if start.tzinfo else start.replace(tzinfo=UTC)
-                return start.astimezone(UTC) + timedelta(seconds=zero + float(source.collection.time[0])), True
+                return start.astimezone(UTC) + timedelta(seconds=zero + time)
             except (ValueError, OverflowError):
                 pass  # the date is optional, so a damaged one does not stop the export
-    return EPOCH, False
+    return None
 
 
 def radar_mode(collection: Collection, *, one_aperture: bool) -> str:

@@ -1,11 +1,11 @@
 """The image of a run as a cloud-optimised GeoTIFF, through GDAL (rasterio).
 
-Pixels equal those of the image bit for bit, or are means over whole cells of them, north up; nothing is resampled,
-unless a coordinate reference system is asked for (`map_pixels`). A GIS also needs a map projection in which the pixels
-form a grid. Transverse Mercator about the scene frame's origin, with a scale of 1 + height / radius of curvature, comes
-very close: its easting and northing equal x and y of the frame's horizontal plane but for d^3 / (3 R^2) at the distance
-d (8 mm at 10 km). A height h over that plane adds h d / R. UTM would need resampling, or a grid that is rotated and
-sheared.
+Complex pixels equal those of the image bit for bit, and others follow from them, or from means over whole cells of
+them. North is up, and nothing is resampled, unless a coordinate reference system is asked for (`map_pixels`). A GIS
+also needs a map projection in which the pixels form a grid. Transverse Mercator about the scene frame's origin, with a
+scale of 1 + height / radius of curvature, comes very close: its easting and northing equal x and y of the frame's
+horizontal plane but for d^3 / (3 R^2) at the distance d (8 mm at 10 km). A height h over that plane adds h d / R. UTM
+would need resampling, or a grid that is rotated and sheared.
 
 Where the error exceeds a twentieth of a pixel, because the origin is far away (as a platform's nadir is) or the frame
 is rotated from north, the projection is centred on the image instead, and the best affine map places the pixels,

@@ -4,9 +4,8 @@ Ranges and azimuths of the extension sar are directions across and along the tra
 resolutions are the -3 dB widths there of a target's response along them. The frequency band is that of the table of
 that extension. The extension sat is given where the antenna is in orbit, from its height on.
 
-Times are those of the first and the last pulse; of a run of several collections, those of the one in the middle of the
-image. The footprint bounds the covered pixels, at the ground
-that they show; across the antimeridian it is cut in two, as GeoJSON demands.
+Times are those of the first and of the last pulse of all collections. The footprint bounds the covered pixels, at the
+ground that they show; across the antimeridian it is cut in two, as GeoJSON demands.
 """
 
 from __future__ import annotations
@@ -22,13 +21,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from blocksar import stores
 from blocksar.arrays import FloatArray
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError, library_for
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
-from blocksar.products.collect import collect_start, polarization, radar_mode
+from blocksar.products.collect import EPOCH, date_of, polarization, radar_mode
 from blocksar.products.geotiff.cog import place_pixels
 from blocksar.products.pixels import Pixels
 from blocksar.products.sicd.aperture import centre_time, cut_width, find_support, lines_of_sight, lit_times
@@ -131,13 +131,16 @@ def build(
 
 
 def _times(source: FinishedRun) -> tuple[datetime, datetime, bool]:
-    """UTC of the first and of the last pulse, and whether it is known."""
-    start, known = collect_start(source)
-    own = source.collection.time
-    several = source.segments if len(source.record.inputs) < 2 else ()
-    spans = [each.collection.time[[0, -1]] for each in several] or [own[[0, -1]]]
-    first, last = (float(end) for end in (np.min(spans), np.max(spans)))
-    return start + timedelta(seconds=first - own[0]), start + timedelta(seconds=last - own[0]), known
+    """UTC of the first and of the last pulse of all segments, and whether it is known."""
+    told = [(source.attrs.get("source"), source.collection)]
+    for number in range(len(source.segments)):
+        collection, attrs = stores.read_collection(source.folder / "segments" / str(number) / "collection.zarr")
+        told.append((attrs.get("source"), collection))
+    dates = [date_of(of, float(collection.time[end])) for of, collection in told for end in (0, -1)]
+    if known := [date for date in dates if date is not None]:
+        return min(known), max(known), True
+    first, last = source.collection.time[[0, -1]]
+    return EPOCH, EPOCH + timedelta(seconds=float(last - first)), False
 
 
 def _text(moment: datetime) -> str:
