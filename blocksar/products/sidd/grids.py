@@ -115,7 +115,9 @@ class GeographicGrid(Grid):
 
     @cached_property
     def raster(self) -> MapPixels:
-        return MapPixels.over(self.pixels, parse_crs("EPSG:4326"), self.frame)
+        # Longitudes from half a turn before the origin's on, which the image does not reach: none of them jumps.
+        crs = parse_crs(f"+proj=longlat +datum=WGS84 +lon_wrap={self.frame.longitude!r} +type=crs")
+        return MapPixels.over(self.pixels, crs, self.frame)
 
     @property
     def shape(self) -> tuple[int, int]:
