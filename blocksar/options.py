@@ -149,7 +149,9 @@ def _not_one(name: str, value: Any, of: str, known: Mapping[str, Stated], elsewh
     """Why an option cannot be given."""
     others = [other for other, model in elsewhere if name in (each.name for each in options_of(model))]
     if others:
-        return f"{name} is {value!r}, but it is an option of {' and '.join(others)} only; leave it out"
+        *first, last = others
+        named = f"{', '.join(first)} and {last}" if first else last
+        return f"{name} is {value!r}, but it is an option of {named} only; leave it out"
     close = difflib.get_close_matches(name, known, n=1)
     remedy = f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}" if known else "leave it out"
     return f"{name} is {quoted(value)}, but {of} has no such option; {remedy}"

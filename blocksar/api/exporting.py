@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from blocksar import stores
 from blocksar.api.reports import Report, only_stage
 from blocksar.errors import InputError
 from blocksar.options import read_options, showing_options
 from blocksar.places import Location, place
 from blocksar.products.registry import PRODUCTS, check_ending
 from blocksar.progress import Wanted as Progress
-from blocksar.runs.finished import finished_record
-from blocksar.runs.record import RECORD
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -21,7 +18,8 @@ if TYPE_CHECKING:
 def open(run: Location) -> xr.Dataset:
     """Open the image of a run as a lazily loaded dataset: `image` and `block` over y and x.
 
-    The dataset follows CF, with a grid mapping if it is georeferenced, and has the accessor `ds.sar`.
+    The dataset follows CF, with a grid mapping if it is georeferenced, and has the accessor `ds.sar`. The same is
+    `xarray.open_dataset(run, engine="blocksar")`; `xarray.open_datatree` has channels, blocks and measurements, too.
 
     Parameters
     ----------
@@ -42,12 +40,7 @@ def open(run: Location) -> xr.Dataset:
     """
     from blocksar.products import dataset  # registers the accessor, and loads xarray
 
-    folder = place(run)
-    if (folder / RECORD).exists():
-        finished_record(folder)
-    elif not (folder / "image.zarr").exists():
-        return dataset.prepare(stores.open_dataset(folder))
-    return dataset.prepare(stores.open_dataset(folder / "image.zarr"))
+    return dataset.open(place(run))
 
 
 @showing_options(*(PRODUCTS.get(name).options for name in PRODUCTS.own))
@@ -65,9 +58,9 @@ def export(
 
     Parameters
     ----------
-    kind : {"sicd", "geotiff", "png"}
-        Complex image on its ground plane; cloud-optimised GeoTIFF; picture in decibels. Or a product that another
-        package adds, by its name.
+    kind : {"sicd", "sidd", "geotiff", "png", "stac"}
+        Complex image on its ground plane; detected image; cloud-optimised GeoTIFF; picture in decibels; STAC item. Or a
+        product that another package adds, by its name.
     run : path
         Folder of a finished run.
     out : path
@@ -88,17 +81,18 @@ def export(
         "gamma" is the power without what slopes do to it. Default: "amplitude", or "db" with `scale`. Only for
         `kind="geotiff"`.
     looks : (int, int) or str, optional
-        Pixels along y and along x of the cells over which a GeoTIFF or a PNG averages power, such as (4, 2) or "4x2".
-        Cells that are not covered as a whole are no data in a GeoTIFF. Default: no averaging; in a PNG cells that suit
-        its size.
+        Pixels along y and along x of the cells over which a SIDD, a GeoTIFF or a PNG averages power, such as (4, 2) or
+        "4x2". Cells that are not covered as a whole are no data, but not in a PNG. Default: no averaging; in a PNG
+        cells that suit its size.
     scale : {"uint8", "uint16"}, optional
         Whole numbers in which a GeoTIFF stores dB: 1 at the lower end of `range`, 0 where not covered. Default:
         float32.
     range : (float, float) or str, optional
-        dB at the ends of a picture's colours, or of `scale`, such as (-40, 0) or "-40:0". Default: by the image.
+        dB at the ends of a picture's colours, of a SIDD's 8 bits, or of `scale`, such as (-40, 0) or "-40:0". Default:
+        by the image.
     crop : ((float, float), (float, float)) or str, optional
-        Ends of x and of y, m, of the part to write, such as "0:500,18000:18500"; not for SICD. Default: the whole
-        image.
+        Ends of x and of y, m, of the part to write, such as "0:500,18000:18500"; not for SICD and STAC. Default: the
+        whole image.
     crs : str, optional
         Coordinate reference system to which a GeoTIFF is orthorectified, such as "EPSG:32616": each pixel shows the
         ground, at its height, whose place it is. Default: the pixels of the image, in the frame's own projection.
@@ -110,6 +104,9 @@ def export(
         A PNG of several channels or looks of one run. "pauli": colours from HH, VV and HV or VH, |HH - VV|, |HV + VH|
         and |HH + VV|, each over sqrt(2), as red, green and blue. "mean": their mean power, which has less speckle.
         Default: one channel or look.
+    assets : sequence of str or str, optional
+        Files exported before, which a STAC item names beside the image; in a text with commas between them. Only for
+        `kind="stac"`. Default: none.
 
     Returns
     -------

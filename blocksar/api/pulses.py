@@ -23,7 +23,7 @@ def pulse_reader(history: stores.PhaseHistory) -> Callable[[slice], ComplexArray
 
 
 def lit_pulse_reader(history: stores.PhaseHistory) -> Callable[[slice], ComplexArray]:
-    """Return a reader, as runs have it, with NaN in pulses that were lost and hold zeros (`collection.empty_pulses`)."""
+    """Return a reader, as runs have it, with NaN in lost pulses that hold zeros (`collection.empty_pulses`)."""
     read = pulse_reader(history)
     first = history.read(slice(None), slice(0, 1))[:, 0]
     with np.errstate(invalid="ignore"):  # garbage may have signalling NaN

@@ -58,7 +58,7 @@ class TrackPlace:
         )
 
     def settings(self, fingerprint: str) -> dict[str, Any]:
-        """Settings of a run whose input has this `fingerprint`; also what the track is estimated from, if that is more."""
+        """Settings of a run whose input has this `fingerprint`; also the track's input, if that is more."""
         told = joint_fingerprint(self.fingerprints)
         return {"autofocus": True, **({} if told == fingerprint else {"track_input": told})}
 

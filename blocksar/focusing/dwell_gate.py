@@ -49,7 +49,7 @@ class HalfDwell:
     lengths: tuple[float, ...]
 
     def blended(self, taper: Taper, since: FloatArray, length: FloatArray) -> FloatArray:
-        """Sum what windows blended for halves of lengths (..., 1), s, give sharp echoes at times (..., n) since their end.
+        """Sum what windows blended for halves of lengths (..., 1), s, give echoes at times (..., n) since their end.
 
         Over the middle's weight.
         """

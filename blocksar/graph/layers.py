@@ -134,7 +134,7 @@ class _Surfaces:
         return self._of(sight)[number]
 
     def any_of(self, number: int, sight: Sight) -> SeenGround:
-        """Ground of a window with heights, which are those of all sights (`sight` is a free choice), but not its angles."""
+        """Ground of a window with heights, which are those of all sights (`sight` is a free choice), not its angles."""
         found = next(iter(self._found.values()), None)
         return (self._of(sight) if found is None else found)[number]
 

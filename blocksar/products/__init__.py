@@ -1,1 +1,1 @@
-"""Products of a finished run: SICD, GeoTIFF, pictures, the report page and the xarray accessor."""
+"""Products of a finished run: SICD, SIDD, GeoTIFF, STAC, pictures, the report page; xarray: accessor, engine."""

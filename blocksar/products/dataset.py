@@ -1,6 +1,7 @@
 """The xarray accessor `ds.sar` for images of runs: levels, looks, parts, cuts and netCDF; and their CF metadata.
 
-`blocksar.open` registers the accessor; import `blocksar.accessor` for datasets opened in another way.
+`blocksar.open` and xarray's engine `blocksar` register the accessor; import `blocksar.accessor` for datasets opened in
+another way.
 """
 
 from __future__ import annotations
@@ -21,7 +22,10 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, library_for
 from blocksar.measurement.looks import checked_looks, power_of
 from blocksar.measurement.response import MIN_HALF_TAPS, interpolate
+from blocksar.places.place import Place
 from blocksar.products.options import parse_looks
+from blocksar.runs.finished import finished_record
+from blocksar.runs.record import RECORD
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,6 +50,21 @@ class Dataset(xr.Dataset):  # type: ignore[no-untyped-call]
     def to_netcdf(self, *arguments: Any, **settings: Any) -> Any:
         """As in xarray, of the dataset that `sar.netcdf` returns."""
         return xr.Dataset.to_netcdf(self.sar.netcdf(), *arguments, **settings)
+
+
+def open(folder: Place) -> xr.Dataset:
+    """Open the image of a finished run, or another store, as a dataset that `prepare` has made.
+
+    Raises
+    ------
+    InputError
+        If there is no such store, or the run is not finished.
+    """
+    if (folder / RECORD).exists():
+        finished_record(folder)
+    elif not (folder / "image.zarr").exists():
+        return prepare(stores.open_dataset(folder))
+    return prepare(stores.open_dataset(folder / "image.zarr"))
 
 
 def prepare(dataset: xr.Dataset) -> xr.Dataset:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from blocksar.arrays import FloatArray
 from blocksar.collection.georeference import Georeference, datum_tie
 from blocksar.errors import InputError, printable
+from blocksar.kernels.occlusion import UNKNOWN
 from blocksar.measurement.looks import power_of
 from blocksar.products.ground_image import GroundImage
 from blocksar.products.options import Content
@@ -141,21 +142,26 @@ class MapPixels:
         for first in range(0, self.y.size, step):
             yield slice(first, min(first + step, self.y.size))
 
-    def read(self, rows: slice) -> NDArray[Any]:
-        """Compute whole rows, (rows, x.size)."""
+    def measured(self, rows: slice) -> NDArray[Any]:
+        """Compute whole rows, (rows, x.size), of what `coded` makes the product of."""
         x, y = self.ground(self.x, self.y[rows])
         if self.content == "height":
             terrain = self.of.source.geometry.terrain
             assert terrain is not None
             return np.where(GroundImage(self.of.source).covered(x, y), terrain(x, y), np.nan).astype(np.float32)
         if self.content in ("visibility", "incidence", "gamma") or self.of.looks != (1, 1):
-            return self.of.coded(self._linear(x, y))
-        out, image = np.empty(x.shape, self.of.dtype), GroundImage(self.of.source)
+            return self._linear(x, y)
+        complex_pixels, image = self.content == "complex", GroundImage(self.of.source)
+        out = np.empty(x.shape, np.complex64 if complex_pixels else np.float32)
         for first in range(0, self.x.size, TILE):
             part = np.s_[:, first : first + TILE]
             found = image.at(x[part], y[part])
-            out[part] = found if self.content == "complex" else self.of.coded(power_of(found))
+            out[part] = found if complex_pixels else power_of(found)
         return out
+
+    def coded(self, values: NDArray[Any]) -> NDArray[Any]:
+        """What the product holds of values that were measured."""
+        return self.of.coded(values)
 
     def ground(self, east: FloatArray, north: FloatArray) -> tuple[FloatArray, FloatArray]:
         """x and y, m, of the ground at columns east (n,) and rows north (m,) of the map: (m, n) each."""
@@ -214,7 +220,7 @@ class MapPixels:
         pixels, nearest = self.of, self.content == "visibility"
         row, column = ((at - axis[0]) / (axis[-1] - axis[0]) * (axis.size - 1)
                        for at, axis in ((y, pixels.y), (x, pixels.x)))  # fmt: skip
-        out = np.full(x.shape, pixels.nodata, np.uint8 if nearest else np.float32)
+        out = np.full(x.shape, UNKNOWN if nearest else np.nan, np.uint8 if nearest else np.float32)
         seen = (row > -0.5) & (row < pixels.y.size - 0.5) & (column > -0.5) & (column < pixels.x.size - 0.5)
         if not seen.any():
             return out

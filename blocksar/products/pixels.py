@@ -99,12 +99,6 @@ class Pixels:
         for first in range(0, self.y.size, step):
             yield slice(first, min(first + step, self.y.size))
 
-    def read(self, rows: slice) -> NDArray[Any]:
-        """Read whole rows, (rows, x.size)."""
-        if self.content == "amplitude" and self.looks == (1, 1):
-            return np.abs(self.source.read(rows, slice(None)))
-        return self.coded(self.measured(rows))
-
     def measured(self, rows: slice) -> NDArray[Any]:
         """Read whole rows of what `coded` makes the product of: power, complex pixels, or a layer."""
         if self.content in LAYERS:

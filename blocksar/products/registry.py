@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 REPORT = "report", (".html", ".htm")  # no product, but a file that a user names, too
 # Of files that nothing here writes.
-OTHERS = (".jpg", ".jpeg", ".gif", ".webp", ".svg", ".pdf", ".json", ".csv", ".zarr", ".nc", ".h5", ".toml")
+OTHERS = (".jpg", ".jpeg", ".gif", ".webp", ".svg", ".pdf", ".csv", ".zarr", ".nc", ".h5", ".toml")
 
 
 class Product(Protocol):
@@ -89,8 +89,10 @@ PRODUCTS: Registry[Product] = Registry(
     "product",
     {
         "sicd": "blocksar.products.sicd.product:SICD",
+        "sidd": "blocksar.products.sidd.product:SIDD",
         "geotiff": "blocksar.products.geotiff.product:GeoTIFF",
         "png": "blocksar.products.pictures.product:PNG",
+        "stac": "blocksar.products.stac.product:STAC",
     },
     _check,
 )

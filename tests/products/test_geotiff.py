@@ -31,7 +31,70 @@ def test_geotiff_is_a_valid_cog_with_the_pixels_of_the_image(content: Any, tmp_p
         assert np.isnan(file.nodata)
     wanted = np.abs(run.image) if content == "amplitude" else run.image
     assert pixels.dtype == wanted.dtype
-    np.testing.assert_array_equal(pixels, wanted)
+    rounding = 4e-7 if content == "amplitude" else 0  # of roots and powers, float32
+    np.testing.assert_allclose(pixels, wanted, rtol=rounding, atol=0)
+
+
+def test_overviews_are_means_of_the_power_that_is_covered(tmp_path: Path) -> None:
+    """Each pixel of each level, against a loop over the pixels of the image that it stands for."""
+    run = make(tmp_path, size=(1031, 61), step=0.1)
+    power = np.abs(run.image[::-1].astype(np.complex128)) ** 2  # north up; with a hole, and rows without coverage
+    ways: dict[str, Any] = {
+        "power": lambda mean: mean,
+        "amplitude": np.sqrt,
+        "db": lambda mean: 10 * np.log10(mean),
+        "uint8": lambda mean: np.clip(np.rint((10 * np.log10(mean) + 40) / (40 / 254) + 1), 1, 255),
+    }
+    files = {}
+    for name in (*ways, "complex"):
+        options = {"scale": "uint8", "range": "-40:0"} if name == "uint8" else {"content": name}
+        blocksar.export("geotiff", run.folder, tmp_path / f"{name}.tif", **options)
+        assert cog_validate(tmp_path / f"{name}.tif", strict=True, quiet=True) == (True, [], [])
+        files[name] = tmp_path / f"{name}.tif"
+    for level, factor in enumerate((2, 4)):
+        shape = -(-61 // factor), -(-1031 // factor)
+        mean = np.full(shape, np.nan)
+        for i, j in np.ndindex(shape):
+            cell = power[i * factor : (i + 1) * factor, j * factor : (j + 1) * factor]
+            if np.isfinite(cell).any():
+                mean[i, j] = np.nanmean(cell)
+        assert np.isnan(mean).any() and (np.isnan(mean) == np.isnan(power[::factor, ::factor])).mean() < 1
+        for name, way in ways.items():
+            with rasterio.open(files[name]) as file, rasterio.open(files[name], overview_level=level) as overview:
+                assert file.overviews(1) == [2, 4] and overview.shape == shape
+                found, nodata = overview.read(1), file.nodata
+            wanted = np.where(np.isnan(mean), nodata, way(mean))
+            np.testing.assert_allclose(found, wanted, rtol=2e-6, atol=1e-5 if name == "db" else 0)
+        with rasterio.open(files["complex"], overview_level=level) as overview:
+            np.testing.assert_array_equal(overview.read(1), run.image[::-1][::factor, ::factor])
+
+
+def test_overviews_of_a_map_and_of_a_terrain_are_those_of_its_pixels(tmp_path: Path) -> None:
+    run = make(tmp_path, size=(530, 71), step=0.15, terrain=ridge())
+    for content, options in (("power", {"crs": "EPSG:32616"}), ("height", {}), ("visibility", {}), ("gamma", {})):
+        out = tmp_path / f"{content}.tif"
+        blocksar.export("geotiff", run.folder, out, content=content, **options)
+        with rasterio.open(out) as file, rasterio.open(out, overview_level=0) as overview:
+            pixels, found, nodata = file.read(1), overview.read(1), file.nodata
+        if content == "visibility":
+            assert nodata == 255
+            np.testing.assert_array_equal(found, pixels[::2, ::2])
+            continue
+        padded = np.pad(pixels.astype(float), [(0, n % 2) for n in pixels.shape], constant_values=np.nan)
+        cells = padded.reshape(padded.shape[0] // 2, 2, -1, 2)
+        count = np.isfinite(cells).sum(axis=(1, 3))
+        with np.errstate(invalid="ignore"):
+            np.testing.assert_allclose(found, np.nansum(cells, axis=(1, 3)) / count, rtol=2e-6)
+        assert np.isnan(nodata) and (count == 0).any() and (count == 4).any()
+
+
+def test_whole_numbers_of_a_map_with_looks_are_nothing_beyond_the_image(tmp_path: Path) -> None:
+    run = make(tmp_path)
+    options = {"scale": "uint8", "range": "-40:0", "looks": "2x2", "crs": "EPSG:32616"}
+    blocksar.export("geotiff", run.folder, tmp_path / "map.tif", **options)
+    with rasterio.open(tmp_path / "map.tif") as file:
+        pixels = file.read(1)
+    assert (pixels[0] == 0).any() and (pixels[:, 0] == 0).any() and (pixels > 0).mean() > 0.5
 
 
 @pytest.mark.parametrize(
@@ -115,7 +178,7 @@ def test_whole_numbers_stand_for_decibels(scale: Any, most: int, tmp_path: Path)
         ("png", "a.jpg", {}, "give png a name that ends in .png"),
         ("png", "a.png", {"colour_map": "virids"}, "viridis"),
         ("png", "a.png", {"size": 3}, "200 to 20000 pixels"),
-        ("sicd", "a.nitf", {"crop": "0:1,0:1"}, "option of geotiff and png only"),
+        ("sicd", "a.nitf", {"crop": "0:1,0:1"}, "option of sidd, geotiff and png only"),
     ],
 )
 def test_wrong_options_are_refused_in_a_sentence(

@@ -96,7 +96,7 @@ def test_a_product_of_another_package_is_one_in_python_and_in_messages(made: Mad
     _, wrong, written, kind, option, ending = (answer for answer, _ in said)
     assert wrong == "opacity = 2: give a number from 0 to 1"
     assert written[-1] == f"wrote {out}.kml" and "<color>40ffffff" in Path(f"{out}.kml").read_text()
-    assert kind == "kind is 'kmz'; it must be 'sicd', 'geotiff', 'png' or 'kml'"
+    assert kind == "kind is 'kmz'; it must be 'sicd', 'sidd', 'geotiff', 'png', 'stac' or 'kml'"
     assert option == "opacity is 0.25, but it is an option of kml only; leave it out"
     assert ending == f"{out}.kml ends in .kml, which is that of kml; give png a name that ends in .png"
 

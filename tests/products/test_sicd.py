@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -340,6 +340,13 @@ def test_sicd_of_a_mosaic_says_what_its_metadata_describe(tmp_path: Path) -> Non
     stores.write_json(tmp_path / "run.json", {**record, "segments": segments})
     report = blocksar.export("sicd", tmp_path, tmp_path / "a.nitf")
     assert "those of 1.zarr, and not those of 25 % of the covered pixels" in report.summary[0]
+    report = blocksar.export("sidd", tmp_path, tmp_path / "detected.nitf")
+    assert report.summary[0].startswith("note: track and centre of aperture are those of 1.zarr, and not those of 25 %")
+    blocksar.export("stac", tmp_path, tmp_path / "item.json")
+    told = stores.read_json(place(tmp_path) / "item.json")["properties"]
+    for name, day, time in (("start", 6, run.collection.time[0]), ("end", 7, run.collection.time[-1])):
+        moment = datetime(2024, 5, day, tzinfo=UTC) + timedelta(seconds=100 + float(time))
+        assert abs(datetime.fromisoformat(told[f"{name}_datetime"]) - moment) < timedelta(microseconds=2)
     start = read_sicd(tmp_path / "a.nitf").load("Timeline/CollectStart")
     assert (start - datetime(2024, 5, 7, tzinfo=UTC)).total_seconds() == pytest.approx(100 + run.collection.time[0])
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from missing_library import hide
 from sicd_files import read_sicd
+from sidd_files import read_sidd
 from small_run import Made, make
 from typer.testing import CliRunner
 
@@ -26,7 +27,7 @@ from blocksar.runs import finished
 pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # by affine, in rioxarray
 
 
-@pytest.mark.parametrize(("kind", "pixel"), [("sicd", 8), ("geotiff", 4)])
+@pytest.mark.parametrize(("kind", "pixel"), [("sicd", 8), ("sidd", 2), ("geotiff", 4)])
 def test_a_product_that_does_not_fit_the_disk_is_not_begun(
     kind: Any, pixel: int, made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -38,12 +39,13 @@ def test_a_product_that_does_not_fit_the_disk_is_not_begun(
     blocksar.export(kind, made.folder, tmp_path / "product")
 
 
-@pytest.mark.parametrize("kind", ["sicd", "geotiff", "png"])
+@pytest.mark.parametrize("kind", ["sicd", "sidd", "geotiff", "png"])
 def test_products_do_not_depend_on_the_strip_size(
     kind: Any, made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """No product reads more than a strip at once."""
-    blocksar.export(kind, made.folder, tmp_path / "whole")
+    options: Any = {"range": "-40:0"} if kind == "sidd" else {}  # which is not chosen by a look at the whole image
+    blocksar.export(kind, made.folder, tmp_path / "whole", **options)
     largest, read = 0, finished.FinishedRun.read
 
     def watched(self: finished.FinishedRun, rows: slice, columns: slice) -> Any:
@@ -54,10 +56,12 @@ def test_products_do_not_depend_on_the_strip_size(
 
     monkeypatch.setattr(finished, "STRIP", 1000)
     monkeypatch.setattr(finished.FinishedRun, "read", watched)
-    blocksar.export(kind, made.folder, tmp_path / "strips")
+    blocksar.export(kind, made.folder, tmp_path / "strips", **options)
     if kind != "png":  # the picture has as few pixels as the image here
         assert 0 < largest <= 1000
-    if kind == "sicd":
+    if kind == "sidd":
+        np.testing.assert_array_equal(read_sidd(tmp_path / "whole").pixels, read_sidd(tmp_path / "strips").pixels)
+    elif kind == "sicd":
         np.testing.assert_array_equal(read_sicd(tmp_path / "whole").pixels, read_sicd(tmp_path / "strips").pixels)
     else:
         assert (tmp_path / "whole").read_bytes() == (tmp_path / "strips").read_bytes()
@@ -108,7 +112,7 @@ def test_a_full_disk_leaves_no_partial_file(kind: Any, large: Made, tmp_path: Pa
 # ---------------------------------------------------------------- refused input and existing files
 
 
-@pytest.mark.parametrize("kind", ["sicd", "geotiff"])
+@pytest.mark.parametrize("kind", ["sicd", "sidd", "geotiff", "stac"])
 def test_export_without_a_georeference_is_refused(kind: Any, unplaced: Made, tmp_path: Path) -> None:
     out = tmp_path / "new" / "file"
     done = CliRunner().invoke(commands.app, ["export", kind, str(unplaced.folder), "--out", str(out)])
@@ -118,7 +122,7 @@ def test_export_without_a_georeference_is_refused(kind: Any, unplaced: Made, tmp
     assert not out.parent.exists()
 
 
-@pytest.mark.parametrize("kind", ["sicd", "geotiff", "png"])
+@pytest.mark.parametrize("kind", ["sicd", "sidd", "geotiff", "png", "stac"])
 def test_an_existing_file_is_kept_unless_overwrite_is_given(kind: Any, made: Made, tmp_path: Path) -> None:
     out = tmp_path / "file"
     out.write_text("mine")
@@ -131,7 +135,7 @@ def test_an_existing_file_is_kept_unless_overwrite_is_given(kind: Any, made: Mad
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
-@pytest.mark.parametrize("kind", ["sicd", "geotiff", "png"])
+@pytest.mark.parametrize("kind", ["sicd", "sidd", "geotiff", "png"])
 def test_a_damaged_chunk_leaves_the_existing_file(kind: Any, tmp_path: Path) -> None:
     run = make(tmp_path / "run", size=(60, 140))
     chunk = run.folder / "image.zarr" / "image" / "c" / "1" / "0"
@@ -166,7 +170,7 @@ def test_no_product_becomes_part_of_a_store_or_a_record(made: Made, tmp_path: Pa
         blocksar.report(made.folder, out=tmp_path / "run.json", overwrite=True)
 
 
-@pytest.mark.parametrize("kind", ["sicd", "geotiff", "png"])
+@pytest.mark.parametrize("kind", ["sicd", "sidd", "geotiff", "png", "stac"])
 def test_a_folder_without_write_permission_is_wrong_input_for_every_format(
     kind: Any, made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -211,7 +215,13 @@ def test_invalid_sources_are_refused(made: Made, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("kind", "library", "extra"),
-    [("sicd", "sarkit", "formats"), ("geotiff", "rasterio", "geotiff"), ("png", "matplotlib", "plots")],
+    [
+        ("sicd", "sarkit", "formats"),
+        ("sidd", "sarkit", "formats"),
+        ("geotiff", "rasterio", "geotiff"),
+        ("png", "matplotlib", "plots"),
+        ("stac", "shapely", "formats"),
+    ],
 )
 def test_a_missing_library_is_reported_with_its_extra(
     kind: Any, library: str, extra: str, made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

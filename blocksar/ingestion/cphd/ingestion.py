@@ -191,7 +191,7 @@ def prepare(file: CphdFile, choices: Choices) -> Prepared:
 
 
 def _reference_range(pulses: Pulses, later: FloatArray) -> FloatArray:
-    """Reference range of all pulses, m: the SRP's, and how much later (n_vector,) the vectors' is, m; linear between."""
+    """Reference range of all pulses, m: the SRP's, and how much later (n_vector,) the vectors' is, m."""
     lit = np.flatnonzero(pulses.vector >= 0)
     after = np.interp(np.arange(pulses.vector.size), lit, later[pulses.vector[lit]])
     return np.asarray(np.linalg.norm(pulses.position - pulses.reference_point, axis=1) + after)

@@ -1,11 +1,11 @@
 """The image of a run as a cloud-optimised GeoTIFF, through GDAL (rasterio).
 
-Pixels equal those of the image bit for bit, or are means over whole cells of them, north up; nothing is resampled,
-unless a coordinate reference system is asked for (`map_pixels`). A GIS also needs a map projection in which the pixels
-form a grid. Transverse Mercator about the scene frame's origin, with a scale of 1 + height / radius of curvature, comes
-very close: its easting and northing equal x and y of the frame's horizontal plane but for d^3 / (3 R^2) at the distance
-d (8 mm at 10 km). A height h over that plane adds h d / R. UTM would need resampling, or a grid that is rotated and
-sheared.
+Complex pixels equal those of the image bit for bit, and others follow from them, or from means over whole cells of
+them. North is up, and nothing is resampled, unless a coordinate reference system is asked for (`map_pixels`). A GIS
+also needs a map projection in which the pixels form a grid. Transverse Mercator about the scene frame's origin, with a
+scale of 1 + height / radius of curvature, comes very close: its easting and northing equal x and y of the frame's
+horizontal plane but for d^3 / (3 R^2) at the distance d (8 mm at 10 km). A height h over that plane adds h d / R. UTM
+would need resampling, or a grid that is rotated and sheared.
 
 Where the error exceeds a twentieth of a pixel, because the origin is far away (as a platform's nadir is) or the frame
 is rotated from north, the projection is centred on the image instead, and the best affine map places the pixels,
@@ -17,15 +17,21 @@ from __future__ import annotations
 
 import math
 import os
-from typing import TYPE_CHECKING, NamedTuple
+import warnings
+from contextlib import ExitStack
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
+from xml.sax.saxutils import escape
 
 import numpy as np
+from numpy.typing import NDArray
 
 from blocksar.arrays import FloatArray
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import library_for, printable
 from blocksar.places import Location
 from blocksar.places.local import temporary_name
+from blocksar.products.geotiff import overviews
 from blocksar.products.map_pixels import MapPixels, parse_crs
 from blocksar.products.pixels import Pixels
 from blocksar.products.writing import replacing
@@ -36,7 +42,6 @@ if TYPE_CHECKING:
     from pyproj import CRS
 
 
-OVERVIEWS = dict.fromkeys(("amplitude", "power", "gamma", "height", "incidence"), "average")
 UNITS = {"height": "m", "incidence": "rad"}
 GAMMA = "power times cos psi / cos theta over that of level ground, psi: slant plane to slope, theta: local incidence"
 FLAGS = "0 visible, 1 layover, 2 shadow, 255 not covered"
@@ -80,9 +85,9 @@ def write(
     Parameters
     ----------
     pixels : Pixels
-        Overviews hold means of amplitude, power, gamma, height and incidence, and nearest neighbours of complex pixels,
-        decibels and visibility, whose means say nothing. NaN means no data; 255 in visibility; 0 in whole numbers of
-        dB, whose scale and offset the band tells.
+        Overviews hold means, of power for amplitude and decibels, and nearest neighbours of complex pixels and
+        visibility (`overviews`). NaN means no data; 255 in visibility; 0 in whole numbers of dB, whose scale and offset
+        the band tells.
     crs : str, optional
         The map to orthorectify to, such as EPSG:32616. Default: the pixels as they are, in the frame's projection.
 
@@ -109,16 +114,18 @@ def write(
     source.coverage()  # raises if no pixel is covered
     room = raster.x.size * raster.y.size * np.dtype(pixels.dtype).itemsize  # of the plain file
     with replacing(out, overwrite=overwrite, room=room) as part, rasterio.Env(GDAL_CACHEMAX=CACHE, GDAL_NUM_THREADS=1):
-        plain = temporary_name(part, "part")
+        sizes = overviews.sizes_of(raster.x.size, raster.y.size, TILE)
+        plain, *levels, whole = (temporary_name(part, "part") for _ in range(len(sizes) + 2))
         try:
-            _write_plain(raster, plain, placement, listener)
-            _optimise(plain, part, OVERVIEWS.get(pixels.content, "nearest"))
+            _write_plain(raster, plain, dict(zip(levels, sizes, strict=True)), placement, listener)
+            _optimise(plain, levels, whole, part)
         except (RasterioError, CPLE_BaseError) as error:
             message = printable(" ".join(str(error).split()).replace(f"{os.path.dirname(plain)}/", ""))[:200]
             raise OSError(None, f"GDAL says: {message}; is there room on the disk?", plain) from error
         finally:
-            if os.path.exists(plain):
-                os.unlink(plain)
+            for path in (plain, *levels, whole):
+                if os.path.exists(path):
+                    os.unlink(path)
     lines = [_describe(pixels, raster, placement)]
     if pixels.scale is not None:
         low, high = pixels.limits
@@ -156,12 +163,17 @@ def _describe(pixels: Pixels, raster: Pixels | MapPixels, placement: Placement) 
     return line
 
 
-def _write_plain(raster: Pixels | MapPixels, path: str, placement: Placement, progress: Callback) -> None:
-    """Write a tiled GeoTIFF without overviews."""
+def _write_plain(
+    raster: Pixels | MapPixels,
+    path: str,
+    levels: dict[str, tuple[int, int]],
+    placement: Placement,
+    progress: Callback,
+) -> None:
+    """Write a tiled GeoTIFF without overviews, and each level of these, by its columns and rows, as one of its own."""
     import rasterio
 
     pixels = raster.of if isinstance(raster, MapPixels) else raster
-
     profile = {
         "driver": "GTiff",
         "width": raster.x.size,
@@ -176,8 +188,16 @@ def _write_plain(raster: Pixels | MapPixels, path: str, placement: Placement, pr
         "blockysize": TILE,
         "bigtiff": "if_safer",
     }
-    with rasterio.open(path, "w", **profile) as file:
-        _write_pixels(raster, file, progress)
+    with ExitStack() as stack:
+        file = stack.enter_context(rasterio.open(path, "w", **profile))
+        reduced = {name: profile[name] for name in profile if name not in ("crs", "transform")}
+        files = []
+        for level, (width, height) in levels.items():
+            with warnings.catch_warnings():  # that levels have no georeference: they have that of the whole
+                warnings.simplefilter("ignore")
+                files.append(rasterio.open(level, "w", **{**reduced, "width": width, "height": height}))
+            stack.enter_context(files[-1])
+        _write_pixels(raster, file, files, progress)
         file.set_band_description(1, pixels.content)
         if pixels.scale is not None:
             file.scales, file.offsets, file.units = (pixels.step,), (pixels.offset,), ("dB",)
@@ -186,8 +206,8 @@ def _write_plain(raster: Pixels | MapPixels, path: str, placement: Placement, pr
         file.update_tags(**_tags(pixels, placement))
 
 
-def _optimise(plain: str, path: str, overviews: str) -> None:
-    """Copy a GeoTIFF to a cloud-optimised one with overviews.
+def _optimise(plain: str, levels: list[str], whole: str, path: str) -> None:
+    """Copy a GeoTIFF and its overviews to a cloud-optimised one, through a VRT that has both.
 
     Raises
     ------
@@ -196,30 +216,48 @@ def _optimise(plain: str, path: str, overviews: str) -> None:
     """
     from rasterio.shutil import copy
 
+    copy(plain, whole, driver="VRT")
+    with open(whole, encoding="utf-8") as file:
+        before, end, after = file.read().rpartition("</VRTRasterBand>")
+    named = (f"<SourceFilename>{escape(level)}</SourceFilename><SourceBand>1</SourceBand>" for level in levels)
+    with open(whole, "w", encoding="utf-8") as file:
+        file.write(before + "".join(f"<Overview>{each}</Overview>" for each in named) + end + after)
     copy(
-        plain,
+        whole,
         path,
         driver="COG",
         blocksize=TILE,
         compress="DEFLATE",
         level=1,
         bigtiff="if_safer",
-        overview_resampling=overviews,
+        overviews="FORCE_USE_EXISTING",
     )
     # GDAL does not report a failure to write the end of the file.
     if (lacking := _end(path) - os.path.getsize(path)) > 0:
         raise OSError(None, f"its last {lacking} bytes were lost; is there room on the disk?", path)
 
 
-def _write_pixels(pixels: Pixels | MapPixels, file: object, progress: Callback) -> None:
-    """Write rows from north to south."""
+def _write_pixels(pixels: Pixels | MapPixels, file: Any, levels: list[Any], progress: Callback) -> None:
+    """Write rows from north to south, and overviews of them, the largest first."""
+
+    def write(file: Any, row: int, measured: NDArray[Any]) -> None:
+        values = np.ascontiguousarray(pixels.coded(measured))
+        file.write(values, 1, window=Window(0, row, file.width, len(values)))
+
     from rasterio.windows import Window
 
+    first = None
+    for level in reversed(levels):
+        first = overviews.Level(partial(write, level), first)
     strips = list(pixels.strips())[::-1]
     for done, rows in enumerate(strips, 1):
-        values = np.ascontiguousarray(pixels.read(rows)[::-1])
-        file.write(values, 1, window=Window(0, pixels.y.size - rows.stop, pixels.x.size, len(values)))  # type: ignore[attr-defined]
+        measured = pixels.measured(rows)[::-1]
+        write(file, pixels.y.size - rows.stop, measured)
+        if first is not None:
+            overviews.feed(first, measured, nearest=pixels.content in overviews.NEAREST)
         progress(done, len(strips))
+    if first is not None:
+        first.end()
 
 
 def _end(path: str) -> int:

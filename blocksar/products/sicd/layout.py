@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -54,22 +54,37 @@ class Layout(NamedTuple):
         return values[:: int(self.row.sum()), :: int(self.column.sum())]
 
 
-def lay_out(source: FinishedRun) -> Layout:
-    """Lay rows along the axis that points most directly away from the radar at the middle of the image."""
+class Axes(Protocol):
+    """Where pixels lie, m."""
+
+    @property
+    def x(self) -> FloatArray: ...
+    @property
+    def y(self) -> FloatArray: ...
+    @property
+    def spacing(self) -> tuple[float, float]: ...
+
+
+def lay_out(source: FinishedRun, pixels: Axes | None = None) -> Layout:
+    """Lay rows along the axis that points most directly away from the radar at the middle of the image.
+
+    The pixels are those of the image, or cells of them.
+    """
+    grid = source if pixels is None else pixels
     middle = np.array([source.x.mean(), source.y.mean(), source.ground_height])
     sight = middle - source.geometry.track.position(np.array(centre_time(source.geometry, middle)))
     row = np.array(max(DIRECTIONS, key=lambda direction: float(np.dot(direction, sight[:2]))), np.float64)
     column = np.array([-row[1], row[0]])  # about z, a quarter turn
     towards = row + column
-    x, y = source.x[0 if towards[0] > 0 else -1], source.y[0 if towards[1] > 0 else -1]
-    dx, dy = source.spacing
+    x, y = grid.x[0 if towards[0] > 0 else -1], grid.y[0 if towards[1] > 0 else -1]
+    dx, dy = grid.spacing
     along_x = row[0] != 0
     return Layout(
         row=row,
         column=column,
         first=np.array([x, y, source.ground_height]),
         spacing=(dx, dy) if along_x else (dy, dx),
-        shape=(source.x.size, source.y.size) if along_x else (source.y.size, source.x.size),
+        shape=(grid.x.size, grid.y.size) if along_x else (grid.y.size, grid.x.size),
     )
 
 

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import polynomial as power
 
 from blocksar.arrays import BoolArray, FloatArray
-from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
+from blocksar.products.collect import ascii_text, classification, collect_start, polarization, radar_mode
 from blocksar.products.sicd.aperture import Support, cut_weights, cut_width, find_support, lines_of_sight, lit_times
 from blocksar.products.sicd.layout import FIT_POINTS, Layout, central_pixel, lay_out, sample_pixels, valid_data
 from blocksar.products.sicd.plane_image import PlaneImage
 from blocksar.products.sicd.polynomials import Poly2D, arp_polynomial, fit_poly2d
 from blocksar.runs.finished import Coverage, FinishedRun
 from blocksar.runs.track import ATTRIBUTE
-from blocksar.stores import POLARIZATIONS
 from blocksar.version import __version__
 
 if TYPE_CHECKING:
@@ -31,10 +30,8 @@ NAMESPACE = "urn:SICD:1.3.0"
 TIME_ACCURACY = 1e-3  # of a dwell, that TimeCOAPoly may be off
 EXACTLY = 1e-9  # s, that it may be off the polynomial by which pixels of a terrain are laid on the plane
 BAND_ACCURACY = 1e-2  # of the bandwidth, that DeltaKCOAPoly may be off
-EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 NOISE_ACCURACY = 0.1  # dB, that NoisePoly may be off
 WEIGHTS = 65  # samples of WgtFunct
-STILL = 0.1  # of its width, by which the beam of a strip map may turn
 NEAR_ZERO = 1e-12  # degrees: sarkit 1.8 writes no NITF header of a corner on the equator or the meridian of Greenwich
 
 
@@ -67,7 +64,7 @@ def build_metadata(source: FinishedRun, frame: Georeference) -> Metadata:
 
     root = etree.Element(f"{{{NAMESPACE}}}SICD", nsmap={None: NAMESPACE})
     sicd: Any = sksicd.ElementWrapper(root)
-    start, known = _collect_start(source)
+    start, known = collect_start(source)
     if not known:
         notes.append("the phase history has no date, so CollectStart is 1970-01-01")
     sicd["CollectionInfo"] = _collection_info(source, grid["TimeCOAPoly"])
@@ -253,23 +250,6 @@ def _timeline(geometry: Geometry, start: datetime) -> dict[str, Any]:
     }
 
 
-def _collect_start(source: FinishedRun) -> tuple[datetime, bool]:
-    """UTC of the first pulse, and whether it is known; EPOCH if not.
-
-    The attribute `source` of ingested data holds `collection_start`, UTC in ISO 8601, and `time_zero`, s from there to
-    slow time 0.
-    """
-    match source.attrs.get("source"):
-        case {"collection_start": str(text), "time_zero": int() | float() as zero}:
-            try:
-                start = datetime.fromisoformat(text)
-                start = start if start.tzinfo else start.replace(tzinfo=UTC)
-                return start.astimezone(UTC) + timedelta(seconds=zero + float(source.collection.time[0])), True
-            except (ValueError, OverflowError):
-                pass  # the date is optional, so a damaged one does not stop the export
-    return EPOCH, False
-
-
 def _collection_info(source: FinishedRun, centre_of_aperture: FloatArray) -> dict[str, Any]:
     """The CollectionInfo branch."""
     collection = source.collection
@@ -277,28 +257,15 @@ def _collection_info(source: FinishedRun, centre_of_aperture: FloatArray) -> dic
         "CollectorName": ascii_text(str(source.attrs.get("collector") or "unknown"), 80),
         "CoreName": ascii_text(f"{source.title} {source.record.identity[:8]}".strip(), 80),
         "CollectType": "MONOSTATIC",
-        "RadarMode": {"ModeType": _mode(collection, centre_of_aperture)},
+        "RadarMode": {"ModeType": radar_mode(collection, one_aperture=centre_of_aperture.size == 1)},
         "Classification": classification(source),
     }
-
-
-def _mode(collection: Collection, centre_of_aperture: FloatArray) -> str:
-    """The mode: spotlight if all pixels have one centre of aperture; dynamic if the beam is steered otherwise."""
-    if centre_of_aperture.size == 1:
-        return "SPOTLIGHT"
-    angle = collection.beam_azimuth if collection.beam_steering is None else collection.beam_steering
-    return "STRIPMAP" if np.ptp(angle) < STILL * (collection.beam_width or 0.0) else "DYNAMIC STRIPMAP"
-
-
-def classification(source: FinishedRun) -> str:
-    """Classification of the collection as ASCII text; UNCLASSIFIED if it names none."""
-    return ascii_text(str(source.attrs.get("classification") or "UNCLASSIFIED"), 200)
 
 
 def _set_radar(sicd: Any, source: FinishedRun) -> None:
     """Set the branches RadarCollection and ImageFormation."""
     collection = source.collection
-    transmit, transmit_receive = _polarization(source)
+    transmit, transmit_receive = polarization(source)
     half = collection.range_frequency[-1] + (collection.range_frequency[1] - collection.range_frequency[0]) / 2
     low, high = float(collection.carrier - half), float(collection.carrier + half)
     sicd["RadarCollection"] = {
@@ -323,22 +290,3 @@ def _set_radar(sicd: Any, source: FinishedRun) -> None:
         what = f"focused on a terrain of z = {low:.4g} .. {high:.4g} m in the scene frame, and laid on the plane "
         how = f"z = {source.ground_height:.6g} m by equal range and Doppler at the center of aperture"
         sicd["ImageFormation"]["Processing"] = [{"Type": what + how, "Applied": True}]
-
-
-def _polarization(source: FinishedRun) -> tuple[str, str]:
-    """Polarization of the transmitter, and of transmitter and receiver, as SICD names them.
-
-    That of the attribute; else that which a channel's name states, such as HV.
-    """
-    match source.attrs.get("polarization"):
-        case {"transmit": str(transmit), "receive": str(receive)} if {transmit, receive} <= set(POLARIZATIONS):
-            return transmit, f"{transmit}:{receive}"
-    match tuple(str(source.attrs.get("channel") or "").upper()):
-        case ("H" | "V" as transmit, "H" | "V" as receive):
-            return transmit, f"{transmit}:{receive}"
-    return "UNKNOWN", "UNKNOWN"
-
-
-def ascii_text(text: str, length: int) -> str:
-    """Text as NITF headers may hold it: printable ASCII, at most `length` characters."""
-    return "".join(c if " " <= c <= "~" else "?" for c in text)[:length]

@@ -8,16 +8,15 @@ import numpy as np
 
 from blocksar.errors import InputError, library_for
 from blocksar.places import Location
+from blocksar.products.collect import about_segments, ascii_text, security_mark
 from blocksar.products.sicd.layout import Layout
-from blocksar.products.sicd.metadata import ascii_text, build_metadata, classification
+from blocksar.products.sicd.metadata import build_metadata
 from blocksar.products.sicd.plane_image import PlaneImage
 from blocksar.products.writing import replacing
 from blocksar.progress.listening import Callback
 from blocksar.runs.finished import FinishedRun
 
 MAX_BYTES = 10**10 - 2  # of one NITF image segment
-# The letter in NITF headers by the first words of a classification.
-MARKS = {"TOP SECRET": "T", "SECRET": "S", "CONFIDENTIAL": "C", "RESTRICTED": "R", "UNCLASSIFIED": "U"}
 
 
 def write(
@@ -40,7 +39,10 @@ def write(
     """
     with library_for("SICD needs", "formats"):
         from sarkit import sicd as sksicd
-    frame, notes = source.placed("a SICD"), _about_segments(source)
+    frame, notes = (
+        source.placed("a SICD"),
+        about_segments(source, "a SICD", "track, centre of aperture and spatial frequencies"),
+    )
     if source.geometry.terrain is not None:
         source = PlaneImage.of(source)
         low, high = source.terrain.limits
@@ -54,7 +56,7 @@ def write(
             f"the image has {n_byte / 1e9:.3g} GB, and one SICD file holds up to 10 GB; focus on a smaller --grid"
         )
     metadata = build_metadata(source, frame)
-    security = sksicd.NitfSecurityFields(clas=_security_mark(source))
+    security = sksicd.NitfSecurityFields(clas=security_mark(source))
     nitf = sksicd.NitfMetadata(
         xmltree=metadata.tree,
         file_header_part=sksicd.NitfFileHeaderPart(
@@ -74,27 +76,6 @@ def write(
     return [*notes, *metadata.notes]
 
 
-def _about_segments(source: FinishedRun) -> list[str]:
-    """State that the metadata are those of one segment of several, and how much of the image they do not describe."""
-    if not source.segments:
-        return []
-    counts = np.zeros(len(source.segments), np.int64)
-    for rows in source.strips(0):
-        blocks, number = np.unique(source.read_block(rows, slice(None)), return_counts=True)
-        for block, pixels in zip(blocks.tolist(), number, strict=True):
-            if block >= 0:
-                counts[source.segment_of(block)] += pixels
-    own = source.segments.index(source.geometry)
-    if counts[own] == (total := counts.sum()):
-        return []
-    of, share = source.record.segments[own], 100 * (1 - counts[own] / total)
-    pulses = "" if of.pulses is None else f", pulses {of.pulses[0]} .. {of.pulses[1] - 1}"
-    return [
-        f"note: track, centre of aperture and spatial frequencies are those of {of.path}{pulses}, and not those of "
-        f"{share:.3g} % of the covered pixels, which come from others; a SICD has one track"
-    ]
-
-
 def _write_pixels(source: FinishedRun, layout: Layout, file: BinaryIO, progress: Callback) -> None:
     """Write all rows in the file's order: big-endian, real and imaginary parts interleaved, zero where not covered."""
     axis = layout.row_axis
@@ -104,21 +85,3 @@ def _write_pixels(source: FinishedRun, layout: Layout, file: BinaryIO, progress:
         values = layout.reorder(values)
         file.write(np.nan_to_num(values, nan=0.0, copy=True).astype(">c8", order="C").data)
         progress(done, len(strips))
-
-
-def _security_mark(source: FinishedRun) -> str:
-    """The letter for the classification in NITF headers.
-
-    Raises
-    ------
-    InputError
-        If NITF has none.
-    """
-    text = classification(source)
-    for word, letter in MARKS.items():
-        if text.upper().startswith(word):
-            return letter
-    raise InputError(
-        f"the classification of {source.image} is {text!r}, and NITF knows only those that begin with "
-        f"{', '.join(MARKS)}; correct the phase history's attribute classification, and focus it again"
-    )

@@ -1,0 +1,271 @@
+"""SIDD metadata: the XML tree that describes a detected image."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from blocksar.arrays import FloatArray
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError
+from blocksar.products.collect import ascii_text, collect_start, polarization, radar_mode, security_mark
+from blocksar.products.pixels import Pixels
+from blocksar.products.sicd.aperture import Support, centre_time, cut_width, find_support, lines_of_sight, lit_times
+from blocksar.products.sicd.layout import lay_out, sample_pixels, valid_data
+from blocksar.products.sicd.metadata import NEAR_ZERO, TIME_ACCURACY
+from blocksar.products.sicd.polynomials import Poly2D, arp_polynomial, fit_poly2d
+from blocksar.products.sidd.grids import Grid, PlaneGrid
+from blocksar.runs.finished import FinishedRun
+from blocksar.version import __version__
+
+if TYPE_CHECKING:
+    from lxml.etree import _ElementTree as ElementTree
+
+NAMESPACE, ISM = "urn:SIDD:3.0.0", "urn:us:gov:ic:ism:13"
+LEVELS = 256  # of a pixel
+FULL = 65535  # amplitude that DataRemapping gives to the upper end of the range
+WIDTH = 0.886  # of the -3 dB width of an unweighted response, times bandwidth
+DISPLAY = "blocksar dB"
+
+
+class Metadata(NamedTuple):
+    """The XML tree, and notes for the user."""
+
+    tree: ElementTree
+    notes: list[str]
+
+
+def build_metadata(grid: Grid) -> Metadata:
+    """Build the XML tree of the pixels of a grid.
+
+    Raises
+    ------
+    InputError
+        If the image has no covered or no lit pixel.
+    """
+    from lxml import etree
+    from sarkit import sidd as sksidd
+
+    source, frame = grid.pixels.source, grid.frame
+    coverage, layout = source.coverage(), lay_out(source)
+    vertices = _valid_data(grid, _on_ground(source, layout.point(*valid_data(coverage, layout).T.astype(np.float64))))
+    coa, dwell = _centres_of_aperture(grid, _on_ground(source, layout.point(*sample_pixels(coverage, layout).T)))
+    root = etree.Element(f"{{{NAMESPACE}}}SIDD", nsmap={None: NAMESPACE, "sicommon": "urn:SICommon:1.0", "ism": ISM})
+    sidd: Any = sksidd.ElementWrapper(root)
+    start, known = collect_start(source)
+    notes = [] if known else ["the phase history has no date, so CollectionDateTime is 1970-01-01"]
+    sidd["ProductCreation"] = {
+        "ProcessorInformation": {
+            "Application": f"blocksar {__version__}", "ProcessingDateTime": datetime.now(UTC), "Site": "unknown",
+        },
+        "ProductName": ascii_text(f"{source.title} {source.record.identity[:8]}".strip(), 80),
+        "ProductClass": "Detected Image",
+    }  # fmt: skip
+    information = root.find("{*}ProductCreation/{*}ProcessorInformation")
+    information.addnext(_classification(source))
+    sidd["Display"] = _display(grid)
+    ends = np.array(grid.shape) - 0.5
+    corners = _geodetic(grid, np.array([[-0.5, -0.5], [-0.5, ends[1]], ends, [ends[0], -0.5]]))
+    sidd["GeoData"] = {
+        "EarthModel": "WGS_84",
+        "ImageCorners": np.where(corners == 0, NEAR_ZERO, corners),
+        "ValidData": _geodetic(grid, vertices.astype(np.float64)),
+    }
+    name, projection = grid.projection()
+    track, misfit = arp_polynomial(source.geometry, frame)
+    sidd["Measurement"] = {
+        name: {
+            **{key: projection[key] for key in ("ReferencePoint", "SampleSpacing")}, "TimeCOAPoly": coa.coefficients,
+            **{key: projection[key] for key in projection if key == "ProductPlane"},
+        },
+        "PixelFootprint": np.array(grid.shape), "ARPPoly": track, "ValidData": vertices,
+    }  # fmt: skip
+    sidd["ExploitationFeatures"] = _features(grid, coa, start)
+    tree = root.getroottree()
+    notes += [
+        f"{'plane' if isinstance(grid, PlaneGrid) else 'longitude and latitude, orthorectified'}: {grid.shape[0]} rows "
+        f"of {grid.shape[1]} pixels",
+        f"TimeCOAPoly is of order {len(coa.coefficients) - 1} and at most {coa.error:.2g} s, "
+        f"{100 * coa.error / dwell:.2g} % of the dwell, off the middle of a pixel's lit time",
+        f"ARPPoly is of order {len(track) - 1} and at most {misfit:.2g} m off the track",
+    ]
+    return Metadata(tree, notes)
+
+
+def _on_ground(source: FinishedRun, points: FloatArray) -> FloatArray:
+    """The ground (n, 3) below or above points (n, 3), m; at the mean height where its own is not known."""
+    ground = source.geometry.on_ground(points[:, 0], points[:, 1])
+    ground[:, 2] = np.where(np.isfinite(ground[:, 2]), ground[:, 2], source.ground_height)
+    return np.asarray(ground)
+
+
+def _geodetic(grid: Grid, pixels: FloatArray) -> FloatArray:
+    """Latitude and longitude (n, 2), degrees, of rows and columns (n, 2)."""
+    return grid.frame.to_geodetic(grid.place(pixels))[:, :2]
+
+
+def _valid_data(grid: Grid, points: FloatArray) -> Any:
+    """Vertices (n, 2), row and column, of the convex outline of ground points (n, 3), m, in the order of the standard.
+
+    Clockwise with rows to the right and columns up, beginning with the first column of the first row.
+    """
+    from shapely import MultiPoint
+    from shapely.geometry.polygon import orient
+
+    pixels = np.clip(np.rint(grid.at(points)), 0, np.array(grid.shape) - 1)
+    hull = MultiPoint(pixels).convex_hull
+    if not hull.area > 0:
+        beside = np.array([[0, 0], [0, 1], [1, 0]])
+        hull = MultiPoint((pixels[:, None] + beside).reshape(-1, 2)).convex_hull
+    vertices = np.array(orient(hull, -1.0).exterior.coords[:-1])
+    start = np.lexsort((vertices[:, 1], vertices[:, 0]))[0]
+    return np.roll(vertices, -start, axis=0).astype(int)
+
+
+def _centres_of_aperture(grid: Grid, points: FloatArray) -> tuple[Poly2D, float]:
+    """TimeCOAPoly over rows and columns from the reference point, by ground points (n, 3), m; and the mean dwell, s.
+
+    Raises
+    ------
+    InputError
+        If none is lit.
+    """
+    geometry = grid.pixels.source.geometry
+    first, last = lit_times(geometry, points)
+    lit = first < last
+    if not lit.any():
+        raise InputError(f"the beam of the collection never lights {grid.pixels.source.image}; check collection.zarr")
+    offset = (grid.at(points) - grid.reference)[lit]
+    dwell = float((last - first)[lit].mean())
+    middle = ((first + last) / 2)[lit] - geometry.collection.time[0]
+    return fit_poly2d(offset[:, 0], offset[:, 1], middle, TIME_ACCURACY * dwell), dwell
+
+
+def _classification(source: FinishedRun) -> Any:
+    """The element Classification, whose attributes sarkit does not write."""
+    from lxml import etree
+
+    mark = security_mark(source)
+    element = etree.Element(f"{{{NAMESPACE}}}Classification")
+    attributes = {
+        "DESVersion": "13", "resourceElement": "true", "createDate": f"{datetime.now(UTC):%Y-%m-%d}",
+        "compliesWith": "USGov", "ISMCATCESVersion": "201903", "classification": {"T": "TS"}.get(mark, mark),
+        "ownerProducer": "USA",
+    }  # fmt: skip
+    for name, value in attributes.items():
+        element.set(f"{{{ISM}}}{name}", value)
+    return element
+
+
+def _display(grid: Grid) -> dict[str, Any]:
+    """The Display branch: how pixels become amplitudes; nothing else is to be done to show them."""
+
+    def nearest(name: str, operation: str) -> dict[str, Any]:
+        kernel = {"Predefined": {"DatabaseName": "NEAREST NEIGHBOR"}}
+        return {"FilterName": name, "FilterKernel": kernel, "Operation": operation}
+
+    one = {"Custom": {"FilterCoefficients": np.ones((1, 1))}}
+    down = isinstance(grid, PlaneGrid)
+    return {
+        "PixelType": "MONO8I",
+        "NumBands": 1,
+        "DefaultBandDisplay": 1,
+        "NonInteractiveProcessing": [{
+            "@band": 1,
+            "ProductGenerationOptions": {
+                "DataRemapping": {"LUTName": DISPLAY, "Custom": {"LUTInfo": amplitudes(grid.pixels)[None]}},
+            },
+            "RRDS": {"DownsamplingMethod": "AVERAGE"},
+        }],
+        "InteractiveProcessing": [{
+            "@band": 1,
+            "GeometricTransform": {
+                "Scaling": {
+                    "AntiAlias": nearest("none", "CONVOLUTION"), "Interpolation": nearest("nearest", "CORRELATION"),
+                },
+                "Orientation": {"ShadowDirection": "DOWN" if down else "ARBITRARY"},
+            },
+            "SharpnessEnhancement": {
+                "ModularTransferFunctionCompensation": {
+                    "FilterName": "none", "FilterKernel": one, "Operation": "CONVOLUTION",
+                },
+            },
+            "DynamicRangeAdjustment": {"AlgorithmType": "NONE", "BandStatsSource": 1},
+        }],
+        "DisplayExtension": [
+            ("dB of 1", f"{grid.pixels.limits[0]:.6g}"), ("dB of 255", f"{grid.pixels.limits[1]:.6g}"),
+            ("0", "not covered"), ("reference of dB", "a target of reflectivity 1"),
+        ],
+    }  # fmt: skip
+
+
+def amplitudes(pixels: Pixels) -> Any:
+    """What each value of a pixel stands for, (256,), in units of 1 / 65535 of the upper end's amplitude; 0 for 0."""
+    level = np.arange(LEVELS) * pixels.step + pixels.offset - pixels.limits[1]
+    table = np.maximum(np.rint(FULL * 10 ** (level / 20)), 1)
+    table[0] = 0
+    return table.astype(int)
+
+
+def _features(grid: Grid, coa: Poly2D, start: datetime) -> dict[str, Any]:
+    """The ExploitationFeatures branch, of the reference point at its centre of aperture."""
+    from sarkit import sidd as sksidd
+
+    source, frame, geometry = grid.pixels.source, grid.frame, grid.pixels.source.geometry
+    collection = geometry.collection
+    point = grid.place(grid.reference[None])[0]
+    time = np.array(float(coa.coefficients[0, 0]) + collection.time[0])
+    steps = grid.steps()
+    towards = [np.array([*step, 0.0]) / np.linalg.norm(step) for step in steps]
+    position = frame.to_ecef(geometry.track.position(time))
+    ecef, velocity = frame.to_ecef(point), geometry.track.velocity(time) @ frame.axes
+    angles = sksidd.compute_angles(ecef, position, velocity, *(along @ frame.axes for along in towards))
+    support = find_support(geometry, point)
+    transmit, pair = polarization(source)
+    receive = pair.rpartition(":")[2]
+    axes = np.sqrt(np.linalg.eigvalsh(np.cov(support.frequencies.T)))
+    return {
+        "Collection": [{
+            "@identifier": ascii_text(source.record.identity or "unknown", 80),
+            "Information": {
+                "SensorName": ascii_text(str(source.attrs.get("collector") or "unknown"), 42),
+                "RadarMode": {"ModeType": radar_mode(collection, one_aperture=coa.coefficients.size == 1)},
+                "CollectionDateTime": start,
+                "CollectionDuration": collection.n_pulse / collection.prf,
+                "Resolution": np.array(_slant_resolution(source, point, support)),
+                "Polarization": [{"TxPolarization": transmit, "RcvPolarization": receive}],
+            },
+            "Geometry": {
+                "Azimuth": angles.Azimuth, "Slope": angles.Slope, "Squint": angles.Squint, "Graze": angles.Graze,
+                "Tilt": angles.Tilt, "DopplerConeAngle": angles.DopplerCone,
+            },
+            "Phenomenology": {
+                "Shadow": np.array([angles.Shadow, angles.ShadowMagnitude]),
+                "Layover": np.array([angles.Layover, angles.LayoverMagnitude]),
+                "MultiPath": angles.MultiPath, "GroundTrack": angles.GroundTrack,
+            },
+        }],
+        "Product": [{
+            "Resolution": np.array([_width(support, along[:2]) for along in towards]),
+            "Ellipticity": float(axes[1] / axes[0]),
+            "Polarization": [{"TxPolarizationProc": transmit, "RcvPolarizationProc": receive}],
+            "North": angles.North,
+        }],
+    }  # fmt: skip
+
+
+def _width(support: Support, along: FloatArray) -> float:
+    """-3 dB width, m, of the cut along a direction (2,), without a weighting."""
+    return cut_width(support.frequencies @ along, np.ones(len(support.frequencies)))
+
+
+def _slant_resolution(source: FinishedRun, point: FloatArray, support: Support) -> tuple[float, float]:
+    """-3 dB widths in the slant plane, m, unweighted: in range by the band, in azimuth by the turn of the sight."""
+    geometry, middle = source.geometry, centre_time(source.geometry, point)
+    ends = middle + np.array([-0.5, 0.5]) * support.dwell
+    sight = lines_of_sight(geometry, np.broadcast_to(point, (2, 3)), np.clip(ends, *geometry.collection.time[[0, -1]]))
+    turn = float(np.linalg.norm(sight[1] - sight[0]))
+    wavelength = SPEED_OF_LIGHT / geometry.collection.carrier
+    return WIDTH * SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth), WIDTH * wavelength / (2 * turn)
