@@ -1,4 +1,4 @@
-"""What products say of the collection: its date, mode, polarization and classification."""
+"""Facts of the collection for products: its date, mode, polarization and classification."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def ascii_text(text: str, length: int) -> str:
 
 
 def about_segments(source: FinishedRun, product: str, what: str) -> list[str]:
-    """That the metadata are those of one segment of several, and how much of the image they do not describe."""
+    """State that the metadata are those of one segment of several, and how much of the image they do not describe."""
     if not source.segments:
         return []
     counts = np.zeros(len(source.segments), np.int64)

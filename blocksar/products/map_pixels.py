@@ -160,7 +160,7 @@ class MapPixels:
         return out
 
     def coded(self, values: NDArray[Any]) -> NDArray[Any]:
-        """What the product holds of values that were measured."""
+        """Encode values that were measured."""
         return self.of.coded(values)
 
     def ground(self, east: FloatArray, north: FloatArray) -> tuple[FloatArray, FloatArray]:

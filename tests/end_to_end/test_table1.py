@@ -13,7 +13,7 @@ from repository import ROOT
 import blocksar
 from blocksar.errors import InputError
 from blocksar.planning.disk import run_bytes
-from blocksar.runs import folder
+from blocksar.runs import demonstration
 from blocksar.simulation.scene import Scene
 
 EDGES = ("A1", "A3", "B1", "B3", "C1", "C3")
@@ -54,7 +54,7 @@ def test_a_run_takes_the_room_that_was_planned(run: Path, table1: Path) -> None:
 
 def test_a_demonstration_takes_600_megabytes_at_most(table1: Path) -> None:
     """While it runs: phase history, spectrum and patches, before the spectrum is removed and chunks are merged."""
-    room = run_bytes(planned(table1, blocks=folder.BLOCKS, grid=folder.GRID))
+    room = run_bytes(planned(table1, blocks=demonstration.BLOCKS, grid=demonstration.GRID))
     history = sum(path.stat().st_size for path in table1.rglob("*") if path.is_file())
     assert history + room["spectrum"] + room["patches"] < 0.59e9
     assert history + room["patches"] + room["image"] < 0.4e9

@@ -30,7 +30,7 @@ from blocksar.focusing import method
 from blocksar.measurement.targets import Target
 from blocksar.places import place
 from blocksar.products.page import facts, picture, provenance, tables, words
-from blocksar.runs import folder
+from blocksar.runs import demonstration
 from blocksar.runs.finished import FinishedRun
 from blocksar.runs.record import RunRecord
 
@@ -315,7 +315,7 @@ def test_the_command_repeats_the_run(settings: dict[str, Any], monkeypatch: pyte
     assert {name: seen[name] for name in usual} == usual | settings
 
 
-DEMO = [*folder.GRID[0], *folder.GRID[1]]
+DEMO = [*demonstration.GRID[0], *demonstration.GRID[1]]
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,7 @@ class Grid(ABC):
     @property
     @abstractmethod
     def raster(self) -> Pixels | MapPixels:
-        """What the values are read from, by rows from south to north."""
+        """Source of the values, by rows from south to north."""
 
     @property
     @abstractmethod

@@ -202,7 +202,7 @@ def _display(grid: Grid) -> dict[str, Any]:
 
 
 def amplitudes(pixels: Pixels) -> Any:
-    """What each value of a pixel stands for, (256,), in units of 1 / 65535 of the upper end's amplitude; 0 for 0."""
+    """Amplitude for each value of a pixel, (256,), in units of 1 / 65535 of the upper end's amplitude; 0 for 0."""
     level = np.arange(LEVELS) * pixels.step + pixels.offset - pixels.limits[1]
     table = np.maximum(np.rint(FULL * 10 ** (level / 20)), 1)
     table[0] = 0

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class SIDDOptions:
-    """Which part, how smooth, and over which range."""
+    """Options of a SIDD: which part, how smooth, and over which range."""
 
     looks: Looks = None
     range: Annotated[Decibels | None, decibels("the 8 bits")] = None

@@ -213,7 +213,7 @@ def _radar(source: FinishedRun, run: Place, layout: Layout, pixels: FloatArray) 
 
 
 def _polarizations(source: FinishedRun, run: Place) -> list[str]:
-    """Those of all channels that are known, each once."""
+    """Polarizations of all channels that are known, each once."""
     record = finished_record(run)
     channels = record.channels if record.dimension == "channel" else ()
     of = [FinishedRun.open(folder_of(run, name)) for name in channels] or [source]
@@ -270,7 +270,7 @@ def _assets(
 
 
 def _described(path: Path, source: FinishedRun) -> dict[str, Any]:
-    """What an exported file is; of a GeoTIFF its grid."""
+    """Describe an exported file; of a GeoTIFF its grid."""
     ending = path.suffix.lower()
     kind = TYPES.get(ending) or mimetypes.guess_type(path.name)[0] or "application/octet-stream"
     picture = kind in ("image/png", "text/html")

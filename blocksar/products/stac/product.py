@@ -28,7 +28,7 @@ def parse_files(files: Any) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class STACOptions:
-    """What was exported of the run."""
+    """Options of an item: the files that were exported of the run."""
 
     assets: Annotated[
         tuple[str, ...] | None,
