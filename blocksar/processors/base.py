@@ -240,8 +240,12 @@ class PartPlan(ImagePlan):
     def memory(self, threads: int) -> int:
         return self.needed
 
-    def notes(self) -> list[str]:
+    @cached_property
+    def _ambiguities(self) -> list[str]:
         return azimuth_ambiguities([piece.geometry for piece in self.pieces], self.grid)
+
+    def notes(self) -> list[str]:
+        return self._ambiguities
 
     def stored(self) -> dict[str, int]:
         noise = any(piece.geometry.collection.noise_power for piece in self.pieces)
