@@ -138,6 +138,7 @@ class Reader(Protocol):
 
 READERS: Registry[Reader] = Registry("blocksar.readers", "reader", {
     "cphd": "blocksar.ingestion.cphd.reader:CPHD",
+    "nisar": "blocksar.ingestion.nisar.reader:NISAR",
     "gotcha": "blocksar.ingestion.gotcha.reader:GOTCHA",
 })  # fmt: skip
 
