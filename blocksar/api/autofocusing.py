@@ -82,7 +82,8 @@ def autofocus(
     terrain : path, optional
         Heights of the ground on which the points stand, as `focus` takes them. Default: the plane z = ground_height.
     surface : {"plane", "ellipsoid"}, optional
-        "ellipsoid": WGS 84 at ground_height, which needs a georeference. Default: that of the phase history, or "plane".
+        "ellipsoid": WGS 84 at ground_height, which needs a georeference. Default: that of the phase history,
+        or "plane".
     vertical : str, optional
         What a GeoTIFF's heights are measured from, as in `focus`. Needed where the file does not say so.
     ground_height : float, optional

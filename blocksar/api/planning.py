@@ -105,7 +105,8 @@ def plan(
         Heights of the ground: zarr or netCDF with `height` (y, x) in m of the scene frame, or a GeoTIFF in any
         coordinate reference system, which needs a georeference. Default: the plane z = ground_height.
     surface : {"plane", "ellipsoid"}, optional
-        "ellipsoid": WGS 84 at ground_height, which needs a georeference. Default: that of the phase history, or "plane".
+        "ellipsoid": WGS 84 at ground_height, which needs a georeference. Default: that of the phase history,
+        or "plane".
     vertical : str, optional
         What a GeoTIFF's heights are measured from, if it does not say so: "ellipsoid", "egm96" or "egm2008"; or
         "egm2008:FILE" with the geoid's grid. PROJ's own grid is taken if it is installed; nothing is downloaded. Needed

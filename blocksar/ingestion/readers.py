@@ -139,6 +139,7 @@ class Reader(Protocol):
 READERS: Registry[Reader] = Registry("blocksar.readers", "reader", {
     "cphd": "blocksar.ingestion.cphd.reader:CPHD",
     "nisar": "blocksar.ingestion.nisar.reader:NISAR",
+    "palsar": "blocksar.ingestion.palsar.reader:PALSAR",
     "gotcha": "blocksar.ingestion.gotcha.reader:GOTCHA",
 })  # fmt: skip
 

@@ -65,12 +65,14 @@ def find_troposphere(
             raise InputError(
                 f"--troposphere file is given, but PVP {NAME} is missing, not finite or 0; give --troposphere standard"
             )
-        return TroposphericDelay(given, f"the troposphere's delay is taken out: that of {NAME}, {delay_words(given[used])}")
+        return TroposphericDelay(
+            given, f"the troposphere's delay is taken out: that of {NAME}, {delay_words(given[used])}"
+        )
     if given is not None:
         return TroposphericDelay(
             0 * model,
-            f"the troposphere's delay {NAME} is {delay_words(given[used])}: a part of the file's reference, as the standard "
-            "has it; if places lie too far by that much, the samples hold it: --troposphere file takes it out",
+            f"the troposphere's delay {NAME} is {delay_words(given[used])}: a part of the file's reference, as the "
+            "standard has it; if places lie too far by that much, the samples hold it: --troposphere file takes it out",
         )
     message = None
     if model.max() > cell:

@@ -69,7 +69,7 @@ class _Layout:
 
     def __init__(self, path: Readable, file: Any, options: NisarOptions) -> None:
         self.path, self.options = path, options
-        science = file["science"] if "science" in file else {}
+        science = file.get("science", {})
         band = next((name for name in BANDS if name in science), None)
         if band is None:
             raise InputError("has no group science/LSAR or science/SSAR, as files of NISAR have; give a level 0B file")
@@ -130,7 +130,7 @@ class _Layout:
         samples = [self.transmitter[f"rx{each[1]}"][each].name for each in self.channels]
         shape = self.transmitter[f"rx{self.channels[0][1]}"][self.channels[0]].shape
         if shape != (time.shape[0], self.transmitter["slantRange"].shape[0]):
-            raise InputError(f"samples are {shape[0]} x {shape[-1]}, but UTCtime and slantRange say otherwise; {REMEDY}")
+            raise InputError(f"samples are {shape}, but UTCtime and slantRange of other lengths; {REMEDY}")
         adjustment = self.number("rangeDelayAdjustment") if "rangeDelayAdjustment" in self.transmitter else 0.0
         if adjustment:
             self.notes.append(f"rangeDelayAdjustment is {adjustment:.6g} s, taken to be in slantRange already")
@@ -196,7 +196,7 @@ class _Layout:
             if len(valid) > 1:
                 share = 1 - held / (window.stop - window.start)
                 self.notes.append(
-                    f"{len(valid)} sub-swaths; {100 * share:.3g} % of the samples lie in gaps between them, while other "
+                    f"{len(valid)} sub-swaths; {100 * share:.3g} % of the samples lie in gaps between them, when other "
                     "pulses are sent: ground whose echoes fall there is darker"
                 )
         return window, 2 * slant[window] / SPEED_OF_LIGHT
@@ -215,11 +215,11 @@ class _Layout:
         near = echoes[np.clip(np.searchsorted(echoes, marked), 0, echoes.size - 1)]
         level = _levels(group)
 
-        def power(pulse: int) -> float:
-            row = _decoded(group[channel][even.pulses[pulse]], level)
-            return float(np.mean(row.real**2 + row.imag**2))
+        def power(places: IntArray) -> FloatArray:
+            rows = (_decoded(group[channel][pulse], level) for pulse in even.pulses[places])
+            return np.array([float(np.mean(np.abs(row) ** 2)) for row in rows])
 
-        lost = np.array([power(a) < HALF * power(b) for a, b in zip(marked, near, strict=True)], bool)
+        lost = power(marked) < HALF * power(near)
         if not lost.any():
             return even
         self.notes.append(f"{np.count_nonzero(lost)} calibration pulses have no echo, and are missing in the store")

@@ -1,12 +1,12 @@
 """A satellite's raw echo, as formats state it, to a phase history in a frame on the ellipsoid.
 
 *Time.* While a pulse travels the antenna moves on, by v 2 R / c, some 40 m. Its echo is that of a still antenna at the
-middle of this way: the sum of both distances exceeds twice that from there by (v R / c)^2 / R, half a millimetre. A pulse
-sent at t belongs to the position at t + R / c (`Strip.moment`), with R that of the swath's middle; ground at another
-range lies off by v (R - R_middle) / c along the track, which is told.
+middle of this way: the sum of both distances exceeds twice that from there by (v R / c)^2 / R, half a millimetre. A
+pulse sent at t belongs to the position at t + R / c (`Strip.moment`), with R that of the swath's middle; ground at
+another range lies off by v (R - R_middle) / c along the track, which is told.
 
-*Delays* in files count from the beginning of the transmission, as the samples do: the pulse's centre comes half its length
-later, so that this is taken off. An atmosphere's delay d of one way makes all echoes come from d farther away,
+*Delays* in files count from the beginning of the transmission, as the samples do: the pulse's centre comes half its
+length later, so that this is taken off. An atmosphere's delay d of one way makes all echoes come from d farther away,
 
     echo = chirp(t - 2 (R + d) / c) exp(-4j pi fc / c (R + d - reference)) ,
 
@@ -154,11 +154,14 @@ class Strip:
 
     @cached_property
     def frame(self) -> Georeference:
-        """About the ground at the middle of beam, swath and pulses; x east, y north."""
+        """About the ground at the middle of beam, swath and pulses, x away from the track: its default grid fits."""
         at = self.even.time.size // 2
-        return find_scene_centre(
-            self.track[0][at], self.axis[0][at], slant_range=self.middle_range, side=self.side, height=0.0, squint=0.0
+        place = self.track[0][at]
+        frame = find_scene_centre(
+            place, self.axis[0][at], slant_range=self.middle_range, side=self.side, height=0.0, squint=0.0
         )
+        east, north, _ = frame.east_north_up @ (frame.origin - place)
+        return replace(frame, rotation=float(np.degrees(np.arctan2(north, east))))
 
     @cached_property
     def atmosphere(self) -> FloatArray:
@@ -177,7 +180,7 @@ class Strip:
         n, frame = self.even.time.size, self.frame
         collection = Collection(
             carrier=self.carrier,
-            time=self.even.interval * (np.arange(n) - n // 2),
+            time=np.asarray(self.even.interval * (np.arange(n) - n // 2), np.float64),
             range_frequency=raw.range_frequency,
             reference_range=np.full(n, self.middle_range - removed),
             antenna_position=frame.from_ecef(self.track[0]),
@@ -215,14 +218,13 @@ class Strip:
         speed = float(np.linalg.norm(self.track[1], axis=1).mean())
         swath = SPEED_OF_LIGHT / 4 * float(self.delay[-1] - self.delay[0])
         off = speed * swath / SPEED_OF_LIGHT
+        half = "when the echo of the swath's middle has half its way"
+        later, early = self.middle_range / SPEED_OF_LIGHT, float(self.delay[0]) - self.middle_range / SPEED_OF_LIGHT
         tags = {
-            "transmit": f"times are those of transmission: positions are taken {self.middle_range / SPEED_OF_LIGHT:.4g} s "
-                        "later, when the echo of the swath's middle has half its way",
-            "receive": "times are those of the first sample's reception: positions are taken "
-                       f"{float(self.delay[0]) - self.middle_range / SPEED_OF_LIGHT:.4g} s earlier, when the echo of the "
-                       "swath's middle has half its way",
+            "transmit": f"times are those of transmission: positions are taken {later:.4g} s later, {half}",
+            "receive": f"times are of the first sample's reception: positions are taken {early:.4g} s earlier, {half}",
             "middle": "times are taken for those of the antenna's positions; if they are of transmission, say "
-                      f"--time-tags transmit, which moves places by {speed * self.middle_range / SPEED_OF_LIGHT:.3g} m",
+                      f"--time-tags transmit, which moves the track by {speed * later:.3g} m",
         }  # fmt: skip
         moving = self.tags != "middle" and off > TOLD
         taken = "taken out" if options.troposphere else "in the samples; --troposphere standard takes it out"
@@ -236,8 +238,9 @@ class Strip:
             tags[self.tags]
             + (f"; at the swath's edges places lie {off:.2g} m off along the track" if moving else ""),
             f"the delay of a standard atmosphere, {delay_words(self.atmosphere)}, is {taken}",
-            f"scene frame: x east, y north, z up at latitude {self.frame.latitude:.6f}, longitude "
-            f"{self.frame.longitude:.6f} on the ellipsoid, which is the ground unless --terrain or --surface say otherwise",
+            f"scene frame: x away from the track, {self.frame.rotation:.2f} degrees from east, z up at "
+            f"latitude {self.frame.latitude:.6f}, longitude {self.frame.longitude:.6f} on the ellipsoid, the ground by "
+            "default",
         ]  # fmt: skip
 
     def reading(self, options: StripOptions) -> Reading:
