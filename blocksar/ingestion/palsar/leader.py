@@ -10,6 +10,7 @@ import numpy as np
 from blocksar.arrays import FloatArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, quoted
+from blocksar.ingestion.kinds import ECHOES
 from blocksar.ingestion.palsar.records import (
     ATTITUDE,
     ATTITUDE_LENGTH,
@@ -50,7 +51,7 @@ class Leader:
             if code not in leader.records:
                 raise InputError(f"has no record of {name}; get it again")
         if (mission := leader.text("mission")) != "ALOS":
-            raise InputError(f"is of the mission {quoted(mission)}; only level 1.0 of ALOS PALSAR is read")
+            raise InputError(f"is of the mission {quoted(mission)}; only level 1.0 of ALOS PALSAR is read; {ECHOES}")
         return leader
 
     def text(self, name: str) -> str:

@@ -20,7 +20,7 @@ class PalsarReader:
     several = True
     kind = Kind(
         "a CEOS file of raw echoes", lambda start: ceos(start, b"\x32\x0a"),
-        "if it is of PALSAR, turn its folder into a phase history first: `blocksar ingest palsar FOLDER --out {store}`",
+        "if it is of PALSAR, turn its folder into a phase history first: `blocksar ingest palsar {path} --out {store}`",
     )  # fmt: skip
     options = StripOptions
 
