@@ -42,8 +42,13 @@ def opened(path: Readable) -> Iterator[Any]:
         import h5py
     with reading(path, damaged=DAMAGED, remedy=REMEDY):
         refuse_others(path, KIND)
-        with path.open() as stream, h5py.File(stream, "r") as file:
-            yield file
+        try:
+            with path.open() as stream, h5py.File(stream, "r") as file:
+                yield file
+        except OSError as error:
+            if error.errno is not None:
+                raise
+            raise ValueError(str(error)) from error  # the library's own: a file that is cut
 
 
 def begin(path: Readable, options: NisarOptions) -> Strip:
