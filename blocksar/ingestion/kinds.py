@@ -182,7 +182,6 @@ OTHERS: tuple[Kind, ...] = (
          f"read it with sarpy (sarpy.io.phase_history), and {ARRAYS}", _word(r"CPHD/(\S+)")),
     Kind("a CPHD file of a version{detail} that is not known", begins(b"CPHD/"), "have it written as CPHD 1.1.0",
          _word(r"CPHD/(\S+)")),
-    Kind("a CRSD file, of echoes that are not compressed", begins(b"CRSD/"), f"read it with sarkit.crsd, and {ECHOES}"),
     Kind("a SIDD file (NITF), an image", _nitf(b"SIDD"), IMAGE),
     Kind("a SICD file (NITF), an image", _nitf(b"SICD"), IMAGE),
     Kind("a NITF file, an image", _nitf(b""), IMAGE),

@@ -25,7 +25,7 @@ SPEED_OF_LIGHT = 299792458.0
 GRAVITY, SPIN = 3.986004418e14, 7.292115e-5  # m^3/s^2, rad/s
 INCLINATION, LATITUDE = np.radians(98.2), np.radians(40.0)  # of the orbit; argument of latitude at t = 0
 PLACES = [  # of targets, m across and along the track
-    (0.0, 0.0), (-700.0, -520.0), (-420.0, 410.0), (-330.0, -130.0), (-110.0, 640.0), (130.0, -660.0), (260.0, 250.0),
+    (0.0, 0.0), (-700.0, -520.0), (-420.0, 410.0), (-380.0, -190.0), (-110.0, 640.0), (130.0, -660.0), (300.0, 280.0),
     (480.0, -310.0), (610.0, 540.0), (790.0, 60.0),
 ]  # fmt: skip
 
@@ -255,3 +255,104 @@ def leader(radar: Radar, channels: int) -> bytes:
         record(3, b"\x12\x1e\x12\x14", 4680, platform),
         record(4, b"\x12\x28\x12\x14", 8192, {12: f"{time.size:4d}{rows}"}),
     ])  # fmt: skip
+
+
+INTFRAC, PLACE = [("Int", ">i8"), ("Frac", ">f8")], [("X", ">f8"), ("Y", ">f8"), ("Z", ">f8")]
+COSINES = [("DCX", ">f8"), ("DCY", ">f8")]
+PULSE = [("TxTime", INTFRAC), ("TxPos", PLACE), ("TxVel", PLACE), ("FX1", ">f8"), ("FX2", ">f8"), ("TXmt", ">f8"),
+         ("PhiX0", INTFRAC), ("FxFreq0", ">f8"), ("FxRate", ">f8"), ("TxRadInt", ">f8"), ("TxACX", PLACE),
+         ("TxACY", PLACE), ("TxEB", COSINES), ("FxResponseIndex", ">i8")]  # fmt: skip
+VECTOR = [("RcvStart", INTFRAC), ("RcvPos", PLACE), ("RcvVel", PLACE), ("FRCV1", ">f8"), ("FRCV2", ">f8"),
+          ("RefPhi0", INTFRAC), ("RefFreq", ">f8"), ("DFIC0", ">f8"), ("FICRate", ">f8"), ("RcvACX", PLACE),
+          ("RcvACY", PLACE), ("RcvEB", COSINES), ("SIGNAL", ">i8"), ("AmpSF", ">f8"), ("DGRGC", ">f8"),
+          ("TxPulseIndex", ">i8")]  # fmt: skip
+OFFSET = 1.5e6  # Hz, of the receiver's reference frequency below the pulse's
+
+
+def parameters(fields: Any, values: dict[str, Any], n: int) -> NDArray[Any]:
+    """Of pulses or vectors (n,)."""
+    out = np.zeros(n, fields)
+    for name, value in values.items():
+        if fields is not None and out.dtype[name].names is None:
+            out[name] = value
+        elif out.dtype[name].names == ("Int", "Frac"):
+            out[name]["Int"], out[name]["Frac"] = np.floor(value), np.asarray(value) - np.floor(value)
+        else:
+            for axis, part in zip(out.dtype[name].names or (), np.moveaxis(np.asarray(value), -1, 0), strict=True):
+                out[name][axis] = part
+    return out
+
+
+def described(tag: str, fields: Any) -> str:
+    """The XML of parameters."""
+    kinds, at, parts = {">f8": "F8", ">i8": "I8"}, 0, []
+    for name, kind in fields:
+        one = isinstance(kind, str)
+        form = kinds[kind] if one else "".join(f"{part}={kinds[each]};" for part, each in kind)
+        size = 1 if one else len(kind)
+        parts.append(f"<{name}><Offset>{at}</Offset><Size>{size}</Size><Format>{form}</Format></{name}>")
+        at += size
+    return f"<{tag}>{''.join(parts)}</{tag}>"
+
+
+def write_crsd(path: Path, radar: Radar, **changes: Any) -> Path:
+    """CRSD 1.0: what imaging needs of it; `changes` of pulses and vectors, by name. Mixed down by another frequency."""
+    n, half = radar.n_pulse, radar.pulse_width / 2
+    centre = radar.sent - radar.start + half
+    begun = radar.sent - radar.start + 2 * radar.first_range / SPEED_OF_LIGHT
+    phases = np.random.default_rng(5).uniform(0, 9, (2, n))
+    velocity = [radar.velocity(radar.start + time) for time in (centre, begun)]
+    along = velocity[0] / np.linalg.norm(velocity[0], axis=1, keepdims=True)
+    normal = np.cross(along, radar.earth_centred(radar.sent))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    pulses = {
+        "TxTime": centre, "TxPos": radar.earth_centred(radar.start + centre), "TxVel": velocity[0],
+        "TXmt": radar.pulse_width, "PhiX0": phases[0], "FxFreq0": radar.carrier, "FxRate": radar.chirp_rate,
+        "TxACX": along, "TxACY": normal,
+    }  # fmt: skip
+    vectors = {
+        "RcvStart": begun, "RcvPos": radar.earth_centred(radar.start + begun), "RcvVel": velocity[1],
+        "RefPhi0": phases[1], "RefFreq": radar.carrier - OFFSET, "SIGNAL": 1, "AmpSF": 0.5,
+        "TxPulseIndex": np.arange(n),
+    }  # fmt: skip
+    for name, value in changes.items():
+        (pulses if name in dict(PULSE) else vectors)[name] = value
+    # The samples have -carrier tau: what the format has besides is put on.
+    after = begun - centre
+    within = after[:, None] + np.arange(radar.n_sample) / radar.sampling_rate
+    cycles = (
+        (phases[0] - phases[1])[:, None] + radar.carrier * within
+        - (radar.carrier - OFFSET) * (within - after[:, None])
+    )  # fmt: skip
+    signal = (2 * radar.echo * np.exp(2j * np.pi * np.mod(cycles, 1))).astype(np.complex64)
+    blocks = [parameters(PULSE, pulses, n), parameters(VECTOR, vectors, n), signal.view(np.float32).astype(">f4")]
+    origin = radar.targets[0]
+    place = "".join(f"<{axis}>{value!r}</{axis}>" for axis, value in zip("XYZ", origin.tolist(), strict=True))
+    data = (
+        f"<Data><Support><NumSupportArrays>0</NumSupportArrays></Support><Transmit><NumBytesPPP>{blocks[0].itemsize}"
+        f"</NumBytesPPP><NumTxSequences>1</NumTxSequences><TxSequence><TxId>T</TxId><NumPulses>{n}</NumPulses>"
+        "<PPPArrayByteOffset>0</PPPArrayByteOffset></TxSequence></Transmit><Receive><SignalArrayFormat>CF8"
+        f"</SignalArrayFormat><NumBytesPVP>{blocks[1].itemsize}</NumBytesPVP><NumCRSDChannels>1</NumCRSDChannels>"
+        f"<Channel><ChId>C</ChId><NumVectors>{n}</NumVectors><NumSamples>{radar.n_sample}</NumSamples>"
+        "<SignalArrayByteOffset>0</SignalArrayByteOffset><PVPArrayByteOffset>0</PVPArrayByteOffset></Channel>"
+        "</Receive></Data>"
+    )
+    transmitted = "<TxPolarization><PolarizationID>V</PolarizationID></TxPolarization>"
+    xml = (
+        '<CRSDsar xmlns="http://api.nsgreg.nga.mil/schema/crsd/1.0"><ProductInfo><ProductName>ten targets</ProductName>'
+        "</ProductInfo><ReceiveInfo><SensorName>a radar</SensorName></ReceiveInfo><Global><CollectionRefTime>"
+        "2026-03-04T10:00:00.25Z</CollectionRefTime></Global><SceneCoordinates><IARP><ECF>"
+        f"{place}</ECF></IARP></SceneCoordinates>{data}<Channel><Parameters><Identifier>C</Identifier><Fs>"
+        f"{radar.sampling_rate!r}</Fs><RcvPolarization><PolarizationID>H</PolarizationID></RcvPolarization><SARImage>"
+        f"<TxId>T</TxId>{transmitted}</SARImage></Parameters></Channel><ReferenceGeometry><SARImage><SideOfTrack>"
+        f"{'R' if radar.side > 0 else 'L'}</SideOfTrack></SARImage></ReferenceGeometry>{described('PPP', PULSE)}"
+        f"{described('PVP', VECTOR)}</CRSDsar>"
+    ).encode()
+    keys, at = {"XML": len(xml), "PPP": blocks[0].nbytes, "PVP": blocks[1].nbytes, "SIGNAL": blocks[2].nbytes}, 1024
+    head = "CRSDsar/1.0\n"
+    for name, size in keys.items():
+        head += f"{name}_BLOCK_SIZE := {size}\n{name}_BLOCK_BYTE_OFFSET := {at}\n"
+        at += size + (2 if name == "XML" else 0)
+    head += "SUPPORT_BLOCK_SIZE := 0\nSUPPORT_BLOCK_BYTE_OFFSET := 0\nCLASSIFICATION := U\nRELEASE_INFO := U\n\f\n"
+    path.write_bytes(head.encode().ljust(1024, b"\0") + xml + b"\f\n" + b"".join(each.tobytes() for each in blocks))
+    return path

@@ -58,11 +58,6 @@ def ceos(first: bytes, second: bytes, length: int = 720) -> bytes:
 ROW = {"a": np.arange(3.0)}
 # Name of the file, its bytes, and what is said of it.
 FILES: dict[str, tuple[str, bytes, str]] = {
-    "CRSD": (
-        "x.crsd",
-        b"CRSD/1.0\nXML_BLOCK_SIZE := 1000\n",
-        "is a CRSD file, of echoes that are not compressed; read it",
-    ),
     "CPHD 0.3": ("x.cphd", b"CPHD/0.3\nXML_DATA_SIZE := 1000\n", "of an old version (0.3)"),
     "CPHD 1.2": ("x.cphd", b"CPHD/1.2.0\n", "version (1.2.0) that is not known; have it written as CPHD 1.1.0"),
     "SICD": (

@@ -74,7 +74,7 @@ def test_what_no_reader_knows_is_said(tmp_path: Path) -> None:
     with pytest.raises(blocksar.InputError, match=r"a\.png is a PNG picture"):
         blocksar.ingest(None, tmp_path / "a.png", tmp_path / "a.zarr")
     with pytest.raises(
-        blocksar.InputError, match=r"kind is 'sar'; it must be 'cphd' or 'nisar' or 'palsar' or 'gotcha'"
+        blocksar.InputError, match=r"kind is 'sar'; it must be 'cphd' or 'crsd' or 'nisar' or 'palsar' or 'gotcha'"
     ):
         blocksar.ingest("sar", tmp_path / "a.png", tmp_path / "a.zarr")
     with pytest.raises(blocksar.InputError, match=r"sgn is 1, but it is an option of cphd only; leave it out"):

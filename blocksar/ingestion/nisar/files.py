@@ -60,7 +60,7 @@ def begin(path: Readable, options: NisarOptions) -> Strip:
         If the file is damaged, not supported or contradicts itself.
     """
     with opened(path) as file:
-        return _Layout(path, file, options).strip().taking(options)
+        return _Layout(path, file, options).strip().taking(options.time_tags)
 
 
 def _text(value: Any) -> str:

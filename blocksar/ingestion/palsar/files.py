@@ -171,7 +171,7 @@ def begin(sources: Sequence[Readable], options: StripOptions) -> Strip:
             with reading_file(image.path):
                 image.check()
         chosen, notes = _chosen(images, options)
-        return _strip(leader, chosen, options, notes).taking(options)
+        return _strip(leader, chosen, options, notes).taking(options.time_tags)
 
 
 def _chosen(images: Sequence[Image], options: StripOptions) -> tuple[list[Image], list[str]]:

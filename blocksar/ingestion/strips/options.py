@@ -23,9 +23,16 @@ def _read_polarization(value: Any) -> str | None:
     return text
 
 
+def check_choices(options: Any, **choices: tuple[str, ...]) -> None:
+    """Raise an InputError if an option is neither None nor one of its texts."""
+    for option, values in choices.items():
+        if (value := getattr(options, option)) not in (None, *values):
+            raise InputError(f"--{option.replace('_', '-')} is {value!r}; it must be {' or '.join(values)}")
+
+
 @dataclass(frozen=True, kw_only=True)
-class StripOptions(ReaderOptions):
-    """The part of a file that is wanted, and what is said of it; None: as the file has it.
+class PartOptions(ReaderOptions):
+    """The part of a file that is wanted, and what its samples hold; None: as the file has it.
 
     Attributes
     ----------
@@ -33,16 +40,13 @@ class StripOptions(ReaderOptions):
         Transmitter and receiver, such as "HV"; None: all of the first transmitter, as channels.
     pulses : (int, int or None)
         First, and the one behind the last; None: to the end.
-    time_tags : {"transmit", "receive", "middle"} or None
-        What the pulses' times are those of: the pulse's transmission, its first sample's reception, or the middle
-        between transmission and reception of the echo.
     troposphere : {"standard"} or None
         The delay that the samples hold, and that is taken out.
 
     Raises
     ------
     InputError
-        If one of the last two has another value.
+        If the last has another value.
     """
 
     polarization: Annotated[
@@ -54,10 +58,6 @@ class StripOptions(ReaderOptions):
         tuple[int, int | None],
         Option("Pulses that are read: A to the one before B.", metavar="A:B", default="all", read=parse_pulses),
     ] = (0, None)
-    time_tags: Annotated[
-        TimeTags | None,
-        Option("What times of pulses are those of.", metavar="|".join(TIME_TAGS), default="by the file", read=str),
-    ] = None
     troposphere: Annotated[
         Literal["standard"] | None,
         Option("Delay to take out of the samples: that of a standard atmosphere.", metavar="standard", default="none",
@@ -65,6 +65,30 @@ class StripOptions(ReaderOptions):
     ] = None  # fmt: skip
 
     def __post_init__(self) -> None:
-        for option, values in (("time_tags", TIME_TAGS), ("troposphere", ("standard",))):
-            if (value := getattr(self, option)) not in (None, *values):
-                raise InputError(f"--{option.replace('_', '-')} is {value!r}; it must be {' or '.join(values)}")
+        check_choices(self, troposphere=("standard",))
+
+
+@dataclass(frozen=True, kw_only=True)
+class StripOptions(PartOptions):
+    """The same, where a format gives times of pulses and an orbit.
+
+    Attributes
+    ----------
+    time_tags : {"transmit", "receive", "middle"} or None
+        What the pulses' times are those of: the pulse's transmission, its first sample's reception, or the middle
+        between transmission and reception of the echo.
+
+    Raises
+    ------
+    InputError
+        If it has another value.
+    """
+
+    time_tags: Annotated[
+        TimeTags | None,
+        Option("What times of pulses are those of.", metavar="|".join(TIME_TAGS), default="by the file", read=str),
+    ] = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_choices(self, time_tags=TIME_TAGS)

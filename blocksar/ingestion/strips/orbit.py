@@ -92,6 +92,21 @@ class Orbit:
         return position, velocity
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Track:
+    """Positions and velocities (n, 3), m and m/s, that are given at pulses, whose times (n,) are these, s."""
+
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+
+    def at(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Those at times (m,), s; between the pulses as if they lay on a straight line."""
+        both = np.hstack([self.position, self.velocity])
+        found = np.stack([np.interp(time, self.time, column) for column in both.T], axis=1)
+        return found[:, :3], found[:, 3:]
+
+
 def inertial(position: FloatArray, velocity: FloatArray) -> FloatArray:
     """Velocities (n, 3) in axes that do not turn, of places and velocities in ones that turn with the Earth, m/s."""
     turn = np.stack([-position[:, 1], position[:, 0], 0 * position[:, 2]], axis=1)

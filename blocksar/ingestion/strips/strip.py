@@ -35,8 +35,8 @@ from blocksar.constants import MIB, SPEED_OF_LIGHT
 from blocksar.errors import InputError, printable
 from blocksar.ingestion.atmosphere import delay_words, slant_delay
 from blocksar.ingestion.readers import Piece, Reading
-from blocksar.ingestion.strips.options import StripOptions, TimeTags
-from blocksar.ingestion.strips.orbit import Antenna, Orbit
+from blocksar.ingestion.strips.options import PartOptions, TimeTags
+from blocksar.ingestion.strips.orbit import Antenna, Orbit, Track
 from blocksar.ingestion.strips.pulses import Even
 
 PARTS = "--pulses, --polarization"
@@ -62,7 +62,7 @@ class Strip:
         The pulses that are taken, and their times, s.
     tags : TimeTags
         What the times are those of.
-    orbit : Orbit
+    orbit : Orbit or Track
     antenna : Antenna or None
     length : float or None
         Of the antenna, along the track, m.
@@ -75,6 +75,10 @@ class Strip:
         One a channel, such as "HV".
     read : Rows
     notes : list of str
+    steering : (n_slot,) float or None
+        Of the beam's centre off the plane normal to the antenna's axis, rad; None: 0.
+    origin : Georeference or None
+        The scene frame, on whose plane the ground lies; None: by the swath, on the ellipsoid.
     """
 
     title: str
@@ -83,7 +87,7 @@ class Strip:
     epoch: datetime
     even: Even
     tags: TimeTags
-    orbit: Orbit
+    orbit: Orbit | Track
     antenna: Antenna | None
     length: float | None
     side: str
@@ -95,10 +99,12 @@ class Strip:
     polarizations: tuple[str, ...]
     read: Rows
     notes: list[str] = field(default_factory=list)
+    steering: FloatArray | None = None
+    origin: Georeference | None = None
 
-    def taking(self, options: StripOptions) -> Strip:
+    def taking(self, tags: TimeTags | None) -> Strip:
         """The same with what a user says of its times."""
-        return self if options.time_tags is None else replace(self, tags=options.time_tags)
+        return self if tags is None else replace(self, tags=tags)
 
     @property
     def middle_range(self) -> float:
@@ -155,6 +161,8 @@ class Strip:
     @cached_property
     def frame(self) -> Georeference:
         """About the ground at the middle of beam, swath and pulses, x away from the track: its default grid fits."""
+        if self.origin is not None:
+            return self.origin
         at = self.even.time.size // 2
         place = self.track[0][at]
         frame = find_scene_centre(
@@ -169,7 +177,7 @@ class Strip:
         n = self.even.time.size
         return slant_delay(self.track[0][[0, n // 2, -1]], self.frame.origin, self.frame)
 
-    def collection(self, options: StripOptions) -> tuple[Collection, RawEcho]:
+    def collection(self, options: PartOptions) -> tuple[Collection, RawEcho]:
         """The phase history without its samples."""
         removed = float(self.atmosphere.mean()) if options.troposphere else 0.0
         fast_time = self.delay - self.pulse_width / 2 - 2 * removed / SPEED_OF_LIGHT
@@ -187,14 +195,14 @@ class Strip:
             beam_azimuth=np.full(n, np.nan),
             beam_width=self.beam[0],
             beam_axis=self.axis[0] @ frame.axes.T,
-            beam_steering=np.zeros(n),
+            beam_steering=np.zeros(n) if self.steering is None else self.steering,
             side_of_track=self.side,
             ground_height=options.ground_height,
             title=self.title,
         )
         return collection, raw
 
-    def attributes(self, options: StripOptions) -> dict[str, Any]:
+    def attributes(self, options: PartOptions) -> dict[str, Any]:
         """Those of the store."""
         time = self.even.time
         start = self.epoch + timedelta(seconds=float(time[0]))
@@ -205,45 +213,57 @@ class Strip:
             "time_tags": self.tags,
             **({"troposphere_removed": float(self.atmosphere.mean())} if options.troposphere else {}),
         }
-        known = {each: _polarization(each) for each in self.polarizations}
-        polarized = {"polarization": known[self.polarizations[0]]} if len(known) == 1 else {"polarizations": known}
+        known = {each: _polarization(each) for each in self.polarizations if len(each) == 2}
+        polarized: dict[str, Any] = {"polarizations": known} if known else {}
+        if len(known) == 1:
+            polarized = {"polarization": known[self.polarizations[0]]}
         return {
-            "georeference": self.frame.as_attribute(), "surface": "ellipsoid", "source": source,
-            "collector": printable(self.collector)[:200], **polarized,
+            "georeference": self.frame.as_attribute(), "source": source, "collector": printable(self.collector)[:200],
+            **({} if self.origin is not None else {"surface": "ellipsoid"}), **polarized,
         }  # fmt: skip
 
-    def remarks(self, options: StripOptions) -> list[str]:
+    def _tagged(self) -> str:
+        """At what times positions are taken, and what that leaves."""
+        speed = float(np.linalg.norm(self.track[1], axis=1).mean())
+        later, early = self.middle_range / SPEED_OF_LIGHT, float(self.delay[0]) - self.middle_range / SPEED_OF_LIGHT
+        if isinstance(self.orbit, Track):
+            return "positions are midway between those of transmitter and receiver"
+        if self.tags == "middle":
+            return (
+                "times are taken for those of the antenna's positions; if they are of transmission, say --time-tags "
+                f"transmit, which moves the track by {speed * later:.3g} m"
+            )
+        what, way = "transmission", f"{later:.4g} s later"
+        if self.tags == "receive":
+            what, way = "the first sample's reception", f"{early:.4g} s earlier"
+        off = speed * float(self.delay[-1] - self.delay[0]) / 4
+        edges = f"; at the swath's edges places lie {off:.2g} m off along the track" if off > TOLD else ""
+        return (
+            f"times are those of {what}: positions are taken {way}, when the echo of the swath's middle has half its "
+            f"way{edges}"
+        )
+
+    def remarks(self, options: PartOptions) -> list[str]:
         """What a user should know, a sentence each."""
         interval, n = self.even.interval, self.even.time.size
-        speed = float(np.linalg.norm(self.track[1], axis=1).mean())
-        swath = SPEED_OF_LIGHT / 4 * float(self.delay[-1] - self.delay[0])
-        off = speed * swath / SPEED_OF_LIGHT
-        half = "when the echo of the swath's middle has half its way"
-        later, early = self.middle_range / SPEED_OF_LIGHT, float(self.delay[0]) - self.middle_range / SPEED_OF_LIGHT
-        tags = {
-            "transmit": f"times are those of transmission: positions are taken {later:.4g} s later, {half}",
-            "receive": f"times are of the first sample's reception: positions are taken {early:.4g} s earlier, {half}",
-            "middle": "times are taken for those of the antenna's positions; if they are of transmission, say "
-                      f"--time-tags transmit, which moves the track by {speed * later:.3g} m",
-        }  # fmt: skip
-        moving = self.tags != "middle" and off > TOLD
         taken = "taken out" if options.troposphere else "in the samples; --troposphere standard takes it out"
         note = self.axis[1]
+        turned = f"x away from the track, {self.frame.rotation:.2f} degrees from east"
+        turned = turned if self.origin is None else "x east, y north"
         return [
             f"{n} pulses at {1 / interval:.6g} Hz, {self.delay.size} samples at {self.sampling_rate / 1e6:.6g} MHz; "
             f"delays of the file count from the pulse's start, those of the store from its centre",
             *self.notes,
             *([note] if note else []),
             f"beam: {self.beam[1]}",
-            tags[self.tags]
-            + (f"; at the swath's edges places lie {off:.2g} m off along the track" if moving else ""),
+            self._tagged(),
             f"the delay of a standard atmosphere, {delay_words(self.atmosphere)}, is {taken}",
-            f"scene frame: x away from the track, {self.frame.rotation:.2f} degrees from east, z up at "
-            f"latitude {self.frame.latitude:.6f}, longitude {self.frame.longitude:.6f} on the ellipsoid, the ground by "
-            "default",
+            f"scene frame: {turned}, z up at latitude {self.frame.latitude:.6f}, longitude "
+            f"{self.frame.longitude:.6f}, height {self.frame.height:.1f} m; the ground is "
+            f"{'the ellipsoid' if self.origin is None else 'its plane'} by default",
         ]  # fmt: skip
 
-    def reading(self, options: StripOptions) -> Reading:
+    def reading(self, options: PartOptions) -> Reading:
         """What is still to be read."""
         collection, raw = self.collection(options)
         several = len(self.polarizations) > 1
