@@ -209,10 +209,43 @@ def test_options_that_do_not_fit_are_refused(tmp_path: Path) -> None:
             blocksar.ingest(None, source, tmp_path / "out", progress=False, **options)
 
 
-@pytest.mark.parametrize("write", [write_nisar, write_palsar])
+@pytest.mark.parametrize("write", [write_crsd, write_nisar, write_palsar])
 def test_info_describes_a_file(write: Any, tmp_path: Path) -> None:
     source = write(tmp_path / "source", SHORT)
     found = blocksar.info(source).result
-    assert "raw echo" in found["kind"] and found["facts"]["samples"].startswith("64 pulses x 640")
+    assert found["kind"] in ("CRSD file", "NISAR raw echo", "PALSAR raw echo") and found["facts"]["samples"].startswith(
+        "64 pulses x 640"
+    )
     command = found["next"][0]
     assert command[:2] == ["ingest", write.__name__.removeprefix("write_")]
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"FxRate": np.linspace(-4e12, -3e12, 64)}, "PPP FxRate is .*; only equal pulses are read"),
+        ({"FICRate": -4e12}, "mixed with a chirp"),
+        ({"RcvStart": SHORT.sent - SHORT.start + 2 * SHORT.first_range / 299792458.0 + 1e-6 * (np.arange(64) > 9)},
+         "receive windows move by 48 samples"),
+        ({"RcvPos": SHORT.earth_centred(SHORT.sent) + np.array([20e3, 0, 0])}, "this is bistatic"),
+    ],
+)  # fmt: skip
+def test_crsd_that_is_not_supported_is_refused_in_a_sentence(
+    changes: dict[str, Any], sentence: str, tmp_path: Path
+) -> None:
+    source = write_crsd(tmp_path / "source.crsd", SHORT, **changes)
+    with pytest.raises(blocksar.InputError, match=sentence):
+        blocksar.ingest(None, source, tmp_path / "out", progress=False)
+    assert not (tmp_path / "out").exists()
+
+
+def test_vectors_of_crsd_without_signal_are_missing(tmp_path: Path) -> None:
+    source = write_crsd(tmp_path / "source.crsd", SHORT, SIGNAL=np.where(np.arange(64) == 7, 0, 1))
+    history, said = ingested(source, tmp_path / "out")
+    echo = history.read(slice(None), slice(None))
+    assert np.flatnonzero(np.isnan(echo).all(axis=1)).tolist() == [7] and "1 vectors have no normal" in " ".join(said)
+    assert history.attrs["polarization"] == {"transmit": "V", "receive": "H"}
+    assert history.attrs["georeference"]["rotation_deg"] == 0 and "surface" not in history.attrs
+    cut(source)
+    with pytest.raises(blocksar.InputError, match=r"ends before its samples do; get it again"):
+        blocksar.ingest(None, source, tmp_path / "cut", progress=False)
