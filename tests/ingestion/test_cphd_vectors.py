@@ -38,7 +38,7 @@ from blocksar.ingestion.cphd.faults import Lost, describe_lost
 from blocksar.ingestion.cphd.files import NEEDED, CphdFile, open_file
 from blocksar.ingestion.cphd.ingestion import Prepared, prepare
 from blocksar.ingestion.cphd.signs import describe_sign
-from blocksar.ingestion.cphd.troposphere import zenith_delay
+from blocksar.ingestion.atmosphere import zenith_delay
 from blocksar.places.local import LocalPlace
 
 INNER, ENDS = [40, 41, 100], [0, 1, 2, 158, 159]

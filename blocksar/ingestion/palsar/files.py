@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
+from blocksar.ingestion.found import found_at
 from blocksar.ingestion.kinds import Start, begins, ceos
 from blocksar.ingestion.palsar.leader import Leader
 from blocksar.ingestion.palsar.records import DESCRIPTOR, LINE_CODE, PREFIX, lines_dtype
@@ -74,6 +75,8 @@ def find_files(sources: Sequence[Readable]) -> Files:
                 images.append(file)
     where = local[0] if len(local) == 1 else f"{local[0]} and others"
     if not images:
+        if len(local) == 1 and local[0].path.is_file() and (found := found_at(local[0])) is not None:
+            raise InputError(found.sentence(local[0]))
         raise InputError(
             f"{where}: no CEOS file of raw echoes (IMG-HH-...) is there; give the folder of a scene of level 1.0"
         )
@@ -116,12 +119,12 @@ class Image:
             size = path.path.stat().st_size - DESCRIPTOR
             if length < PREFIX + 16 or length > 1 << 20:
                 raise InputError(f"has lines of {length} bytes, which cannot be; get it again")
-            if not told.isdigit() or int(told) * length != size:
+            if size % length or (told and told != str(size // length)):
                 raise InputError(
                     f"has {size / length:.6g} lines of {length} bytes, but should have {told or 'some'}; get it again"
                 )
             unsigned = head[428:432].decode("latin-1").strip().upper() in ("CIU1", "UI*1", "CIU*")
-            return cls(path=path, length=length, count=int(told), unsigned=unsigned)
+            return cls(path=path, length=length, count=size // length, unsigned=unsigned)
 
     @property
     def lines(self) -> Any:
@@ -277,6 +280,8 @@ def _first_delay(fields: dict[str, Any], pulses: IntArray, leader: Leader, notes
     delay = 2.0 * fields["slant range"][pulses] / SPEED_OF_LIGHT
     metre = 2.0 / SPEED_OF_LIGHT
     position = 1e-9 * fields["window position"][pulses]
+    if not delay.all():
+        raise InputError("lines have no slant range of their first sample; get the files again")
     if np.abs(position - delay).max() <= metre:
         delay = position
     gate = 1e-6 * leader.known("range gate")

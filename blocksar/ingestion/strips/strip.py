@@ -204,12 +204,11 @@ class Strip:
 
     def attributes(self, options: PartOptions) -> dict[str, Any]:
         """Those of the store."""
-        time = self.even.time
-        start = self.epoch + timedelta(seconds=float(time[0]))
+        start = self.epoch + timedelta(seconds=float(self.moment[0]))
         source = {
             "format": self.format,
             "collection_start": f"{start.replace(tzinfo=None).isoformat(timespec='microseconds')}Z",
-            "time_zero": self.even.interval * (time.size // 2),
+            "time_zero": self.even.interval * (self.even.time.size // 2),
             "time_tags": self.tags,
             **({"troposphere_removed": float(self.atmosphere.mean())} if options.troposphere else {}),
         }
