@@ -1,4 +1,4 @@
-"""Raw echoes of ten targets on the ellipsoid, seen by a satellite, as files of NISAR and of PALSAR hold them.
+"""Raw echoes of targets on the ellipsoid, seen by a satellite, as files of NISAR, of PALSAR and CRSD hold them.
 
 Written from the formats' documents alone. A pulse begins at `sent`; its echo from x comes after the time tau of
 
@@ -27,6 +27,7 @@ INCLINATION, LATITUDE = np.radians(98.2), np.radians(40.0)  # of the orbit; argu
 PLACES = [  # of targets, m across and along the track
     (0.0, 0.0), (-700.0, -520.0), (-420.0, 410.0), (-380.0, -190.0), (-110.0, 640.0), (130.0, -660.0), (300.0, 280.0),
     (480.0, -310.0), (610.0, 540.0), (790.0, 60.0),
+    (200.0, 5200.0),  # where the ellipsoid lies 2 m below the plane
 ]  # fmt: skip
 
 
@@ -72,7 +73,7 @@ class Radar:
 
     @cached_property
     def targets(self) -> Floats:
-        """Ten places (n, 3) on WGS 84, ECEF."""
+        """Ten places (n, 3) on WGS 84, ECEF, and one far from them."""
         middle = self.start + self.n_pulse / self.prf / 2 + self.slant_range / SPEED_OF_LIGHT * self.moving
         place, velocity = self.earth_centred(np.array(middle)), self.velocity(np.array(middle))
         along = velocity / np.linalg.norm(velocity)

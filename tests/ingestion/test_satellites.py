@@ -28,13 +28,16 @@ def image(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return name, radar, folder / "run"
 
 
+def targets_of(store: Path, radar: Radar) -> list[dict[str, Any]]:
+    frame = Georeference.among(stores.open_phase_history(store).attrs)
+    assert frame is not None
+    places = frame.from_ecef(radar.targets).tolist()
+    return [{"name": f"T{i}", "x": x, "y": y, "z": z} for i, (x, y, z) in enumerate(places)]
+
+
 def test_targets_on_the_ellipsoid_lie_at_their_places(image: tuple[str, Radar, Path]) -> None:
     name, radar, run = image
-    frame = Georeference.among(stores.open_phase_history(run.parent / "ph.zarr").attrs)
-    assert frame is not None
-    targets = [
-        {"name": f"T{i}", "x": x, "y": y, "z": z} for i, (x, y, z) in enumerate(frame.from_ecef(radar.targets).tolist())
-    ]
+    targets = targets_of(run.parent / "ph.zarr", radar)[:10]
     found = blocksar.quality(run, targets=targets).result["targets"]
     values = np.array([complex(*each["value"]) for each in found])
     assert len(found) == 10 and all(each["covered"] for each in found)
@@ -48,6 +51,27 @@ def test_targets_on_the_ellipsoid_lie_at_their_places(image: tuple[str, Radar, P
     assert np.abs(np.abs(values) / abs(mean) - 1).max() < 0.01
     assert np.abs(np.angle(values / mean)).max() < 0.03
     assert abs(mean) == pytest.approx(GAIN if name == "palsar" else 1.0, rel=0.01)
+
+
+@pytest.mark.parametrize("image", ["palsar"], indirect=True)
+@pytest.mark.parametrize("surface", [None, "plane"])
+def test_the_ground_is_the_ellipsoid_unless_said_otherwise(
+    image: tuple[str, Radar, Path], surface: Any, tmp_path: Path
+) -> None:
+    _, radar, run = image
+    store = run.parent / "ph.zarr"
+    far = targets_of(store, radar)[10]
+    x, y = 2.5 * round(far["x"] / 2.5), 2.5 * round(far["y"] / 2.5)
+    grid = (x - 150, x + 150, 2.5), (y - 150, y + 150, 2.5)
+    blocksar.focus(store, tmp_path / "run", grid=grid, surface=surface, workers=0, progress=False)
+    [found] = blocksar.quality(tmp_path / "run", targets=[{"name": "far", "x": far["x"], "y": far["y"]}]).result[
+        "targets"
+    ]
+    off = np.hypot(found["error_x"], found["error_y"])
+    if surface == "plane" or name == "crsd":  # whose ground is a plane
+        assert 1 < off < 4
+    else:
+        assert off < 0.05
 
 
 SHORT = Radar(n_pulse=64, n_sample=640)

@@ -119,7 +119,7 @@ class Image:
             size = path.path.stat().st_size - DESCRIPTOR
             if length < PREFIX + 16 or length > 1 << 20:
                 raise InputError(f"has lines of {length} bytes, which cannot be; get it again")
-            if size % length or (told and told != str(size // length)):
+            if size % length or (told.isdigit() and int(told) != size // length):
                 raise InputError(
                     f"has {size / length:.6g} lines of {length} bytes, but should have {told or 'some'}; get it again"
                 )
