@@ -265,7 +265,7 @@ def test_vectors_of_crsd_without_signal_are_missing(tmp_path: Path) -> None:
     echo = history.read(slice(None), slice(None))
     assert np.flatnonzero(np.isnan(echo).all(axis=1)).tolist() == [7] and "1 vectors have no normal" in " ".join(said)
     assert history.attrs["polarization"] == {"transmit": "V", "receive": "H"}
-    assert history.attrs["georeference"]["rotation_deg"] == 0 and "surface" not in history.attrs
+    assert history.attrs["georeference"]["rotation_deg"] == 0 and history.attrs["surface"] == "ellipsoid"
     cut(source)
     with pytest.raises(blocksar.InputError, match=r"ends before its samples do; get it again"):
         blocksar.ingest(None, source, tmp_path / "cut", progress=False)

@@ -44,6 +44,7 @@ AT_ONCE = 64 * MIB  # bytes of samples
 HALF_POWER = 0.886  # wavelengths over length: width of an evenly lit antenna's beam
 BAND_OF_PRF = 0.8  # of the PRF, that the Doppler band of a beam of unknown width fills
 TILTED = np.radians(10.0)  # an antenna's axis that lies farther off the track is none
+SATELLITE = 1e5  # m: what flies higher
 TOLD = 0.05  # m along the track that are worth a note
 
 Rows = Callable[[int, IntArray], ComplexArray]  # samples of a channel at some pulses of the file
@@ -78,7 +79,7 @@ class Strip:
     steering : (n_slot,) float or None
         Of the beam's centre off the plane normal to the antenna's axis, rad; None: 0.
     origin : Georeference or None
-        The scene frame, on whose plane the ground lies; None: by the swath, on the ellipsoid.
+        Of the scene frame; None: by the swath, on the ellipsoid.
     """
 
     title: str
@@ -171,6 +172,11 @@ class Strip:
         east, north, _ = frame.east_north_up @ (frame.origin - place)
         return replace(frame, rotation=float(np.degrees(np.arctan2(north, east))))
 
+    @property
+    def surface(self) -> str:
+        """The ground by default: under satellites the ellipsoid at the frame's height, else its plane."""
+        return "ellipsoid" if float(self.frame.from_ecef(self.track[0][0])[2]) > SATELLITE else "plane"
+
     @cached_property
     def atmosphere(self) -> FloatArray:
         """Delay of a standard atmosphere at the swath's middle, of the first, middle and last slot, m of one way."""
@@ -218,7 +224,7 @@ class Strip:
             polarized = {"polarization": known[self.polarizations[0]]}
         return {
             "georeference": self.frame.as_attribute(), "source": source, "collector": printable(self.collector)[:200],
-            **({} if self.origin is not None else {"surface": "ellipsoid"}), **polarized,
+            "surface": self.surface, **polarized,
         }  # fmt: skip
 
     def _tagged(self) -> str:
@@ -259,7 +265,7 @@ class Strip:
             f"the delay of a standard atmosphere, {delay_words(self.atmosphere)}, is {taken}",
             f"scene frame: {turned}, z up at latitude {self.frame.latitude:.6f}, longitude "
             f"{self.frame.longitude:.6f}, height {self.frame.height:.1f} m; the ground is "
-            f"{'the ellipsoid' if self.origin is None else 'its plane'} by default",
+            f"the {self.surface} by default",
         ]  # fmt: skip
 
     def reading(self, options: PartOptions) -> Reading:
