@@ -63,6 +63,7 @@ HOMES: dict[str, set[str] | None] = {
     "shapely": {"products"},
     "sarkit": {"ingestion", "products"},
     "lxml": {"simulation", "products"},
+    "h5py": {"ingestion"},
     "pyproj": {"collection", "products", "ingestion"},  # products: types
 }
 

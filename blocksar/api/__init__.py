@@ -28,14 +28,23 @@ if TYPE_CHECKING:
     from blocksar.api.reporting import report
     from blocksar.api.reports import Report
     from blocksar.api.shown import PlanReport, RunReport
-    from blocksar.api.sources import ingest, ingest_cphd, ingest_gotcha, simulate
+    from blocksar.api.sources import (
+        ingest,
+        ingest_cphd,
+        ingest_crsd,
+        ingest_gotcha,
+        ingest_nisar,
+        ingest_palsar,
+        simulate,
+    )
 
 # The module of each function: it is loaded on first use, since a command needs one of them.
 _HOMES = {
     "PlanReport": "shown", "Report": "reports", "RunReport": "shown", "autofocus": "autofocusing", "check": "checking",
     "collection": "datasets", "compile": "compiling", "demo": "demonstrating", "export": "exporting",
-    "focus": "focusing", "info": "describing", "ingest": "sources", "ingest_cphd": "sources",
-    "ingest_gotcha": "sources", "open": "exporting", "plan": "planning", "preview": "previewing",
+    "focus": "focusing", "info": "describing", "ingest": "sources", "ingest_cphd": "sources", "ingest_crsd": "sources",
+    "ingest_gotcha": "sources", "ingest_nisar": "sources", "ingest_palsar": "sources", "open": "exporting",
+    "plan": "planning", "preview": "previewing",
     "quality": "measuring", "report": "reporting", "scene_centre": "datasets", "simulate": "sources",
     "write": "datasets",
 }  # fmt: skip
@@ -53,7 +62,10 @@ __all__ = [
     "info",
     "ingest",
     "ingest_cphd",
+    "ingest_crsd",
     "ingest_gotcha",
+    "ingest_nisar",
+    "ingest_palsar",
     "open",
     "plan",
     "preview",

@@ -51,7 +51,7 @@ def autofocus(
     *,
     grid: GridLike | None = None,
     terrain: Location | None = None,
-    surface: Surface = "plane",
+    surface: Surface | None = None,
     vertical: str | None = None,
     ground_height: float | None = None,
     control: Location | Sequence[Target] | None = None,
@@ -80,8 +80,9 @@ def autofocus(
         steered.
     terrain : path, optional
         Heights of the ground on which the points stand, as `focus` takes them. Default: the plane z = ground_height.
-    surface : {"plane", "ellipsoid"}
-        "ellipsoid": WGS 84 at ground_height, which needs a georeference. Default: "plane".
+    surface : {"plane", "ellipsoid"}, optional
+        "ellipsoid": WGS 84 at ground_height, which needs a georeference. Default: that of the phase history,
+        or "plane".
     vertical : str, optional
         What a GeoTIFF's heights are measured from, as in `focus`. Needed where the file does not say so.
     ground_height : float, optional
@@ -128,7 +129,7 @@ def autofocus(
     stored = not isinstance(history, stores.DatasetHistory)
     if stored and (lies_in(history.path, target) or lies_in(target, history.path)):
         raise InputError(f"--out {target} and the input {history.path} lie in each other; choose another place")
-    ground, within = settings.ground, settings.points
+    ground, within = settings.ground.under(history.attrs), settings.points
     work = TrackPlace.of(place(f"{target}.autofocus"), [history])
     estimate = TrackEstimate(
         channels=work.channels[0], folder=work.folder, fingerprint=work.fingerprints[0], grid=within,

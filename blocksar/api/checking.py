@@ -38,7 +38,7 @@ def check(
     *,
     grid: GridLike | None = None,
     terrain: Location | None = None,
-    surface: Surface = "plane",
+    surface: Surface | None = None,
     vertical: str | None = None,
     ground_height: float | None = None,
     threads: int | None = None,
@@ -60,8 +60,8 @@ def check(
     terrain : path, optional
         Heights of the ground, as in `focus`. Mountains that are taken for the plane look like an error of the track.
         Default: the plane z = ground_height.
-    surface : {"plane", "ellipsoid"}
-        The ground without a terrain, as in `focus`. Default: "plane".
+    surface : {"plane", "ellipsoid"}, optional
+        The ground without a terrain, as in `focus`. Default: that of the phase history, or "plane".
     vertical : str, optional
         What the terrain's heights are measured from, as in `focus`. Needed where the file does not say so.
     ground_height : float, optional
@@ -89,7 +89,7 @@ def check(
     count = resources(1, threads, None).threads
     points = grid_of(grid)
     (history,) = imaging_parts(on_ground([history_of(source)], ground_height, terrain=terrain), points)
-    collection = history.collection.centred()
+    collection, ground = history.collection.centred(), ground.under(history.attrs)
     refuse_real(history)
     heights = read_ground(ground, collection, points, source)
     findings = check_samples(history, points, threads=count, thorough=True, terrain=heights)

@@ -77,7 +77,7 @@ def focus(
     range_model: RangeModel = "polar",
     grid: GridLike | None = None,
     terrain: Location | None = None,
-    surface: Surface = "plane",
+    surface: Surface | None = None,
     vertical: str | None = None,
     ground_height: float | None = None,
     autofocus: bool = False,
@@ -144,8 +144,9 @@ def focus(
     terrain : path, optional
         Heights of the ground: zarr or netCDF with `height` (y, x) in m of the scene frame, or a GeoTIFF in any
         coordinate reference system, which needs a georeference. Default: the plane z = ground_height.
-    surface : {"plane", "ellipsoid"}
-        "ellipsoid": WGS 84 at ground_height, which needs a georeference. Default: "plane".
+    surface : {"plane", "ellipsoid"}, optional
+        "ellipsoid": WGS 84 at ground_height, which needs a georeference. Default: that of the phase history,
+        or "plane".
     vertical : str, optional
         What a GeoTIFF's heights are measured from, if it does not say so: "ellipsoid", "egm96" or "egm2008"; or
         "egm2008:FILE" with the geoid's grid. PROJ's own grid is taken if it is installed; nothing is downloaded. Needed

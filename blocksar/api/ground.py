@@ -37,6 +37,17 @@ def read_ground(
     return ground.read(Georeference.among(attrs), collection.ground_height, image_grid(collection, grid))
 
 
+def ground_under(ground: Ground, source: One) -> Ground:
+    """What the user says of the ground, and else the phase history or scene.
+
+    Raises
+    ------
+    InputError
+        If the phase history names an unknown one.
+    """
+    return ground.under(_attributes(source)) if ground.plane else ground
+
+
 def _attributes(source: One) -> Mapping[str, Any]:
     """The attributes of a phase history; of a scene, its georeference."""
     scene = scene_of(source)
@@ -63,7 +74,7 @@ def ground_settings(ground: Ground, terrain: Terrain | None, surroundings: Terra
     named, heights = ground.terrain, [each for each in (terrain, surroundings) if each is not None]
     path = None if named is None else str(named) if isinstance(named, Place) else os.path.abspath(named)
     return {
-        "surface": ground.surface,
+        "surface": ground.surface or "plane",
         "terrain": path,
         "vertical": ground.vertical,
         "heights": "-".join(map(stores.terrain_fingerprint, heights)) or None,

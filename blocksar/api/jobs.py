@@ -106,14 +106,15 @@ class Request:
             other; if the grid is missing or lies outside the swath; the ground cannot be read; or a setting is wrong.
         """
         options_for(settings.processor, settings.options)  # which refuses wrong ones
-        grid, ground, whole_pulses = settings.points, settings.ground, settings.whole_pulses
+        grid, asked, whole_pulses = settings.points, settings.ground, settings.whole_pulses
         height, autofocus = settings.ground_height, settings.autofocus
         control = control_points(settings.control, source, height, used=autofocus)
         sources = sources_of(source)
-        over = partial(on_ground, height=height, terrain=ground.terrain)
+        over = partial(on_ground, height=height, terrain=asked.terrain)
         opened = [_open(each, over, folder, i if len(sources) > 1 else None) for i, each in enumerate(sources)]
         histories = tuple(history for history, _ in opened)
         check_one_frame(histories)
+        ground = asked.under(histories[0].attrs)
         for history in histories:
             if not isinstance(history, stores.DatasetHistory):
                 run_folder.refuse_overlap(place(history.path), folder)

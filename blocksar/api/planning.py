@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from blocksar.api import definitions
 from blocksar.api.arguments import Source, channels_of, collections_of, in_this_process, sources_of
-from blocksar.api.ground import read_ground
+from blocksar.api.ground import ground_under, read_ground
 from blocksar.api.look_plans import report_looks
 from blocksar.api.looks import divide_dwells, one_source
 from blocksar.api.other_way import ANY, naming_hierarchy
@@ -51,7 +51,7 @@ def plan(
     range_model: RangeModel = "polar",
     grid: GridLike | None = None,
     terrain: Location | None = None,
-    surface: Surface = "plane",
+    surface: Surface | None = None,
     vertical: str | None = None,
     whole_pulses: bool = False,
     ground_height: float | None = None,
@@ -104,8 +104,9 @@ def plan(
     terrain : path, optional
         Heights of the ground: zarr or netCDF with `height` (y, x) in m of the scene frame, or a GeoTIFF in any
         coordinate reference system, which needs a georeference. Default: the plane z = ground_height.
-    surface : {"plane", "ellipsoid"}
-        "ellipsoid": WGS 84 at ground_height, which needs a georeference. Default: "plane".
+    surface : {"plane", "ellipsoid"}, optional
+        "ellipsoid": WGS 84 at ground_height, which needs a georeference. Default: that of the phase history,
+        or "plane".
     vertical : str, optional
         What a GeoTIFF's heights are measured from, if it does not say so: "ellipsoid", "egm96" or "egm2008"; or
         "egm2008:FILE" with the geoid's grid. PROJ's own grid is taken if it is installed; nothing is downloaded. Needed
@@ -142,8 +143,9 @@ def plan(
     settings = Settings.of(locals())
     way = PROCESSORS.get(settings.processor)
     chosen = options_for(settings.processor, settings.options)
-    points, ground = settings.points, settings.ground
+    points = settings.points
     collections = collections_of(source if looks is None else one_source(source, looks), ground_height, terrain=terrain)
+    ground = ground_under(settings.ground, sources_of(source)[0])
     parts = None if looks is None else divide_dwells(collections[0], looks, points)
     points = points if parts is None else parts.grid
     here = in_this_process(workers, collections)

@@ -73,8 +73,10 @@ class Imaging:
         Option("Heights of the ground: zarr or netCDF in the scene frame, or GeoTIFF.", metavar="FILE"),
     ] = None
     surface: Annotated[
-        Surface, Option("The ground without --terrain: plane, or ellipsoid, WGS 84.", metavar="NAME")
-    ] = "plane"
+        Surface | None,
+        Option("The ground without --terrain: plane, or ellipsoid, WGS 84.", metavar="NAME",
+               default="the store's, or plane"),
+    ] = None  # fmt: skip
     vertical: Annotated[
         str | None,
         Option("Of a GeoTIFF's heights: ellipsoid, egm96, egm2008, or egm2008:FILE.", metavar="DATUM"),

@@ -131,8 +131,7 @@ def ingest(
     progress : object with a method update(stage, done, total), or False, optional
         As in `focus`. Default: bars in a notebook, silence elsewhere.
     **options
-        Those of the reader: `ground_height`; of CPHD also `channel`, `pulses`, `frequencies`, `area`, `sgn`,
-        `range_window` and `troposphere`, see `ingest_cphd`.
+        Those of the reader: `ground_height`, and others; see `ingest_cphd`, `ingest_nisar` and their like.
 
     Returns
     -------
@@ -301,5 +300,191 @@ def ingest_gotcha(
     """
     return ingest(
         "gotcha", source, out, ground_height=ground_height, collection_start=collection_start, time_zero=time_zero,
+        overwrite=overwrite, progress=progress,
+    )  # fmt: skip
+
+
+def ingest_crsd(
+    source: Location,
+    out: Location,
+    *,
+    polarization: str | None = None,
+    channel: str | None = None,
+    pulses: str | tuple[int | None, int | None] | None = None,
+    ground_height: float = 0.0,
+    troposphere: Literal["standard"] | None = None,
+    collection_start: str | None = None,
+    time_zero: float | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Report:
+    """Turn a CRSD file, of echoes that are not compressed, into a phase history in the frame of its reference point.
+
+    Parameters
+    ----------
+    source : path
+        CRSD file, version 1.0, monostatic: a path, s3://bucket/name, or a URL.
+    out : path
+        Phase-history store to write.
+    polarization : str, optional
+        Transmitter and receiver, such as "HV". Default: all of the first transmitter, as channels of the store.
+    channel : str, optional
+        Identifier of the channel, if several have the polarisation.
+    pulses : str or (int, int), optional
+        Pulses "a:b" of the file that are read, from a to the one before b; either may be left out. Default: all.
+    ground_height : float
+        Height of the imaged ground above the ellipsoid, m, the z of its plane in the scene frame. Default: 0.
+    troposphere : {"standard"}, optional
+        Delay that the samples hold, and that is taken out: that of a standard atmosphere. Default: none.
+    collection_start : str, optional
+        UTC from which the collection's times count, ISO 8601, such as "2008-08-19T14:03:21.5Z"; for products.
+        Default: the file's own.
+    time_zero : float, optional
+        Seconds from there to slow time 0. Default: the file's own.
+    overwrite : bool
+        Replace what stands at `out`. Default: False.
+    progress : object with a method update(stage, done, total), or False, optional
+        As in `focus`. Default: bars in a notebook, silence elsewhere.
+
+    Returns
+    -------
+    Report
+        `summary` says what was found in the file; `result` is the collection that the store holds.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, contradicts itself or is not supported, a library is missing, or `out` exists and
+        `overwrite` is False.
+    """
+    return ingest(
+        "crsd", source, out, polarization=polarization, channel=channel, pulses=pulses,
+        ground_height=ground_height, troposphere=troposphere, collection_start=collection_start,
+        time_zero=time_zero, overwrite=overwrite, progress=progress,
+    )  # fmt: skip
+
+
+def ingest_nisar(
+    source: Location,
+    out: Location,
+    *,
+    polarization: str | None = None,
+    frequency: str | None = None,
+    pulses: str | tuple[int | None, int | None] | None = None,
+    ground_height: float = 0.0,
+    time_tags: Literal["transmit", "receive", "middle"] | None = None,
+    troposphere: Literal["standard"] | None = None,
+    collection_start: str | None = None,
+    time_zero: float | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Report:
+    """Turn raw echoes of NISAR (level 0B RRSD, HDF5) into a phase history on the ellipsoid.
+
+    Parameters
+    ----------
+    source : path
+        File of NISAR, or of another sensor in its layout: a path, s3://bucket/name, or a URL.
+    out : path
+        Phase-history store to write.
+    polarization : str, optional
+        Transmitter and receiver, such as "HV". Default: all of the first transmitter, as channels of the store.
+    frequency : {"A", "B"}, optional
+        Band of the two. Default: "A", or the only one.
+    pulses : str or (int, int), optional
+        Pulses "a:b" of the file that are read, from a to the one before b; either may be left out. Default: all.
+    ground_height : float
+        Height of the imaged ground above the ellipsoid, m, the z of its plane in the scene frame. Default: 0.
+    time_tags : {"transmit", "receive", "middle"}, optional
+        What times of pulses are those of: the pulse's transmission, its first sample's reception, or the antenna at the
+        middle of the echo's way. Default: "transmit" if the
+        file describes them so, else "middle".
+    troposphere : {"standard"}, optional
+        Delay that the samples hold, and that is taken out: that of a standard atmosphere. Default: none.
+    collection_start : str, optional
+        UTC from which the collection's times count, ISO 8601, such as "2008-08-19T14:03:21.5Z"; for products.
+        Default: the file's own.
+    time_zero : float, optional
+        Seconds from there to slow time 0. Default: the file's own.
+    overwrite : bool
+        Replace what stands at `out`. Default: False.
+    progress : object with a method update(stage, done, total), or False, optional
+        As in `focus`. Default: bars in a notebook, silence elsewhere.
+
+    Returns
+    -------
+    Report
+        `summary` says what was found in the file; `result` is the collection that the store holds.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, contradicts itself or is not supported, a library is missing, or `out` exists and
+        `overwrite` is False.
+    """
+    return ingest(
+        "nisar", source, out, polarization=polarization, frequency=frequency, pulses=pulses,
+        ground_height=ground_height, time_tags=time_tags, troposphere=troposphere,
+        collection_start=collection_start, time_zero=time_zero, overwrite=overwrite, progress=progress,
+    )  # fmt: skip
+
+
+def ingest_palsar(
+    source: Location | Sequence[Location],
+    out: Location,
+    *,
+    polarization: str | None = None,
+    pulses: str | tuple[int | None, int | None] | None = None,
+    ground_height: float = 0.0,
+    time_tags: Literal["transmit", "receive", "middle"] | None = None,
+    troposphere: Literal["standard"] | None = None,
+    collection_start: str | None = None,
+    time_zero: float | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Report:
+    """Turn raw echoes of ALOS PALSAR (CEOS level 1.0) into a phase history on the ellipsoid.
+
+    Parameters
+    ----------
+    source : path or sequence of paths
+        Folder of a scene, or its files: the leader (LED) and images (IMG).
+    out : path
+        Phase-history store to write.
+    polarization : str, optional
+        Transmitter and receiver, such as "HV". Default: all of the first transmitter, as channels of the store.
+    pulses : str or (int, int), optional
+        Pulses "a:b" of the file that are read, from a to the one before b; either may be left out. Default: all.
+    ground_height : float
+        Height of the imaged ground above the ellipsoid, m, the z of its plane in the scene frame. Default: 0.
+    time_tags : {"transmit", "receive", "middle"}, optional
+        What times of pulses are those of: the pulse's transmission, its first sample's reception, or the antenna at the
+        middle of the echo's way. Default: "receive".
+    troposphere : {"standard"}, optional
+        Delay that the samples hold, and that is taken out: that of a standard atmosphere. Default: none.
+    collection_start : str, optional
+        UTC from which the collection's times count, ISO 8601, such as "2008-08-19T14:03:21.5Z"; for products.
+        Default: the file's own.
+    time_zero : float, optional
+        Seconds from there to slow time 0. Default: the file's own.
+    overwrite : bool
+        Replace what stands at `out`. Default: False.
+    progress : object with a method update(stage, done, total), or False, optional
+        As in `focus`. Default: bars in a notebook, silence elsewhere.
+
+    Returns
+    -------
+    Report
+        `summary` says what was found in the file; `result` is the collection that the store holds.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, contradicts itself or is not supported, a library is missing, or `out` exists and
+        `overwrite` is False.
+    """
+    return ingest(
+        "palsar", source, out, polarization=polarization, pulses=pulses, ground_height=ground_height,
+        time_tags=time_tags, troposphere=troposphere, collection_start=collection_start, time_zero=time_zero,
         overwrite=overwrite, progress=progress,
     )  # fmt: skip

@@ -29,7 +29,7 @@ class Products(Plugged):
         def export_product(
             context: typer.Context,
             run: Run,
-            out: str,
+            out: str | None = None,
             channel: Channel = None,
             overwrite: Overwrite = False,
             quiet: Quiet = False,
@@ -38,13 +38,18 @@ class Products(Plugged):
         ) -> None:
             from blocksar import api
 
+            if out is None:
+                out = f"{run.rstrip('/').rpartition('/')[2]}{product.endings[0]}"
             with listening(context) as progress:
                 report = api.export(name, run, out, channel=channel, overwrite=overwrite, progress=progress, **options)
             show(report)
             hint(context, "report", run)
 
-        file = typer.Option(metavar="FILE", help=f"File to write, {' or '.join(product.endings)}.")
-        export_product.__annotations__["out"] = Annotated[str, file]
+        file = typer.Option(
+            metavar="FILE",
+            help=f"File to write, {' or '.join(product.endings)}; default: the run's name with that, here.",
+        )
+        export_product.__annotations__["out"] = Annotated[str | None, file]
         example = f"Example: [bold]blocksar export {name} run --out image{product.endings[0]}[/bold]"
         return with_options(export_product, options_of(product.options), f"{product.summary}\n\n{example}")
 

@@ -85,6 +85,7 @@ def _between(
 LEAST_YAWS, MOST_YAWS, YAWS_AT_ONCE, FINE_YAWS = 16, 4096, 16, 257
 FEW_RANGES, LIT_RANGES = 17, 129
 SIDE_ENDS = 0.02  # rad along the flight and against it, where nothing is imaged
+LONG = 0.9  # of the longest dwell: less is seen with other resolution and noise
 FULL_RANGES, FULL_YAWS = 33, 257  # at which the ground with full dwell is looked for
 MOST_SAMPLES = 1024  # of a terrain, along each axis, that are asked for their range
 SEEN_AT = 64  # points along a side of a grid, of which it is asked whether any is seen
@@ -426,7 +427,7 @@ def default_grid(geometry: Geometry, region: Region) -> Grid:
 
 
 def _full_grid(geometry: Geometry, region: Region) -> Grid:
-    """The bounding box of ground in a region with full dwell; where none has, of that with half the longest dwell.
+    """The bounding box of ground in a region with full dwell; where none has, of that with nearly the longest dwell.
 
     Within it, since a spotlight lights ground just beyond twice: before and after it leaves the beam.
     """
@@ -441,7 +442,7 @@ def _full_grid(geometry: Geometry, region: Region) -> Grid:
     first, last = dwell_at(geometry, yaw, ranges)
     full = has_full_dwell(geometry, x, y) & (last > first)
     if not full.any():
-        full = last - first >= np.nanmax(last - first) / 2
+        full = last - first >= LONG * np.nanmax(last - first)
     rows, columns = np.nonzero(full)
     centre = np.argmin(np.hypot(rows - rows.mean(), (columns - columns.mean()) * FULL_RANGES / FULL_YAWS))
     at = rows[centre], columns[centre]

@@ -115,7 +115,7 @@ def _member(suffix: bytes) -> Mark:
     return fits
 
 
-def _hdf5(start: Start) -> bool:
+def hdf5(start: Start) -> bool:
     return any(start.data[at:].startswith(b"\x89HDF\r\n\x1a\n") for at in (0, 512, 1024, 2048))
 
 
@@ -131,7 +131,7 @@ def _matlab4(start: Start) -> bool:
     )  # fmt: skip
 
 
-def _ceos(start: Start, of: bytes = b"") -> bool:
+def ceos(start: Start, of: bytes = b"") -> bool:
     """Whether record 1 is a CEOS file's descriptor, and the next one of a kind, by its first two codes."""
     if re.match(rb"\x00\x00\x00\x01[\xc0\x3f\x32\x0b]\xc0\x12\x12", start.data[:8]) is None:
         return False
@@ -182,14 +182,13 @@ OTHERS: tuple[Kind, ...] = (
          f"read it with sarpy (sarpy.io.phase_history), and {ARRAYS}", _word(r"CPHD/(\S+)")),
     Kind("a CPHD file of a version{detail} that is not known", begins(b"CPHD/"), "have it written as CPHD 1.1.0",
          _word(r"CPHD/(\S+)")),
-    Kind("a CRSD file, of echoes that are not compressed", begins(b"CRSD/"), f"read it with sarkit.crsd, and {ECHOES}"),
     Kind("a SIDD file (NITF), an image", _nitf(b"SIDD"), IMAGE),
     Kind("a SICD file (NITF), an image", _nitf(b"SICD"), IMAGE),
     Kind("a NITF file, an image", _nitf(b""), IMAGE),
     Kind("a MATLAB 7.3 file (HDF5)", begins(b"MATLAB 7.3"), f"read it with h5py, and {ARRAYS}"),
-    Kind("a netCDF 4 file (HDF5)", lambda s: _hdf5(s) and (s.name.endswith(".nc") or b"_NCProperties" in s.data),
+    Kind("a netCDF 4 file (HDF5)", lambda s: hdf5(s) and (s.name.endswith(".nc") or b"_NCProperties" in s.data),
          f"read it with xarray.open_dataset, and {ARRAYS}"),
-    Kind("an HDF5 file (as those of NISAR, ICEYE and COSMO-SkyMed)", _hdf5, f"read it with h5py, and {ECHOES}"),
+    Kind("an HDF5 file (as those of ICEYE and COSMO-SkyMed)", hdf5, f"read it with h5py, and {ECHOES}"),
     Kind("a netCDF 3 file", begins(b"CDF\1", b"CDF\2", b"CDF\5"), f"read it with xarray.open_dataset, and {ARRAYS}"),
     Kind("an HDF4 file", begins(b"\x0e\x03\x13\x01"), f"read it with pyhdf, and {ARRAYS}"),
     Kind("a MATLAB 4 file", _matlab4, f"read it with scipy.io.loadmat, and {ARRAYS}"),
@@ -198,10 +197,8 @@ OTHERS: tuple[Kind, ...] = (
          "give the folder that it lies in", beside=True),
     Kind("an ENVISAT or ERS product of level 0", matches(rb'PRODUCT="[A-Z_]{8}0'), f"decode its packets, and {ECHOES}"),
     Kind("an ENVISAT or ERS product, an image", begins(b'PRODUCT="'), IMAGE),
-    Kind("a CEOS file of raw echoes", lambda s: _ceos(s, b"\x32\x0a"),
-         f"read its records with numpy.fromfile, and {ECHOES}"),
-    Kind("a CEOS file of an image", lambda s: _ceos(s, b"\x32\x0b"), IMAGE),
-    Kind("a CEOS file (volume, leader or trailer)", _ceos, "give the file of the same product that has the data",
+    Kind("a CEOS file of an image", lambda s: ceos(s, b"\x32\x0b"), IMAGE),
+    Kind("a CEOS file (volume, leader or trailer)", ceos, "give the file of the same product that has the data",
          beside=True),
     Kind("a COSAR file (TerraSAR-X), an image", begins(b"CSAR", at=28), IMAGE),
     Kind("a SIO file", begins(b"\xff\x01\x7f\xfe", b"\xfe\x7f\x01\xff"), f"read it with numpy.fromfile, and {ARRAYS}"),

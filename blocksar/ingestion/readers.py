@@ -138,6 +138,9 @@ class Reader(Protocol):
 
 READERS: Registry[Reader] = Registry("blocksar.readers", "reader", {
     "cphd": "blocksar.ingestion.cphd.reader:CPHD",
+    "crsd": "blocksar.ingestion.crsd.reader:CRSD",
+    "nisar": "blocksar.ingestion.nisar.reader:NISAR",
+    "palsar": "blocksar.ingestion.palsar.reader:PALSAR",
     "gotcha": "blocksar.ingestion.gotcha.reader:GOTCHA",
 })  # fmt: skip
 

@@ -58,7 +58,7 @@ class Calls(ModuleType):
         self.seen: dict[str, tuple[tuple[object, ...], dict[str, object]]] = {}
         self.answer: object = REPORT
         self.updates: list[tuple[str, int, int]] = []
-        for name in (*COMMANDS, "autofocus"):
+        for name in (*COMMANDS, "autofocus", "export"):
             setattr(self, name, lambda *args, _name=name, **kwargs: self._called(_name, args, kwargs))
 
     def _called(self, name: str, args: tuple[object, ...], kwargs: dict[str, object]) -> object:
@@ -560,3 +560,11 @@ def test_help_loads_no_more_packages_than_typer_does() -> None:
 
     alone = packages("import typer; app = typer.Typer(); app.command()(lambda: None); app()")
     assert packages("from blocksar.cli import main; main()") - alone == {"blocksar"}
+
+
+def test_a_product_without_a_name_has_that_of_its_run(api: Calls) -> None:
+    for words, name in (
+        ("geotiff a/run/", "run.tif"), ("png s3://bucket/runs/night", "night.png"), ("sicd a --out b.nitf", "b.nitf")
+    ):  # fmt: skip
+        assert run("export", *words.split()).exit_code == 0
+        assert api.seen["export"][0][2] == name

@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
 
 import blocksar
+from blocksar import stores
+from blocksar.collection.georeference import Georeference
 
 SPEED_OF_LIGHT = 299792458.0
 GRID = ((-20500.0, 20500.0, 10.0), (-160.0, 160.0, 10.0))  # x along range, y along the track
@@ -31,44 +32,36 @@ class Measured(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def measured() -> Measured:
-    h5py = pytest.importorskip("h5py")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Measured:
+    pytest.importorskip("h5py")
     folder = os.environ.get("BLOCKSAR_DATA")
     path = Path(folder or "", "alos", "alos_palsar_raw.h5")
     if not folder or not path.exists():
         pytest.skip("BLOCKSAR_DATA does not say where measured data of ALOS are")
-    with h5py.File(path) as file:
-        swath = file["science/LSAR/RRSD/swaths/frequencyA/txH"]
-        orbit = file["science/LSAR/RRSD/lowRateTelemetry/orbit"]
-        level, samples = swath["rxH/BFPQLUT"][()], swath["rxH/HH"][()]
-        time, slant = swath["UTCtime"][()], swath["slantRange"][()]
-        states = CubicHermiteSpline(orbit["time"][()], orbit["position"][()], orbit["velocity"][()])
-        rate, pulse, carrier = (swath[name][()] for name in ("chirpSlope", "chirpDuration", "centerFrequency"))
-    middle = time[time.size // 2]
-    reference = float(slant.mean() - SPEED_OF_LIGHT * pulse / 4)
-    # The scene's origin: to the right of the track, at that range on the ellipsoid.
-    here, ahead = states(middle), states(middle, 1)
-    down, right = -here / np.linalg.norm(here), np.cross(ahead, here)
-    right /= np.linalg.norm(right)
-    low, high = 0.1, 1.2
-    for _ in range(60):
-        angle = (low + high) / 2
-        origin = here + reference * (np.sin(angle) * right + np.cos(angle) * down)
-        above = np.linalg.norm(origin / [6378137.0, 6378137.0, 6356752.3142]) > 1
-        low, high = (low, angle) if above else (angle, high)
-    # A frame with x along the ground range: only relative positions matter here.
-    up = origin / np.linalg.norm(origin)
-    along = ahead - up * (ahead @ up)
-    y = along / np.linalg.norm(along)
-    axes = np.stack([np.cross(y, up), y, up])
-    position = (states(time) - origin) @ axes.T
+    store = tmp_path_factory.mktemp("alos") / "ph.zarr"
+    blocksar.ingest(None, path, store, progress=False)
+    history = stores.open_phase_history(store)
+    raw, collection = history.raw, history.collection
+    assert raw is not None
+    # Without the beam: all pulses light this strip, and the chain takes it. Ground is the plane.
     arguments = {
-        "echo": (level[samples["r"]] + 1j * level[samples["i"]]).astype(np.complex64),
-        "fast_time": 2 * slant / SPEED_OF_LIGHT, "pulse_reference": "start", "chirp_rate": float(rate),
-        "pulse_width": float(pulse), "time": time - middle, "antenna_position": position, "reference_range": reference,
-        "carrier_frequency": float(carrier),
+        "echo": history.read(slice(None), slice(None)), "fast_time": raw.fast_time, "chirp_rate": raw.chirp_rate,
+        "pulse_width": raw.pulse_width, "time": collection.time, "antenna_position": collection.antenna_position,
+        "reference_range": float(collection.reference_range[0]), "carrier_frequency": collection.carrier,
+        "georeference": history.attrs["georeference"],
     }  # fmt: skip
-    return Measured(arguments, position)
+    return Measured(arguments, collection.antenna_position)
+
+
+def test_the_scene_lies_inside_the_polygon_of_the_file(measured: Measured) -> None:
+    # Of the data's page: at 2 degrees south, 57 degrees west, inside of these.
+    frame = Georeference.from_attribute(measured.arguments["georeference"])
+    x, y = np.meshgrid([-13700.0, 13500.0], [-8500.0, 8500.0])
+    latitude, longitude, _ = np.moveaxis(frame.to_geodetic(np.stack([x, y, 0 * x], axis=-1)), -1, 0)
+    polygon = [(-2.127, -57.360), (-1.980, -56.680), (-0.990, -56.890), (-1.136, -57.569)]
+    for (south, west), (north, east) in zip(polygon, polygon[1:] + polygon[:1], strict=True):
+        inside = (latitude - south) * (east - west) - (longitude - west) * (north - south)
+        assert (inside > -0.01).all()  # degrees squared over sides of a degree: 1 km
 
 
 def filter_of(arguments: dict[str, Any], step: float) -> NDArray[np.complex128]:
@@ -87,7 +80,7 @@ def filter_of(arguments: dict[str, Any], step: float) -> NDArray[np.complex128]:
 def expected(measured: Measured, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.complex128]:
     """The image by its definition from a padded compression, divided by the recorded part of the pulse."""
     arguments, position = measured
-    pulse, fast = arguments["pulse_width"], arguments["fast_time"] - arguments["pulse_width"] / 2
+    pulse, fast = arguments["pulse_width"], arguments["fast_time"]
     step = (fast[-1] - fast[0]) / (fast.size - 1)
     inverse = filter_of(arguments, step)
     first, last = fast[0] - step / 2, fast[-1] + step / 2
@@ -118,9 +111,9 @@ def chips(measured: Measured) -> dict[int, NDArray[np.complex128]]:
     slant = np.hypot(x - measured.position[500, 0], measured.position[500, 2])
     edges = measured.arguments["fast_time"][[0, -1]] * SPEED_OF_LIGHT / 2
     pulse = measured.arguments["pulse_width"] * SPEED_OF_LIGHT / 2
-    # From the start of the pulse, so that these ranges have parts of 0.15, 0.6 and 1 of it at either end.
-    first = [int(np.searchsorted(slant, edges[0] + (part - 1) * pulse)) for part in (0.15, 0.6, 1.0)]
-    last = [int(np.searchsorted(slant, edges[1] - part * pulse)) - CHIP for part in (0.15, 0.6, 1.0)]
+    # Of the pulse, so that these ranges have parts of 0.15, 0.6 and 1 of it at either end.
+    first = [int(np.searchsorted(slant, edges[0] + (part - 0.5) * pulse)) for part in (0.15, 0.6, 1.0)]
+    last = [int(np.searchsorted(slant, edges[1] - (part - 0.5) * pulse)) - CHIP for part in (0.15, 0.6, 1.0)]
     columns = np.concatenate([np.arange(start, start + CHIP) for start in (*first, x.size // 2, *last)])
     image = expected(measured, x[columns], y)
     return {int(columns[k]): image[:, k : k + CHIP] for k in range(0, columns.size, CHIP)}

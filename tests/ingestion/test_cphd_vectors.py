@@ -31,6 +31,7 @@ from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_image
+from blocksar.ingestion.atmosphere import zenith_delay
 from blocksar.ingestion.cphd import Choices
 from blocksar.ingestion.cphd.areas import read_area
 from blocksar.ingestion.cphd.describing import describe
@@ -38,7 +39,6 @@ from blocksar.ingestion.cphd.faults import Lost, describe_lost
 from blocksar.ingestion.cphd.files import NEEDED, CphdFile, open_file
 from blocksar.ingestion.cphd.ingestion import Prepared, prepare
 from blocksar.ingestion.cphd.signs import describe_sign
-from blocksar.ingestion.cphd.troposphere import zenith_delay
 from blocksar.places.local import LocalPlace
 
 INNER, ENDS = [40, 41, 100], [0, 1, 2, 158, 159]

@@ -58,11 +58,6 @@ def ceos(first: bytes, second: bytes, length: int = 720) -> bytes:
 ROW = {"a": np.arange(3.0)}
 # Name of the file, its bytes, and what is said of it.
 FILES: dict[str, tuple[str, bytes, str]] = {
-    "CRSD": (
-        "x.crsd",
-        b"CRSD/1.0\nXML_BLOCK_SIZE := 1000\n",
-        "is a CRSD file, of echoes that are not compressed; read it",
-    ),
     "CPHD 0.3": ("x.cphd", b"CPHD/0.3\nXML_DATA_SIZE := 1000\n", "of an old version (0.3)"),
     "CPHD 1.2": ("x.cphd", b"CPHD/1.2.0\n", "version (1.2.0) that is not known; have it written as CPHD 1.1.0"),
     "SICD": (
@@ -72,7 +67,7 @@ FILES: dict[str, tuple[str, bytes, str]] = {
     ),
     "SIDD": ("x.ntf", b"NITF02.10".ljust(400) + b"IMSIDD001001 SICD", "is a SIDD file"),
     "NITF": ("x.ntf", b"NSIF01.00".ljust(400), "is a NITF file, an image"),
-    "HDF5": ("x.h5", HDF5, "is an HDF5 file (as those of NISAR, ICEYE and COSMO-SkyMed); read it with h5py"),
+    "HDF5": ("x.h5", HDF5, "is an HDF5 file (as those of ICEYE and COSMO-SkyMed); read it with h5py"),
     "HDF5 behind 512 bytes": ("x.h5", bytes(511) + b" " + HDF5, "is an HDF5 file"),
     "netCDF 4": ("x.nc", HDF5, "is a netCDF 4 file (HDF5); read it with xarray.open_dataset"),
     "netCDF 3": ("x.nc", b"CDF\1" + bytes(40), "is a netCDF 3 file"),
@@ -111,12 +106,6 @@ FILES: dict[str, tuple[str, bytes, str]] = {
     "PNG": ("x.png", b"\x89PNG\r\n\x1a\n" + bytes(40), "is a PNG picture; give the CPHD file"),
     "JPEG": ("x.jpg", b"\xff\xd8\xff\xe0" + bytes(40), "is a JPEG picture"),
     "PDF": ("x.pdf", b"%PDF-1.7\n", "is a PDF document; give the data that it describes"),
-    "CEOS echoes": ("IMG-HH-ALPSRP", ceos(b"\x32\xc0\x12\x12", b"\x32\x0a\x12\x14"), "is a CEOS file of raw echoes"),
-    "CEOS echoes, long": (
-        "dat_01.001",
-        ceos(b"\x3f\xc0\x12\x12", b"\x32\x0a\x12\x14", 11644),
-        "CEOS file of raw echoes",
-    ),
     "CEOS image": (
         "IMG-HH-ALPSRP",
         ceos(b"\x32\xc0\x12\x12", b"\x32\x0b\x12\x14"),
@@ -196,10 +185,6 @@ def test_what_is_said_of_an_archive_unpacks_it(what: str, tmp_path: Path) -> Non
             "collect.cphd is a CPHD file; turn",
         ),
         ({"a.xml": b"<a/>", "x.h5": HDF5}, "is a folder, no phase history: "),
-        (
-            {"LED-A": ceos(b"\x0b\xc0\x12\x12", b""), "IMG-A": ceos(b"\x32\xc0\x12\x12", b"\x32\x0a")},
-            "CEOS file of raw echoes",
-        ),
     ],
 )
 def test_a_folder_is_told_by_the_data_in_it(files: dict[str, bytes], sentence: str, tmp_path: Path) -> None:

@@ -73,7 +73,9 @@ def test_what_no_reader_knows_is_said(tmp_path: Path) -> None:
     (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n")
     with pytest.raises(blocksar.InputError, match=r"a\.png is a PNG picture"):
         blocksar.ingest(None, tmp_path / "a.png", tmp_path / "a.zarr")
-    with pytest.raises(blocksar.InputError, match=r"kind is 'sar'; it must be 'cphd' or 'gotcha'"):
+    with pytest.raises(
+        blocksar.InputError, match=r"kind is 'sar'; it must be 'cphd' or 'crsd' or 'nisar' or 'palsar' or 'gotcha'"
+    ):
         blocksar.ingest("sar", tmp_path / "a.png", tmp_path / "a.zarr")
     with pytest.raises(blocksar.InputError, match=r"sgn is 1, but it is an option of cphd only; leave it out"):
         blocksar.ingest("gotcha", tmp_path / "a.mat", tmp_path / "a.zarr", sgn=1)

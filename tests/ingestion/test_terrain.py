@@ -282,3 +282,14 @@ def test_a_number_that_stands_for_no_data_untagged_is_refused(value: float, said
     with pytest.raises(InputError, match=rf"t.zarr has a height of {said} m \(175 of the kind\).*: tag the number"):
         refuse_untagged(heights, place(tmp_path / "t.zarr"))
     refuse_untagged(np.where(heights == value, np.nan, heights), place(tmp_path / "t.zarr"))
+
+
+def test_a_collection_has_a_ground_of_its_own_unless_the_user_names_one(tmp_path: Path) -> None:
+    attrs = {"surface": "ellipsoid"}
+    ground = Ground().under(attrs)
+    heights = ground.read(Georeference(latitude=10.0, longitude=20.0, height=0.0), 0.0, GRID)
+    assert not ground.plane and heights is not None and heights.limits[0] < 0
+    assert Ground(surface="plane").under(attrs).plane and Ground(terrain="dem.nc").under(attrs).surface is None
+    assert Ground().under({}).plane
+    with pytest.raises(InputError, match="surface = 'sphere' is unknown; give plane or ellipsoid"):
+        Ground().under({"surface": "sphere"})

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import get_args
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, get_args
 
 import numpy as np
 
@@ -17,12 +18,13 @@ from blocksar.ingestion.terrain.frame_grid import read_frame_grid
 from blocksar.places import Location, place
 
 GEOTIFF = (".tif", ".tiff", ".vrt")
+SURFACE = "surface"  # the attribute of a phase history
 UNTOLD = 1e-6  # of the grid: a share without heights that is not worth a note
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ground:
-    """Ground as the user states it: a file of heights with its datum, or a surface.
+    """Ground as the user states it: a file of heights with its datum, or a surface; None: that of the collection.
 
     Raises
     ------
@@ -31,13 +33,13 @@ class Ground:
     """
 
     terrain: Location | None = None
-    surface: Surface = "plane"
+    surface: Surface | None = None
     vertical: str | None = None
 
     def __post_init__(self) -> None:
-        if self.surface not in get_args(Surface):
+        if self.surface not in (None, *get_args(Surface)):
             raise InputError(f"surface = {self.surface!r} is unknown; give {' or '.join(get_args(Surface))}")
-        if self.terrain is not None and self.surface != "plane":
+        if self.terrain is not None and self.surface not in (None, "plane"):
             raise InputError(f"surface = {self.surface} and a terrain are both given; leave one of them out")
         if self.vertical is not None and (self.terrain is None or not self.geotiff):
             what = "there is no terrain" if self.terrain is None else "the terrain's heights are z of the scene frame"
@@ -45,7 +47,19 @@ class Ground:
 
     @property
     def plane(self) -> bool:
-        return self.terrain is None and self.surface == "plane"
+        return self.terrain is None and self.surface in (None, "plane")
+
+    def under(self, attrs: Mapping[str, Any]) -> Ground:
+        """The same under a collection with attributes of its store, whose `surface` counts if the user names no ground.
+
+        Raises
+        ------
+        InputError
+            If they have another one.
+        """
+        if self.terrain is not None or self.surface is not None or attrs.get(SURFACE) is None:
+            return self
+        return replace(self, surface=attrs[SURFACE])
 
     def describe(self, terrain: Terrain) -> str:
         """One line about a ground that is no plane."""

@@ -1,0 +1,271 @@
+"""Raw echoes of satellites, from files of the formats' layout: targets lie where they are on the Earth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from raw_satellites import GAIN, Radar, write_crsd, write_nisar, write_palsar
+
+import blocksar
+from blocksar import stores
+from blocksar.collection.georeference import Georeference
+
+RADARS = {"nisar": Radar(side=-1), "palsar": Radar(), "crsd": Radar()}
+WRITERS = {"nisar": write_nisar, "palsar": write_palsar, "crsd": write_crsd}
+
+
+@pytest.fixture(scope="module", params=list(RADARS))
+def image(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Radar, Path]:
+    """A run over the targets, and what it is of."""
+    folder, name = tmp_path_factory.mktemp("satellite"), request.param
+    radar, source = RADARS[name], folder / "source"
+    WRITERS[name](source, radar)  # type: ignore[operator]
+    blocksar.ingest(None, source, folder / "ph.zarr", progress=False)
+    blocksar.focus(folder / "ph.zarr", folder / "run", grid="-900:1000:2.5,-900:900:2.5", workers=0, progress=False)
+    return name, radar, folder / "run"
+
+
+def targets_of(store: Path, radar: Radar) -> list[dict[str, Any]]:
+    frame = Georeference.among(stores.open_phase_history(store).attrs)
+    assert frame is not None
+    places = frame.from_ecef(radar.targets).tolist()
+    return [{"name": f"T{i}", "x": x, "y": y, "z": z} for i, (x, y, z) in enumerate(places)]
+
+
+def test_targets_on_the_ellipsoid_lie_at_their_places(image: tuple[str, Radar, Path]) -> None:
+    name, radar, run = image
+    targets = targets_of(run.parent / "ph.zarr", radar)[:10]
+    found = blocksar.quality(run, targets=targets).result["targets"]
+    values = np.array([complex(*each["value"]) for each in found])
+    assert len(found) == 10 and all(each["covered"] for each in found)
+    for each in found:
+        # 16 mm of it for PALSAR: times in milliseconds, of which no fraction fits at 1700 Hz but steps of 3 us.
+        assert np.hypot(each["error_x"], each["error_y"]) < 0.05, each
+        for axis in ("range", "azimuth"):
+            assert each[f"{axis}_pslr"] == pytest.approx(each[f"{axis}_pslr_theory"], abs=0.1), each
+            assert each[f"{axis}_irw"] == pytest.approx(each[f"{axis}_irw_theory"], rel=0.005), each
+    mean = values.mean()
+    assert np.abs(np.abs(values) / abs(mean) - 1).max() < 0.01
+    assert np.abs(np.angle(values / mean)).max() < 0.03
+    assert abs(mean) == pytest.approx(GAIN if name == "palsar" else 1.0, rel=0.01)
+
+
+@pytest.mark.parametrize("image", ["palsar"], indirect=True)
+@pytest.mark.parametrize("surface", [None, "plane"])
+def test_the_ground_is_the_ellipsoid_unless_said_otherwise(
+    image: tuple[str, Radar, Path], surface: Any, tmp_path: Path
+) -> None:
+    _, radar, run = image
+    store = run.parent / "ph.zarr"
+    far = targets_of(store, radar)[10]
+    x, y = 2.5 * round(far["x"] / 2.5), 2.5 * round(far["y"] / 2.5)
+    grid = (x - 150, x + 150, 2.5), (y - 150, y + 150, 2.5)
+    blocksar.focus(store, tmp_path / "run", grid=grid, surface=surface, workers=0, progress=False)
+    place = {key: far[key] for key in ("name", "x", "y")}
+    [found] = blocksar.quality(tmp_path / "run", targets=[place]).result["targets"]
+    off = np.hypot(found["error_x"], found["error_y"])
+    assert 1 < off < 4 if surface == "plane" else off < 0.05
+
+
+SHORT = Radar(n_pulse=64, n_sample=640)
+
+
+def ingested(source: Path, out: Path, **options: Any) -> tuple[Any, list[str]]:
+    report = blocksar.ingest(None, source, out, progress=False, **options)
+    return stores.open_phase_history(out), report.summary
+
+
+@pytest.mark.parametrize("write", [write_nisar, write_palsar])
+def test_channels_parts_and_times_of_files(write: Any, tmp_path: Path) -> None:
+    source = write(tmp_path / "source", SHORT, polarizations=("HH", "HV"))
+    history, _ = ingested(source, tmp_path / "all")
+    assert history.channels == ("HH", "HV")
+    both = [history.of_channel(name).read(slice(None), slice(None)) for name in history.channels]
+    one, _ = ingested(source, tmp_path / "HV", polarization="hv", pulses="16:48")
+    assert one.attrs["polarization"] == {"transmit": "H", "receive": "V"}
+    np.testing.assert_array_equal(one.read(slice(None), slice(None)), both[1][16:48])
+    np.testing.assert_allclose(both[0], 2 * both[1], atol=4)
+    start = blocksar.ingest(None, source, tmp_path / "x", pulses="32:", progress=False).result
+    assert start.n_pulse == 32
+    source_of = history.attrs["source"]
+    assert source_of["collection_start"].startswith("2026-03-04T10:00:00.2") and history.attrs["surface"] == "ellipsoid"
+    # Positions are those of the middle of the way, whatever the times are.
+    frame = Georeference.among(history.attrs)
+    assert frame is not None
+    middle = SHORT.earth_centred(SHORT.sent + SHORT.slant_range / 299792458.0)
+    off = frame.to_ecef(history.collection.antenna_position) - middle
+    # Times in milliseconds leave 59 us of 64 pulses at 1700 Hz, or 0.45 m.
+    assert np.abs(off).max() < (0.5 if write is write_palsar else 0.05)
+    moved, said = ingested(source, tmp_path / "m", time_tags="middle")
+    later = Georeference.among(moved.attrs).to_ecef(moved.collection.antenna_position) - middle  # type: ignore[union-attr]
+    assert np.linalg.norm(later, axis=1).mean() == pytest.approx(7500 * 830e3 / 3e8, rel=0.05)
+    assert "--time-tags transmit" in " ".join(said)
+
+
+@pytest.mark.parametrize("write", [write_nisar, write_palsar])
+def test_the_atmosphere_is_told_and_taken_out(write: Any, tmp_path: Path) -> None:
+    source = write(tmp_path / "source", SHORT)
+    with_it, said = ingested(source, tmp_path / "a")
+    without, _ = ingested(source, tmp_path / "b", troposphere="standard")
+    removed = without.attrs["source"]["troposphere_removed"]
+    assert 2.3 < removed < 4 and "--troposphere standard takes it out" in " ".join(said)
+    assert with_it.raw is not None and without.raw is not None
+    np.testing.assert_allclose(with_it.raw.fast_time - without.raw.fast_time, 2 * removed / 299792458.0, rtol=1e-6)
+    np.testing.assert_allclose(with_it.collection.reference_range - without.collection.reference_range, removed)
+
+
+def test_lost_lines_other_windows_and_another_prf(tmp_path: Path) -> None:
+    n = SHORT.n_pulse
+    late = np.where(np.arange(n) < 40, SHORT.first_range, SHORT.first_range + 31)  # m: ten samples
+    number = np.arange(1, n + 1) + 3 * (np.arange(n) >= 20)
+    prf = np.where(np.arange(n) < 50, 1_700_000, 1_650_000)
+    nothing = np.arange(n) == 8
+    sent = SHORT.sent + 3 / SHORT.prf * (np.arange(n) >= 20)
+    tags = np.floor(1000 * (sent + 2 * SHORT.first_range / 299792458.0))
+    source = write_palsar(
+        tmp_path / "source", SHORT, b12=number, b44=tags, b56=prf, b96=nothing, b116=late,
+        b120=np.round(2e9 * late / 299792458.0),
+    )  # fmt: skip
+    history, said = ingested(source, tmp_path / "out")
+    text = " ".join(said)
+    assert "the PRF changes: lines 0 .. 49 of 64" in text and "4 lines are lost" in text
+    assert "receive windows change; the 630 samples that all pulses have" in text
+    echo = history.read(slice(None), slice(None))
+    assert echo.shape == (53, 630)
+    assert np.flatnonzero(np.isnan(echo).all(axis=1)).tolist() == [8, 20, 21, 22]
+    whole, _ = ingested(write_palsar(tmp_path / "plain", SHORT), tmp_path / "b")
+    samples = whole.read(slice(None), slice(None))
+    np.testing.assert_array_equal(echo[0], samples[0, 10:])
+    np.testing.assert_array_equal(echo[-1], samples[49, :-10])
+
+
+def test_pulses_that_calibrate_and_uneven_times(tmp_path: Path) -> None:
+    n = SHORT.n_pulse
+    marks = np.isin(np.arange(n), (5, 40)).astype(np.uint8) * 2
+    quiet = Radar(n_pulse=n, n_sample=640)
+    quiet.echo[5] = 0
+    history, said = ingested(write_nisar(tmp_path / "a.h5", quiet, calType=marks), tmp_path / "a")
+    assert np.flatnonzero(np.isnan(history.read(slice(None), slice(None))).all(axis=1)).tolist() == [5]
+    assert "1 calibration pulses have no echo" in " ".join(said)
+    jumped = SHORT.sent + 2.5 / SHORT.prf * (np.arange(n) >= 40) + 2 / SHORT.prf * (np.arange(n) >= 10)
+    history, said = ingested(write_nisar(tmp_path / "b.h5", SHORT, UTCtime=jumped), tmp_path / "b")
+    assert "pulses 0 .. 39 of 64" in " ".join(said) and history.collection.n_pulse == 42
+    random = np.random.default_rng(1)
+    dithered = SHORT.sent + random.uniform(-0.1, 0.1, n) / SHORT.prf
+    with pytest.raises(blocksar.InputError, match="dithered"):
+        ingested(write_nisar(tmp_path / "c.h5", SHORT, UTCtime=dithered), tmp_path / "c")
+    assert not (tmp_path / "c").exists()
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-1000])
+
+
+def without_leader(folder: Path) -> None:
+    next(folder.glob("LED*")).unlink()
+
+
+def another_mission(folder: Path) -> None:
+    leader = next(folder.glob("LED*"))
+    leader.write_bytes(leader.read_bytes().replace(b"ALOS    ", b"ERS1    ", 1))
+
+
+def no_wavelength(folder: Path) -> None:
+    leader = next(folder.glob("LED*"))
+    data = bytearray(leader.read_bytes())
+    data[720 + 500 : 720 + 516] = b"none".ljust(16)
+    leader.write_bytes(data)
+
+
+WRONG: dict[str, tuple[Any, Any, str]] = {
+    "cut": (write_nisar, cut, "is damaged, or no level 0B of NISAR's layout"),
+    "cut image": (write_palsar, lambda folder: cut(next(folder.glob("IMG*"))), "should have 64; get it again"),
+    "cut leader": (write_palsar, lambda folder: cut(next(folder.glob("LED*"))), "within a record of 8192"),
+    "no leader": (write_palsar, without_leader, "0 leaders .* are there; give the files of one scene"),
+    "another mission": (write_palsar, another_mission, "is of the mission 'ERS1'; only level 1.0 of ALOS PALSAR"),
+    "no wavelength": (write_palsar, no_wavelength, "the leader's wavelength is 'none', no number"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_files_are_refused_in_a_sentence(name: str, tmp_path: Path) -> None:
+    write, change, sentence = WRONG[name]
+    source = write(tmp_path / "source", SHORT)
+    change(source)
+    for kind in (None, write.__name__.removeprefix("write_")):
+        with pytest.raises(blocksar.InputError, match=sentence) as refusal:
+            blocksar.ingest(kind, source, tmp_path / "out", progress=False)
+        assert "\n" not in str(refusal.value) and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"chirpSlope": None}, "is damaged, or no level 0B"),
+        ({"UTCtime": SHORT.sent + 500}, "the orbit's states cover"),
+        ({"slantRange": np.arange(10.0)}, "samples are .*, but UTCtime and slantRange of other lengths"),
+        ({"validSamplesSubSwath1": np.array([[0, 200]] * 32 + [[400, 640]] * 32)}, "0 samples in common"),
+    ],
+)
+def test_wrong_fields_are_refused_in_a_sentence(changes: dict[str, Any], sentence: str, tmp_path: Path) -> None:
+    source = write_nisar(tmp_path / "source.h5", SHORT, **changes)
+    with pytest.raises(blocksar.InputError, match=sentence):
+        blocksar.ingest("nisar", source, tmp_path / "out", progress=False)
+
+
+def test_options_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+    source = write_nisar(tmp_path / "source.h5", SHORT)
+    for options, sentence in (
+        ({"polarization": "VV"}, "polarization is VV, but the file has HH; give one of these"),
+        ({"polarization": "X"}, "polarization is 'X'; give those of transmitter and receiver"),
+        ({"frequency": "B"}, "frequency is B, but the file has A; give one of these"),
+        ({"time_tags": "now"}, "time_tags is 'now'; it must be transmit or receive or middle"),
+        ({"pulses": "60:"}, "4 pulses with finite times are left"),
+    ):
+        with pytest.raises(blocksar.InputError, match=sentence):
+            blocksar.ingest(None, source, tmp_path / "out", progress=False, **options)
+
+
+@pytest.mark.parametrize("write", [write_crsd, write_nisar, write_palsar])
+def test_info_describes_a_file(write: Any, tmp_path: Path) -> None:
+    source = write(tmp_path / "source", SHORT)
+    found = blocksar.info(source).result
+    assert found["kind"] in ("CRSD file", "NISAR raw echo", "PALSAR raw echo") and found["facts"]["samples"].startswith(
+        "64 pulses x 640"
+    )
+    command = found["next"][0]
+    assert command[:2] == ["ingest", write.__name__.removeprefix("write_")]
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"FxRate": np.linspace(-4e12, -3e12, 64)}, "PPP FxRate is .*; only equal pulses are read"),
+        ({"FICRate": -4e12}, "mixed with a chirp"),
+        ({"RcvStart": SHORT.sent - SHORT.start + 2 * SHORT.first_range / 299792458.0 + 1e-6 * (np.arange(64) > 9)},
+         "receive windows move by 48 samples"),
+        ({"RcvPos": SHORT.earth_centred(SHORT.sent) + np.array([20e3, 0, 0])}, "this is bistatic"),
+    ],
+)  # fmt: skip
+def test_crsd_that_is_not_supported_is_refused_in_a_sentence(
+    changes: dict[str, Any], sentence: str, tmp_path: Path
+) -> None:
+    source = write_crsd(tmp_path / "source.crsd", SHORT, **changes)
+    with pytest.raises(blocksar.InputError, match=sentence):
+        blocksar.ingest(None, source, tmp_path / "out", progress=False)
+    assert not (tmp_path / "out").exists()
+
+
+def test_vectors_of_crsd_without_signal_are_missing(tmp_path: Path) -> None:
+    source = write_crsd(tmp_path / "source.crsd", SHORT, SIGNAL=np.where(np.arange(64) == 7, 0, 1))
+    history, said = ingested(source, tmp_path / "out")
+    echo = history.read(slice(None), slice(None))
+    assert np.flatnonzero(np.isnan(echo).all(axis=1)).tolist() == [7] and "1 vectors have no normal" in " ".join(said)
+    assert history.attrs["polarization"] == {"transmit": "V", "receive": "H"}
+    assert history.attrs["georeference"]["rotation_deg"] == 0 and history.attrs["surface"] == "ellipsoid"
+    cut(source)
+    with pytest.raises(blocksar.InputError, match=r"ends before its samples do; get it again"):
+        blocksar.ingest(None, source, tmp_path / "cut", progress=False)
