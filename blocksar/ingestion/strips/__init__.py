@@ -1,0 +1,1 @@
+"""Raw echoes of satellites: what their formats have in common."""
