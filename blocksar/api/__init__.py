@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from blocksar.api.reporting import report
     from blocksar.api.reports import Report
     from blocksar.api.shown import PlanReport, RunReport
-    from blocksar.api.sources import ingest, ingest_cphd, ingest_gotcha, simulate
+    from blocksar.api.sources import ingest, ingest_cphd, ingest_gotcha, ingest_sentinel1, simulate
 
 # The module of each function: it is loaded on first use, since a command needs one of them.
 _HOMES = {
     "PlanReport": "shown", "Report": "reports", "RunReport": "shown", "autofocus": "autofocusing", "check": "checking",
     "collection": "datasets", "compile": "compiling", "demo": "demonstrating", "export": "exporting",
     "focus": "focusing", "info": "describing", "ingest": "sources", "ingest_cphd": "sources",
-    "ingest_gotcha": "sources", "open": "exporting", "plan": "planning", "preview": "previewing",
+    "ingest_gotcha": "sources", "ingest_sentinel1": "sources", "open": "exporting", "plan": "planning", "preview": "previewing",
     "quality": "measuring", "report": "reporting", "scene_centre": "datasets", "simulate": "sources",
     "write": "datasets",
 }  # fmt: skip
@@ -54,6 +54,7 @@ __all__ = [
     "ingest",
     "ingest_cphd",
     "ingest_gotcha",
+    "ingest_sentinel1",
     "open",
     "plan",
     "preview",
