@@ -36,9 +36,7 @@ def parse_span(span: Any, option: str, example: str) -> tuple[float, float]:
     return low, high
 
 
-def parse_pulses(
-    span: Any, option: str = "--pulses", example: str = "--pulses 0:4096"
-) -> tuple[int, int | None]:
+def parse_pulses(span: Any, option: str = "--pulses", example: str = "--pulses 0:4096") -> tuple[int, int | None]:
     """Read the pulses (or what the option names) a:b, from a to the one before b, from 0; either may be left out.
 
     Raises

@@ -35,7 +35,8 @@ _HOMES = {
     "PlanReport": "shown", "Report": "reports", "RunReport": "shown", "autofocus": "autofocusing", "check": "checking",
     "collection": "datasets", "compile": "compiling", "demo": "demonstrating", "export": "exporting",
     "focus": "focusing", "info": "describing", "ingest": "sources", "ingest_cphd": "sources",
-    "ingest_gotcha": "sources", "ingest_sentinel1": "sources", "open": "exporting", "plan": "planning", "preview": "previewing",
+    "ingest_gotcha": "sources", "ingest_sentinel1": "sources", "open": "exporting", "plan": "planning",
+    "preview": "previewing",
     "quality": "measuring", "report": "reporting", "scene_centre": "datasets", "simulate": "sources",
     "write": "datasets",
 }  # fmt: skip

@@ -138,7 +138,7 @@ def _collections(where: Place, several: Sequence[Place]) -> Report:
     first = histories[0]
     rows = [
         ("holds", f"{len(several)} phase histories in one frame"),
-        *((each.name, f"{history.attrs.get('title') or 'phase history'}: {history.shape[0]} pulses x {history.shape[1]}")
+        *((each.name, f"{history.attrs.get('title', '')}: {history.shape[0]} pulses x {history.shape[1]} samples")
           for each, history in zip(several, histories, strict=True)),
         *_size(where),
         ("", f"the first, {several[0].name}:"),

@@ -19,6 +19,7 @@ from blocksar.arrays import ComplexArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
+from blocksar.collection.ownership import dwell_margin
 from blocksar.collection.region import default_grid, facing_grid, grid_extent, plan_region
 from blocksar.errors import InputError, library_for, quoted
 from blocksar.focusing import preview as coarse
@@ -61,8 +62,8 @@ def preview(
     Parameters
     ----------
     source : path or xarray.Dataset, or a list of them
-        Phase-history store, or a dataset of its contract; of several in one frame, each place is that of the first
-        that lights it.
+        Phase-history store, or a dataset of its contract; of several in one frame, each pixel is that of the one which
+        saw more of its dwell.
     out : path, optional
         PNG file to write. Default: none is written.
     grid : Grid or ((x0, x1, dx), (y0, y1, dy)), optional
@@ -108,18 +109,23 @@ def preview(
     check_one_frame(histories)
     if channel is not None:
         histories = [history.of_channel(channel) for history in histories]
-    histories = imaging_parts(histories, grid_of(grid))
-    geometries = [Geometry(collection=history.collection.centred()) for history in histories]
+    imaged = imaging_parts(histories, grid_of(grid))
+    geometries = [Geometry(collection=history.collection.centred()) for history in imaged]
     chosen, proposed = _ground(geometries, grid_of(grid))
     planned = [coarse.plan_preview(geometry, chosen, size=size) for geometry in geometries]
     callback = only_stage(progress, "preview")
 
     def form() -> Float32Array:
-        power = np.full(planned[0].grid.shape, np.nan, np.float32)
-        for number, (history, each) in enumerate(zip(histories, planned, strict=True)):
-            told = None if callback is None else partial(_told, callback, number, len(planned))
+        grid = planned[0].grid
+        power, most = np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, -np.inf)
+        for number, (history, each) in enumerate(zip(imaged, planned, strict=True)):
+            told = partial(_told, callback, number, len(planned))
             own = coarse.form_preview(_reader(history), each, threads=count, progress=told)
-            power = np.where(np.isnan(power), own, power)
+            if len(planned) == 1:
+                power = own
+            else:
+                margin = np.where(np.isnan(own), -np.inf, dwell_margin(each.geometry, *np.meshgrid(grid.x, grid.y)))
+                power, most = np.where(margin > most, own, power), np.maximum(margin, most)
         _refuse_dark(geometries, chosen, power)
         return power
 
@@ -128,12 +134,12 @@ def preview(
     else:
         with replacing(out, overwrite=overwrite) as part:
             power = form()
-            _draw(part, histories[0], geometries[0], planned[0], power, limits, colour_map)
+            _draw(part, imaged[0], geometries[0], planned[0], power, limits, colour_map)
     with np.errstate(divide="ignore"):
         notes = [] if limits is None else range_notes(10 * np.log10(power), limits)
     return Report(
         summary=[
-            *_sentences(histories, planned[0], proposed),
+            *_sentences(imaged, planned[0], proposed),
             *notes,
             *([f"wrote {place(out)}"] if out is not None else []),
         ],
@@ -166,13 +172,15 @@ def _refuse_dark(geometries: Sequence[Geometry], grid: Grid, power: Float32Array
 def _ground(geometries: Sequence[Geometry], given: Grid | None) -> tuple[Grid, Grid]:
     """The ground to show, and the grid that a run would take."""
     if given is None and len(geometries) > 1:
-        grid = joint_grid(geometries)
-        return grid, grid
+        joint = joint_grid(geometries)
+        return joint, joint
     geometry, grid = geometries[0], given
     if grid is None and not geometry.collection.steered:
         grid = facing_grid(geometry)
-    region = plan_region(geometry, grid) if len(geometries) == 1 else None
-    proposed = grid or default_grid(geometry, region or plan_region(geometry, None))
+    if grid is not None and len(geometries) > 1:
+        return grid, grid
+    region = plan_region(geometry, grid)
+    proposed = grid or default_grid(geometry, region)
     return given or proposed, proposed
 
 

@@ -314,6 +314,7 @@ def ingest_sentinel1(
     bursts: str | tuple[int | None, int | None] | None = None,
     orbit: Location | None = None,
     time_tags: Literal["transmit", "middle"] | None = None,
+    troposphere: Literal["standard"] | None = None,
     ground_height: float = 0.0,
     collection_start: str | None = None,
     time_zero: float | None = None,
@@ -339,6 +340,8 @@ def ingest_sentinel1(
     time_tags : {"transmit", "middle"}, optional
         What the packets' times are those of: the pulse's transmission, or the positions of an antenna that stands still
         while a pulse is out, as in simulations. Default: the PRI in which the echo is received.
+    troposphere : {"standard"}, optional
+        The delay that the samples hold, and that is taken out: a standard atmosphere's. Default: none.
     ground_height : float
         Height z of the imaged plane in the scene frame, m. Default: 0.
     collection_start : str, optional
@@ -363,6 +366,6 @@ def ingest_sentinel1(
     """
     return ingest(
         "sentinel1", source, out, swath=swath, polarization=polarization, bursts=bursts, orbit=orbit,
-        time_tags=time_tags, ground_height=ground_height, collection_start=collection_start, time_zero=time_zero,
-        overwrite=overwrite, progress=progress,
+        time_tags=time_tags, troposphere=troposphere, ground_height=ground_height, collection_start=collection_start,
+        time_zero=time_zero, overwrite=overwrite, progress=progress,
     )  # fmt: skip

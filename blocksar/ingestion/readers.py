@@ -14,8 +14,8 @@ from blocksar.arrays import ComplexArray
 from blocksar.chunks import TILE
 from blocksar.collection.collection import Collection
 from blocksar.collection.raw_echo import RawEcho
-from blocksar.ingestion.kinds import Kind
 from blocksar.errors import InputError
+from blocksar.ingestion.kinds import Kind
 from blocksar.ingestion.reading import Ingested
 from blocksar.options import Option
 from blocksar.places import Location, place, readable
@@ -194,7 +194,9 @@ def store_several(
         )
     target = place(out)
     total = sum(each.collection.n_pulse * max(len(each.channels), 1) for each in readings.values())
-    needed = sum(stores.history_bytes(each.collection, max(len(each.channels), 1), each.raw) for each in readings.values())
+    needed = sum(
+        stores.history_bytes(each.collection, max(len(each.channels), 1), each.raw) for each in readings.values()
+    )
     parts = next(iter(readings.values())).parts
     check_room(target, needed, f"make room, choose another place, or read a part ({parts})" if parts else REMEDY)
 

@@ -65,7 +65,8 @@ HUFFMAN = (
 
 def deviations() -> Float32Array:
     """Standard deviation of each threshold, (256,), as table 5.2-3 rounds it: steps of sqrt(pi / 8), from 100 on twice
-    as large."""
+    as large.
+    """
     index = np.arange(256)
     step = np.sqrt(np.pi / 8)
     coarse = 62.982 + 0.002 * (index < 137) + 2 * step * (index - 100)
@@ -81,9 +82,7 @@ def code_table() -> IntArray:
     table = np.zeros((KINDS, 1 << WINDOW), np.int64)
     for kind in range(KINDS):
         bits = (10, 3, 4, 5)[kind] if kind < FDBAQ else 0
-        codes = (
-            HUFFMAN[kind - FDBAQ] if kind >= FDBAQ else tuple(f"{m:0{bits - 1}b}" for m in range(1 << (bits - 1)))
-        )
+        codes = HUFFMAN[kind - FDBAQ] if kind >= FDBAQ else tuple(f"{m:0{bits - 1}b}" for m in range(1 << (bits - 1)))
         for magnitude, code in enumerate(codes):
             rest = WINDOW - 1 - len(code)
             first = int(code, 2) << rest

@@ -32,7 +32,8 @@ def create_collections(
         As for `create`.
     """
     attrs = {
-        ATTRIBUTE: list(names), "Conventions": CONVENTIONS, "history": history_line(f"ingested by blocksar from {origin}"),
+        ATTRIBUTE: list(names), "Conventions": CONVENTIONS,
+        "history": history_line(f"ingested by blocksar from {origin}"),
     }  # fmt: skip
     create(path, {}, sizes={}, coords={}, attrs=attrs, chunks={}, overwrite=overwrite, fill=fill)
 
@@ -53,6 +54,10 @@ def collections_in(path: Location) -> list[Place]:
                 pass
     if names is None:
         return []
-    if not isinstance(names, list) or not names or not all(isinstance(each, str) and NAME.fullmatch(each) for each in names):
+    if (
+        not isinstance(names, list)
+        or not names
+        or not all(isinstance(each, str) and NAME.fullmatch(each) for each in names)
+    ):
         raise InputError(f"{place} has an attribute {ATTRIBUTE} that is no list of names; correct it")
     return [place / name for name in names]

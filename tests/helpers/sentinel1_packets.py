@@ -50,7 +50,13 @@ def state(time: FloatArray | float) -> tuple[FloatArray, FloatArray]:
     t = np.asarray(time, float)
     rate = np.sqrt(3.986004418e14 / RADIUS**3)
     angle, node = np.radians(40.0) + rate * t, np.radians(60.0) - SPIN * t
-    ci, si, ca, sa, cn, sn = (*(f(INCLINATION) for f in (np.cos, np.sin)), np.cos(angle), np.sin(angle), np.cos(node), np.sin(node))
+    ci, si, ca, sa, cn, sn = (
+        *(f(INCLINATION) for f in (np.cos, np.sin)),
+        np.cos(angle),
+        np.sin(angle),
+        np.cos(node),
+        np.sin(node),
+    )
     place = RADIUS * np.stack([cn * ca - sn * ci * sa, sn * ca + cn * ci * sa, si * sa], axis=-1)
     along = RADIUS * rate * np.stack([-cn * sa - sn * ci * ca, -sn * sa + cn * ci * ca, si * ca], axis=-1)
     return place, along - SPIN * np.stack([-place[..., 1], place[..., 0], 0 * t], axis=-1)
@@ -87,9 +93,7 @@ def quaternion(time: float) -> FloatArray:
 def place_on_the_ellipsoid(time: float, slant_range: float) -> FloatArray:
     """Earth-centred place (3,) that is broadside of the track at a time."""
     position, velocity = state(time)
-    return find_scene_centre(
-        position, velocity, slant_range=slant_range, side="right", height=0.0, squint=0.0
-    ).origin
+    return find_scene_centre(position, velocity, slant_range=slant_range, side="right", height=0.0, squint=0.0).origin
 
 
 @dataclass
@@ -175,7 +179,9 @@ def bypass_rows(samples: ComplexArray) -> list[bytes]:
     return [row.tobytes() for row in np.packbits(whole.reshape(n, -1), axis=1)]
 
 
-def echoes(sent: FloatArray, angle: FloatArray, targets: list[FloatArray], *, delay: float, amplitude: float) -> ComplexArray:
+def echoes(
+    sent: FloatArray, angle: FloatArray, targets: list[FloatArray], *, delay: float, amplitude: float
+) -> ComplexArray:
     """Samples (n_pulse, 2 QUADS) of pulses that begin at times, s, while the beam is steered by angles at their middles."""
     out = np.zeros((sent.size, 2 * QUADS), np.complex128)
     samples = delay + np.arange(2 * QUADS) / SAMPLE_RATE

@@ -139,8 +139,6 @@ def _turns(seconds: FloatArray) -> dict[str, FloatArray]:
 def _about(axis: int, angle: FloatArray) -> FloatArray:
     """Turns (n, 3, 3) of coordinates to axes turned by angles (n,) about one of them."""
     c, s, one, zero = np.cos(angle), np.sin(angle), np.ones_like(angle), np.zeros_like(angle)
-    if axis == 2:
-        rows = [c, s, zero, -s, c, zero, zero, zero, one]
-    else:
-        rows = [c, zero, -s, zero, one, zero, s, zero, c]
+    about_z, about_y = [c, s, zero, -s, c, zero, zero, zero, one], [c, zero, -s, zero, one, zero, s, zero, c]
+    rows = about_z if axis == 2 else about_y
     return np.stack(rows, axis=-1).reshape(-1, 3, 3)

@@ -85,8 +85,8 @@ class Burst:
         late = packets.times(self.zero) - self.interval * (packets.pulse - packets.pulse[0])
         if np.ptp(late) > WANDER * self.interval:
             raise InputError(
-                f"times of packets in burst {self.name} wander by {1e6 * np.ptp(late):.3g} us off their numbers of PRIs; "
-                "leave it out with --bursts"
+                f"times of packets in burst {self.name} wander by {1e6 * np.ptp(late):.3g} us off their numbers of "
+                "PRIs; leave it out with --bursts"
             )
         return float(late.mean() - self.interval * packets.rank[0])
 

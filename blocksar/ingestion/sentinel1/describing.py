@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from blocksar.ingestion.readers import Described
 from blocksar.ingestion.sentinel1.bursts import find_bursts
 from blocksar.ingestion.sentinel1.files import open_files
-from blocksar.ingestion.sentinel1.ingestion import utc
+from blocksar.ingestion.sentinel1.gps import utc
 from blocksar.places import Location
 from blocksar.places.ranges import Readable
 from blocksar.places.room import size_text
@@ -26,19 +26,21 @@ def describe(files: Sequence[Readable], given: str) -> Described:
     for file in open_files(sources):
         packets = file.packets
         zero = int(packets.seconds[0])
-        size = size_text(int(packets.size.sum()))
+        times, size = packets.times(zero), size_text(int(packets.size.sum()))
         rows.append(("file", f"{file.where.name}: {len(packets)} packets, {int(packets.echo.sum())} echoes, {size}"))
-        rows.append(("time", f"{utc(zero, float(packets.times(zero)[0]))} for {packets.times(zero)[-1] - packets.times(zero)[0]:.4g} s"))
+        rows.append(("time", f"{utc(zero, float(times[0]))} for {times[-1] - times[0]:.4g} s"))
         bursts, notes = find_bursts(packets, zero)
         for swath in dict.fromkeys(burst.swath for burst in bursts):
             own = [burst for burst in bursts if burst.swath == swath]
-            radar = own[0].radar
-            rows.append((
-                f"{swath} {own[0].polarization}",
-                f"{len(own)} burst{'s' if len(own) > 1 else ''} of up to {max(each.n_slot for each in own)} pulses at "
-                f"{1 / own[0].interval:.6g} Hz, {int(own[0].packets.quads.max()) * 2} samples at "
-                f"{radar.rate / 1e6:.6g} MHz; chirp of {radar.bandwidth / 1e6:.4g} MHz in {1e6 * radar.length:.4g} us",
-            ))
+            radar, most = own[0].radar, max(each.n_slot for each in own)
+            rows.append(
+                (
+                    f"{swath} {own[0].polarization}",
+                    f"{len(own)} burst{'s' if len(own) > 1 else ''} of up to {most} pulses at {1 / own[0].interval:.6g} Hz, "
+                    f"{int(own[0].packets.quads.max()) * 2} samples at {radar.rate / 1e6:.6g} MHz; chirp of "
+                    f"{radar.bandwidth / 1e6:.4g} MHz in {1e6 * radar.length:.4g} us",
+                )
+            )
         rows += [("left out", note) for note in notes]
     name = given.rstrip("/").rpartition("/")[2].partition(".")[0].replace("*", "") or "sentinel1"
     return Described(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 from blocksar.errors import InputError
@@ -82,38 +83,52 @@ def open_files(sources: Sequence[Location]) -> list[File]:
     return files
 
 
-def chosen(files: Sequence[File], options: Sentinel1Options) -> tuple[list[tuple[File, list[Burst]]], int, list[str]]:
-    """The bursts that are wanted of each file, the GPS second from which their times count, and notes.
+class Choice(NamedTuple):
+    """Bursts of one polarisation: all in the order of time with their files, and which of them are wanted."""
+
+    bursts: list[tuple[File, Burst]]
+    wanted: list[bool]
+    packets: Packets
+    zero: int
+    notes: list[str]
+
+
+def choose(files: Sequence[File], options: Sentinel1Options) -> Choice:
+    """The bursts of files, of which one polarisation is wanted, and notes.
 
     Raises
     ------
     InputError
-        If there are none.
+        If none is left.
     """
-    notes: list[str] = []
-    have = {file.polarization: None for file in files}
+    have = list(dict.fromkeys(file.polarization for file in files))
     like = [each for each in have if each[0] == each[1]]
-    wanted = options.polarization or (like or list(have))[0]
-    if wanted not in have:
-        raise InputError(f"--polarization is {wanted}, but the packets have {', '.join(have)}; give one of these")
+    polarization = options.polarization or (like or have)[0]
+    if polarization not in have:
+        raise InputError(f"--polarization is {polarization}, but the packets have {', '.join(have)}; give one of these")
+    notes = []
     if len(have) > 1 and options.polarization is None:
-        notes.append(f"of polarisations {', '.join(have)}, {wanted} is taken; others with --polarization")
-    of_it = [file for file in files if file.polarization == wanted]
+        notes.append(f"of polarisations {', '.join(have)}, {polarization} is taken; others with --polarization")
+    of_it = [file for file in files if file.polarization == polarization]
     zero = min(int(file.packets.seconds.min()) for file in of_it)
-    found: list[tuple[File, list[Burst]]] = []
-    swaths: dict[str, int] = {}
+    found: list[tuple[File, Burst]] = []
     for file in of_it:
         bursts, said = find_bursts(file.packets, zero)
+        found += [(file, burst) for burst in bursts]
         notes += said
-        for burst in bursts:
-            swaths[burst.swath] = max(swaths.get(burst.swath, 0), burst.number + 1)
-        first, last = options.bursts
-        kept = [
-            burst for burst in bursts
-            if options.swath in (None, burst.swath) and first <= burst.number < (burst.number + 1 if last is None else last)
-        ]  # fmt: skip
-        found.append((file, kept))
-    if not any(kept for _, kept in found):
-        held = ", ".join(f"{number} of {swath}" for swath, number in swaths.items()) or "none"
+    found.sort(key=lambda each: each[1].sent)
+    counts: dict[str, int] = {}
+    numbered = []
+    for file, burst in found:
+        number = counts.get(burst.swath, 0)
+        counts[burst.swath] = number + 1
+        numbered.append((file, replace(burst, number=number)))
+    first, last = options.bursts
+    wanted = [
+        options.swath in (None, burst.swath) and first <= burst.number and (last is None or burst.number < last)
+        for _, burst in numbered
+    ]
+    if not any(wanted):
+        held = ", ".join(f"{number} of {swath}" for swath, number in counts.items()) or "none"
         raise InputError(f"no burst is left by --swath and --bursts; the packets have {held}, counted from 0")
-    return found, zero, notes
+    return Choice(numbered, wanted, Packets.joined([file.packets for file in of_it]), zero, notes)

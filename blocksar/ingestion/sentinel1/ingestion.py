@@ -19,8 +19,7 @@ along the track is that of an evenly lit aperture as long as the antenna, sinc^2
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from datetime import datetime, timedelta
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -32,17 +31,18 @@ from blocksar.collection.georeference import Georeference
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.collection.scene_centre import find_scene_centre
 from blocksar.constants import MIB, SPEED_OF_LIGHT
-from blocksar.errors import InputError
-from blocksar.ingestion.reading import reading
+from blocksar.ingestion.atmosphere import slant_delay
 from blocksar.ingestion.readers import Piece, Reading
-from blocksar.ingestion.sentinel1.ancillary import TILTED, Attitude, read_attitude, read_orbit
+from blocksar.ingestion.reading import reading
+from blocksar.ingestion.sentinel1.ancillary import Attitude, read_attitude, read_orbit
 from blocksar.ingestion.sentinel1.bursts import Burst, Steering
-from blocksar.ingestion.sentinel1.files import DAMAGED, REMEDY, File, chosen, open_files
+from blocksar.ingestion.sentinel1.files import DAMAGED, REMEDY, Choice, File, choose, open_files
+from blocksar.ingestion.sentinel1.gps import utc
 from blocksar.ingestion.sentinel1.options import Sentinel1Options
-from blocksar.ingestion.sentinel1.orbit_files import GPS, read_orbit_file
+from blocksar.ingestion.sentinel1.orbit_files import read_orbit_file
 from blocksar.ingestion.sentinel1.packets import CARRIER, Packets
 from blocksar.ingestion.sentinel1.propagation import reaching
-from blocksar.ingestion.sentinel1.samples import COMPRESSIONS, read_samples
+from blocksar.ingestion.sentinel1.samples import read_samples
 from blocksar.ingestion.strips.orbit import Orbit
 from blocksar.kernels.fourier import fast_length, fft_rows, unit_phasor
 from blocksar.places import Location
@@ -53,8 +53,6 @@ SIDE = "right"
 PARTS = "--swath, --bursts"
 AT_ONCE = 32 * MIB  # bytes of samples
 UNMOVED = 1e-3  # of a sample
-# Seconds that GPS time is ahead of UTC, from a GPS second on.
-LEAPS = ((0, 16), (1119744017, 17), (1167264018, 18))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,12 +67,12 @@ class Data:
 
     def moment(self, burst: Burst) -> FloatArray:
         """When the antenna is where the pulses' ways have their middle (n_slot,), s after `zero` (see the module)."""
-        sent = burst.sent + burst.interval * np.arange(burst.n_slot)
-        received = sent + burst.interval * float(burst.packets.rank[0])
+        sent: FloatArray = np.asarray(burst.sent + burst.interval * np.arange(burst.n_slot), np.float64)
+        received: FloatArray = np.asarray(sent + burst.interval * float(burst.packets.rank[0]), np.float64)
         if self.options.time_tags == "middle":
             return received
         later = (burst.middle_delay + burst.radar.length) / 2
-        return (sent if self.options.time_tags is None else received) + later
+        return np.asarray((sent if self.options.time_tags is None else received) + later, np.float64)
 
     def track(self, burst: Burst) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Positions, velocities and antenna's axis (n_slot, 3), Earth-centred."""
@@ -114,10 +112,26 @@ class BurstHistory:
         return self.data.steering[self.burst.swath].angle(self.burst, self.data.moment(self.burst))
 
     @cached_property
+    def atmosphere(self) -> float:
+        """Delay of a standard atmosphere in the middle of swath and burst, m of one way."""
+        middle = self.burst.n_slot // 2
+        position, _, axis = (each[middle] for each in self.track)
+        ground = find_scene_centre(
+            position, axis, slant_range=self.burst.middle_range, side=SIDE, height=0.0, squint=float(self.angle[middle])
+        )
+        return float(slant_delay(position, ground.origin, ground))
+
+    @property
+    def removed(self) -> float:
+        """Of that, what is taken out, m."""
+        return self.atmosphere if self.data.options.troposphere else 0.0
+
+    @cached_property
     def raw(self) -> RawEcho:
         radar, (first, count) = self.burst.radar, self.burst.samples
+        first -= radar.length / 2 + 2 * self.removed / SPEED_OF_LIGHT
         return RawEcho(
-            fast_time=first + np.arange(count) / radar.rate - radar.length / 2, chirp_rate=radar.ramp,
+            fast_time=first + np.arange(count) / radar.rate, chirp_rate=radar.ramp,
             pulse_width=radar.length, sampling_rate=radar.rate,
         )  # fmt: skip
 
@@ -129,9 +143,9 @@ class BurstHistory:
         offset = np.linspace(-width / 2, width / 2, PATTERN_SAMPLES)
         return Collection(
             carrier=CARRIER,
-            time=burst.interval * (np.arange(n) - n // 2),
+            time=np.asarray(burst.interval * (np.arange(n) - n // 2), np.float64),
             range_frequency=self.raw.range_frequency,
-            reference_range=np.full(n, burst.middle_range),
+            reference_range=np.full(n, burst.middle_range - self.removed),
             antenna_position=self.frame.from_ecef(position),
             beam_azimuth=np.full(n, np.nan),
             beam_width=width,
@@ -152,9 +166,10 @@ class BurstHistory:
             "format": "Sentinel-1 level 0", "file": self.file.where.name, "swath": burst.swath, "burst": burst.number,
             "data_take": int(burst.packets.take[0]), "replica": "nominal chirp of the headers",
             "time_tags": self.data.options.time_tags or "receive",
+            **({"troposphere_removed": self.removed} if self.removed else {}),
             "collection_start": utc(self.data.zero, start), "time_zero": burst.interval * (burst.n_slot // 2),
         }  # fmt: skip
-        sent, received = burst.polarization
+        sent, received = tuple(burst.polarization)
         return {
             "georeference": self.frame.as_attribute(), "surface": "ellipsoid", "source": source,
             "collector": "Sentinel-1", "polarization": {"transmit": sent, "receive": received},
@@ -215,13 +230,6 @@ def shifted(samples: ComplexArray, shift: FloatArray, count: int) -> ComplexArra
     return out
 
 
-def utc(zero: int, seconds: float) -> str:
-    """UTC of so many seconds after a GPS second, ISO 8601."""
-    ahead = next(leap for since, leap in reversed(LEAPS) if zero >= since)
-    moment: datetime = GPS + timedelta(seconds=zero - ahead) + timedelta(seconds=seconds)
-    return f"{moment.replace(tzinfo=None).isoformat(timespec='microseconds')}Z"
-
-
 def begin(sources: Sequence[Location], options: Sentinel1Options) -> dict[str, Reading]:
     """Read all but the samples: the bursts' phase histories by name.
 
@@ -230,78 +238,39 @@ def begin(sources: Sequence[Location], options: Sentinel1Options) -> dict[str, R
     InputError
         If a file is of another kind, cut or damaged, no burst is left, or the orbit is not known.
     """
-    found, zero, notes = chosen(open_files(sources), options)
-    bursts = [burst for _, kept in found for burst in kept]
-    times = [time for burst in bursts for time in (burst.sent, burst.sent + (burst.n_slot + 64) * burst.interval)]
-    first_file = found[0][0]
-    with reading(first_file.where, damaged=DAMAGED, remedy=REMEDY):
-        if options.orbit is not None:
-            orbit = read_orbit_file(options.orbit, min(times), max(times), zero)
-        else:
-            orbit = reaching(read_orbit(first_file.packets, zero), min(times), max(times))
-        attitude = read_attitude(first_file.packets, zero, orbit)
-    whole = {burst.swath: [each for each in bursts if each.swath == burst.swath] for burst in bursts}
-    steering = {swath: Steering.of(own) for swath, own in whole.items()}
-    data = Data(options=options, zero=zero, orbit=orbit, attitude=attitude, steering=steering)
-    frame = frame_of(bursts[len(bursts) // 2], data)
-    histories = [
-        BurstHistory(file=file, burst=burst, data=data, frame=frame) for file, kept in found for burst in kept
-    ]
-    said = [*notes, *remarks(histories)]
-    return {
-        history.burst.name: history.reading(said if not number else ())
-        for number, history in enumerate(histories)
+    files = open_files(sources)
+    choice = choose(files, options)
+    kept = [each for each, wanted in zip(choice.bursts, choice.wanted, strict=True) if wanted]
+    with reading(files[0].where, damaged=DAMAGED, remedy=REMEDY):
+        data = _common(choice, [burst for _, burst in kept], options)
+    frame = frame_of(kept[len(kept) // 2][1], data)
+    histories = [BurstHistory(file=file, burst=burst, data=data, frame=frame) for file, burst in kept]
+    from blocksar.ingestion.sentinel1.remarks import remarks  # of what is defined here
+
+    said = [*choice.notes, *remarks(histories)]
+    return {each.burst.name: each.reading(() if number else said) for number, each in enumerate(histories)}
+
+
+def _common(choice: Choice, bursts: Sequence[Burst], options: Sentinel1Options) -> Data:
+    """What the wanted bursts have in common; the law of the steering is told by all of a swath."""
+    zero = choice.zero
+    first = min(burst.sent for burst in bursts)
+    last = max(burst.sent + (burst.n_slot + 32) * burst.interval for burst in bursts)  # with what is in the air
+    if options.orbit is not None:
+        orbit = read_orbit_file(options.orbit, first, last, zero)
+    else:
+        orbit = reaching(read_orbit(choice.packets, zero), first, last)
+    attitude = read_attitude(choice.packets, zero, orbit)
+    swaths = {burst.swath for burst in bursts}
+    steering = {
+        swath: Steering.of([burst for _, burst in choice.bursts if burst.swath == swath]) for swath in swaths
     }  # fmt: skip
+    return Data(options=options, zero=zero, orbit=orbit, attitude=attitude, steering=steering)
 
 
 def frame_of(burst: Burst, data: Data) -> Georeference:
-    """x east, y north about the ground at the middle of a burst."""
+    """About the ground at the middle of a burst, x away from the track, so that a box along the axes fits a swath."""
     position, _, axis = (each[burst.n_slot // 2] for each in data.track(burst))
-    return find_scene_centre(position, axis, slant_range=burst.middle_range, side=SIDE, height=0.0, squint=0.0)
-
-
-def remarks(histories: Sequence[BurstHistory]) -> list[str]:
-    """What was found, and what was assumed, a sentence each."""
-    first, data = histories[0], histories[0].data
-    swaths: dict[str, list[BurstHistory]] = {}
-    for each in histories:
-        swaths.setdefault(each.burst.swath, []).append(each)
-    lines = []
-    for swath, own in swaths.items():
-        burst = own[0].burst
-        lost = sum(each.burst.n_slot - len(each.burst.packets) for each in own)
-        windows = sum(bool(np.ptp(each.burst.delay) > UNMOVED / burst.radar.rate) for each in own)
-        modes = sorted({COMPRESSIONS.get(int(code), "?") for each in own for code in each.burst.packets.compression})
-        lines.append(
-            f"{swath} {burst.polarization}: {len(own)} burst{'s' if len(own) > 1 else ''} of up to "
-            f"{max(each.burst.n_slot for each in own)} pulses at {1 / burst.interval:.6g} Hz, {own[0].raw.fast_time.size} "
-            f"samples at {burst.radar.rate / 1e6:.6g} MHz ({', '.join(modes)}), {int(burst.packets.rank[0])} pulses in "
-            f"the air{f'; {lost} lost pulses are missing' if lost else ''}; {data.steering[swath].describe()}"
-        )
-        if windows:
-            lines.append(f"receive windows change within {windows} of {swath}'s bursts; what all pulses have is taken")
-    speed = float(np.linalg.norm(first.track[1], axis=1).mean())
-    off = speed * max(np.ptp(each.raw.fast_time) for each in histories) / 4
-    orbit = "the file" if data.options.orbit is not None else "the packets, whose accuracy is some metres"
-    attitude = (
-        f"no attitude within {np.degrees(TILTED):g} degree of zero Doppler is in the packets, and the antenna is taken to "
-        "lie along the velocity over the Earth"
-        if data.attitude is None
-        else f"attitude from the packets, its quaternions read {data.attitude.reading}: the antenna lies up to "
-        f"{np.degrees(data.attitude.off):.2g} degrees off the velocity over the Earth"
-    )
-    tags = {
-        None: "the packets' times are those of the PRI that receives, and positions those at the middle of the way",
-        "transmit": "the packets' times are taken for those of transmission",
-        "middle": "the packets' times are taken for those of an antenna that stands still meanwhile",
-    }[data.options.time_tags]
-    where = f"{first.frame.latitude:.6f}, longitude {first.frame.longitude:.6f}"
-    return [
-        *lines,
-        f"orbit from {orbit}; {attitude}",
-        "assumed: the nominal chirp of the headers as replica (calibration pulses are not used); a beam pattern of an "
-        f"evenly lit aperture of {APERTURE} m along the track, and none in elevation",
-        tags + ("" if data.options.time_tags == "middle" else
-                f"; at the swath's edges places lie up to {off:.2g} m off along the track"),
-        f"scene frame: x east, y north, z up at latitude {where} on the ellipsoid",
-    ]  # fmt: skip
+    frame = find_scene_centre(position, axis, slant_range=burst.middle_range, side=SIDE, height=0.0, squint=0.0)
+    east, north, _ = frame.east_north_up @ (frame.origin - position)
+    return replace(frame, rotation=float(np.degrees(np.arctan2(north, east))))

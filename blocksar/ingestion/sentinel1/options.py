@@ -52,6 +52,8 @@ class Sentinel1Options(ReaderOptions):
     time_tags : {"transmit", "middle"} or None
         What the packets' times are those of: the pulse's transmission, or the positions of an antenna that stands still
         meanwhile, as in simulations; None: the PRI in which the echo is received, as the instrument has it.
+    troposphere : {"standard"} or None
+        The delay that the samples hold, and that is taken out.
     """
 
     swath: Annotated[
@@ -77,4 +79,9 @@ class Sentinel1Options(ReaderOptions):
         TimeTags | None,
         Option("What times of packets are those of.", metavar="|".join(TIME_TAGS), default="the PRI that receives",
                read=partial(_one_of, "--time-tags", TIME_TAGS)),
+    ] = None  # fmt: skip
+    troposphere: Annotated[
+        Literal["standard"] | None,
+        Option("Delay to take out of the samples: that of a standard atmosphere.", metavar="standard", default="none",
+               read=partial(_one_of, "--troposphere", ("standard",))),
     ] = None  # fmt: skip

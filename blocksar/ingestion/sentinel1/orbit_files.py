@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ElementTree
 from datetime import UTC, datetime
+from xml.etree import ElementTree
 
 import numpy as np
 
 from blocksar.errors import InputError
 from blocksar.ingestion.reading import reading
+from blocksar.ingestion.sentinel1.gps import GPS
 from blocksar.ingestion.strips.orbit import Orbit
 from blocksar.places import Location, readable
 
-GPS = datetime(1980, 1, 6, tzinfo=UTC)
 TAI_AHEAD = 19.0  # s, of GPS time
 MARGIN = 60.0  # s before and after the data, of which states are taken
 STATE = ("X", "Y", "Z", "VX", "VY", "VZ")
@@ -27,9 +27,11 @@ def read_orbit_file(path: Location, first: float, last: float, zero: int) -> Orb
         If it is no such file, damaged, or of another time.
     """
     where = readable(path)
-    with reading(where, damaged="no orbit file of Sentinel-1 (EOF)", remedy="give one, such as S1A_OPER_AUX_POEORB_*.EOF"):
+    with reading(
+        where, damaged="no orbit file of Sentinel-1 (EOF)", remedy="give one, such as S1A_OPER_AUX_POEORB_*.EOF"
+    ):
         with where.open() as file:
-            root = ElementTree.parse(file).getroot()  # noqa: S314
+            root = ElementTree.parse(file).getroot()
         times, states = [], []
         for state in root.iter("OSV"):
             text = state.findtext("TAI", "").removeprefix("TAI=")
@@ -42,7 +44,7 @@ def read_orbit_file(path: Location, first: float, last: float, zero: int) -> Orb
         near = (time >= first - MARGIN) & (time <= last + MARGIN)
         if time.min() > first or time.max() < last or near.sum() < 2:
             raise InputError(
-                f"its states begin {time.min() - first:.6g} s after the data do and end {time.max() - last:.6g} s after "
-                "them; give the file of the day of the data"
+                f"its states begin {time.min() - first:.6g} s after the data do and end {time.max() - last:.6g} s "
+                "after them; give the file of the day of the data"
             )
         return Orbit(time=time[near], position=values[near, :3], velocity=values[near, 3:])

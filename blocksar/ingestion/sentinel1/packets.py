@@ -6,6 +6,7 @@ big-endian.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import BinaryIO, NamedTuple, Self
@@ -35,7 +36,8 @@ MODES = {8: "IW", 9: "WV", 32: "EW", 45: "IW", 46: "WV", 44: "EW"}  # by the ECC
 # Swath numbers.
 SWATHS = {
     **{number: f"S{number + 1}" for number in range(4)}, 4: "S5N", 5: "S5S", 6: "S6", 8: "WV1", 9: "WV2",
-    **{10 + number: f"IW{number + 1}" for number in range(3)}, **{13 + number: f"EW{number + 1}" for number in range(5)},
+    **{10 + number: f"IW{number + 1}" for number in range(3)},
+    **{13 + number: f"EW{number + 1}" for number in range(5)},
 }  # fmt: skip
 KIND = Kind("a file of Sentinel-1 level 0 packets", begins(SYNC, at=SYNC_AT),
             "turn it into phase histories first: `blocksar ingest {path} --out {store}`")  # fmt: skip
@@ -122,6 +124,11 @@ class Packets:
     def __getitem__(self, which: IntArray | BoolArray | slice) -> Packets:
         return Packets(**{each.name: getattr(self, each.name)[which] for each in fields(self)})
 
+    @classmethod
+    def joined(cls, parts: Sequence[Packets]) -> Packets:
+        """Those of several files, one after the other."""
+        return cls(**{each.name: np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(cls)})
+
     def __len__(self) -> int:
         return self.offset.size
 
@@ -169,8 +176,9 @@ class Radar(NamedTuple):
         radar = cls(rate, first, length / REFERENCE, 4 * REFERENCE * share / of)
         if not (radar.ramp and radar.length) or abs(radar.middle) > 0.01 * radar.bandwidth:
             raise InputError(
-                f"the pulse sweeps {radar.start / 1e6:.6g} .. {(radar.start + radar.ramp * radar.length) / 1e6:.6g} MHz "
-                "about the carrier, and only chirps about it are read"
+                f"the pulse sweeps {(radar.middle - radar.bandwidth / 2) / 1e6:.6g} .. "
+                f"{(radar.middle + radar.bandwidth / 2) / 1e6:.6g} MHz about the carrier, and only chirps about it are "
+                "read"
             )
         return radar
 
