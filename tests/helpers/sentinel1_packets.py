@@ -1,8 +1,8 @@
-"""Packets of Sentinel-1's IW1 that tests write: the real layout, orbit, steering, PRF and pulses in the air; a narrow swath.
+"""Packets of Sentinel-1's IW1 that tests write: real layout, orbit, steering, PRF, pulses in the air; a narrow swath.
 
 Smaller than in truth: the chirp (20 MHz in 15 us instead of 56 MHz in 52 us), the receive window (37 us instead of 380
-us), bursts (0.41 s instead of 0.82 s) and the way between them (1.15 s instead of 2.76 s). Echoes are those of an antenna
-that moves while a pulse is out: both ways are computed by themselves, and the range changes within the pulse.
+us), bursts (0.41 s instead of 0.82 s) and the way between them (1.15 s instead of 2.76 s). Echoes are those of an
+antenna that moves while a pulse is out: both ways are computed by themselves, and the range changes within the pulse.
 """
 
 from __future__ import annotations
@@ -182,7 +182,7 @@ def bypass_rows(samples: ComplexArray) -> list[bytes]:
 def echoes(
     sent: FloatArray, angle: FloatArray, targets: list[FloatArray], *, delay: float, amplitude: float
 ) -> ComplexArray:
-    """Samples (n_pulse, 2 QUADS) of pulses that begin at times, s, while the beam is steered by angles at their middles."""
+    """Samples (n_pulse, 2 QUADS) of pulses that begin at times, s; the beam is steered by angles at their middles."""
     out = np.zeros((sent.size, 2 * QUADS), np.complex128)
     samples = delay + np.arange(2 * QUADS) / SAMPLE_RATE
     length = CARRIER / SPEED_OF_LIGHT * LENGTH

@@ -19,6 +19,7 @@ import numpy as np
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.errors import InputError
 from blocksar.ingestion.sentinel1.packets import Packets
+from blocksar.ingestion.sentinel1.propagation import States
 from blocksar.ingestion.strips.orbit import Orbit
 
 ORBIT, ATTITUDE = (1, 22), (23, 41)  # first and last words
@@ -45,25 +46,25 @@ class Attitude(NamedTuple):
         return np.asarray(axis / np.linalg.norm(axis, axis=1, keepdims=True))
 
 
-def read_orbit(packets: Packets, zero: int) -> Orbit:
-    """The states of all packets of a file, at times after the GPS second `zero`.
+def read_states(packets: Packets, zero: int) -> States:
+    """The orbit's states in packets, at times after the GPS second `zero`.
 
     Raises
     ------
     InputError
-        If there are less than two, or they are no satellite's.
+        If there are none.
     """
     words = _records(packets, *ORBIT)
     place = words[:, :12].reshape(-1).astype(">u2").view(">f8").reshape(-1, 3)
     velocity = words[:, 12:18].reshape(-1).astype(">u2").view(">f4").reshape(-1, 3)
     time = _stamps(words[:, 18:22], zero)
     _, first = np.unique(time, return_index=True)
-    if first.size < 2:
+    if not first.size:
         raise InputError(
-            f"its packets hold {first.size} state{'s' if first.size != 1 else ''} of the orbit, and two are needed: "
-            "give the orbit's file with --orbit, or a longer part of the data"
+            f"no state of the orbit is in its {len(packets)} packets, of which 64 hold one: give the orbit's file with "
+            "--orbit, or a longer part of the data"
         )
-    return Orbit(time=time[first], position=place[first].astype(float), velocity=velocity[first].astype(float))
+    return States(time[first], place[first].astype(float), velocity[first].astype(float))
 
 
 def read_attitude(packets: Packets, zero: int, orbit: Orbit) -> Attitude | None:

@@ -32,13 +32,13 @@ def describe(files: Sequence[Readable], given: str) -> Described:
         bursts, notes = find_bursts(packets, zero)
         for swath in dict.fromkeys(burst.swath for burst in bursts):
             own = [burst for burst in bursts if burst.swath == swath]
-            radar, most = own[0].radar, max(each.n_slot for each in own)
+            radar, prf = own[0].radar, 1 / own[0].interval
+            count = f"{len(own)} burst{'s' if len(own) > 1 else ''} of up to {max(each.n_slot for each in own)} pulses"
             rows.append(
                 (
                     f"{swath} {own[0].polarization}",
-                    f"{len(own)} burst{'s' if len(own) > 1 else ''} of up to {most} pulses at {1 / own[0].interval:.6g} Hz, "
-                    f"{int(own[0].packets.quads.max()) * 2} samples at {radar.rate / 1e6:.6g} MHz; chirp of "
-                    f"{radar.bandwidth / 1e6:.4g} MHz in {1e6 * radar.length:.4g} us",
+                    f"{count} at {prf:.6g} Hz, {int(own[0].packets.quads.max()) * 2} samples at "
+                    f"{radar.rate / 1e6:.6g} MHz; chirp of {radar.bandwidth / 1e6:.4g} MHz in {1e6 * radar.length:.4g} us",
                 )
             )
         rows += [("left out", note) for note in notes]

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from blocksar.errors import InputError
 from blocksar.ingestion.found import refuse_others
 from blocksar.ingestion.reading import reading
-from blocksar.ingestion.sentinel1.bursts import Burst, find_bursts, polarizations
+from blocksar.ingestion.sentinel1.bursts import LEAST, Burst, find_bursts, polarizations
 from blocksar.ingestion.sentinel1.options import Sentinel1Options
 from blocksar.ingestion.sentinel1.packets import KIND, Packets, read_headers
 from blocksar.places import Location, readable
@@ -128,7 +128,9 @@ def choose(files: Sequence[File], options: Sentinel1Options) -> Choice:
         options.swath in (None, burst.swath) and first <= burst.number and (last is None or burst.number < last)
         for _, burst in numbered
     ]
+    if not counts:
+        raise InputError(f"the packets hold no burst of {LEAST} pulses or more; give a longer part of the data")
     if not any(wanted):
-        held = ", ".join(f"{number} of {swath}" for swath, number in counts.items()) or "none"
+        held = ", ".join(f"{number} of {swath}" for swath, number in counts.items())
         raise InputError(f"no burst is left by --swath and --bursts; the packets have {held}, counted from 0")
     return Choice(numbered, wanted, Packets.joined([file.packets for file in of_it]), zero, notes)

@@ -6,8 +6,8 @@ has the phase of an antenna that stands still at the middle of its way, at s - t
 (tau + T) / 2 after the beginning, T the pulse's length. Positions are those for tau of the swath's middle; ground at
 another range lies off by v (R - R_middle) / c along the track, which is told.
 
-*Doppler within a pulse.* Meanwhile the range changes: the chirp has the frequency f_d of the beam's centre on top, which
-moves its compressed peak by -f_d / K in delay (0.4 m for IW1 at 0.6 degrees). Echoes are put later by f_d / K, an even
+*Doppler within a pulse.* Meanwhile the range changes: the chirp has the frequency f_d of the beam's centre on top, and
+its compressed peak moves by -f_d / K in delay (0.4 m for IW1 at 0.6 degrees). Echoes are put later by f_d / K, an even
 shift of a pulse's samples, so that positions stay right all over a burst.
 
 *Delays* count from the beginning of the pulse in packets, and to its centre in the store.
@@ -34,14 +34,13 @@ from blocksar.constants import MIB, SPEED_OF_LIGHT
 from blocksar.ingestion.atmosphere import slant_delay
 from blocksar.ingestion.readers import Piece, Reading
 from blocksar.ingestion.reading import reading
-from blocksar.ingestion.sentinel1.ancillary import Attitude, read_attitude, read_orbit
+from blocksar.ingestion.sentinel1.ancillary import Attitude, read_attitude, read_states
 from blocksar.ingestion.sentinel1.bursts import Burst, Steering
 from blocksar.ingestion.sentinel1.files import DAMAGED, REMEDY, Choice, File, choose, open_files
 from blocksar.ingestion.sentinel1.gps import utc
 from blocksar.ingestion.sentinel1.options import Sentinel1Options
 from blocksar.ingestion.sentinel1.orbit_files import read_orbit_file
 from blocksar.ingestion.sentinel1.packets import CARRIER, Packets
-from blocksar.ingestion.sentinel1.propagation import reaching
 from blocksar.ingestion.sentinel1.samples import read_samples
 from blocksar.ingestion.strips.orbit import Orbit
 from blocksar.kernels.fourier import fast_length, fft_rows, unit_phasor
@@ -259,7 +258,7 @@ def _common(choice: Choice, bursts: Sequence[Burst], options: Sentinel1Options) 
     if options.orbit is not None:
         orbit = read_orbit_file(options.orbit, first, last, zero)
     else:
-        orbit = reaching(read_orbit(choice.packets, zero), first, last)
+        orbit = read_states(choice.packets, zero).reaching(first, last)
     attitude = read_attitude(choice.packets, zero, orbit)
     swaths = {burst.swath for burst in bursts}
     steering = {

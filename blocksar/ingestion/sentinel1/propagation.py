@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from blocksar.arrays import FloatArray
@@ -40,27 +42,36 @@ def propagated(position: FloatArray, velocity: FloatArray, seconds: float) -> tu
     return r, v
 
 
-def reaching(orbit: Orbit, first: float, last: float) -> Orbit:
-    """An orbit with states at two times besides its own, s, where these lie before or after all of them.
+class States(NamedTuple):
+    """Positions and velocities (n, 3), Earth-centred, Earth-fixed, m and m/s, at ascending times (n,), s."""
 
-    Raises
-    ------
-    InputError
-        If they lie more than LONGEST before or after.
-    """
-    early, late = orbit.time[0] - first, last - orbit.time[-1]
-    if max(early, late) > LONGEST:
-        raise InputError(
-            f"states of the orbit in packets begin {early:.3g} s after the bursts do and end {late:.3g} s before their "
-            "end; give the orbit's file with --orbit"
-        )
-    states = [(orbit.time, orbit.position, orbit.velocity)]
-    for time, end in ((first, 0), (last, -1)):
-        beyond = time - orbit.time[end]
-        if beyond * (-1 if end == 0 else 1) > 0:
-            place, speed = propagated(orbit.position[end], orbit.velocity[end], float(beyond))
-            states.insert(0 if end == 0 else len(states), (np.array([time]), place[None], speed[None]))
-    return Orbit(
-        time=np.concatenate([each[0] for each in states]), position=np.concatenate([each[1] for each in states]),
-        velocity=np.concatenate([each[2] for each in states]),
-    )  # fmt: skip
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+
+    def reaching(self, first: float, last: float) -> Orbit:
+        """The orbit of these, with a state at each of two times, s, that lies before or after all of them.
+
+        Raises
+        ------
+        InputError
+            If one lies more than LONGEST before or after, or the states are no satellite's.
+        """
+        early, late = float(self.time[0]) - first, last - float(self.time[-1])
+        if max(early, late) > LONGEST:
+            raise InputError(
+                f"states of the orbit in packets begin {early:.3g} s after the bursts do and end {late:.3g} s before "
+                "their end; give the orbit's file with --orbit"
+            )
+        states = [self]
+        if early > 0:
+            states.insert(0, self._carried(0, first))
+        if late > 0:
+            states.append(self._carried(-1, last))
+        time, position, velocity = (np.concatenate(each) for each in zip(*states, strict=True))
+        return Orbit(time=time, position=position, velocity=velocity)
+
+    def _carried(self, end: int, time: float) -> States:
+        """The first or last state carried to a time."""
+        place, velocity = propagated(self.position[end], self.velocity[end], time - float(self.time[end]))
+        return States(np.array([time]), place[None], velocity[None])
