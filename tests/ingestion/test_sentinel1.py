@@ -135,6 +135,18 @@ def test_a_burst_says_what_it_is(store: Path, packets: Path, tmp_path: Path) -> 
     assert s1.MIDDLE - one.reference_range[0] == pytest.approx(2.8, abs=0.1)  # m, of the standard atmosphere
 
 
+def test_a_safe_folder_is_ingested_and_named_elsewhere(packets: Path, tmp_path: Path) -> None:
+    (folder := tmp_path / "S1A_IW_RAW__0SDV_20200615.SAFE").mkdir()
+    (folder / "manifest.safe").write_text("<xfdu:XFDU/>")
+    for name in ("annot", "index"):
+        (folder / f"s1a-iw-raw-s-vv-{name}.dat").write_bytes(bytes(range(256)))
+    (folder / "s1a-iw-raw-s-vv.dat").symlink_to(packets)
+    blocksar.ingest(None, folder, tmp_path / "x.zarr", bursts="0:1")
+    assert "3 bursts of up to 700 pulses" in blocksar.info(folder).result["facts"]["IW1 VV"]
+    with pytest.raises(InputError, match=r"s1a-iw-raw-s-vv\.dat is a file of Sentinel-1 level 0 packets; turn it into"):
+        blocksar.plan(folder)
+
+
 def test_several_in_one_store_are_named_where_one_is_needed(store: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"holds 3 phase histories, and one is needed here; give one of them, such as"):
         blocksar.check(store)

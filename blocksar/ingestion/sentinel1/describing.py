@@ -33,14 +33,13 @@ def describe(files: Sequence[Readable], given: str) -> Described:
         for swath in dict.fromkeys(burst.swath for burst in bursts):
             own = [burst for burst in bursts if burst.swath == swath]
             radar, prf = own[0].radar, 1 / own[0].interval
-            count = f"{len(own)} burst{'s' if len(own) > 1 else ''} of up to {max(each.n_slot for each in own)} pulses"
-            rows.append(
-                (
-                    f"{swath} {own[0].polarization}",
-                    f"{count} at {prf:.6g} Hz, {int(own[0].packets.quads.max()) * 2} samples at "
-                    f"{radar.rate / 1e6:.6g} MHz; chirp of {radar.bandwidth / 1e6:.4g} MHz in {1e6 * radar.length:.4g} us",
-                )
-            )
+            samples, most = 2 * int(own[0].packets.quads.max()), max(each.n_slot for each in own)
+            count = f"{len(own)} burst{'s' if len(own) > 1 else ''} of up to {most} pulses"
+            chirp = f"{radar.bandwidth / 1e6:.4g} MHz in {1e6 * radar.length:.4g} us"
+            rows.append((
+                f"{swath} {own[0].polarization}",
+                f"{count} at {prf:.6g} Hz, {samples} samples at {radar.rate / 1e6:.6g} MHz; chirp of {chirp}",
+            ))  # fmt: skip
         rows += [("left out", note) for note in notes]
     name = given.rstrip("/").rpartition("/")[2].partition(".")[0].replace("*", "") or "sentinel1"
     return Described(

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from blocksar.ingestion.sentinel1.ancillary import TILTED
+from blocksar.ingestion.sentinel1.histories import BurstHistory
 from blocksar.ingestion.sentinel1.samples import COMPRESSIONS
-
-if TYPE_CHECKING:
-    from blocksar.ingestion.sentinel1.ingestion import BurstHistory
 
 UNTOLD = 1e-9  # s, by which receive windows may differ
 
