@@ -212,6 +212,22 @@ def test_receive_windows_and_ranks_may_change_within_a_burst(tmp_path: Path) -> 
     np.testing.assert_allclose(samples, np.broadcast_to(samples[:1], samples.shape), atol=1.5)  # of 200, rounded
 
 
+def test_swaths_and_scans_divide_bursts_and_a_stripmap_is_one(tmp_path: Path) -> None:
+    def change(i: int) -> dict[str, int]:
+        """IW1, IW2, and IW1 again, whose beams begin anew."""
+        return {"swath": (10, 11, 10, 10)[i // 40], "azimuth": 480 + i % 40, "lost": i in (5, 6)}
+
+    path = written(tmp_path / "iw.dat", change)
+    said = " ".join(blocksar.ingest("sentinel1", path, tmp_path / "iw.zarr").summary)
+    assert "IW1 VV: 3 bursts of up to 40 pulses" in said and "2 lost pulses" in said and "IW2 VV: 1 burst of" in said
+    names = [each.name for each in stores.collections_in(tmp_path / "iw.zarr")]
+    assert names == ["IW1-VV-000", "IW2-VV-000", "IW1-VV-001", "IW1-VV-002"]
+    path = written(tmp_path / "s3.dat", lambda i: {"swath": 2, "azimuth": 0, "polarization": 2, "receiver": 0})
+    report = blocksar.ingest("sentinel1", path, tmp_path / "s3.zarr")
+    assert "S3 HV: 1 burst of up to 160 pulses" in report.summary[0] and "not steered" in report.summary[0]
+    assert not report.result.beam_steering.any()
+
+
 WRONG = {
     "cut": (lambda data: data[: len(data) // 2 + 700], {}, r"x\.dat: it ends at byte \d+, within packet \d+"),
     "cut in a header": (lambda data: data + data[:40], {}, r"it ends within the headers of packet 160, at byte"),

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from blocksar.errors import InputError
 from blocksar.ingestion.readers import Reading
 from blocksar.ingestion.reading import reading
 from blocksar.ingestion.sentinel1.ancillary import read_attitude, read_states
@@ -14,6 +17,8 @@ from blocksar.ingestion.sentinel1.options import Sentinel1Options
 from blocksar.ingestion.sentinel1.orbit_files import read_orbit_file
 from blocksar.ingestion.sentinel1.remarks import remarks
 from blocksar.places import Location
+
+FARTHEST = 1e6  # m along the track, in which the Earth falls 20 km below a plane at both ends
 
 
 def begin(sources: Sequence[Location], options: Sentinel1Options) -> dict[str, Reading]:
@@ -30,6 +35,12 @@ def begin(sources: Sequence[Location], options: Sentinel1Options) -> dict[str, R
     with reading(files[0].where, damaged=DAMAGED, remedy=REMEDY):
         data = _common(choice, [burst for _, burst in kept], options)
     frame = frame_of(kept[len(kept) // 2][1], data)
+    ends = [data.track(burst)[0][burst.n_slot // 2] for _, burst in (kept[0], kept[-1])]
+    if (apart := float(np.linalg.norm(ends[1] - ends[0]))) > FARTHEST:
+        raise InputError(
+            f"the bursts lie {apart / 1e3:.0f} km from each other, and one frame has room for {FARTHEST / 1e3:g} km; "
+            "take some of them with --bursts"
+        )
     histories = [BurstHistory(file=file, burst=burst, data=data, frame=frame) for file, burst in kept]
     said = [*choice.notes, *remarks(histories)]
     return {each.burst.name: each.reading(() if number else said) for number, each in enumerate(histories)}
