@@ -1,18 +1,20 @@
-"""A burst as a phase history: raw echoes in one frame on the ellipsoid, a collection for each.
+"""A burst as a phase history: a raw echo in a frame on the ellipsoid.
 
 *Time.* A packet has the time of the PRI in which its echo is received; the pulse was sent `rank` PRIs before. While it
-travels the antenna moves on. A sample received s after the beginning of the transmission, at the delay tau of a target,
-has the phase of an antenna that stands still at the middle of its way, at s - tau / 2: its pulse's centre that of
-(tau + T) / 2 after the beginning, T the pulse's length. Positions are those for tau of the swath's middle; ground at
-another range lies off by v (R - R_middle) / c along the track, which is told.
+travels the antenna moves on. A sample received s after the beginning of the transmission has, at a target's delay tau,
+the phase of an antenna that stands still in the middle of its way, at s - tau / 2. Positions are those of the middle of
+swath and pulse, s0 and u0 = T / 2 with the pulse's length T; the sample is of a moment
 
-*Doppler within a pulse.* Meanwhile the range changes: the chirp has the frequency f_d of the beam's centre on top, and
-its compressed peak moves by -f_d / K in delay (0.4 m for IW1 at 0.6 degrees). Echoes are put later by f_d / K, an even
-shift of a pulse's samples, so that positions stay right all over a burst.
+    (s - s0) / 2 + (u - u0) / 2 ,    u = s - tau ,
+
+later. The first part is a delay in slow time, another for each column of samples: they are resampled to the moment of
+the position (`resampling`), without which ground at the edges of IW1 would lie 0.7 m off along the track. The second
+one is a Doppler frequency of half of the target's on the chirp, whose compressed peak it moves by -f / 2 K in delay:
+echoes are put later by as much for the beam's centre, an even shift of a pulse's samples.
 
 *Delays* count from the beginning of the pulse in packets, and to its centre in the store.
 
-*Beam.* About the antenna's own axis by the attitude, ahead of broadside by the electronic law (`steering`); the pattern
+*Beam.* About the antenna's own axis by the attitude, ahead of broadside by the electronic law (`bursts`); the pattern
 along the track is that of an evenly lit aperture as long as the antenna, sinc^2 both ways, out to half of its nulls.
 """
 
@@ -20,8 +22,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -40,6 +42,7 @@ from blocksar.ingestion.sentinel1.files import DAMAGED, REMEDY, File
 from blocksar.ingestion.sentinel1.gps import utc
 from blocksar.ingestion.sentinel1.options import Sentinel1Options
 from blocksar.ingestion.sentinel1.packets import CARRIER, Packets
+from blocksar.ingestion.sentinel1.resampling import Resampling
 from blocksar.ingestion.sentinel1.samples import read_samples
 from blocksar.ingestion.strips.orbit import Orbit
 from blocksar.kernels.fourier import fast_length, fft_rows, unit_phasor
@@ -79,16 +82,6 @@ class Data:
             return position, velocity, velocity / np.linalg.norm(velocity, axis=1, keepdims=True)
         return position, velocity, self.attitude.axis(moment, position, velocity)
 
-    def later(self, burst: Burst, velocity: FloatArray, angle: FloatArray) -> FloatArray:
-        """By how much echoes are put later for frequencies on top of the chirp about the carrier (n_slot,), s.
-
-        That of the Doppler effect within the pulse, and the middle of the chirp, which codes round.
-        """
-        frequency = np.full(burst.n_slot, burst.radar.middle)
-        if self.options.time_tags != "middle":
-            frequency += 2 * CARRIER / SPEED_OF_LIGHT * np.linalg.norm(velocity, axis=1) * np.sin(angle)
-        return np.asarray(frequency / burst.radar.ramp)
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BurstHistory:
@@ -107,6 +100,21 @@ class BurstHistory:
     def angle(self) -> FloatArray:
         """Of the beam ahead of broadside (n_slot,), rad."""
         return self.data.steering[self.burst.swath].angle(self.burst, self.data.moment(self.burst))
+
+    @cached_property
+    def doppler(self) -> FloatArray:
+        """Of the beam's centre (n_slot,), Hz; none where antennas stand still."""
+        if self.data.options.time_tags == "middle":
+            return np.zeros(self.burst.n_slot)
+        speed = np.linalg.norm(self.track[1], axis=1)
+        return np.asarray(2 * CARRIER / SPEED_OF_LIGHT * speed * np.sin(self.angle))
+
+    @cached_property
+    def late(self) -> FloatArray:
+        """By how much later samples are received than the moment of the position takes them for (n_sample,), s."""
+        if self.data.options.time_tags == "middle":
+            return np.zeros(self.raw.fast_time.size)
+        return np.asarray((self.raw.fast_time - (self.raw.fast_time[0] + self.raw.fast_time[-1]) / 2) / 2)
 
     @cached_property
     def atmosphere(self) -> float:
@@ -179,20 +187,26 @@ class BurstHistory:
         )  # fmt: skip
 
     def pieces(self) -> Iterator[Piece]:
-        burst, count = self.burst, self.raw.fast_time.size
-        later = self.data.later(burst, self.track[1], self.angle)[burst.slots]
-        # In samples, by which a pulse's first one comes after the first that all have.
-        shift = (burst.delay - burst.samples[0] + later) * burst.radar.rate
+        burst = self.burst
+        # In samples, by which a pulse's first one comes after the first that all have. Codes round the chirp's middle.
+        frequency = burst.radar.middle + self.doppler[burst.slots] / 2
+        shift = (burst.delay - burst.samples[0] + frequency / burst.radar.ramp) * burst.radar.rate
+        resampling = Resampling.of(self.doppler, self.late, burst.interval)
         rows = max(AT_ONCE // (16 * int(burst.packets.quads.max())), 1)
         with reading(self.file.where, damaged=DAMAGED, remedy=REMEDY), self.file.where.open() as file:
             for first in range(0, burst.n_slot, rows):
                 pulses = slice(first, min(first + rows, burst.n_slot))
-                samples = np.full((pulses.stop - first, count), np.nan, np.complex64)
-                low, high = np.searchsorted(burst.slots, [pulses.start, pulses.stop])
-                for some in _alike(burst.packets, low, high):
-                    read = read_samples(file, burst.packets[some])
-                    samples[burst.slots[some] - first] = shifted(read, shift[some], count)
-                yield Piece(0, pulses, samples)
+                yield Piece(0, pulses, resampling.apply(partial(self._read, file, shift), pulses))
+
+    def _read(self, file: BinaryIO, shift: FloatArray, pulses: slice) -> ComplexArray:
+        """Samples of some slots, NaN where one is lost."""
+        burst, count = self.burst, self.raw.fast_time.size
+        samples = np.full((pulses.stop - pulses.start, count), np.nan, np.complex64)
+        low, high = np.searchsorted(burst.slots, [pulses.start, pulses.stop])
+        for some in _alike(burst.packets, low, high):
+            read = read_samples(file, burst.packets[some])
+            samples[burst.slots[some] - pulses.start] = shifted(read, shift[some], count)
+        return samples
 
 
 def _alike(packets: Packets, low: int, high: int) -> Iterator[slice]:

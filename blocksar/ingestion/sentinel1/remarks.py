@@ -74,6 +74,6 @@ def _times(histories: Sequence[BurstHistory]) -> str:
     speed = float(np.linalg.norm(histories[0].track[1], axis=1).mean())
     off = speed * max(np.ptp(each.raw.fast_time) for each in histories) / 4
     return (
-        f"the packets' times are taken for those of {of}, and positions at the middle of a pulse's way; at the swath's "
-        f"edges places lie up to {off:.2g} m off along the track"
+        f"the packets' times are taken for those of {of}, and positions at the middle of a pulse's way; samples are "
+        f"resampled to its moment, without which places at the swath's edges lie {off:.2g} m off along the track"
     )
