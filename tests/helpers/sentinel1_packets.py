@@ -210,11 +210,19 @@ def echoes(
     return out
 
 
-def write_bursts(path: Path, targets: list[FloatArray], *, bursts: int = 3, amplitude: float = 90.0) -> Path:
-    """Write IW1's bursts, middles CYCLE apart about ZERO + 10 s, of unit targets at Earth-centred places."""
+def write_bursts(
+    path: Path,
+    targets: list[FloatArray],
+    *,
+    bursts: int = 3,
+    amplitude: float = 90.0,
+    about: float = 10.0,
+    swath: int = 10,
+) -> Path:
+    """Write a swath's bursts, middles CYCLE apart about a time after ZERO, s, of targets at Earth-centred places."""
     writer = Writer()
     for number in range(bursts):
-        middle = 10.0 + (number - (bursts - 1) / 2) * CYCLE  # when the pulses' ways have their middle, s
+        middle = about + (number - (bursts - 1) / 2) * CYCLE  # when the pulses' ways have their middle, s
         sent = middle - DELAY / 2 + (np.arange(N_PULSE) - (N_PULSE - 1) / 2) * PRI
         pulse = round(sent[0] / PRI)
         sent += pulse * PRI - sent[0]
@@ -225,6 +233,6 @@ def write_bursts(path: Path, targets: list[FloatArray], *, bursts: int = 3, ampl
         address = np.rint(512 + RATE * (received - received.mean()) / STEP).astype(int)
         writer.add(float(received[0] - PRI), pulse + RANK - 1, bytes(8), signal=8, calibration=1, quads=1)
         for i in range(N_PULSE):
-            writer.add(float(received[i]), pulse + RANK + i, rows[i], azimuth=int(address[i]))
+            writer.add(float(received[i]), pulse + RANK + i, rows[i], azimuth=int(address[i]), swath=swath)
     path.write_bytes(b"".join(writer.out))
     return path

@@ -18,6 +18,7 @@ from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.beam import lit_interval
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.georeference import Georeference
+from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_chips
 from blocksar.ingestion.sentinel1 import ancillary, propagation
@@ -109,6 +110,38 @@ def test_ten_targets_of_three_bursts_lie_where_they_are(store: Path) -> None:
     values = np.array([value[0] for value in seen.values()])
     np.testing.assert_allclose(np.abs(values), AMPLITUDE, rtol=0.005)
     assert np.abs(np.angle(values / values.mean())).max() < 0.02
+
+
+def test_two_swaths_of_a_file_see_a_place_alike(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """IW2 farther off, with another PRF and rate of the steering, and one pulse more in the air."""
+    target = s1.place_on_the_ellipsoid(10.0, s1.MIDDLE + 1300.0)
+    first = s1.write_bursts(tmp_path / "a.dat", [target], bursts=1).read_bytes()
+    middle = s1.MIDDLE + 2600.0
+    delay = 2 * middle / SPEED_OF_LIGHT + s1.T / 2 - (2 * s1.QUADS - 1) / 2 / s1.SAMPLE_RATE
+    pri, rank = 20000 / s1.CLOCK, 10
+    window = round((delay - rank * pri) * s1.CLOCK) - 40
+    for name, value in {
+        "INTERVAL": 20000, "PRI": pri, "RANK": rank, "WINDOW": window, "RATE": np.radians(0.979863325),
+        "DELAY": rank * pri + (window + 40) / s1.CLOCK, "MIDDLE": middle,
+    }.items():  # fmt: skip
+        monkeypatch.setattr(s1, name, value)
+    second = s1.write_bursts(tmp_path / "b.dat", [target], bursts=1, about=10.05, swath=11).read_bytes()
+    (tmp_path / "both.dat").write_bytes(first + second)
+    blocksar.ingest("sentinel1", tmp_path / "both.dat", tmp_path / "both.zarr")
+    places, seen = stores.collections_in(tmp_path / "both.zarr"), []
+    assert [place.name for place in places] == ["IW1-VV-000", "IW2-VV-000"]
+    for place in places:
+        history = stores.open_phase_history(place)
+        frame = Georeference.among(history.attrs)
+        assert frame is not None
+        x, y, _ = frame.from_ecef(target)
+        geometry = over_terrain(
+            history.collection.centred(), ellipsoid(frame, 0.0, (x - 1e3, x + 1e3), (y - 1e3, y + 1e3))
+        )
+        seen.append(complex(cut(pulse_reader(history), geometry, np.array([x]), np.array([y]))[0]))
+    assert np.abs(seen) == pytest.approx(AMPLITUDE, rel=0.005)
+    # States are carried on for 0.3 s by a flattened Earth, which the truth lacks: 0.4 mm.
+    assert abs(np.angle(seen[1] / seen[0])) < 0.08
 
 
 def test_a_burst_says_what_it_is(store: Path, packets: Path, tmp_path: Path) -> None:
