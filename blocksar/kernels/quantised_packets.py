@@ -116,10 +116,10 @@ def _window(data: Any, bit: int) -> int:
 @loop(
     types.Array(types.uint8, 1, "C", readonly=True), types.int64, types.int64, types.int64,
     types.Array(types.int64, 2, "C", readonly=True), types.Array(types.float32, 3, "C", readonly=True),
-    types.int64[:, ::1], types.complex64[::1], **UNCONTRACTED, **UNCHECKED,
+    types.int64[:, ::1], types.float32[::1], **UNCONTRACTED, **UNCHECKED,
 )  # fmt: skip
 def decode_packet(
-    data: Any, size: int, kind: int, block: int, codes: Any, amplitudes: Any, marks: Any, out: Any
+    data: Any, size: int, kind: int, block: int, codes: Any, amplitudes: Any, marks: Any, parts: Any
 ) -> int:
     """Write the samples of a packet, and return the number of bits that they take; or WRONG_CODE or CUT.
 
@@ -136,11 +136,10 @@ def decode_packet(
         From `code_table` and `amplitude_table`.
     marks : (2, n_block) int
         Written: kind of code and threshold of each block.
-    out : (2 n,) complex64
-        Written; n samples of each channel.
+    parts : (4 n,) float32
+        Written: real and imaginary parts of 2 n samples, n of each channel.
     """
-    n = out.size // 2
-    parts = out.view(np.float32)
+    n = parts.size // 4
     end, bit = 8 * size, 0
     for channel in range(4):
         bit = (bit + 15) & ~15
@@ -175,7 +174,7 @@ def decode_packet(
         return CUT
     if kind == BYPASS:
         for i in range(parts.size):
-            parts[i] = np.round(parts[i])
+            parts[i] = np.float32(int(parts[i]))
         return bit
     for b in range(marks.shape[1]):
         code, threshold = marks[0, b], marks[1, b]

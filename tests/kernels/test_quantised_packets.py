@@ -20,7 +20,7 @@ def decode(data: bytes, kind: int, count: int) -> tuple[ComplexArray, int]:
     padded = np.frombuffer(data + bytes(loops.PADDING), np.uint8)
     marks = np.empty((2, -(-count // 256)), np.int64)
     tables = loops.code_table(), loops.amplitude_table()
-    return out, loops.decode_packet(padded, len(data), kind, 128, *tables, marks, out)
+    return out, loops.decode_packet(padded, len(data), kind, 128, *tables, marks, out.view(np.float32))
 
 
 @pytest.mark.parametrize("kind", range(loops.KINDS))

@@ -37,7 +37,9 @@ def read_samples(file: BinaryIO, packets: Packets) -> ComplexArray:
         read = file.read(data.size - loops.PADDING)
         data[: len(read)] = np.frombuffer(read, np.uint8)
         marks = np.empty((2, -(-quads // block)), np.int64)
-        bits = loops.decode_packet(data, len(read), kinds[mode], block, codes, amplitudes, marks, out[row])
+        bits = loops.decode_packet(
+            data, len(read), kinds[mode], block, codes, amplitudes, marks, out[row].view(np.float32)
+        )
         if bits < 0:
             why = "ends before its last sample" if bits == loops.CUT else "has an undefined Huffman code"
             raise InputError(f"the packet at byte {packets.offset[row]} {why}; get the file again")
