@@ -51,7 +51,7 @@ APERTURE = 12.3  # m, length of the antenna
 PATTERN_SAMPLES = 65
 SIDE = "right"
 PARTS = "--swath, --bursts"
-AT_ONCE = 32 * MIB  # bytes of samples
+AT_ONCE = 16 * MIB  # bytes of samples
 UNMOVED = 1e-3  # of a sample
 
 
