@@ -12,6 +12,7 @@ from blocksar.errors import InputError, quoted
 
 NEIGHBOURS = 4  # states, of which one polynomial has places and velocities
 SPIN = 7.292115e-5  # rad/s, of the Earth
+BEYOND = 0.02  # s outside of the states, which an echo's way takes; their polynomial holds there
 RADII = 6.4e6, 5e7  # m from the Earth's centre, between which satellites fly
 
 
@@ -69,12 +70,12 @@ class Orbit:
         Raises
         ------
         InputError
-            If they are not within the states.
+            If they are more than BEYOND outside of the states.
         """
         from scipy.interpolate import KroghInterpolator  # slow to load
 
         first, last = self.time[[0, -1]]
-        if time.min() < first or time.max() > last:
+        if time.min() < first - BEYOND or time.max() > last + BEYOND:
             raise InputError(
                 f"the orbit's states cover {first:.6f} .. {last:.6f} s, but pulses {time.min():.6f} .. "
                 f"{time.max():.6f} s; give the file with all states"
@@ -92,6 +93,21 @@ class Orbit:
         return position, velocity
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Track:
+    """Positions and velocities (n, 3), m and m/s, that are given at pulses, whose times (n,) are these, s."""
+
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+
+    def at(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Those at times (m,), s; between the pulses as if they lay on a straight line."""
+        both = np.hstack([self.position, self.velocity])
+        found = np.stack([np.interp(time, self.time, column) for column in both.T], axis=1)
+        return found[:, :3], found[:, 3:]
+
+
 def inertial(position: FloatArray, velocity: FloatArray) -> FloatArray:
     """Velocities (n, 3) in axes that do not turn, of places and velocities in ones that turn with the Earth, m/s."""
     turn = np.stack([-position[:, 1], position[:, 0], 0 * position[:, 2]], axis=1)
@@ -107,7 +123,7 @@ class Antenna:
 
     def at(self, time: FloatArray) -> FloatArray | None:
         """The axis (m, 3) at times (m,); None where it is not known at all of them."""
-        if self.time.size < 2 or time.min() < self.time[0] or time.max() > self.time[-1]:
+        if self.time.size < 2 or time.min() < self.time[0] - BEYOND or time.max() > self.time[-1] + BEYOND:
             return None
         axis = np.stack([np.interp(time, self.time, column) for column in self.axis.T], axis=1)
         return np.asarray(axis / np.linalg.norm(axis, axis=1, keepdims=True))
