@@ -36,18 +36,18 @@ def parse_span(span: Any, option: str, example: str) -> tuple[float, float]:
     return low, high
 
 
-def parse_pulses(span: Any) -> tuple[int, int | None]:
-    """Read the pulses a:b, from a to the one before b, counted from 0; either may be left out.
+def parse_pulses(span: Any, option: str = "--pulses", example: str = "--pulses 0:4096") -> tuple[int, int | None]:
+    """Read the pulses (or what the option names) a:b, from a to the one before b, from 0; either may be left out.
 
     Raises
     ------
     InputError
         As `parse_span`, and if they are no whole numbers from 0.
     """
-    low, high = parse_span(span, "--pulses", "--pulses 0:4096")
+    low, high = parse_span(span, option, example)
     low = 0.0 if low == -math.inf else low
     if low < 0 or not low.is_integer() or not (high == math.inf or high.is_integer()):
-        raise InputError(f"--pulses {quoted(span)} is not two whole numbers from 0; give them as --pulses 0:4096")
+        raise InputError(f"{option} {quoted(span)} is not two whole numbers from 0; give them as {example}")
     return int(low), None if high == math.inf else int(high)
 
 

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         ingest_gotcha,
         ingest_nisar,
         ingest_palsar,
+        ingest_sentinel1,
         simulate,
     )
 
@@ -43,8 +44,8 @@ _HOMES = {
     "PlanReport": "shown", "Report": "reports", "RunReport": "shown", "autofocus": "autofocusing", "check": "checking",
     "collection": "datasets", "compile": "compiling", "demo": "demonstrating", "export": "exporting",
     "focus": "focusing", "info": "describing", "ingest": "sources", "ingest_cphd": "sources", "ingest_crsd": "sources",
-    "ingest_gotcha": "sources", "ingest_nisar": "sources", "ingest_palsar": "sources", "open": "exporting",
-    "plan": "planning", "preview": "previewing",
+    "ingest_gotcha": "sources", "ingest_nisar": "sources", "ingest_palsar": "sources", "ingest_sentinel1": "sources",
+    "open": "exporting", "plan": "planning", "preview": "previewing",
     "quality": "measuring", "report": "reporting", "scene_centre": "datasets", "simulate": "sources",
     "write": "datasets",
 }  # fmt: skip
@@ -66,6 +67,7 @@ __all__ = [
     "ingest_gotcha",
     "ingest_nisar",
     "ingest_palsar",
+    "ingest_sentinel1",
     "open",
     "plan",
     "preview",

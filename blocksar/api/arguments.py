@@ -92,7 +92,7 @@ def sources_of(source: Source) -> list[One]:
         If there is none, or one of them twice.
     """
     if not isinstance(source, list | tuple):
-        return [source]  # type: ignore[list-item]
+        return _members(source)  # type: ignore[arg-type]
     if not source:
         raise InputError("source is empty: give at least one phase history")
     paths = [
@@ -101,7 +101,12 @@ def sources_of(source: Source) -> list[One]:
     ]
     if twice := [path for number, path in enumerate(paths) if path in paths[:number]]:
         raise InputError(f"{twice[0]} is given twice; give each collection once")
-    return list(source)
+    return [member for each in source for member in _members(each)]
+
+
+def _members(source: One) -> list[One]:
+    """The phase histories of a store of several, or the source itself."""
+    return [*(stores.collections_in(source) if isinstance(source, str | os.PathLike | Place) else ())] or [source]
 
 
 def check_one_frame(histories: Sequence[stores.PhaseHistory]) -> None:
@@ -181,6 +186,11 @@ def history_of(source: One) -> stores.PhaseHistory:
     if isinstance(source, stores.PhaseHistory):
         return source
     if isinstance(source, str | os.PathLike | Place):
+        if several := stores.collections_in(source):
+            raise InputError(
+                f"{place(source)} holds {len(several)} phase histories, and one is needed here; give one of them, such "
+                f"as {several[0]}"
+            )
         try:
             return stores.open_phase_history(source)
         except InputError:

@@ -123,10 +123,29 @@ def _store(where: Place, names: list[str]) -> Report:
         collection, attrs = stores.read_collection(where)
         rows = [*facts.general_rows(attrs), *facts.collection_rows(collection), *facts.history_rows(attrs)]
         return _report("collection (a phase history without its samples)", str(where), rows, [])
+    if several := stores.collections_in(where):
+        return _collections(where, several)
     for name, kind in PARTS.items():
         if name in names:
             return _report(kind, str(where), _size(where), [])
     raise _unknown(where, names)
+
+
+def _collections(where: Place, several: Sequence[Place]) -> Report:
+    """A store of several phase histories in one frame."""
+    histories = [stores.open_phase_history(each) for each in several]
+    first = histories[0]
+    rows = [
+        ("holds", f"{len(several)} phase histories in one frame"),
+        *((each.name, f"{history.attrs.get('title', '')}: {history.shape[0]} pulses x {history.shape[1]} samples")
+          for each, history in zip(several, histories, strict=True)),
+        *_size(where),
+        ("", f"the first, {several[0].name}:"),
+        *facts.general_rows(first.attrs),
+        *facts.collection_rows(first.collection),
+        *facts.history_rows(first.attrs),
+    ]  # fmt: skip
+    return _report("phase histories", str(where), rows, [["plan", str(where)], ["focus", str(where), "--out", "run"]])
 
 
 def _size(where: Place) -> Rows:

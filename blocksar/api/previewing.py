@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from blocksar import stores
-from blocksar.api.arguments import history_of
+from blocksar.api.arguments import Source, check_one_frame, history_of, sources_of
 from blocksar.api.facts import grid_text
 from blocksar.api.parsing import GridLike, grid_of
 from blocksar.api.partial_pulses import imaging_parts
 from blocksar.api.pulses import pulse_reader
 from blocksar.api.reports import Report, only_stage
 from blocksar.arrays import ComplexArray
+from blocksar.collection.beam import dwell_margin
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
@@ -23,11 +26,13 @@ from blocksar.focusing import preview as coarse
 from blocksar.graph.machine import resources
 from blocksar.kernels.phase import Float32Array
 from blocksar.places import Location, place
+from blocksar.planning.segments import joint_grid
 from blocksar.products.options import parse_range
 from blocksar.products.pictures.overview import Overview, cell_edges, range_notes
 from blocksar.products.registry import check_ending
 from blocksar.products.writing import replacing
 from blocksar.progress import Wanted as Progress
+from blocksar.progress.listening import Callback
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -37,7 +42,7 @@ LARGEST = 8000
 
 
 def preview(
-    source: Location | xr.Dataset,
+    source: Source,
     *,
     out: Location | None = None,
     grid: GridLike | None = None,
@@ -56,8 +61,9 @@ def preview(
 
     Parameters
     ----------
-    source : path or xarray.Dataset
-        Phase-history store, or a dataset of its contract.
+    source : path or xarray.Dataset, or a list of them
+        Phase-history store, or a dataset of its contract; of several in one frame, each pixel is that of the one which
+        saw more of its dwell.
     out : path, optional
         PNG file to write. Default: none is written.
     grid : Grid or ((x0, x1, dx), (y0, y1, dy)), optional
@@ -99,35 +105,54 @@ def preview(
     limits = None if range is None else parse_range(range)
     if out is not None:
         check_ending("png", str(place(out)))
-    history = history_of(source)
+    histories = [history_of(each) for each in sources_of(source)]
+    check_one_frame(histories)
     if channel is not None:
-        history = history.of_channel(channel)
-    (history,) = imaging_parts([history], grid_of(grid))
-    geometry = Geometry(collection=history.collection.centred())
-    chosen, proposed = _ground(geometry, grid_of(grid))
-    planned = coarse.plan_preview(geometry, chosen, size=size)
+        histories = [history.of_channel(channel) for history in histories]
+    imaged = imaging_parts(histories, grid_of(grid))
+    geometries = [Geometry(collection=history.collection.centred()) for history in imaged]
+    chosen, proposed = _ground(geometries, grid_of(grid))
+    planned = [coarse.plan_preview(geometry, chosen, size=size) for geometry in geometries]
     callback = only_stage(progress, "preview")
+
+    def form() -> Float32Array:
+        grid = planned[0].grid
+        power, most = np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, -np.inf)
+        for number, (history, each) in enumerate(zip(imaged, planned, strict=True)):
+            told = partial(_told, callback, number, len(planned))
+            own = coarse.form_preview(_reader(history), each, threads=count, progress=told)
+            if len(planned) == 1:
+                power = own
+            else:
+                margin = np.where(np.isnan(own), -np.inf, dwell_margin(each.geometry, *np.meshgrid(grid.x, grid.y)))
+                power, most = np.where(margin > most, own, power), np.maximum(margin, most)
+        _refuse_dark(geometries, chosen, power)
+        return power
+
     if out is None:
-        power = coarse.form_preview(_reader(history), planned, threads=count, progress=callback)
-        _refuse_dark(geometry, chosen, power)
+        power = form()
     else:
         with replacing(out, overwrite=overwrite) as part:
-            power = coarse.form_preview(_reader(history), planned, threads=count, progress=callback)
-            _refuse_dark(geometry, chosen, power)
-            _draw(part, history, geometry, planned, power, limits, colour_map)
+            power = form()
+            _draw(part, imaged[0], geometries[0], planned[0], power, limits, colour_map)
     with np.errstate(divide="ignore"):
         notes = [] if limits is None else range_notes(10 * np.log10(power), limits)
     return Report(
         summary=[
-            *_sentences(history, planned, proposed),
+            *_sentences(imaged, planned[0], proposed),
             *notes,
             *([f"wrote {place(out)}"] if out is not None else []),
         ],
-        result=_as_dataarray(planned, power),
+        result=_as_dataarray(planned[0], power),
     )
 
 
-def _refuse_dark(geometry: Geometry, grid: Grid, power: Float32Array) -> None:
+def _told(callback: Callback, number: int, count: int, done: int, total: int) -> None:
+    """Tell of the progress of one of several collections as that of all."""
+    callback(number * total + done, count * total)
+
+
+def _refuse_dark(geometries: Sequence[Geometry], grid: Grid, power: Float32Array) -> None:
     """Check that a picture shows some ground.
 
     Raises
@@ -137,18 +162,23 @@ def _refuse_dark(geometry: Geometry, grid: Grid, power: Float32Array) -> None:
     """
     if np.isfinite(power).any():
         return
-    grid_extent(geometry, plan_region(geometry, grid), grid)  # says what is lit, if the grid lies beside it
+    if len(geometries) == 1:  # says what is lit, if the grid lies beside it
+        grid_extent(geometries[0], plan_region(geometries[0], grid), grid)
     raise InputError(
         f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g} has no lit pixel; move the grid, or give a larger one"
     )
 
 
-def _ground(geometry: Geometry, given: Grid | None) -> tuple[Grid, Grid]:
+def _ground(geometries: Sequence[Geometry], given: Grid | None) -> tuple[Grid, Grid]:
     """The ground to show, and the grid that a run would take."""
-    collection = geometry.collection
-    grid = given
-    if grid is None and not collection.steered:
+    if given is None and len(geometries) > 1:
+        joint = joint_grid(geometries)
+        return joint, joint
+    geometry, grid = geometries[0], given
+    if grid is None and not geometry.collection.steered:
         grid = facing_grid(geometry)
+    if grid is not None and len(geometries) > 1:
+        return grid, grid
     region = plan_region(geometry, grid)
     proposed = grid or default_grid(geometry, region)
     return given or proposed, proposed
@@ -188,7 +218,8 @@ def _draw(
     )  # fmt: skip
 
 
-def _sentences(history: stores.PhaseHistory, planned: coarse.Preview, proposed: Grid) -> list[str]:
+def _sentences(histories: Sequence[stores.PhaseHistory], planned: coarse.Preview, proposed: Grid) -> list[str]:
+    history = histories[0]
     n_pulse, n_column = history.collection.n_pulse, history.collection.n_range_frequency
     columns = planned.columns.stop - planned.columns.start
     pulses = len({p for part in planned.apertures for p in np.arange(part.start, part.stop).tolist()})
@@ -197,7 +228,8 @@ def _sentences(history: stores.PhaseHistory, planned: coarse.Preview, proposed: 
     return [
         *([f"channel {names[history.channel]} of {', '.join(names)}"] if names else []),
         f"resolution {across:.3g} m in range and {along:.3g} m in azimuth, in pixels of {planned.grid.dx:.3g} m, from "
-        f"{pulses} of {n_pulse} pulses and {columns} of {n_column} range frequencies",
+        f"{pulses} of {n_pulse} pulses and {columns} of {n_column} range frequencies"
+        + (f" of each of {len(histories)} phase histories, about" if len(histories) > 1 else ""),
         f"a run takes --grid {grid_text(proposed)}",
     ]
 

@@ -488,3 +488,69 @@ def ingest_palsar(
         time_tags=time_tags, troposphere=troposphere, collection_start=collection_start, time_zero=time_zero,
         overwrite=overwrite, progress=progress,
     )  # fmt: skip
+
+
+def ingest_sentinel1(
+    source: Location | Sequence[Location],
+    out: Location,
+    *,
+    swath: str | None = None,
+    polarization: str | None = None,
+    bursts: str | tuple[int | None, int | None] | None = None,
+    orbit: Location | None = None,
+    time_tags: Literal["transmit", "middle"] | None = None,
+    troposphere: Literal["standard"] | None = None,
+    ground_height: float = 0.0,
+    collection_start: str | None = None,
+    time_zero: float | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Report:
+    """Turn Sentinel-1 level 0 (packets) into phase histories: one for each burst, in one frame on the ellipsoid.
+
+    Parameters
+    ----------
+    source : path or sequence of paths
+        Files of packets (.dat) of one data take, or the SAFE folder that they lie in.
+    out : path
+        Phase-history store to write; of several bursts a store of as many, which `focus` takes as one.
+    swath : str, optional
+        The one swath that is read, such as "IW1". Default: all.
+    polarization : str, optional
+        Of transmitter and receiver. Default: that of like ones, "VV" or "HH".
+    bursts : str or (int, int), optional
+        Bursts "a:b" of each swath that are read, from a to the one before b, counted from 0. Default: all.
+    orbit : path, optional
+        Precise orbit (EOF). Default: the states in the packets.
+    time_tags : {"transmit", "middle"}, optional
+        What the packets' times are those of: the pulse's transmission, or the positions of an antenna that stands still
+        while a pulse is out, as in simulations. Default: the PRI in which the echo is received.
+    troposphere : {"standard"}, optional
+        The delay that the samples hold, and that is taken out: a standard atmosphere's. Default: none.
+    ground_height : float
+        Height z of the imaged plane in the scene frame, m. Default: 0.
+    collection_start : str, optional
+        UTC from which the times of a single burst count. Default: the packets' own.
+    time_zero : float, optional
+        Seconds from there to its slow time 0. Default: the packets' own.
+    overwrite : bool
+        Replace what stands at `out`. Default: False.
+    progress : object with a method update(stage, done, total), or False, optional
+        As in `focus`. Default: bars in a notebook, silence elsewhere.
+
+    Returns
+    -------
+    Report
+        `summary` says what was found and assumed; `result` is the collection of the (first) burst.
+
+    Raises
+    ------
+    InputError
+        If a file is damaged or of another kind, no burst is left, the orbit is not known, or `out` exists and
+        `overwrite` is False.
+    """
+    return ingest(
+        "sentinel1", source, out, swath=swath, polarization=polarization, bursts=bursts, orbit=orbit,
+        time_tags=time_tags, troposphere=troposphere, ground_height=ground_height, collection_start=collection_start,
+        time_zero=time_zero, overwrite=overwrite, progress=progress,
+    )  # fmt: skip

@@ -11,7 +11,7 @@ from contextlib import suppress
 from typing import NamedTuple
 
 from blocksar.errors import InputError
-from blocksar.ingestion.kinds import NOTHING, OTHERS, SAFE_ECHOES, SAFE_IMAGES, SCENE, START, Kind, Start
+from blocksar.ingestion.kinds import NOTHING, OTHERS, SAFE_IMAGES, SCENE, START, Kind, Start
 from blocksar.ingestion.readers import READERS
 from blocksar.places.local import LocalPlace
 from blocksar.places.ranges import Readable
@@ -79,9 +79,8 @@ def found_at(where: Readable) -> Found | None:
 def _in_folder(folder: LocalPlace) -> Found | None:
     """Find what a folder holds: the first file that `ingest` reads, or else of which the kind is known."""
     names = folder.names()
-    if "manifest.safe" in names:
-        raw = "_RAW_" in folder.name
-        return Found(SAFE_ECHOES if raw else SAFE_IMAGES, Start(folder.name, b"", whole=True), folder)
+    if "manifest.safe" in names and "_RAW_" not in folder.name:
+        return Found(SAFE_IMAGES, Start(folder.name, b"", whole=True), folder)
     seen: list[Found] = []
     for name in names[:MOST_FILES]:
         file = folder / name

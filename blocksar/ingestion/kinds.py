@@ -157,7 +157,6 @@ AGAIN = "get it again"
 ARRAYS = "build the phase history from its arrays with blocksar.collection"
 ECHOES = "build the phase history from its echoes with blocksar.collection"
 IMAGE = "give the CPHD file or the raw echoes that it was made from, since no image can be turned back into these"
-PACKETS = "decode the packets of its .dat files with sentinel1decoder, a package of PyPI"
 LINK = "log in, or ask for a link that is still valid"
 DESCRIBED = "give the data that it describes"
 
@@ -192,7 +191,6 @@ OTHERS: tuple[Kind, ...] = (
     Kind("a netCDF 3 file", begins(b"CDF\1", b"CDF\2", b"CDF\5"), f"read it with xarray.open_dataset, and {ARRAYS}"),
     Kind("an HDF4 file", begins(b"\x0e\x03\x13\x01"), f"read it with pyhdf, and {ARRAYS}"),
     Kind("a MATLAB 4 file", _matlab4, f"read it with scipy.io.loadmat, and {ARRAYS}"),
-    Kind("a file of Sentinel-1 level 0 packets", begins(b"\x35\x2e\xf8\x53", at=12), f"{PACKETS}, and {ECHOES}"),
     Kind("the manifest of a SAFE product", lambda s: s.text.startswith("<") and "XFDU" in s.text[:1000],
          "give the folder that it lies in", beside=True),
     Kind("an ENVISAT or ERS product of level 0", matches(rb'PRODUCT="[A-Z_]{8}0'), f"decode its packets, and {ECHOES}"),
@@ -243,5 +241,4 @@ OTHERS: tuple[Kind, ...] = (
          f"if it holds samples, read them with numpy.fromfile, and {ARRAYS}",
          lambda s: f" (it begins with {s.data[:8]!r})", beside=True),
 )  # fmt: skip
-SAFE_ECHOES = Kind("a SAFE product of Sentinel-1 level 0", lambda s: True, f"{PACKETS}, and {ECHOES}")
 SAFE_IMAGES = Kind("a SAFE product, of images", lambda s: True, IMAGE)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
@@ -13,12 +14,13 @@ from blocksar.arrays import ComplexArray
 from blocksar.chunks import TILE
 from blocksar.collection.collection import Collection
 from blocksar.collection.raw_echo import RawEcho
+from blocksar.errors import InputError
 from blocksar.ingestion.kinds import Kind
 from blocksar.ingestion.reading import Ingested
 from blocksar.options import Option
 from blocksar.places import Location, place, readable
 from blocksar.places.local import LocalPlace
-from blocksar.places.place import Place
+from blocksar.places.place import REMEDY, Place, check_room
 from blocksar.places.ranges import Readable
 from blocksar.plugins import Registry
 from blocksar.progress.listening import Callback
@@ -117,8 +119,8 @@ class Reader(Protocol):
     kind: Kind
     options: type
 
-    def read(self, sources: Sequence[Location], options: Any) -> Reading:
-        """Read all but the samples.
+    def read(self, sources: Sequence[Location], options: Any) -> Reading | Mapping[str, Reading]:
+        """Read all but the samples; of several collections in one frame, each by its name.
 
         Raises
         ------
@@ -142,6 +144,7 @@ READERS: Registry[Reader] = Registry("blocksar.readers", "reader", {
     "nisar": "blocksar.ingestion.nisar.reader:NISAR",
     "palsar": "blocksar.ingestion.palsar.reader:PALSAR",
     "gotcha": "blocksar.ingestion.gotcha.reader:GOTCHA",
+    "sentinel1": "blocksar.ingestion.sentinel1.reader:SENTINEL1",
 })  # fmt: skip
 
 
@@ -164,7 +167,58 @@ def ingest(
     """
     origin = readable(sources[0]).name if len(sources) == 1 else f"{len(sources)} files"
     reading = reader.read(sources, options)
+    if isinstance(reading, Mapping):
+        if len(reading) > 1:
+            return store_several(reading, out, origin=origin, times=times, overwrite=overwrite, progress=progress)
+        (reading,) = reading.values()
     return store(reading, out, origin=origin, times=times, overwrite=overwrite, progress=progress)
+
+
+def store_several(
+    readings: Mapping[str, Reading],
+    out: Location,
+    *,
+    origin: str,
+    times: Mapping[str, Any] | None = None,
+    overwrite: bool = False,
+    progress: Callback | None = None,
+) -> Ingested:
+    """Write phase histories in one frame into one store, a group for each by its name; else as `store`.
+
+    Raises
+    ------
+    InputError
+        As `store`; or if times are stated, which would be those of all.
+    """
+    if times:
+        raise InputError(
+            f"--collection-start and --time-zero are one collection's, and there are {len(readings)}; leave them out"
+        )
+    target = place(out)
+    total = sum(each.collection.n_pulse * max(len(each.channels), 1) for each in readings.values())
+    needed = sum(
+        stores.history_bytes(each.collection, max(len(each.channels), 1), each.raw) for each in readings.values()
+    )
+    parts = next(iter(readings.values())).parts
+    check_room(target, needed, f"make room, choose another place, or read a part ({parts})" if parts else REMEDY)
+
+    def fill(whole: Place) -> None:
+        done = 0
+        for name, reading in readings.items():
+            told = None if progress is None else partial(_told, progress, done, total)
+            store(replace(reading, parts=""), whole / name, origin=origin, progress=told)
+            done += reading.collection.n_pulse * max(len(reading.channels), 1)
+
+    stores.create_collections(target, tuple(readings), origin=origin, overwrite=overwrite, fill=fill)
+    return Ingested(
+        path=target.path if isinstance(target, LocalPlace) else target,
+        collection=next(iter(readings.values())).collection,
+        messages=[sentence for reading in readings.values() for sentence in reading.messages()],
+    )  # fmt: skip
+
+
+def _told(progress: Callback, before: int, total: int, done: int, _: int) -> None:
+    progress(before + done, total)
 
 
 def store(

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from blocksar.stores.channels import POLARIZATIONS, check_channels, look_name, number_of, with_channels, without_unseen
 from blocksar.stores.chunk_files import Array, Region
+from blocksar.stores.collections import collections_in, create_collections
 from blocksar.stores.copying import (
     ORIGINAL,
     copy_files,
@@ -31,7 +32,13 @@ from blocksar.stores.copying import (
 )
 from blocksar.stores.creation import UNFINISHED, create, refuse_existing
 from blocksar.stores.datasets import CONTENT, DatasetHistory, dataset_of, history_in_memory, history_of
-from blocksar.stores.history_creation import create_phase_history, history_line, refuse_full, write_collection
+from blocksar.stores.history_creation import (
+    create_phase_history,
+    history_bytes,
+    history_line,
+    refuse_full,
+    write_collection,
+)
 from blocksar.stores.phase_history import PhaseHistory, open_dataset, open_phase_history, read_collection
 from blocksar.stores.records import checksum, checksum_bytes, file_checksum, json_checksum, read_json, write_json
 from blocksar.stores.regions import chunk_shape, read_region, share_region, write_region
@@ -82,13 +89,16 @@ __all__ = [
     "checksum",
     "checksum_bytes",
     "chunk_shape",
+    "collections_in",
     "copy_files",
     "create",
+    "create_collections",
     "create_phase_history",
     "dataset_of",
     "file_checksum",
     "files_to_copy",
     "groups_of",
+    "history_bytes",
     "history_in_memory",
     "history_line",
     "history_of",

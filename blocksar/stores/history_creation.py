@@ -84,9 +84,14 @@ def refuse_full(
     InputError
         If it has not, with both figures.
     """
-    columns = collection.n_range_frequency if raw is None else raw.fast_time.size
     remedy = f"make room, choose another place, or {other}" if other else REMEDY
-    check_room(place_of(path), n_channel * stored_bytes((collection.n_pulse, columns)), remedy)
+    check_room(place_of(path), history_bytes(collection, n_channel, raw), remedy)
+
+
+def history_bytes(collection: Collection, n_channel: int, raw: RawEcho | None) -> int:
+    """Bytes that the samples of a phase history take on a disk."""
+    columns = collection.n_range_frequency if raw is None else raw.fast_time.size
+    return n_channel * stored_bytes((collection.n_pulse, columns))
 
 
 def write_collection(path: Location, collection: Collection, attrs: Mapping[str, Any] | None = None) -> None:

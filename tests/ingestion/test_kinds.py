@@ -112,11 +112,6 @@ FILES: dict[str, tuple[str, bytes, str]] = {
         "is a CEOS file of an image; give the CP",
     ),
     "CEOS leader": ("LED-ALPSRP", ceos(b"\x0b\xc0\x12\x12", b"\x12\x0a\x12\x14"), "(volume, leader or trailer); give"),
-    "Sentinel-1 packets": (
-        "s1a-iw-raw.dat",
-        bytes.fromhex("0c1cc1983d294c12633bf1a7352ef853053aed60"),
-        "Sentinel-1 level 0",
-    ),
     "ENVISAT raw": ("ASA.N1", b'PRODUCT="ASA_IM__0PNPDK20', "is an ENVISAT or ERS product of level 0; decode its"),
     "ENVISAT image": ("ASA.N1", b'PRODUCT="ASA_IMS_1PNPDK20', "is an ENVISAT or ERS product, an image"),
     "COSAR": ("x.cos", bytes(20).replace(b"\0", b"\1") + bytes(8) + b"CSAR", "is a COSAR file (TerraSAR-X), an image"),
@@ -179,7 +174,6 @@ def test_what_is_said_of_an_archive_unpacks_it(what: str, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("files", "sentence"),
     [
-        ({"manifest.safe": b"<xfdu:XFDU/>", "s1a.dat": b""}, "is a SAFE product"),
         (
             {"README.txt": b"text", "collect.cphd": CPHD, "look.png": b"\x89PNG\r\n\x1a\n"},
             "collect.cphd is a CPHD file; turn",
