@@ -38,7 +38,7 @@ def read_ground(
 
 
 def ground_under(ground: Ground, source: One) -> Ground:
-    """What the user says of the ground, and else the phase history or scene.
+    """Find what the user says of the ground, and else the phase history or scene.
 
     Raises
     ------

@@ -221,7 +221,7 @@ class _Layout:
         return Antenna(time=track.time, axis=towards * axes[which]), steering
 
     def _phase(self, pulses: NDArray[Any], vectors: NDArray[Any], begun: FloatArray) -> FloatArray:
-        """What to take off each vector, cycles (see the package)."""
+        """Find what to take off each vector, cycles (see the package)."""
         told = _whole(pulses["PhiX0"]) - _whole(vectors["RefPhi0"])
         return np.asarray(np.mod(told + np.mod(vectors["RefFreq"].astype(float) * begun, 1), 1))
 

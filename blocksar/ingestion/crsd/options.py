@@ -1,4 +1,4 @@
-"""What tells a CRSD file, and what a user wants of it."""
+"""Options of a CRSD file, and how one is recognised."""
 
 from __future__ import annotations
 

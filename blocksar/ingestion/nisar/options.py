@@ -1,4 +1,4 @@
-"""What tells a file of NISAR, and what a user wants of it."""
+"""Options of a file of NISAR, and how one is recognised."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ from blocksar.ingestion.strips.orbit import Antenna, Orbit, inertial
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Leader:
-    """What a leader file says.
+    """Leader file: orbit, attitude and radar of a scene.
 
     Attributes
     ----------

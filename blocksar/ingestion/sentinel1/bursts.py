@@ -182,7 +182,7 @@ class Steering:
 
     @classmethod
     def of(cls, bursts: Sequence[Burst]) -> Steering:
-        """That of a swath's bursts."""
+        """Steering of a swath's bursts."""
         rate = np.radians(RATES.get(bursts[0].swath, 0.0))
         if not rate:
             return cls(rate=0.0, broadside=None)

@@ -1,4 +1,4 @@
-"""What files of packets hold, by their headers."""
+"""Description of files of packets, by their headers."""
 
 from __future__ import annotations
 

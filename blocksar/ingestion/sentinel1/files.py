@@ -29,7 +29,7 @@ class File(NamedTuple):
 
     @property
     def polarization(self) -> str:
-        """That of its echoes, the first one's.
+        """Polarization of its echoes, the first one's.
 
         Raises
         ------

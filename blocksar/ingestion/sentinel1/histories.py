@@ -56,7 +56,7 @@ UNMOVED = 1e-3  # of a sample
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Data:
-    """What the bursts of a data take have in common."""
+    """Facts that the bursts of a data take have in common."""
 
     options: Sentinel1Options
     zero: int

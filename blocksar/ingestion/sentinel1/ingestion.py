@@ -47,7 +47,7 @@ def begin(sources: Sequence[Location], options: Sentinel1Options) -> dict[str, R
 
 
 def _common(choice: Choice, bursts: Sequence[Burst], options: Sentinel1Options) -> Data:
-    """What the wanted bursts have in common; the law of the steering is told by all of a swath."""
+    """Find what the wanted bursts have in common; the law of the steering is told by all of a swath."""
     zero = choice.zero
     first = min(burst.sent for burst in bursts)
     last = max(burst.sent + (burst.n_slot + 32) * burst.interval for burst in bursts)  # with what is in the air

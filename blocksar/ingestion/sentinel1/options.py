@@ -1,4 +1,4 @@
-"""What a user wants of Sentinel-1's packets, and says of them."""
+"""Options for Sentinel-1's packets, and what a user says of them."""
 
 from __future__ import annotations
 

@@ -126,7 +126,7 @@ class Packets:
 
     @classmethod
     def joined(cls, parts: Sequence[Packets]) -> Packets:
-        """Those of several files, one after the other."""
+        """Join the packets of several files, one after the other."""
         return cls(**{each.name: np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(cls)})
 
     def __len__(self) -> int:
@@ -139,7 +139,7 @@ class Packets:
 
     @property
     def radar(self) -> Radar:
-        """What the first packet says of the pulse."""
+        """Find what the first packet says of the pulse."""
         return Radar.of(int(self.ramp[0]), int(self.start[0]), int(self.length[0]), int(self.decimation[0]))
 
     def times(self, zero: int) -> FloatArray:

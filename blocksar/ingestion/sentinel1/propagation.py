@@ -18,7 +18,7 @@ LONGEST = 15.0  # s: what J2 leaves out, 3e-5 m/s^2, moves a satellite by 3 mm
 
 
 def acceleration(position: FloatArray, velocity: FloatArray) -> FloatArray:
-    """That of a satellite (3,) in axes that turn with the Earth, m/s^2: gravity with its flattening, and the turn's."""
+    """Acceleration (3,) of a satellite in axes that turn with the Earth, m/s^2, with its flattening."""
     distance = float(np.linalg.norm(position))
     lift = 5 * position[2] ** 2 / distance**2
     flattened = 1.5 * OBLATENESS * (RADIUS / distance) ** 2 * (np.array([1.0, 1.0, 3.0]) - lift)

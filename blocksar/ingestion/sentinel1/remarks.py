@@ -1,4 +1,4 @@
-"""What a user should know of ingested bursts: what was found, and what was assumed."""
+"""Remarks on ingested bursts for a user: what was found, and what was assumed."""
 
 from __future__ import annotations
 

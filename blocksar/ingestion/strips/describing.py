@@ -1,4 +1,4 @@
-"""What `info` says of a satellite's raw echo."""
+"""Description of a satellite's raw echo by `info`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a user wants of a satellite's raw echo, and says of it."""
+"""Options for a satellite's raw echo, and what a user says of it."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class PartOptions(ReaderOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class StripOptions(PartOptions):
-    """The same, where a format gives times of pulses and an orbit.
+    """Options where a format gives times of pulses and an orbit.
 
     Attributes
     ----------

@@ -102,7 +102,7 @@ class Track:
     velocity: FloatArray
 
     def at(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Those at times (m,), s; between the pulses as if they lay on a straight line."""
+        """States at times (m,), s; between the pulses as if they lay on a straight line."""
         both = np.hstack([self.position, self.velocity])
         found = np.stack([np.interp(time, self.time, column) for column in both.T], axis=1)
         return found[:, :3], found[:, 3:]

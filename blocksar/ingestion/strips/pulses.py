@@ -41,7 +41,7 @@ class Even(NamedTuple):
         return self.slots[low:high] - first, self.pulses[low:high]
 
     def without(self, some: IntArray) -> Even:
-        """The same, in which some pulses, by their place here, are lost; the axis stays."""
+        """Copy in which some pulses, by their place here, are lost; the axis stays."""
         return self._replace(pulses=np.delete(self.pulses, some), slots=np.delete(self.slots, some))
 
 

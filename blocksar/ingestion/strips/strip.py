@@ -51,7 +51,7 @@ Rows = Callable[[int, IntArray], ComplexArray]  # samples of a channel at some p
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Strip:
-    """What a format states of a raw echo.
+    """Strip as a format states it: a raw echo with its orbit, attitude and radar.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Strip:
     origin: Georeference | None = None
 
     def taking(self, tags: TimeTags | None) -> Strip:
-        """The same with what a user says of its times."""
+        """Copy with what a user says of its times."""
         return self if tags is None else replace(self, tags=tags)
 
     @property
@@ -208,7 +208,7 @@ class Strip:
         return collection, raw
 
     def attributes(self, options: PartOptions) -> dict[str, Any]:
-        """Those of the store."""
+        """Attributes of the store."""
         start = self.epoch + timedelta(seconds=float(self.moment[0]))
         source = {
             "format": self.format,
@@ -248,7 +248,7 @@ class Strip:
         )
 
     def remarks(self, options: PartOptions) -> list[str]:
-        """What a user should know, a sentence each."""
+        """Find what a user should know, a sentence each."""
         interval, n = self.even.interval, self.even.time.size
         taken = "taken out" if options.troposphere else "in the samples; --troposphere standard takes it out"
         note = self.axis[1]
@@ -268,7 +268,7 @@ class Strip:
         ]  # fmt: skip
 
     def reading(self, options: PartOptions) -> Reading:
-        """What is still to be read."""
+        """Find what is still to be read."""
         collection, raw = self.collection(options)
         several = len(self.polarizations) > 1
         return Reading(

@@ -50,7 +50,7 @@ class Ground:
         return self.terrain is None and self.surface in (None, "plane")
 
     def under(self, attrs: Mapping[str, Any]) -> Ground:
-        """The same under a collection with attributes of its store, whose `surface` counts if the user names no ground.
+        """Copy under a collection with attributes of its store, whose `surface` counts if the user names no ground.
 
         Raises
         ------
