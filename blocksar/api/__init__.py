@@ -1,9 +1,9 @@
-"""The commands as functions: simulate, ingest, check, autofocus, plan, focus, quality, report, export, open, info,
-preview, demo, compile; and collection, scene_centre and write, for data in memory.
+"""The commands as functions: simulate, ingest, check, autofocus, plan, focus, quality, report, export, compare, open,
+info, preview, demo, compile; and collection, scene_centre and write, for data in memory.
 
 One module for each stage: `sources`, `datasets`, `describing` (with `facts`), `previewing`, `checking`, `autofocusing`
-(with `tracks`), `planning`, `focusing` (with `jobs`), `measuring`, `reporting`, `exporting`, `demonstrating`,
-`compiling`. They share `settings`, which states every option once, `arguments` and `reports`.
+(with `tracks`), `planning`, `focusing` (with `jobs`), `measuring`, `reporting`, `exporting`, `comparing`,
+`demonstrating`, `compiling`. They share `settings`, which states every option once, `arguments` and `reports`.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from blocksar.garbage import uncollected
 if TYPE_CHECKING:
     from blocksar.api.autofocusing import autofocus
     from blocksar.api.checking import check
+    from blocksar.api.comparing import compare
     from blocksar.api.compiling import compile
     from blocksar.api.datasets import collection, scene_centre, write
     from blocksar.api.demonstrating import demo
@@ -33,8 +34,8 @@ if TYPE_CHECKING:
 # The module of each function: it is loaded on first use, since a command needs one of them.
 _HOMES = {
     "PlanReport": "shown", "Report": "reports", "RunReport": "shown", "autofocus": "autofocusing", "check": "checking",
-    "collection": "datasets", "compile": "compiling", "demo": "demonstrating", "export": "exporting",
-    "focus": "focusing", "info": "describing", "ingest": "sources", "ingest_cphd": "sources",
+    "collection": "datasets", "compare": "comparing", "compile": "compiling", "demo": "demonstrating",
+    "export": "exporting", "focus": "focusing", "info": "describing", "ingest": "sources", "ingest_cphd": "sources",
     "ingest_gotcha": "sources", "open": "exporting", "plan": "planning", "preview": "previewing",
     "quality": "measuring", "report": "reporting", "scene_centre": "datasets", "simulate": "sources",
     "write": "datasets",
@@ -46,6 +47,7 @@ __all__ = [
     "autofocus",
     "check",
     "collection",
+    "compare",
     "compile",
     "demo",
     "export",
