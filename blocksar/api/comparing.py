@@ -21,7 +21,7 @@ from blocksar.progress import as_listener
 from blocksar.runs.finished import FinishedRun, folder_of, member_line
 from blocksar.spans import parse_crop
 
-WINDOW = (7, 7)
+WINDOW = "7x7"
 FALSE_ALARMS = 1e-3
 LEVEL = 1e-9  # rad/m, below which height does not turn the phase
 LARGEST = 255  # pixels of a window along an axis
@@ -52,7 +52,7 @@ def compare(
     window : (int, int) or str
         Pixels along y and along x, odd, over which coherence is estimated, such as (7, 7) or "7x7". Default: "7x7".
     false_alarms : float
-        Probability that a pixel is called changed that is not. Default: 0.001.
+        Probability, of 1, that a pixel is called changed that is not. Default: 0.001.
     channel : str, optional
         Of runs of several channels or looks. Default: the first.
     crop : ((float, float), (float, float)) or str, optional

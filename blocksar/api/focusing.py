@@ -90,6 +90,7 @@ def focus(
     wait_workers: float = WAIT_WORKERS,
     overwrite: bool = False,
     discard: bool = False,
+    pyramid: bool | None = None,
     dry_run: bool = False,
     progress: Progress | None = None,
     performance_report: str | Path | None = None,
@@ -180,6 +181,9 @@ def focus(
     discard : bool
         Remove the spectrum once all blocks are focused, and the patches at the end: no command reads them afterwards.
         Interrupted in the mosaic, a run recovers the spectrum again. Default: False, keep them.
+    pyramid : bool, optional
+        Add coarser levels of the image's power to image.zarr, for viewers. A run that is resumed keeps what it began
+        with. Default: where a side has more than 4096 pixels.
     dry_run : bool
         Say what would be done, and write nothing: `tables` and `result` are then those of `plan`. Default: False.
     progress : object with a method update(stage, done, total), or False, optional

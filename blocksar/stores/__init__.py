@@ -33,6 +33,7 @@ from blocksar.stores.creation import UNFINISHED, create, refuse_existing
 from blocksar.stores.datasets import CONTENT, DatasetHistory, dataset_of, history_in_memory, history_of
 from blocksar.stores.history_creation import create_phase_history, history_line, refuse_full, write_collection
 from blocksar.stores.phase_history import PhaseHistory, open_dataset, open_phase_history, read_collection
+from blocksar.stores.pyramid import PYRAMID, Pyramid, level_name, level_shapes, levels_of, pyramid_of
 from blocksar.stores.records import checksum, checksum_bytes, file_checksum, json_checksum, read_json, write_json
 from blocksar.stores.regions import chunk_shape, read_region, share_region, write_region
 from blocksar.stores.schema import (
@@ -67,6 +68,7 @@ __all__ = [
     "PATCH",
     "PHASE_HISTORY",
     "POLARIZATIONS",
+    "PYRAMID",
     "RAW_ECHO",
     "SPECTRUM",
     "TRACK_AND_BEAM",
@@ -75,6 +77,7 @@ __all__ = [
     "Array",
     "DatasetHistory",
     "PhaseHistory",
+    "Pyramid",
     "Region",
     "StoredTerrain",
     "Variable",
@@ -94,11 +97,15 @@ __all__ = [
     "history_of",
     "is_truth",
     "json_checksum",
+    "level_name",
+    "level_shapes",
+    "levels_of",
     "look_name",
     "number_of",
     "open_dataset",
     "open_phase_history",
     "publish",
+    "pyramid_of",
     "read_collection",
     "read_json",
     "read_region",

@@ -39,6 +39,13 @@ def passes(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return focused
 
 
+@pytest.fixture(autouse=True)
+def _without_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw nothing but where pictures are asked for: that takes longer than all else."""
+    if "pictures" not in request.node.name:
+        monkeypatch.setattr("blocksar.products.pair.pictures.draw_pair", lambda *_, **__: [])
+
+
 def mixed(coherence: float) -> Points:
     """Clutter whose correlation with `clutter(1)` is a coherence."""
     first, other = clutter(1), clutter(2)
@@ -142,7 +149,9 @@ def test_the_store_opens_and_its_pictures_are_there(passes: Any, tmp_path: Path)
     assert float(pair.x[0]) >= -20 and float(pair.y[-1]) <= 10
     with pytest.raises(blocksar.InputError, match=r"pair\.zarr exists.*overwrite"):
         blocksar.compare(a, b, out, progress=False)
+    pictures = {each.name: each.read_bytes() for each in out.glob("*.png")}
     blocksar.compare(a, b, out, overwrite=True, progress=False)
+    assert all((out / name).read_bytes() != data for name, data in pictures.items())
     assert xr.open_zarr(out / "pair.zarr").sizes["x"] == len(np.arange(*GRID[0]))
 
 

@@ -37,6 +37,7 @@ COMMANDS = {
     "focus": ["focus", "ph.zarr", "--out", "run"],
     "quality": ["quality", "run"],
     "report": ["report", "run"],
+    "compare": ["compare", "a", "b", "--out", "pair"],
     "compile": ["compile"],
 }
 REPORT = SimpleNamespace(

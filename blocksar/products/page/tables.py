@@ -24,6 +24,8 @@ UNITS = {
     "gate": "range gates, by Doppler bins",
     "focus": "blocks",
     "mosaic": "image, by chunks",
+    "pyramid": "pyramid, by parts",
+    "pyramid-top": "top of the pyramid",
     "backprojection": "image, by chunks",
 }  # of a stage
 STAGES = {
@@ -33,6 +35,7 @@ STAGES = {
     "gate": "range gates",
     "focus": "focusing of blocks",
     "mosaic": "mosaic",
+    "pyramid": "pyramid",
     "backprojection": "back-projection",
     "rest": "start, checks and end",
 }

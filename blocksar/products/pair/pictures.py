@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -43,7 +43,7 @@ def _decibels(ratio: NDArray[Any]) -> FloatArray:
 
 LAYERS = {
     "phase": Layer(
-        "interferometric phase", "interferogram", np.angle, "twilight", (-np.pi, np.pi), "phase of a conj(b) (rad)"
+        "interferometric phase", "interferogram", np.angle, "hsv", (-np.pi, np.pi), "phase of a conj(b) (rad)"
     ),
     "coherence": Layer("coherence", "coherence", np.real, "gray", (0.0, 1.0), "coherence"),
     "ratio": Layer("amplitude ratio", "amplitude_ratio", _decibels, "RdBu_r", (-RATIO, RATIO), "b over a (dB)"),
@@ -84,14 +84,15 @@ def _draw(path: str, pair: Pair, store: Place, name: str) -> None:
     axes.set_facecolor(NOT_COVERED)
     if name == "change":
         picture = axes.imshow(np.ma.masked_invalid(coherence), cmap="gray", vmin=0, vmax=1, **shared)
-        quicklook.draw_colour_bar(axes, picture, "coherence")
+        quicklook.draw_colour_bar(axes, picture, "coherence", extend="neither")
         red = np.ma.masked_where(~(values > 0), np.ones(values.shape))
         axes.imshow(red, cmap=ListedColormap([CHANGED]), alpha=np.clip(np.nan_to_num(values), 0.35, 1.0), **shared)
         title = "coherent change, red"
     else:
         low, high = layer.limits
         picture = axes.imshow(np.ma.masked_invalid(values), cmap=layer.colours, vmin=low, vmax=high, **shared)
-        quicklook.draw_colour_bar(axes, picture, layer.label)
+        extend: Literal["both", "neither"] = "both" if name == "ratio" else "neither"
+        quicklook.draw_colour_bar(axes, picture, layer.label, extend=extend)
         title = layer.title
     _furnish(axes, Overview(values, None, *edges), pair, title)
     figure.supxlabel(quicklook.caption_of(pair.a), fontsize=8, color="#5a6676")
