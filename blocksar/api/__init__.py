@@ -1,8 +1,8 @@
 """The commands as functions: simulate, ingest, check, autofocus, plan, focus, quality, report, export, compare, open,
-info, preview, demo, compile; and collection, scene_centre and write, for data in memory.
+info, preview, view, demo, compile; and collection, scene_centre and write, for data in memory.
 
 One module for each stage: `sources`, `datasets`, `describing` (with `facts`), `previewing`, `checking`, `autofocusing`
-(with `tracks`), `planning`, `focusing` (with `jobs`), `measuring`, `reporting`, `exporting`, `comparing`,
+(with `tracks`), `planning`, `focusing` (with `jobs`), `measuring`, `reporting`, `exporting`, `comparing`, `viewing`,
 `demonstrating`, `compiling`. They share `settings`, which states every option once, `arguments` and `reports`.
 """
 
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from blocksar.api.reports import Report
     from blocksar.api.shown import PlanReport, RunReport
     from blocksar.api.sources import ingest, ingest_cphd, ingest_gotcha, simulate
+    from blocksar.api.viewing import view
 
 # The module of each function: it is loaded on first use, since a command needs one of them.
 _HOMES = {
@@ -38,7 +39,7 @@ _HOMES = {
     "export": "exporting", "focus": "focusing", "info": "describing", "ingest": "sources", "ingest_cphd": "sources",
     "ingest_gotcha": "sources", "open": "exporting", "plan": "planning", "preview": "previewing",
     "quality": "measuring", "report": "reporting", "scene_centre": "datasets", "simulate": "sources",
-    "write": "datasets",
+    "view": "viewing", "write": "datasets",
 }  # fmt: skip
 __all__ = [
     "PlanReport",
@@ -63,6 +64,7 @@ __all__ = [
     "report",
     "scene_centre",
     "simulate",
+    "view",
     "write",
 ]
 

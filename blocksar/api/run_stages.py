@@ -60,7 +60,10 @@ def carry_out(
         record.write(run.folder)
         job = job.with_stored_input()
         on_terrain = compiling.TERRAIN if job.request.terrain is not None else ()
-        compiling.compile_missing([*job.plan.loops(), *on_terrain], by="others" if cluster.is_here(client) else "all")
+        pyramid = compiling.PYRAMID if has_pyramid(job.grid, job.request.asked.pyramid) else ()
+        compiling.compile_missing(
+            [*job.plan.loops(), *on_terrain, *pyramid], by="others" if cluster.is_here(client) else "all"
+        )
         if client is None:
             scratch = run_folder.scratch(run.folder)
             client = cluster.Starting(**job.machine._asdict(), scratch=scratch, listener=listener)

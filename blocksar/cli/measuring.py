@@ -1,7 +1,8 @@
-"""The commands about finished runs: `quality`, `report` and `compare`."""
+"""The commands about finished runs: `quality`, `report`, `compare` and `view`."""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -113,3 +114,28 @@ def compare(
         )  # fmt: skip
     show(report)
     hint(context, "quality", a, "--against", b)
+
+
+def view(
+    context: typer.Context,
+    run: Run,
+    channel: Channel = None,
+    port: Annotated[
+        int | None, typer.Option(metavar="N", help="Where to listen on 127.0.0.1.", show_default="one that is free")
+    ] = None,
+    browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
+    quiet: Quiet = False,
+) -> None:
+    """Pan and zoom a run of any size in the browser, by its pyramid if it has one, until Ctrl-C.
+
+    Served by this process, to this machine only.
+
+    Example: [bold]blocksar view run[/bold]
+    """
+    from blocksar import api
+
+    report = api.view(run, channel=channel, port=port, browser=browser)
+    show(report)
+    hint(context, "report", run)
+    with report.result as viewer, suppress(KeyboardInterrupt):
+        viewer.wait()

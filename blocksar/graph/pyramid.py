@@ -17,7 +17,7 @@ from blocksar.graph.spectrum import Window
 from blocksar.graph.tasks import naming_failures, sign
 from blocksar.graph.units import run_units, single_task
 from blocksar.graph.writing import in_threads
-from blocksar.measurement.looks import power_of
+from blocksar.kernels.halving import halve
 from blocksar.progress import Listener
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Receipt, Written
@@ -61,7 +61,7 @@ def reduce_image(run: Run, unit: str, first: tuple[int, int], shape: tuple[int, 
         coarser: dict[tuple[int, int], Power] = {}
         at = first[0] >> level, first[1] >> level
         for window in _windows(at, size, 2 ** (PYRAMID_LEVELS - level)):
-            power = halved(_laid(finer, window, shapes[level - 2]))
+            power = halve(_laid(finer, window, shapes[level - 2]))
             coarser[window[0].start, window[1].start] = power
             written += _write(run, level, window, power)
         finer = coarser
@@ -77,7 +77,7 @@ def reduce_levels(run: Run, unit: str, shape: tuple[int, int]) -> Receipt:
         for window in _windows((0, 0), shapes[level - 1], None):
             source = _doubled(window, shapes[level - 2])
             finer = stores.read_region(run.image, stores.level_name(level - 1), source, cached=False)
-            written += _write(run, level, window, halved(finer))
+            written += _write(run, level, window, halve(finer))
     return sign(run, Receipt(unit=unit, stage="pyramid-top", written=tuple(written)), started)
 
 
@@ -98,7 +98,7 @@ def _doubled(window: Window, shape: tuple[int, int]) -> Window:
 
 def _first_level(run: Run, window: Window, shape: tuple[int, int]) -> tuple[Power, list[Written]]:
     pixels = stores.read_region(run.image, "image", _doubled(window, shape), cached=False)
-    power = halved(power_of(pixels))
+    power = halve(pixels)
     return power, _write(run, 1, window, power)
 
 
@@ -112,22 +112,6 @@ def _laid(parts: dict[tuple[int, int], Power], window: Window, shape: tuple[int,
         top, left = y - rows.start, x - columns.start
         laid[top : top + n_y, left : left + n_x] = part
     return laid
-
-
-def halved(power: Power) -> Power:
-    """Mean power of the covered cells of each 2 x 2, ((n_y + 1) // 2, (n_x + 1) // 2); NaN where there are none."""
-    n_y, n_x = power.shape
-    if n_y % 2 or n_x % 2:
-        power = np.pad(power, ((0, n_y % 2), (0, n_x % 2)), constant_values=np.float32(np.nan))
-    total = np.zeros((power.shape[0] // 2, power.shape[1] // 2), np.float32)
-    count = np.zeros(total.shape, np.float32)
-    for y, x in product(range(2), range(2)):
-        part = power[y::2, x::2]
-        covered = np.isfinite(part)
-        total += np.where(covered, part, np.float32(0))
-        count += covered
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(total / count, np.float32)
 
 
 def _write(run: Run, level: int, window: Window, power: Power) -> list[Written]:

@@ -38,6 +38,7 @@ COMMANDS = {
     "quality": ["quality", "run"],
     "report": ["report", "run"],
     "compare": ["compare", "a", "b", "--out", "pair"],
+    "view": ["view", "run", "--no-browser"],
     "compile": ["compile"],
 }
 REPORT = SimpleNamespace(
