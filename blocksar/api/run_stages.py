@@ -126,7 +126,7 @@ def _form(
         input_read=input_read, end=end, noises=job.noises,
     )  # fmt: skip
     receipts = tuple(job.plan.form(execution))
-    if levels := build_pyramid(client, run, job.grid.shape, listener):
+    if levels := build_pyramid(client, run, job.grid.shape, receipts, listener):
         receipts = (*receipts, *levels)
         end("pyramid")
     if not any_covered(receipts, run.name_of(run.image)):

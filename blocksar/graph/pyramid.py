@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import product
 
@@ -25,18 +25,24 @@ from blocksar.runs.record import Receipt, Written
 Power = NDArray[np.float32]
 
 
-def build_pyramid(client: Client, run: Run, shape: tuple[int, int], listener: Listener) -> list[Receipt]:
+def build_pyramid(
+    client: Client, run: Run, shape: tuple[int, int], formed: Sequence[Receipt], listener: Listener
+) -> list[Receipt]:
     """Write the pyramid of the image, (n_y, n_x) pixels, if its store has one; return the receipts.
 
+    `formed` are those of the image, which tell the chunks that are there; nothing is read for the others.
     A unit makes the first PYRAMID_LEVELS of as much of the image as fills a chunk of the last of them; one more makes
     the few that remain.
     """
     if not stores.levels_of(run.image):
         return []
-    side = IMAGE_CHUNK * 2**PYRAMID_LEVELS
+    side, covered = IMAGE_CHUNK * 2**PYRAMID_LEVELS, _covered(run, formed)
+    parts: dict[tuple[int, int], set[tuple[int, int]]] = {}
+    for y, x in covered:
+        parts.setdefault((y // side * side, x // side * side), set()).add((y, x))
     units = [
-        single_task(client, run, "pyramid", f"pyramid-{y // side}-{x // side}", reduce_image, (y, x), shape)
-        for y, x in product(range(0, shape[0], side), range(0, shape[1], side))
+        single_task(client, run, "pyramid", f"pyramid-{y // side}-{x // side}", reduce_image, (y, x), shape, some)
+        for (y, x), some in sorted(parts.items())
     ]
     receipts = run_units(client, "pyramid", units, run, listener, per_worker=2)
     if len(stores.level_shapes(shape)) <= PYRAMID_LEVELS:
@@ -46,12 +52,17 @@ def build_pyramid(client: Client, run: Run, shape: tuple[int, int], listener: Li
 
 
 @naming_failures(lambda run, unit, *_: f"pyramid of {unit}")
-def reduce_image(run: Run, unit: str, first: tuple[int, int], shape: tuple[int, int]) -> Receipt:
-    """Write the first levels of a part of the image that begins at row and column `first`."""
+def reduce_image(
+    run: Run, unit: str, first: tuple[int, int], shape: tuple[int, int], covered: set[tuple[int, int]]
+) -> Receipt:
+    """Write the first levels of a part of the image that begins at row and column `first`.
+
+    `covered` has the first row and column of those of its chunks that are there.
+    """
     started = time.perf_counter()
     shapes = stores.level_shapes(shape)[:PYRAMID_LEVELS]
     windows = list(_windows((first[0] // 2, first[1] // 2), shapes[0], 2 ** (PYRAMID_LEVELS - 1)))
-    jobs = (partial(_first_level, run, window, shape) for window in windows)
+    jobs = (partial(_first_level, run, window, shape, covered) for window in windows)
     finer: dict[tuple[int, int], Power] = {}
     written: list[Written] = []
     for window, (power, parts) in zip(windows, in_threads(jobs, run.threads), strict=True):
@@ -96,9 +107,25 @@ def _doubled(window: Window, shape: tuple[int, int]) -> Window:
     return rows, columns
 
 
-def _first_level(run: Run, window: Window, shape: tuple[int, int]) -> tuple[Power, list[Written]]:
-    pixels = stores.read_region(run.image, "image", _doubled(window, shape), cached=False)
-    power = halve(pixels)
+def _covered(run: Run, formed: Sequence[Receipt]) -> set[tuple[int, int]]:
+    """First row and column of the chunks of the image that receipts tell of."""
+    image = run.name_of(run.image)
+    parts = (part for receipt in formed for part in receipt.written if part.store == image and part.variable == "image")
+    return {(part.region[0][0], part.region[1][0]) for part in parts}
+
+
+def _first_level(
+    run: Run, window: Window, shape: tuple[int, int], covered: set[tuple[int, int]]
+) -> tuple[Power, list[Written]]:
+    """The power of a chunk of the first level, from those of the image that are there."""
+    power = np.full([part.stop - part.start for part in window], np.nan, np.float32)
+    rows, columns = _doubled(window, shape)
+    for y, x in product(range(rows.start, rows.stop, IMAGE_CHUNK), range(columns.start, columns.stop, IMAGE_CHUNK)):
+        if (y, x) in covered:
+            part = slice(y, min(y + IMAGE_CHUNK, rows.stop)), slice(x, min(x + IMAGE_CHUNK, columns.stop))
+            half = halve(stores.read_region(run.image, "image", part, cached=False))
+            top, left = (y - rows.start) // 2, (x - columns.start) // 2
+            power[top : top + half.shape[0], left : left + half.shape[1]] = half
     return power, _write(run, 1, window, power)
 
 

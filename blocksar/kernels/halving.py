@@ -10,7 +10,7 @@ from numba import types
 from blocksar.arrays import ComplexArray
 from blocksar.kernels.loops import loop
 from blocksar.kernels.phase import Float32Array
-from blocksar.kernels.signatures import UNCONTRACTED
+from blocksar.kernels.signatures import UNCHECKED, UNCONTRACTED
 
 
 def _rows(kind: Any) -> Any:
@@ -38,41 +38,37 @@ def halve(values: ComplexArray | Float32Array) -> Float32Array:
     return out
 
 
-@loop(_rows(types.complex64), types.float32[:, ::1], **UNCONTRACTED)
+@loop(_rows(types.complex64), types.float32[:, ::1], **UNCONTRACTED, **UNCHECKED)
 def _halve_pixels(values: ComplexArray, out: Float32Array) -> None:
-    zero, one = np.float32(0), np.float32(1)
-    power = np.empty((2, 2 * out.shape[1]), np.float32)
-    for y in range(out.shape[0]):
-        for part in range(2):
-            row = 2 * y + part
-            for x in range(power.shape[1]):
-                power[part, x] = np.nan
-            if row < values.shape[0]:
-                for x in range(values.shape[1]):
-                    value = values[row, x]
-                    power[part, x] = value.real * value.real + value.imag * value.imag
-        for x in range(out.shape[1]):
-            total, count = zero, zero
-            for part in range(2):
-                for side in range(2):
-                    each = power[part, 2 * x + side]
-                    covered = not np.isnan(each)
-                    total += each if covered else zero
-                    count += one if covered else zero
-            out[y, x] = total / count if count > zero else np.float32(np.nan)
-
-
-@loop(_rows(types.float32), types.float32[:, ::1], **UNCONTRACTED)
-def _halve_power(values: Float32Array, out: Float32Array) -> None:
-    zero, one = np.float32(0), np.float32(1)
     n_y, n_x = values.shape
+    total, count = np.empty(2 * out.shape[1], np.float32), np.empty(2 * out.shape[1], np.float32)
     for y in range(out.shape[0]):
+        total[:] = 0
+        count[:] = 0
+        for row in range(2 * y, min(2 * y + 2, n_y)):
+            for x in range(n_x):
+                value = values[row, x]
+                power = value.real * value.real + value.imag * value.imag
+                covered = not np.isnan(power)
+                total[x] += power if covered else np.float32(0)
+                count[x] += np.float32(1) if covered else np.float32(0)
         for x in range(out.shape[1]):
-            total, count = zero, zero
-            for row in range(2 * y, min(2 * y + 2, n_y)):
-                for column in range(2 * x, min(2 * x + 2, n_x)):
-                    each = values[row, column]
-                    covered = not np.isnan(each)
-                    total += each if covered else zero
-                    count += one if covered else zero
-            out[y, x] = total / count if count > zero else np.float32(np.nan)
+            # 0 / 0 is NaN: none is covered.
+            out[y, x] = (total[2 * x] + total[2 * x + 1]) / (count[2 * x] + count[2 * x + 1])
+
+
+@loop(_rows(types.float32), types.float32[:, ::1], **UNCONTRACTED, **UNCHECKED)
+def _halve_power(values: Float32Array, out: Float32Array) -> None:
+    n_y, n_x = values.shape
+    total, count = np.empty(2 * out.shape[1], np.float32), np.empty(2 * out.shape[1], np.float32)
+    for y in range(out.shape[0]):
+        total[:] = 0
+        count[:] = 0
+        for row in range(2 * y, min(2 * y + 2, n_y)):
+            for x in range(n_x):
+                power = values[row, x]
+                covered = not np.isnan(power)
+                total[x] += power if covered else np.float32(0)
+                count[x] += np.float32(1) if covered else np.float32(0)
+        for x in range(out.shape[1]):
+            out[y, x] = (total[2 * x] + total[2 * x + 1]) / (count[2 * x] + count[2 * x + 1])

@@ -20,7 +20,7 @@ from blocksar.places import place
 from blocksar.planning.disk import has_pyramid, with_pyramid
 from blocksar.runs.record import RunRecord
 
-GRID = ((-70.0, 60.0, 0.05), (-40.0, 40.1, 0.15))  # 2600 x 534 pixels: partly outside the swath, and odd levels
+GRID = ((-70.0, 60.05, 0.05), (-40.0, 40.25, 0.15))  # 2601 x 535 pixels: partly outside the swath, and odd levels
 FRAME = {"kind": "ENU", "latitude": 39.8, "longitude": -84.1, "height": 250.0}
 
 
@@ -49,7 +49,7 @@ def test_levels_are_means_of_the_covered_power(run: Path) -> None:
     assert 0.02 < np.isnan(power).mean() < 0.9
     tree = xr.open_datatree(run / "image.zarr" / "pyramid", engine="zarr")
     assert list(tree.children) == ["1", "2", "3"]
-    for level, shape in enumerate([(267, 1300), (134, 650), (67, 325)], 1):
+    for level, shape in enumerate([(268, 1301), (134, 651), (67, 326)], 1):
         power = half(power)
         stored = tree[f"{level}/power"]
         assert stored.shape == shape
