@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from blocksar.api.reports import Report
     from blocksar.api.shown import PlanReport, RunReport
     from blocksar.api.sources import ingest, ingest_cphd, ingest_gotcha, simulate
-    from blocksar.api.viewing import view
+    from blocksar.api.viewing import view, wait_until_closed
 
 # The module of each function: it is loaded on first use, since a command needs one of them.
 _HOMES = {
@@ -39,7 +39,7 @@ _HOMES = {
     "export": "exporting", "focus": "focusing", "info": "describing", "ingest": "sources", "ingest_cphd": "sources",
     "ingest_gotcha": "sources", "open": "exporting", "plan": "planning", "preview": "previewing",
     "quality": "measuring", "report": "reporting", "scene_centre": "datasets", "simulate": "sources",
-    "view": "viewing", "write": "datasets",
+    "view": "viewing", "wait_until_closed": "viewing", "write": "datasets",
 }  # fmt: skip
 __all__ = [
     "PlanReport",
@@ -65,6 +65,7 @@ __all__ = [
     "scene_centre",
     "simulate",
     "view",
+    "wait_until_closed",
     "write",
 ]
 

@@ -137,5 +137,5 @@ def view(
     report = api.view(run, channel=channel, port=port, browser=browser)
     show(report)
     hint(context, "report", run)
-    with report.result as viewer, suppress(KeyboardInterrupt):
-        viewer.wait()
+    with suppress(KeyboardInterrupt):
+        api.wait_until_closed(report.result)

@@ -60,6 +60,7 @@ class Calls(ModuleType):
         self.seen: dict[str, tuple[tuple[object, ...], dict[str, object]]] = {}
         self.answer: object = REPORT
         self.updates: list[tuple[str, int, int]] = []
+        self.wait_until_closed = lambda viewer: None
         for name in (*COMMANDS, "autofocus"):
             setattr(self, name, lambda *args, _name=name, **kwargs: self._called(_name, args, kwargs))
 
