@@ -20,7 +20,6 @@ from blocksar.graph.pyramid import build_pyramid
 from blocksar.graph.segments import Segment
 from blocksar.graph.stages import Recovered
 from blocksar.loop_cache import compilation_seconds
-from blocksar.planning.disk import has_pyramid
 from blocksar.planning.tiling import image_chunk
 from blocksar.processors.base import Execution
 from blocksar.progress import NOBODY, Listener
@@ -60,7 +59,7 @@ def carry_out(
         record.write(run.folder)
         job = job.with_stored_input()
         on_terrain = compiling.TERRAIN if job.request.terrain is not None else ()
-        pyramid = compiling.PYRAMID if has_pyramid(job.grid, job.request.asked.pyramid) else ()
+        pyramid = compiling.PYRAMID if run.pyramid else ()
         compiling.compile_missing(
             [*job.plan.loops(), *on_terrain, *pyramid], by="others" if cluster.is_here(client) else "all"
         )
@@ -126,7 +125,7 @@ def _form(
         input_read=input_read, end=end, noises=job.noises,
     )  # fmt: skip
     receipts = tuple(job.plan.form(execution))
-    if levels := build_pyramid(client, run, job.grid.shape, receipts, listener):
+    if levels := build_pyramid(client, run, job.grid.shape, listener):
         receipts = (*receipts, *levels)
         end("pyramid")
     if not any_covered(receipts, run.name_of(run.image)):
@@ -178,7 +177,7 @@ def _create_image(run: Run, job: Job, record: RunRecord) -> None:
         **(stores.NOISE if all(segment.source.collection.noise_power for segment in job.segments) else {}),
         **(stores.ON_TERRAIN if terrain is not None else {}),
     }
-    pyramid = _pyramid(job) if has_pyramid(job.grid, job.request.asked.pyramid) else None
+    pyramid = _pyramid(job) if run.pyramid else None
     stores.create(
         run.image, schema, sizes={}, coords={"x": job.grid.x, "y": job.grid.y},
         attrs=attributes | (pyramid.attrs if pyramid else {}), chunks={"y": side[0], "x": side[1]}, overwrite=True,

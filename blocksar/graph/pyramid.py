@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator
 from itertools import product
 
 import numpy as np
@@ -16,7 +15,6 @@ from blocksar.chunks import IMAGE_CHUNK, PYRAMID_LEVELS
 from blocksar.graph.spectrum import Window
 from blocksar.graph.tasks import naming_failures, sign
 from blocksar.graph.units import run_units, single_task
-from blocksar.graph.writing import in_threads
 from blocksar.kernels.halving import halve
 from blocksar.progress import Listener
 from blocksar.runs.receipts import Run, write
@@ -25,55 +23,42 @@ from blocksar.runs.record import Receipt, Written
 Power = NDArray[np.float32]
 
 
-def build_pyramid(
-    client: Client, run: Run, shape: tuple[int, int], formed: Sequence[Receipt], listener: Listener
-) -> list[Receipt]:
-    """Write the pyramid of the image, (n_y, n_x) pixels, if its store has one; return the receipts.
+def build_pyramid(client: Client, run: Run, shape: tuple[int, int], listener: Listener) -> list[Receipt]:
+    """Write the levels after the first of the image's pyramid, (n_y, n_x) pixels, if it has one; return the receipts.
 
-    `formed` are those of the image, which tell the chunks that are there; nothing is read for the others.
-    A unit makes the first PYRAMID_LEVELS of as much of the image as fills a chunk of the last of them; one more makes
-    the few that remain.
+    The first is written with the image, by `tasks.write_level`. A unit makes those up to PYRAMID_LEVELS of as much as
+    fills a chunk of the last of them; one more makes the few that remain.
     """
-    if not stores.levels_of(run.image):
+    levels = len(stores.level_shapes(shape)) if run.pyramid else 0
+    if levels < 2:
         return []
-    side, covered = IMAGE_CHUNK * 2**PYRAMID_LEVELS, _covered(run, formed)
-    parts: dict[tuple[int, int], set[tuple[int, int]]] = {}
-    for y, x in covered:
-        parts.setdefault((y // side * side, x // side * side), set()).add((y, x))
+    side = IMAGE_CHUNK * 2 ** (PYRAMID_LEVELS - 1)  # cells of the first level
+    n_y, n_x = stores.level_shapes(shape)[0]
     units = [
-        single_task(client, run, "pyramid", f"pyramid-{y // side}-{x // side}", reduce_image, (y, x), shape, some)
-        for (y, x), some in sorted(parts.items())
+        single_task(client, run, "pyramid", f"pyramid-{y // side}-{x // side}", reduce_part, (y, x), shape)
+        for y, x in product(range(0, n_y, side), range(0, n_x, side))
     ]
     receipts = run_units(client, "pyramid", units, run, listener, per_worker=2)
-    if len(stores.level_shapes(shape)) <= PYRAMID_LEVELS:
+    if levels <= PYRAMID_LEVELS:
         return receipts
     top = single_task(client, run, "pyramid-top", "pyramid-top", reduce_levels, shape)
     return [*receipts, *run_units(client, "pyramid-top", [top], run, listener)]
 
 
 @naming_failures(lambda run, unit, *_: f"pyramid of {unit}")
-def reduce_image(
-    run: Run, unit: str, first: tuple[int, int], shape: tuple[int, int], covered: set[tuple[int, int]]
-) -> Receipt:
-    """Write the first levels of a part of the image that begins at row and column `first`.
-
-    `covered` has the first row and column of those of its chunks that are there.
-    """
+def reduce_part(run: Run, unit: str, first: tuple[int, int], shape: tuple[int, int]) -> Receipt:
+    """Write levels from 2 on of the part of the first level that begins at row and column `first`."""
     started = time.perf_counter()
     shapes = stores.level_shapes(shape)[:PYRAMID_LEVELS]
-    windows = list(_windows((first[0] // 2, first[1] // 2), shapes[0], 2 ** (PYRAMID_LEVELS - 1)))
-    jobs = (partial(_first_level, run, window, shape, covered) for window in windows)
-    finer: dict[tuple[int, int], Power] = {}
     written: list[Written] = []
-    for window, (power, parts) in zip(windows, in_threads(jobs, run.threads), strict=True):
-        finer[window[0].start, window[1].start] = power
-        written += parts
+    finer: dict[tuple[int, int], Power] = {}
     for level, size in enumerate(shapes[1:], 2):
         coarser: dict[tuple[int, int], Power] = {}
-        at = first[0] >> level, first[1] >> level
+        at = first[0] >> (level - 1), first[1] >> (level - 1)
         for window in _windows(at, size, 2 ** (PYRAMID_LEVELS - level)):
-            power = halve(_laid(finer, window, shapes[level - 2]))
-            coarser[window[0].start, window[1].start] = power
+            source = _doubled(window, shapes[level - 2])
+            before = _laid(finer, source) if finer else _read(run, 1, source)
+            coarser[window[0].start, window[1].start] = power = halve(before)
             written += _write(run, level, window, power)
         finer = coarser
     return sign(run, Receipt(unit=unit, stage="pyramid", written=tuple(written)), started)
@@ -87,8 +72,7 @@ def reduce_levels(run: Run, unit: str, shape: tuple[int, int]) -> Receipt:
     for level in range(PYRAMID_LEVELS + 1, len(shapes) + 1):
         for window in _windows((0, 0), shapes[level - 1], None):
             source = _doubled(window, shapes[level - 2])
-            finer = stores.read_region(run.image, stores.level_name(level - 1), source, cached=False)
-            written += _write(run, level, window, halve(finer))
+            written += _write(run, level, window, halve(_read(run, level - 1, source)))
     return sign(run, Receipt(unit=unit, stage="pyramid-top", written=tuple(written)), started)
 
 
@@ -107,37 +91,18 @@ def _doubled(window: Window, shape: tuple[int, int]) -> Window:
     return rows, columns
 
 
-def _covered(run: Run, formed: Sequence[Receipt]) -> set[tuple[int, int]]:
-    """First row and column of the chunks of the image that receipts tell of."""
-    image = run.name_of(run.image)
-    parts = (part for receipt in formed for part in receipt.written if part.store == image and part.variable == "image")
-    return {(part.region[0][0], part.region[1][0]) for part in parts}
+def _read(run: Run, level: int, window: Window) -> Power:
+    return stores.read_region(run.image, stores.level_name(level), window, cached=False)
 
 
-def _first_level(
-    run: Run, window: Window, shape: tuple[int, int], covered: set[tuple[int, int]]
-) -> tuple[Power, list[Written]]:
-    """The power of a chunk of the first level, from those of the image that are there."""
-    power = np.full([part.stop - part.start for part in window], np.nan, np.float32)
-    rows, columns = _doubled(window, shape)
-    for y, x in product(range(rows.start, rows.stop, IMAGE_CHUNK), range(columns.start, columns.stop, IMAGE_CHUNK)):
-        if (y, x) in covered:
-            part = slice(y, min(y + IMAGE_CHUNK, rows.stop)), slice(x, min(x + IMAGE_CHUNK, columns.stop))
-            half = halve(stores.read_region(run.image, "image", part, cached=False))
-            top, left = (y - rows.start) // 2, (x - columns.start) // 2
-            power[top : top + half.shape[0], left : left + half.shape[1]] = half
-    return power, _write(run, 1, window, power)
-
-
-def _laid(parts: dict[tuple[int, int], Power], window: Window, shape: tuple[int, int]) -> Power:
-    """The cells of the level before, of a shape, that those of a window are made of, from its chunks."""
-    rows, columns = _doubled(window, shape)
+def _laid(parts: dict[tuple[int, int], Power], window: Window) -> Power:
+    """The cells of a window of a level, from its chunks by their first row and column."""
+    rows, columns = window
     laid = np.empty((rows.stop - rows.start, columns.stop - columns.start), np.float32)
     for y, x in product(range(rows.start, rows.stop, IMAGE_CHUNK), range(columns.start, columns.stop, IMAGE_CHUNK)):
         part = parts[y, x]
-        n_y, n_x = part.shape
         top, left = y - rows.start, x - columns.start
-        laid[top : top + n_y, left : left + n_x] = part
+        laid[top : top + part.shape[0], left : left + part.shape[1]] = part
     return laid
 
 

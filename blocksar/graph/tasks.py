@@ -37,6 +37,7 @@ from blocksar.graph.spectrum import SpectrumChunks, Window, chunk_spans, read_ah
 from blocksar.graph.writing import WritesBehind
 from blocksar.inspection.samples import Inspection, mask_outliers
 from blocksar.kernels import buffers
+from blocksar.kernels.halving import halve
 from blocksar.places.place import Place
 from blocksar.places.posix import resource
 from blocksar.planning.block import BlockPlan
@@ -208,7 +209,15 @@ def write_image(
         image = Written(run.name_of(run.image), "image", span, checksum)
     else:
         image = write(run, run.image, "image", window, pixels)
-    return [image, *write_owner(alike, window, owner, collections)]
+    return [image, *write_level(run, window, pixels), *write_owner(alike, window, owner, collections)]
+
+
+def write_level(run: Run, window: Window, pixels: ComplexArray) -> list[Written]:
+    """Write what becomes of a chunk of the image in the first level of its pyramid, a chunk of that; if it has one."""
+    if not run.pyramid:
+        return []
+    half = slice(window[0].start // 2, -(-window[0].stop // 2)), slice(window[1].start // 2, -(-window[1].stop // 2))
+    return [write(run, run.image, stores.level_name(1), half, halve(pixels))]
 
 
 def write_owner(
@@ -274,6 +283,7 @@ def form_chunks(
         if (owner >= 0).any():
             written += [
                 write(run, run.image, "image", window, image),
+                *write_level(run, window, image),
                 *write_owner(alike, window, owner, collections),
                 *write_noise(run, window, owner, grid, noises, layers.heights.over(window) if noises else None),
                 *write_layers(alike, window, layers.over(window, owner)),

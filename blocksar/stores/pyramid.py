@@ -84,7 +84,9 @@ def pyramid_of(x: FloatArray, y: FloatArray, wkt: str | None) -> Pyramid:
     for level, (n_y, n_x) in enumerate(shapes, 1):
         attrs = {**_declared(names[1:]), **shared, **places[level], "spatial:registration": "pixel"}
         axes = {name: _middles(axis, level, n) for name, axis, n in (("x", x, n_x), ("y", y, n_y))}
-        chunks = {"y": min(n_y, IMAGE_CHUNK), "x": min(n_x, IMAGE_CHUNK)}
+        # A chunk of the first level is that of a single chunk of the image.
+        sides = [min(n, IMAGE_CHUNK) for n in ((y.size, x.size) if level == 1 else (n_y, n_x))]
+        chunks = dict(zip("yx", [-(-n // 2) for n in sides] if level == 1 else sides, strict=True))
         groups[f"{PYRAMID}/{level}"] = Group(LEVEL, axes, attrs, chunks)
     return Pyramid(groups, {**_declared(names), **shared, "multiscales": _multiscales(whole)})
 
