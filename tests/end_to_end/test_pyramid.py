@@ -101,10 +101,11 @@ def test_an_interrupted_pyramid_is_resumed_to_the_same_bytes(
 
     def failing(*arguments: Any, **more: Any) -> Any:
         calls.append(arguments[2])
-        if len(calls) == 3:
+        if len(calls) == 2:
             raise OSError(5, "Input/output error")
         return written(*arguments, **more)
 
+    monkeypatch.setattr(pyramid, "PYRAMID_LEVELS", 2)  # so that one task makes the last level
     monkeypatch.setattr(pyramid, "write", failing)
     with pytest.raises(blocksar.ProcessingError, match="pyramid"):
         focus(history, tmp_path / "run", grid=GRID, pyramid=True)
