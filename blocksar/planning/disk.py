@@ -86,14 +86,14 @@ def run_bytes(*plans: Plan) -> dict[str, int]:
             noise=bool(collection.noise_power),
         ),
     }
-    return with_pyramid(written, grid, None)
+    return written | (_pyramid(sampled.pixels(covered)) if has_pyramid(grid) else {})
 
 
 def exact_bytes(grid: Grid, terrain: Terrain | None, *, noise: bool) -> dict[str, int]:
     """Bytes that exact back-projection writes at most, by store: what lies in a grid, all of it covered."""
     pixels = math.prod(grid.shape)
     written = {"image": SAMPLE * pixels, **_beside(terrain, heights=pixels, covered=pixels, noise=noise)}
-    return with_pyramid(written, grid, None)
+    return written | (_pyramid(pixels) if has_pyramid(grid) else {})
 
 
 def _beside(terrain: Terrain | None, *, heights: int, covered: int, noise: bool) -> dict[str, int]:
@@ -111,11 +111,18 @@ def has_pyramid(grid: Grid, asked: bool | None = None) -> bool:
 
 
 def with_pyramid(stores: Mapping[str, int], grid: Grid, asked: bool | None) -> dict[str, int]:
-    """Bytes that a run writes, by store: of a pyramid, if it has one, 1 / 4 + 1 / 16 + ... of the pixels."""
-    plain = {name: size for name, size in stores.items() if name != "pyramid"}
-    if not has_pyramid(grid, asked):
-        return plain
-    return {**plain, "pyramid": round(LEVEL_SAMPLE * math.prod(grid.shape) / 3)}
+    """Bytes that a run writes, by store: with those of a pyramid if it has one.
+
+    Where it is not predicted, as that of a small image, all pixels may be covered.
+    """
+    if has_pyramid(grid, asked):
+        return {**_pyramid(math.prod(grid.shape)), **stores}
+    return {name: size for name, size in stores.items() if name != "pyramid"}
+
+
+def _pyramid(covered: int) -> dict[str, int]:
+    """Bytes of the pyramid of so many covered pixels: of their number 1 / 4 + 1 / 16 + ... cells."""
+    return {"pyramid": round(LEVEL_SAMPLE * covered / 3)}
 
 
 class _Sampled(NamedTuple):
