@@ -1,10 +1,10 @@
 """blocksar: focus squint-TOPS synthetic aperture radar data by angular blocks, in parallel.
 
 The functions correspond to the commands: `simulate`, `ingest`, `info`, `preview`, `check`, `autofocus`, `plan`,
-`focus`, `quality`, `report`, `export` and `compile`; `open` returns a finished image; `collection` builds a phase
-history from arrays, `scene_centre` finds its place on the Earth, and `write` stores it. They are loaded on first use,
-so that `import blocksar` is fast. They raise `InputError` if the input is wrong, and `ProcessingError` if processing
-failed and the same call can resume it.
+`focus`, `quality`, `report`, `export`, `compare`, `view` and `compile`; `open` returns a finished image; `collection`
+builds a phase history from arrays, `scene_centre` finds its place on the Earth, and `write` stores it. They are loaded
+on first use, so that `import blocksar` is fast. They raise `InputError` if the input is wrong, and `ProcessingError` if
+processing failed and the same call can resume it.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         autofocus,
         check,
         collection,
+        compare,
         compile,
         export,
         focus,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
         report,
         scene_centre,
         simulate,
+        view,
         write,
     )
     from blocksar.errors import InputError, ProcessingError
@@ -47,6 +49,7 @@ __all__ = [
     "autofocus",
     "check",
     "collection",
+    "compare",
     "compile",
     "export",
     "focus",
@@ -59,6 +62,7 @@ __all__ = [
     "report",
     "scene_centre",
     "simulate",
+    "view",
     "write",
 ]
 

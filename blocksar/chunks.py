@@ -25,6 +25,8 @@ READS_AT_ONCE = 2  # patches that a task reads while it merges those before
 WRITES_AT_ONCE = 2  # chunks that a task of one thread writes while it computes the next
 WRITES_PER_THREAD = 2 / 3  # and of several threads, for each: writing takes up to so much of the time of computing
 IMAGE_PIXELS = IMAGE_CHUNK**2
+PYRAMID_LEVELS = 3  # the last of those that many tasks make: one makes the few that remain
+PYRAMID_FROM = 4096  # pixels along a side, beyond which an image has a pyramid unless that is asked for or against
 TILE = (512, 1024)  # pulses by columns in a chunk of a phase history: 4 MiB, efficient to read along both axes
 
 

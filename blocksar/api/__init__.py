@@ -1,9 +1,9 @@
-"""The commands as functions: simulate, ingest, check, autofocus, plan, focus, quality, report, export, open, info,
-preview, demo, compile; and collection, scene_centre and write, for data in memory.
+"""The commands as functions: simulate, ingest, check, autofocus, plan, focus, quality, report, export, compare, open,
+info, preview, view, demo, compile; and collection, scene_centre and write, for data in memory.
 
 One module for each stage: `sources`, `datasets`, `describing` (with `facts`), `previewing`, `checking`, `autofocusing`
-(with `tracks`), `planning`, `focusing` (with `jobs`), `measuring`, `reporting`, `exporting`, `demonstrating`,
-`compiling`. They share `settings`, which states every option once, `arguments` and `reports`.
+(with `tracks`), `planning`, `focusing` (with `jobs`), `measuring`, `reporting`, `exporting`, `comparing`, `viewing`,
+`demonstrating`, `compiling`. They share `settings`, which states every option once, `arguments` and `reports`.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from blocksar.garbage import uncollected
 if TYPE_CHECKING:
     from blocksar.api.autofocusing import autofocus
     from blocksar.api.checking import check
+    from blocksar.api.comparing import compare
     from blocksar.api.compiling import compile
     from blocksar.api.datasets import collection, scene_centre, write
     from blocksar.api.demonstrating import demo
@@ -38,16 +39,17 @@ if TYPE_CHECKING:
         ingest_sentinel1,
         simulate,
     )
+    from blocksar.api.viewing import view, wait_until_closed
 
 # The module of each function: it is loaded on first use, since a command needs one of them.
 _HOMES = {
     "PlanReport": "shown", "Report": "reports", "RunReport": "shown", "autofocus": "autofocusing", "check": "checking",
-    "collection": "datasets", "compile": "compiling", "demo": "demonstrating", "export": "exporting",
-    "focus": "focusing", "info": "describing", "ingest": "sources", "ingest_cphd": "sources", "ingest_crsd": "sources",
-    "ingest_gotcha": "sources", "ingest_nisar": "sources", "ingest_palsar": "sources", "ingest_sentinel1": "sources",
-    "open": "exporting", "plan": "planning", "preview": "previewing",
+    "collection": "datasets", "compare": "comparing", "compile": "compiling", "demo": "demonstrating",
+    "export": "exporting", "focus": "focusing", "info": "describing", "ingest": "sources", "ingest_cphd": "sources",
+    "ingest_crsd": "sources", "ingest_gotcha": "sources", "ingest_nisar": "sources", "ingest_palsar": "sources",
+    "ingest_sentinel1": "sources", "open": "exporting", "plan": "planning", "preview": "previewing",
     "quality": "measuring", "report": "reporting", "scene_centre": "datasets", "simulate": "sources",
-    "write": "datasets",
+    "view": "viewing", "wait_until_closed": "viewing", "write": "datasets",
 }  # fmt: skip
 __all__ = [
     "PlanReport",
@@ -56,6 +58,7 @@ __all__ = [
     "autofocus",
     "check",
     "collection",
+    "compare",
     "compile",
     "demo",
     "export",
@@ -75,6 +78,8 @@ __all__ = [
     "report",
     "scene_centre",
     "simulate",
+    "view",
+    "wait_until_closed",
     "write",
 ]
 

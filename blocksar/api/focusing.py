@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from blocksar import stores
 from blocksar.api.arguments import Source, check_cluster, gpu_workers, in_this_process, on_ground
 from blocksar.api.jobs import Job, Request
 from blocksar.api.joint import focus_members, members_of
@@ -36,6 +37,7 @@ from blocksar.loop_cache import compilation_seconds
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.place import Place
+from blocksar.planning.disk import has_pyramid
 from blocksar.processors import OwnDevice, OwnProcessor
 from blocksar.progress import Listener, as_listener
 from blocksar.progress import Wanted as Progress
@@ -91,6 +93,7 @@ def focus(
     wait_workers: float = WAIT_WORKERS,
     overwrite: bool = False,
     discard: bool = False,
+    pyramid: bool | None = None,
     dry_run: bool = False,
     progress: Progress | None = None,
     performance_report: str | Path | None = None,
@@ -182,6 +185,9 @@ def focus(
     discard : bool
         Remove the spectrum once all blocks are focused, and the patches at the end: no command reads them afterwards.
         Interrupted in the mosaic, a run recovers the spectrum again. Default: False, keep them.
+    pyramid : bool, optional
+        Add coarser levels of the image's power to image.zarr, for viewers. A run that is resumed keeps what it began
+        with. Default: where a side has more than 4096 pixels.
     dry_run : bool
         Say what would be done, and write nothing: `tables` and `result` are then those of `plan`. Default: False.
     progress : object with a method update(stage, done, total), or False, optional
@@ -287,6 +293,14 @@ def _focus_image(
         return replace(report, summary=[*said, *report.summary])
 
 
+def _has_pyramid(job: Job, *, resumed: bool) -> bool:
+    """Whether the image of a run has a pyramid: one that is there already keeps what it has."""
+    image = job.request.folder / "image.zarr"
+    if resumed and (image / "zarr.json").exists():
+        return stores.levels_of(image) > 0
+    return has_pyramid(job.grid, job.request.asked.pyramid)
+
+
 def _beside(request: Request, following: int) -> Beside:
     """Find what a run needs room for besides its own stores: so many that follow, and the correction of its track."""
     if request.track is None:
@@ -351,8 +365,9 @@ def _focus(
         listener.expect(job.predict_effort(), machine.workers)
         listener.update("plan", 1, 1)
         record = job.record()
-        run = Run(folder=request.folder, identity=record.identity, threads=machine.threads)
         resumed = earlier is not None or run_folder.is_begun(request.folder, record)
+        pyramid = _has_pyramid(job, resumed=resumed)
+        run = Run(folder=request.folder, identity=record.identity, threads=machine.threads, pyramid=pyramid)
         check_room_for_run(job, Beside(following), resumed=resumed)
         with run_folder.resumable():
             finished = carry_out(job, run, record, workers, listener, profile, resumed=resumed, compiled=compiled)

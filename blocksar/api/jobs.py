@@ -355,10 +355,11 @@ class Job:
             for number, history in histories.items()
         }
         work = dict(self.plan.work())
+        last = {"finish": work.pop("finish", ())}
         compressing = effort.of_compression(
             (history.collection.n_pulse, echoes[number]) for number, history in histories.items()
         )
-        return {**compressing, **work}
+        return {**compressing, **work, **effort.of_pyramid(self.grid, self.request.asked.pyramid), **last}
 
     def _run_segments(self) -> tuple[RunSegment, ...]:
         """The segments for the record; none in a run of one."""

@@ -46,6 +46,8 @@ if TYPE_CHECKING:
 
 Focus = Callable[..., RunReport]
 OWN = ("image", "noise_equivalent")  # of each channel or look
+# Attributes of a member's image that are not those of all: also those of its pyramid.
+NOT_SHARED = ("warnings", "run", "channel", "look", "multiscales", "zarr_conventions")
 SAME = ("block", "collection", *stores.ON_TERRAIN)  # those of the first
 
 
@@ -394,4 +396,4 @@ def share_chunk(source: Place, image: Place, part: Written, lead: tuple[slice, .
 def _attributes(member: Place) -> dict[str, Any]:
     """Attributes of a channel's image that hold for all channels."""
     attrs = dict(stores.open_dataset(member / "image.zarr").attrs)
-    return {name: value for name, value in attrs.items() if name not in ("warnings", "run", "channel", "look")}
+    return {name: value for name, value in attrs.items() if name not in NOT_SHARED and ":" not in name}

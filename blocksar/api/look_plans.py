@@ -53,7 +53,7 @@ def report_looks(
     lines += [f"{looks.count} looks ({', '.join(planned)}), formed one after the other; {name}:"]
     lines += [f"  {line}" for line in first.lines()]
     if refused is None:
-        work = effort.together([each.work() for each in planned.values()])
+        work = effort.together([{**each.work(), **effort.of_pyramid(each.grid)} for each in planned.values()])
         lines += [
             *recorded_lines([first.pieces[0].geometry], first.grid),
             time_line(work, assumed, planning),

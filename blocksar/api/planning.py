@@ -28,6 +28,7 @@ from blocksar.focusing.method import (
 from blocksar.graph.machine import Resources, resources
 from blocksar.ingestion.terrain.reading import terrain_notes
 from blocksar.places import Location
+from blocksar.planning import effort
 from blocksar.planning.segments import joint_grid
 from blocksar.processors import PROCESSORS, OwnDevice, OwnProcessor, device_for, options_for
 from blocksar.processors.base import ImagePlan, Problem
@@ -192,7 +193,8 @@ def _report(plan: ImagePlan, assumed: Resources, planning: float) -> PlanReport:
     """Report a plan; `planning` as for `time_line`."""
     if plan.refusal is not None:  # the samples of what does not focus may have no bounds
         return PlanReport(refusal=plan.refusal, result=plan.result, plan=plan)
-    work, tables, compared = plan.work(), plan.tables(), plan.compared
+    work = {**plan.work(), **effort.of_pyramid(plan.grid)}
+    tables, compared = plan.tables(), plan.compared
     return PlanReport(
         tables=[*([compared.table] if compared else []), *tables],
         details=[*([compared.table] if compared else []), *plan.details()],

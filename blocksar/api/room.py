@@ -12,7 +12,7 @@ from blocksar.api.jobs import Job
 from blocksar.chunks import stored_bytes
 from blocksar.errors import InputError
 from blocksar.places.place import no_room_for, size_text
-from blocksar.planning.disk import Room, room_of_run
+from blocksar.planning.disk import Room, room_of_run, with_pyramid
 from blocksar.processors import HIERARCHY, PROCESSORS, REFERENCE
 from blocksar.runs import folder as run_folder
 from blocksar.runs.record import RECORD
@@ -29,7 +29,8 @@ def room_of(job: Job) -> Room:
             beside += stored_bytes(history.shape)
         if history.raw is not None:  # compressed first
             temporary += stored_bytes((collection.n_pulse, collection.n_range_frequency))
-    return room_of_run(job.plan.stored(), beside=beside, temporary=temporary, discard=request.asked.discard)
+    stored = with_pyramid(job.plan.stored(), job.grid, request.asked.pyramid)
+    return room_of_run(stored, beside=beside, temporary=temporary, discard=request.asked.discard)
 
 
 class Beside(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,7 +13,10 @@ from typing import TYPE_CHECKING
 from blocksar import stores
 from blocksar.api.findings import Check, add_findings, checking
 from blocksar.api.jobs import Job
+from blocksar.collection.georeference import Georeference
+from blocksar.errors import InputError
 from blocksar.graph import cluster, compiling, recording, stages
+from blocksar.graph.pyramid import build_pyramid
 from blocksar.graph.segments import Segment
 from blocksar.graph.stages import Recovered
 from blocksar.loop_cache import compilation_seconds
@@ -56,7 +59,10 @@ def carry_out(
         record.write(run.folder)
         job = job.with_stored_input()
         on_terrain = compiling.TERRAIN if job.request.terrain is not None else ()
-        compiling.compile_missing([*job.plan.loops(), *on_terrain], by="others" if cluster.is_here(client) else "all")
+        pyramid = compiling.PYRAMID if run.pyramid else ()
+        compiling.compile_missing(
+            [*job.plan.loops(), *on_terrain, *pyramid], by="others" if cluster.is_here(client) else "all"
+        )
         if client is None:
             scratch = run_folder.scratch(run.folder)
             client = cluster.Starting(**job.machine._asdict(), scratch=scratch, listener=listener)
@@ -119,6 +125,9 @@ def _form(
         input_read=input_read, end=end, noises=job.noises,
     )  # fmt: skip
     receipts = tuple(job.plan.form(execution))
+    if levels := build_pyramid(client, run, job.grid.shape, listener):
+        receipts = (*receipts, *levels)
+        end("pyramid")
     if not any_covered(receipts, run.name_of(run.image)):
         listener.note(UNCOVERED, again=True)
         record = replace(record, warnings=(*record.warnings, UNCOVERED))
@@ -168,7 +177,20 @@ def _create_image(run: Run, job: Job, record: RunRecord) -> None:
         **(stores.NOISE if all(segment.source.collection.noise_power for segment in job.segments) else {}),
         **(stores.ON_TERRAIN if terrain is not None else {}),
     }
+    pyramid = _pyramid(job) if run.pyramid else None
     stores.create(
-        run.image, schema, sizes={}, coords={"x": job.grid.x, "y": job.grid.y}, attrs=attributes,
-        chunks={"y": side[0], "x": side[1]}, overwrite=True,
+        run.image, schema, sizes={}, coords={"x": job.grid.x, "y": job.grid.y},
+        attrs=attributes | (pyramid.attrs if pyramid else {}), chunks={"y": side[0], "x": side[1]}, overwrite=True,
+        groups=pyramid.groups if pyramid else {},
     )  # fmt: skip
+
+
+def _pyramid(job: Job) -> stores.Pyramid:
+    """Find what creates the pyramid of the image; with its map projection where the frame has one and PROJ is there."""
+    frame, terrain = Georeference.among(job.history.attrs), job.request.terrain
+    wkt = None
+    if frame is not None and not frame.rotation % 360:
+        height = job.history.collection.ground_height if terrain is None else terrain.mean
+        with suppress(InputError, ImportError):  # PROJ is optional
+            wkt = frame.projection(0.0, 0.0, height).to_wkt("WKT2_2019")
+    return stores.pyramid_of(job.grid.x, job.grid.y, wkt)

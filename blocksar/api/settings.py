@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from blocksar.api.parsing import blocks_of, fidelity_of, grid_of, memory_of, with_axes
 from blocksar.budget import FIDELITY, WAIT_WORKERS
+from blocksar.chunks import PYRAMID_FROM
 from blocksar.collection.surface import Surface
 from blocksar.focusing.method import ChainOptions
 from blocksar.options import Option, Stated, options_of, read_values
@@ -126,6 +127,14 @@ class Output:
     ] = None
     overwrite: Annotated[bool, OVERWRITE] = False
     discard: Annotated[bool, Option("Remove spectrum and patches once the run needs them no more.")] = False
+    pyramid: Annotated[
+        bool | None,
+        Option(
+            "Add coarser levels of the image's power, for viewers.",
+            default=f"where a side has more than {PYRAMID_FROM} pixels",
+            flags=("--pyramid/--no-pyramid",),
+        ),
+    ] = None
     dry_run: Annotated[bool, Option("Say what would be done, with memory and disk, and write nothing.")] = False
 
 

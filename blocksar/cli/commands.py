@@ -18,7 +18,7 @@ from blocksar.cli.exporting import export
 from blocksar.cli.focusing import OfProcessors, focus, plan
 from blocksar.cli.ingesting import ingest
 from blocksar.cli.listening import listening
-from blocksar.cli.measuring import quality, report
+from blocksar.cli.measuring import compare, quality, report, view
 from blocksar.cli.options import JsonLog, Quiet, taking
 from blocksar.cli.sources import check, info, preview, simulate
 from blocksar.garbage import collect_seldom
@@ -98,7 +98,7 @@ def compile_loops(context: typer.Context, quiet: Quiet = False, json_log: JsonLo
 
 # In the order of the help.
 app.command()(demo)
-for command in (simulate, info, plan, check, preview, autofocus, focus, quality, report):
+for command in (simulate, info, plan, check, preview, autofocus, focus, quality, report, compare, view):
     app.command()(command)
 app.command("compile")(compile_loops)
 

@@ -37,11 +37,12 @@ TERRAIN = (
 )  # fmt: skip
 PATTERNS = ("focusing.pattern_sums",)
 WEIGHTS = ("kernels.blending",)
+PYRAMID = ("kernels.halving",)
 HIERARCHY = ("kernels.decimation",)
 TRACKS = ("autofocusing.range_lines", "autofocusing.forms", "autofocusing.sights", "autofocusing.phase_gradient")
 LOOPS = (
     *TERRAIN[:1], *TASKS, *PATTERNS, "kernels.beam_passes", *TERRAIN[1:], "simulation.scatterers", *WEIGHTS,
-    *HIERARCHY, *TRACKS, "kernels.posts", "kernels.quantised_packets",
+    *HIERARCHY, *PYRAMID, *TRACKS, "kernels.posts", "kernels.quantised_packets",
 )  # fmt: skip
 HELP = "import sys; from blocksar.graph import compiling; print(compiling.help_to_compile(sys.argv[1:]))"
 

@@ -351,7 +351,7 @@ def _patch_chunks(
         assert receipt.origin is not None
         first_y, first_x = receipt.origin
         patch = run.name_of(run.patch(block.name))
-        complete = {part.region for part in receipt.written if part.store != patch}
+        complete = {part.region for part in receipt.written if part.store != patch and part.variable == "image"}
         for part in receipt.written:
             (y, y_end), (x, x_end) = part.region
             region = ((first_y + y, first_y + y_end), (first_x + x, first_x + x_end))

@@ -36,6 +36,7 @@ from blocksar.graph.segments import Merged
 from blocksar.graph.spectrum import SpectrumChunks, Window, WritesBehind, chunk_spans, read_ahead
 from blocksar.inspection.samples import Inspection, mask_outliers
 from blocksar.kernels import buffers
+from blocksar.kernels.halving import halve
 from blocksar.places.place import Place
 from blocksar.places.posix import resource
 from blocksar.planning.block import BlockPlan
@@ -207,7 +208,15 @@ def write_image(
         image = Written(run.name_of(run.image), "image", span, checksum)
     else:
         image = write(run, run.image, "image", window, pixels)
-    return [image, *write_owner(alike, window, owner, collections)]
+    return [image, *write_level(run, window, pixels), *write_owner(alike, window, owner, collections)]
+
+
+def write_level(run: Run, window: Window, pixels: ComplexArray) -> list[Written]:
+    """Write what becomes of a chunk of the image in the first level of its pyramid, a chunk of that; if it has one."""
+    if not run.pyramid:
+        return []
+    half = slice(window[0].start // 2, -(-window[0].stop // 2)), slice(window[1].start // 2, -(-window[1].stop // 2))
+    return [write(run, run.image, stores.level_name(1), half, halve(pixels))]
 
 
 def write_owner(
@@ -271,6 +280,7 @@ def form_chunks(
         if (owner >= 0).any():
             written += [
                 write(run, run.image, "image", window, image),
+                *write_level(run, window, image),
                 *write_owner(alike, window, owner, collections),
                 *write_noise(run, window, owner, grid, noises, heights.over(window) if noises else None),
             ]

@@ -10,13 +10,14 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar.arrays import BoolArray, IntArray
-from blocksar.chunks import SAMPLE, stored_bytes
+from blocksar.chunks import IMAGE_CHUNK, PYRAMID_FROM, SAMPLE, stored_bytes
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.planning.plan import Plan
 from blocksar.planning.tiling import image_chunk, touched_chunks
 
+LEVEL_SAMPLE = 4  # bytes of a cell of a pyramid, float32, which hardly compress
 LAYER_SAMPLE = 4  # bytes of a height or an angle, float32, which hardly compress; visibility does
 NOISE_SAMPLE = 1  # bytes at most of the noise of a pixel, which is smooth: float32 of few bits, compressed
 POINTS = 40_000  # at about so many points of the grid, ownership is asked
@@ -70,7 +71,7 @@ def run_bytes(*plans: Plan) -> dict[str, int]:
             if block.range_gate is not None:
                 first, last = plan.gated_bins(block)
                 gated += stored_bytes((last - first, block.sampling.range_frequency.size), plan.gated_chunk(block))
-    return {
+    written = {
         "spectrum": sum(
             stored_bytes((plan.recovery.doppler.size, plan.geometry.collection.n_range_frequency), plan.spectrum_chunk)
             for plan in plans
@@ -85,12 +86,14 @@ def run_bytes(*plans: Plan) -> dict[str, int]:
             noise=bool(collection.noise_power),
         ),
     }
+    return written | (_pyramid(sampled.pixels(covered)) if has_pyramid(grid) else {})
 
 
 def exact_bytes(grid: Grid, terrain: Terrain | None, *, noise: bool) -> dict[str, int]:
     """Bytes that exact back-projection writes at most, by store: what lies in a grid, all of it covered."""
     pixels = math.prod(grid.shape)
-    return {"image": SAMPLE * pixels, **_beside(terrain, heights=pixels, covered=pixels, noise=noise)}
+    written = {"image": SAMPLE * pixels, **_beside(terrain, heights=pixels, covered=pixels, noise=noise)}
+    return written | (_pyramid(pixels) if has_pyramid(grid) else {})
 
 
 def _beside(terrain: Terrain | None, *, heights: int, covered: int, noise: bool) -> dict[str, int]:
@@ -99,6 +102,27 @@ def _beside(terrain: Terrain | None, *, heights: int, covered: int, noise: bool)
         {} if terrain is None else {"terrain": terrain.heights.nbytes, "layers": LAYER_SAMPLE * (heights + covered)}
     )
     return {**layers, **({"noise": NOISE_SAMPLE * covered} if noise else {})}
+
+
+def has_pyramid(grid: Grid, asked: bool | None = None) -> bool:
+    """Whether an image has a pyramid, asked for, against, or not."""
+    longest = max(grid.shape)
+    return longest > IMAGE_CHUNK and (longest > PYRAMID_FROM if asked is None else asked)
+
+
+def with_pyramid(stores: Mapping[str, int], grid: Grid, asked: bool | None) -> dict[str, int]:
+    """Bytes that a run writes, by store: with those of a pyramid if it has one.
+
+    Where it is not predicted, as that of a small image, all pixels may be covered.
+    """
+    if has_pyramid(grid, asked):
+        return {**_pyramid(math.prod(grid.shape)), **stores}
+    return {name: size for name, size in stores.items() if name != "pyramid"}
+
+
+def _pyramid(covered: int) -> dict[str, int]:
+    """Bytes of the pyramid of so many covered pixels: of their number 1 / 4 + 1 / 16 + ... cells."""
+    return {"pyramid": round(LEVEL_SAMPLE * covered / 3)}
 
 
 class _Sampled(NamedTuple):

@@ -17,10 +17,11 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.chunks import LAYER_CHUNKS, MOSAIC_CHUNKS, TILE
+from blocksar.chunks import IMAGE_CHUNK, LAYER_CHUNKS, MOSAIC_CHUNKS, PYRAMID_LEVELS, TILE
 from blocksar.collection.beam import dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
+from blocksar.planning.disk import has_pyramid
 from blocksar.planning.plan import Plan, block_work
 from blocksar.planning.tiling import box_of, chunks_of, image_chunk, inspection_width, touched_chunks
 from blocksar.progress import Work
@@ -35,6 +36,7 @@ ON_TERRAIN = 1.3e-8  # more on a terrain: heights, and their part of the correct
 ELEVATION = 5e-7  # more with a pattern in elevation, whose means it divides by
 LAYERS = 1.1e-8  # per pixel of a chunk whose layers are added, on a terrain
 MERGE = 1.3e-8  # per merged pixel of a patch's chunk
+PYRAMID = 1e-9  # per pixel of an image with a pyramid, of the levels after the first
 INSPECT = 2e-8  # per sample
 GPU_UPDATE = 6e-12  # per lit pulse and pixel, on a GPU
 GPU_PIXEL = 1.7e-7  # per pixel, besides, and per sample that is read, sent and transformed: work of the CPU
@@ -96,6 +98,15 @@ def of_plan(plan: Plan) -> Work:
         **_layers(layered, side),
     }
     return stages | {"finish": [FINISH]}
+
+
+def of_pyramid(grid: Grid, asked: bool | None = None) -> dict[str, list[float]]:
+    """Work of the pyramid of an image; nothing without one."""
+    if not has_pyramid(grid, asked):
+        return {}
+    side = IMAGE_CHUNK * 2**PYRAMID_LEVELS  # pixels
+    n_y, n_x = (np.diff([*range(0, n, side), n]) for n in grid.shape)
+    return {"pyramid": (PYRAMID * np.multiply.outer(n_y, n_x).ravel()).tolist()}
 
 
 def together(works: Sequence[Work]) -> Work:

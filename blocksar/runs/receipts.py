@@ -26,6 +26,8 @@ class Run:
         Hash of settings, input, format and division into blocks; all receipts carry it.
     threads : int
         Threads that a task may use.
+    pyramid : bool
+        Whether the image has one.
     collection, segment : int or None
         Numbers of what is focused of it, which set apart stores and names of units; None where there is one only.
     """
@@ -35,6 +37,7 @@ class Run:
     threads: int
     collection: int | None = None
     segment: int | None = None
+    pyramid: bool = False
 
     @property
     def token(self) -> str:

@@ -40,6 +40,7 @@ from blocksar.stores.history_creation import (
     write_collection,
 )
 from blocksar.stores.phase_history import PhaseHistory, open_dataset, open_phase_history, read_collection
+from blocksar.stores.pyramid import PYRAMID, Pyramid, level_name, level_shapes, levels_of, pyramid_of
 from blocksar.stores.records import checksum, checksum_bytes, file_checksum, json_checksum, read_json, write_json
 from blocksar.stores.regions import chunk_shape, read_region, share_region, write_region
 from blocksar.stores.schema import (
@@ -48,6 +49,7 @@ from blocksar.stores.schema import (
     CONVENTIONS,
     GATED,
     IMAGE,
+    LEVEL,
     NOISE,
     ON_TERRAIN,
     PATCH,
@@ -68,12 +70,14 @@ __all__ = [
     "CONVENTIONS",
     "GATED",
     "IMAGE",
+    "LEVEL",
     "NOISE",
     "ON_TERRAIN",
     "ORIGINAL",
     "PATCH",
     "PHASE_HISTORY",
     "POLARIZATIONS",
+    "PYRAMID",
     "RAW_ECHO",
     "SPECTRUM",
     "TRACK_AND_BEAM",
@@ -82,6 +86,7 @@ __all__ = [
     "Array",
     "DatasetHistory",
     "PhaseHistory",
+    "Pyramid",
     "Region",
     "StoredTerrain",
     "Variable",
@@ -104,11 +109,15 @@ __all__ = [
     "history_of",
     "is_truth",
     "json_checksum",
+    "level_name",
+    "level_shapes",
+    "levels_of",
     "look_name",
     "number_of",
     "open_dataset",
     "open_phase_history",
     "publish",
+    "pyramid_of",
     "read_collection",
     "read_json",
     "read_region",

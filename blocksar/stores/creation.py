@@ -8,7 +8,7 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,6 +29,15 @@ RENAMES = 32  # attempts to replace a store that other processes replace at the 
 UNFINISHED = ".unfinished"  # object in a store that is being created; it identifies the creating process
 
 
+class Group(NamedTuple):
+    """A group in a store, as `create` takes the store itself."""
+
+    schema: Mapping[str, Variable]
+    coords: Mapping[str, Array]
+    attrs: Mapping[str, Any]
+    chunks: Mapping[str, int]
+
+
 def create(
     path: Location,
     schema: Mapping[str, Variable],
@@ -40,6 +49,7 @@ def create(
     variables: Mapping[str, Array] | None = None,
     overwrite: bool = False,
     fill: Callable[[Place], None] | None = None,
+    groups: Mapping[str, Group] | None = None,
 ) -> None:
     """Create a store: metadata, coordinates and small variables now; large arrays empty, to be written by region.
 
@@ -67,6 +77,8 @@ def create(
         Replace an existing store.
     fill : callable (place)
         Writes samples by region to the place it receives; the store does not exist under its name before that.
+    groups : dict of Group, optional
+        Groups below it, by path. Default: none.
 
     Raises
     ------
@@ -78,7 +90,7 @@ def create(
     ValueError
         If names, dimensions or shapes do not fit the schema, or JSON cannot hold an attribute.
     """
-    files, metadata = _metadata(schema, sizes, coords, variables or {}, attrs, chunks)
+    files, metadata = _metadata(schema, sizes, coords, variables or {}, attrs, chunks, groups or {})
     place = place_of(path)
     if isinstance(place, ObjectPlace):
         _create_objects(place, files, metadata, fill, overwrite=overwrite)
@@ -100,8 +112,32 @@ def _metadata(
     variables: Mapping[str, Array],
     attrs: Mapping[str, Any],
     chunks: Mapping[str, int],
+    groups: Mapping[str, Group],
 ) -> tuple[dict[str, bytes], bytes]:
     """Return the files of a new store by name, small arrays included, and the group's metadata."""
+    files, arrays, attributes = _arrays(schema, sizes, coords, variables, attrs, chunks)
+    for path, group in groups.items():
+        below, inner, own = _arrays(group.schema, {}, group.coords, {}, group.attrs, group.chunks)
+        files |= {f"{path}/{name}": data for name, data in below.items()}
+        arrays[path] = {"attributes": own, "zarr_format": 3, "node_type": "group"}
+        arrays |= {f"{path}/{name}": value for name, value in inner.items()}
+    for path in groups:
+        beneath = {
+            name.removeprefix(f"{path}/"): value for name, value in arrays.items() if name.startswith(f"{path}/")
+        }
+        files[f"{path}/zarr.json"] = metadata_bytes(group_metadata(arrays[path]["attributes"], beneath))
+    return files, metadata_bytes(group_metadata(attributes, arrays))
+
+
+def _arrays(
+    schema: Mapping[str, Variable],
+    sizes: Mapping[str, int],
+    coords: Mapping[str, Array],
+    variables: Mapping[str, Array],
+    attrs: Mapping[str, Any],
+    chunks: Mapping[str, int],
+) -> tuple[dict[str, bytes], dict[str, Any], dict[str, Any]]:
+    """Return the files of a group's arrays by name, the metadata of these, and its attributes."""
     small = {**coords, **variables}
     lengths = _lengths(schema, sizes, small)
     attributes = {key: nan_to_null(plain_value(value, key)) for key, value in attrs.items()}
@@ -124,7 +160,7 @@ def _metadata(
         if name in small and 0 not in shape:
             values = np.ascontiguousarray(small[name], layout.dtype)
             files[f"{name}/{chunk_name([0] * len(shape))}"] = b"".join(encode(values, compressed=variable.compressed))
-    return files, metadata_bytes(group_metadata(attributes, metadata))
+    return files, metadata, attributes
 
 
 def put_file(place: LocalPlace, data: bytes) -> None:

@@ -84,6 +84,14 @@ IMAGE = {
     "x": X,
     "y": Y,
 }
+# Of a level of an image's pyramid.
+LEVEL = {
+    "power": Variable(
+        ("y", "x"), "float32", "1", "mean power over that of unit reflectivity; NaN where not covered", compressed=True
+    ),
+    "x": X,
+    "y": Y,
+}
 # Of images of collections whose noise is known.
 NOISE = {
     "noise_equivalent": Variable(

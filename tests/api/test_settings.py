@@ -100,7 +100,8 @@ def table() -> str:
         flag = f"--{'no-' if each.default is True else ''}{each.name.replace('_', '-')}"
         values = get_args(each.type) if each.option.choices is None else ()
         words = [str(word) for word in values if isinstance(word, str)] if get_origin(each.type) is Literal else []
-        value = "" if each.type is bool else " " + (each.option.metavar or "|".join(words))
+        flag = each.option.flags[0] if bool in get_args(each.type) else flag
+        value = "" if bool in (each.type, *get_args(each.type)) else " " + (each.option.metavar or "|".join(words))
         others = [name for name in COMMANDS[1:] if each.name in {other.name for other in taken(name)}]
         shown = f"{flag}{value}".replace("|", "\\|")
         rows.append(f"| `{shown}` | {', '.join(f'`{other}`' for other in others)} | {said[each.name][1]} |")

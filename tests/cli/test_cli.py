@@ -37,6 +37,8 @@ COMMANDS = {
     "focus": ["focus", "ph.zarr", "--out", "run"],
     "quality": ["quality", "run"],
     "report": ["report", "run"],
+    "compare": ["compare", "a", "b", "--out", "pair"],
+    "view": ["view", "run", "--no-browser"],
     "compile": ["compile"],
 }
 REPORT = SimpleNamespace(
@@ -58,6 +60,7 @@ class Calls(ModuleType):
         self.seen: dict[str, tuple[tuple[object, ...], dict[str, object]]] = {}
         self.answer: object = REPORT
         self.updates: list[tuple[str, int, int]] = []
+        self.wait_until_closed = lambda viewer: None
         for name in (*COMMANDS, "autofocus", "export"):
             setattr(self, name, lambda *args, _name=name, **kwargs: self._called(_name, args, kwargs))
 

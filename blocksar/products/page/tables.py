@@ -24,6 +24,8 @@ UNITS = {
     "focus": "blocks",
     "mosaic": "image, by chunks",
     "layers": "layers of the terrain, by chunks",
+    "pyramid": "pyramid, by parts",
+    "pyramid-top": "top of the pyramid",
     "backprojection": "image, by chunks",
 }  # of a stage
 STAGES = {
@@ -34,6 +36,7 @@ STAGES = {
     "focus": "focusing of blocks",
     "mosaic": "mosaic",
     "layers": "layers of the terrain",
+    "pyramid": "pyramid",
     "backprojection": "back-projection",
     "rest": "start, checks and end",
 }

@@ -100,13 +100,13 @@ def overview(
         cells = slice(first, min(first + rows_at_once, n_y))
         rows = slice(cells.start * tall, min(cells.stop * tall, image_y.size))
         pixels = read_image(rows, slice(0, image_x.size))
-        power[cells] = _reduce(pixels.real**2 + pixels.imag**2, (tall, wide), looks)
+        power[cells] = reduce_cells(pixels.real**2 + pixels.imag**2, (tall, wide), looks)
         if block is not None and read_block is not None:
-            block[cells] = _reduce(read_block(rows, slice(0, image_x.size)), (tall, wide), "max")
+            block[cells] = reduce_cells(read_block(rows, slice(0, image_x.size)), (tall, wide), "max")
     return Overview(power, block, cell_edges(image_x, n_x, wide), cell_edges(image_y, n_y, tall))
 
 
-def _reduce(
+def reduce_cells(
     values: NDArray[np.float32] | NDArray[np.int16], cell: tuple[int, int], looks: Literal["max", "mean"]
 ) -> FloatArray:
     """Reduce to cells of pixels along y and x, fewer at the ends; NaN only where all pixels of a cell are NaN."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Sequence
 from numbers import Integral
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from matplotlib import colormaps, patheffects
@@ -296,11 +296,13 @@ def caption_of(source: FinishedRun) -> str:
     return "   ".join(parts)
 
 
-def draw_colour_bar(axes: Axes, picture: ScalarMappable, label: str) -> None:
-    """Draw the colour bar of a picture beside it."""
+def draw_colour_bar(
+    axes: Axes, picture: ScalarMappable, label: str, *, extend: Literal["both", "neither"] = "both"
+) -> None:
+    """Draw the colour bar of a picture beside it; `extend` says where values may lie beyond its ends."""
     figure = axes.get_figure()
     assert figure is not None
-    bar = figure.colorbar(picture, ax=axes, extend="both", shrink=0.85, pad=0.02)
+    bar = figure.colorbar(picture, ax=axes, extend=extend, shrink=0.85, pad=0.02)
     bar.set_label(label)
 
 

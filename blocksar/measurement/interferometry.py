@@ -1,0 +1,180 @@
+"""Two images of one ground: interferogram and coherence over a window, and what height and baseline do to them.
+
+An image is the exact back-projection of its pulses onto the ground (`focusing.backprojection`): what lies on that
+ground has in each image the phase of its reflectivity. In the interferogram a conj(b) the phase of the ranges, also
+called flat-earth phase and topographic phase, is thus out already, for both tracks and on a terrain as on a plane. What
+remains at a pixel X is that of a scatterer P that does not lie where the images assume it,
+
+    phase = 4 pi / c [f_b (R_b(P) - R_b(X)) - f_a (R_a(P) - R_a(X))]
+
+with the ranges R at the middles of the dwells and the carriers f. It comes from
+
+- height: P = X + h d, see `vertical_wavenumber`: phase = h k_z;
+- motion: P moves by r along the line of sight, away from the antenna, after image a: phase = 4 pi f_b / c r;
+- all else that changes the path or the reflectivity: the air, errors of the tracks, moisture, growth.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+
+from blocksar.arrays import BoolArray, Complex128Array, ComplexArray, FloatArray
+from blocksar.collection.beam import dwell
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import ground_spectrum
+from blocksar.collection.weighting import Weighting
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.measurement.sample_coherence import overlap
+
+
+class Windowed(NamedTuple):
+    """Means over a window about each pixel, of the pixels that both images have; NaN where one lacks the pixel itself.
+
+    Attributes
+    ----------
+    inner : (n_y, n_x) complex128
+        Mean of a conj(b).
+    power_a, power_b : (n_y, n_x) float64
+        Means of |a|^2 and |b|^2.
+    """
+
+    inner: Complex128Array
+    power_a: FloatArray
+    power_b: FloatArray
+
+    @property
+    def coherence(self) -> FloatArray:
+        """|mean of a conj(b)| / sqrt(mean of |a|^2 times that of |b|^2); NaN where one image is zero."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            estimate = np.abs(self.inner) / np.sqrt(self.power_a * self.power_b)
+        return np.where(np.isfinite(estimate), np.minimum(estimate, 1.0), np.nan)
+
+    @property
+    def amplitude_ratio(self) -> FloatArray:
+        """sqrt(mean of |b|^2 / mean of |a|^2); NaN where a is zero."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            ratio = np.sqrt(self.power_b / self.power_a)
+        return np.where(np.isfinite(ratio), ratio, np.nan)
+
+
+def over_window(a: ComplexArray, b: ComplexArray, window: tuple[int, int]) -> Windowed:
+    """Means of two images (n_y, n_x) over a window of odd numbers of pixels along y and x; the ends have fewer."""
+    both = np.isfinite(a) & np.isfinite(b)
+    first, second = (np.where(both, each, 0).astype(np.complex128) for each in (a, b))
+    inner = first * second.conj()
+    share = _mean(both.astype(np.float64), window)
+
+    def mean(values: FloatArray) -> FloatArray:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(both, _mean(values, window) / share, np.nan)
+
+    powers = [mean(each.real**2 + each.imag**2) for each in (first, second)]
+    return Windowed(mean(inner.real) + 1j * mean(inner.imag), *(np.maximum(each, 0.0) for each in powers))
+
+
+def _mean(values: FloatArray, window: tuple[int, int]) -> FloatArray:
+    return np.asarray(uniform_filter(values, window, mode="constant"))
+
+
+class Sight(NamedTuple):
+    """Lines of sight (..., 3) from the antenna at the middles of dwells, its velocity there, m/s, and ranges, m."""
+
+    unit: FloatArray
+    velocity: FloatArray
+    distance: FloatArray
+
+    @classmethod
+    def of(cls, geometry: Geometry, x: FloatArray, y: FloatArray, z: FloatArray | float) -> Sight:
+        """Geometry of sight to points x, y, z (...), m; NaN where a point is never lit."""
+        first, last = np.broadcast_arrays(*dwell(geometry, x, y, z=z), x)[:2]
+        middle = np.where(first < last, (first + last) / 2, geometry.epoch)
+        away = np.stack(np.broadcast_arrays(x, y, z), axis=-1) - geometry.track.position(middle)
+        away = np.where((first < last)[..., None], away, np.nan)
+        distance = np.sqrt((away**2).sum(axis=-1))
+        return cls(away / distance[..., None], geometry.track.velocity(middle), distance)
+
+
+def layover_direction(sight: Sight) -> FloatArray:
+    """By how much (..., 3) a scatterer moves for a metre of height if its range and Doppler are to stay.
+
+    d is orthogonal to the line of sight u and to its rate, which lies in the plane of u and the velocity v, and
+    d_z = 1: u x v over its z.
+    """
+    along = np.cross(sight.unit, sight.velocity)
+    return np.asarray(along / along[..., 2:])
+
+
+def vertical_wavenumber(a: Geometry, b: Geometry, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Phase of a conj(b), rad, for a metre of height over the ground that the images assume, at x, y (...), m.
+
+    A pixel X of image a shows what has its range and Doppler: at a height h, the scatterer X + h d, whose range is the
+    same in a, and in b changes by h u_b . d: k_z = 4 pi f_b / c u_b . d. That is 4 pi B / (lambda R sin(incidence)) of
+    the perpendicular baseline B. 2 pi / |k_z| is the height of ambiguity. NaN where one does not see the point.
+    """
+    z = a.height(x, y)
+    direction, sight = layover_direction(Sight.of(a, x, y, z)), Sight.of(b, x, y, z)
+    return np.asarray(4 * np.pi * b.collection.carrier / SPEED_OF_LIGHT * (sight.unit * direction).sum(axis=-1))
+
+
+class Baseline(NamedTuple):
+    """How two tracks see a ground point.
+
+    Attributes
+    ----------
+    perpendicular, parallel : float
+        Of the way from the antenna of a to that of b at the middles of the dwells, m: across the line of sight in the
+        direction of `layover_direction`, positive where the phase rises with height; and along the line of sight.
+    wavenumber : float
+        `vertical_wavenumber`, rad/m.
+    surface : float
+        Coherence of clutter on the ground, of which the images see spectra that lie apart by the baseline.
+    """
+
+    perpendicular: float
+    parallel: float
+    wavenumber: float
+    surface: float
+
+    @classmethod
+    def at(cls, a: Geometry, b: Geometry, x: float, y: float, weighting: Weighting) -> Baseline:
+        """The baseline at a point x, y, m; NaN where one does not see it."""
+        point = np.array(x), np.array(y), np.asarray(a.height(np.array(x), np.array(y)))
+        first, second = Sight.of(a, *point), Sight.of(b, *point)
+        direction = layover_direction(first)
+        way = first.unit * first.distance - second.unit * second.distance
+        perpendicular = -float((way * direction).sum() / np.sqrt((direction**2).sum()))
+        wavenumber = float(vertical_wavenumber(a, b, *point[:2]))
+        return cls(perpendicular, float((way * first.unit).sum()), wavenumber, _surface(a, b, point, weighting))
+
+
+def _surface(a: Geometry, b: Geometry, point: tuple[FloatArray, FloatArray, FloatArray], weighting: Weighting) -> float:
+    """Overlap of the spectra of surface clutter, which lie about 2 f / c times the horizontal part of the sight."""
+    first, second = (2 * each.collection.carrier / SPEED_OF_LIGHT * Sight.of(each, *point).unit[:2] for each in (a, b))
+    by_band, by_dwell = sides_at(a, float(point[0]), float(point[1]))
+    area = by_band[0] * by_dwell[1] - by_band[1] * by_dwell[0]
+    away = second - first
+    shifts = (
+        float((away[0] * by_dwell[1] - away[1] * by_dwell[0]) / area),
+        float((by_band[0] * away[1] - by_band[1] * away[0]) / area),
+    )
+    return overlap(shifts, weighting) if np.isfinite(shifts).all() else float("nan")
+
+
+def sides_at(geometry: Geometry, x: float, y: float) -> tuple[FloatArray, FloatArray]:
+    """Sides of a target's spectrum on the ground, by band and by dwell: `ground_spectrum` at x, y, m."""
+    at = np.array(x), np.array(y)
+    return ground_spectrum(geometry, float(geometry.epoch_range(*at)), float(geometry.yaw(*at)))
+
+
+def changed(estimate: FloatArray, limit: FloatArray) -> NDArray[np.uint8]:
+    """Flags (...) of where a coherence lies below a limit: 0 unchanged, 1 changed, 2 not judged, 255 not covered.
+
+    Not judged is where the limit is NaN.
+    """
+    judged: BoolArray = np.isfinite(limit)
+    flags = np.where(judged, estimate < limit, 2)
+    return np.where(np.isfinite(estimate), flags, 255).astype(np.uint8)
