@@ -19,8 +19,7 @@ from blocksar.api.jobs import Job, Request
 from blocksar.api.joint import focus_members, members_of
 from blocksar.api.parsing import GridLike
 from blocksar.api.partial_pulses import recorded_lines
-from blocksar.api.rehearsing import rehearse
-from blocksar.api.room import Beside, check_room_for_run
+from blocksar.api.rehearsing import Beside, check_room_for_run, rehearse
 from blocksar.api.run_stages import carry_out
 from blocksar.api.settings import Settings
 from blocksar.api.shown import RunReport, is_measurable

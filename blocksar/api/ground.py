@@ -6,6 +6,8 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from blocksar import stores
 from blocksar.api.arguments import One, history_of, scene_of
 from blocksar.collection.collection import Collection
@@ -14,7 +16,9 @@ from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import check_seen, default_grid, plan_region
 from blocksar.collection.terrain import Terrain
+from blocksar.focusing.terrain_layers import Box, Sight, box_of, reach
 from blocksar.ingestion.terrain.reading import Ground
+from blocksar.ingestion.terrain.resampling import read_around
 from blocksar.places.place import Place
 from blocksar.planning.segments import joint_grid
 
@@ -100,3 +104,33 @@ def check_ground(collections: Sequence[Collection], grid: Grid | None, *, any_gr
             check_seen([geometry], grid)
         else:
             plan_region(geometry, grid)
+
+
+def read_surroundings(
+    ground: Ground,
+    terrain: Terrain,
+    collections: Sequence[Collection],
+    grid: Grid,
+    georeference: Georeference | None,
+) -> Terrain | None:
+    """The terrain as far as anything on it hides or overlies places of the grid; None if that is all under it.
+
+    Parameters
+    ----------
+    ground : Ground
+    terrain : Terrain
+        What has been read of it, under the grid.
+    collections : sequence of Collection
+        That see the grid.
+    """
+    if ground.terrain is None:
+        return None
+    own = box_of(grid.x, grid.y)
+    sights = [Sight.of(geometry_over(each, terrain), own, terrain.limits) for each in collections]
+
+    def needed(limits: tuple[float, float]) -> Box:
+        boxes = np.array([reach(sight, grid.x, grid.y, limits) for sight in sights])
+        low, high = boxes[..., 0].min(axis=0), boxes[..., 1].max(axis=0)
+        return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
+
+    return read_around(terrain, own, needed, lambda box: ground.read_box(georeference, *box, refine=False))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache, partial
 from importlib import metadata
@@ -19,20 +20,17 @@ from blocksar.api.arguments import (
     on_ground,
     sources_of,
 )
-from blocksar.api.fingerprints import joint_fingerprint
-from blocksar.api.ground import PLANE, check_ground, ground_settings, read_ground
-from blocksar.api.other_way import naming_hierarchy
+from blocksar.api.ground import PLANE, check_ground, ground_settings, read_ground, read_surroundings
 from blocksar.api.partial_pulses import imaging_parts, pulses_of
 from blocksar.api.settings import Settings
-from blocksar.api.surroundings import read_surroundings
-from blocksar.api.track_places import TrackPlace
+from blocksar.api.track_places import TrackPlace, joint_fingerprint
 from blocksar.arrays import FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
-from blocksar.errors import InputError, ProcessingError, Unfocusable, changes_while_read
+from blocksar.errors import InputError, PrfTooLow, ProcessingError, Unfocusable, changes_while_read
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_gate import RawCompression
 from blocksar.graph.machine import Resources
@@ -44,13 +42,25 @@ from blocksar.places.place import Place
 from blocksar.planning import effort
 from blocksar.planning.memory import checked_memory, compression_memory
 from blocksar.planning.segments import joint_grid
-from blocksar.processors import PROCESSORS, device_for, options_for
+from blocksar.processors import HIERARCHY, PROCESSORS, device_for, options_for
 from blocksar.processors.base import ImagePlan, Problem
 from blocksar.progress import Work
 from blocksar.runs import folder as run_folder
 from blocksar.runs import stored_plan
 from blocksar.runs.record import FORMAT, UNFINISHED, RunInput, RunPlan, RunRecord, RunSegment
 from blocksar.version import __version__
+
+FOLDED = f"; hierarchical back-projection takes any PRF, and tells what folds: --processor {HIERARCHY}"
+ANY = f"; hierarchical back-projection has no such limit: --processor {HIERARCHY}"
+
+
+@contextmanager
+def naming_hierarchy() -> Iterator[None]:
+    """Add the end to errors about what no chain can form."""
+    try:
+        yield
+    except Unfocusable as error:
+        raise InputError(f"{error}{FOLDED if isinstance(error, PrfTooLow) else ANY}") from error
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,14 +20,12 @@ import numpy as np
 from blocksar import stores
 from blocksar.api.arguments import OnGround, Source, history_of, sources_of
 from blocksar.api.findings import without_samples
-from blocksar.api.fingerprints import fingerprint_of_members, joint_fingerprint
 from blocksar.api.ground import image_grid
-from blocksar.api.look_plans import name_rows
-from blocksar.api.looks import divide_dwells, one_source
+from blocksar.api.looks import divide_dwells, name_rows, one_source
 from blocksar.api.rehearsing import NOTHING_DONE
 from blocksar.api.settings import Settings
 from blocksar.api.shown import RunReport, is_measurable
-from blocksar.api.track_places import TrackPlace
+from blocksar.api.track_places import TrackPlace, fingerprint_of_members, joint_fingerprint
 from blocksar.chunks import TILE
 from blocksar.collection.grid import Grid
 from blocksar.errors import FolderError, InputError, NoRoom

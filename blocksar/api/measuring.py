@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -11,21 +11,209 @@ import numpy as np
 
 from blocksar import stores
 from blocksar.api import definitions, finding
-from blocksar.api.aligning import alignment_lines, alignment_table, compare_with
-from blocksar.api.look_figures import describe_looks, looks_table
-from blocksar.api.raised import raised_line, seen_places
 from blocksar.api.reference_chips import compare_with_exact
-from blocksar.api.reports import Report, Table
+from blocksar.api.reports import Report, Table, finite, rounded
 from blocksar.api.shadows import in_shadow
 from blocksar.api.target_files import targets_of
+from blocksar.arrays import FloatArray
+from blocksar.collection.beam import aperture, dwell
+from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import CUT_WIDTHS, Weighting
+from blocksar.errors import InputError
+from blocksar.measurement.coherence import align
 from blocksar.measurement.figures import TABLE3, PointResponse, as_json, measure_target, rank, summary
 from blocksar.measurement.response import MIN_HALF_TAPS, Response, read_response
+from blocksar.measurement.scenery import measure_area
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.place import Place
+from blocksar.products.look_spectra import measure_looks
+from blocksar.products.pictures.overview import mean_of
 from blocksar.runs.finished import FinishedRun, finished_record, folder_of, member_line
 from blocksar.runs.track import TrackCorrection
+from blocksar.spans import parse_crop
+
+CHIPS = 6  # along either axis, evenly over the image; at most, and no more than it has room for
+SIDE = 64  # pixels
+DARK = 20.0  # dB below the brightest chip
+COVERED = 0.5  # of a chip's pixels that both images have, at least
+FIGURES = (
+    ("as_is", "as they are"),
+    ("shifted", "after the best shift"),
+    ("ramped", "after a shift and a ramp of the phase"),
+)
+
+
+def compare_with(run: FinishedRun, other: FinishedRun) -> list[dict[str, Any]]:
+    """Compare chips of two images on one grid; of each x and y (m), three coherences, shift (m) and ramp (rad/m).
+
+    Those with more than DARK dB less power than the brightest hold side lobes of other places, and are left out.
+
+    Raises
+    ------
+    InputError
+        If the grids differ, or no chip has pixels of both.
+    """
+    for name, axis, theirs in (("x", run.x, other.x), ("y", run.y, other.y)):
+        if axis.shape != theirs.shape or np.abs(axis - theirs).max() > 1e-6 * abs(axis[-1] - axis[0]):
+            raise InputError(
+                f"against={other.folder} has another {name} than {run.folder}: give runs on one grid, as from "
+                "`blocksar focus --grid` with the same numbers"
+            )
+    step = np.array([axis[1] - axis[0] if axis.size > 1 else 1.0 for axis in (run.y, run.x)])
+    found = []
+    for rows, columns in _places(run):
+        a, b = run.read(rows, columns), other.read(rows, columns)
+        if (np.isfinite(a) & np.isfinite(b)).mean() < COVERED:
+            continue
+        aligned = align(a, b)
+        if np.isnan(aligned.ramped):
+            continue
+        shift, ramp = np.array(aligned.shift) * step, np.array(aligned.ramp) / step
+        found.append({
+            "x": float(run.x[columns].mean()), "y": float(run.y[rows].mean()),
+            "as_is": aligned.as_is, "shifted": aligned.shifted, "ramped": aligned.ramped,
+            "shift": shift[::-1].tolist(), "ramp": ramp[::-1].tolist(), "power": float(np.nanmean(np.abs(b) ** 2)),
+        })  # fmt: skip
+    if not found:
+        raise InputError(f"against={other.folder} and {run.folder} have no part in common that both cover; give others")
+    least = max(chip["power"] for chip in found) * 10 ** (-DARK / 10)
+    return [chip for chip in found if chip["power"] >= least]
+
+
+def _places(run: FinishedRun) -> Iterator[tuple[slice, slice]]:
+    """Rows and columns of the chips."""
+    spans = []
+    for size in (run.y.size, run.x.size):
+        starts = np.linspace(0, max(size - SIDE, 0), min(-(-size // SIDE), CHIPS)).round().astype(int).tolist()
+        spans.append([slice(start, min(start + SIDE, size)) for start in starts])
+    for rows in spans[0]:
+        for columns in spans[1]:
+            yield rows, columns
+
+
+def alignment_lines(chips: list[dict[str, Any]], run: FinishedRun, other: FinishedRun) -> list[str]:
+    """Least and median coherence, as it is and aligned; and that weights differ, if they do."""
+    texts = []
+    for name, words in FIGURES:
+        values = [chip[name] for chip in chips]
+        texts.append(f"{min(values):.4f} and {np.median(values):.4f} {words}")
+    lines = [f"coherence with {other.folder}, least and median of {len(chips)} chips: {', '.join(texts)}"]
+    if run.weighting != other.weighting:
+        lines.append(
+            f"weights differ, {run.weighting.text} here and {other.weighting.text} in {other.folder}: that alone takes "
+            "coherence below 1"
+        )
+    return lines
+
+
+def alignment_table(chips: list[dict[str, Any]]) -> Table:
+    """The chips, one a row."""
+    header = (
+        "x (m)", "y (m)", "coherence", "shifted", "shift and ramp", "shift in x (mm)", "shift in y (mm)",
+        "ramp in x (rad/m)", "ramp in y (rad/m)",
+    )  # fmt: skip
+    return header, [
+        [
+            f"{c['x']:.0f}", f"{c['y']:.0f}", f"{c['as_is']:.4f}", f"{c['shifted']:.4f}", f"{c['ramped']:.4f}",
+            *(f"{1e3 * value:.1f}" for value in c["shift"]), *(f"{value:.4f}" for value in c["ramp"]),
+        ]
+        for c in chips
+    ]  # fmt: skip
+
+
+def describe_looks(looks: Sequence[FinishedRun], area: Any) -> dict[str, Any]:
+    """Part of the dwell and share of power in it of each look; of an area, the equivalent numbers of looks.
+
+    That of an area also has that of the mean power of all looks: as large as their number times that of one, if their
+    speckle is independent.
+    """
+    found = measure_looks(looks)
+    records: list[dict[str, Any]] = [{"name": look.attrs.get("look", look.folder.name)} for look in looks]
+    if found is not None:
+        for record, part, within in zip(records, found.parts.tolist(), found.within.tolist(), strict=True):
+            record |= {"part": part, "within": within}
+    result: dict[str, Any] = {"each": records}
+    if area is not None:
+        parts = [look.cropped(*parse_crop(area, "area"), "area") for look in looks]
+        for record, part in zip(records, parts, strict=True):
+            record["looks"] = finite(measure_area(part.read, part.strips(0)).looks)
+        result["mean_looks"] = finite(_of_mean(parts))
+    return result
+
+
+def _of_mean(parts: Sequence[FinishedRun]) -> float:
+    """Equivalent number of looks of the mean power of several images, NaN where not covered by all."""
+    return measure_area(mean_of([part.read for part in parts]), parts[0].strips(0)).looks
+
+
+def looks_table(described: dict[str, Any]) -> Table:
+    """The looks, one a row."""
+    records = described["each"]
+    header = ["look", "part of the dwell", "power in it"]
+    rows = [
+        [r["name"], *(["-", "-"] if "part" not in r else
+         [f"{r['part'][0]:.3f} .. {r['part'][1]:.3f}", f"{100 * r['within']:.1f} %"])]
+        for r in records
+    ]  # fmt: skip
+    if "mean_looks" in described:
+        header.append("equivalent looks")
+        for row, record in zip(rows, records, strict=True):
+            row.append(rounded(record["looks"], 2))
+        rows.append(["mean of all", "", "", rounded(described["mean_looks"], 2)])
+    return tuple(header), rows
+
+
+RAISED = 0.01  # m over or under the ground
+STEPS, STEP = 12, 1.0  # of Newton's method, and m over which it takes slopes
+
+
+def seen_places(run: FinishedRun, targets: Sequence[Target]) -> list[Target]:
+    """The targets, those off the ground moved to the ground with their range and Doppler at the middle of the dwell.
+
+    They stay where they are if there is no such ground, or it has no height.
+    """
+    return [_seen(run.geometry_at(target.x, target.y), target) for target in targets]
+
+
+def raised_line(listed: Sequence[Target], seen: Sequence[Target]) -> list[str]:
+    """A sentence that names targets that were moved; none if there are none."""
+    moved = [(a, float(np.hypot(a.x - b.x, a.y - b.y))) for a, b in zip(listed, seen, strict=True) if a.z != b.z]
+    if not moved:
+        return []
+    named = ", ".join(f"{target.name} {way:.3g} m" for target, way in moved[:5])
+    return [
+        f"off the ground, and measured where the ground has their range and Doppler: {len(moved)} of {len(listed)} "
+        f"targets (away by: {named}{', ...' if len(moved) > 5 else ''})"
+    ]
+
+
+def _seen(geometry: Geometry, target: Target) -> Target:
+    at = np.array([target.x, target.y])
+    ground = float(geometry.height(*at))
+    if target.z is None or not abs(target.z - ground) > RAISED:
+        return target
+    first, last = dwell(geometry, *at)
+    time = np.clip((first + last) / 2 if first < last else np.array(geometry.epoch), *aperture(geometry.collection))
+
+    def look(xy: FloatArray) -> FloatArray:
+        return np.array(geometry.range_history(geometry.on_ground(xy[0], xy[1]), time))
+
+    wanted = np.array(geometry.range_history(np.array([*at, target.z]), time))
+    for _ in range(STEPS):
+        here = look(at)
+        along = [(look(at + STEP * unit) - here) / STEP for unit in np.eye(2)]
+        a, b, c, d = along[0][0], along[1][0], along[0][1], along[1][1]  # rows: range and its rate
+        left, determinant = wanted - here, a * d - b * c
+        if not abs(determinant) > 0:
+            return target
+        move = np.array([d * left[0] - b * left[1], a * left[1] - c * left[0]]) / determinant
+        at = at + np.clip(move, -abs(target.z - ground) - STEP, abs(target.z - ground) + STEP)
+    found = look(at)
+    if not np.abs(found - wanted)[0] < 1e-3:
+        return target
+    return target._replace(x=float(at[0]), y=float(at[1]), z=None)
+
 
 WORST = 10  # targets that are shown of more
 # Names of the figures of a summary, their unit, what a value is multiplied by for it, and decimals.

@@ -9,9 +9,8 @@ from typing import Any, Literal
 from blocksar.api import definitions
 from blocksar.api.arguments import Source, channels_of, collections_of, in_this_process, sources_of
 from blocksar.api.ground import ground_under, read_ground
-from blocksar.api.look_plans import report_looks
-from blocksar.api.looks import divide_dwells, one_source
-from blocksar.api.other_way import ANY, naming_hierarchy
+from blocksar.api.jobs import ANY, naming_hierarchy
+from blocksar.api.looks import divide_dwells, one_source, report_looks
 from blocksar.api.parsing import GridLike
 from blocksar.api.partial_pulses import imaged_collections, recorded_lines
 from blocksar.api.settings import Settings

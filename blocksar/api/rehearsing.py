@@ -2,16 +2,120 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
+from typing import NamedTuple
+
+from blocksar import stores
 from blocksar.api.jobs import Job, Request
 from blocksar.api.partial_pulses import recorded_lines
-from blocksar.api.room import Beside, needed, remedy
 from blocksar.api.shown import RunReport
+from blocksar.chunks import stored_bytes
+from blocksar.errors import InputError
 from blocksar.graph.machine import Resources
-from blocksar.places.place import size_text
-from blocksar.processors import REFERENCE
+from blocksar.places.place import no_room_for, size_text
+from blocksar.planning.disk import Room, room_of_run, with_pyramid
+from blocksar.processors import HIERARCHY, PROCESSORS, REFERENCE
 from blocksar.processors.lines import time_line, workforce
+from blocksar.runs import folder as run_folder
 from blocksar.runs.folder import is_begun
-from blocksar.runs.record import RunRecord
+from blocksar.runs.record import RECORD, RunRecord
+
+
+def room_of(job: Job) -> Room:
+    """The room that a run takes, from an empty folder on."""
+    request = job.request
+    beside = 0 if request.surroundings is None else request.surroundings.heights.nbytes
+    temporary = len(job.packed)
+    for history in {segment.collection: segment.source for segment in job.segments}.values():
+        collection = history.collection
+        if isinstance(history, stores.DatasetHistory):
+            beside += stored_bytes(history.shape)
+        if history.raw is not None:  # compressed first
+            temporary += stored_bytes((collection.n_pulse, collection.n_range_frequency))
+    stored = with_pyramid(job.plan.stored(), job.grid, request.asked.pyramid)
+    return room_of_run(stored, beside=beside, temporary=temporary, discard=request.asked.discard)
+
+
+class Beside(NamedTuple):
+    """Room that a run needs besides its own stores.
+
+    Attributes
+    ----------
+    following : int
+        Runs of its size that follow in folders of their own.
+    first : int
+        Bytes that are written before, and stay as long as it runs.
+    """
+
+    following: int = 0
+    first: int = 0
+
+
+def needed(job: Job, beside: Beside, *, resumed: bool) -> int:
+    """Bytes that must be free for a run, and for what is written beside it.
+
+    A resumed run needs what is not there yet. An earlier run that is replaced stays until the input of the new one has
+    been read.
+    """
+    room, folder = room_of(job), job.request.folder
+    others = (run_folder.ASIDE, run_folder.TRACK, *run_folder.LEFT_ALONE)
+    replaced = resumed or (folder / RECORD).exists()
+    there = folder.taken() - sum((folder / name).taken() for name in others) if replaced else 0
+    own = room.most - there if resumed else max(room.reading, room.most - there)
+    return max(own, 0) + beside.first + beside.following * room.left
+
+
+def check_room_for_run(job: Job, beside: Beside, *, resumed: bool) -> None:
+    """Check that a run fits the disk of its folder; see `needed`.
+
+    Raises
+    ------
+    NoRoom
+        If it does not, with what would make it fit.
+    """
+    size, free = needed(job, beside, resumed=resumed), job.request.folder.free()
+    if free is not None and size > free:
+        raise no_room_for(job.request.folder, size, free, remedy(job, beside, free, resumed=resumed))
+
+
+def remedy(job: Job, beside: Beside, free: int, *, resumed: bool) -> str:
+    """Say with which options a run would need no more than what is free, bytes."""
+    fitting = []
+    for words, other in _others(job, resumed=resumed):
+        for more, tried in ((words, other), (f"{words} --discard", _discarding(other))):
+            if (size := needed(tried, beside, resumed=resumed)) <= free:
+                fitting.append(f"{more.strip()} ({size_text(size)})")
+                break
+    if not fitting:
+        return "no option but a smaller --grid makes it fit: make room, or choose another --out"
+    return f"{' or '.join(fitting)} would fit; else make room, or choose another --out"
+
+
+def _others(job: Job, *, resumed: bool) -> Iterator[tuple[str, Job]]:
+    """The job, and such of fewer blocks and of back-projection, with the words that ask for them.
+
+    A run that is resumed keeps its blocks.
+    """
+    yield "", job
+    if resumed:
+        return
+    count = max((piece.plan.n_blocks for piece in job.plan.pieces if piece.plan is not None), default=0)
+    while (count := count // 2) > 0:
+        with suppress(InputError):  # there is no such plan
+            fewer = job.request.asking(blocks=count, processor=job.plan.processor)
+            yield f"--blocks {count}", Job.of(fewer, None, job.machine)
+    if job.plan.processor not in (HIERARCHY, REFERENCE):
+        words = f"--processor {HIERARCHY}, {PROCESSORS.get(HIERARCHY).summary},"
+        with suppress(InputError):
+            other = job.request.asking(processor=HIERARCHY, options={})
+            yield words, Job.of(other, None, job.machine)
+
+
+def _discarding(job: Job) -> Job:
+    return replace(job, request=job.request.asking(discard=True))
+
 
 NOTHING_DONE = "nothing was done: leave out --dry-run to focus"
 

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from blocksar import stores
-from blocksar.api.fingerprints import joint_fingerprint
 from blocksar.api.ground import PLANE, geometry_over, ground_settings
 from blocksar.api.jobs import Request, grid_numbers, records_of
-from blocksar.api.track_places import TrackPlace, channels_of_track
+from blocksar.api.track_places import TrackPlace, channels_of_track, joint_fingerprint
 from blocksar.autofocusing.anchoring import Control
 from blocksar.autofocusing.estimation import LEAST_LOOPS
 from blocksar.autofocusing.finishing import Result

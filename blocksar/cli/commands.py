@@ -6,24 +6,308 @@ Tables go to stdout, progress and messages to stderr.
 
 from __future__ import annotations
 
+from contextlib import suppress
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from blocksar.api.parsing import parse_origin
 from blocksar.api.settings import options_taken
-from blocksar.cli.autofocusing import autofocus
-from blocksar.cli.display import hint, show
+from blocksar.cli.display import hint, listening, show
 from blocksar.cli.endings import catch_signals, open_streams
 from blocksar.cli.exporting import export
 from blocksar.cli.focusing import OfProcessors, focus, plan
 from blocksar.cli.ingesting import ingest
-from blocksar.cli.listening import listening
-from blocksar.cli.measuring import compare, quality, report, view
-from blocksar.cli.options import JsonLog, Quiet, taking
-from blocksar.cli.sources import check, info, preview, simulate
+from blocksar.cli.options import (
+    Channel,
+    ColourMap,
+    ColourRange,
+    Everything,
+    Explain,
+    JsonLog,
+    Overwrite,
+    OwnThreads,
+    Quiet,
+    Run,
+    given,
+    taking,
+)
 from blocksar.garbage import collect_seldom
 from blocksar.options import read_values
 from blocksar.version import __version__
+
+
+@taking(options_taken("autofocus"))
+def autofocus(
+    context: typer.Context,
+    source: Annotated[str, typer.Argument(metavar="PH.zarr", help="Phase-history store.")],
+    out: Annotated[str, typer.Option(metavar="STORE", help="Phase-history store to write, with the track corrected.")],
+    quiet: Quiet = False,
+    json_log: JsonLog = None,
+    **options: Any,
+) -> None:
+    """Correct the track of a phase history from its samples.
+
+    Looks for prominent points, and finds the error of the track that blurs them.
+
+    Give the same command again to go on with an interrupted one.
+
+    Example: [bold]blocksar autofocus table1.zarr --out corrected.zarr[/bold]
+    """
+    settings = read_values(options_taken("autofocus"), options)
+
+    from blocksar import api
+
+    if settings["scheduler"] is None:
+        from blocksar.graph.starting import start_early
+
+        start_early([source], out, workers=settings["workers"], threads=settings["threads"])
+
+    with listening(context) as progress:
+        report = api.autofocus(source, out, progress=progress, **settings)
+    show(report, context)
+    hint(context, "focus", out, "--out", "RUN", *given(context, "out", "overwrite", "json_log", "control"))
+
+
+def quality(
+    context: typer.Context,
+    run: Run,
+    targets: Annotated[
+        str | None,
+        typer.Option(metavar="FILE", help="JSON, CSV or GeoJSON file of targets; default: those of the phase history."),
+    ] = None,
+    reference: Annotated[
+        bool, typer.Option("--reference", help="Also compare image chips with exact back-projection.")
+    ] = False,
+    against: Annotated[
+        str | None,
+        typer.Option(metavar="RUN", help="Also compare chips with those of this run, aligned by shift and phase ramp."),
+    ] = None,
+    found: Annotated[
+        int,
+        typer.Option(metavar="N", help="Also find and measure the N brightest isolated points, and the noise floor."),
+    ] = 0,
+    area: Annotated[
+        str | None, typer.Option(metavar="x0:x1,y0:y1", help="Also measure the equivalent looks of this part, m.")
+    ] = None,
+    channel: Channel = None,
+    everything: Everything = False,
+    explain: Explain = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure side-lobe ratios, widths, position and calibration of every target.
+
+    Prints the worst cases and the ten worst targets, and writes all to RUN/quality.json.
+
+    Example: [bold]blocksar quality run --reference[/bold]
+    """
+    from blocksar import api
+
+    report = api.quality(
+        run, targets=targets, reference=reference, against=against, found=found, area=area, channel=channel
+    )
+    show(report, context)
+    hint(context, "report", run)
+
+
+def report(
+    context: typer.Context,
+    run: Run,
+    out: Annotated[
+        str | None, typer.Option(metavar="FILE", help="HTML file to write; default: RUN/report.html.")
+    ] = None,
+    channel: Channel = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    json_log: JsonLog = None,
+) -> None:
+    """Write an HTML page about a run, which opens in any browser without a network.
+
+    Shows the image with zoom, block borders and targets; plan and measurements
+    side by side; target responses; times; provenance.
+
+    Example: [bold]blocksar report run[/bold]
+    """
+    from blocksar import api
+
+    with listening(context) as progress:
+        page = api.report(run, out=out, channel=channel, overwrite=overwrite, progress=progress)
+    show(page)
+    hint(context, "export", "png", run, "--out", f"{Path(run).name}.png")
+
+
+def compare(
+    context: typer.Context,
+    a: Annotated[str, typer.Argument(metavar="A", help="Folder of a finished run, the earlier one.")],
+    b: Annotated[str, typer.Argument(metavar="B", help="Folder of another on the same grid.")],
+    out: Annotated[str, typer.Option(metavar="FOLDER", help="Folder to write: pair.zarr and pictures.")],
+    window: Annotated[
+        str, typer.Option(metavar="AxB", help="Pixels along y and x, odd, over which coherence is estimated.")
+    ] = "7x7",
+    false_alarms: Annotated[
+        float, typer.Option(metavar="P", help="Probability that an unchanged pixel is called changed.")
+    ] = 0.001,
+    crop: Annotated[
+        str | None, typer.Option(metavar="x0:x1,y0:y1", help="Compare only this part of the ground, m.")
+    ] = None,
+    channel: Channel = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    json_log: JsonLog = None,
+) -> None:
+    """Compare two runs on one grid: interferogram, coherence, amplitude ratio and coherent change.
+
+    Writes FOLDER/pair.zarr, which opens with xarray, and pictures of all four.
+
+    Example: [bold]blocksar compare pass-1 pass-2 --out pair[/bold]
+    """
+    from blocksar import api
+
+    with listening(context) as progress:
+        report = api.compare(
+            a, b, out, window=window, false_alarms=false_alarms, crop=crop, channel=channel, overwrite=overwrite,
+            progress=progress,
+        )  # fmt: skip
+    show(report)
+    hint(context, "quality", a, "--against", b)
+
+
+def view(
+    context: typer.Context,
+    run: Run,
+    channel: Channel = None,
+    port: Annotated[
+        int | None, typer.Option(metavar="N", help="Where to listen on 127.0.0.1.", show_default="one that is free")
+    ] = None,
+    browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
+    quiet: Quiet = False,
+) -> None:
+    """Pan and zoom a run of any size in the browser, by its pyramid if it has one, until Ctrl-C.
+
+    Served by this process, to this machine only.
+
+    Example: [bold]blocksar view run[/bold]
+    """
+    from blocksar import api
+
+    report = api.view(run, channel=channel, port=port, browser=browser)
+    show(report)
+    hint(context, "report", run)
+    with suppress(KeyboardInterrupt):
+        api.wait_until_closed(report.result)
+
+
+def simulate(
+    context: typer.Context,
+    scene: Annotated[str, typer.Argument(metavar="SCENE.toml", help="Scene file, or the name of a shipped scene.")],
+    out: Annotated[str, typer.Option(metavar="OUT", help="Phase-history store to write; with --cphd, file.")],
+    raw: Annotated[bool, typer.Option("--raw", help="Write the raw chirped echo over fast time instead.")] = False,
+    cphd: Annotated[bool, typer.Option("--cphd", help="Write a CPHD 1.1.0 file instead of a store.")] = False,
+    origin: Annotated[
+        str | None, typer.Option(metavar="LAT,LON,HEIGHT", help="Scene centre for --cphd, in degrees and m.")
+    ] = None,
+    threads: OwnThreads = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    json_log: JsonLog = None,
+) -> None:
+    """Simulate the phase history of a scene, with exact ranges.
+
+    A scene file is written in TOML; the shipped scenes include table1, the paper's.
+
+    Example: [bold]blocksar simulate table1 --out table1.zarr[/bold]
+    """
+    place = None if origin is None else parse_origin(origin)
+
+    from blocksar import api
+
+    with listening(context) as progress:
+        api.simulate(
+            scene, out, raw=raw, cphd=cphd, origin=place, threads=threads, overwrite=overwrite, progress=progress
+        )
+    typer.echo(f"wrote {out}")
+    hint(context, *(("ingest", "cphd", out, "--out", f"{Path(out).stem}.zarr") if cphd else ("plan", out)))
+
+
+def info(
+    context: typer.Context,
+    path: Annotated[
+        str, typer.Argument(metavar="PATH", help="Phase history, run, image, CPHD file, Gotcha files, or scene.")
+    ],
+    quiet: Quiet = False,
+) -> None:
+    """Say what a file or folder holds: size, band, track, beam, grid, what was done to it, and what comes next.
+
+    Reads no samples.
+
+    Example: [bold]blocksar info table1.zarr[/bold]
+    """
+    from blocksar import api
+
+    found = api.info(path)
+    show(found, context)
+    for line in found.result["next"]:
+        hint(context, *line)
+
+
+@taking(options_taken("check"))
+def check(
+    context: typer.Context,
+    source: Annotated[str, typer.Argument(metavar="PH.zarr", help="Phase-history store.")],
+    threads: OwnThreads = None,
+    explain: Explain = False,
+    quiet: Quiet = False,
+    **options: Any,
+) -> None:
+    """Check that the samples are what is said of them: sign, order, track and beam.
+
+    Compares the sharpness of prominent places as given with what it would be if something were said wrongly, and says
+    what to change. Reads a part of the samples.
+
+    Example: [bold]blocksar check table1.zarr[/bold]
+    """
+    settings = read_values(options_taken("check"), options)
+
+    from blocksar import api
+
+    report = api.check(source, threads=threads, **settings)
+    show(report, context)
+    hint(context, "plan", source, *given(context, "threads", "explain"))
+
+
+@taking(options_taken("preview"))
+def preview(
+    context: typer.Context,
+    source: Annotated[str, typer.Argument(metavar="PH.zarr", help="Phase-history store.")],
+    out: Annotated[str, typer.Option(metavar="FILE", help="PNG to write.")],
+    size: Annotated[int, typer.Option(metavar="PIXELS", help="Pixels along the longer side, at most.")] = 1000,
+    range: ColourRange = None,
+    colour_map: ColourMap = None,
+    channel: Channel = None,
+    threads: OwnThreads = None,
+    quiet: Quiet = False,
+    json_log: JsonLog = None,
+    **options: Any,
+) -> None:
+    """Draw a coarse picture of a collection in seconds, and say what grid a run would take.
+
+    Short apertures and a part of the band, back-projected exactly: bright targets lie at their places.
+
+    Example: [bold]blocksar preview table1.zarr --out preview.png[/bold]
+    """
+    settings = read_values(options_taken("preview"), options)
+
+    from blocksar import api
+
+    with listening(context) as progress:
+        found = api.preview(
+            source, out=out, size=size, range=range, colour_map=colour_map, channel=channel, threads=threads,
+            progress=progress, **settings,
+        )  # fmt: skip
+    show(found, context)
+    hint(context, "plan", source, *(["--grid", options["grid"]] if options["grid"] else []))
+
 
 app = typer.Typer(
     name="blocksar",

@@ -6,14 +6,33 @@ import shlex
 import sys
 import textwrap
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Protocol
 
 import typer
 
-from blocksar.cli.endings import say
+from blocksar.cli.endings import ending, say
+from blocksar.progress import Progress
+from blocksar.version import __version__
 
 if TYPE_CHECKING:
     from rich.table import Table
+
+
+@contextmanager
+def listening(context: typer.Context) -> Iterator[Progress]:
+    """Show the progress of a command; log its settings and how it ends."""
+    settings = dict(context.params)
+    if isinstance(source := settings.get("source"), list | tuple) and len(source) == 1:
+        settings["source"] = source[0]  # programs that read the log know it as a text
+    with Progress(quiet=settings["quiet"], log=settings["json_log"]) as progress:
+        progress.start(" ".join(context.command_path.split()[1:]), settings, __version__)
+        try:
+            yield progress
+        except BaseException as error:
+            progress.end(*ending(error))
+            raise
+        progress.end(0)
 
 
 PIPE_WIDTH = 240  # columns of a table that does not go to a terminal: wide enough to fold nothing

@@ -7,8 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from blocksar.cli.display import hint, show
-from blocksar.cli.listening import listening
+from blocksar.cli.display import hint, listening, show
 from blocksar.cli.options import Channel, JsonLog, Overwrite, Quiet, Run
 from blocksar.cli.plugged import Plugged, with_options
 from blocksar.options import options_of

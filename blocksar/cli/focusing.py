@@ -12,9 +12,8 @@ import typer
 
 from blocksar.api.settings import options_taken
 from blocksar.cli.configuration import ConfigOption, PrintConfig, configuration
-from blocksar.cli.display import hint, show
+from blocksar.cli.display import hint, listening, show
 from blocksar.cli.endings import WRONG_INPUT, Commands, complain
-from blocksar.cli.listening import listening
 from blocksar.cli.options import ALTERNATIVES, Everything, Explain, JsonLog, Quiet, given, taking
 from blocksar.cli.plugged import single_command
 from blocksar.errors import InputError

@@ -16,7 +16,7 @@ from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT, TURN
 from blocksar.kernels.posts import HALF_TAPS, sample_places
-from blocksar.products.sicd.aperture import centre_time, find_support, lines_of_sight
+from blocksar.products.sicd.layout import centre_time, find_support, lines_of_sight
 from blocksar.runs.finished import FinishedRun
 
 BAND = 0.39  # cycles a sample, that the interpolation passes

@@ -14,8 +14,22 @@ from contextlib import contextmanager
 from blocksar.errors import InputError, ProcessingError, in_the_way, is_full, no_room
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace, flush_file, held_part, new_file
-from blocksar.places.place import check_room
+from blocksar.places.place import Place, check_room
+from blocksar.products.options import Box
+from blocksar.runs.finished import FinishedRun, folder_of, member_line
 from blocksar.runs.record import RECORD
+
+
+def opened(run: Place, channel: str | None, crop: Box | None = None) -> tuple[FinishedRun, list[str]]:
+    """Open a channel of a run, or a part of it; and a line that says which of several it is.
+
+    Raises
+    ------
+    InputError
+        If the run is not finished, or has no such channel, or nothing of it lies in `crop`.
+    """
+    source = FinishedRun.open(folder_of(run, channel))
+    return source if crop is None else source.cropped(*crop), member_line(run, channel)
 
 
 def refuse_parts(target: LocalPlace) -> None:

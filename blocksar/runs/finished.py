@@ -26,7 +26,7 @@ from blocksar.places.place import Place
 from blocksar.runs.folder import check_finished, member
 from blocksar.runs.record import RECORD, RunRecord
 from blocksar.runs.track import ATTRIBUTE, TrackCorrection
-from blocksar.stores.faults import unreachable
+from blocksar.stores.records import unreachable
 
 Int16Array = np.ndarray[tuple[int, ...], np.dtype[np.int16]]
 NOISE_POINTS = 64  # a side, at which the noise of an image is read for its figures

@@ -13,9 +13,9 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.terrain import MARGIN, Terrain
 from blocksar.errors import InputError
-from blocksar.ingestion.terrain.around import Box, read_around
 from blocksar.ingestion.terrain.earth import ellipsoid
 from blocksar.ingestion.terrain.reading import Ground
+from blocksar.ingestion.terrain.resampling import Box, read_around
 from blocksar.simulation.shadow import reach_of_shadow
 from blocksar.simulation.tables import Positive, Table
 

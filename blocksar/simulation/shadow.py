@@ -23,7 +23,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
 from blocksar.constants import TURN
-from blocksar.ingestion.terrain.around import Box
+from blocksar.ingestion.terrain.resampling import Box
 from blocksar.kernels.occlusion import STEPS, block_extremes, find_shadow
 
 RAYS = 1 << 18  # that are followed at a time

@@ -30,15 +30,17 @@ from blocksar.stores.copying import (
     was_being_published,
     write_track,
 )
-from blocksar.stores.creation import UNFINISHED, create, refuse_existing
-from blocksar.stores.datasets import CONTENT, DatasetHistory, dataset_of, history_in_memory, history_of
-from blocksar.stores.history_creation import (
+from blocksar.stores.creation import (
+    UNFINISHED,
+    create,
     create_phase_history,
     history_bytes,
     history_line,
+    refuse_existing,
     refuse_full,
     write_collection,
 )
+from blocksar.stores.datasets import CONTENT, DatasetHistory, dataset_of, history_in_memory, history_of
 from blocksar.stores.phase_history import PhaseHistory, open_dataset, open_phase_history, read_collection
 from blocksar.stores.pyramid import PYRAMID, Pyramid, level_name, level_shapes, levels_of, pyramid_of
 from blocksar.stores.records import checksum, checksum_bytes, file_checksum, json_checksum, read_json, write_json

@@ -15,9 +15,8 @@ from blocksar.errors import InputError
 from blocksar.places.local import LocalPlace
 from blocksar.places.objects import ObjectPlace, os_errors
 from blocksar.places.place import Place
-from blocksar.stores.chunk_files import ChunkFiles, chunk_files_of, chunk_name, refuse_odd_file
-from blocksar.stores.faults import cause_of, unreachable
-from blocksar.stores.layout import NODE_METADATA
+from blocksar.stores.chunk_files import NODE_METADATA, ChunkFiles, chunk_files_of, chunk_name, refuse_odd_file
+from blocksar.stores.records import cause_of, unreachable
 
 if TYPE_CHECKING:
     import zarr

@@ -13,8 +13,7 @@ from blocksar.places import Location
 from blocksar.places import place as place_of
 from blocksar.places.place import Place
 from blocksar.stores.channels import NAME
-from blocksar.stores.creation import create
-from blocksar.stores.history_creation import history_line
+from blocksar.stores.creation import create, history_line
 from blocksar.stores.records import read_json
 from blocksar.stores.schema import CONVENTIONS
 

@@ -22,11 +22,9 @@ from blocksar.errors import InputError, ProcessingError, changes_while_read
 from blocksar.places.local import LocalPlace
 from blocksar.places.objects import ObjectPlace
 from blocksar.places.place import Place
-from blocksar.stores.chunk_files import refuse_odd_file
+from blocksar.stores.chunk_files import METADATA, refuse_odd_file
 from blocksar.stores.creation import UNFINISHED, holds, replacing, replacing_objects
-from blocksar.stores.faults import unreachable
-from blocksar.stores.layout import METADATA
-from blocksar.stores.records import checksum_bytes, nan_to_null, plain_value
+from blocksar.stores.records import checksum_bytes, nan_to_null, plain_value, unreachable
 from blocksar.stores.schema import TRACK_AND_BEAM, Variable
 
 POSITION = "antenna_position"

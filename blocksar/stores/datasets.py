@@ -20,7 +20,7 @@ from blocksar.places.place import Place
 from blocksar.stores.arrays import metadata_file
 from blocksar.stores.channels import attrs_of_channel, check_channels, number_of, text, unnamed_channels, with_channels
 from blocksar.stores.contract import SAMPLES, check_type, check_units, missing, raw_echo_from
-from blocksar.stores.history_creation import create_phase_history, history_line
+from blocksar.stores.creation import create_phase_history, history_line
 from blocksar.stores.phase_history import (
     PhaseHistory,
     collection_from,

@@ -29,12 +29,10 @@ from blocksar.places.objects import ObjectPlace, os_errors
 from blocksar.places.place import Place
 from blocksar.stores.arrays import metadata_file, open_variable, refuse_codecs
 from blocksar.stores.channels import attrs_of_channel, look_name, number_of, read_channels
-from blocksar.stores.chunk_files import refuse_odd_file
+from blocksar.stores.chunk_files import METADATA, group_attrs, refuse_odd_file
 from blocksar.stores.contract import checked, number, raw_echo_from, read_real
 from blocksar.stores.creation import UNFINISHED
-from blocksar.stores.faults import cause_of, unreachable
-from blocksar.stores.layout import METADATA, group_attrs
-from blocksar.stores.records import json_checksum
+from blocksar.stores.records import cause_of, json_checksum, unreachable
 from blocksar.stores.regions import chunk_names, read_array
 from blocksar.stores.schema import (
     COLLECTION_ATTRS,

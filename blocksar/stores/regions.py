@@ -18,7 +18,7 @@ from blocksar.places.objects import ObjectPlace, os_errors
 from blocksar.places.place import Place
 from blocksar.stores.arrays import dimension_names, file_name, file_shape, open_array, open_variable
 from blocksar.stores.chunk_files import Array, ChunkFiles, Region, check_out, chunk_files_of
-from blocksar.stores.faults import cause_of, unreachable
+from blocksar.stores.records import cause_of, unreachable
 
 if TYPE_CHECKING:
     import zarr

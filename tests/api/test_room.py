@@ -12,8 +12,8 @@ from scenes import scene, write_store
 
 import blocksar
 from blocksar import api
-from blocksar.api import focusing, room
-from blocksar.api.room import needed
+from blocksar.api import focusing, rehearsing
+from blocksar.api.rehearsing import needed
 from blocksar.errors import NoRoom, in_python
 from blocksar.places import place
 from blocksar.places.local import LocalPlace
@@ -78,7 +78,7 @@ def needs(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
     def check(job: Any, beside: Any, *, resumed: bool) -> None:
         seen.append(needed(job, beside, resumed=resumed))
-        room.check_room_for_run(job, beside, resumed=resumed)
+        rehearsing.check_room_for_run(job, beside, resumed=resumed)
 
     monkeypatch.setattr(focusing, "check_room_for_run", check)
     return seen

@@ -14,8 +14,7 @@ from typer.testing import CliRunner, Result
 
 import blocksar
 from blocksar.api.jobs import Request
-from blocksar.api.rehearsing import rehearse
-from blocksar.api.room import Beside
+from blocksar.api.rehearsing import Beside, rehearse
 from blocksar.api.settings import Settings
 from blocksar.cli import commands
 from blocksar.cli.configuration import NOT_CONFIGURED

@@ -20,7 +20,7 @@ from blocksar.collection.sublooks import entering_side
 from blocksar.errors import InputError
 from blocksar.places import place
 from blocksar.processors.chain import predicted_blocks
-from blocksar.products.sicd.aperture import find_support
+from blocksar.products.sicd.layout import find_support
 from blocksar.runs.record import RunRecord
 
 SETTINGS: dict[str, Any] = {"workers": 0}

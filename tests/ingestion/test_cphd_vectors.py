@@ -34,11 +34,9 @@ from blocksar.focusing.backprojection import form_image
 from blocksar.ingestion.atmosphere import zenith_delay
 from blocksar.ingestion.cphd import Choices
 from blocksar.ingestion.cphd.areas import read_area
-from blocksar.ingestion.cphd.describing import describe
-from blocksar.ingestion.cphd.faults import Lost, describe_lost
 from blocksar.ingestion.cphd.files import NEEDED, CphdFile, open_file
-from blocksar.ingestion.cphd.ingestion import Prepared, prepare
-from blocksar.ingestion.cphd.signs import describe_sign
+from blocksar.ingestion.cphd.ingestion import Prepared, describe, describe_sign, prepare
+from blocksar.ingestion.cphd.vectors import Lost, describe_lost
 from blocksar.places.local import LocalPlace
 
 INNER, ENDS = [40, 41, 100], [0, 1, 2, 158, 159]

@@ -32,7 +32,7 @@ from blocksar.focusing import recovery
 from blocksar.focusing.backprojection import form_image
 from blocksar.ingestion import readers
 from blocksar.ingestion.gotcha import files, ingestion
-from blocksar.ingestion.gotcha.matfile import read_struct
+from blocksar.ingestion.gotcha.files import read_struct
 from blocksar.ingestion.gotcha.reader import GOTCHA
 from blocksar.ingestion.readers import ReaderOptions
 from blocksar.ingestion.reading import Ingested

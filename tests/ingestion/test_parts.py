@@ -21,7 +21,7 @@ from blocksar import stores
 from blocksar.collection.collection import Collection
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.ingestion import area, lowpass
+from blocksar.ingestion import area
 from blocksar.ingestion.cphd.files import open_file
 from blocksar.places import place, ranges
 from blocksar.simulation import cphd as cphd_simulation
@@ -31,7 +31,7 @@ pytest.importorskip("sarkit", reason="the extra `formats` is not installed")
 # ---------------------------------------------------------------- low-passes
 
 
-def response(filtered: lowpass.LowPass, k: int, frequency: Any) -> Any:
+def response(filtered: area.LowPass, k: int, frequency: Any) -> Any:
     """H of one sum, from its definition."""
     lag = filtered.first[k] + np.arange(filtered.weights.shape[1]) - filtered.places[k]
     return np.exp(2j * np.pi * np.asarray(frequency)[:, None] * lag) @ filtered.weights[filtered.kind[k]]
@@ -39,9 +39,9 @@ def response(filtered: lowpass.LowPass, k: int, frequency: Any) -> Any:
 
 @pytest.mark.parametrize("band", [0.3, 0.09, pytest.param(0.02, marks=pytest.mark.slow)])
 def test_what_is_wanted_passes_and_nothing_folds_onto_it(band: float) -> None:
-    steps = lowpass.steps_of(band, 1.0)
-    assert steps == int(1 / (lowpass.SPARE * band))
-    filtered = lowpass.plan_lowpass(3000, steps, band)
+    steps = area.steps_of(band, 1.0)
+    assert steps == int(1 / (area.SPARE * band))
+    filtered = area.plan_lowpass(3000, steps, band)
     assert np.ptp(np.diff(filtered.places)) == 0 and filtered.places[1] - filtered.places[0] == steps
     passed = np.linspace(-band / 2, band / 2, 501)
     stopped = np.linspace(1 / steps - band / 2, 0.5, 501)
@@ -49,7 +49,7 @@ def test_what_is_wanted_passes_and_nothing_folds_onto_it(band: float) -> None:
     assert np.abs(response(filtered, middle, passed) - 1).max() < 1e-3  # TAPS give -77 dB
     assert np.abs(response(filtered, middle, stopped)).max() < 1e-3
     for k in np.flatnonzero(filtered.good)[[0, -1]]:  # beside the ends, as far as is said
-        assert np.abs(response(filtered, k, passed) - 1).max() <= 1.01 * filtered.error <= 1.01 * lowpass.MOST_ERROR
+        assert np.abs(response(filtered, k, passed) - 1).max() <= 1.01 * filtered.error <= 1.01 * area.MOST_ERROR
         assert np.abs(response(filtered, k, stopped)).max() <= 1.01 * filtered.error
     assert np.count_nonzero(~filtered.good) <= 4  # of the sums, two at either end
 
@@ -58,7 +58,7 @@ def test_missing_samples_are_not_used_and_cost_what_is_said() -> None:
     rng = np.random.default_rng(3)
     present = rng.random(900) > 0.02
     band = 0.2
-    filtered = lowpass.plan_lowpass(900, 4, band, present)
+    filtered = area.plan_lowpass(900, 4, band, present)
     for k in np.flatnonzero(filtered.good)[::9]:
         used = slice(filtered.first[k], filtered.first[k] + filtered.weights.shape[1])
         assert not filtered.weights[filtered.kind[k]][~present[used]].any()
@@ -128,7 +128,7 @@ def test_samples_of_an_area_are_those_of_its_targets_alone(make: Callable[..., C
     wanted = signal_of(kept, INSIDE, 1.0)
     error = np.abs(got - wanted).max(axis=1)
     filtered = cut.pulses.error + cut.frequencies.error
-    most = filtered * lowpass.MOST_GROWTH * (len(INSIDE) + STRONG * len(others))  # one stops what the other lets grow
+    most = filtered * area.MOST_GROWTH * (len(INSIDE) + STRONG * len(others))  # one stops what the other lets grow
     lit = np.isfinite(error)
     assert lit.mean() > 0.95 and error[lit].max() <= most
     middle = np.abs(got - wanted)[n // 8 : n // 3, 10:-10]  # away from ends and missing pulses

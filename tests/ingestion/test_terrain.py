@@ -18,10 +18,8 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
 from blocksar.ingestion.terrain import resampling
-from blocksar.ingestion.terrain.datum import datum_of
-from blocksar.ingestion.terrain.earth import ellipsoid, read_geotiff
-from blocksar.ingestion.terrain.frame_grid import read_frame_grid
-from blocksar.ingestion.terrain.nodata import refuse_untagged
+from blocksar.ingestion.terrain.earth import datum_of, ellipsoid, read_geotiff
+from blocksar.ingestion.terrain.frame_grid import read_frame_grid, refuse_untagged
 from blocksar.ingestion.terrain.reading import Ground, terrain_notes
 from blocksar.places import place
 

@@ -29,7 +29,7 @@ from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing import method
 from blocksar.measurement.targets import Target
 from blocksar.places import place
-from blocksar.products.page import facts, picture, provenance, tables, words
+from blocksar.products.page import facts, page, picture, tables
 from blocksar.runs import demonstration
 from blocksar.runs.finished import FinishedRun
 from blocksar.runs.record import RunRecord
@@ -210,7 +210,7 @@ def test_figures_beyond_the_quality_bar_are_reported_and_marked(run: Path, quick
     assert "-5.0" not in off
     assert off.count("-12.9") == 2 and "" in off  # also in the plan table; values that could not be measured are marked
     theory = {t["name"]: t["azimuth_pslr_theory"] for t in json.loads((run / "quality.json").read_text())["targets"]}
-    share = words.number(100 * abs(-12.9 - theory["A"]) / 0.2, 0)
+    share = facts.number(100 * abs(-12.9 - theory["A"]) / 0.2, 0)
     assert f"! {share}" in re.sub(r"<[^>]*>", "", text)
 
 
@@ -265,14 +265,14 @@ def test_the_plan_table_shows_predicted_and_measured_values(whole: Path, runs: d
         cells = [re.sub(r"<[^>]*>", "", cell).strip() for cell in re.findall(r"<t[hd].*?</t[hd]>", row, re.DOTALL)]
         receipt = next(r for r in record["receipts"] if r["unit"] == f"block-{cells[0]}")
         assert cells[0] == f"{block['block']}.{block['part']}"
-        assert cells[1] == words.number(block["coherence"], 4)
-        assert cells[2] == words.number(block["residual_phase"], 4)
-        assert cells[3] == words.number(block["pslr"], 2)
-        assert cells[8] == words.number(block["memory"] / 2**20, 0)
-        assert cells[9] == words.number(receipt["peak_memory"] / 2**20, 0)
+        assert cells[1] == facts.number(block["coherence"], 4)
+        assert cells[2] == facts.number(block["residual_phase"], 4)
+        assert cells[3] == facts.number(block["pslr"], 2)
+        assert cells[8] == facts.number(block["memory"] / 2**20, 0)
+        assert cells[9] == facts.number(receipt["peak_memory"] / 2**20, 0)
         measured.append(int(cells[7]))
         if cells[7] != "0":
-            assert cells[4] in {words.number(t["azimuth_pslr"], 2) for t in quality.values()}
+            assert cells[4] in {facts.number(t["azimuth_pslr"], 2) for t in quality.values()}
     assert sum(measured) == 4
 
 
@@ -309,8 +309,8 @@ def test_the_command_repeats_the_run(settings: dict[str, Any], monkeypatch: pyte
         return api.RunReport()
 
     monkeypatch.setattr(api, "focus", focus)
-    words = shlex.split(provenance.repeat_command(record, ["/in put/ph.zarr"], "/out $1"))
-    assert words[0] == "blocksar" and CliRunner().invoke(commands.app, words[1:]).exit_code == 0
+    facts = shlex.split(page.repeat_command(record, ["/in put/ph.zarr"], "/out $1"))
+    assert facts[0] == "blocksar" and CliRunner().invoke(commands.app, facts[1:]).exit_code == 0
     assert (seen["source"], seen["out"]) == ("/in put/ph.zarr", "/out $1")
     assert {name: seen[name] for name in usual} == usual | settings
 
@@ -335,9 +335,9 @@ def test_a_demonstration_is_repeated_as_one(
         settings={"blocks": blocks, "grid": grid}, record=SimpleNamespace(inputs=[f"/runs/a b/{source}"])
     )
     record.source = SimpleNamespace(attrs={"scene": scene})
-    words = shlex.split(provenance.repeat_run(record, "/runs/a b"))
-    assert words[:2] == ["blocksar", command] and words[words.index("--out") + 1] == "/runs/a b"
-    assert CliRunner().invoke(commands.app, [*words[1:], "--help"]).exit_code == 0
+    facts = shlex.split(page.repeat_run(record, "/runs/a b"))
+    assert facts[:2] == ["blocksar", command] and facts[facts.index("--out") + 1] == "/runs/a b"
+    assert CliRunner().invoke(commands.app, [*facts[1:], "--help"]).exit_code == 0
 
 
 def test_the_page_has_no_words_of_its_own(run: Path, quick: None) -> None:

@@ -29,8 +29,7 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.measurement.targets import Target
 from blocksar.places import place
-from blocksar.products.sicd.aperture import cut_width, find_support
-from blocksar.products.sicd.layout import Layout, lay_out, valid_data
+from blocksar.products.sicd.layout import Layout, cut_width, find_support, lay_out, valid_data
 from blocksar.runs import finished
 
 LOOKS = [0.1, 0.9, 2.6, -1.9, -0.2]  # rad; rows of the file run along each of the four directions

@@ -12,7 +12,7 @@ from typing import Any
 
 import blocksar
 from blocksar import stores
-from blocksar.api.fingerprints import input_fingerprint
+from blocksar.api.track_places import input_fingerprint
 from blocksar.cli import endings
 from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.places.place import Place

@@ -26,9 +26,8 @@ from numpy.polynomial import polynomial
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
-from blocksar.ingestion.cphd.faults import MOST_LOST, filled_with_zeros
 from blocksar.ingestion.cphd.files import CphdFile, child_of, numbers_of, polynomial_of, text_of
-from blocksar.ingestion.cphd.vectors import Pulses
+from blocksar.ingestion.cphd.vectors import MOST_LOST, Pulses, filled_with_zeros
 
 UNIT = 1e-3  # by which ACX and ACY may be off unit length and a right angle
 ALONG = 0.5  # least cosine of the azimuth axis with the velocity

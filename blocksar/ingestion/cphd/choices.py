@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from blocksar.errors import InputError
-from blocksar.ingestion.cphd.delays import RangeWindow
+from blocksar.ingestion.cphd.samples import RangeWindow
 from blocksar.ingestion.cphd.troposphere import Troposphere
 from blocksar.ingestion.readers import ReaderOptions
 from blocksar.options import Option

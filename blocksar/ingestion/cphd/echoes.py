@@ -15,11 +15,9 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.empty_pulses import missing_pulses
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.ingestion.area import Area, Cut, plan_cut
-from blocksar.ingestion.cphd.delays import Delays
-from blocksar.ingestion.cphd.faults import NOT_FINITE, ZEROS, Lost
 from blocksar.ingestion.cphd.files import CphdFile, reading_file
-from blocksar.ingestion.cphd.samples import Resampler, phasor
-from blocksar.ingestion.cphd.vectors import Pulses, VectorResampling
+from blocksar.ingestion.cphd.samples import Delays, Resampler, phasor
+from blocksar.ingestion.cphd.vectors import NOT_FINITE, ZEROS, Lost, Pulses, VectorResampling
 from blocksar.ingestion.readers import Piece
 from blocksar.ingestion.resampling import MOST_ERROR
 from blocksar.measurement.window import WindowEnergy, energy_in_window

@@ -1,7 +1,16 @@
-"""Convert a CPHD file to a phase-history store: the sequence of steps, the scene frame, and messages for the user."""
+"""Convert a CPHD file to a phase-history store: the sequence of steps, the scene frame, and messages for the user.
+
+Whether the samples follow the declared sign SGN, in words.
+
+With the wrong sign an echo of the delay dTOA appears at -dTOA. Echoes lie in TOA1 .. TOA2; where that interval is not
+centred at the SRP, a part of it is outside of its mirror image, and only one sign puts energy there
+(`measurement.window`). A scene about the SRP is mirrored through its centre and says nothing, nor does the domain TOA,
+whose delays do not depend on the sign.
+"""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -17,17 +26,53 @@ from blocksar.ingestion.cphd.areas import ImageArea, ecef_of, read_area
 from blocksar.ingestion.cphd.beams import fit_beam
 from blocksar.ingestion.cphd.channels import check_same_geometry, names_of, open_channels
 from blocksar.ingestion.cphd.choices import Choices
-from blocksar.ingestion.cphd.delays import Delays, find_delays
 from blocksar.ingestion.cphd.echoes import Echoes, Found, read_samples
-from blocksar.ingestion.cphd.faults import describe_lost
-from blocksar.ingestion.cphd.files import CphdFile, library, numbers_of, opened, reading_file
-from blocksar.ingestion.cphd.samples import Interpolated, Resampler, Selected, Transformed, choose_resampler
-from blocksar.ingestion.cphd.signs import describe_sign
+from blocksar.ingestion.cphd.files import CphdFile, library, numbers_of, open_file, opened, reading_file
+from blocksar.ingestion.cphd.samples import (
+    Delays,
+    Interpolated,
+    Resampler,
+    Selected,
+    Transformed,
+    choose_resampler,
+    find_delays,
+)
 from blocksar.ingestion.cphd.troposphere import find_troposphere
-from blocksar.ingestion.cphd.vectors import Pulses, VectorResampling, assign_pulses, resample_vectors
-from blocksar.ingestion.readers import Reading
+from blocksar.ingestion.cphd.vectors import Pulses, VectorResampling, assign_pulses, describe_lost, resample_vectors
+from blocksar.ingestion.readers import Described, Reading
 from blocksar.measurement.window import WindowEnergy
 from blocksar.places import Location, readable
+from blocksar.places.place import size_text
+from blocksar.places.ranges import Readable
+
+# Makers whose files were reported to declare +1 with samples that follow -1.
+DOUBTED = ("capella",)
+
+
+def describe_sign(energy: WindowEnergy | None, sign: int, collector: str, *, given: bool) -> str | None:
+    """A sentence if the samples contradict `sign`, or it is declared by a maker who was wrong; else None.
+
+    Parameters
+    ----------
+    energy : WindowEnergy or None
+        In TOA1 .. TOA2 with `sign`; None if delays do not depend on it.
+    sign : int
+        As taken: `given` by the user, or declared by the file.
+    """
+    conjugated = energy.conjugated if energy is not None else None
+    if energy is not None and conjugated:
+        return (
+            f"SGN {sign:+d} contradicts the samples: in the part of TOA1 .. TOA2 that only one sign fills, their power "
+            f"is {-energy.gain:.3g} dB lower with SGN {sign:+d} than with SGN {-sign:+d}; ingest again with --sgn "
+            f"{-sign:+d}"
+        )
+    if conjugated is None and not given and sign > 0 and any(maker in collector.lower() for maker in DOUBTED):
+        return (
+            f"SGN +1 is doubtful: files of {collector} were seen to declare it with samples that follow -1, which "
+            "mirrors the scene through its centre; compare places, and ingest again with --sgn -1 if so"
+        )
+    return None
+
 
 MAX_BISTATIC = 1 / 16  # wavelengths, largest difference between bistatic and monostatic range
 PARTS = "--area, --pulses, --frequencies"
@@ -335,3 +380,41 @@ def _describe_frame(frame: Georeference) -> str:
         f"frame: x east, y north, z up at latitude {frame.latitude:.7f}, longitude {frame.longitude:.7f}, "
         f"height {frame.height:.2f} m"
     )
+
+
+def describe(path: Readable, given: str) -> Described:
+    """Read header, XML and per-vector parameters; a file with several channels is described by its first.
+
+    Raises
+    ------
+    InputError
+        As `CphdReader.read`.
+    """
+    library()
+    with reading_file(path), opened(path) as stream, np.errstate(all="ignore"):
+        file = open_file(stream, path, None, any_channel=True)
+        prepared = prepare(file, Choices())
+        sign = prepared.sign(None, Choices())
+        nodes = file.root.findall("{*}Data/{*}Channel")
+        channels = [
+            (node.findtext("{*}Identifier"), int(node.findtext("{*}NumVectors")), int(node.findtext("{*}NumSamples")))
+            for node in nodes
+        ]
+        size = stream.seek(0, os.SEEK_END)
+    first, several = channels[0][0], len(channels) > 1
+    chosen = ["--channel", first] if several else []
+    return Described(
+        kind="CPHD file",
+        rows=[
+            ("title", prepared.collection.title),
+            ("format", f"CPHD {file.version}, {file.domain} domain, {size_text(size)}"),
+            ("channels", ", ".join(f"{name} ({n} vectors x {m} samples)" for name, n, m in channels)),
+        ],
+        command=["ingest", "cphd", given, *chosen, "--out", f"{path.name.partition('.')[0]}.zarr"],
+        attributes=prepared.attributes,
+        collection=prepared.collection,
+        notes=[
+            *([sign] if sign else []), *prepared.notes,
+            *([f"what follows the channels is that of {first}"] if several else []),
+        ],
+    )  # fmt: skip

@@ -28,7 +28,7 @@ class CphdReader:
         return begin(sources[0], options)
 
     def describe(self, files: Sequence[Readable], given: str) -> Described:
-        from blocksar.ingestion.cphd.describing import describe
+        from blocksar.ingestion.cphd.ingestion import describe
 
         return describe(files[0], given)
 

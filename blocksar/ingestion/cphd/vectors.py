@@ -1,17 +1,208 @@
-"""Assign vectors to pulses, and resample vectors at uneven times to pulses at uniform ones."""
+"""Assign vectors to pulses, and resample vectors at uneven times to pulses at uniform ones.
+
+Vectors that cannot be used: which parameter is wrong, in which vectors.
+
+Files hold vectors of pulses that were lost: without position, with NaN or zeros in any parameter, flagged by SIGNAL or
+not. Such a vector is a missing pulse. A parameter that is wrong in more than half of the vectors is no lost pulse: the
+file means something else, and is refused.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 
 from blocksar.arrays import UNIFORM_TOLERANCE, BoolArray, FloatArray, IntArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.ingestion.cphd.faults import Lost, find_usable
-from blocksar.ingestion.cphd.files import CphdFile
+from blocksar.ingestion.cphd.files import NEEDED, CphdFile
 from blocksar.ingestion.resampling import OCCUPIED, Resampling, plan_resampling
+
+SMALLEST_ORBIT, LARGEST_ORBIT = 6.3e6, 1e9  # m from the Earth's centre
+FARTHEST_SRP = 1e6  # m, largest distance of the SRP from the IARP
+MOST_LOST = 0.5  # share of vectors with a wrong parameter
+LEAST = 8  # vectors
+PLACING = ("TxTime", "TxPos", "RcvTime", "RcvPos", "SRPPos")  # parameters that give a vector its time and place
+FLAG = "SIGNAL is not 1"
+ZEROS = "all samples are 0"
+NOT_FINITE = "samples are not finite"
+MOST_RANGES, MOST_NAMES = 8, 4  # in a message
+
+
+class Lost(NamedTuple):
+    """Vectors (n_vector,) that are lost for one reason, in words."""
+
+    reason: str
+    vectors: BoolArray
+
+
+class Usable(NamedTuple):
+    """Vectors (n_vector,) that hold echoes, which have at least a time and a place, and why others do not."""
+
+    normal: BoolArray
+    placed: BoolArray
+    lost: list[Lost]
+
+
+class _Fault(NamedTuple):
+    name: str
+    wrong: BoolArray
+    words: str  # the start of a sentence that refuses the file
+    remedy: str
+
+
+def find_usable(file: CphdFile, origin: FloatArray) -> Usable:
+    """Tell which vectors can be used; `origin` (3,) is the scene's reference point, Earth-centred, m.
+
+    Raises
+    ------
+    InputError
+        If a parameter is wrong in more than `MOST_LOST` of the vectors, or fewer than `LEAST` can be used.
+    """
+    normal = placed = np.ones(file.shape[0], np.bool_)
+    lost: list[Lost] = []
+    if "SIGNAL" in (file.vectors.dtype.names or ()):
+        normal = np.asarray(file.vectors["SIGNAL"] == 1)
+        lost.append(Lost(FLAG, ~normal))
+        if np.count_nonzero(normal) < LEAST:
+            raise InputError(
+                f"PVP SIGNAL is 1 in {np.count_nonzero(normal)} of {normal.size} vectors; at least {LEAST} are needed"
+            )
+    flagged = normal
+    for name, wrong, words, remedy in chain(_not_finite(file), _out_of_range(file, origin)):
+        count = np.count_nonzero(wrong & flagged)
+        if count > MOST_LOST * np.count_nonzero(flagged):
+            first = file.first_vector + int(np.argmax(wrong & flagged))
+            raise InputError(f"PVP {words} in {count} of {wrong.size} vectors (first: vector {first}); {remedy}")
+        if name in PLACING:
+            placed = placed & ~wrong
+        normal = normal & ~wrong
+        lost.append(Lost(name, wrong & flagged))
+    if np.count_nonzero(normal) < LEAST:
+        raise InputError(
+            f"only {np.count_nonzero(normal)} vectors have valid parameters and a normal signal; at least {LEAST} are "
+            f"needed ({describe_lost(lost, file.first_vector)})"
+        )
+    return Usable(normal, placed, lost)
+
+
+def _not_finite(file: CphdFile) -> Iterator[_Fault]:
+    """Each parameter with the vectors in which it is NaN or infinite."""
+    for name in (*NEEDED, *(("AmpSF",) if file.scaled else ())):
+        wrong = ~_finite(file, name)
+        yield _Fault(name, wrong, f"{name} is not finite", "correct it, or mark them with SIGNAL = 0")
+
+
+def _finite(file: CphdFile, *names: str) -> BoolArray:
+    """The vectors in which parameters are finite."""
+    return np.asarray(
+        np.all([np.isfinite(file.parameter(name)).reshape(file.shape[0], -1).all(axis=1) for name in names], axis=0)
+    )
+
+
+def _out_of_range(file: CphdFile, origin: FloatArray) -> Iterator[_Fault]:
+    """Parameters with the vectors in which they are finite, but impossible."""
+    time, travel = file.parameter("TxTime"), file.parameter("RcvTime") - file.parameter("TxTime")
+    yield _Fault("TxTime", _odd_zeros(time), "TxTime is 0 among other times", "correct it")
+    for name in ("TxPos", "RcvPos"):
+        radius = np.linalg.norm(file.parameter(name), axis=1)
+        known = radius[np.isfinite(radius)]
+        yield _Fault(
+            name, (radius <= SMALLEST_ORBIT) | (radius >= LARGEST_ORBIT),
+            f"{name} lies {known.min(initial=np.inf):.6g} .. {known.max(initial=0):.6g} m from the Earth's centre, "
+            "where no antenna is,", "it must be Earth-centred, in m",
+        )  # fmt: skip
+    distance = np.linalg.norm(file.parameter("SRPPos") - origin, axis=1)
+    yield _Fault(
+        "SRPPos", distance >= FARTHEST_SRP,
+        f"SRPPos lies up to {np.nanmax(np.append(distance, 0)):.6g} m from the scene's reference point",
+        "it must be Earth-centred, in m",
+    )  # fmt: skip
+    late = travel[travel > 0].size > MOST_LOST * travel.size  # else files give one time for both
+    yield _Fault("RcvTime", travel <= 0 if late else travel < 0, "RcvTime is before TxTime", "correct them")
+    for name in ("SCSS", "FX1", *(("SC0",) if file.domain == "FX" else ()), *(("AmpSF",) if file.scaled else ())):
+        values = file.parameter(name)
+        least = float(np.nanmin(np.append(values, np.inf)))
+        yield _Fault(name, values <= 0, f"{name} falls to {least:.6g}, but must be above 0,", "correct it")
+    if file.scaled:
+        with np.errstate(over="ignore"):
+            single = file.parameter("AmpSF").astype(np.float32)
+        wrong = _finite(file, "AmpSF") & ((single == 0) | np.isinf(single))
+        yield _Fault("AmpSF", wrong, "AmpSF is no float32 above 0", "correct it")
+    for low, high in (("FX1", "FX2"), ("TOA1", "TOA2")):
+        first, last = file.parameter(low), file.parameter(high)
+        wrong = _finite(file, low, high) & ((first >= last) | filled_with_zeros(first) | filled_with_zeros(last))
+        yield _Fault(f"{low} or {high}", wrong, f"{low} is not below {high}", "correct them")
+
+
+def _odd_zeros(time: FloatArray) -> BoolArray:
+    """Times of 0 that are no time: all but one that lies a pulse away from its neighbours."""
+    zero = time == 0
+    others = np.asarray(np.flatnonzero(~zero & np.isfinite(time)), np.int64)
+    if not zero.any() or others.size < LEAST:
+        return np.zeros(time.shape, np.bool_)
+    near = 1.5 * float(np.median(np.abs(np.diff(time[others]))))
+    before, after = _neighbours(time, zero, others)
+    before, after = np.nan_to_num(before, nan=-near), np.nan_to_num(after, nan=near)
+    return zero & ~((before < 0) & (before >= -near) & (after > 0) & (after <= near))
+
+
+def filled_with_zeros(values: FloatArray) -> BoolArray:
+    """Zeros that stand for no value: those whose next other values are of the usual size."""
+    zero = values == 0
+    others = np.asarray(np.flatnonzero(~zero & np.isfinite(values)), np.int64)
+    if not zero.any() or not others.size:
+        return np.zeros(values.shape, np.bool_)
+    usual = float(np.median(np.abs(values[others])))
+    beside = np.nan_to_num(np.abs(_neighbours(values, zero, others)), nan=np.inf)
+    return zero & (beside.min(axis=0) >= usual / 2)
+
+
+def _neighbours(values: FloatArray, zero: BoolArray, others: IntArray) -> FloatArray:
+    """The next of the other values before and after each value, (2, n); NaN where there is none, or no zero."""
+    at = np.searchsorted(others, np.arange(values.size))
+    padded = np.concatenate([[np.nan], values[others], [np.nan]])
+    return np.where(zero, np.stack([padded[at], padded[at + 1]]), np.nan)
+
+
+def describe_lost(lost: Sequence[Lost], first: int = 0) -> str:
+    """Find which vectors are lost and why, in words: ranges of vectors, then their reasons; empty if none are.
+
+    `first` is the number of the first one in the file.
+    """
+    reasons: dict[tuple[str, ...], list[int]] = {}
+    for vector in np.flatnonzero(np.any([each.vectors for each in lost], axis=0)):
+        why = tuple(dict.fromkeys(each.reason for each in lost if each.vectors[vector]))
+        reasons.setdefault(why, []).append(first + int(vector))
+    return "; ".join(f"{_ranges(vectors)} ({_joined(why)})" for why, vectors in reasons.items())
+
+
+def _joined(why: Iterable[str]) -> str:
+    """Reasons in words: parameters by name."""
+    words = [reason for reason in why if reason in (FLAG, ZEROS, NOT_FINITE)]
+    names = [reason for reason in why if reason not in words]
+    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+    return ", ".join([*words, *([f"invalid PVP {', '.join(names[:MOST_NAMES])}{more}"] if names else [])])
+
+
+def _ranges(vectors: Sequence[int]) -> str:
+    """Ascending numbers as ranges, the first `MOST_RANGES` of them.
+
+    Examples
+    --------
+    >>> _ranges([0, 1, 2, 9, 11, 12])
+    '0 .. 2, 9, 11 .. 12'
+    """
+    breaks = np.flatnonzero(np.diff(vectors) > 1)
+    first, last = np.append(0, breaks + 1), np.append(breaks, len(vectors) - 1)
+    texts = [f"{vectors[a]}" if a == b else f"{vectors[a]} .. {vectors[b]}" for a, b in zip(first, last, strict=True)]
+    more = len(texts) - MOST_RANGES
+    return ", ".join(texts[:MOST_RANGES]) + (f" and {more} more ranges" if more > 0 else "")
+
 
 MAX_GAPS = 1.0  # missing vectors over those present
 

@@ -30,7 +30,7 @@ class GotchaReader:
         return begin(sources, options)
 
     def describe(self, files: Sequence[Readable], given: str) -> Described:
-        from blocksar.ingestion.gotcha.describing import describe
+        from blocksar.ingestion.gotcha.ingestion import describe
 
         return describe(files, given)
 

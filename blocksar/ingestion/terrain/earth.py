@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import math
+import os
 import shlex
 from collections.abc import Callable
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from blocksar.arrays import FloatArray
+from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.georeference import Georeference, datum_tie
 from blocksar.collection.terrain import LEAST, MARGIN, Terrain
 from blocksar.constants import TURN
 from blocksar.errors import InputError
 from blocksar.ingestion.reading import reading
-from blocksar.ingestion.terrain.datum import datum_of
-from blocksar.ingestion.terrain.frame_grid import MOST_HEIGHTS
-from blocksar.ingestion.terrain.nodata import refuse_untagged
-from blocksar.ingestion.terrain.remarks import FEET, remarks_on
+from blocksar.ingestion.terrain.frame_grid import MOST_HEIGHTS, refuse_untagged
 from blocksar.ingestion.terrain.resampling import STEPS, lattice, resample
 from blocksar.places import Location, place
 from blocksar.places.place import Place
@@ -27,6 +25,167 @@ from blocksar.places.place import Place
 if TYPE_CHECKING:
     from pyproj import CRS
     from rasterio.io import DatasetReader
+
+Undulation = Callable[[FloatArray, FloatArray], FloatArray]  # of longitude and latitude, degrees: m
+GRIDS = {"egm96": "us_nga_egm96_15.tif", "egm2008": "us_nga_egm08_25.tif"}  # PROJ's names of its grids
+KNOWN_AS = {"egm96": "EGM96", "egm2008": "EGM2008"}  # part of the names of vertical CRSs
+DATUM_REMEDY = "say --vertical ellipsoid, egm96 or egm2008"
+WHY = "datums differ by up to 100 m"
+
+
+@dataclass(frozen=True)
+class Datum:
+    """Vertical datum of heights: "ellipsoid", "egm96" or "egm2008", and the file of the geoid, if one is named."""
+
+    name: str
+    grid: str | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Read "ellipsoid", "egm96", "egm2008", or a geoid with the file that has it, as "egm2008:FILE".
+
+        Raises
+        ------
+        InputError
+            If it is none of these, or there is no such file.
+        """
+        name, _, grid = text.partition(":")
+        if name != "ellipsoid" and name not in GRIDS:
+            raise InputError(f"vertical = {text!r} is unknown; {REMEDY}")
+        if name == "ellipsoid" and grid:
+            raise InputError(f"vertical = {text!r}: heights over the ellipsoid need no file; leave it out")
+        if grid and not os.path.isfile(grid):
+            raise InputError(f"vertical = {text!r}: there is no file {grid}; name the geoid's grid, in GTX or GeoTIFF")
+        return cls(name, os.path.abspath(grid) if grid else None)
+
+    def undulation(self) -> Undulation:
+        """The geoid's height over the ellipsoid.
+
+        Raises
+        ------
+        InputError
+            If PROJ does not have the grid: nothing is downloaded.
+        """
+        if self.name == "ellipsoid":
+            return lambda longitude, latitude: np.zeros(np.shape(longitude))
+        from pyproj import Transformer
+        from pyproj.exceptions import ProjError
+        from pyproj.network import set_network_enabled  # type: ignore[attr-defined]
+
+        set_network_enabled(active=False)
+        grid = self.grid or GRIDS[self.name]
+        try:
+            shift = Transformer.from_pipeline(
+                "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad "
+                f"+step +proj=vgridshift +grids={grid} +multiplier=1 +step +proj=unitconvert +xy_in=rad +xy_out=deg"
+            )
+        except ProjError as error:
+            raise InputError(
+                f"vertical = {self.name}: PROJ has no grid {grid}; install it "
+                f"(`pyproj sync --file {GRIDS[self.name]}`), or name a file: --vertical {self.name}:FILE"
+            ) from error
+
+        def undulation(longitude: FloatArray, latitude: FloatArray) -> FloatArray:
+            height = shift.transform(longitude, latitude, np.zeros(np.shape(longitude)))[2]
+            return np.where(np.isfinite(height), height, np.nan)
+
+        return undulation
+
+
+def datum_of(crs: CRS, vertical: str | None, label: str) -> Datum:
+    """The datum that a file states, or the one that the user states.
+
+    Raises
+    ------
+    InputError
+        If neither does, or they differ, or the file's is another one, or not in m upwards.
+    """
+    stated = _stated(crs, label)
+    given = None if vertical is None else Datum.parse(vertical)
+    if stated is None and given is None:
+        raise InputError(f"{label} does not say what its heights are measured from, and {WHY}; {REMEDY}")
+    if stated is not None and given is not None and stated != given.name:
+        raise InputError(f"{label} has heights over {stated}, but vertical is {given.name!r}; leave --vertical out")
+    return given or Datum(str(stated))
+
+
+def _stated(crs: CRS, label: str) -> str | None:
+    vertical = next((part for part in crs.sub_crs_list if part.is_vertical), None)
+    if vertical is None and len(crs.axis_info) < 3:
+        return None
+    axis = (vertical or crs).axis_info[-1]
+    if axis.unit_conversion_factor != 1 or axis.direction != "up":
+        raise InputError(f"{label} has heights in {axis.unit_name}, {axis.direction}wards; convert them to m, upwards")
+    if vertical is None:
+        return "ellipsoid"
+    for name, word in KNOWN_AS.items():
+        if word in vertical.name.upper().replace(" ", ""):
+            return name
+    if "ELLIPSOID" in vertical.name.upper():
+        return "ellipsoid"
+    raise InputError(f"{label} has heights over {vertical.name!r}, which is not supported; convert them, and {REMEDY}")
+
+
+FAR = 50.0  # m: heights that differ by less from the scene's plane, or from zeros beside them, are not doubted
+LIKELY = 0.1  # of the distance from the plane, within which heights are if they are taken for feet
+FOOT = 0.3048  # m
+FEET = {
+    **dict.fromkeys(("ft", "foot", "feet", "international foot"), FOOT),
+    **dict.fromkeys(("us-ft", "ftus", "us survey foot", "us survey feet"), 1200 / 3937),
+}  # m, by a unit's name
+
+
+def remarks_on(heights: FloatArray, plane: float, path: Place, *, feet: bool) -> tuple[str, ...]:
+    """Sentences about heights (n_row, n_column), m, NaN where unknown, that are taken as they are.
+
+    Parameters
+    ----------
+    plane : float
+        Height of the scene's plane over the file's datum, m.
+    feet : bool
+        Whether the file says that they are feet.
+    """
+    known = np.isfinite(heights)
+    zero = heights == 0
+    if not known.any():
+        return ()
+    if (zero | ~known).all():
+        if abs(plane) <= FAR:
+            return ()
+        return (
+            f"{path} is exactly 0 m all over the grid, {abs(plane):.0f} m {_side(-plane)} the scene's plane: if "
+            "0 stands for no data, give a file that has the heights, or leave --terrain out",
+        )
+    if (beside := _beside(heights, zero)) > FAR:
+        return (
+            f"{path} is exactly 0 m at {100 * zero.sum() / known.sum():.2g} % of its heights about the grid, beside "
+            f"heights of {beside:.0f} m: if 0 stands for no data, tag it (`rio edit-info --nodata 0 "
+            f"{shlex.quote(str(path))}`)",
+        )
+    middle = float(np.median(heights[known]))
+    off, as_feet = middle - plane, middle * FOOT - plane
+    if not feet and abs(off) > FAR and abs(as_feet) < LIKELY * abs(off):
+        return (
+            f"{path} lies {abs(off):.0f} m {_side(off)} the scene's plane, but {abs(as_feet):.0f} m "
+            f"{_side(as_feet)} it if its heights are feet: if they are, tag them (`rio edit-info "
+            f"--bidx 1 --units ft {shlex.quote(str(path))}`)",
+        )
+    return ()
+
+
+def _side(height: float) -> str:
+    return "above" if height > 0 else "below"
+
+
+def _beside(heights: FloatArray, zero: BoolArray) -> float:
+    """The largest |height| next to one that is zero, m."""
+    most = 0.0
+    for first, second in ((np.s_[1:, :], np.s_[:-1, :]), (np.s_[:, 1:], np.s_[:, :-1])):
+        edge = zero[first] != zero[second]
+        if edge.any():
+            most = max(most, float(np.nanmax(np.abs(heights[first][edge] + heights[second][edge]), initial=0.0)))
+    return most
+
 
 ELLIPSOID_SAMPLES = 64  # along each axis: cubic convolution is exact for a paraboloid
 METRES = ("", "m", "metre", "metres", "meter", "meters")

@@ -13,13 +13,34 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.terrain import LEAST, Terrain
 from blocksar.errors import InputError
 from blocksar.ingestion.reading import reading
-from blocksar.ingestion.terrain.nodata import refuse_untagged
 from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.stores.schema import UNITS
 
 if TYPE_CHECKING:
     import xarray as xr
+
+# What programs write by custom, and what no ground has: -11 km to 9 km on the Earth, and less by its bend.
+CUSTOMARY = (-9999.0, 9999.0, -32767.0, -32768.0, 32767.0, 65535.0, -99999.0, 99999.0)
+HIGHEST = 1e5  # m
+
+
+def refuse_untagged(heights: FloatArray, path: Place) -> None:
+    """Check that no height is a number that stands for none: interpolation would spread it over its neighbours.
+
+    Raises
+    ------
+    InputError
+        If one is.
+    """
+    odd = np.isin(heights, CUSTOMARY) | (np.abs(heights) > HIGHEST)
+    if odd.any():
+        value, count = float(heights[odd][0]), int(odd.sum())
+        raise InputError(
+            f"{path} has a height of {value:.6g} m ({count} of the kind), which no ground has: tag the number that "
+            "stands for no data (_FillValue, or nodata of a GeoTIFF), or write NaN there"
+        )
+
 
 UNIFORM = 1e-4  # of a step: by so much positions may be off a uniform axis
 ENCODED = {"scale_factor", "add_offset", "missing_value"}  # attributes of numbers that stand for others

@@ -56,8 +56,8 @@ class GeoTIFF:
     ) -> list[str]:
         """Write the file; return lines for the user."""
         from blocksar.products.geotiff import cog
-        from blocksar.products.opening import opened
         from blocksar.products.pixels import pixels_of
+        from blocksar.products.writing import opened
 
         source, said = opened(run, channel, options.crop)
         pixels = pixels_of(

@@ -11,9 +11,8 @@ import numpy as np
 from blocksar.budget import FIDELITY, side_lobe_budget
 from blocksar.constants import MIB, unit_of_lengths
 from blocksar.measurement.figures import PointResponse, excess, worst_excess
-from blocksar.products.page.facts import MOST_ROWS, Facts
+from blocksar.products.page.facts import MOST_ROWS, TIMES, Facts, number
 from blocksar.products.page.picture import Picture
-from blocksar.products.page.words import TIMES, number
 from blocksar.runs.record import PredictedBlock
 
 UNITS = {

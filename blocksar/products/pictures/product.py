@@ -52,7 +52,7 @@ class PNG:
         run: Place, out: Location, options: PNGOptions, *, channel: str | None, overwrite: bool, progress: Callback
     ) -> list[str]:
         """Write the file; return lines for the user."""
-        from blocksar.products.opening import opened
+        from blocksar.products.writing import opened
 
         drawn = {"limits": options.range, "size": options.size, "overwrite": overwrite, "progress": progress}
         if options.composite is None:
@@ -78,7 +78,7 @@ def _cell(options: PNGOptions, source: FinishedRun) -> tuple[int, int]:
 
 def _composed(run: Place, options: PNGOptions, channel: str | None) -> dict[str, FinishedRun]:
     """Open the channels or looks of a composite by name."""
-    from blocksar.products.opening import opened
+    from blocksar.products.writing import opened
     from blocksar.runs.finished import finished_record
 
     composite = options.composite

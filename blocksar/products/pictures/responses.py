@@ -1,6 +1,14 @@
 """Pictures of point responses: contours and cuts.
 
 Import this module only where a picture is drawn: matplotlib is slow to load.
+
+Pictures of the correction of a track: its error over time, and chips before and after.
+
+Import this module only where a picture is drawn: matplotlib is slow to load.
+
+Picture of the spectra of sub-aperture looks.
+
+Import this module only where a picture is drawn: matplotlib is slow to load.
 """
 
 from __future__ import annotations
@@ -9,6 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 from scipy.ndimage import zoom
@@ -17,15 +26,98 @@ from blocksar.arrays import Complex128Array, FloatArray
 from blocksar.collection.weighting import CUT_WIDTHS
 from blocksar.measurement.figures import BEYOND, ResponseGrid, cuts, ideal_cuts, measure_cuts, response_grid
 from blocksar.measurement.response import Response
+from blocksar.products.look_spectra import LookSpectra
 from blocksar.products.pictures.figures import (
+    CURVE_COLOURS,
     LEVEL_COLOURS,
     Curve,
     draw_legend,
     label_outer_axes,
     minus,
+    new_figure,
     new_panels,
     save,
 )
+from blocksar.runs.track import DEPTH, TrackCorrection
+
+DEVIATIONS = 2.0  # standard deviations on either side of the error that are shaded
+MOST_CHIPS = 6
+COLOUR = CURVE_COLOURS[2]
+
+
+def plot_track(correction: TrackCorrection, path: str | Path) -> None:
+    """Write a PNG of what was taken off the track in x, y and z, mm, over slow time, with its predicted uncertainty."""
+    figure, panels = new_panels(3, columns=3, size=(3.2, 2.5), title="")
+    for axis, axes in enumerate(panels):
+        error, spread = 1e3 * correction.error[:, axis], 1e3 * DEVIATIONS * correction.uncertainty[:, axis]
+        axes.fill_between(correction.time, error - spread, error + spread, color=COLOUR, alpha=0.25, linewidth=0)
+        axes.plot(correction.time, error, color=COLOUR, linewidth=1.2)
+        axes.axhline(0, color="#8c9bb0", linewidth=0.6)
+        axes.set_title("xyz"[axis], fontsize=10)
+        axes.set_xlabel("slow time (s)", fontsize=9)
+        axes.grid(color="#e4e7ec", linewidth=0.5)
+        axes.set_axisbelow(True)
+        axes.margins(x=0)
+    limits = [axes.get_ylim() for axes in panels]
+    for axes in panels:  # one scale: the eye compares the axes
+        axes.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
+        axes.tick_params(labelleft=axes is panels[0])
+    panels[0].set_ylabel("error of the track (mm)", fontsize=9)
+    save(figure, path)
+
+
+def plot_chips(correction: TrackCorrection, path: str | Path) -> None:
+    """Write a PNG of chips about some points, before above and after below, in dB from the brightest of each pair."""
+    count = min(len(correction.before), MOST_CHIPS)
+    figure = new_figure(1.55 * count + 0.9, 3.5)
+    rows = (("before", correction.before), ("after", correction.after))
+    for row, (name, chips) in enumerate(rows):
+        for column in range(count):
+            axes = figure.add_subplot(2, count, row * count + column + 1)
+            decibels = DEPTH * (chips[column] / 255.0 - 1)
+            shown = axes.imshow(decibels, cmap="gray", vmin=-DEPTH, vmax=0, origin="lower", aspect="auto")
+            axes.set_xticks([])
+            axes.set_yticks([])
+            if row == 0:
+                x, y = correction.places[column]
+                axes.set_title(f"x {x:.0f} m\ny {y:.0f} m".replace("-", "\N{MINUS SIGN}"), fontsize=7)
+            if column == 0:
+                axes.set_ylabel(name, fontsize=9)
+    bar = figure.colorbar(shown, ax=figure.axes, shrink=0.8, pad=0.01)
+    bar.set_label("power (dB)", fontsize=8)
+    bar.ax.tick_params(labelsize=7)
+    save(figure, path)
+
+
+def has_chips(correction: TrackCorrection) -> bool:
+    """Tell whether there are chips to draw."""
+    return bool(correction.before.size) and bool(np.any(correction.before))
+
+
+DEEPEST = -50.0  # dB
+MOST_NAMED = 8
+
+
+def plot_looks(spectra: LookSpectra, path: str | Path) -> None:
+    """Write a PNG of the power of each look over the share of the dwell, dB, with the borders of their own parts."""
+    figure, (axes,) = new_panels(1, columns=1, size=(8.5, 2.7), title="")
+    n = len(spectra.names)
+    colours = CURVE_COLOURS if n <= len(CURVE_COLOURS) else colormaps["turbo"](np.linspace(0.05, 0.95, n))
+    for border in np.unique(spectra.parts.round(6)):
+        axes.axvline(border, color="#8c9bb0", linewidth=0.8)
+    for name, power, colour in zip(spectra.names, spectra.power, colours, strict=False):
+        with np.errstate(divide="ignore"):
+            axes.plot(spectra.share, 10 * np.log10(power), color=colour, linewidth=1.3, label=name)
+    axes.set_xlim(spectra.share[0], spectra.share[-1])
+    axes.set_ylim(DEEPEST, 3)
+    axes.set_xlabel("share of the dwell", fontsize=9)
+    axes.set_ylabel("power (dB)", fontsize=9)
+    axes.grid(color="#e4e7ec", linewidth=0.5)
+    axes.set_axisbelow(True)
+    if n <= MOST_NAMED:
+        axes.legend(fontsize=8, ncols=n, loc="lower center", frameon=True)
+    save(figure, path)
+
 
 SINGLE = 2.5  # inches, width of a panel of a lone target: its texts are read at the width of a phone
 PANEL_WIDTHS = 4.5  # half the side of a contour panel, in median nominal widths

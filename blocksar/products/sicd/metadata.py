@@ -14,10 +14,21 @@ from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.products.collect import ascii_text, classification, collect_start, polarization, radar_mode
-from blocksar.products.sicd.aperture import Support, cut_weights, cut_width, find_support, lines_of_sight, lit_times
-from blocksar.products.sicd.layout import FIT_POINTS, Layout, central_pixel, lay_out, sample_pixels, valid_data
-from blocksar.products.sicd.plane_image import PlaneImage
-from blocksar.products.sicd.polynomials import Poly2D, arp_polynomial, fit_poly2d
+from blocksar.products.sicd.layout import (
+    FIT_POINTS,
+    Layout,
+    Support,
+    central_pixel,
+    cut_weights,
+    cut_width,
+    find_support,
+    lay_out,
+    lines_of_sight,
+    lit_times,
+    sample_pixels,
+    valid_data,
+)
+from blocksar.products.sicd.plane_image import PlaneImage, Poly2D, arp_polynomial, fit_poly2d
 from blocksar.runs.finished import Coverage, FinishedRun
 from blocksar.runs.track import ATTRIBUTE
 from blocksar.version import __version__

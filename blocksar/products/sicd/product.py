@@ -28,8 +28,8 @@ class SICD:
         run: Place, out: Location, options: SICDOptions, *, channel: str | None, overwrite: bool, progress: Callback
     ) -> list[str]:
         """Write the file; return lines for the user."""
-        from blocksar.products.opening import opened
         from blocksar.products.sicd import nitf
+        from blocksar.products.writing import opened
 
         source, said = opened(run, channel)
         return [*said, *nitf.write(source, out, overwrite=overwrite, progress=progress)]

@@ -12,10 +12,19 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.products.collect import ascii_text, collect_start, polarization, radar_mode, security_mark
 from blocksar.products.pixels import Pixels
-from blocksar.products.sicd.aperture import Support, centre_time, cut_width, find_support, lines_of_sight, lit_times
-from blocksar.products.sicd.layout import lay_out, sample_pixels, valid_data
+from blocksar.products.sicd.layout import (
+    Support,
+    centre_time,
+    cut_width,
+    find_support,
+    lay_out,
+    lines_of_sight,
+    lit_times,
+    sample_pixels,
+    valid_data,
+)
 from blocksar.products.sicd.metadata import NEAR_ZERO, TIME_ACCURACY
-from blocksar.products.sicd.polynomials import Poly2D, arp_polynomial, fit_poly2d
+from blocksar.products.sicd.plane_image import Poly2D, arp_polynomial, fit_poly2d
 from blocksar.products.sidd.grids import Grid, PlaneGrid
 from blocksar.runs.finished import FinishedRun
 from blocksar.version import __version__

@@ -36,9 +36,9 @@ class SIDD:
         run: Place, out: Location, options: SIDDOptions, *, channel: str | None, overwrite: bool, progress: Callback
     ) -> list[str]:
         """Write the file; return lines for the user."""
-        from blocksar.products.opening import opened
         from blocksar.products.pixels import pixels_of
         from blocksar.products.sidd import nitf
+        from blocksar.products.writing import opened
 
         source, said = opened(run, channel, options.crop)
         looks = (1, 1) if options.looks is None else options.looks

@@ -31,8 +31,17 @@ from blocksar.places.place import Place
 from blocksar.products.collect import EPOCH, date_of, polarization, radar_mode
 from blocksar.products.geotiff.cog import place_pixels
 from blocksar.products.pixels import Pixels
-from blocksar.products.sicd.aperture import centre_time, cut_width, find_support, lines_of_sight, lit_times
-from blocksar.products.sicd.layout import Layout, lay_out, sample_pixels, valid_data
+from blocksar.products.sicd.layout import (
+    Layout,
+    centre_time,
+    cut_width,
+    find_support,
+    lay_out,
+    lines_of_sight,
+    lit_times,
+    sample_pixels,
+    valid_data,
+)
 from blocksar.products.writing import replacing
 from blocksar.runs.finished import FinishedRun, finished_record, folder_of
 from blocksar.version import __version__

@@ -53,8 +53,8 @@ class STAC:
         run: Place, out: Location, options: STACOptions, *, channel: str | None, overwrite: bool, progress: Callback
     ) -> list[str]:
         """Write the file; return lines for the user."""
-        from blocksar.products.opening import opened
         from blocksar.products.stac import item
+        from blocksar.products.writing import opened
 
         source, said = opened(run, channel)
         whole = run if channel is None else source.folder

@@ -44,9 +44,8 @@ class KML:
         import numpy as np
         from matplotlib.image import imsave
 
-        from blocksar.products.opening import opened
         from blocksar.products.pictures.overview import overview, reader_of, stretch
-        from blocksar.products.writing import replacing
+        from blocksar.products.writing import opened, replacing
 
         source, said = opened(run, channel)
         frame, picture = source.placed("a KML"), f"{out}.png"
