@@ -51,6 +51,7 @@ whole-pulses = true
 performance-report = "report.html"
 overwrite = true
 discard = true
+pyramid = true
 quiet = true
 json-log = "log.jsonl"
 coefficients = "closed-form"
