@@ -16,6 +16,8 @@ from blocksar.api.checking import check_samples, refuse_real
 from blocksar.api.jobs import Job
 from blocksar.collection.track_shape import find_flaw
 from blocksar.errors import InputError
+from blocksar.focusing.interference import Interference
+from blocksar.graph.reading import CUT
 from blocksar.graph.segments import Segment, by_collection
 from blocksar.graph.stages import Recovered
 from blocksar.inspection import centroid, samples
@@ -35,10 +37,15 @@ def checking(job: Job, *, beside: bool) -> Iterator[Callable[[], list[Check]]]:
     Otherwise they are checked when that function is called first.
     """
     if not beside:
-        yield cache(partial(_check_collections, job))
+        yield check_later(job)
         return
     with ThreadPoolExecutor(1) as pool:
         yield pool.submit(_check_collections, job).result
+
+
+def check_later(job: Job) -> Callable[[], list[Check]]:
+    """A function that checks the samples of all collections when it is called first."""
+    return cache(partial(_check_collections, job))
 
 
 def add_findings(
@@ -103,7 +110,8 @@ def _of_collection(
         raise InputError(without_samples(history, zeros=False))
     if not inspections[-1].valid:
         raise InputError(without_samples(history, zeros=True))
-    lines = [line for each in inspections for line in samples.describe(each)]
+    lines = _of_interference(segments[0], [each for _, each in read])
+    lines += [line for each in inspections for line in samples.describe(each)]
     lines += samples.doubts_of_track(history.collection, exact=exact)
     missing, size = sum(inspections[-1].missing.values()), math.prod(history.shape)
     if missing > MANY_MISSING * size and not exact:
@@ -139,7 +147,7 @@ def without_samples(history: stores.PhaseHistory, *, zeros: bool) -> str:
 def _inspections(segments: Sequence[Segment], read: Sequence[Recovered]) -> list[Inspection]:
     """The inspections of a collection: of its raw echo, if it is one, and of its samples."""
     echoes = [
-        Inspection.from_dict(dict(receipt.found))
+        Inspection.from_dict({name: value for name, value in receipt.found.items() if name != CUT})
         for each in read
         for receipt in each.receipts
         if receipt.found and receipt.stage == "range-compress"
@@ -150,6 +158,16 @@ def _inspections(segments: Sequence[Segment], read: Sequence[Recovered]) -> list
         whole = segments[0].source.collection.n_pulse
         inspection = samples.join_segments(list(zip(parts, (r.inspection for r in read), strict=True)), whole)
     return [samples.merge_echoes(echoes), inspection] if echoes else [inspection]
+
+
+def _of_interference(segment: Segment, read: Sequence[Recovered]) -> list[str]:
+    """Say what interference was cut from a collection, if it was looked for."""
+    if segment.interference is None:
+        return []
+    found = [receipt.found or {} for each in read for receipt in each.receipts]
+    cut = [Interference(**some[CUT]) for some in found if CUT in some]
+    collection = segment.source.collection
+    return [Interference.merge(cut).sentence(segment.interference, collection.carrier + collection.range_frequency)]
 
 
 def _compare_centroid(segment: Segment, inspection: Inspection) -> tuple[CentroidError | None, str | None]:

@@ -28,7 +28,7 @@ from blocksar.budget import FIDELITY, WAIT_WORKERS
 from blocksar.collection.surface import Surface
 from blocksar.constants import MIB
 from blocksar.errors import InputError
-from blocksar.focusing.method import Coefficients, Derotation, Perturbation, RangeModel
+from blocksar.focusing.method import Coefficients, Cutting, Derotation, Perturbation, RangeModel
 from blocksar.graph import cluster, recording
 from blocksar.graph.machine import Resources, resources
 from blocksar.ingestion.terrain.reading import terrain_notes
@@ -49,6 +49,7 @@ if TYPE_CHECKING:
 
 UNITS = {
     "range-compress": "groups of pulses",
+    "interference": "groups of pulses",
     "recover": "column groups",
     "inspect": "column groups",
     "gate": "groups of Doppler bins",
@@ -81,6 +82,7 @@ def focus(
     surface: Surface | None = None,
     vertical: str | None = None,
     ground_height: float | None = None,
+    interference: Cutting | None = None,
     autofocus: bool = False,
     control: Location | Sequence[Target] | None = None,
     whole_pulses: bool = False,
@@ -156,6 +158,9 @@ def focus(
     ground_height : float, optional
         Height z of the imaged plane in the scene frame, m. Ground that lies off it is displaced, at 30 m by up to as
         much. Default: that of the phase history.
+    interference : {"notch", "eigen"}, optional
+        Cut narrow-band interference that stands out of the echoes, by group of pulses. "notch": its frequencies become
+        missing. "eigen": what leaks from them over the band is projected out, too. Default: samples stay as they are.
     autofocus : bool
         Correct the track from the samples first, as `autofocus` does. Default: False.
     control : path or sequence of Target, optional

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
@@ -31,6 +32,7 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, PrfTooLow, ProcessingError, Unfocusable, changes_while_read
+from blocksar.focusing.interference import check_band
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_gate import RawCompression
 from blocksar.graph.machine import Resources
@@ -40,7 +42,7 @@ from blocksar.measurement.targets import Target
 from blocksar.places import place
 from blocksar.places.place import Place
 from blocksar.planning import effort
-from blocksar.planning.memory import checked_memory, compression_memory
+from blocksar.planning.memory import checked_memory, compression_memory, interference_memory
 from blocksar.planning.segments import joint_grid
 from blocksar.processors import HIERARCHY, PROCESSORS, device_for, options_for
 from blocksar.processors.base import ImagePlan, Problem
@@ -195,6 +197,7 @@ class Request:
             "grid": None if self.grid is None else list(grid_numbers(self.grid)),
             **ground_settings(self.ground, self.terrain, self.surroundings),
             # Not in runs without them, also those of earlier versions.
+            **({} if self.asked.interference is None else {"interference": self.asked.interference}),
             **({} if self.history.ground_height is None else {"ground_height": self.history.ground_height}),
             **(self.track.settings(self.fingerprint) if self.track is not None else {}),
             **({"control": records_of(self.control)} if self.control else {}),
@@ -281,12 +284,7 @@ class Job:
         FolderError
             If the plan that a run began with is damaged.
         """
-        compression = max(
-            checked_memory(
-                "range compression", compression_memory(history.collection, history.raw), machine.memory_limit
-            )
-            for history in request.histories
-        )
+        compression = max(_preparation_memory(history, request.asked, machine) for history in request.histories)
         if earlier is None:
             plan = _plan(request, machine)
             packed = stored_plan.pack(plan)
@@ -303,6 +301,7 @@ class Job:
                 pulses=piece.pulses,
                 geometry=piece.geometry,
                 plan=piece.plan,
+                interference=request.asked.interference,
             )
             for number, piece in enumerate(plan.pieces)
         )
@@ -364,12 +363,15 @@ class Job:
             else RawCompression.of_echo(history.raw, history.collection).length * history.collection.n_pulse
             for number, history in histories.items()
         }
+        if self.request.asked.interference is not None:
+            echoes = {number: echoes[number] or math.prod(history.shape) for number, history in histories.items()}
         work = dict(self.plan.work())
         last = {"finish": work.pop("finish", ())}
-        compressing = effort.of_compression(
-            (history.collection.n_pulse, echoes[number]) for number, history in histories.items()
+        preparing = effort.of_preparation(
+            ((history.collection.n_pulse, echoes[number]) for number, history in histories.items()),
+            raw=any(history.raw is not None for history in histories.values()),
         )
-        return {**compressing, **work, **effort.of_pyramid(self.grid, self.request.asked.pyramid), **last}
+        return {**preparing, **work, **effort.of_pyramid(self.grid, self.request.asked.pyramid), **last}
 
     def _run_segments(self) -> tuple[RunSegment, ...]:
         """The segments for the record; none in a run of one."""
@@ -413,6 +415,23 @@ class Job:
             plan=plan,
             identity=self.request.identity(plan),
         )
+
+
+def _preparation_memory(history: stores.PhaseHistory, asked: Settings, machine: Resources) -> int:
+    """Peak memory of a worker that compresses a raw echo, or cuts interference, bytes; 0 without either.
+
+    Raises
+    ------
+    InputError
+        If the limit does not hold it, or the samples have too few range frequencies.
+    """
+    collection = history.collection
+    memory = compression_memory(collection, history.raw)
+    checked_memory("range compression", memory, machine.memory_limit)
+    if asked.interference is None:
+        return memory
+    check_band(collection.n_range_frequency)
+    return checked_memory("interference", memory + interference_memory(collection), machine.memory_limit)
 
 
 def _plan(request: Request, machine: Resources) -> ImagePlan:

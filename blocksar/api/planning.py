@@ -18,8 +18,10 @@ from blocksar.api.shown import PlanReport
 from blocksar.budget import FIDELITY
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.surface import Surface
+from blocksar.focusing.interference import check_band
 from blocksar.focusing.method import (
     Coefficients,
+    Cutting,
     Derotation,
     Perturbation,
     RangeModel,
@@ -55,6 +57,7 @@ def plan(
     vertical: str | None = None,
     whole_pulses: bool = False,
     ground_height: float | None = None,
+    interference: Cutting | None = None,
     looks: int | None = None,
     workers: int | None = None,
     memory_limit: int | str | None = None,
@@ -117,6 +120,9 @@ def plan(
     ground_height : float, optional
         Height z of the imaged plane in the scene frame, m. Ground that lies off it is displaced, at 30 m by up to as
         much. Default: that of the phase history.
+    interference : {"notch", "eigen"}, optional
+        Cut narrow-band interference that stands out of the echoes, by group of pulses. "notch": its frequencies become
+        missing. "eigen": what leaks from them over the band is projected out, too. Default: samples stay as they are.
     looks : int, optional
         Number of parts of each target's dwell that `focus` makes images of: each is planned, beside whole dwells.
         Default: whole dwells only.
@@ -163,6 +169,9 @@ def plan(
     collections = imaged_collections(
         source, collections, settings.points, heights, ground_height=ground_height, whole_pulses=whole_pulses
     )
+    if settings.interference is not None:
+        for each in collections:
+            check_band(each.n_range_frequency)
     problem = Problem(
         collections=collections, grid=points, terrain=heights, blocks=settings.blocks, fidelity=settings.fidelity,
         weighting=settings.tapers, options=chosen, machine=share, device=runs_on,
@@ -179,7 +188,14 @@ def plan(
             report = _report(planned, assumed, time.perf_counter() - started)
     if report.refusal is not None:
         return replace(report, refusal=report.refusal + ANY)
-    return replace(report, summary=[*of_each, *report.summary])
+    cut = [] if settings.interference is None else [NOT_KNOWN.format(method=settings.interference)]
+    return replace(report, summary=[*of_each, *report.summary, *cut])
+
+
+NOT_KNOWN = (
+    "interference ({method}) is looked for by focus: a plan reads no samples, and its figures are those without lines; "
+    "where a share q of the band is cut, noise rises by 1 / (1 - q)"
+)
 
 
 def _channels_line(source: Source) -> list[str]:

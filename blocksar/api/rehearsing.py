@@ -32,7 +32,7 @@ def room_of(job: Job) -> Room:
         collection = history.collection
         if isinstance(history, stores.DatasetHistory):
             beside += stored_bytes(history.shape)
-        if history.raw is not None:  # compressed first
+        if history.raw is not None or request.asked.interference is not None:  # written anew first
             temporary += stored_bytes((collection.n_pulse, collection.n_range_frequency))
     stored = with_pyramid(job.plan.stored(), job.grid, request.asked.pyramid)
     return room_of_run(stored, beside=beside, temporary=temporary, discard=request.asked.discard)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from blocksar import stores
-from blocksar.api.findings import Check, add_findings, checking
+from blocksar.api.findings import Check, add_findings, check_later, checking
 from blocksar.api.jobs import Job
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
@@ -72,7 +72,8 @@ def carry_out(
             listener.dashboard(address)
         with recording.record_performance(client, profile, listener):
             # Beside the first stage: the check takes a few samples, and the stage's tasks run in other processes.
-            checked = stack.enter_context(checking(job, beside=not cluster.is_here(client)))
+            beside = not cluster.is_here(client) and job.request.asked.interference is None
+            checked = stack.enter_context(checking(job, beside=beside))
             record = _form(job, run, record, client, checked, listener, input_read)
         listener.watch((), NOBODY)
         listener.begin("finish")
@@ -118,7 +119,9 @@ def _form(
         run.establish(run.image, lambda: _create_image(run, job, found))
         end("check")
 
-    segments, compressed = stages.compress_raw(client, job.segments, run, listener)
+    segments, compressed = stages.prepare_samples(client, job.segments, run, listener)
+    if job.request.asked.interference is not None:  # the check is of what is imaged
+        checked = check_later(replace(job, segments=tuple(segments)))
     execution = Execution(
         client=client, run=run, listener=listener, segments=segments, compressed=compressed,
         workers=job.machine.workers, weighting=job.request.weighting, discard=job.request.asked.discard, accept=accept,

@@ -15,7 +15,7 @@ from blocksar.api.parsing import blocks_of, fidelity_of, grid_of, memory_of, wit
 from blocksar.budget import FIDELITY, WAIT_WORKERS
 from blocksar.chunks import PYRAMID_FROM
 from blocksar.collection.surface import Surface
-from blocksar.focusing.method import ChainOptions
+from blocksar.focusing.method import ChainOptions, Cutting
 from blocksar.options import Option, Stated, options_of, read_values
 from blocksar.processors import AUTO, CHAIN, PROCESSORS, OwnDevice
 
@@ -87,6 +87,10 @@ class Imaging:
     )
     ground_height: Annotated[
         float | None, Option("Height z of the imaged plane in the scene frame; default: the store's.", metavar="M")
+    ] = None
+    interference: Annotated[
+        Cutting | None,
+        Option("Cut narrow-band lines that stand out of the echoes: notch, or eigen, their leak too.", metavar="NAME"),
     ] = None
     autofocus: Annotated[bool, Option("Correct the track from the samples first; see blocksar autofocus.")] = False
     control: Annotated[

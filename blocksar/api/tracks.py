@@ -24,13 +24,14 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.constants import MIB
 from blocksar.errors import FolderError, InputError, ProcessingError, changes_while_read
+from blocksar.focusing.method import Cutting
 from blocksar.graph import cluster, compiling
 from blocksar.graph.machine import Resources
 from blocksar.graph.track_stages import Estimated, estimate_track, tie_tracks
 from blocksar.ingestion.terrain.reading import Ground
 from blocksar.measurement.targets import Target
 from blocksar.places.place import Place
-from blocksar.planning.memory import checked_memory, compression_memory, track_memory
+from blocksar.planning.memory import checked_memory, compression_memory, interference_memory, track_memory
 from blocksar.progress import Listener
 from blocksar.runs import folder as run_folder
 from blocksar.runs.receipts import Run
@@ -64,6 +65,8 @@ class TrackEstimate:
         What the user says of the ground.
     terrain : Terrain or None
         The ground itself, on which points stand; None for the plane.
+    interference : str or None
+        How it is cut from the samples first.
     """
 
     channels: tuple[stores.PhaseHistory, ...]
@@ -73,6 +76,7 @@ class TrackEstimate:
     control: Sequence[Target] = ()
     ground: Ground = PLANE
     terrain: Terrain | None = None
+    interference: Cutting | None = None
 
     @property
     def history(self) -> stores.PhaseHistory:
@@ -83,7 +87,8 @@ class TrackEstimate:
     def settings(self) -> dict[str, Any]:
         grid = None if self.grid is None else list(grid_numbers(self.grid))
         uneven = {} if self.terrain is None else ground_settings(self.ground, self.terrain, None)
-        return {"grid": grid, "control": records_of(self.control) or None, **uneven}
+        cut = {} if self.interference is None else {"interference": self.interference}
+        return {"grid": grid, "control": records_of(self.control) or None, **uneven, **cut}
 
     @property
     def geometry(self) -> Geometry:
@@ -116,7 +121,7 @@ class TrackEstimate:
         pulses = max(block.stop - block.start for block in (*work.blocks, *work.apertures))
         needed = max(
             track_memory(collection, pulses, work.chip_bytes(len(self.control))), compression_memory(collection, raw)
-        )
+        ) + (0 if self.interference is None else interference_memory(collection))
         return checked_memory("autofocus", needed, machine.memory_limit)
 
     def room(self, store: int = 0) -> int:
@@ -129,7 +134,7 @@ class TrackEstimate:
         written = stored_bytes((pulses, columns)) if isinstance(self.history, stores.DatasetHistory) else 0
         raw, compressed = self.history.raw, stored_bytes((pulses, self.history.collection.n_range_frequency))
         chips = LEAST_LOOPS * begin(self.geometry, self.grid).chip_bytes(len(self.control))
-        first = written + (0 if raw is None else compressed * len(self.channels))
+        first = written + (0 if raw is None and self.interference is None else compressed * len(self.channels))
         return max(first + chips + store - self.folder.taken(), 0)
 
     @contextmanager
@@ -156,7 +161,9 @@ class TrackEstimate:
         self._begin()
         control = self._control() if self.control else None
         run, threads = self.run(machine.threads), machine.threads * (machine.workers if local else 1)
-        return estimate_track(client, self.stored(), run, self.grid, control, listener, threads, self.terrain)
+        return estimate_track(
+            client, self.stored(), run, self.grid, control, listener, threads, self.terrain, self.interference
+        )
 
     def _control(self) -> Control:
         """The control points; those without a height of their own stand on the ground."""
@@ -312,6 +319,7 @@ def estimates_of(request: Request, place: TrackPlace) -> list[TrackEstimate]:
             control=request.control,
             ground=request.ground,
             terrain=request.terrain,
+            interference=request.asked.interference,
         )
         for number, (channels, fingerprint) in enumerate(zip(place.channels, place.fingerprints, strict=True))
     ]

@@ -13,6 +13,7 @@ Coefficients = Literal["fitted", "closed-form"]
 Perturbation = Literal["all", "frequency", "none"]
 Derotation = Literal["nonlinear", "linear"]
 RangeModel = Literal["polar", "conventional"]
+Cutting = Literal["notch", "eigen"]  # of interference, see `focusing.interference`
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -90,17 +90,20 @@ class RawCompression:
         """
         return np.asarray(self.length * np.abs(self.weight) ** 2)
 
+    def cycles(self, pulses: slice) -> tuple[FloatArray, FloatArray]:
+        """Delays (n,), s, and range frequencies: the signal of these pulses is turned by their product, in cycles."""
+        return 2 / SPEED_OF_LIGHT * self.reference_range[pulses], self.range_frequency
+
     def apply(self, echo: ComplexArray, *, pulses: slice, threads: int = 1) -> ComplexArray:
         """Compress pulses (n, n_fast_time) to (n, n_range_frequency) complex64; a pulse with a NaN comes out NaN."""
         step = 1 / (self.length * self.fast_time.step)
         axis = Axis(float(self.range_frequency[0]), step, self.range_frequency.size)
-        reference_range = self.reference_range[pulses, None]
+        delay, frequency = self.cycles(pulses)
         out = np.empty((echo.shape[0], self.range_frequency.size), np.complex64)
         for first in range(0, echo.shape[0], COMPRESSED_ROWS):
             part = slice(first, first + COMPRESSED_ROWS)
             band = rows.transform(echo[part], self.fast_time, axis, inverse=False, threads=threads)
-            cycles = 2 / SPEED_OF_LIGHT * reference_range[part] * self.range_frequency
-            out[part] = band * self.weight * fourier.unit_phasor(cycles)
+            out[part] = band * self.weight * fourier.unit_phasor(delay[part, None] * frequency)
         return out
 
 

@@ -1,15 +1,18 @@
-"""The tasks that read the samples of a phase history: compression of raw echoes, recovery, inspection."""
+"""The tasks that read the samples of a phase history: compression, interference, recovery, inspection."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from blocksar import stores
 from blocksar.arrays import ComplexArray
+from blocksar.focusing.interference import cut_interference
+from blocksar.focusing.method import Cutting
 from blocksar.focusing.range_gate import RangeGate, RawCompression
 from blocksar.focusing.recovery import Recovery, recover_columns
 from blocksar.graph.spectrum import SpectrumChunks, Window, WritesBehind, chunk_spans, stays_cached
@@ -19,6 +22,8 @@ from blocksar.kernels import buffers
 from blocksar.kernels.rows import Program
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Receipt, Written
+
+CUT = "interference"  # what was cut from a group of pulses, among what a receipt has found
 
 
 @dataclass(frozen=True)
@@ -110,19 +115,32 @@ def _write_rows(run: Run, target: Gated, rows: ComplexArray, first: int) -> list
     ]
 
 
-def compress_pulses(
-    run: Run, unit: str, source: stores.PhaseHistory, pulses: tuple[int, int], compression: RawCompression
+def prepare_pulses(
+    run: Run,
+    unit: str,
+    source: stores.PhaseHistory,
+    pulses: tuple[int, int],
+    compression: RawCompression | None,
+    interference: Cutting | None,
 ) -> Receipt:
-    """Range-compress pulses of a raw echo into the run's own phase history; a pulse with a gap becomes missing."""
-    started = time.perf_counter()
-    echo = source.read(slice(*pulses), slice(None))
-    inspection = inspect(echo, range_frequency=np.zeros(echo.shape[1]), recovery=None, threads=run.threads)
-    signal = compression.apply(echo, pulses=slice(*pulses), threads=run.threads)
-    signal[list(inspection.missing)] = np.nan
+    """Write pulses into the run's own phase history: a raw echo range-compressed, then without interference.
+
+    A pulse of an echo with a gap becomes missing.
+    """
+    started, found = time.perf_counter(), dict[str, Any]()
+    signal, cycles = source.read(slice(*pulses), slice(None)), None
+    if compression is not None:
+        inspection = inspect(signal, range_frequency=np.zeros(signal.shape[1]), recovery=None, threads=run.threads)
+        signal = compression.apply(signal, pulses=slice(*pulses), threads=run.threads)
+        signal[list(inspection.missing)] = np.nan
+        found, cycles = inspection.as_dict(), compression.cycles(slice(*pulses))
+    if interference is not None:
+        signal = np.ascontiguousarray(signal) if signal.flags.writeable else signal.copy()
+        found[CUT] = cut_interference(signal, method=interference, cycles=cycles).as_dict()
     region = (slice(*pulses), slice(0, signal.shape[1]))
     part = write(run, run.compressed, "signal", region, signal)
-    receipt = Receipt(unit=unit, stage="range-compress", written=(part,), found=inspection.as_dict())
-    return sign(run, receipt, started)
+    stage = "interference" if compression is None else "range-compress"
+    return sign(run, Receipt(unit=unit, stage=stage, written=(part,), found=found), started)
 
 
 def recover_group(

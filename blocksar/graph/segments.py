@@ -12,6 +12,7 @@ from blocksar import stores
 from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.beam import expand
 from blocksar.collection.geometry import Geometry
+from blocksar.focusing.method import Cutting
 from blocksar.planning.plan import Plan
 from blocksar.runs.receipts import Run
 
@@ -34,6 +35,8 @@ class Segment:
         That of the plan.
     plan : Plan or None
         Of a chain.
+    interference : str or None
+        How it is cut from the samples.
     """
 
     number: int | None = None
@@ -42,6 +45,7 @@ class Segment:
     pulses: tuple[int, int] | None = None
     geometry: Geometry
     plan: Plan | None = None
+    interference: Cutting | None = None
 
     @property
     def planned(self) -> Plan:

@@ -31,7 +31,7 @@ from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_gate import RawCompression
 from blocksar.graph.layers import sights_of
 from blocksar.graph.patching import Patch, PatchChunk, merge_chunks, write_patch
-from blocksar.graph.reading import Gated, compress_pulses, gate_bins, inspect_group, recover_group
+from blocksar.graph.reading import Gated, gate_bins, inspect_group, prepare_pulses, recover_group
 from blocksar.graph.segments import Segment, by_collection
 from blocksar.graph.spectrum import SpectrumChunks, Window
 from blocksar.graph.tasks import FormParts, Projected, add_layers, form_chunks, read_slab, run_stage
@@ -456,43 +456,46 @@ def without_lost(history: stores.PhaseHistory, inspection: Inspection) -> Inspec
     return inspection.without(lost)
 
 
-def compress_raw(
+def prepare_samples(
     client: Client, segments: Sequence[Segment], run: Run, listener: Listener
 ) -> tuple[list[Segment], list[list[Receipt]]]:
-    """Range-compress raw echoes, each collection once; return the segments as they are then read, and receipts of each.
+    """Range-compress raw echoes and cut interference, each collection once, where there is something to do.
+
+    Returns the segments as they are then read, and receipts of each.
 
     The receipts are those of the segment's whole collection, with its first segment only.
     """
     units: dict[int | None, list[Unit]] = {}
     for number, (first, *_) in by_collection(segments).items():
-        if first.source.raw is None:
+        raw = first.source.raw
+        if raw is None and first.interference is None:
             continue
         own, whole = first.of(run), first.source
-        run.establish(own.compressed, partial(_create_compressed, own, whole.collection))
-        compression = RawCompression.of_echo(first.source.raw, whole.collection)
+        run.establish(own.compressed, partial(_create_compressed, own, whole.collection, raw is not None))
+        compression = None if raw is None else RawCompression.of_echo(raw, whole.collection)
         units[number] = [
             single_task(
                 client,
                 own,
-                "compress",
+                "interference" if compression is None else "compress",
                 own.unit_of_collection(f"pulses-{pulses[0]}"),
-                compress_pulses,
+                prepare_pulses,
                 whole.within(pulses=slice(*pulses)),
                 pulses,
                 compression,
+                first.interference,
             )
             for pulses in spans(whole.collection.n_pulse, TILE[0])
         ]
     if not units:
         return list(segments), [[] for _ in segments]
     flat = list(chain(*units.values()))
-    done = iter(
-        run_units(client, "range-compress", flat, run, listener, per_worker=2, reading_input=[unit for unit, _ in flat])
-    )
+    stage = "interference" if all(segment.source.raw is None for segment in segments) else "range-compress"
+    done = iter(run_units(client, stage, flat, run, listener, per_worker=2, reading_input=[unit for unit, _ in flat]))
     receipts = {number: list(islice(done, len(some))) for number, some in units.items()}
     try:
         opened = {
-            number: stores.open_phase_history(group[0].of(run).compressed).pinned()
+            number: replace(stores.open_phase_history(group[0].of(run).compressed).pinned(), look=group[0].source.look)
             for number, group in by_collection(segments).items()
             if number in units
         }
@@ -502,7 +505,7 @@ def compress_raw(
     return ready, [receipts.pop(segment.collection, []) for segment in segments]
 
 
-def _create_compressed(run: Run, collection: Collection) -> None:
-    # The noise is that of a sample of the echo, not of the signal.
-    kept = Collection(**{**collection.as_dict(), "noise_power": None})
+def _create_compressed(run: Run, collection: Collection, of_echo: bool) -> None:
+    # The noise of an echo is that of its samples, not of the signal's.
+    kept = Collection(**{**collection.as_dict(), "noise_power": None}) if of_echo else collection
     stores.create_phase_history(run.compressed, kept, overwrite=True)

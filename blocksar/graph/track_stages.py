@@ -24,8 +24,9 @@ from blocksar.chunks import COPY_BYTES
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
+from blocksar.focusing.method import Cutting
 from blocksar.graph.segments import Segment
-from blocksar.graph.stages import compress_raw
+from blocksar.graph.stages import prepare_samples
 from blocksar.graph.track_tasks import (
     Files,
     anchor_track,
@@ -90,12 +91,13 @@ def estimate_track(
     listener: Listener,
     threads: int,
     terrain: Terrain | None = None,
+    interference: Cutting | None = None,
 ) -> Estimated:
     """Estimate the error of a phase history's track.
 
     Its channels have one track: it is estimated from the one that `select_points` takes. Control points, if there are
     some, anchor what the samples alone do not tell. A task that runs alone has `threads`. Points stand on the terrain,
-    by default on the plane z = ground_height.
+    by default on the plane z = ground_height. Interference is cut first, if that is asked for.
 
     Raises
     ------
@@ -107,7 +109,7 @@ def estimate_track(
     if terrain is not None:
         run.establish(run.terrain, partial(stores.write_terrain, run.terrain, terrain))
     work = work_of(str(run.folder), run.identity, grid)
-    chosen, source, receipts = _select(client, channels, run, work, grid, listener)
+    chosen, source, receipts = _select(client, channels, run, work, grid, listener, interference)
     points, stage = files_of(receipts[-1:]), partial(run_stage, client, run, listener)
     alone = replace(run, threads=threads)
     correction: Files = {}
@@ -154,13 +156,14 @@ def _select(
     work: Work,
     grid: Grid | None,
     listener: Listener,
+    interference: Cutting | None,
 ) -> tuple[int, stores.PhaseHistory, list[Receipt]]:
     """Select points and the channel that they are of: its number, its samples, and receipts, the last of the points."""
     numbers = range(len(channels)) if len(channels) > 1 else [None]
-    segments, compressed = compress_raw(
+    segments, compressed = prepare_samples(
         client,
         [
-            Segment(collection=number, source=source, geometry=work.geometry, plan=None)
+            Segment(collection=number, source=source, geometry=work.geometry, plan=None, interference=interference)
             for number, source in zip(numbers, channels, strict=True)
         ],
         run,

@@ -170,7 +170,7 @@ def chips_of_pulses(
     """Take the points' chips of a block of pulses, along the track as corrected so far."""
     started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
     signal = _samples(run, source, slice(*pulses))
-    missing = int(np.isnan(signal).any(axis=1).sum())
+    missing = int(np.isnan(signal).all(axis=1).sum())
     along = _correction(run, work, correction).displacement
     part = take_chips(signal, work, _points(run, points), along, slice(*pulses), threads=run.threads)
     return _kept(run, unit, "chips", [part], started, missing=missing)

@@ -27,7 +27,7 @@ from blocksar.planning.tiling import box_of, chunks_of, image_chunk, inspection_
 from blocksar.progress import Work
 from blocksar.progress.estimate import finishing_times
 
-COMPRESS = 6e-8  # per sample of the echo
+COMPRESS = 6e-8  # per sample of the echo, and per sample in which interference is looked for
 RECOVER = 3.2e-8  # per written sample of the spectrum
 GATE = 2.6e-8  # per written sample of a range sub-block
 STEPS = 8.5e-11  # per operation of the blocks' transforms and resamplings, as Plan.work counts them
@@ -174,13 +174,13 @@ def seconds_of(work: Work, *, workers: int, threads: int, pace: float) -> dict[s
     return {"start": pace * START, **stages}
 
 
-def of_compression(echoes: Iterable[tuple[int, int]]) -> Work:
-    """Work of range compression of raw echoes of so many pulses and samples each; nothing without any."""
+def of_preparation(echoes: Iterable[tuple[int, int]], *, raw: bool) -> Work:
+    """Work of range compression of so many pulses and samples each, or without `raw` echoes of cutting interference."""
     units: list[float] = []
     for n_pulse, samples in echoes:
         groups = math.ceil(n_pulse / TILE[0])
         units += [COMPRESS * samples / groups] * groups if samples else []
-    return {"range-compress": units} if units else {}
+    return {"range-compress" if raw else "interference": units} if units else {}
 
 
 def projection_seconds(geometry: Geometry, x: FloatArray, y: FloatArray, update: float = BACK_PROJECT) -> float:

@@ -19,6 +19,7 @@ from blocksar.collection.raw_echo import RawEcho
 from blocksar.constants import MIB
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import gpu_memory, image_memory
+from blocksar.focusing.interference import GROUP
 from blocksar.focusing.range_gate import COMPRESSED_ROWS, RangeGate, RawCompression
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.groups import GROUP_BYTES
@@ -72,6 +73,13 @@ def compression_memory(collection: Collection, raw: RawEcho | None) -> int:
     length = RawCompression.of_echo(raw, collection).length
     pulses = 8 * TILE[0] * (2 * echo + 2 * band)  # as arrays, and as chunks read and written
     return PROCESS_MEMORY + pulses + COMPRESSED_ROWS * (8 * length + 5 * 16 * band)
+
+
+def interference_memory(collection: Collection) -> int:
+    """Peak memory of a worker that cuts interference from samples, bytes."""
+    columns = collection.n_range_frequency
+    # As an array and as chunks read and written; of a group in double precision, and what of it is projected out.
+    return PROCESS_MEMORY + 8 * 3 * TILE[0] * columns + 16 * 6 * 2 * GROUP * columns
 
 
 def track_memory(collection: Collection, n_pulse: int, chips: int) -> int:

@@ -525,7 +525,7 @@ def _stage_of(unit: str, *, back_projection: bool) -> str:
 
 
 _BEFORE = {"weighting_range": "uniform", "weighting_azimuth": "uniform", "surface": "plane"}  # of older runs
-_IF_USED = ("autofocus", "control", "track_input")  # settings that only runs with them have
+_IF_USED = ("autofocus", "control", "track_input", "interference")  # settings that only runs with them have
 
 
 @dataclass(frozen=True, kw_only=True)

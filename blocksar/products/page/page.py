@@ -208,6 +208,7 @@ def repeat_command(settings: Mapping[str, Any], paths: Sequence[str], folder: st
         "surface": "plane",
         "vertical": None,
         "looks": None,
+        "interference": None,
         "weighting_range": "uniform",
         "weighting_azimuth": "uniform",
     }

@@ -17,6 +17,7 @@ from blocksar.runs.record import PredictedBlock
 
 UNITS = {
     "range-compress": "range compression",
+    "interference": "search for interference",
     "inspect": "inspection, by columns",
     "recover": "recovery, by columns",
     "gate": "range gates, by Doppler bins",
