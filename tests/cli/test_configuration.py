@@ -49,7 +49,6 @@ scheduler = "tcp://a:1"
 wait-workers = 5.0
 whole-pulses = true
 interference = "eigen"
-pyramid = true
 performance-report = "report.html"
 overwrite = true
 discard = true
