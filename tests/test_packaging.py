@@ -11,6 +11,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+import yaml
 from repository import ROOT
 
 from blocksar.version import __version__
@@ -52,8 +53,15 @@ def test_the_sdist_holds_what_is_needed_to_build_and_to_test(tmp_path: Path) -> 
     for folder in ("blocksar", "tests", "workflows", "deploy"):
         code = {path.relative_to(ROOT).as_posix() for path in (ROOT / folder).rglob("*.py")}
         assert code <= names
-    assert {"pyproject.toml", "README.md", "CHANGELOG.md", "LICENSE", ".ci/run", "PKG-INFO"} <= names
+    assert {"pyproject.toml", "README.md", "CHANGELOG.md", "CITATION.cff", "LICENSE", ".ci/run", "PKG-INFO"} <= names
     assert not [name for name in names if "__pycache__" in name or name.endswith((".nbi", ".nbc", ".pyc"))]
+
+
+def test_the_citation_is_of_this_version() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert (citation["cff-version"], citation["title"], citation["version"]) == ("1.2.0", "blocksar", __version__)
+    assert citation["license"] == PROJECT["license"]
+    assert [author["name"] for author in citation["authors"]] == [each["name"] for each in PROJECT["authors"]]
 
 
 def test_pages_install_from_a_clone_or_a_wheel_with_extras_that_exist() -> None:
