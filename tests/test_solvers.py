@@ -102,7 +102,8 @@ def test_power_coefficients_through_nodes() -> None:
 def test_nothing_that_leads_to_an_image_calls_blas_or_lapack() -> None:
     wrong = []
     for path in sorted(path for room in TO_IMAGES for path in (PACKAGE / room).rglob("*.py")):
-        if path.name == "georeference.py":  # for products only
+        # For products only; and `--interference eigen`, which says that it does not repeat to the bit.
+        if path.name in {"georeference.py", "interference.py"}:
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult):

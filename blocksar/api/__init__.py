@@ -39,7 +39,7 @@ if TYPE_CHECKING:
         ingest_sentinel1,
         simulate,
     )
-    from blocksar.api.viewing import view, wait_until_closed
+    from blocksar.api.viewing import view
 
 # The module of each function: it is loaded on first use, since a command needs one of them.
 _HOMES = {
@@ -49,7 +49,7 @@ _HOMES = {
     "ingest_crsd": "sources", "ingest_gotcha": "sources", "ingest_nisar": "sources", "ingest_palsar": "sources",
     "ingest_sentinel1": "sources", "open": "exporting", "plan": "planning", "preview": "previewing",
     "quality": "measuring", "report": "reporting", "scene_centre": "datasets", "simulate": "sources",
-    "view": "viewing", "wait_until_closed": "viewing", "write": "datasets",
+    "view": "viewing", "write": "datasets",
 }  # fmt: skip
 __all__ = [
     "PlanReport",
@@ -79,7 +79,6 @@ __all__ = [
     "scene_centre",
     "simulate",
     "view",
-    "wait_until_closed",
     "write",
 ]
 

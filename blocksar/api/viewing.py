@@ -55,11 +55,5 @@ def view(run: Location, *, channel: str | None = None, port: int | None = None, 
     return Report(summary=lines, result=viewer)
 
 
-def wait_until_closed(viewer: Viewer) -> None:
-    """Serve until the process is interrupted."""
-    with viewer:
-        viewer.wait()
-
-
 def _is_port(number: int) -> bool:
     return PORTS[0] <= number <= PORTS[1]

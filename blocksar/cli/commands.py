@@ -195,7 +195,7 @@ def view(
     show(report)
     hint(context, "report", run)
     with suppress(KeyboardInterrupt):
-        api.wait_until_closed(report.result)
+        report.result.serve()
 
 
 def simulate(

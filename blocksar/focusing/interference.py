@@ -35,6 +35,9 @@ A target's course over the pulses is independent of the interference's: of its a
 on the mean, as a random vector has so much of its energy in r of so many dimensions. Samples are divided by what is
 left, so that it keeps its amplitude; the power of the noise rises by as much.
 
+Singular vectors are LAPACK's, whose last bits depend on memory addresses: images by `eigen` repeat to about 1e-7 of
+their samples and not to the bit, as all others do; a resumed run's as well.
+
 The leak must be the same in all pulses of a group: the receive window must follow the reference range, or its delays
 before it (`cycles`) be known, as those of a raw echo are.
 """

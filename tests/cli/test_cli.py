@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
+from typing import Any
 
 import pytest
 import typer
@@ -41,6 +42,15 @@ COMMANDS = {
     "view": ["view", "run", "--no-browser"],
     "compile": ["compile"],
 }
+
+
+class Result(dict[str, Any]):
+    """The result of any command; that of `view` serves."""
+
+    def serve(self) -> None:
+        pass
+
+
 REPORT = SimpleNamespace(
     measurable=True,
     details=[],
@@ -48,7 +58,7 @@ REPORT = SimpleNamespace(
     summary=["three blocks"],
     table=lambda: [(["target", "width [m]"], [["A1", "1.89"], ["B2", "[bold]1.90"]])],
     refusal=None,
-    result={"next": [["plan", "a b.zarr"]]},
+    result=Result(next=[["plan", "a b.zarr"]]),
 )
 
 
@@ -60,7 +70,6 @@ class Calls(ModuleType):
         self.seen: dict[str, tuple[tuple[object, ...], dict[str, object]]] = {}
         self.answer: object = REPORT
         self.updates: list[tuple[str, int, int]] = []
-        self.wait_until_closed = lambda viewer: None
         for name in (*COMMANDS, "autofocus", "export"):
             setattr(self, name, lambda *args, _name=name, **kwargs: self._called(_name, args, kwargs))
 

@@ -70,8 +70,8 @@ def test_units_lost_by_the_scheduler_are_started_again(client: Client) -> None:
             client.cancel([future], force=True)
         return future
 
-    units = [(unit, partial(start, unit)) for unit in "abcd"]
-    outcomes = {unit: future.result() for unit, future in units.as_completed(client, "focus", units, 2, Listener())}
+    todo = [(unit, partial(start, unit)) for unit in "abcd"]
+    outcomes = {unit: future.result() for unit, future in units.as_completed(client, "focus", todo, 2, Listener())}
     assert outcomes == {unit: unit for unit in "abcd"}
     assert [started.count(unit) for unit in "ad"] == [1, 1] and min(started.count(unit) for unit in "bc") >= 3
 

@@ -372,7 +372,7 @@ def sizes(store: Path, run: Path) -> dict[str, int]:
     """Disk sizes at which the disk fills up in each stage, bytes; the plan lies there until the run is finished."""
     spectrum, patches, image = (run / name for name in ("spectrum.zarr", "patches", "image.zarr"))
     plan = len(stored_plan.pack(blocksar.plan(store, **SETTINGS).plan))
-    beginning = pages(run) - pages(spectrum, patches, image) + plan + 64 * PAGE
+    beginning = pages(run) - pages(spectrum, patches, image) + plan + 128 * PAGE
     return {
         "recover": beginning + pages(spectrum) // 2,
         "focus": beginning + pages(spectrum) + pages(patches) // 2,

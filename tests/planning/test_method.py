@@ -28,7 +28,7 @@ def _split(options: dict[str, Any]) -> dict[str, Any]:
         ({"processor": "backprojection", "derotation": "linear"}, "backprojection has no derotation to choose"),
         (
             {"processor": "hierarchical-backprojection", "keystone": False},
-            "an option of angular-division and keystone-resampling and high-order-phase only; leave it out",
+            "an option of angular-division, keystone-resampling and high-order-phase only; leave it out",
         ),
     ],
 )

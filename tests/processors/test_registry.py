@@ -152,7 +152,7 @@ def test_what_is_wrong_is_refused_in_a_sentence(environment: dict[str, str], spo
     )  # fmt: skip
     assert order == "order = 2: give 3, 4 or 5"
     assert near == "ordr is 3, but processor polar-format has no such option; did you mean order?"
-    assert linear.startswith("derotation is 'linear', but it is an option of angular-division and ")
+    assert linear.startswith("derotation is 'linear', but it is an option of angular-division, ")
     assert weighted.startswith("polar-format has no terrain, weighting, ")
     assert far.startswith(
         "waves are too curved for polar-format; take a smaller grid or step; hierarchical back-projection has "

@@ -127,6 +127,11 @@ class Viewer:
         while self._thread.is_alive():
             self._thread.join(0.5)
 
+    def serve(self) -> None:
+        """Serve until the process is interrupted, and close."""
+        with self:
+            self.wait()
+
     def close(self) -> None:
         """Stop serving."""
         self._server.shutdown()
