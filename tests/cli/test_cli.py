@@ -44,7 +44,7 @@ COMMANDS = {
 }
 
 
-class Result(dict[str, Any]):
+class Answer(dict[str, Any]):
     """The result of any command; that of `view` serves."""
 
     def serve(self) -> None:
@@ -58,7 +58,7 @@ REPORT = SimpleNamespace(
     summary=["three blocks"],
     table=lambda: [(["target", "width [m]"], [["A1", "1.89"], ["B2", "[bold]1.90"]])],
     refusal=None,
-    result=Result(next=[["plan", "a b.zarr"]]),
+    result=Answer(next=[["plan", "a b.zarr"]]),
 )
 
 
