@@ -115,99 +115,71 @@ def strips_of(cells: Sequence[tuple[int, int]], grid: Grid) -> Iterator[tuple[Se
             first = end
 
 
-class _Surfaces:
-    """The ground of the windows of a strip, and its visibility, each when it is first asked for."""
+class StripLayers:
+    """Height, local incidence angle and visibility of the windows of a strip; not for several threads at once.
 
-    def __init__(self, strip: Strip, grid: Grid, terrain: Terrain, around: Terrain) -> None:
-        self.strip = strip
-        self._grid, self._terrain, self._around = grid, terrain, around
+    Each is found when it is first asked for, for all windows together.
+    """
+
+    def __init__(
+        self, strip: Strip, grid: Grid, terrain: Terrain, around: Terrain, sights: Mapping[int, Sight]
+    ) -> None:
+        self._strip, self._grid, self._terrain, self._around, self._sights = strip, grid, terrain, around, sights
         self._found: dict[int, list[SeenGround]] = {}
         self._seen: dict[int, NDArray[np.uint8]] = {}
 
+    def over(self, number: int, owner: NDArray[np.int16]) -> dict[str, NDArray[Any]]:
+        """The layers of window `number`, by name.
+
+        `owner` has the block of each pixel, -1 where not covered. Shadow and layover reach as far as the terrain about
+        the image is known.
+        """
+        incidence = by_owner(self._sights, owner, lambda sight: self._of(sight)[number].angle, np.nan)
+        seen = by_owner(self._sights, owner, lambda sight: self._visibility(number, sight), UNKNOWN)
+        # Heights do not depend on the sight: those that are known serve.
+        found = next(iter(self._found.values()), None) or self._of(next(iter(self._sights.values())))
+        layers = {"height": found[number].rounded, "incidence_angle": incidence, "visibility": seen}
+        return {name: layers[name].astype(kind.dtype, copy=False) for name, kind in stores.ON_TERRAIN.items()}
+
     def _of(self, sight: Sight) -> list[SeenGround]:
         if id(sight) not in self._found:
-            self._found[id(sight)] = heights_and_angles(self._terrain, sight, self._grid, self.strip)
+            self._found[id(sight)] = heights_and_angles(self._terrain, sight, self._grid, self._strip)
         return self._found[id(sight)]
 
-    def of(self, number: int, sight: Sight) -> SeenGround:
-        """Ground of window `number` of the strip."""
-        return self._of(sight)[number]
-
-    def any_of(self, number: int, sight: Sight) -> SeenGround:
-        """Ground of a window with heights, which are those of all sights (`sight` is a free choice), not its angles."""
-        found = next(iter(self._found.values()), None)
-        return (self._of(sight) if found is None else found)[number]
-
-    def visibility(self, number: int, sight: Sight) -> NDArray[np.uint8]:
+    def _visibility(self, number: int, sight: Sight) -> NDArray[np.uint8]:
         if id(sight) not in self._seen:
-            self._seen[id(sight)] = visibility(self._around, sight, self._grid, self.strip.whole)
-        columns, first = self.strip.columns[number], self.strip.columns[0].start
+            self._seen[id(sight)] = visibility(self._around, sight, self._grid, self._strip.whole)
+        columns, first = self._strip.columns[number], self._strip.columns[0].start
         return self._seen[id(sight)][:, columns.start - first : columns.stop - first]
 
 
 class TerrainLayers:
-    """Height, local incidence angle and visibility of a run's pixels; not for several threads at once.
+    """Layers of a run's pixels on its terrain, by strips.
 
     Parameters
     ----------
     run : Run
     grid : Grid
-
-    Attributes
-    ----------
-    sights : dict
-        The antenna as seen from the pixels of each block. Without any the image lies on the plane, and there are no
-        layers.
-    heights : GroundHeights
+    sights : mapping of int to Sight
+        The antenna as seen from the pixels of each owner.
     """
 
     def __init__(self, run: Run, grid: Grid, sights: Mapping[int, Sight]) -> None:
-        self._grid, self.sights = grid, sights
-        self.heights = GroundHeights(run, grid, on_terrain=bool(sights))
-        self._surfaces: _Surfaces | None = None
-        self._stored = self._around = stores.StoredTerrain(run.terrain) if sights else None
-        if sights and (run.surroundings / "zarr.json").exists():
+        self._grid, self._sights = grid, sights
+        self._stored = self._around = stores.StoredTerrain(run.terrain)
+        if (run.surroundings / "zarr.json").exists():
             self._around = stores.StoredTerrain(run.surroundings)
 
-    def begin(self, strip: Strip) -> None:
-        """Prepare for the windows of a strip, which are asked for next: much of the work is done for all at once."""
-        if self._stored is None or self._around is None:
-            return
+    def of(self, strip: Strip) -> StripLayers:
+        """Read the terrain that the layers of a strip need."""
         y, x = self._grid.y[strip.rows], self._grid.x[strip.whole[1]]
-        boxes, seen_by = [box_about(self._grid, strip.whole)], {id(sight): sight for sight in self.sights.values()}
+        boxes, seen_by = [box_about(self._grid, strip.whole)], {id(sight): sight for sight in self._sights.values()}
         for sight in seen_by.values():
             boxes.append(reach(sight, x, y, self._around.limits))
         (x0, x1, y0, y1) = (np.array(boxes)[:, axis, end] for axis in (0, 1) for end in (0, 1))
         around = self._around.read((float(x0.min()), float(x1.max())), (float(y0.min()), float(y1.max())))
         terrain = around if self._around is self._stored else self._stored.read(*boxes[0])
-        self._surfaces = _Surfaces(strip, self._grid, terrain, around)
-
-    def over(self, window: Window, owner: NDArray[np.int16] | int) -> dict[str, NDArray[Any]]:
-        """The layers of a window of the strip, or of any other, by name.
-
-        `owner` has the block of each pixel, -1 where not covered, or is the block of all of them. Shadow and layover
-        reach as far as the terrain about the image is known.
-        """
-        if self._stored is None:
-            return {}
-        surfaces, number = self._at(window)
-        incidence = by_owner(self.sights, owner, lambda sight: surfaces.of(number, sight).angle, np.nan)
-        seen = by_owner(self.sights, owner, lambda sight: surfaces.visibility(number, sight), UNKNOWN)
-        height = surfaces.any_of(number, next(iter(self.sights.values()))).rounded
-        layers = {"height": height, "incidence_angle": incidence, "visibility": seen}
-        return {name: layers[name].astype(kind.dtype, copy=False) for name, kind in stores.ON_TERRAIN.items()}
-
-    def _at(self, window: Window) -> tuple[_Surfaces, int]:
-        """The strip with a window, and the window's number in it."""
-        rows, columns = window
-        if (
-            self._surfaces is None
-            or self._surfaces.strip.rows != rows
-            or columns not in self._surfaces.strip.columns
-        ):  # fmt: skip
-            self.begin(Strip(rows, [columns]))
-        assert self._surfaces is not None
-        return self._surfaces, self._surfaces.strip.columns.index(columns)
+        return StripLayers(strip, self._grid, terrain, around, self._sights)
 
 
 def write_layers(alike: AlikeChunks, window: Window, layers: Mapping[str, NDArray[Any]]) -> list[Written]:

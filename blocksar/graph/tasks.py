@@ -248,11 +248,11 @@ def add_layers(
     layers, alike = TerrainLayers(run, grid, sights), AlikeChunks(run)
     with WritesBehind() as behind:
         for _, strip in strips_of(cells, grid):
-            layers.begin(strip)
-            for columns in strip.columns:
+            found = layers.of(strip)
+            for number, columns in enumerate(strip.columns):
                 turn, window = behind.turn(), (strip.rows, columns)
                 owner = stores.read_region(run.image, "block", window, cached=False)
-                turn.submit(write_layers, alike, window, layers.over(window, owner))
+                turn.submit(write_layers, alike, window, found.over(number, owner))
     return sign(run, Receipt(unit=unit, stage="layers", written=behind.written), started)
 
 
