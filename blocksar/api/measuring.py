@@ -16,7 +16,7 @@ from blocksar.api.reports import Report, Table, finite, rounded
 from blocksar.api.shadows import in_shadow
 from blocksar.api.target_files import targets_of
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import aperture, dwell
+from blocksar.collection.beam import aperture
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import CUT_WIDTHS, Weighting
 from blocksar.errors import InputError
@@ -193,7 +193,7 @@ def _seen(geometry: Geometry, target: Target) -> Target:
     ground = float(geometry.height(*at))
     if target.z is None or not abs(target.z - ground) > RAISED:
         return target
-    first, last = dwell(geometry, *at)
+    first, last = geometry.beam.dwell(*at)
     time = np.clip((first + last) / 2 if first < last else np.array(geometry.epoch), *aperture(geometry.collection))
 
     def look(xy: FloatArray) -> FloatArray:

@@ -11,7 +11,6 @@ from blocksar import stores
 from blocksar.api.arguments import Source, history_of, on_ground, sources_of
 from blocksar.api.ground import geometry_over
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import dwell
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
@@ -74,7 +73,7 @@ def _shares(geometry: Geometry, grid: Grid) -> FloatArray:
     """Mean recorded shares at lit points of a grid, the outermost among them: (n,), NaN where not imaged."""
     axes = (axis[np.unique(np.linspace(0, axis.size - 1, LOOKED_AT).round().astype(int))] for axis in (grid.x, grid.y))
     x, y = np.meshgrid(*axes)
-    first, last = dwell(geometry, x, y)
+    first, last = geometry.beam.dwell(x, y)
     return recorded_means(geometry, x, y).amplitude[last > first]
 
 

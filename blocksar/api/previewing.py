@@ -16,7 +16,6 @@ from blocksar.api.partial_pulses import imaging_parts
 from blocksar.api.pulses import pulse_reader
 from blocksar.api.reports import Report, only_stage
 from blocksar.arrays import ComplexArray
-from blocksar.collection.beam import dwell_margin
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
@@ -124,7 +123,7 @@ def preview(
             if len(planned) == 1:
                 power = own
             else:
-                margin = np.where(np.isnan(own), -np.inf, dwell_margin(each.geometry, *np.meshgrid(grid.x, grid.y)))
+                margin = np.where(np.isnan(own), -np.inf, each.geometry.beam.margin(*np.meshgrid(grid.x, grid.y)))
                 power, most = np.where(margin > most, own, power), np.maximum(margin, most)
         _refuse_dark(geometries, chosen, power)
         return power

@@ -14,7 +14,7 @@ from blocksar.api.partial_pulses import PARTS
 from blocksar.api.pulses import lit_pulse_reader
 from blocksar.api.reports import Table
 from blocksar.arrays import ComplexArray
-from blocksar.collection.beam import full_dwell_yaw, has_full_dwell
+from blocksar.collection.beam import full_dwell_yaw
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import plan_region
@@ -50,7 +50,7 @@ def compare_with_exact(run: FinishedRun, result: dict[str, Any]) -> tuple[Table,
     compared = _compare(run, inputs)
     chips: list[dict[str, Any]] = [
         {
-            "place": name, "x": x, "y": y, "full_dwell": bool(has_full_dwell(run.geometry_at(x, y), x, y)),
+            "place": name, "x": x, "y": y, "full_dwell": bool(run.geometry_at(x, y).beam.has_full_dwell(x, y)),
             "coherence": abs(c.coherence), "judged": referred(abs(c.coherence), ratio), "gain": c.gain,
             "phase": c.phase, "power": c.power, "power_within_reach": ratio * c.power,
         }
@@ -183,8 +183,8 @@ def _chips_at(places: Sequence[tuple[str, float, float]], run: FinishedRun, path
             chip = np.where(run.read_input(rows, columns) == run.record.inputs.index(path), chip, np.nan)
         if np.isfinite(chip.real).mean() < 0.5:
             continue
-        if has_full_dwell(geometry, x, y):  # its neighbours may be lit for a few pulses only
-            chip = np.where(has_full_dwell(geometry, run.x[columns], run.y[rows, None]), chip, np.nan)
+        if geometry.beam.has_full_dwell(x, y):  # its neighbours may be lit for a few pulses only
+            chip = np.where(geometry.beam.has_full_dwell(run.x[columns], run.y[rows, None]), chip, np.nan)
         chips.append((name, float(x), float(y), chip, rows, columns))
     return chips
 
@@ -221,7 +221,7 @@ def reference_places(geometry: Geometry, plan: RunPlan) -> list[tuple[str, float
     if collection.has_axis:
         middle = (predicted[0].range[0] + predicted[-1].range[1]) / 2
         tried = np.linspace(low, high, FULL_DWELL_YAWS)
-        full = tried[has_full_dwell(geometry, *geometry.ground_axes(np.array(middle), tried))]
+        full = tried[geometry.beam.has_full_dwell(*geometry.ground_axes(np.array(middle), tried))]
         low, high = (float(full[0]), float(full[-1])) if full.size > 1 else (low, high)
     elif collection.steered:
         first, last = full_dwell_yaw(collection)

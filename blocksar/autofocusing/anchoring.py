@@ -30,7 +30,6 @@ from blocksar.autofocusing.correction import Correction
 from blocksar.autofocusing.finishing import Result
 from blocksar.autofocusing.selection import Points
 from blocksar.autofocusing.work import Work
-from blocksar.collection.beam import lit_interval
 from blocksar.errors import InputError
 from blocksar.kernels.fourier import fast_length, fft_rows
 from blocksar.solvers import least_squares
@@ -215,7 +214,7 @@ class Control:
         InputError
             If none light one.
         """
-        first, last = lit_interval(work.geometry, self.x, self.y)
+        first, last = work.geometry.beam.longest_pass(self.x, self.y)
         for name, a, b in zip(self.names, first, last, strict=True):
             if b - a < 2 * work.decimation:
                 raise InputError(f"control point {name} is not lit; leave it out, or correct its place")

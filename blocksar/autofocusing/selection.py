@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.autofocusing.range_lines import range_profiles, take_lines, taps
 from blocksar.autofocusing.work import Work
-from blocksar.collection.beam import is_lit, lit_interval
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
 from blocksar.kernels.fourier import fft_rows
@@ -169,7 +168,7 @@ def _lit_yaws(work: Work, pulses: slice) -> tuple[float, float] | None:
     near, far = work.region.at(yaw)
     x, y = work.plane.ground_axes(np.stack([near, (near + far) / 2, far]), yaw)
     middle = (pulses.start + pulses.stop) // 2
-    lit = np.flatnonzero(is_lit(work.plane, x, y, slice(middle, middle + 1))[..., 0].any(axis=0))
+    lit = np.flatnonzero(work.plane.beam.is_lit(x, y, slice(middle, middle + 1))[..., 0].any(axis=0))
     return (float(yaw[lit[0]]), float(yaw[lit[-1]])) if lit.size > 1 else None
 
 
@@ -322,7 +321,7 @@ def select_points(channels: Sequence[Sequence[Candidates]], work: Work) -> Chose
         )
     channel = told.index(max(told))
     x, y, distinct = places[channel]
-    first, last = lit_interval(work.geometry, x, y)
+    first, last = work.geometry.beam.longest_pass(x, y)
     z = np.broadcast_to(work.geometry.height(x, y), x.shape).copy()
     return Chosen(channel, Points(x=x, y=y, z=z, first=first, last=last, distinct=distinct))
 
@@ -356,7 +355,7 @@ def best_points(
     """
     epoch, yaw = work.geometry.epoch_range(x, y), work.geometry.yaw(x, y)
     cell_range, cell_yaw = work.cell, _yaw_cell(work)
-    first, last = lit_interval(work.geometry, x, y)
+    first, last = work.geometry.beam.longest_pass(x, y)
     centres = np.sort(middles)
     seen_by = np.searchsorted(centres, last) - np.searchsorted(centres, first)
     order = np.argsort(-prominence, kind="stable")

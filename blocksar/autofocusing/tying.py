@@ -22,7 +22,6 @@ from blocksar.autofocusing.correction import Correction
 from blocksar.autofocusing.finishing import Result
 from blocksar.autofocusing.selection import Points
 from blocksar.autofocusing.work import Work
-from blocksar.collection.beam import lit_interval
 from blocksar.errors import InputError
 
 SHARED = 0.75  # of a dwell of either collection: what it sees of a point
@@ -47,11 +46,11 @@ def shared_points(one: Work, other: Work, points: Sequence[Points]) -> Points:
     x, y, z = (np.concatenate([getattr(some, name) for some in points]) for name in ("x", "y", "z"))
     seen = np.ones(x.size, bool)
     for work in (one, other):
-        first, last = lit_interval(work.geometry, x, y)
+        first, last = work.geometry.beam.longest_pass(x, y)
         seen &= (last - first >= SHARED * work.dwell) & _in_window(work, x, y, z, first, last)
     index = np.flatnonzero(seen)[: one.settings.points]
     x, y, z = x[index], y[index], z[index]
-    first, last = lit_interval(one.geometry, x, y)
+    first, last = one.geometry.beam.longest_pass(x, y)
     return Points(x=x, y=y, z=z, first=first, last=last)
 
 
@@ -115,7 +114,7 @@ def _place(work: Work, points: Points, chips: Chips, i: int, one: Seen) -> tuple
 
 def places_seen(work: Work, places: Places) -> Places:
     """Select places that another collection sees."""
-    first, last = lit_interval(work.geometry, places.x, places.y)
+    first, last = work.geometry.beam.longest_pass(places.x, places.y)
     inside = _in_window(work, places.x, places.y, places.z, first, last)
     seen = np.flatnonzero((last - first >= 2 * work.decimation) & inside)
     return Places(x=places.x[seen], y=places.y[seen], z=places.z[seen])

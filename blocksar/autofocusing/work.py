@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import most_lit_pulses
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import Region, plan_region
@@ -120,7 +119,7 @@ class Work:
         near, far = self.region.at(yaw)
         x, y = self.plane.ground_axes((near + far) / 2, yaw)
         lit = np.isfinite(x)
-        return max(min(most_lit_pulses(self.plane, x[lit], y[lit]), self.geometry.collection.n_pulse), 1)
+        return max(min(self.plane.beam.most_lit_pulses(x[lit], y[lit]), self.geometry.collection.n_pulse), 1)
 
     @cached_property
     def short(self) -> int:

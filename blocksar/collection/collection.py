@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -377,6 +377,11 @@ class Collection:
     def has_axis(self) -> bool:
         """Whether the beam is described by the antenna's own axis."""
         return self.beam_axis is not None
+
+    @property
+    def pointing(self) -> Literal["beam_azimuth", "beam_steering"]:
+        """The field with the angle of the beam's centre at each pulse."""
+        return "beam_steering" if self.has_axis else "beam_azimuth"
 
     @property
     def has_pattern(self) -> bool:

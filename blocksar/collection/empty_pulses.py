@@ -39,7 +39,6 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray
-from blocksar.collection.beam import beam_offset
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import imaged_side
@@ -242,7 +241,7 @@ def _places(geometry: Geometry, pulse: int, levels: Sequence[float]) -> tuple[Fl
         radius = np.sqrt((collection.reference_range[pulse] + offset) ** 2 - (antenna[2] - height) ** 2)
     turn = np.linspace(-np.pi, np.pi, TURNS + 1)
     x, y = (antenna[axis] + radius[:, None] * ray for axis, ray in ((0, np.cos(turn)), (1, np.sin(turn))))
-    away, places = beam_offset(geometry, x, y, pulse, height), []
+    away, places = geometry.beam.offset(x, y, pulse, height), []
     for level in levels:
         above = away - level
         rise = np.diff(above, axis=1)
@@ -261,7 +260,7 @@ def _places(geometry: Geometry, pulse: int, levels: Sequence[float]) -> tuple[Fl
 def _offset_rate(geometry: Geometry, point: FloatArray, pulse: int) -> float:
     """How the offset of a point (3,) from the beam's centre changes from pulse to pulse, rad."""
     around = np.clip([pulse - 1, pulse + 1], 0, geometry.collection.n_pulse - 1)
-    before, after = beam_offset(geometry, point[0], point[1], around, float(point[2]))
+    before, after = geometry.beam.offset(point[0], point[1], around, float(point[2]))
     return float(after - before) / int(around[1] - around[0])
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial, chebyshev
@@ -22,6 +22,9 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.spline import Spline, fit_spline
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
+
+if TYPE_CHECKING:
+    from blocksar.collection.beam import Beam
 
 MAX_TRACK_ORDER = 12
 BASE_ORDER = 5  # of the polynomial under a spline
@@ -221,6 +224,13 @@ class Geometry:
     def lit_by(self, collection: Collection) -> Geometry:
         """Copy under the beam of another collection; what is known of its track is kept."""
         return self._keeping_track(Geometry(collection=collection, terrain=self.terrain, smooth=self.smooth))
+
+    @property
+    def beam(self) -> Beam:
+        """The beam over this ground."""
+        from blocksar.collection.beam import beam_of  # needs this module
+
+        return beam_of(self)
 
     def _keeping_track(self, other: Geometry) -> Geometry:
         kept = ("track", "epoch", "nadir", "epoch_position", "track_powers")

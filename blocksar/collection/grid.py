@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SINC_WIDTH, SPEED_OF_LIGHT
 from blocksar.errors import InputError
@@ -80,7 +79,7 @@ def ground_spectrum(geometry: Geometry, epoch_range: float, yaw: float) -> tuple
     """
     collection = geometry.collection
     point = geometry.ground_point(np.array(epoch_range), np.array(yaw))
-    ends = np.array(dwell_at(geometry, np.array(yaw), np.array(epoch_range)))
+    ends = np.array(geometry.beam.dwell_at(np.array(yaw), np.array(epoch_range)))
     sight = point - geometry.track.position(ends)
     gradient = (sight / np.linalg.norm(sight, axis=1, keepdims=True))[:, :2]
     by_band = 2 * collection.bandwidth / SPEED_OF_LIGHT * gradient.mean(axis=0)

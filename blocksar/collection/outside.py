@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import beam_offset, is_lit
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
@@ -80,7 +79,7 @@ def _holds(collection: Collection, x: float, y: float) -> bool:
     """Whether a pulse lights a point x, y, m, while its range lies in the range window."""
     point = np.array([x, y, collection.ground_height])
     away = np.linalg.norm(collection.antenna_position - point, axis=1) - collection.reference_range
-    lit = is_lit(Geometry(collection=collection), np.asarray(x), np.asarray(y))
+    lit = Geometry(collection=collection).beam.is_lit(np.asarray(x), np.asarray(y))
     return bool((lit & (np.abs(away) <= collection.range_window / 2)).any())
 
 
@@ -89,7 +88,7 @@ def describe_pointing(geometry: Geometry, grid: Grid) -> str:
     collection = geometry.collection
     assert collection.beam_steering is not None and collection.beam_width is not None
     x, y = ((np.asarray(low + high) / 2) for low, high in ((grid.x0, grid.x1), (grid.y0, grid.y1)))
-    offset = beam_offset(geometry, x, y, slice(None)) + collection.beam_steering
+    offset = geometry.beam.offset(x, y, slice(None)) + collection.beam_steering
     half = collection.beam_width / 2
     beam = collection.beam_steering.min() - half, collection.beam_steering.max() + half
     return (

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray
-from blocksar.collection.beam import dwell, dwell_at, has_full_dwell, lit_passes, lit_yaw, wrapped
+from blocksar.collection.beam import lit_yaw, wrapped
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution, outline
 from blocksar.collection.outside import MOVE, WINDOW_GUARD, remedied, remedy, why_not_recorded, why_outside
@@ -41,7 +41,7 @@ def range_window(
     low = max(reference - half - spread, floor * 1.0005)
     trial = np.linspace(low, reference + half + spread, 41)
     point = geometry.ground_point(trial[None, :], yaw[:, None])
-    first, last = dwell_at(geometry, yaw[:, None], trial[None, :])
+    first, last = geometry.beam.dwell_at(yaw[:, None], trial[None, :])
     u = np.linspace(0, 1, 9)
     time = first[..., None] + (last - first)[..., None] * u
     if collection.has_axis:  # where nothing is lit, times lie outside
@@ -136,7 +136,7 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
         grid lies outside the swath or holds the nadir.
     """
     collection = geometry.collection
-    if collection.steered and not collection.has_axis:
+    if geometry.beam.by_yaw:
         low, high = lit_yaw(collection)
         near, far = range_window(geometry, np.linspace(low, high, 65), None)
         return Region(yaw=np.linspace(low, high, 65), near=near, far=far)
@@ -282,7 +282,7 @@ def _lit_ranges(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Nearest and farthest lit of `count` ranges from near to far at each yaw (n,), to a step outwards; is any lit?"""
     ranges = near + (far - near) * np.linspace(0, 1, count)[:, None]
-    first, last = dwell_at(geometry, yaw, ranges)
+    first, last = geometry.beam.dwell_at(yaw, ranges)
     lit = last > first
     low, high = lit.argmax(axis=0) - 1, count - lit[::-1].argmax(axis=0)
     each = np.arange(yaw.size)
@@ -342,7 +342,7 @@ def check_seen(geometries: Sequence[Geometry], grid: Grid) -> None:
 def _sees_some(geometry: Geometry, grid: Grid) -> bool:
     collection = geometry.collection
     x, y = np.meshgrid(*(axis[:: math.ceil(axis.size / SEEN_AT)] for axis in (grid.x, grid.y)))
-    first, last = lit_passes(geometry, x, y)
+    first, last = geometry.beam.passes(x, y)
     points, middle = geometry.on_ground(x, y), np.minimum((first + last) // 2, collection.n_pulse - 1)
     away = np.linalg.norm(points - collection.antenna_position[middle], axis=-1) - collection.reference_range[middle]
     return bool(((last > first) & (np.abs(away) <= collection.range_window / 2)).any())
@@ -361,7 +361,7 @@ def share_outside(lit: Sequence[tuple[Geometry, Region]], grid: Grid) -> float:
         _, rng, within_yaw, within_range = _placed(geometry, region, x, y)
         if geometry.collection.has_axis:
             beyond = np.flatnonzero(within_yaw & ~within_range)
-            first, last = dwell(geometry, x[beyond], y[beyond])
+            first, last = geometry.beam.dwell(x[beyond], y[beyond])
             within_yaw[beyond] = last > first
         any_yaw |= within_yaw
         held |= within_yaw & within_range | ~np.isfinite(rng)
@@ -439,8 +439,8 @@ def _full_grid(geometry: Geometry, region: Region) -> Grid:
     near, far = region.at(yaw)
     ranges = near + (far - near) * np.linspace(0, 1, FULL_RANGES)[:, None]
     x, y = geometry.ground_axes(ranges, yaw)
-    first, last = dwell_at(geometry, yaw, ranges)
-    full = has_full_dwell(geometry, x, y) & (last > first)
+    first, last = geometry.beam.dwell_at(yaw, ranges)
+    full = geometry.beam.has_full_dwell(x, y) & (last > first)
     if not full.any():
         full = last - first >= LONG * np.nanmax(last - first)
     rows, columns = np.nonzero(full)
@@ -504,7 +504,7 @@ def block_seams(geometry: Geometry, region: Region, count: int) -> FloatArray:
     """
     collection = geometry.collection
     low, high = region.yaw[0], region.yaw[-1]
-    if not collection.steered or collection.has_axis or np.ptp(collection.beam_azimuth) == 0:
+    if not geometry.beam.by_yaw or np.ptp(collection.beam_azimuth) == 0:
         return np.linspace(low, high, count + 1)
     seams = np.linspace(collection.beam_azimuth.min(), collection.beam_azimuth.max(), count + 1)
     seams[0], seams[-1] = low, high

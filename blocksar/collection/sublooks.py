@@ -13,7 +13,6 @@ from numbers import Integral
 
 import numpy as np
 
-from blocksar.collection.beam import beam_offset
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
@@ -42,7 +41,7 @@ def narrowed(collection: Collection, number: int, count: int, sign: float) -> Co
     """
     assert collection.beam_width is not None
     centre = _centre(number, count, sign) * collection.beam_width
-    moved = "beam_steering" if collection.has_axis else "beam_azimuth"
+    moved = collection.pointing
     changes = {
         moved: getattr(collection, moved) + centre, "beam_width": collection.beam_width / count,
         "lit_width": collection.beam_width,
@@ -59,7 +58,7 @@ def whole_beam(collection: Collection, look: tuple[int, int, float] | None) -> C
     """
     if look is None or collection.lit_width is None:
         return collection
-    width, moved = collection.lit_width, "beam_steering" if collection.has_axis else "beam_azimuth"
+    width, moved = collection.lit_width, collection.pointing
     centre = _centre(*look) * width
     changes = {moved: getattr(collection, moved) - centre, "beam_width": width, "lit_width": None}
     if collection.beam_offset is not None:
@@ -82,7 +81,7 @@ def look_of(collection: Collection, number: int, count: int, sign: float) -> Col
 
 def entering_side(geometry: Geometry, x: float, y: float) -> float:
     """1 if a point on the ground, m, enters the beam at a positive offset from its centre, else -1."""
-    offset = np.asarray(beam_offset(geometry, np.array(x), np.array(y), slice(None)), np.float64)
+    offset = np.asarray(geometry.beam.offset(np.array(x), np.array(y), slice(None)), np.float64)
     middle = int(np.clip(np.argmin(np.abs(offset)), 1, offset.size - 2))
     return 1.0 if offset[middle + 1] < offset[middle - 1] else -1.0
 

@@ -9,8 +9,8 @@ every pixel and pulse: no far field, no mean velocity. `kernels.projection` eval
 series about the centre of a tile, where that errs by less than 1e-9 m, or 1e-7 cycles of phase at X band: -120 dB.
 
 The pulses that light a pixel are an interval, so the loop over them needs no test; or a few intervals, which are summed
-one after the other (`collection.beam.lit_passes`).
-With an antenna pattern g (`collection.beam.pattern_gain`) the sum over lit pulses is divided by that of g instead of
+one after the other (`Beam.passes`).
+With an antenna pattern g (`Beam.gain`) the sum over lit pulses is divided by that of g instead of
 their number, and under a weighting w by that of w g, so that a target of reflectivity 1 still has the value 1. NaN
 samples are excluded from the mean. The image is NaN where no valid sample is lit, where the pattern in elevation is too
 small for an image (`pattern_sums.LEAST_ELEVATION`), and where a lit pulse, missing or not, sees the pixel outside the
@@ -26,7 +26,6 @@ from typing import Any
 import numpy as np
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from blocksar.collection.beam import beam_offset, lit_passes
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, UNIFORM, Taper, Weighting
@@ -75,7 +74,7 @@ def accumulate(
     x, y : (n_row, n_column) float
         m, scene frame.
     first, last : (n_row, n_column) int
-        Lit pulses: one of `lit_passes`.
+        Lit pulses: one of `Beam.passes`.
     threads : int
         The result does not depend on it: one thread sums each pixel, in a fixed order.
     taper : Taper
@@ -128,7 +127,7 @@ def _beam_taper(taper: Taper, profiles: Profiles, geometry: Geometry) -> BeamTap
     def place(x: FloatArray, y: FloatArray, pulses: slice, over: FloatArray | None) -> FloatArray:
         block = slice(pulses.start + start, pulses.stop + start)
         z = geometry.collection.ground_height + (0.0 if over is None else over[:, None])
-        return beam_offset(geometry, x[:, None], y[:, None], block, z) / half
+        return geometry.beam.offset(x[:, None], y[:, None], block, z) / half
 
     valid = profiles.valid / geometry.collection.n_range_frequency
     return BeamTaper(terms=taper.series[0], frequency=taper.series[1], valid=valid, place=place)
@@ -174,7 +173,7 @@ def form_points(
     ValueError
         If x and y are not finite or differ in shape, or `read` returns a wrong shape.
     InputError
-        From `lit_passes`.
+        From `Beam.passes`.
     """
     collection = geometry.collection
     if np.shape(x) != np.shape(y):
@@ -259,7 +258,7 @@ class PixelSums:
     Raises
     ------
     InputError
-        From `lit_passes`.
+        From `Beam.passes`.
     """
 
     def __init__(self, geometry: Geometry, x: FloatArray, y: FloatArray, weighting: Weighting, threads: int) -> None:
@@ -413,12 +412,12 @@ def _run_tiles(work: Callable[[Tile], None], shape: tuple[int, ...], threads: in
 
 
 def _lit_passes(geometry: Geometry, x: FloatArray, y: FloatArray, threads: int) -> list[Pass]:
-    """`lit_passes` tile by tile, so that temporary arrays stay small: the first of the image, further ones of tiles."""
+    """`Beam.passes` tile by tile, so that temporary arrays stay small: the first of the image, further ones of tiles."""
     first, last = np.empty(x.shape, np.int64), np.empty(x.shape, np.int64)
     further: list[Pass] = []
 
     def work(tile: Tile) -> None:
-        firsts, lasts = lit_passes(geometry, x[tile], y[tile])
+        firsts, lasts = geometry.beam.passes(x[tile], y[tile])
         first[tile], last[tile] = firsts[0], lasts[0]
         further.extend((tile, *ends) for ends in zip(firsts[1:], lasts[1:], strict=True))
 
@@ -449,7 +448,7 @@ def _find_dark(
     def work(tile: Tile) -> None:
         over = None if height is None else height[tile]
         z = None if over is None else over + geometry.collection.ground_height
-        passes = lit_passes(geometry, x[tile], y[tile], z)
+        passes = geometry.beam.passes(x[tile], y[tile], z)
         outside[tile] |= mean_elevations(geometry, x[tile], y[tile], over, passes=passes).dark(geometry)
 
     _run_tiles(work, x.shape, threads)

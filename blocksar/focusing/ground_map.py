@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import lit_passes, lit_total, weighted_pulses, wrapped
+from blocksar.collection.beam import weighted_pulses, wrapped
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
 from blocksar.collection.weighting import Taper
@@ -275,7 +275,7 @@ class GroundMap:
         if not by_range(geometry):
             return weighted_pulses(geometry.collection, self.yaw_axis, valid, taper)
         ranges = np.linspace(self.near, self.far, LIT_RANGES)
-        return lit_total(geometry, ranges, self.yaw_axis, valid, taper)
+        return geometry.beam.lit_total(ranges, self.yaw_axis, valid, taper)
 
     @property
     def levels(self) -> tuple[float, float]:
@@ -327,7 +327,7 @@ class GroundMap:
         """Means of points (1, n) under a pattern in elevation: (3, n)."""
         geometry, settings = self.geometry, dict[str, Any](valid=self.valid, taper=self.taper)
         at: Any = x, y, None if z is None else z - geometry.collection.ground_height
-        means = mean_elevations(geometry, *at, passes=lit_passes(geometry, x, y, z), **settings)
+        means = mean_elevations(geometry, *at, passes=geometry.beam.passes(x, y, z), **settings)
         return np.concatenate(means)
 
     def tilted_gain(self, x: FloatArray, y: FloatArray, z: FloatArray | None, tilt: FloatArray) -> FloatArray:
@@ -388,7 +388,7 @@ def tile_extent(geometry: Geometry, low: float, high: float, near: float, far: f
 
 def by_range(geometry: Geometry) -> bool:
     """Whether the sum over lit pulses depends on range."""
-    return geometry.collection.has_axis or geometry.collection.beam_pattern is not None
+    return geometry.beam.by_range or geometry.collection.beam_pattern is not None
 
 
 def surfaces(

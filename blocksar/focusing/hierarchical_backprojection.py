@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from blocksar.collection.beam import beam_offset, lit_passes
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, UNIFORM, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
@@ -92,7 +91,7 @@ def _outline(geometry: Geometry, x: FloatArray, y: FloatArray, window: Window) -
     mesh_x, mesh_y = np.meshgrid(x[columns], y[rows])
     z = geometry.height(mesh_x, mesh_y)
     parts = []
-    for first, last in zip(*lit_passes(geometry, mesh_x, mesh_y), strict=True):
+    for first, last in zip(*geometry.beam.passes(mesh_x, mesh_y), strict=True):
         seen = Part(x=x[columns], y=y[rows], z=np.asarray(z), first=first, last=last)
         leave_outside(geometry, seen)
         (begin, end), (start, stop) = seen.lit()
@@ -329,10 +328,10 @@ class _Former:
             z = geometry.collection.ground_height + (0.0 if over is None else over[:, None])
             pulses = rows[some]
             known = np.clip(pulses, 0, n - 1)
-            v = beam_offset(geometry, x[:, None], y[:, None], known, z) / half
+            v = geometry.beam.offset(x[:, None], y[:, None], known, z) / half
             for beyond, end, inner in ((pulses < 0, 0, 1), (pulses >= n, n - 1, n - 2)):
                 if beyond.any():
-                    at = [beam_offset(geometry, x[:, None], y[:, None], np.array([p]), z) / half for p in (end, inner)]
+                    at = [geometry.beam.offset(x[:, None], y[:, None], np.array([p]), z) / half for p in (end, inner)]
                     v[:, beyond] = at[0] + (at[0] - at[1]) * np.abs(pulses[beyond] - end)
             return v
 

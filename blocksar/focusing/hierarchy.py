@@ -25,7 +25,7 @@ Pulses may be cut off, missing (zero) or weighted before the filter, as long as 
 *interior* pulses light all of it, the *edge* pulses some of it. The interior goes down the hierarchy decimated in both
 directions, edges in range frequency only. Going down, edge pulses that light all of a child are filtered to the child's
 interior grid and added there: all is linear. In the last parts each pixel takes its own edge pulses, at their full
-rate, so that dwells end exactly where they do in exact back-projection (`collection.beam.lit_passes`). A taper over the
+rate, so that dwells end exactly where they do in exact back-projection (`Beam.passes`). A taper over the
 beam is a weight in the last sum, whose own bandwidth is added to e_d.
 
 Errors are those of the filters, `Levels.attenuation` below all that the data hold, and of the interpolation of the last

@@ -21,7 +21,7 @@ import numpy as np
 
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.collection.axis_beam import Height
-from blocksar.collection.beam import GAIN_PARTS, aperture, dwell, lit_passes, pattern_gain, pulse_weights
+from blocksar.collection.beam import GAIN_PARTS, aperture
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Weighting
 from blocksar.focusing.pattern_sums import mean_elevations
@@ -54,7 +54,7 @@ def pulse_sums(
         Fraction of each pulse's samples that are valid.
     """
     collection, taper = geometry.collection, weighting.azimuth
-    ends = dwell(geometry, x, y, z=z)
+    ends = geometry.beam.dwell(x, y, z=z)
     never = ~(np.isfinite(ends[0]) & np.isfinite(ends[1]))
     start, _ = aperture(collection)
     low, high = (np.where(never, 0.0, (end - start) * collection.prf) for end in ends)
@@ -72,9 +72,9 @@ def pulse_sums(
         first, last = (low + (high - low) * (part + k) / GAIN_PARTS for k in (0, 1))
         count = counted(last) - counted(first)
         middle: IntArray = np.clip((first + last) / 2, 0, n - 1).astype(np.int64)
-        weight = pulse_weights(geometry, x, y, middle, taper, z)
+        weight = geometry.beam.weights(x, y, middle, taper, z)
         squares += count * weight**2
-        gains += count * weight * pattern_gain(geometry, x, y, middle, z)
+        gains += count * weight * geometry.beam.gain(x, y, middle, z)
     return PulseSums(squares, gains)
 
 
@@ -150,7 +150,7 @@ class NoiseMap:
         geometry, (mesh_x, mesh_y) = self.geometry, np.meshgrid(x, y)
         over = None if z is None else z - geometry.collection.ground_height
         means = mean_elevations(
-            geometry, mesh_x, mesh_y, over, passes=lit_passes(geometry, mesh_x, mesh_y, z), valid=self.valid,
+            geometry, mesh_x, mesh_y, over, passes=geometry.beam.passes(mesh_x, mesh_y, z), valid=self.valid,
             taper=self.weighting.azimuth,
         )  # fmt: skip
         return np.where(means.dark(geometry), 0.0, means.weighed)

@@ -95,7 +95,7 @@ def add_gains(
 ) -> None:
     """Add valid[p] w(pixel, p) g(pixel, p) over a block's lit pulses, in place.
 
-    w and g are those of `collection.beam.pulse_weights` and `pattern_gain`.
+    w and g are those of `Beam.weights` and `Beam.gain`.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def mean_elevations(
     height : (n_row, n_column) float, optional
         Over the plane z = ground_height, m; finite. None: on it.
     passes : pair of (n_pass, n_row, n_column) int, optional
-        The pulses first <= p < last that light each pixel, as from `collection.beam.lit_passes`; None: all pulses.
+        The pulses first <= p < last that light each pixel, as from `Beam.passes`; None: all pulses.
     valid : (n_pulse,) float, optional
         The fraction of each pulse's samples that is there; None: all of them.
     taper : Taper
@@ -194,10 +194,11 @@ def mean_elevations(
 
 def _places(geometry: Geometry, x: FloatArray, y: FloatArray, height: FloatArray | None) -> list[FloatArray]:
     """Copies of x, y, heights and, of a beam that is described by them, yaws of pixels (n_row, n_column)."""
-    collection, level = geometry.collection, np.zeros(np.shape(x))
-    by_yaw = collection.steered and not collection.has_axis
+    level = np.zeros(np.shape(x))
     over = level if height is None else height
-    return [np.array(values, order="C") for values in (x, y, over, geometry.yaw(x, y) if by_yaw else level)]
+    return [
+        np.array(values, order="C") for values in (x, y, over, geometry.yaw(x, y) if geometry.beam.by_yaw else level)
+    ]
 
 
 class _Patterns(NamedTuple):

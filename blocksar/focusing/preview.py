@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from blocksar.collection.beam import lit_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution
@@ -100,7 +99,7 @@ def _at_the_middle(geometry: Geometry, grid: Grid) -> tuple[tuple[float, float],
     """Widths of a response and the length of the dwell in pulses, where a point near the middle of the grid is lit."""
     x, y = (axis.ravel() for axis in np.meshgrid(*(np.linspace(0.05, 0.95, 19) for _ in range(2))))
     x, y = grid.x0 + (grid.x1 - grid.x0) * x, grid.y0 + (grid.y1 - grid.y0) * y
-    first, last = lit_interval(geometry, x, y)
+    first, last = geometry.beam.longest_pass(x, y)
     dwell = last - first
     off = np.hypot(x - (grid.x0 + grid.x1) / 2, y - (grid.y0 + grid.y1) / 2)
     chosen = int(np.argmin(np.where(2 * dwell >= dwell.max(), off, np.inf)))
@@ -159,7 +158,7 @@ def _lit(geometry: Geometry, x: FloatArray, y: FloatArray, threads: int) -> tupl
     first, last = np.empty(x.shape, np.int64), np.empty(x.shape, np.int64)
 
     def work(rows: slice) -> None:
-        first[rows], last[rows] = lit_interval(geometry, x[rows], y[rows])
+        first[rows], last[rows] = geometry.beam.longest_pass(x[rows], y[rows])
 
     run_groups(work, [slice(row, row + 16) for row in range(0, x.shape[0], 16)], threads)
     return first, last

@@ -16,7 +16,6 @@ import numpy as np
 
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.axis_beam import Height
-from blocksar.collection.beam import dwell, pattern_gain, pulse_weights
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import UNIFORM, Taper, Weighting
 from blocksar.kernels.groups import run_groups
@@ -124,7 +123,7 @@ def _all_whole(geometry: Geometry, x: FloatArray, y: FloatArray, z: FloatArray |
     away = float(np.linalg.norm([np.ptp(end) for end in ends])) / 2
     corners = np.meshgrid(*ends)
     with np.errstate(invalid="ignore"):
-        first, last = dwell(geometry, corners[0], corners[1], z=None if z is None else corners[2])
+        first, last = geometry.beam.dwell(corners[0], corners[1], z=None if z is None else corners[2])
     if not (np.isfinite(first).all() and np.isfinite(last).all()):
         return False
     middle = [np.full((), end.mean()) for end in ends]
@@ -138,7 +137,9 @@ def _all_whole(geometry: Geometry, x: FloatArray, y: FloatArray, z: FloatArray |
 def _times(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height | None) -> FloatArray:
     """TIMES of the dwells of points (...), s: (TIMES, ...)."""
     time = geometry.collection.time
-    first, last = (np.broadcast_to(np.clip(end, time[0], time[-1]), np.shape(x)) for end in dwell(geometry, x, y, z=z))
+    first, last = (
+        np.broadcast_to(np.clip(end, time[0], time[-1]), np.shape(x)) for end in geometry.beam.dwell(x, y, z=z)
+    )
     return np.asarray(np.linspace(first, last, TIMES))
 
 
@@ -160,4 +161,4 @@ def _weights(
         return weight
     place = np.rint((time - collection.time[0]) * collection.prf)
     pulse = np.clip(np.nan_to_num(place), 0, collection.n_pulse - 1).astype(np.int64)
-    return weight * pulse_weights(geometry, x, y, pulse, taper, z) * pattern_gain(geometry, x, y, pulse, z)
+    return weight * geometry.beam.weights(x, y, pulse, taper, z) * geometry.beam.gain(x, y, pulse, z)

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blocksar.arrays import FloatArray, IntArray
-from blocksar.collection.beam import aperture, dwell, dwell_at, lit_yaw, turned_near
+from blocksar.collection.beam import aperture, lit_yaw, turned_near
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Taps, Terrain
@@ -79,7 +79,7 @@ class Middles:
         start, end = aperture(geometry.collection)
         times = []
         for height in z.tolist():
-            first, last = dwell(geometry, *np.meshgrid(x, y), z=height, uncut=True)
+            first, last = geometry.beam.dwell(*np.meshgrid(x, y), z=height, uncut=True)
             middle = (np.maximum(first, start) + np.minimum(last, end)) / 2
             times.append(np.clip(np.nan_to_num(middle, nan=(start + end) / 2), start, end))
         return cls(x, y, z, np.stack(times))
@@ -129,7 +129,7 @@ class Sight:
             middles = Middles.over(geometry, box, levels)
         else:
             yaw = np.linspace(*lit_yaw(collection), NODES)
-            first, last = dwell_at(geometry, yaw, np.zeros(1))
+            first, last = geometry.beam.dwell_at(yaw, np.zeros(1))
             time = np.where(np.isfinite(first) & np.isfinite(last), (first + last) / 2, middle)
             time = np.clip(time, *aperture(collection))
         return cls(geometry.nadir, yaw, geometry.track.position(time), geometry.track.velocity(time), middles)

@@ -37,7 +37,6 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from blocksar.collection.beam import lit_passes
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
@@ -359,7 +358,7 @@ def plan_cut(collection: Collection, area: Area, present: BoolArray) -> Cut:
 def _lit(collection: Collection, area: Area, shown: str) -> slice:
     """The pulses from the first to the last that lights a place of the area."""
     x, y = np.meshgrid(*(np.linspace(*side, PLACES) for side in area))
-    first, last = lit_passes(Geometry(collection=collection), x, y)
+    first, last = Geometry(collection=collection).beam.passes(x, y)
     lit = last > first
     if not lit.any():
         raise InputError(f"{shown} is lit at no time; give an area that the beam passes")

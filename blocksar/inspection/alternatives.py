@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.collection.beam import beam_offset, wrapped
+from blocksar.collection.beam import wrapped
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.raw_echo import RawEcho
@@ -185,7 +185,7 @@ def doppler_period(geometry: Geometry, region: Region) -> float:
     point = geometry.ground_point((near + far) / 2, yaw)
     sight = point - track[p]
     approach = sight @ velocity / np.linalg.norm(sight, axis=1)
-    angle = beam_offset(geometry, point[:, 0], point[:, 1], p)
+    angle = geometry.beam.offset(point[:, 0], point[:, 1], p)
     slope = abs(float(np.diff(approach)[0] / wrapped(np.diff(angle))[0]))
     return collection.wavelength * collection.prf / 2 / max(slope, 1e-12)
 
@@ -195,7 +195,7 @@ def _of_beam(collection: Collection, period: float) -> list[Change]:
     width = collection.beam_width
     if width is None:
         return []
-    field = "beam_steering" if collection.has_axis else "beam_azimuth"
+    field = collection.pointing
     beam: FloatArray = getattr(collection, field)
     laws: list[Change] = [
         ("the beam turns the other way", f"reverse {field} along pulse", {field: beam[::-1]}),

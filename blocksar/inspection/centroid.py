@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import aperture, dwell_at
+from blocksar.collection.beam import aperture
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import TURN
 from blocksar.focusing.recovery import Recovery
@@ -124,7 +124,7 @@ def expect(
     nodes, weights = np.polynomial.legendre.leggauss(DWELL_NODES)
     cuts, offsets, longest = np.array([start, end]), [], 0.0
     for epoch_range in (near, (near + far) / 2, far):
-        first, last = dwell_at(geometry, yaw, epoch_range)
+        first, last = geometry.beam.dwell_at(yaw, epoch_range)
         late, early = first <= start, last >= end  # begun too late, or ended too early, to see all of them
         uncut = ~(late | early)
         cuts = np.array([last[late].max(initial=cuts[0]), first[early].min(initial=cuts[1])])
@@ -156,7 +156,7 @@ def expect(
         real=float(vector.real.min()),
         whole=(int(np.ceil(segments[0])), int(np.floor(segments[1]))),
         dwell=int(np.ceil(longest / (end - start) * SEGMENTS)) + 1,
-        beam="beam_steering" if collection.has_axis else "beam_azimuth",
+        beam=collection.pointing,
     )
 
 

@@ -18,7 +18,6 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar.arrays import Complex128Array, FloatArray
-from blocksar.collection.beam import lit_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
@@ -320,7 +319,7 @@ class View:
         near, far = region.at(yaw)
         point = geometry.ground_point(near + (far - near) * shares[:, None], yaw).reshape(-1, 3)
         x, y = point[np.random.default_rng(0).permutation(len(point)), :2].T
-        first, last = lit_interval(geometry, x, y)
+        first, last = geometry.beam.longest_pass(x, y)
         return [Place(float(a), float(b), 0.0, int(p)) for a, b, p in zip(x, y, (first + last) // 2, strict=True)]
 
 

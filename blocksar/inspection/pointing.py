@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray
-from blocksar.collection.beam import beam_offset, wrapped
+from blocksar.collection.beam import wrapped
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
@@ -174,7 +174,7 @@ def _line(source: Lines, place: Place, turns: int, collection: Collection) -> Li
     if turns:
         place = source.ambiguous(place, turns)
     pulses = np.array([max(place.pulse - SHORT // 2, 0), min(place.pulse + SHORT // 2, n - 1)])
-    ends = beam_offset(geometry, np.array(place.x), np.array(place.y), pulses)
+    ends = geometry.beam.offset(np.array(place.x), np.array(place.y), pulses)
     if not np.isfinite(ends).all():
         return None
     slope = abs(float(wrapped(ends[1] - ends[0]))) / (pulses[1] - pulses[0])
@@ -188,7 +188,7 @@ def _line(source: Lines, place: Place, turns: int, collection: Collection) -> Li
 def _captured(source: Lines, line: Line, collection: Collection, hypotheses: _Hypotheses) -> FloatArray:
     """|sum|^2 / n of a line under each hypothesis, its concentration there, and n, (3, n_hypothesis)."""
     geometry, said = source.geometry, beam_angle(collection)[line.pulses]
-    offset = beam_offset(geometry, np.array(line.place.x), np.array(line.place.y), line.pulses)
+    offset = geometry.beam.offset(np.array(line.place.x), np.array(line.place.y), line.pulses)
     energy, focus, n = np.zeros((3, hypotheses.law.size))
     for number, law in enumerate(hypotheses.laws):
         which: BoolArray = hypotheses.law == number

@@ -43,7 +43,6 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar.arrays import Complex128Array, ComplexArray, FloatArray
-from blocksar.collection.beam import beam_offset, lit_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
@@ -285,7 +284,7 @@ class Lines:
             threads=self.samples.threads, height=None if geometry.terrain is None else self._height(x, y),
         )  # fmt: skip
         if collection.has_axis:  # its edges are no yaws: beyond them lie only ambiguities of what it lights
-            away = beam_offset(geometry, x, y, (pulses.start + pulses.stop) // 2)
+            away = geometry.beam.offset(x, y, (pulses.start + pulses.stop) // 2)
             outside |= ~(np.abs(away) <= EDGE * (collection.beam_width or 0.0))  # NaN where no height is known
         power = np.where(outside, 0.0, np.nan_to_num(np.abs(image).astype(np.float64) ** 2))
         typical = float(np.median(power[power > 0])) if (power > 0).any() else 0.0
@@ -350,7 +349,7 @@ class Lines:
 
     def lit(self, place: Place) -> tuple[int, int] | None:
         """First and last (exclusive) of the pulses that light a place, among them that which saw it; None otherwise."""
-        first, last = (int(v) for v in lit_interval(self.geometry, np.array(place.x), np.array(place.y)))
+        first, last = (int(v) for v in self.geometry.beam.longest_pass(np.array(place.x), np.array(place.y)))
         return (first, last) if last - first >= SHORT and first - SHORT <= place.pulse <= last + SHORT else None
 
     def _grown(
@@ -405,7 +404,7 @@ class Lines:
         geometry, prf = self.geometry, self.geometry.collection.prf
         x, y, height, depth = seeds
         if (width := geometry.collection.beam_width) is not None:
-            lit = np.abs(beam_offset(geometry, x, y, echo.pulse)) <= width / 2
+            lit = np.abs(geometry.beam.offset(x, y, echo.pulse)) <= width / 2
             x, y, height = x[lit], y[lit], height[lit]
         if not x.size:
             return None

@@ -8,7 +8,6 @@ import numpy as np
 
 from blocksar import solvers
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import dwell, dwell_weight
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import NODES, UNIFORM, DwellShape, Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
@@ -84,10 +83,10 @@ def response_axes(geometry: Geometry, x: float, y: float, weighting: Weighting =
     where its axes coincide.
 
     The azimuth band is exact for a ground gradient that turns uniformly over the dwell: it is taken between
-    the first and the last edge of the lit pulses (`beam.dwell`), at the carrier.
+    the first and the last edge of the lit pulses (`Beam.dwell`), at the carrier.
     """
     collection = geometry.collection
-    start, end = (float(edge) for edge in dwell(geometry, np.array(x), np.array(y)))
+    start, end = (float(edge) for edge in geometry.beam.dwell(np.array(x), np.array(y)))
     if not start < end:
         return None
     point = geometry.on_ground(np.array(x), np.array(y))
@@ -129,7 +128,7 @@ def _patterned(
     """Weights of a point (3,) that is lit from start to end, s, under an antenna's pattern."""
     nodes, weights = solvers.gauss_legendre(NODES)
     time = (start + end) / 2 + (end - start) / 2 * nodes
-    counted = dwell_weight(geometry, point[0], point[1], time, taper)
+    counted = geometry.beam.dwell_weight(point[0], point[1], time, taper)
     along = _range_gradient(geometry, point, np.array([start, end, *time])) @ azimuth
     v = (2 * along[2:] - along[0] - along[1]) / (along[1] - along[0])
     return DwellShape(v=v, weight=weights * counted, square=weights * counted**2)

@@ -33,10 +33,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from blocksar import solvers
-from blocksar.arrays import Complex128Array, FloatArray, IntArray
+from blocksar.arrays import Complex128Array, FloatArray
 from blocksar.budget import SIDE_LOBE_BUDGET, WEIGHTED_SIDE_LOBE_BUDGET
-from blocksar.collection.axis_beam import Height
-from blocksar.collection.beam import at_times, dwell, dwell_weight, has_full_dwell, pattern_gain, pulse_weights
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import CUT_WIDTHS, NODES, UNIFORM, Taper, Weighting
 from blocksar.constants import SINC_ISLR, SINC_PSLR, SINC_WIDTH, SPEED_OF_LIGHT
@@ -57,11 +55,11 @@ def ideal_response(
     at the target, or the target is never lit.
     """
     collection, taper = geometry.collection, weighting.azimuth
-    of_x, of_y = np.array([origin[0]]), np.array([origin[1]])
-    begin, end = (float(edge[0]) for edge in dwell(geometry, of_x, of_y))
+    of_x, of_y, beam = np.array([origin[0]]), np.array([origin[1]]), geometry.beam
+    begin, end = (float(edge[0]) for edge in beam.dwell(of_x, of_y))
     if not (begin < end and np.isfinite(geometry.on_ground(of_x, of_y)).all()):
         return np.full(x.shape, np.nan + 0j)
-    own_begin, own_end = dwell(geometry, x, y)
+    own_begin, own_end = beam.dwell(x, y)
     known = np.isfinite(geometry.on_ground(x, y)).all(axis=-1)
     both = known & (np.minimum(own_end, end) > np.maximum(own_begin, begin))
     x, y, own_begin, own_end = x[both], y[both], own_begin[both], own_end[both]
@@ -75,17 +73,14 @@ def ideal_response(
         """Times (n, nodes) between those (n,)."""
         return np.asarray((last + first)[:, None] / 2 + (last - first)[:, None] / 2 * nodes)
 
-    def tapered(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: IntArray, z: Height | None) -> FloatArray:
-        return pulse_weights(geometry, x, y, pulses, taper, z)
-
     time = over(first, last)
     offset = _offset(geometry, origin, x, y, time)
     made = _over_band(weighting.range, collection.bandwidth, offset)
     whole = own_end - own_begin
     if not plain:
-        made *= at_times(geometry, x[:, None], y[:, None], time, tapered)
-        made *= at_times(geometry, of_x, of_y, time, pattern_gain)
-        counted = dwell_weight(geometry, x[:, None], y[:, None], over(own_begin, own_end), taper)
+        made *= beam.at_times(time, lambda pulses: beam.weights(x[:, None], y[:, None], pulses, taper))
+        made *= beam.at_times(time, lambda pulses: beam.gain(of_x, of_y, pulses))
+        counted = beam.dwell_weight(x[:, None], y[:, None], over(own_begin, own_end), taper)
         whole = whole * (counted @ weights) / 2
     turned = (made * np.exp(4j * np.pi * collection.carrier / SPEED_OF_LIGHT * offset)) @ weights / 2
     response = np.where(known, 0j, np.nan + 0j)
@@ -402,7 +397,7 @@ def measure_target(
         error_x=nan,
         error_y=nan,
         value=complex(nan, nan),
-        full_dwell=axes is not None and bool(has_full_dwell(geometry, target.x, target.y)),
+        full_dwell=axes is not None and bool(geometry.beam.has_full_dwell(target.x, target.y)),
         covered=False,
         **ideal,
     )

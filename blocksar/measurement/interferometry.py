@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from blocksar.arrays import BoolArray, Complex128Array, ComplexArray, FloatArray
-from blocksar.collection.beam import dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import ground_spectrum
 from blocksar.collection.weighting import Weighting
@@ -90,7 +89,7 @@ class Sight(NamedTuple):
     @classmethod
     def of(cls, geometry: Geometry, x: FloatArray, y: FloatArray, z: FloatArray | float) -> Sight:
         """Geometry of sight to points x, y, z (...), m; NaN where a point is never lit."""
-        first, last = np.broadcast_arrays(*dwell(geometry, x, y, z=z), x)[:2]
+        first, last = np.broadcast_arrays(*geometry.beam.dwell(x, y, z=z), x)[:2]
         middle = np.where(first < last, (first + last) / 2, geometry.epoch)
         away = np.stack(np.broadcast_arrays(x, y, z), axis=-1) - geometry.track.position(middle)
         away = np.where((first < last)[..., None], away, np.nan)

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from scipy.special import i0
 
 from blocksar.arrays import Complex128Array, ComplexArray, FloatArray
-from blocksar.collection.beam import has_full_dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import CUT_WIDTHS, UNIFORM, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
@@ -282,5 +281,5 @@ def read_response(
         values=values,
         x=columns.position,
         y=rows.position,
-        full_dwell=bool(has_full_dwell(geometry, target.x, target.y)),
+        full_dwell=bool(geometry.beam.has_full_dwell(target.x, target.y)),
     )

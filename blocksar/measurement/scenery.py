@@ -11,7 +11,6 @@ import numpy as np
 from scipy.ndimage import maximum_filter
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import CUT_WIDTHS, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
@@ -152,7 +151,7 @@ def ambiguity_place(geometry: Geometry, x: float, y: float, order: int) -> tuple
     or there is no such place.
     """
     collection = geometry.collection
-    start, end = (float(edge) for edge in dwell(geometry, np.array(x), np.array(y)))
+    start, end = (float(edge) for edge in geometry.beam.dwell(np.array(x), np.array(y)))
     if not start < end:
         return None
     time = np.array((start + end) / 2)

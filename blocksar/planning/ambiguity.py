@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from blocksar.collection.beam import is_lit, pattern_gain
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.constants import SPEED_OF_LIGHT
@@ -58,7 +57,7 @@ def worst_ambiguity(geometry: Geometry, grid: Grid) -> Ambiguity | None:
 def _sources(geometry: Geometry, x: float, y: float) -> list[tuple[float, float]]:
     """Places that share range and folded Doppler with a place, at the middle of its lit pulses."""
     collection, z = geometry.collection, _height(geometry, x, y)
-    lit = np.flatnonzero(is_lit(geometry, np.array(x), np.array(y), z=np.array(z)))
+    lit = np.flatnonzero(geometry.beam.is_lit(np.array(x), np.array(y), z=np.array(z)))
     if not lit.size or not math.isfinite(z):
         return []
     time = np.array(collection.time[lit[lit.size // 2]])
@@ -82,10 +81,10 @@ def _ghost(geometry: Geometry, at: tuple[float, float], source: tuple[float, flo
     """Find what the echo of a source comes to at a place, by the pulses that light both."""
     collection, z = geometry.collection, np.array([_height(geometry, *at)])
     pulses, (x, y) = slice(None), (np.array([a, b]) for a, b in zip(at, source, strict=True))
-    lit = is_lit(geometry, x, y, z=np.repeat(z, 2))
+    lit = geometry.beam.is_lit(x, y, z=np.repeat(z, 2))
     offsets = np.stack([*np.broadcast_arrays(x, y, z)], axis=-1)[:, None] - collection.antenna_position
     away = np.subtract(*np.sqrt((offsets**2).sum(axis=-1)))
-    gain = [pattern_gain(geometry, a, b, pulses, z) for a, b in zip(x[:, None], y[:, None], strict=True)]
+    gain = [geometry.beam.gain(a, b, pulses, z) for a, b in zip(x[:, None], y[:, None], strict=True)]
     turns = 2 * collection.bandwidth / SPEED_OF_LIGHT * away
     echo = np.where(lit.all(axis=0), gain[1] * np.sinc(turns), 0.0)
     padded = np.zeros((1, fast_length(PADDING * away.size)), np.complex128)

@@ -32,7 +32,6 @@ from numpy.polynomial import chebyshev
 
 from blocksar import solvers
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import centre_yaw
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import AxisTaper
 from blocksar.constants import SPEED_OF_LIGHT
@@ -99,7 +98,7 @@ def plan_motion(
     time = np.linspace(collection.time[0], collection.time[-1], n)
     nodes = chebyshev.chebpts1(RANGE_NODES)
     ranges = (near + far) / 2 + (far - near) / 2 * nodes
-    beam = centre_yaw(geometry, time, ranges, low, high)
+    beam = geometry.beam.centre_yaw(time, ranges, low, high)
     point, step = geometry.ground_point(ranges[:, None], beam), float(time[1] - time[0])
 
     def sight(at: FloatArray) -> FloatArray:

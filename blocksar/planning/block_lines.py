@@ -15,7 +15,6 @@ from numpy.polynomial import chebyshev
 
 from blocksar import solvers
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import AxisTaper
 from blocksar.focusing.ground_map import tile_extent
@@ -154,7 +153,7 @@ def _fine_yaws(sector: Sector) -> int:
     geometry = sector.geometry
     if geometry.track.wobble is None or not geometry.collection.steered:
         return FINE_NODES[1]
-    first, last = dwell_at(geometry, np.array([sector.low, sector.high]), np.array((sector.near + sector.far) / 2))
+    first, last = geometry.beam.dwell_at(np.array([sector.low, sector.high]), np.array((sector.near + sector.far) / 2))
     passed = float(np.ptp(first + last)) / 2 / geometry.track.wobble.step
     return max(FINE_NODES[1], math.ceil(min(YAWS_PER_INTERVAL * passed, MOST_YAWS)))
 
@@ -231,7 +230,7 @@ def _with_ends(
 ) -> FineLines:
     """Traced lines with the ends and weights of their dwells, and their focus."""
     geometry, about = sector.geometry, azimuth.range_part.scales_time_about
-    first, last = dwell_at(geometry, yaw, rng[:, None], uncut=True)
+    first, last = geometry.beam.dwell_at(yaw, rng[:, None], uncut=True)
     in_doppler = azimuth.range_part.compression.in_doppler
     ends = DwellEnds(
         rate=traced.biased.rate,

@@ -46,7 +46,6 @@ import numpy as np
 
 from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray
-from blocksar.collection.beam import dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, Taper
@@ -279,8 +278,8 @@ def reaches_full(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray) -
     """
     if not beam_moves(geometry.collection):
         return True
-    first, last = dwell_at(geometry, yaw, epoch_range[:, None], uncut=True)
-    begin, end = dwell_at(geometry, yaw, epoch_range[:, None])
+    first, last = geometry.beam.dwell_at(yaw, epoch_range[:, None], uncut=True)
+    begin, end = geometry.beam.dwell_at(yaw, epoch_range[:, None])
     return bool(((last > first) & (end - begin >= FULL * (last - first))).any())
 
 
@@ -293,7 +292,7 @@ def full_dwells(line: Line, geometry: Geometry, epoch_range: FloatArray, yaw: Fl
     """
     lit = np.broadcast_to(line.weight, line.time.shape).sum(axis=-1)
     if beam_moves(geometry.collection):
-        first, last = dwell_at(geometry, yaw, epoch_range, uncut=True)
+        first, last = geometry.beam.dwell_at(yaw, epoch_range, uncut=True)
         full = lit >= FULL * (last - first)
         if full.any():
             return np.asarray(full)

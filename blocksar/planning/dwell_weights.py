@@ -9,7 +9,7 @@ import numpy as np
 
 from blocksar import solvers
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import STILL, at_times, beam_offset, pattern_gain
+from blocksar.collection.beam import STILL
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, AxisTaper, Taper, Weighting
@@ -160,7 +160,8 @@ def dwell_weights(
     if not taper.uniform:
         dwell = (uncut[1] - uncut[0])[..., None]
         if collection.beam_width is not None and not scans_evenly(collection):
-            place = 2 * at_times(geometry, x, y, time, beam_offset, z) / collection.beam_width
+            beam = geometry.beam
+            place = beam.at_times(time, lambda pulses: beam.offset(x, y, pulses, z)) / beam.half
         else:
             place = (2 * lit.time - (uncut[0] + uncut[1])[..., None]) / dwell
         nodes = taper(place)
@@ -174,10 +175,12 @@ def dwell_weights(
         return weights
     gain = np.ones(nodes.shape)
     if collection.beam_pattern is not None:
-        gain = at_times(geometry.lit_by(collection.without_elevation), x, y, time, pattern_gain, z)
+        across = geometry.lit_by(collection.without_elevation).beam
+        gain = across.at_times(time, lambda pulses: across.gain(x, y, pulses, z))
         weights = replace(weights, pattern=gain)
     if collection.elevation_pattern is not None:
-        elevation = at_times(_elevation_alone(geometry), x, y, time, pattern_gain, z)
+        down = _elevation_alone(geometry).beam
+        elevation = down.at_times(time, lambda pulses: down.gain(x, y, pulses, z))
         gain, weights = gain * elevation, replace(weights, elevation=elevation)
     # The outer nodes lie close to the ends: by half a hundredth of the dwell.
     at_ends = np.sqrt((gain[..., 0] ** 2 + gain[..., -1] ** 2) / 2)

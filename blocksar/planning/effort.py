@@ -18,7 +18,6 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.chunks import IMAGE_CHUNK, LAYER_CHUNKS, MOSAIC_CHUNKS, PYRAMID_LEVELS, TILE
-from blocksar.collection.beam import dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.planning.disk import has_pyramid
@@ -186,7 +185,7 @@ def of_preparation(echoes: Iterable[tuple[int, int]], *, raw: bool) -> Work:
 def projection_seconds(geometry: Geometry, x: FloatArray, y: FloatArray, update: float = BACK_PROJECT) -> float:
     """Seconds of back-projection of a chunk at x (n_x,) and y (n_y,), by the lit pulses of a few of its pixels."""
     collection = geometry.collection
-    start, end = dwell(geometry, *np.meshgrid(x[:: max(x.size // 8, 1)], y[:: max(y.size // 8, 1)]))
+    start, end = geometry.beam.dwell(*np.meshgrid(x[:: max(x.size // 8, 1)], y[:: max(y.size // 8, 1)]))
     lit = np.maximum(end - start, 0.0).mean() / collection.pulse_interval
     per_pulse = update + (GAINS if collection.has_pattern else 0.0)
     return per_pulse * x.size * y.size * max(float(lit), 1.0)

@@ -22,7 +22,6 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from blocksar.collection.beam import lit_passes
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Weighting
@@ -156,7 +155,7 @@ class Ladders:
         """A part of a size (m along x and y) about a place, as its border sees the beam."""
         x, y = (centre + size / 2 * np.linspace(-1, 1, NODES) for centre, size in zip(place, side, strict=True))
         mesh = np.meshgrid(x, y)
-        first, last = lit_passes(self.geometry, *mesh)
+        first, last = self.geometry.beam.passes(*mesh)
         longest = int((last - first).sum(axis=(1, 2)).argmax())
         z = np.nan_to_num(np.asarray(self.geometry.height(*mesh)), nan=self.geometry.collection.ground_height)
         part = Part(x=x, y=y, z=z, first=first[longest], last=last[longest])

@@ -30,7 +30,7 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.budget import FIDELITY, MOST_BLOCKS, image_tap_error
-from blocksar.collection.beam import aperture, dwell_at
+from blocksar.collection.beam import aperture
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
@@ -72,7 +72,7 @@ def beam_stays(geometry: Geometry, region: Region, extent: Extent) -> bool:
     start, stop = aperture(geometry.collection)
     if longest_stay(geometry, ranges[:, far > near], yaw[far > near]) <= MOST_DWELL * (stop - start):
         return False
-    first, last = dwell_at(geometry, yaw, ranges)
+    first, last = geometry.beam.dwell_at(yaw, ranges)
     lit = (last > first) & (far > near)
     return float((last - first)[lit].mean()) >= LEAST_LIT * (stop - start)
 
@@ -82,8 +82,8 @@ def longest_stay(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray) -
 
     Infinite where ground that is lit all the time turns back in the beam. Ranges (m) and yaws (rad) are broadcast.
     """
-    first, last = dwell_at(geometry, yaw, epoch_range)
-    begin, end = dwell_at(geometry, yaw, epoch_range, uncut=True)
+    first, last = geometry.beam.dwell_at(yaw, epoch_range)
+    begin, end = geometry.beam.dwell_at(yaw, epoch_range, uncut=True)
     start, stop = aperture(geometry.collection)
     lit, whole = last > first, (begin <= start) & (end >= stop)
     length = np.where(lit, end - begin, 0.0)
@@ -156,7 +156,7 @@ def _echo_slope(block: BlockPlan) -> FloatArray:
     geometry = block.ground.geometry
     yaw = np.linspace(block.low, block.high, 33)
     rng, yaws = np.meshgrid(np.linspace(block.ground.near, block.ground.far, 9), yaw, indexing="ij")
-    start, end = dwell_at(geometry, yaws, rng)
+    start, end = geometry.beam.dwell_at(yaws, rng)
     _, rate = geometry.range_history(geometry.ground_point(rng, yaws), (start + end) / 2)
     return np.gradient(rate, yaw, axis=1)
 

@@ -27,7 +27,6 @@ import numpy as np
 
 from blocksar.arrays import BoolArray, Complex128Array, ComplexArray, FloatArray
 from blocksar.budget import side_lobe_budget
-from blocksar.collection.beam import centre_yaw, dwell_at
 from blocksar.collection.geometry import TRACK_ACCURACY, Geometry
 from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import SPEED_OF_LIGHT
@@ -356,12 +355,12 @@ def _track_phase(geometry: Geometry, rng: FloatArray, yaw: FloatArray) -> float:
     centre = float(np.mean(rng))
     beam = np.full(n, float(np.mean(yaw)))
     if collection.steered:
-        beam = centre_yaw(geometry, collection.time, centre, float(yaw[0]), float(yaw[-1]))
+        beam = geometry.beam.centre_yaw(collection.time, centre, float(yaw[0]), float(yaw[-1]))
     removed = _along_sight(geometry, np.full(n, centre), beam, misfit)
     worst = 0.0
     for target_range in (rng[0], centre, rng[-1]):
         for target_yaw in (yaw[0], yaw[yaw.size // 2], yaw[-1]):
-            first, last = dwell_at(geometry, np.array(target_yaw), np.array(target_range))
+            first, last = geometry.beam.dwell_at(np.array(target_yaw), np.array(target_range))
             lit = (collection.time >= first) & (collection.time <= last)
             if lit.any():
                 along = _along_sight(geometry, np.full(n, target_range), np.full(n, target_yaw), misfit)

@@ -9,7 +9,6 @@ from numpy.polynomial import chebyshev
 
 from blocksar import solvers
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import centre_yaw, dwell_at
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.outside import doubt_width
 from blocksar.collection.region import Region
@@ -135,7 +134,7 @@ def _of_terrain(geometry: Geometry) -> str:
 def _plan_spectrum(geometry: Geometry, region: Region, line: Line, *, padded: int, band_edge: float) -> Axis:
     """Doppler of the recovered spectrum: all that is lit, at all range frequencies, with a margin for tails."""
     low, high = float(line.doppler.min()), float(line.doppler.max())
-    dwell = float(np.max(np.subtract(*dwell_at(geometry, region.yaw, (region.near + region.far) / 2)[::-1])))
+    dwell = float(np.max(np.subtract(*geometry.beam.dwell_at(region.yaw, (region.near + region.far) / 2)[::-1])))
     margin = tail_margin(dwell)
     duration = padded * geometry.collection.pulse_interval
     edge = band_edge * max(abs(low), abs(high))
@@ -150,7 +149,7 @@ def _bulk_cycles(geometry: Geometry, common: CommonRange, *, origin: float, walk
     time = collection.time
     slow = time - geometry.epoch
     misfit = geometry.track.misfit
-    beam = centre_yaw(geometry, time, origin, float(region.yaw[0]), float(region.yaw[-1]))
+    beam = geometry.beam.centre_yaw(time, origin, float(region.yaw[0]), float(region.yaw[-1]))
     sight = geometry.ground_point(np.full(time.size, origin), beam) - geometry.track.position(time)
     sight /= np.linalg.norm(sight, axis=1, keepdims=True)
     unmodelled = -np.einsum("ij,ij->i", sight, misfit)  # range that the polynomial track lacks
@@ -182,10 +181,10 @@ def _lit_lines(
     near, far = region.at(region.yaw)
     width = far - near
     ranges = np.linspace(near + margin * width, far - margin * width, 5)
-    if not geometry.collection.has_axis:
+    if not geometry.beam.by_range:
         return find_dwells(geometry, yaw=region.yaw, origin=origin, walk=walk, common=common).lines(ranges)
     lines = find_dwells(
         geometry, yaw=region.yaw, origin=origin, walk=walk, common=common, least_nodes=AXIS_NODES
     ).lines(ranges)  # fmt: skip
-    first, last = dwell_at(geometry, region.yaw, ranges)
+    first, last = geometry.beam.dwell_at(region.yaw, ranges)
     return Line(**{name: getattr(lines, name)[last > first] for name in Line.__dataclass_fields__})

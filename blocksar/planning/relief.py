@@ -12,7 +12,7 @@ from numpy.polynomial import chebyshev
 
 from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray, IntArray
-from blocksar.collection.beam import at_times, beam_offset, dwell_at, wrapped
+from blocksar.collection.beam import wrapped
 from blocksar.collection.geometry import Geometry
 from blocksar.focusing.ground_map import QUANTITIES, Depth, ReliefMap, SmoothGround
 from blocksar.focusing.lines import Focus, Line
@@ -302,12 +302,13 @@ def turns_of(raised: Geometry, smooth: Geometry, epoch_range: FloatArray, yaw: F
     They have the same range, and the same place in a beam about its axis at the middle of the dwell. By Newton's steps.
     """
     collection = smooth.collection
-    first, last = dwell_at(raised, yaw, epoch_range[:, None])
+    first, last = raised.beam.dwell_at(yaw, epoch_range[:, None])
     time = np.clip((first + last) / 2, collection.time[0], collection.time[-1])
 
     def offset(geometry: Geometry, turn: FloatArray) -> FloatArray:
         at = epoch_range[:, None], yaw + turn
-        return at_times(geometry, *geometry.ground_axes(*at), time, beam_offset, geometry.level(*at))
+        (x, y), z, beam = geometry.ground_axes(*at), geometry.level(*at), geometry.beam
+        return beam.at_times(time, lambda pulses: beam.offset(x, y, pulses, z))
 
     turn, step = np.zeros(time.shape), (collection.beam_width or 0.0) * TURN_STEP
     wanted = offset(raised, turn)

@@ -10,7 +10,6 @@ import numpy as np
 from blocksar.arrays import FloatArray
 from blocksar.budget import FIDELITY, IMAGE_TAP_ERROR
 from blocksar.collection import range_series
-from blocksar.collection.beam import passing_at
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
 from blocksar.collection.weighting import UNIFORM, Taper, Weighting
@@ -98,7 +97,7 @@ class Sector:
         """When the beam's centre passes targets, s from the epoch, where a taper asks; None: amid their dwells."""
         if self.taper.uniform or scans_evenly(self.geometry.collection):
             return None
-        return np.asarray(passing_at(self.geometry, yaw, epoch_range, 0.0) - self.geometry.epoch)
+        return np.asarray(self.geometry.beam.passing_at(yaw, epoch_range, 0.0) - self.geometry.epoch)
 
     @property
     def keeps_rims(self) -> bool:
@@ -106,7 +105,7 @@ class Sector:
 
         Under a beam about its axis cut dwells are a large part of an image.
         """
-        return self.geometry.collection.steered and self.geometry.collection.has_axis
+        return self.geometry.beam.by_range
 
     @property
     def gates_by_height(self) -> bool:
@@ -114,7 +113,7 @@ class Sector:
 
         Under a beam about its axis it hardly does: places of equal range and Doppler see the axis at the same angle.
         """
-        return self.relief is not None and not self.geometry.collection.has_axis
+        return self.relief is not None and not self.geometry.beam.by_range
 
     def over(self, offset: float) -> Sector:
         """Copy of the sector with the smooth ground raised by an offset, m."""

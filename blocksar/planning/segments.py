@@ -17,7 +17,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from blocksar.collection.beam import aperture, dwell, dwell_margin
+from blocksar.collection.beam import aperture
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
@@ -39,7 +39,7 @@ def longest_dwell(collection: Collection, grid: Grid) -> float:
     """The longest dwell of ground in a grid that the collection lights, s, as if it went on; 0 if it lights none."""
     geometry = Geometry(collection=collection)
     places = np.linspace(grid.x[0], grid.x[-1], GRID_POINTS), np.linspace(grid.y[0], grid.y[-1], GRID_POINTS)
-    first, last = dwell(geometry, *np.meshgrid(*places), uncut=True)
+    first, last = geometry.beam.dwell(*np.meshgrid(*places), uncut=True)
     start, end = aperture(collection)
     lit = (last > start) & (first < end) & (last > first)
     return float(np.where(lit, last - first, 0.0).max())
@@ -62,7 +62,7 @@ def within(collection: Collection, spans: Sequence[Span], grid: Grid) -> list[Sp
     """The segments that see some ground of a grid deepest inside their time."""
     count = GRID_POINTS + POINTS_EACH * len(spans)
     x, y = np.meshgrid(np.linspace(grid.x[0], grid.x[-1], count), np.linspace(grid.y[0], grid.y[-1], count))
-    margins = np.array([dwell_margin(Geometry(collection=collection.segment(*span)), x, y) for span in spans])
+    margins = np.array([Geometry(collection=collection.segment(*span)).beam.margin(x, y) for span in spans])
     seen = margins.max(axis=0) > -1.0
     return [span for k, span in enumerate(spans) if (seen & (margins.argmax(axis=0) == k)).any()]
 
@@ -76,8 +76,8 @@ def owned_by(collection: Collection, spans: Sequence[Span], number: int) -> Owne
     )
 
     def owned(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        margin = dwell_margin(own, x, y)
-        beyond = [dwell_margin(other, x, y) for other in others]
+        margin = own.beam.margin(x, y)
+        beyond = [other.beam.margin(x, y) for other in others]
         with np.errstate(invalid="ignore"):
             return (margin > -1.0) & (margin >= np.max(beyond, axis=0, initial=-np.inf) - SLACK)
 

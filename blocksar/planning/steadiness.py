@@ -17,7 +17,7 @@ import numpy as np
 
 from blocksar import solvers
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import aperture, beam_offset, dwell_at
+from blocksar.collection.beam import aperture
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
@@ -56,7 +56,7 @@ def smoothed_beam(geometry: Geometry, region: Region, fidelity: float, taper: Ta
         return Smoothed(geometry)
     yaw = np.linspace(region.yaw[0], region.yaw[-1], PLACES)
     near, far = region.at(yaw)
-    first, last = dwell_at(geometry, yaw, (near + far) / 2, uncut=True)
+    first, last = geometry.beam.dwell_at(yaw, (near + far) / 2, uncut=True)
     lit = np.flatnonzero(last > first)
     if not lit.size:
         return Smoothed(geometry)
@@ -66,7 +66,7 @@ def smoothed_beam(geometry: Geometry, region: Region, fidelity: float, taper: Ta
     at = (near + far)[middle] / 2, yaw[middle]
     place = *geometry.ground_axes(*at), slice(None), geometry.level(*at)  # a terrain may not reach as far
     smooth = geometry.lit_by(collection.steadied(math.ceil(PER_DWELL * (end - start) / dwell)))
-    off = beam_offset(geometry, *place) - beam_offset(smooth, *place)
+    off = geometry.beam.offset(*place) - smooth.beam.offset(*place)
     away, squared = (_most_over_dwells(each, n) for each in (np.abs(off), off**2))
     if away <= width * max(SHARE * (1 - fidelity) / LOSS, LEAST):
         return Smoothed(geometry)

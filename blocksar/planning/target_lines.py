@@ -11,7 +11,6 @@ import numpy as np
 
 from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray
-from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import Geometry, Motion, range_motion
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Focus, Line
@@ -60,7 +59,7 @@ class TracedTargets:
     @cached_property
     def lit(self) -> Moments:
         """Slow times at which the targets are first and last lit, (n_yaw,) or (n_range, n_yaw) s."""
-        return dwell_at(self.geometry, self.yaw, self.epoch_range[:, None])
+        return self.geometry.beam.dwell_at(self.yaw, self.epoch_range[:, None])
 
     @cached_property
     def cut(self) -> BoolArray:
@@ -138,7 +137,7 @@ class Dwells:
 
     def lines(self, epoch_range: FloatArray) -> Line:
         """Lines of targets in the recovered signal; `epoch_range` and the yaws are broadcast."""
-        nodes = self._nodes(epoch_range) if self.geometry.collection.has_axis else self._of_all_ranges
+        nodes = self._nodes(epoch_range) if self.geometry.beam.by_range else self._of_all_ranges
         x, y = self.geometry.ground_axes(epoch_range, self.yaw)
         z = self.geometry.level(epoch_range, self.yaw)
         point = x[..., None], y[..., None], z if isinstance(z, float) else z[..., None]
@@ -163,7 +162,7 @@ class Dwells:
     def _nodes(self, epoch_range: FloatArray) -> Nodes:
         geometry, yaw = self.geometry, self.yaw
         collection = geometry.collection
-        first, last = dwell_at(geometry, yaw if collection.steered else np.zeros((1,) * np.ndim(yaw)), epoch_range)
+        first, last = geometry.beam.dwell_at(yaw if collection.steered else np.zeros((1,) * np.ndim(yaw)), epoch_range)
         longest = float(np.max(last - first))
         n_node = self.as_many or max(_line_nodes(geometry, longest, coarsely=self.coarsely), self.least_nodes)
         nodes, weights = solvers.gauss_legendre(n_node)

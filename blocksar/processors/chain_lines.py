@@ -10,7 +10,6 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.budget import side_lobe_budget
-from blocksar.collection.beam import has_full_dwell
 from blocksar.collection.grid import folds, ground_spectrum
 from blocksar.collection.region import default_grid, share_outside
 from blocksar.constants import MIB
@@ -127,7 +126,7 @@ def missed_fidelity(plan: Plan) -> str | None:
 def cut_dwells(plan: Plan) -> str | None:
     """A sentence if no point of the grid has a full dwell, for which the prediction holds, else None."""
     x, y = (axis[:: math.ceil(axis.size / LOOKED_AT)] for axis in (plan.grid.x, plan.grid.y))
-    if not plan.geometry.collection.steered or bool(has_full_dwell(plan.geometry, x, y[:, None]).any()):
+    if not plan.geometry.collection.steered or bool(plan.geometry.beam.has_full_dwell(x, y[:, None]).any()):
         return None
     return (
         "no point of the grid is lit for a full dwell: the prediction holds for none, and cut dwells differ more from "

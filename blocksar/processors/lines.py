@@ -6,7 +6,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from blocksar.collection.beam import most_lit_pulses
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.graph.machine import Resources, machine, pace
@@ -76,6 +75,6 @@ def time_text(seconds: float) -> str:
 
 def lit_pulses(geometry: Geometry, grid: Grid) -> int:
     """The largest number of pulses that light any point of a grid."""
-    return most_lit_pulses(
-        geometry, *np.meshgrid(*(axis[:: max(axis.size // LOOKED_AT, 1)] for axis in (grid.x, grid.y)))
+    return geometry.beam.most_lit_pulses(
+        *np.meshgrid(*(axis[:: max(axis.size // LOOKED_AT, 1)] for axis in (grid.x, grid.y)))
     )

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import dwell
 from blocksar.measurement.dwell_spectrum import dwell_spectrum, shares
 from blocksar.runs.finished import FinishedRun
 
@@ -93,7 +92,7 @@ def _chips(run: FinishedRun) -> Iterator[tuple[slice, slice]]:
 
 def _part(look: FinishedRun, place: tuple[float, float]) -> tuple[float, float]:
     """Start and end, s, of a ground point's dwell in a look."""
-    first, last = dwell(look.geometry, *map(np.array, place))
+    first, last = look.geometry.beam.dwell(*map(np.array, place))
     return float(first), float(last)
 
 

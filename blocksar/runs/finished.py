@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from blocksar import stores
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
-from blocksar.collection.beam import dwell_margin
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.georeference import Georeference
@@ -186,7 +185,7 @@ class FinishedRun:
         block = int(self.read_block(slice(row, row + 1), slice(column, column + 1))[0, 0])
         if block >= 0:
             return self.segment_of(block)
-        margins = [float(dwell_margin(geometry, np.array(x), np.array(y))) for geometry in self.segments]
+        margins = [float(geometry.beam.margin(np.array(x), np.array(y))) for geometry in self.segments]
         return margins.index(max(margins))
 
     def segment_of(self, block: int) -> int:

@@ -12,7 +12,6 @@ from functools import lru_cache
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import taylor_coefficients
 from blocksar.errors import InputError
@@ -90,7 +89,7 @@ def lit_yaws(
         If it lights none.
     """
     yaw = centre + np.deg2rad(np.linspace(-SIDE, SIDE, YAWS))
-    first, last = dwell(geometry, *swath(yaw))
+    first, last = geometry.beam.dwell(*swath(yaw))
     lit = np.flatnonzero((last > first).any(axis=0))
     if lit.size == 0:
         raise InputError(

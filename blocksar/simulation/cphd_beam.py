@@ -14,7 +14,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 
 from blocksar.arrays import BoolArray, FloatArray, IntArray
-from blocksar.collection.beam import beam_offset, dwell_at, full_dwell_yaw
+from blocksar.collection.beam import full_dwell_yaw
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
@@ -87,7 +87,7 @@ def _axis_area(
     """Image area for a beam about its axis, whose dwells depend on range as well as on yaw."""
     geometry, time = Geometry(collection=collection), collection.time
     ranges, yaws = np.linspace(*scene.area.swath, RANGES), np.linspace(*scene.lit_yaw, SEARCHED)
-    first, last = dwell_at(geometry, yaws, ranges[:, None], uncut=True)
+    first, last = geometry.beam.dwell_at(yaws, ranges[:, None], uncut=True)
     inset = collection.pulse_interval + POLYNOMIAL_ERROR * np.abs(last - first)
     full = (last > first) & (first >= time[0] + inset) & (last <= time[-1] - inset)
     always = (first <= time[0]) & (last >= time[-1])
@@ -114,7 +114,7 @@ def _axis_area(
         return LitArea(area, *whole)
     yaw = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, YAWS)
     grid = np.broadcast_to(ranges[:, None], yaw.shape)
-    first, last = (np.interp(t, time, moment) for t in dwell_at(geometry, yaw, grid, uncut=True))
+    first, last = (np.interp(t, time, moment) for t in geometry.beam.dwell_at(yaw, grid, uncut=True))
     x, y = (axis.ravel() - c for axis, c in zip(scene.ground_point(grid, yaw), scene.centre, strict=False))
     return LitArea(
         area, _fit_polynomial(x, y, ((first + last) / 2).ravel()), _fit_polynomial(x, y, (last - first).ravel())
@@ -226,7 +226,7 @@ def _seen_across(scene: Scene, collection: Collection, frame: AntennaFrame) -> t
         sight = ground - collection.antenna_position[pulse]
         sight /= np.linalg.norm(sight, axis=1, keepdims=True)
         side = np.cross(frame.x[pulse], frame.y[pulse])[:2]
-        lit = (np.abs(beam_offset(geometry, x, y, int(pulse))) <= half) & ((sight[:, :2] * side).sum(axis=1) > 0)
+        lit = (np.abs(geometry.beam.offset(x, y, int(pulse))) <= half) & ((sight[:, :2] * side).sum(axis=1) > 0)
         cosines.append((sight[lit] * frame.y[pulse]).sum(axis=1))
         elevations.append(np.arcsin(-sight[lit, 2]))
     seen = np.concatenate(cosines)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import fft  # not kernels.fourier: this inverse transform leads to fast time, on its own grid
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from blocksar.collection.beam import EDGE, beam_at, in_beam, is_lit, pattern_gain, wrapped
+from blocksar.collection.beam import EDGE, beam_at, in_beam, wrapped
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
@@ -97,9 +97,9 @@ class Field:
         if self.shadow is not None:
             of = of.at(~self.shadow.at(pulse, first, last))
         if self.collection.has_axis:
-            of = of.at(is_lit(self.geometry, of.x, of.y, slice(pulse, pulse + 1), of.z)[:, 0])
+            of = of.at(self.geometry.beam.is_lit(of.x, of.y, slice(pulse, pulse + 1), of.z)[:, 0])
         if self.collection.has_pattern:
-            of = of._replace(reflectivity=of.reflectivity * pattern_gain(self.geometry, of.x, of.y, pulse, of.z))
+            of = of._replace(reflectivity=of.reflectivity * self.geometry.beam.gain(of.x, of.y, pulse, of.z))
         return of
 
     def lit_slices(self, pulse: int) -> list[tuple[int, int]]:
@@ -108,7 +108,7 @@ class Field:
         All scatterers under a beam that is not described by its yaw. There are two slices if the beam extends across
         yaw = +-pi.
         """
-        if not self.collection.steered or self.collection.has_axis:
+        if not self.geometry.beam.by_yaw:
             return [(0, self.yaw.size)]
         azimuth, half = _beam(self.collection, pulse)
         azimuth, half = wrapped(azimuth), half + EDGE

@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 from pydantic import PrivateAttr, ValidationError
 
 from blocksar.arrays import FloatArray, IntArray
-from blocksar.collection.beam import beam_offset, in_beam, lit_passes, lit_yaw
+from blocksar.collection.beam import in_beam, lit_yaw
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
@@ -348,7 +348,7 @@ class Scene(SceneTables):
         x, y = (np.array([getattr(point, axis) for point in points]) for axis in "xy")
         z = np.array([self.area.ground_height if point.z is None else point.z for point in points])
         with suppress(InputError):  # a beam that turns all round lights all
-            first, last = lit_passes(self.geometry, x, y, z)
+            first, last = self.geometry.beam.passes(x, y, z)
             return [point.name for point, pulses in zip(points, (last - first).max(axis=0), strict=True) if not pulses]
         return []
 
@@ -463,7 +463,7 @@ class Scene(SceneTables):
         # The beam is widened by half a step of the checked pulses (about its axis: a whole one), to miss no target.
         slack = np.ptp(self.beam_azimuth) / (pulses.size - 1) if self.beam else 0.0
         if has_axis := self.geometry.collection.has_axis:
-            offset = beam_offset(self.geometry, x[:, None], y[:, None], pulses)
+            offset = self.geometry.beam.offset(x[:, None], y[:, None], pulses)
             slack = float(np.abs(np.diff(offset, axis=1)).max())
         half = np.deg2rad(self.beam_width_deg) / 2 + slack
         largest, nearest, farthest = 0.0, np.inf, 0.0

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray, IntArray
-from blocksar.collection.beam import lit_passes
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
@@ -137,7 +136,7 @@ def _tested(collection: Collection, x: FloatArray, y: FloatArray) -> tuple[IntAr
     round_about = not collection.has_axis and width is not None and abs(beam[-1] - beam[0]) + width >= TURN
     if width is None or round_about:
         return np.zeros(x.size, np.int64), np.full(x.size, end)
-    firsts, lasts = lit_passes(Geometry(collection=collection), x, y)
+    firsts, lasts = Geometry(collection=collection).beam.passes(x, y)
     first, last = firsts[0], lasts[-1]
     room = np.ceil(ROOM * (last - first)).astype(np.int64)
     return np.clip(first - room, 0, end), np.clip(last + room, 0, end)

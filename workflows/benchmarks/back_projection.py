@@ -16,7 +16,6 @@ from benchmarks.environment import version_of
 from benchmarks.figures import spread
 from blocksar import stores
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.collection.beam import lit_interval
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import accumulate, form_points, pulse_block_size
@@ -88,7 +87,7 @@ def back_project(history: stores.PhaseHistory, geometry: Geometry, chips: Chips,
     collection = geometry.collection
     profiling, accumulation = 0.0, 0.0
     started = time.perf_counter()
-    first, last = lit_interval(geometry, chips.x, chips.y)
+    first, last = geometry.beam.longest_pass(chips.x, chips.y)
     image, outside = np.zeros(chips.x.shape, np.complex64), np.zeros(chips.x.shape, np.bool_)
     accumulation += time.perf_counter() - started
     step = pulse_block_size(collection)
@@ -113,7 +112,7 @@ def count_updates(plan: Plan, run: Path) -> tuple[int, int]:
     rows, columns = slice(0, height, step), slice(0, width, step)
     covered = stores.read_region(run / "image.zarr", "block", (rows, columns)) >= 0
     x, y = np.meshgrid(plan.grid.x[columns], plan.grid.y[rows])
-    first, last = lit_interval(plan.geometry, x[covered], y[covered])
+    first, last = plan.geometry.beam.longest_pass(x[covered], y[covered])
     return int(covered.sum()) * step**2, int((last - first).sum()) * step**2
 
 
@@ -144,7 +143,7 @@ def run_peer(
     except ImportError as error:
         return {"name": "torchbp", "status": "not installed", "reason": str(error)}
     collection, x, y = plan.geometry.collection, chips.x[:CHIP], chips.y[:CHIP]
-    first, last = lit_interval(plan.geometry, x, y)
+    first, last = plan.geometry.beam.longest_pass(x, y)
     pulses = slice(int(first.min()), int(last.max()))
     reference = collection.reference_range[pulses]
     if np.ptp(reference) > 0:

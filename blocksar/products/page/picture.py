@@ -16,7 +16,6 @@ from matplotlib.image import imsave
 from numpy.typing import NDArray
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import dwell
 from blocksar.measurement.figures import PointResponse
 from blocksar.measurement.targets import Target
 from blocksar.products.page.facts import MOST_ROWS
@@ -215,7 +214,7 @@ def _label_place(source: FinishedRun, block: PredictedBlock, picture: Picture) -
 def arrows(source: FinishedRun, picture: Picture, north: float | None) -> list[Arrow]:
     """The look direction at the image's centre, and north if the rotation `north` of x from east, degrees, is known."""
     centre = np.array(picture.centre)
-    first, last = (float(t) for t in dwell(source.geometry, *centre))
+    first, last = (float(t) for t in source.geometry.beam.dwell(*centre))
     time = (first + last) / 2 if first < last else source.geometry.epoch
     look = centre - source.geometry.track.position(np.array(time))[:2]
     directions = [Arrow("look", _svg_angle(look))]

@@ -23,7 +23,6 @@ from matplotlib.text import OffsetFrom
 from matplotlib.ticker import FuncFormatter
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
@@ -273,7 +272,7 @@ def scene_arrows(reduced: Overview, geometry: Geometry, frame: Georeference | No
     if rows.size:
         x = (reduced.x_edges[:-1] + reduced.x_edges[1:])[columns].mean() / 2
         y = (reduced.y_edges[:-1] + reduced.y_edges[1:])[rows].mean() / 2
-        first, last = (float(t) for t in dwell(geometry, x, y))
+        first, last = (float(t) for t in geometry.beam.dwell(x, y))
         time = (first + last) / 2 if first < last else geometry.epoch
         arrows.append(Arrow("look", np.array([x, y]) - geometry.track.position(np.array(time))[:2], MARK))
     if frame is not None:

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.collection.beam import dwell, dwell_weight
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import UNIFORM, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
@@ -16,7 +15,7 @@ from blocksar.runs.finished import Coverage, FinishedRun
 
 def lit_times(geometry: Geometry, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """First and last lit slow time, s, of points (..., 3)."""
-    first, last = dwell(geometry, points[..., 0], points[..., 1])
+    first, last = geometry.beam.dwell(points[..., 0], points[..., 1])
     return first, last
 
 
@@ -61,7 +60,7 @@ def find_support(geometry: Geometry, scp: FloatArray, weighting: Weighting = UNI
     sight = lines_of_sight(geometry, scp, time)
     half = collection.range_frequency[-1] + (collection.range_frequency[1] - collection.range_frequency[0]) / 2
     frequency = collection.carrier + np.linspace(-half, half, 65)
-    over_dwell = np.broadcast_to(dwell_weight(geometry, scp[0], scp[1], time, weighting.azimuth), time.shape)
+    over_dwell = np.broadcast_to(geometry.beam.dwell_weight(scp[0], scp[1], time, weighting.azimuth), time.shape)
     if not over_dwell.any():  # at a zero of the antenna's pattern
         over_dwell = np.ones(time.shape)
     weights = np.multiply.outer(weighting.range(np.linspace(-1, 1, 65)), over_dwell)

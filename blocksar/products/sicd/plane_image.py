@@ -22,7 +22,7 @@ from numpy.polynomial import Chebyshev, Polynomial, polynomial
 from numpy.polynomial import polynomial as power
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray
-from blocksar.collection.beam import aperture, dwell
+from blocksar.collection.beam import aperture
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.terrain import Terrain
@@ -140,7 +140,7 @@ class PlaneImage(FinishedRun):
         places = _mesh(self, self.x, self.y)
         ground = self._ground(places, _middles(self.geometry, places))
         seen = np.isfinite(ground[:, 2])
-        first, last = dwell(self.on_terrain.geometry, ground[seen, 0], ground[seen, 1])
+        first, last = self.on_terrain.geometry.beam.dwell(ground[seen, 0], ground[seen, 1])
         lit = first < last
         time = np.clip((first + last)[lit] / 2, *aperture(self.collection))
         u, v = (places[seen][lit, axis] - middle for axis, middle in enumerate(self._middle))
@@ -242,7 +242,7 @@ def _mesh(run: FinishedRun, x: FloatArray, y: FloatArray) -> FloatArray:
 
 def _middles(geometry: Geometry, points: FloatArray) -> FloatArray:
     """Middles of the dwells, s, of points (n, 3); of the whole collection where they are not lit."""
-    first, last = dwell(geometry, points[:, 0], points[:, 1])
+    first, last = geometry.beam.dwell(points[:, 0], points[:, 1])
     edges = aperture(geometry.collection)
     return np.asarray(np.clip(np.where(first < last, (first + last) / 2, sum(edges) / 2), *edges))
 
