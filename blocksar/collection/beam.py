@@ -23,7 +23,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 
@@ -33,9 +33,6 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import TURN
 from blocksar.errors import InputError
-
-if TYPE_CHECKING:
-    from blocksar.collection.geometry import Geometry
 
 Angle = TypeVar("Angle", float, FloatArray)
 Pulses = slice | IntArray | int
@@ -75,7 +72,30 @@ def in_beam(yaw: FloatArray | float, azimuth: FloatArray | float, half_width: fl
 # ---------------------------------------------------------------- beams
 
 
-def beam_of(geometry: Geometry) -> Beam:
+class Lit(Protocol):
+    """Ground that a beam lights: a geometry, as far as beams need it; see `collection.geometry.Geometry`."""
+
+    @property
+    def collection(self) -> Collection: ...
+
+    @property
+    def terrain(self) -> Any: ...
+
+    @property
+    def beam(self) -> Beam: ...
+
+    def yaw(self, x: FloatArray, y: FloatArray) -> FloatArray: ...
+
+    def ground_axes(self, epoch_range: FloatArray, yaw: FloatArray) -> tuple[FloatArray, FloatArray]: ...
+
+    def level(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray | float: ...
+
+    def on_ground(self, x: FloatArray, y: FloatArray) -> FloatArray: ...
+
+    def lit_by(self, collection: Collection) -> Lit: ...
+
+
+def beam_of(geometry: Lit) -> Beam:
     """The beam of a collection over its ground."""
     collection = geometry.collection
     kind = Unsteered if collection.beam_width is None else YawScan if collection.beam_axis is None else AxisScan
@@ -93,7 +113,7 @@ class Beam(ABC):
         Whether the dwell of a point depends on its yaw alone, or on its range as well.
     """
 
-    geometry: Geometry
+    geometry: Lit
     by_yaw: ClassVar[bool] = False
     by_range: ClassVar[bool] = False
 
@@ -575,7 +595,7 @@ def weighted_pulses(collection: Collection, yaw: FloatArray, valid: FloatArray, 
 NODES = 33  # places along each side of a part of an image at which margins are computed; linear in between
 
 
-def margins_over(geometry: Geometry, x: FloatArray, y: FloatArray) -> FloatArray:
+def margins_over(geometry: Lit, x: FloatArray, y: FloatArray) -> FloatArray:
     """Margins at NODES x NODES places of a part of an image with axes x and y, m: (NODES, NODES), rows along y."""
     places = np.linspace(x[0], x[-1], NODES), np.linspace(y[0], y[-1], NODES)
     return geometry.beam.margin(*np.meshgrid(*places))

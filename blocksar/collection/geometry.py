@@ -11,20 +11,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial, chebyshev
 
 from blocksar import solvers
 from blocksar.arrays import FloatArray
+from blocksar.collection.beam import Beam, beam_of
 from blocksar.collection.collection import Collection
 from blocksar.collection.spline import Spline, fit_spline
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
-
-if TYPE_CHECKING:
-    from blocksar.collection.beam import Beam
 
 MAX_TRACK_ORDER = 12
 BASE_ORDER = 5  # of the polynomial under a spline
@@ -228,8 +226,6 @@ class Geometry:
     @property
     def beam(self) -> Beam:
         """The beam over this ground."""
-        from blocksar.collection.beam import beam_of  # needs this module
-
         return beam_of(self)
 
     def _keeping_track(self, other: Geometry) -> Geometry:

@@ -412,7 +412,7 @@ def _run_tiles(work: Callable[[Tile], None], shape: tuple[int, ...], threads: in
 
 
 def _lit_passes(geometry: Geometry, x: FloatArray, y: FloatArray, threads: int) -> list[Pass]:
-    """`Beam.passes` tile by tile, so that temporary arrays stay small: the first of the image, further ones of tiles."""
+    """Passes tile by tile, so that temporary arrays stay small: the first of the image, further ones of tiles."""
     first, last = np.empty(x.shape, np.int64), np.empty(x.shape, np.int64)
     further: list[Pass] = []
 

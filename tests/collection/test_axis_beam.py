@@ -14,16 +14,6 @@ from slow_twins import gain, lit, offset
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import (
     aperture,
-    centre_yaw,
-    dwell,
-    dwell_at,
-    has_full_dwell,
-    is_lit,
-    lit_interval,
-    lit_passes,
-    lit_total,
-    most_lit_pulses,
-    pattern_gain,
 )
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
@@ -58,9 +48,9 @@ def test_lit_pulses_are_those_of_the_double_loop(mode: str) -> None:
     x, y = points(collection)
     expected = slow_mask(collection, x, y)
     assert expected.any() and not expected.any(axis=1).all()
-    np.testing.assert_array_equal(is_lit(geometry, x, y), expected)
-    np.testing.assert_array_equal(is_lit(geometry, x, y, slice(50, 70)), expected[:, 50:70])
-    first, last = lit_interval(geometry, x.reshape(6, 10), y.reshape(6, 10))
+    np.testing.assert_array_equal(geometry.beam.is_lit(x, y), expected)
+    np.testing.assert_array_equal(geometry.beam.is_lit(x, y, slice(50, 70)), expected[:, 50:70])
+    first, last = geometry.beam.longest_pass(x.reshape(6, 10), y.reshape(6, 10))
     pulse = np.arange(collection.n_pulse)
     np.testing.assert_array_equal((pulse >= first.reshape(-1, 1)) & (pulse < last.reshape(-1, 1)), expected)
     assert (last.ravel()[~expected.any(axis=1)] == 0).all()
@@ -73,13 +63,13 @@ def test_a_dwell_covers_its_lit_pulses(mode: str) -> None:
     x, y = points(collection)
     mask = slow_mask(collection, x, y)
     count = mask.sum(axis=1)
-    start, end = dwell(geometry, x, y)
+    start, end = geometry.beam.dwell(x, y)
     begin, stop = aperture(collection)
     some = count > 0
     assert (start[some] >= begin).all() and (end[some] <= stop).all()
     assert np.abs((end - start) * collection.prf - count)[some].max() <= 1
     assert ((end - start)[~some] * collection.prf < 1).all()
-    assert most_lit_pulses(geometry, x, y) in (count.max(), count.max() + 1)
+    assert geometry.beam.most_lit_pulses(x, y) in (count.max(), count.max() + 1)
     # Times of the beam's edges are those of a finer track, on which they fall between other pulses.
     inside = some & ~mask[:, 0] & ~mask[:, -1]
     fine = np.linspace(collection.time[0], collection.time[-1], 40 * collection.n_pulse)
@@ -100,24 +90,24 @@ def test_a_full_dwell_is_cut_by_neither_end(mode: str) -> None:
     collection = axis_collection(mode)
     geometry = Geometry(collection=collection)
     x, y = points(collection, n=200)
-    mask = is_lit(geometry, x, y)
+    mask = geometry.beam.is_lit(x, y)
     whole = mask.any(axis=1) & ~mask[:, 0] & ~mask[:, -1]
-    full = has_full_dwell(geometry, x, y)
+    full = geometry.beam.has_full_dwell(x, y)
     assert whole.any() and not whole.all()
     assert full[whole].all() and not full[~mask.any(axis=1)].any()
     assert (full & ~whole).sum() <= 4  # within a pulse of the ends
-    assert has_full_dwell(Geometry(collection=spotlight()), 9000.0, 0.0)  # lit all the time
+    assert Geometry(collection=spotlight()).beam.has_full_dwell(9000.0, 0.0)  # lit all the time
 
 
 def test_dwells_depend_on_range_and_go_on_beyond_the_collection() -> None:
     geometry = Geometry(collection=axis_collection())
     ranges = np.array([9400.0, 9850.0, 10300.0])[:, None]
     yaw = np.linspace(-0.03, 0.03, 41)
-    first, last = dwell_at(geometry, yaw, ranges)
+    first, last = geometry.beam.dwell_at(yaw, ranges)
     assert first.shape == (3, 41)
     x, y = geometry.ground_axes(ranges, yaw)
-    np.testing.assert_array_equal(dwell(geometry, x, y), (first, last))
-    begin, end = dwell_at(geometry, yaw, ranges, uncut=True)
+    np.testing.assert_array_equal(geometry.beam.dwell(x, y), (first, last))
+    begin, end = geometry.beam.dwell_at(yaw, ranges, uncut=True)
     cut = (first <= aperture(geometry.collection)[0]) | (last >= aperture(geometry.collection)[1])
     np.testing.assert_array_equal(begin[~cut], first[~cut])
     length = (end - begin)[1, 20]
@@ -131,7 +121,7 @@ def test_the_beam_s_centre_is_in_the_middle_of_the_beam() -> None:
         geometry = Geometry(collection=collection)
         at = float(collection.reference_range[0])
         side = 0.27 if mode == "squinted" else 0.0
-        yaw = centre_yaw(geometry, collection.time, at, side - 0.25, side + 0.25)
+        yaw = geometry.beam.centre_yaw(collection.time, at, side - 0.25, side + 0.25)
         x, y = geometry.ground_axes(np.array(at), yaw)
         p = np.arange(40, 360)  # where what the beam passes from now on is yet lit to the end
         off = [_offsets(collection, x[k], y[k])[k] for k in p]
@@ -146,15 +136,15 @@ def test_a_beam_may_pass_points_several_times(turns: float) -> None:
     geometry = Geometry(collection=collection)
     x, y = np.full((3, 20), 9000.0) + np.arange(3)[:, None] * 90, np.tile(np.linspace(-420, 420, 20), (3, 1))
     expected = slow_mask(collection, x.ravel(), y.ravel()).reshape(3, 20, n)
-    first, last = lit_passes(geometry, x, y)
+    first, last = geometry.beam.passes(x, y)
     number, pulse = np.count_nonzero(last > first, axis=0), np.arange(n)
     assert number.max() == len(first) == {0.7: 2, 1.0: 2, 3.5: 7}[turns] and number.min() == 0
     inside = (pulse >= first[..., None]) & (pulse < last[..., None])
     np.testing.assert_array_equal(inside.sum(axis=0), expected)
     assert (first[1:] >= last[:-1]).all() and (last[:, number == 0] == 0).all()
-    begin, end = lit_interval(geometry, x, y)
+    begin, end = geometry.beam.longest_pass(x, y)
     np.testing.assert_array_equal(end - begin, (last - first).max(axis=0))
-    assert not has_full_dwell(geometry, x, y)[number > 1].any()
+    assert not geometry.beam.has_full_dwell(x, y)[number > 1].any()
 
 
 @pytest.mark.parametrize("text", ["uniform", "taylor:4:-35"])
@@ -166,7 +156,7 @@ def test_sums_over_lit_pulses_are_those_of_the_double_loop(patterns: bool, text:
     valid[100:130] = 0.0
     ranges, yaw = np.array([9500.0, 9900.0, 10200.0]), np.linspace(-0.025, 0.025, 11)
     taper, half = Taper.parse(text), (collection.beam_width or 0.0) / 2
-    total = lit_total(geometry, ranges, yaw, valid, taper)
+    total = geometry.beam.lit_total(ranges, yaw, valid, taper)
     x, y = geometry.ground_axes(ranges[:, None], yaw)
     for place in np.ndindex(total.shape):
         at = float(x[place]), float(y[place])
@@ -184,7 +174,7 @@ def test_the_pattern_is_that_of_the_double_loop() -> None:
     azimuth = {"beam_axis": None, "beam_steering": None, "beam_azimuth": np.linspace(-0.02, 0.02, 400)}
     for collection in (axis, Collection(**{**axis.as_dict(), **azimuth})):
         x, y = np.linspace(8800, 9200, 7), np.linspace(-100, 100, 7)
-        found = pattern_gain(Geometry(collection=collection), x[:, None], y[:, None], slice(0, 400, 50))
+        found = Geometry(collection=collection).beam.gain(x[:, None], y[:, None], slice(0, 400, 50))
         expected = [[gain(collection, p, *at) for p in range(0, 400, 50)] for at in zip(x, y, strict=True)]
         np.testing.assert_allclose(found, expected, rtol=1e-9)
         assert np.ptp(found) > 0.1
@@ -201,7 +191,7 @@ def test_the_region_is_what_the_beam_lights() -> None:
         near, far = region.at(yaw)
         held = np.abs(rng - collection.reference_range[0]) < 0.35 * collection.range_window
         inside = (yaw > region.yaw[0]) & (yaw < region.yaw[-1]) & (rng >= near) & (rng <= far)
-        some = is_lit(geometry, x, y).any(axis=1)
+        some = geometry.beam.is_lit(x, y).any(axis=1)
         assert inside[some & held].all(), mode
         assert inside[~some].mean() < 0.3
     with pytest.raises(
@@ -218,13 +208,13 @@ def test_the_default_grid_is_the_ground_with_full_dwell(mode: str, side: str) ->
     at, ahead = (9000.0 if side == "right" else -9000.0), (2450.0 if mode == "squinted" else 0.0)
     assert grid.x[0] < at < grid.x[-1] and grid.x[0] * grid.x[-1] > 0
     x, y = np.meshgrid(at + np.linspace(-150, 150, 31), np.linspace(-160, 160, 129) + ahead)
-    full = has_full_dwell(geometry, x, y)
+    full = geometry.beam.has_full_dwell(x, y)
     room = 0.02 * (grid.y[-1] - grid.y[0]) + 2.5 + 2 * grid.dy
     assert full.any() and (y[full] > grid.y[0] - room).all() and (y[full] < grid.y[-1] + room).all()
     if mode != "squinted":  # whose footprint is a slanting strip in its bounding box
         mesh = np.meshgrid(np.linspace(grid.x[0], grid.x[-1], 41), np.linspace(grid.y[0], grid.y[-1], 41))
-        assert has_full_dwell(geometry, *mesh).mean() > 0.7
-        lit_interval(geometry, *mesh)  # none is lit twice
+        assert geometry.beam.has_full_dwell(*mesh).mean() > 0.7
+        geometry.beam.longest_pass(*mesh)  # none is lit twice
     place = float(geometry.epoch_range(at, y[full].mean())), float(geometry.yaw(at, y[full].mean()))
     finest = min(ground_resolution(geometry, *place))
     assert 0.3 * finest < grid.dx == grid.dy < 0.75 * finest
@@ -311,8 +301,8 @@ def test_points_without_a_height_are_lit_by_no_pulse() -> None:
     collection = axis_collection()
     x, y = np.meshgrid(np.linspace(8900, 9100, 5), np.linspace(-50, 50, 5))
     terrain = Terrain.flat(0.0, (8990.0, 9110.0), (-100.0, 100.0))
-    assert most_lit_pulses(over_terrain(collection, terrain), x, y) > 50
-    assert most_lit_pulses(over_terrain(collection, terrain), x - 900, y) == 0
+    assert over_terrain(collection, terrain).beam.most_lit_pulses(x, y) > 50
+    assert over_terrain(collection, terrain).beam.most_lit_pulses(x - 900, y) == 0
 
 
 def test_a_terrain_above_the_antenna_is_named() -> None:

@@ -13,16 +13,10 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.beam import (
     aperture,
     beam_at,
-    dwell,
-    dwell_at,
     full_dwell_yaw,
-    has_full_dwell,
     in_beam,
-    is_lit,
-    lit_interval,
     lit_pulses,
     lit_yaw,
-    most_lit_pulses,
     turned_near,
     wrapped,
 )
@@ -112,10 +106,10 @@ def test_lit_pulses_are_those_of_the_double_loop(small_collection: Collection, c
     yaw = np.asarray(geometry.yaw(x, y))
     expected = slow_mask(geometry, yaw)
     assert expected.any() and not expected.any(axis=1).all()
-    np.testing.assert_array_equal(is_lit(geometry, x, y), expected)
-    np.testing.assert_array_equal(is_lit(geometry, x, y, slice(50, 70)), expected[:, 50:70])
+    np.testing.assert_array_equal(geometry.beam.is_lit(x, y), expected)
+    np.testing.assert_array_equal(geometry.beam.is_lit(x, y, slice(50, 70)), expected[:, 50:70])
 
-    first, last = lit_interval(geometry, x, y)
+    first, last = geometry.beam.longest_pass(x, y)
     pulse = np.arange(collection.n_pulse)
     np.testing.assert_array_equal((pulse >= first[:, None]) & (pulse < last[:, None]), expected)
     assert (last[~expected.any(axis=1)] == 0).all()
@@ -131,13 +125,13 @@ def test_a_dwell_covers_its_lit_pulses(small_collection: Collection, centre: flo
     geometry = steered(small_collection, centre, sweep)
     x, y = points_about(geometry, centre)
     count = slow_mask(geometry, np.asarray(geometry.yaw(x, y))).sum(axis=1)
-    start, end = dwell(geometry, x, y)
+    start, end = geometry.beam.dwell(x, y)
     begin, stop = aperture(geometry.collection)
     lit = count > 0
     assert (start[lit] >= begin).all() and (end[lit] <= stop).all()
     assert np.abs((end - start) * geometry.collection.prf - count)[lit].max() <= 1
     assert ((end - start)[~lit] * geometry.collection.prf < 1).all()
-    np.testing.assert_array_equal(dwell_at(geometry, geometry.yaw(x, y), np.zeros(1)), (start, end))
+    np.testing.assert_array_equal(geometry.beam.dwell_at(geometry.yaw(x, y), np.zeros(1)), (start, end))
 
 
 @CENTRES
@@ -146,8 +140,8 @@ def test_a_full_dwell_has_the_most_pulses(small_collection: Collection, centre: 
     geometry = steered(small_collection, centre, sweep)
     x, y = points_about(geometry, centre)
     count = slow_mask(geometry, np.asarray(geometry.yaw(x, y))).sum(axis=1)
-    full = np.array([has_full_dwell(geometry, *point) for point in zip(x, y, strict=True)])
-    most = most_lit_pulses(geometry, x, y)
+    full = np.array([geometry.beam.has_full_dwell(*point) for point in zip(x, y, strict=True)])
+    most = geometry.beam.most_lit_pulses(x, y)
     assert full.any() and not full.all()
     assert (count[full] >= most - 2).all()  # one pulse by definition, one because of where pulses fall in the beam
     assert count.max() in (most - 1, most)
@@ -160,9 +154,9 @@ def test_the_edges_of_a_beam_at_rest_are_lit(small_collection: Collection, centr
     geometry = steered(small_collection, centre, 0.0)
     low, high = lit_yaw(geometry.collection)
     inside = np.linspace(low, high, 65)
-    start, end = dwell_at(geometry, np.concatenate([inside, inside + TURN, inside - TURN]), np.zeros(1))
+    start, end = geometry.beam.dwell_at(np.concatenate([inside, inside + TURN, inside - TURN]), np.zeros(1))
     assert (start == aperture(geometry.collection)[0]).all() and (end == aperture(geometry.collection)[1]).all()
-    start, end = dwell_at(geometry, np.array([low - 1e-9, high + 1e-9]), np.zeros(1))
+    start, end = geometry.beam.dwell_at(np.array([low - 1e-9, high + 1e-9]), np.zeros(1))
     assert (start > end).all()
 
 
@@ -190,22 +184,22 @@ def test_without_steering_everything_is_lit(small_collection: Collection) -> Non
     n = collection.n_pulse
     x, y = points_about(geometry, 0.87)
     yaw = np.asarray(geometry.yaw(x, y))
-    assert is_lit(geometry, x, y).shape == (x.size, n)
-    assert is_lit(geometry, x, y).all()
+    assert geometry.beam.is_lit(x, y).shape == (x.size, n)
+    assert geometry.beam.is_lit(x, y).all()
     assert in_beam(3.0, *(np.max(value) for value in beam_at(collection, slice(0, 1))))
-    first, last = lit_interval(geometry, x.reshape(8, 10), y.reshape(8, 10))
+    first, last = geometry.beam.longest_pass(x.reshape(8, 10), y.reshape(8, 10))
     assert (first == 0).all() and (last == n).all() and first.shape == (8, 10)
     valid = np.ones(n)
     valid[::7] = 0
     assert (lit_pulses(collection, yaw, valid) == valid.sum()).all()
-    assert most_lit_pulses(geometry, x, y) == n
-    start, end = dwell(geometry, x, y)
+    assert geometry.beam.most_lit_pulses(x, y) == n
+    start, end = geometry.beam.dwell(x, y)
     assert (start == aperture(collection)[0]).all() and (end == aperture(collection)[1]).all()
-    assert has_full_dwell(geometry, float(x[0]), float(y[0]))
+    assert geometry.beam.has_full_dwell(float(x[0]), float(y[0]))
 
 
 def test_a_beam_wider_than_a_full_turn_is_refused(small_collection: Collection) -> None:
     n = small_collection.n_pulse
     geometry = steered(small_collection, 0.0, 0.0, beam_azimuth=np.linspace(0, 6.28, n), beam_width=0.05)
     with pytest.raises(InputError, match=r"beam_azimuth scans 6\.28 rad .* cut the collection"):
-        lit_interval(geometry, np.zeros(1), np.ones(1))
+        geometry.beam.longest_pass(np.zeros(1), np.ones(1))

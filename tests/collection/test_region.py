@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from axis_beams import axis_collection
 
-from blocksar.collection.beam import dwell
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, folds, ground_spectrum
@@ -76,7 +75,7 @@ def test_under_a_beam_about_its_axis_lit_pixels_outside_the_window_are_counted()
     collection = axis_collection()
     geometry, grid = Geometry(collection=collection), Grid(8.7e3, 9.3e3, 2.0, -200.0, 200.0, 2.0)
     mesh_x, mesh_y = np.meshgrid(grid.x, grid.y)
-    first, last = dwell(geometry, mesh_x, mesh_y)
+    first, last = geometry.beam.dwell(mesh_x, mesh_y)
     points = np.stack([mesh_x, mesh_y, np.full(mesh_x.shape, collection.ground_height)], axis=-1)
     half = collection.range_window / 2 - WINDOW_GUARD * SPEED_OF_LIGHT / (2 * collection.bandwidth)
     away = [geometry.range_history(points, np.clip(at, *collection.time[[0, -1]]))[0] for at in (first, last)]

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from scipy.signal import windows
 from steps import collection
 
-from blocksar.collection.beam import beam_offset, is_lit, weighted_pulses
+from blocksar.collection.beam import weighted_pulses
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import UNIFORM, Taper, Weighting
 from blocksar.errors import InputError
@@ -106,6 +106,6 @@ def test_the_sum_of_weights_is_that_of_all_lit_pulses(text: str, change: dict[st
     x, y = geometry.ground_axes(np.full(yaw.size, 30e3), yaw)
     v = np.broadcast_to((2 * np.arange(c.n_pulse) + 1 - c.n_pulse) / c.n_pulse, (yaw.size, c.n_pulse))
     if c.beam_width is not None:
-        v = 2 * beam_offset(geometry, x[:, None], y[:, None], slice(None)) / c.beam_width
-    wanted = (is_lit(geometry, x, y) * valid * taper(v)).sum(axis=1)
+        v = 2 * geometry.beam.offset(x[:, None], y[:, None], slice(None)) / c.beam_width
+    wanted = (geometry.beam.is_lit(x, y) * valid * taper(v)).sum(axis=1)
     np.testing.assert_allclose(weighted_pulses(c, geometry.yaw(x, y), valid, taper), wanted, atol=1e-9 * c.n_pulse)

@@ -15,7 +15,6 @@ from bursts import CENTRE, SLANT, STEP, ground, write_bursts
 import blocksar
 from blocksar import stores
 from blocksar.arrays import ComplexArray
-from blocksar.collection.beam import dwell_margin, lit_interval
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError
@@ -58,7 +57,7 @@ def exact(store: Path, x: Any, y: Any) -> tuple[ComplexArray, Any]:
     history = stores.open_phase_history(store)
     geometry = Geometry(collection=history.collection.centred())
     image = form_image(lambda pulses: history.read(pulses, slice(None)), geometry, x, y, threads=1)
-    first, last = lit_interval(geometry, *np.meshgrid(x, y))
+    first, last = geometry.beam.longest_pass(*np.meshgrid(x, y))
     return np.nan_to_num(image), last - first
 
 
@@ -72,7 +71,7 @@ def test_the_mosaic_has_no_seam(run: Path, bursts: list[Path]) -> None:
     owners, full = [], []
     for x, y in TARGETS:
         pixel = image.sel(x=x, y=y)
-        margins = [float(dwell_margin(geometry, np.array(x), np.array(y))) for geometry in geometries]
+        margins = [float(geometry.beam.margin(np.array(x), np.array(y))) for geometry in geometries]
         owners.append(int(pixel.collection))
         assert owners[-1] == int(np.argmax(margins))
         full.append(max(margins) >= 0)

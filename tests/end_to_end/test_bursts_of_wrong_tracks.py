@@ -16,7 +16,6 @@ import blocksar
 from blocksar import stores
 from blocksar.api import tracks
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import lit_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
@@ -69,7 +68,7 @@ def flown(store: Path) -> Collection:
 def shifts(collection: Collection, true: Collection, x: FloatArray, y: FloatArray) -> FloatArray:
     """By how much points (n,) are shifted in the image: to where range and its change over the dwell are the same."""
     geometry = Geometry(collection=true.centred())
-    first, last = lit_interval(geometry, x, y)
+    first, last = geometry.beam.longest_pass(x, y)
     found = []
     for px, py, a, b in zip(x, y, first, last, strict=True):
         pulses = np.array([a, (a + b) // 2, b - 1])
@@ -90,7 +89,7 @@ def shifts(collection: Collection, true: Collection, x: FloatArray, y: FloatArra
 def seam(one: Collection, other: Collection, stores_: list[Path]) -> float:
     """By how much two images differ in place where both see all of a dwell, m, rms."""
     true = [flown(store) for store in stores_]
-    lit = [np.subtract(*lit_interval(Geometry(collection=each.centred()), X, Y)[::-1]) for each in true]
+    lit = [np.subtract(*Geometry(collection=each.centred()).beam.longest_pass(X, Y)[::-1]) for each in true]
     both = (lit[0] >= lit[0].max() - 8) & (lit[1] >= lit[1].max() - 8)
     assert both.sum() >= 4
     between = shifts(one, true[0], X[both], Y[both]) - shifts(other, true[1], X[both], Y[both])
@@ -109,7 +108,7 @@ def test_images_meet_in_place(bursts: list[Path], run: Path, tmp_path: Path) -> 
     # What moves an image as a whole does not blur it.
     for number, store in enumerate(bursts[:2]):
         wavenumber, true = 4 * np.pi / tied[number].wavelength, flown(store)
-        first, last = lit_interval(Geometry(collection=true.centred()), X, Y)
+        first, last = Geometry(collection=true.centred()).beam.longest_pass(X, Y)
         bends = []
         for x, y, a, b in zip(X, Y, first, last, strict=True):
             if b - a > 350:

@@ -14,7 +14,6 @@ from scenes import write_store
 
 import blocksar
 from blocksar import stores
-from blocksar.collection.beam import lit_interval
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.sublooks import entering_side
 from blocksar.errors import InputError
@@ -56,7 +55,7 @@ def check_sum(store: Path, folder: Path, grid: Any, count: int, **more: Any) -> 
     dated = replace(history, attrs={"source": {"time_zero": 7.0}})
     for number in range(count):
         view = dated.of_look(number, count, side)
-        first, last = lit_interval(Geometry(collection=view.collection.centred()), x, y)
+        first, last = Geometry(collection=view.collection.centred()).beam.longest_pass(x, y)
         start = 0 if view.cut is None else view.cut[0]
         middle = start + int(first[first.shape[0] // 2, first.shape[1] // 2])
         assert middle > before

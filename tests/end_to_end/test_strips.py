@@ -14,7 +14,6 @@ from strips import DISTANCE, TIME_ZERO, strip_collection, write_strip
 
 import blocksar
 from blocksar import stores
-from blocksar.collection.beam import has_full_dwell
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
@@ -63,7 +62,7 @@ def against_back_projection(run: Path, store: Path, rows: slice) -> tuple[float,
     geometry = Geometry(collection=history.collection.centred())
     x, y = image.x.values, image.y.values
     exact = form_image(lambda pulses: history.read(pulses, slice(None)), geometry, x, y, threads=1)
-    full = has_full_dwell(geometry, *np.meshgrid(x, y))
+    full = geometry.beam.has_full_dwell(*np.meshgrid(x, y))
     found = np.where(full, image.values, np.nan)
     parts = [coherence(found[i : i + 16], exact[i : i + 16]) for i in range(0, len(y) - 15, 16)]
     assert all(0.98 < part.gain < 1.02 for part in parts)

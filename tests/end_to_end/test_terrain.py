@@ -14,7 +14,6 @@ from scenes import write_store
 
 import blocksar
 from blocksar import stores
-from blocksar.collection.beam import is_lit, pattern_gain
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import FolderError, InputError
@@ -46,7 +45,7 @@ def check_layers(image: Any, store: Path, ground: Terrain) -> None:
     rows, columns = (np.linspace(1, n - 2, 5).astype(int) for n in image.image.shape)
     for row, column in zip(rows, columns, strict=True):
         x, y = float(image.x[column]), float(image.y[row])
-        lit = np.flatnonzero(is_lit(geometry, np.array(x), np.array(y)))
+        lit = np.flatnonzero(geometry.beam.is_lit(np.array(x), np.array(y)))
         antenna = geometry.collection.antenna_position[[lit[0], lit[-1]]].mean(axis=0)
         slope = ground.slope(x, y)
         normal, sight = np.array([-slope[0], -slope[1], 1.0]), antenna - [x, y, float(ground(np.array(x), np.array(y)))]
@@ -59,7 +58,7 @@ def check_noise(run: Any, exact: Any, store: Path, ground: Terrain) -> None:
     collection = stores.open_phase_history(store).collection
     geometry, n = Geometry(collection=collection).over(ground), collection.n_range_frequency
     x, y = (axis.ravel() for axis in np.meshgrid(exact.x.values[3::9], exact.y.values[:40:8]))
-    lit, gain = is_lit(geometry, x, y), pattern_gain(geometry, x[:, None], y[:, None], slice(None))
+    lit, gain = geometry.beam.is_lit(x, y), geometry.beam.gain(x[:, None], y[:, None], slice(None))
     wanted = NOISE / n * lit.sum(axis=1) / (lit * gain).sum(axis=1) ** 2
     for image, off in ((run, 0.005), (exact, 0.06)):  # linear over 16 pixels: a bend where dwells begin to be cut
         rows, columns = (np.rint((at - axis[0]) / (axis[1] - axis[0])).astype(int)
@@ -190,7 +189,7 @@ def test_a_mountain_outside_the_grid_casts_its_shadow_into_it(store: Path, tmp_p
     shadow = np.zeros(image.visibility.shape, bool)
     for row, column in np.ndindex(*shadow.shape):
         at = float(image.x[column]), float(image.y[row])
-        lit = np.flatnonzero(is_lit(geometry, *map(np.array, at)))
+        lit = np.flatnonzero(geometry.beam.is_lit(*map(np.array, at)))
         antenna = geometry.collection.antenna_position[[lit[0], lit[-1]]].mean(axis=0)
         point = np.array([*at, float(ground(*map(np.array, at)))])
         shadow[row, column] = slow_twins.ray_clearance(ground, antenna, point) < 0

@@ -12,7 +12,6 @@ from scenes import SMALL_SCAN, scene
 
 import blocksar
 from blocksar import stores
-from blocksar.collection.beam import has_full_dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Taper, Weighting
 from blocksar.errors import FolderError
@@ -96,7 +95,7 @@ def test_weighted_clutter_is_that_of_back_projection(name: str, azimuth: str, le
     geometry = Geometry(collection=history.collection.centred())
     x, y = image.x.values, image.y.values
     exact = form_image(lambda p: history.read(p, slice(None)), geometry, x, y, threads=2, weighting=weighting)
-    both = np.isfinite(exact) & np.isfinite(image.values) & has_full_dwell(geometry, x, y[:, None])
+    both = np.isfinite(exact) & np.isfinite(image.values) & geometry.beam.has_full_dwell(x, y[:, None])
     assert both.mean() > 0.9
     found, wanted = image.values[both], exact[both]
     gain = np.vdot(wanted, found) / np.vdot(wanted, wanted)

@@ -9,7 +9,6 @@ from axis_beams import axis_collection, with_patterns
 from numpy.typing import NDArray
 
 from blocksar.arrays import ComplexArray
-from blocksar.collection.beam import is_lit, lit_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
@@ -80,10 +79,10 @@ def test_beams_about_their_axis_light_pixels_at_their_heights(weighting: str, pa
     geometry, z, tapers = Geometry(collection=c).over(terrain), terrain(x, y), Weighting.parse(weighting)
     levels = [(at_height(c, float(h)), np.array([a]), np.array([b])) for a, b, h in zip(x, y, z, strict=True)]
     lit = np.array([[slow_twins.lit(of, p, float(a[0]), float(b[0])) for p in range(400)] for of, a, b in levels])
-    np.testing.assert_array_equal(is_lit(geometry, x, y), lit)
-    first, last = lit_interval(geometry, x, y)
+    np.testing.assert_array_equal(geometry.beam.is_lit(x, y), lit)
+    first, last = geometry.beam.longest_pass(x, y)
     np.testing.assert_array_equal(last - first, lit.sum(axis=1))
-    plane_first, plane_last = lit_interval(Geometry(collection=c), x, y)
+    plane_first, plane_last = Geometry(collection=c).beam.longest_pass(x, y)
     assert np.ptp(first - plane_first) > 20 < np.ptp(last - plane_last)
     image = form_points(lambda pulses: signal[pulses], geometry, x, y, threads=1, weighting=tapers)
     given = {"in_range": tapers.range, "in_azimuth": tapers.azimuth}

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from axis_beams import axis_collection, with_patterns
 
-from blocksar.collection.beam import is_lit, pattern_gain, pulse_weights
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
@@ -42,12 +41,12 @@ def hills(x: np.ndarray, y: np.ndarray, size: float) -> Terrain:
 def definition(geometry: Geometry, weighting: Weighting, valid: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """The double sum over pulses and range frequencies; and the number of lit pulses."""
     everything = slice(None)
-    w = is_lit(geometry, x, y) * pulse_weights(geometry, x[:, None], y[:, None], everything, weighting.azimuth)
-    g = pattern_gain(geometry, x[:, None], y[:, None], everything)
+    w = geometry.beam.is_lit(x, y) * geometry.beam.weights(x[:, None], y[:, None], everything, weighting.azimuth)
+    g = geometry.beam.gain(x[:, None], y[:, None], everything)
     over = weighting.range.samples(geometry.collection.n_range_frequency)
     squares = sum((valid * (w * weight) ** 2).sum(axis=1) for weight in over)
     total = sum((valid * w * weight * g).sum(axis=1) for weight in over)
-    return np.array([POWER * squares / total**2, is_lit(geometry, x, y).sum(axis=1)])
+    return np.array([POWER * squares / total**2, geometry.beam.is_lit(x, y).sum(axis=1)])
 
 
 @pytest.mark.parametrize("text", ["uniform", "taylor:4:-35"])

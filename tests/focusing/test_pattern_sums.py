@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from axis_beams import axis_collection, with_patterns
 
-from blocksar.collection.beam import is_lit, lit_passes, pattern_gain, pulse_weights
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Taper
 from blocksar.focusing.pattern_sums import LEAST_ELEVATION, add_gains, mean_elevations
@@ -29,13 +28,13 @@ def test_sums_are_those_of_the_definitions(width: float, angles: str, text: str)
     over = rng.uniform(0, 300, x.shape)
     z = collection.ground_height + over
     valid = rng.uniform(0.5, 1.0, collection.n_pulse)
-    pulses, expected, lit = slice(7, 55), np.zeros(x.shape), is_lit(geometry, x, y, z=z)
+    pulses, expected, lit = slice(7, 55), np.zeros(x.shape), geometry.beam.is_lit(x, y, z=z)
     for p in range(pulses.start, pulses.stop):
-        weight = pulse_weights(geometry, x, y, p, taper, z) * pattern_gain(geometry, x, y, p, z)
+        weight = geometry.beam.weights(x, y, p, taper, z) * geometry.beam.gain(x, y, p, z)
         expected += lit[..., p] * weight * valid[p]
     assert (expected > 0).any()
     total = np.ones(x.shape)
-    for first, last in zip(*lit_passes(geometry, x, y, z), strict=True):
+    for first, last in zip(*geometry.beam.passes(x, y, z), strict=True):
         add_gains(total, geometry, x, y, over, first=first, last=last, pulses=pulses, valid=valid[pulses], taper=taper)
     np.testing.assert_allclose(total - 1, expected, rtol=0, atol=1e-8 * expected.max())
 
@@ -57,15 +56,15 @@ def test_means_of_a_pattern_in_elevation_are_those_of_the_definition(kind: str, 
     x, y = np.meshgrid(9000 + 20.0 * np.arange(40), np.linspace(-60, 60, 5))
     over, valid = rng.uniform(0, 300, x.shape), np.linspace(0.7, 1.0, collection.n_pulse)
     z, everything = collection.ground_height + over, slice(None)
-    lit = is_lit(geometry, x, y, z=z)
-    weight = valid * lit * pulse_weights(geometry, x[..., None], y[..., None], everything, taper, z[..., None])
-    both = weight * pattern_gain(geometry, x[..., None], y[..., None], everything, z[..., None])
+    lit = geometry.beam.is_lit(x, y, z=z)
+    weight = valid * lit * geometry.beam.weights(x[..., None], y[..., None], everything, taper, z[..., None])
+    both = weight * geometry.beam.gain(x[..., None], y[..., None], everything, z[..., None])
     alone = geometry.lit_by(collection.without_elevation)
-    weight = weight * pattern_gain(alone, x[..., None], y[..., None], everything, z[..., None])
+    weight = weight * alone.beam.gain(x[..., None], y[..., None], everything, z[..., None])
     place = (2 * np.cumsum(lit, axis=-1) - 1) / np.maximum(lit.sum(axis=-1), 1)[..., None] - 1
     seen = lit.sum(axis=-1) > 60
 
-    means = mean_elevations(geometry, x, y, over, passes=lit_passes(geometry, x, y, z), valid=valid, taper=taper)
+    means = mean_elevations(geometry, x, y, over, passes=geometry.beam.passes(x, y, z), valid=valid, taper=taper)
     assert seen.mean() > 0.2
     total, level = both.sum(axis=-1)[seen], weight.sum(axis=-1)[seen]
     np.testing.assert_allclose(means.weighed[seen], total / level, atol=0.004)
@@ -73,7 +72,7 @@ def test_means_of_a_pattern_in_elevation_are_those_of_the_definition(kind: str, 
     tilt = (both * place).sum(axis=-1)[seen] / total - (weight * place).sum(axis=-1)[seen] / level
     np.testing.assert_allclose(means.tilt[seen][bright], tilt[bright], atol=0.02)
     bare = replace(collection, beam_offset=None, beam_pattern=None)
-    gain = pattern_gain(geometry.lit_by(bare), x[..., None], y[..., None], everything, z[..., None])
+    gain = geometry.lit_by(bare).beam.gain(x[..., None], y[..., None], everything, z[..., None])
     plain = (lit * gain).sum(axis=-1) / np.maximum(lit.sum(axis=-1), 1)
     np.testing.assert_allclose(means.plain[seen], plain[seen], atol=0.004)
     assert (means.plain[~lit.any(axis=-1)] == 0).all()

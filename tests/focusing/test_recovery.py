@@ -13,7 +13,6 @@ import slow_twins
 from steps import collection, explicit_transform, taper, target_at
 
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.collection.beam import dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
@@ -61,7 +60,7 @@ def recovered(case: Case, signal: ComplexArray, **options: Any) -> ComplexArray:
 
 
 def lit_at(case: Case, yaw: float, slow: FloatArray) -> np.ndarray:
-    first, last = dwell_at(case.geometry, np.array(yaw), np.zeros(1))
+    first, last = case.geometry.beam.dwell_at(np.array(yaw), np.zeros(1))
     return (slow + case.geometry.epoch >= first) & (slow + case.geometry.epoch <= last)
 
 

@@ -14,7 +14,6 @@ import numpy as np
 from plan_images import focus
 
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.collection.beam import has_full_dwell
 from blocksar.collection.collection import Collection
 from blocksar.collection.grid import Grid
 from blocksar.constants import SPEED_OF_LIGHT
@@ -101,7 +100,7 @@ def draw(seed: int) -> tuple[Drawn, Plan, list[str]]:
             continue
         if plan.refusal is not None:
             refused.append(plan.refusal)
-        elif has_full_dwell(plan.geometry, *np.meshgrid(drawn.grid.x[::8], drawn.grid.y[::8])).mean() > SHOWN:
+        elif plan.geometry.beam.has_full_dwell(*np.meshgrid(drawn.grid.x[::8], drawn.grid.y[::8])).mean() > SHOWN:
             return drawn, plan, refused
     raise AssertionError(f"{platform}, {mode}: all of {MOST_DRAWS} draws were refused: {refused}")
 
@@ -117,7 +116,7 @@ def judge(drawn: Drawn, plan: Plan) -> Figures:
 def compare(image: ComplexArray, exact: ComplexArray, plan: Plan) -> Figures:
     """Chips of an image (n_y, n_x) beside those of the exact one, where targets have full dwell."""
     x, y = np.meshgrid(plan.grid.x, plan.grid.y)
-    full = has_full_dwell(plan.geometry, x, y)
+    full = plan.geometry.beam.has_full_dwell(x, y)
     block, share = np.zeros(x.shape, np.intp), np.zeros(x.shape)
     for one in plan.blocks:
         turn = one.ground.relative_yaw(x, y) / (one.high - one.low)

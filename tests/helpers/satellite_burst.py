@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from blocksar import stores
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import dwell
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
@@ -125,7 +124,7 @@ class Burst(NamedTuple):
 
     def full(self, x: FloatArray, y: FloatArray) -> NDArray[np.bool_]:
         """Whether points are lit over a full dwell."""
-        first, last = dwell(self.geometry, x, y, uncut=True)
+        first, last = self.geometry.beam.dwell(x, y, uncut=True)
         time = self.collection.time
         return np.asarray((first > time[0]) & (last < time[-1]))
 

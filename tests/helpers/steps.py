@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scenes import TABLE1
 
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.collection.beam import dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
@@ -118,7 +117,7 @@ def taper(geometry: Geometry, yaw: float, time: FloatArray) -> FloatArray:
 
     time (n,) s, absolute.
     """
-    first, last = dwell_at(geometry, np.array(yaw), np.zeros(1))
+    first, last = geometry.beam.dwell_at(np.array(yaw), np.zeros(1))
     along = (time - first) / (last - first)
     return np.where((along > 0) & (along < 1), np.sin(np.pi * np.clip(along, 0, 1)) ** 2, 0.0)
 

@@ -6,7 +6,6 @@ import numpy as np
 from scipy.special import diric
 
 from blocksar.arrays import Complex128Array, FloatArray
-from blocksar.collection.beam import is_lit, pattern_gain, pulse_weights
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import UNIFORM, Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
@@ -35,13 +34,13 @@ def summed_response(
     for first in range(0, collection.n_pulse, 64):
         pulses = slice(first, first + 64)
         time = collection.time[pulses]
-        of_pixel = is_lit(geometry, x, y, pulses)
+        of_pixel = geometry.beam.is_lit(x, y, pulses)
         at_target = np.array([target.x]), np.array([target.y])
-        weights = of_pixel * pulse_weights(geometry, x[:, None], y[:, None], pulses, weighting.azimuth)
-        lit = weights * is_lit(geometry, *at_target, pulses, origin[2:])
+        weights = of_pixel * geometry.beam.weights(x[:, None], y[:, None], pulses, weighting.azimuth)
+        lit = weights * geometry.beam.is_lit(*at_target, pulses, origin[2:])
         if collection.has_pattern:
-            weights = weights * pattern_gain(geometry, x[:, None], y[:, None], pulses)
-            lit = lit * pattern_gain(geometry, *at_target, pulses, origin[2:])
+            weights = weights * geometry.beam.gain(x[:, None], y[:, None], pulses)
+            lit = lit * geometry.beam.gain(*at_target, pulses, origin[2:])
         count += weights.sum(axis=1)
         if not lit.any():
             continue

@@ -15,7 +15,6 @@ import blocksar
 from blocksar import stores
 from blocksar.api.pulses import pulse_reader
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.collection.beam import lit_interval
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
@@ -89,7 +88,7 @@ def test_ten_targets_of_three_bursts_lie_where_they_are(store: Path) -> None:
         )
         ground = ellipsoid(frame, 0.0, (-6e3, 6e3), (-15e3, 15e3))
         geometry = over_terrain(history.collection.centred(), ground)
-        first, last = lit_interval(geometry, places[:, 0], places[:, 1])
+        first, last = geometry.beam.longest_pass(places[:, 0], places[:, 1])
         full = np.flatnonzero((first > 0) & (last < history.collection.n_pulse))
         read = pulse_reader(history)
         for number in full:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from axis_beams import axis_collection
 
-from blocksar.collection.beam import dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.measurement.dwell_spectrum import dwell_spectrum, shares
@@ -23,7 +22,7 @@ def chip_of(geometry: Geometry, x: Any, y: Any, part: tuple[float, float]) -> An
     image = np.zeros(at.shape[:2], complex)
     frequency = collection.carrier + np.linspace(-0.5, 0.5, 25) * collection.bandwidth
     for px, py in rng.uniform([x[0], y[0]], [x[-1], y[-1]], (12, 2)):
-        start, end = (float(t) for t in dwell(geometry, np.array(px), np.array(py)))
+        start, end = (float(t) for t in geometry.beam.dwell(np.array(px), np.array(py)))
         for time in start + np.linspace(*part, 25) * (end - start):
             antenna = geometry.track.position(np.array(time))
             distance = np.linalg.norm(at - antenna, axis=-1) - np.linalg.norm([px, py, 0.0] - antenna)
@@ -38,7 +37,7 @@ def test_power_lies_in_the_part_of_the_dwell_that_was_summed(mode: str) -> None:
     x, y = 9000 + STEP * (np.arange(SIDE) - SIDE // 2), STEP * (np.arange(SIDE) - SIDE // 2)
 
     def span(px: float, py: float) -> tuple[float, float]:
-        start, end = dwell(geometry, np.array(px), np.array(py))
+        start, end = geometry.beam.dwell(np.array(px), np.array(py))
         return float(start), float(end)
 
     for part in ((0.0, 0.5), (0.5, 1.0)):

@@ -17,7 +17,6 @@ from scipy.special import diric
 from summed_response import summed_response
 
 from blocksar.arrays import Complex128Array, ComplexArray, FloatArray
-from blocksar.collection.beam import dwell, has_full_dwell
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.terrain import Terrain
@@ -87,7 +86,7 @@ def back_project(
 ) -> Complex128Array:
     """Mean over a target's lit pulses and all frequencies, pulse by pulse; `pulse_phase` (rad) defocuses it."""
     c = geometry.collection
-    start, end = dwell(geometry, np.array(target.x), np.array(target.y))
+    start, end = geometry.beam.dwell(np.array(target.x), np.array(target.y))
     lit = np.flatnonzero((c.time > start) & (c.time < end))
     phase = np.zeros(lit.size) if pulse_phase is None else pulse_phase
     middle = c.carrier + (c.range_frequency[0] + c.range_frequency[-1]) / 2
@@ -386,9 +385,9 @@ def test_a_full_dwell_requires_the_whole_beam_to_sweep_over() -> None:
     # The beam runs from 42.13 to 57.87 degrees and is 4.25 degrees wide.
     inside, outside = (44.26, 55.73), (44.2, 55.8, 42.5, 10.0)
     at = {yaw: target_at(yaw) for yaw in inside + outside}
-    assert all(has_full_dwell(STEERED, at[yaw].x, at[yaw].y) for yaw in inside)
-    assert not any(has_full_dwell(STEERED, at[yaw].x, at[yaw].y) for yaw in outside)
-    assert has_full_dwell(UNSTEERED, at[10.0].x, at[10.0].y)
+    assert all(STEERED.beam.has_full_dwell(at[yaw].x, at[yaw].y) for yaw in inside)
+    assert not any(STEERED.beam.has_full_dwell(at[yaw].x, at[yaw].y) for yaw in outside)
+    assert UNSTEERED.beam.has_full_dwell(at[10.0].x, at[10.0].y)
 
 
 def test_a_target_that_is_never_lit_is_reported_but_not_measured() -> None:

@@ -7,7 +7,6 @@ import pytest
 from axis_beams import axis_collection
 
 from blocksar.arrays import ComplexArray
-from blocksar.collection.beam import dwell
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
@@ -64,7 +63,7 @@ def test_an_ambiguity_turns_by_whole_cycles_from_pulse_to_pulse(
     geometry = Geometry(collection=collection)
     ghost = ambiguity_place(geometry, *place, order)
     assert ghost is not None
-    middle = float(sum(dwell(geometry, *map(np.array, place)))) / 2
+    middle = float(sum(geometry.beam.dwell(*map(np.array, place)))) / 2
     times = middle + np.array([-0.5, 0.5]) * collection.pulse_interval
     track = geometry.track.position(times)
     target, other = (np.linalg.norm([*at, collection.ground_height] - track, axis=1) for at in (place, ghost))

@@ -16,7 +16,6 @@ from sidd_files import Sidd, read_sidd
 from small_run import DAYTON, TARGETS, Made, hilly, make, ridge
 
 import blocksar
-from blocksar.collection.beam import dwell
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
 from blocksar.products.collect import MARKS
@@ -76,7 +75,7 @@ def test_targets_and_shadows_lie_as_the_metadata_say(tmp_path: Path) -> None:
         row, column = np.rint(at).astype(int)
         chip = found.pixels[row - 3 : row + 4, column - 3 : column + 4]
         assert np.abs(np.array(np.unravel_index(chip.argmax(), chip.shape)) - 3).max() <= 1
-        first, last = dwell(run.source.geometry, np.array(target.x), np.array(target.y))
+        first, last = run.source.geometry.beam.dwell(np.array(target.x), np.array(target.y))
         time = polynomial.polyval2d(*(at - reference), coefficients) + run.collection.time[0]
         assert time == pytest.approx((first + last) / 2, abs=0.005 * (last - first))
     # Rows run away from the radar, by 45 degrees at most: shadows fall down, 90 degrees in the way of the standard.

@@ -10,7 +10,6 @@ import scipy.fft
 import slow_twins
 from echoes import SCENE, chirp
 
-from blocksar.collection.beam import dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
@@ -68,7 +67,7 @@ def test_a_target_is_lit_by_exactly_the_pulses_of_its_dwell() -> None:
         x, y = scene.ground_point(10e3, yaw)
         lit = np.abs(simulate_pulses(collection, x, y, np.ones(1))).max(axis=1) > 0.5
         assert lit.tolist() == [slow_twins.lit(collection, pulse, float(x), float(y)) for pulse in range(151)]
-        first, last = dwell_at(Geometry(collection=collection), np.array(yaw), np.zeros(1))
+        first, last = Geometry(collection=collection).beam.dwell_at(np.array(yaw), np.zeros(1))
         # The dwell ends at the edge of the beam; a pulse is lit if it lies inside.
         assert lit.sum() == pytest.approx(float(last - first) * collection.prf, abs=1)
         assert 0 < lit.sum() < 151

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import blocksar
-from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
@@ -100,7 +99,7 @@ def test_table1_matrix_lies_along_ground_range_and_is_lit_where_the_scene_says()
     assert yaw["A1"] < yaw["A2"] < yaw["A3"]
     ranges = geometry.epoch_range(*np.array(list(place.values())).T)
     assert ranges.min() > 27.5e3 and ranges.max() < 32.5e3
-    dwell = {name: float(np.subtract(*dwell_at(geometry, yaw[name], np.zeros(1))[::-1])) for name in yaw}
+    dwell = {name: float(np.subtract(*geometry.beam.dwell_at(yaw[name], np.zeros(1))[::-1])) for name in yaw}
     for name in ("A2", "B1", "B2", "B3", "C1", "C2", "C3"):
         assert dwell[name] == pytest.approx(0.162, abs=1e-9)
     assert dwell["A1"] == pytest.approx(0.140, abs=5e-4)

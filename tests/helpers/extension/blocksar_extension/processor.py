@@ -13,7 +13,6 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from blocksar.collection.beam import lit_passes
 from blocksar.collection.collection import Collection
 from blocksar.collection.grid import outline
 from blocksar.constants import SPEED_OF_LIGHT
@@ -128,7 +127,7 @@ class PolarFormat:
     def plan(self, problem: Problem) -> PolarPlan:
         grid, least, needed = problem.points, 1.0, 0
         for piece in problem.pieces:
-            collection, lit = piece.geometry.collection, lit_passes(piece.geometry, *outline(problem.points))
+            collection, lit = piece.geometry.collection, piece.geometry.beam.passes(*outline(problem.points))
             if np.any(lit[0]) or np.any(lit[1] < collection.n_pulse):
                 raise Unfocusable("polar-format needs a beam on all of the grid all the time; take a smaller one")
             if problem.terrain or collection.has_pattern or collection.recorded or not problem.weighting.uniform:
