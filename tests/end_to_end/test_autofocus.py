@@ -124,15 +124,6 @@ def test_a_killed_command_goes_on_to_the_same_bytes(unit: str, corrected: Correc
     assert sorted(path.name for path in tmp_path.iterdir()) == ["again.zarr"]
 
 
-@pytest.mark.slow
-def test_a_damaged_record_of_an_estimate_is_no_wrong_input(corrected: Corrected, tmp_path: Path) -> None:
-    out = tmp_path / "again.zarr"
-    place(f"{out}.autofocus/run.json").write_bytes(b'{"identity":')
-    blocksar.autofocus(corrected.source, out, grid=wrong_tracks.GRID, control=corrected.control, workers=0)
-    assert files(out) == files(corrected.store)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["again.zarr"]
-
-
 def test_what_others_put_into_the_work_folder_stays(corrected: Corrected, tmp_path: Path) -> None:
     settings: dict[str, Any] = {"grid": wrong_tracks.GRID, "control": corrected.control, "workers": 0}
     for name in ("notes.txt", "0/notes.txt", "store.zarr/notes.txt", "0", "run.json"):
@@ -150,28 +141,6 @@ def test_what_others_put_into_the_work_folder_stays(corrected: Corrected, tmp_pa
             blocksar.focus(corrected.source, tmp_path / "run", autofocus=True, **settings)
         assert (folder / "notes.txt").read_text() == "mine"
         (folder / "notes.txt").unlink()
-
-
-@pytest.mark.slow
-def test_what_others_put_there_meanwhile_stays(
-    corrected: Corrected, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out, notes = tmp_path / "again.zarr", tmp_path / "again.zarr.autofocus" / "notes.txt"
-    publish = stores.publish
-
-    def noted(*given: Any, **options: Any) -> None:
-        notes.write_text("mine")
-        publish(*given, **options)
-
-    monkeypatch.setattr(stores, "publish", noted)
-    settings: dict[str, Any] = {"grid": wrong_tracks.GRID, "control": corrected.control, "workers": 0}
-    for _ in range(2):  # also of a store that is finished already
-        blocksar.autofocus(corrected.source, out, **settings)
-        assert files(out) == files(corrected.store)
-        assert [path.name for path in notes.parent.iterdir()] == ["notes.txt"]
-    with pytest.raises(InputError, match=r"notes.txt is not of an estimate of the track"):
-        blocksar.autofocus(corrected.source, out, overwrite=True, **settings | {"control": None})
-    assert notes.read_text() == "mine"
 
 
 def test_samples_that_change_before_they_are_copied_are_not_taken_with_the_track_of_others(

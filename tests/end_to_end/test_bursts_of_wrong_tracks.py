@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -10,17 +9,13 @@ import numpy as np
 import pytest
 import zarr
 from bursts import CENTRE, SLANT, STEP, ground, write_bursts
-from faults import digests
 
 import blocksar
 from blocksar import stores
-from blocksar.api import tracks
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import lit_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
-from blocksar.errors import InputError
-from blocksar.graph import track_stages
 from blocksar.simulation.scene import Scene
 
 RANDOM = np.random.default_rng(3)
@@ -120,48 +115,3 @@ def test_images_meet_in_place(bursts: list[Path], run: Path, tmp_path: Path) -> 
                 at = np.linspace(-1, 1, phase.size)
                 bends.append(np.std(phase - np.polyval(np.polyfit(at, phase, 1), at)))
         assert np.sqrt(np.mean(np.square(bends))) < 0.1
-
-
-@pytest.mark.slow  # test_channels.py interrupts an estimate of its own
-def test_an_interrupted_run_goes_on_to_the_same_bytes(
-    bursts: list[Path], run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupted(*_: Any, **__: Any) -> Any:
-        raise KeyboardInterrupt
-
-    for module, name in ((track_stages, "tie_track"), (tracks, "replace")):  # within a tie, and after all
-        with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-            patch.setattr(module, name, interrupted)
-            blocksar.focus(bursts[:2], tmp_path / "run", **SETTINGS)
-    report = blocksar.focus(bursts[:2], tmp_path / "run", **SETTINGS)
-    assert sum("went on from an unfinished estimate" in line for line in report.summary) == 2
-    assert digests(tmp_path / "run" / "image.zarr" / "image") == digests(run / "image.zarr" / "image")
-    assert not (tmp_path / "run" / "autofocus").exists()
-
-
-@pytest.mark.slow
-def test_collections_that_do_not_overlap_are_not_tied(bursts: list[Path], run: Path, tmp_path: Path) -> None:
-    report = blocksar.focus([bursts[0], bursts[2]], tmp_path / "run", **SETTINGS)
-    said = [line for line in report.summary if "not tied to the collections before" in line]
-    assert len(said) == 1 and said[0].startswith(f"{bursts[2]}: ")
-    shutil.rmtree(tmp_path / "run")
-
-
-@pytest.mark.slow  # test_channels_of_one_track.py names the channel, test_bursts.py the collection of another
-def test_a_refusal_names_the_collection(bursts: list[Path], tmp_path: Path) -> None:
-    noise = Path(shutil.copytree(bursts[1], tmp_path / "noise.zarr"))
-    signal = zarr.open_group(noise, mode="r+")["signal"]
-    real, imaginary = np.random.default_rng(1).normal(size=(2, *signal.shape))
-    signal[:] = (real + 1j * imaginary).astype(np.complex64)
-    with pytest.raises(InputError, match=rf"^{noise}: the samples do not tell .* 0 of \d+ points stand out of noise"):
-        blocksar.focus([noise, bursts[0]], tmp_path / "run", **SETTINGS)
-    assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.slow
-def test_the_order_of_collections_is_no_matter(bursts: list[Path], tmp_path: Path) -> None:
-    """The one between the others is tied to the first, and the last to it."""
-    order = [bursts[2], bursts[0], bursts[1]]
-    report = blocksar.focus(order, tmp_path / "run", **SETTINGS)
-    said = {line.partition(": ")[0]: line for line in report.summary if ": tied to " in line}
-    assert f"tied to {bursts[2]} by" in said[str(bursts[1])] and f"tied to {bursts[1]} by" in said[str(bursts[0])]

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import signal
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +11,7 @@ import pytest
 import wrong_tracks
 import xarray as xr
 import zarr
-from faults import digests, until
+from faults import digests
 
 import blocksar
 from blocksar import stores
@@ -96,41 +92,6 @@ def test_images_are_exact_back_projection_with_the_corrected_track(run: Path, co
         assert np.array_equal(used.antenna_position, history.collection.antenna_position)
     assert not (run / "autofocus").exists()
     assert not [path for path in (run / "channels").glob("*/autofocus")]
-
-
-@pytest.mark.slow
-def test_a_channel_alone_has_the_track_of_all(store: Path, run: Path, tmp_path: Path) -> None:
-    blocksar.focus(stores.open_phase_history(store).of_channel("HH"), tmp_path / "alone", **SETTINGS)
-    image = blocksar.open(tmp_path / "alone").image.values
-    assert np.array_equal(image, blocksar.open(run).image.sel(channel="HH").values, equal_nan=True)
-
-
-@pytest.mark.slow  # test_datasets.py focuses channels in memory
-def test_channels_in_memory_have_one_track_too(store: Path, run: Path, tmp_path: Path) -> None:
-    with xr.open_zarr(store) as whole:
-        report = blocksar.focus(whole.load().assign_attrs(title="in memory"), tmp_path / "run", **SETTINGS)
-    assert sum(TRACK in line for line in report.summary) == 1
-    images, expected = (blocksar.open(folder).image.values for folder in (tmp_path / "run", run))
-    assert np.array_equal(images, expected, equal_nan=True)
-    assert not (tmp_path / "run" / "autofocus").exists()
-
-
-@pytest.mark.parametrize("leaves", ["autofocus/receipts/correction-1*", "channels/HV/receipts/*"])
-@pytest.mark.slow  # test_autofocus.py kills an estimate, test_channels.py interrupts a run of channels
-def test_a_killed_run_goes_on_to_the_same_bytes(leaves: str, store: Path, run: Path, tmp_path: Path) -> None:
-    out = tmp_path / "run"
-    grid = ",".join(f"{low}:{high}:{step}" for low, high, step in GRID)
-    words = [str(store), "--out", str(out), f"--grid={grid}", "--blocks=2", "--autofocus", "--workers=0", "--quiet"]
-    process = subprocess.Popen([sys.executable, "-m", "blocksar", "focus", *words], stdout=subprocess.DEVNULL)
-    until(lambda: process.poll() is not None or any(out.glob(leaves)), leaves)
-    os.kill(process.pid, signal.SIGKILL)
-    assert process.wait() == -signal.SIGKILL
-    assert (out / "autofocus").exists()
-    report = blocksar.focus(store, out, **SETTINGS)
-    assert sum("went on from an unfinished estimate" in line for line in report.summary) == 1
-    assert digests(out / "image.zarr" / "image") == digests(run / "image.zarr" / "image")
-    assert not (out / "autofocus").exists()
-    assert "nothing to do" in blocksar.focus(store, out, **SETTINGS).summary[0]
 
 
 def test_a_change_of_one_channel_is_a_change_of_the_track_of_all(store: Path, run: Path, tmp_path: Path) -> None:

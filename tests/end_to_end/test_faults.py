@@ -28,7 +28,6 @@ from faults import (
     PAGE,
     SETTINGS,
     STAGES,
-    TICK,
     Cluster,
     Disk,
     Launcher,
@@ -290,52 +289,6 @@ def kill_once_it_has(wanted: float, process: Process, run: Path) -> None:
     assert process.wait() in (-signal.SIGKILL, 0)
 
 
-@pytest.mark.parametrize("attempt", range(3))
-@pytest.mark.slow
-def test_a_run_killed_at_its_first_file_is_resumed(
-    attempt: int,
-    launcher: Launcher,
-    store: Path,
-    dask_cluster: Cluster,
-    again: Callable[[Path], set[str]],
-    tmp_path: Path,
-) -> None:
-    """The folder of a run killed before it wrote run.json is recognised as one of ours."""
-    process = launcher.start("blocksar", *words(store, tmp_path / "run", "--scheduler", dask_cluster.address))
-    until(lambda: (tmp_path / "run").exists() and os.listdir(tmp_path / "run"), "the first file")
-    process.send(signal.SIGKILL)
-    process.wait()
-    again(tmp_path / "run")
-
-
-@pytest.mark.slow
-def test_a_run_killed_while_writing_a_patch_is_resumed(
-    launcher: Launcher, store: Path, again: Callable[[Path], set[str]], tmp_path: Path
-) -> None:
-    """Temporary files of a killed process are removed by the time the run is finished."""
-    run = tmp_path / "run"
-    with cluster(launcher, tmp_path / "dask") as made:
-        process = launcher.start("blocksar", *words(store, run, "--scheduler", made.address))
-        process.await_line("focus: 0")
-        until((run / "patches").exists, "the patches")
-        made.workers[0].send(signal.SIGSTOP)
-        until(lambda: _patch_begun(run, made.workers[0]), "the first patch")
-        for one in (made.workers[0], process):
-            one.send(signal.SIGKILL)
-            one.wait()
-    assert again(run) == set()
-
-
-@pytest.mark.parametrize("name", ["run.lock", ".run.json.0123abcd.part"])
-@pytest.mark.slow
-def test_a_folder_with_only_a_temporary_file_is_accepted(
-    name: str, again: Callable[[Path], set[str]], tmp_path: Path
-) -> None:
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / name).write_text("{")
-    again(tmp_path / "run")
-
-
 @pytest.mark.parametrize("stage", OFTEN)
 @pytest.mark.slow
 def test_a_run_resumes_after_its_scheduler_was_killed(
@@ -427,19 +380,6 @@ def test_a_run_that_does_not_fit_the_disk_is_refused(launcher: Launcher, store: 
     assert not list(disk.view.iterdir())
 
 
-@pytest.mark.slow  # a disk that fills up later is reported in the same way
-def test_a_disk_full_from_the_start_is_reported(
-    launcher: Launcher, store: Path, disk: Disk, dask_cluster: Cluster, again: Callable[[Path], set[str]]
-) -> None:
-    disk.resize(2 * PAGE)
-    given = ("--scheduler", dask_cluster.address)
-    process = launcher.start("blocksar", *words(store, disk.folder / "run", *given), FREE=64 << 20)
-    assert process.wait() in (1, 2), process.stderr
-    assert "No space left on device" in one_sentence(process)
-    disk.resize(64 << 20)
-    again(disk.folder / "run")
-
-
 # ---------------------------------------------------------------- read-only disks
 
 
@@ -449,29 +389,6 @@ def test_a_read_only_output_is_refused(launcher: Launcher, store: Path, disk: Di
         assert process.wait() == 2, process.stderr
         assert "Read-only file system" in one_sentence(process)
     assert list(disk.view.iterdir()) == []
-
-
-@pytest.mark.parametrize("stage", OFTEN)
-@pytest.mark.slow
-def test_a_run_resumes_after_its_output_became_read_only(
-    stage: str,
-    launcher: Launcher,
-    store: Path,
-    disk: Disk,
-    dask_cluster: Cluster,
-    again: Callable[[Path], set[str]],
-) -> None:
-    process = launcher.start("blocksar", *words(store, disk.folder / "run", "--scheduler", dask_cluster.address))
-    process.await_line(f"{stage}: 0")
-    at_work = (process, *dask_cluster.workers)
-    for one in at_work:
-        one.send(signal.SIGSTOP)
-    with read_only(launcher, disk.folder):
-        for one in at_work:
-            one.send(signal.SIGCONT)
-        assert process.wait() == 1, process.stderr
-        assert "Read-only file system" in one_sentence(process)
-    assert again(disk.folder / "run") == set()
 
 
 # ---------------------------------------------------------------- hung workers
@@ -494,52 +411,6 @@ def test_a_hung_worker_is_replaced(
     assert process.wait() == 0, process.stderr
     process.gone()
     assert again(tmp_path / "run") == set()
-
-
-@pytest.mark.slow
-def test_a_worker_that_resumes_late_does_not_change_the_result(
-    launcher: Launcher,
-    store: Path,
-    undisturbed: Undisturbed,
-    again: Callable[[Path], set[str]],
-    tmp_path: Path,
-) -> None:
-    """A worker hangs while writing a patch and continues after another worker has written that patch."""
-    run = tmp_path / "run"
-    with cluster(launcher, tmp_path / "dask", **{"distributed.scheduler.worker-ttl": 4}) as made:
-        late = made.workers[0]
-        process = launcher.start("blocksar", *words(store, run, "--scheduler", made.address))
-        process.await_line("focus: 0")
-        until((run / "patches").exists, "the patches")
-        late.send(signal.SIGSTOP)
-        until(lambda: _patch_begun(run, late), "the first patch")
-        made.add_worker()
-        process.await_line("mosaic: 0")
-        for one in (process, made.workers[1]):
-            one.send(signal.SIGSTOP)
-        late.send(signal.SIGCONT)
-        time.sleep(0.5)  # time for the late worker to write its data again
-        late.send(signal.SIGSTOP)
-        for one in (process, made.workers[1]):
-            one.send(signal.SIGCONT)
-        if process.wait() != 0:
-            assert process.wait() == 1, process.stderr
-            one_sentence(process)
-        else:
-            assert left(run) == undisturbed.left
-        late.send(signal.SIGCONT)
-    again(run)
-    assert left(run) == undisturbed.left
-
-
-def _patch_begun(run: Path, worker: Process) -> str | None:
-    """Name of a patch that is partly written; without one, let a stopped worker run for one tick."""
-    for chunk in (run / "patches").glob("*/image/c/*/*"):
-        return chunk.parents[3].name
-    worker.send(signal.SIGCONT)
-    time.sleep(TICK)
-    worker.send(signal.SIGSTOP)
-    return None
 
 
 # ---------------------------------------------------------------- signals
@@ -648,22 +519,6 @@ def test_a_second_writer_is_refused(
     assert first.wait() == 0, first.stderr
     assert left(tmp_path / "run") == undisturbed.left
     assert litter(tmp_path / "run") == []
-
-
-@pytest.mark.slow  # every run that is killed leaves its lock
-def test_the_lock_of_a_killed_writer_is_ignored(
-    launcher: Launcher,
-    store: Path,
-    dask_cluster: Cluster,
-    undisturbed: Undisturbed,
-    again: Callable[[Path], set[str]],
-    tmp_path: Path,
-) -> None:
-    """The lock of a dead process does not count, although the folder still names its owner."""
-    first = launcher.start("blocksar", *words(store, tmp_path / "run", "--scheduler", dask_cluster.address))
-    first.await_line("recover: 0")
-    first.send(signal.SIGKILL)
-    again(tmp_path / "run")  # does not wait for the lock
 
 
 # ---------------------------------------------------------------- damaged results

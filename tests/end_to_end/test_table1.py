@@ -14,7 +14,6 @@ import blocksar
 from blocksar.errors import InputError
 from blocksar.planning.disk import run_bytes
 from blocksar.runs import demonstration
-from blocksar.simulation.scene import Scene
 
 EDGES = ("A1", "A3", "B1", "B3", "C1", "C3")
 
@@ -103,16 +102,6 @@ def test_memory_of_back_projection_is_predicted_and_kept(table1: Path, tmp_path:
     with pytest.raises(InputError, match=r"memory limit 330 MiB .* is too low: back-projection needs about \d+ MiB"):
         blocksar.focus(table1, tmp_path / "tight", memory_limit=330 * 2**20, **settings)
     assert not (tmp_path / "tight").exists()
-
-
-@pytest.mark.slow
-def test_one_block_suffices_with_fitted_but_not_closed_form_coefficients(table1: Path, tmp_path: Path) -> None:
-    blocksar.focus(table1, tmp_path / "fitted", blocks=1, workers=0, grid=middle_strip(table1))
-    check_targets(inside_strip(tmp_path / "fitted", table1), 20)
-    point = next(t for t in Scene.read("table1").point_targets() if t.name == "B1")
-    grid = ((point.x - 80, point.x + 80, 1.0), (point.y - 80, point.y + 80, 1.0))
-    blocksar.focus(table1, tmp_path / "closed", blocks=1, coefficients="closed-form", grid=grid, workers=0)
-    assert by_name(blocksar.quality(tmp_path / "closed").result)["B1"]["azimuth_pslr"] > -12.0
 
 
 @pytest.mark.slow

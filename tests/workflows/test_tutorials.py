@@ -18,10 +18,8 @@ import dask
 import dask.array as da
 import numpy as np
 import pytest
-import trustme
 import xarray as xr
 from distributed import Client, LocalCluster
-from distributed.security import Security
 from repository import ROOT
 
 import blocksar
@@ -101,18 +99,6 @@ def test_the_first_image_needs_at_most_twenty_lines() -> None:
     (main,) = (n for n in ast.parse(source).body if isinstance(n, ast.FunctionDef) and n.name == "main")
     lines = source.splitlines()[main.body[1].lineno - 1 : main.end_lineno]  # without the docstring
     assert 10 < len([line for line in lines if line.strip()]) <= 20
-
-
-@pytest.mark.slow
-def test_the_first_image_does_not_overwrite_a_scene_file(first: tuple[Path, str], tmp_path: Path) -> None:
-    """A named file is read or refused but never written; a changed scene is used, and here refused for its low PRF."""
-    (tmp_path / "here").mkdir()
-    assert "nowhere.toml" in refused("first_image", "here", "--scene", "nowhere.toml", cwd=tmp_path)
-    text = (first[0] / "scene.toml").read_text()
-    (tmp_path / "here" / "scene.toml").write_text(text.replace("prf = 8e3", "prf = 1e3"))
-    done = run("first_image", "here", cwd=tmp_path, status=2)
-    assert "PRF 1000 Hz is too low" in done.stderr
-    assert "prf = 1e3" in (tmp_path / "here" / "scene.toml").read_text()
 
 
 # ---------------------------------------------------------------- look_at_outputs
@@ -298,39 +284,6 @@ def test_a_run_on_a_cluster_survives_an_interrupt_and_a_killed_worker(tmp_path: 
     assert worst["worst"]["azimuth_irw_over_theory"]["value"] == pytest.approx(1, abs=0.02)
     assert "bokeh" in (tmp_path / "report.html").read_text(encoding="utf-8").lower()
     assert not list(tmp_path.glob(".probe-*"))
-
-
-@pytest.mark.slow
-def test_a_tls_cluster_is_reached_only_with_certificates(
-    first: tuple[Path, str], modules: dict[str, ModuleType], tmp_path: Path
-) -> None:
-    """The scheduler accepts only clients with certificates; without them the connection is refused."""
-    ca = trustme.CA()
-    ca.cert_pem.write_to_path(tmp_path / "ca.pem")
-    own = ca.issue_cert("127.0.0.1")
-    own.cert_chain_pems[0].write_to_path(tmp_path / "cert.pem")
-    own.private_key_pem.write_to_path(tmp_path / "key.pem")
-    paths = {"ca_file": "ca", "scheduler_cert": "cert", "scheduler_key": "key", "worker_cert": "cert",
-             "worker_key": "key", "client_cert": "cert", "client_key": "key"}  # fmt: skip
-    security = Security(
-        require_encryption=True, **{f"tls_{field}": str(tmp_path / f"{file}.pem") for field, file in paths.items()}
-    )
-    with LocalCluster(
-        n_workers=1, threads_per_worker=1, memory_limit="1GiB", host="127.0.0.1", protocol="tls://",
-        security=security, dashboard_address="127.0.0.1:0", silence_logs="CRITICAL",
-    ) as cluster:  # fmt: skip
-        address = cluster.scheduler_address
-        assert address.startswith("tls://")
-        source, words = str(first[0] / "phase_history.zarr"), ("--out", "run", "--scheduler", address)
-        connect, files = modules["cluster"].connect, [tmp_path / f"{name}.pem" for name in ("ca", "cert", "key")]
-        for given, cause in (([None] * 3, f"answers at {address}"), ([*files[:2], None], "go together")):
-            with pytest.raises(blocksar.InputError, match=cause):
-                connect(address, *given)
-        certificates = ("--tls-ca", "ca.pem", "--tls-cert", "cert.pem", "--tls-key", "key.pem")
-        grid = ("--grid=-60:60:1.5,-60:60:1.5", "--blocks", "1")
-        said = run("on_a_cluster", source, *words, *certificates, *grid, cwd=tmp_path).stdout
-    assert f"{Path('run') / 'image.zarr'} is finished" in said
-    assert abs(complex(blocksar.open(tmp_path / "run")["image"].sel(x=0, y=0, method="nearest"))) > 0
 
 
 def test_unsuitable_workers_are_reported_by_address(modules: dict[str, ModuleType], tmp_path: Path) -> None:
