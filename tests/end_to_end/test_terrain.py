@@ -13,7 +13,7 @@ from scenes import write_store
 
 import blocksar
 from blocksar import stores
-from blocksar.collection.beam import is_lit, pattern_gain
+from blocksar.collection.beam import is_lit
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import FolderError, InputError
@@ -51,19 +51,6 @@ def check_layers(image: Any, store: Path, ground: Terrain) -> None:
         normal, sight = np.array([-slope[0], -slope[1], 1.0]), antenna - [x, y, float(ground(np.array(x), np.array(y)))]
         cosine = normal @ sight / np.linalg.norm(normal) / np.linalg.norm(sight)
         assert float(image.incidence_angle[row, column]) == pytest.approx(np.arccos(cosine), abs=2e-4)
-
-
-def check_noise(run: Any, exact: Any, store: Path, ground: Terrain) -> None:
-    """Check noise_equivalent of some pixels against the sums over the pulses that light them, at their heights."""
-    collection = stores.open_phase_history(store).collection
-    geometry, n = Geometry(collection=collection).over(ground), collection.n_range_frequency
-    x, y = (axis.ravel() for axis in np.meshgrid(exact.x.values[3::9], exact.y.values[:40:8]))
-    lit, gain = is_lit(geometry, x, y), pattern_gain(geometry, x[:, None], y[:, None], slice(None))
-    wanted = NOISE / n * lit.sum(axis=1) / (lit * gain).sum(axis=1) ** 2
-    for image, off in ((run, 0.005), (exact, 0.06)):  # linear over 16 pixels: a bend where dwells begin to be cut
-        rows, columns = (np.rint((at - axis[0]) / (axis[1] - axis[0])).astype(int)
-                         for at, axis in ((y, image.y.values), (x, image.x.values)))  # fmt: skip
-        np.testing.assert_allclose(image.noise_equivalent.values[rows, columns], wanted, rtol=off)
 
 
 @pytest.fixture(scope="module")
@@ -196,9 +183,6 @@ def test_a_mountain_outside_the_grid_casts_its_shadow_into_it(store: Path, tmp_p
     assert 0.1 < shadow.mean() < 0.9
     assert ((image.visibility.values == 2) != shadow).mean() < 0.02
     assert float(image.height.max()) < 100  # what casts it stands elsewhere
-
-
-NOISE = 1e-6  # mean squared magnitude, of each sample
 
 
 def test_a_ground_that_cannot_be_taken_is_refused_before_anything_is_written(store: Path, tmp_path: Path) -> None:

@@ -23,8 +23,6 @@ from blocksar.planning.binding import Candidate, Freedom
     "freedom",
     [
         Freedom(True, True, False),
-        Freedom(True, False, True),
-        Freedom(False, True, False),
         Freedom(False, False, False),
         Freedom(True, True, True),
     ],

@@ -8,7 +8,7 @@ import shutil
 import sys
 import tomllib
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,6 @@ from scenes import scene
 
 import blocksar
 from blocksar import stores
-from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_points
 from blocksar.planning.plan import Plan, Transforms
@@ -223,36 +222,6 @@ def test_a_missing_peer_is_reported_as_not_installed(
     found = benchmark.back_projection.run_peer(*collected, 1)
     assert (found["name"], found["status"]) == ("torchbp", "not installed")
     assert "not installed" in benchmark.tables.peer_line(found)
-
-
-def backprojection_cart_2d(data: Any, grid: Any, fc: float, r_res: float, pos: Any, d0: float = 0.0) -> Any:
-    """The function as torchbp documents it: interpolation of two samples, ground at z = 0, pixels [x, y]."""
-    x, y = (
-        grid[axis][0] + (grid[axis][1] - grid[axis][0]) / grid[n] * np.arange(grid[n])
-        for axis, n in (("x", "nx"), ("y", "ny"))
-    )
-    image = np.zeros((1, x.size, y.size), np.complex128)
-    for samples, (px, py, pz) in zip(data, pos.astype(np.float64), strict=True):
-        distance = np.sqrt((x[:, None] - px) ** 2 + (y - py) ** 2 + pz**2)
-        place = (distance + d0) / r_res
-        below = place.astype(int)
-        part = place - below
-        value = (1 - part) * samples[below] + part * samples[below + 1]
-        image[0] += value * np.exp(4j * np.pi * fc / SPEED_OF_LIGHT * distance)
-    return image
-
-
-def test_the_peer_is_given_the_same_scene(benchmark: Any, collected: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    torch, torchbp = ModuleType("torch"), ModuleType("torchbp")
-    torch.from_numpy, torch.__version__ = np.asarray, "0"  # type: ignore[attr-defined]
-    torchbp.ops = SimpleNamespace(backprojection_cart_2d=backprojection_cart_2d)  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "torch", torch)
-    monkeypatch.setitem(sys.modules, "torchbp", torchbp)
-    monkeypatch.setattr(benchmark.back_projection, "CHIP", SIDE)
-    found = benchmark.back_projection.run_peer(*collected, 1)
-    assert found["status"] == "run"
-    assert found["coherence"] > 0.8  # float32 positions are accurate to a millimetre only
-    assert "M updates/s" in benchmark.tables.peer_line(found)
 
 
 def test_ratios_are_compared_with_their_bounds(benchmark: Any, tmp_path: Path) -> None:

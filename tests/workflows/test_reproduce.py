@@ -89,6 +89,8 @@ def test_the_page_holds_the_requested_exhibits(page: Path) -> None:
     assert html.count("data:image/png;base64,iVBOR") == 2
     assert "src=" not in html.replace('src="data:', "")  # the page loads no external resources
     assert "fig2 failed" in html and "the disk is full" in html
+    lobes = [float(row[1].strip("*")) for row in cells(page, "table3") if re.fullmatch("[ABC][123]", row[0])]
+    assert len(lobes) == 2 * 9 and lobes == pytest.approx([-13.26] * 18, abs=0.2)  # dB, of range and azimuth
 
 
 def test_html_and_markdown_pages_agree(page: Path) -> None:
