@@ -80,11 +80,11 @@ def test_right_samples_pass(spotlight: Part) -> None:
     assert findings.sentence().startswith("the samples fit what is said of them")
     assert findings.sharpness > 0.9
     assert len(findings.trials) > 5
-    assert findings.given.sharpness > max(trial.sharpness for trial in findings.trials[1:])
+    assert findings.better is None
 
 
 def test_the_mirror_image_of_a_spotlight_is_said_not_to_be_told(spotlight: Part) -> None:
-    """A conjugated signal mirrors it about its middle, hardly less sharp: 2.2 dB, by 3.1 standard deviations."""
+    """A conjugated signal mirrors it about its middle, hardly less sharp."""
     signal, collection, grid = spotlight
     sentence = run(np.conj(signal), collection, grid, thorough=True).sentence()
     assert "not told from what is given: the signal is conjugated" in sentence
