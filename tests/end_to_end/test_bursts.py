@@ -103,6 +103,8 @@ def test_it_is_the_back_projection_of_all_pulses(run: Path, bursts: list[Path]) 
 def test_a_collection_is_focused_as_by_itself(run: Path, bursts: list[Path], tmp_path: Path) -> None:
     blocksar.focus(bursts[1], tmp_path / "alone", **SETTINGS, workers=0)
     together, alone = blocksar.open(run), blocksar.open(tmp_path / "alone")
+    assert alone.image.dtype == np.complex64 and alone.block.dtype == np.int16
+    assert alone.image.attrs["units"] == "1" and alone.x.attrs["long_name"]
     assert "collection" not in alone and not (tmp_path / "alone" / "segments").exists()
     owned = together.collection.values == 1
     np.testing.assert_array_equal(together.image.values[owned], alone.image.values[owned])

@@ -182,10 +182,7 @@ def assassin(client: Client) -> Iterator[Assassin]:
 
 @pytest.mark.parametrize(
     ("stage", "seeds"),
-    [
-        ("focus", 1),
-        *(pytest.param(stage, 20, marks=pytest.mark.slow) for stage in (*STAGES, "range-compress", "gate")),
-    ],
+    [("focus", 1), *(pytest.param(stage, 20, marks=pytest.mark.slow) for stage in (*STAGES, "range-compress", "gate"))],
 )
 def test_a_killed_worker_does_not_change_the_result(
     stage: str,
@@ -310,12 +307,7 @@ def sizes(store: Path, run: Path) -> dict[str, int]:
 
 @pytest.mark.parametrize("stage", OFTEN)
 def test_a_run_resumes_after_the_disk_was_full(
-    stage: str,
-    launcher: Launcher,
-    store: Path,
-    disk: Disk,
-    undisturbed: Undisturbed,
-    again: Callable[[Path], set[str]],
+    stage: str, launcher: Launcher, store: Path, disk: Disk, undisturbed: Undisturbed, again: Callable[[Path], set[str]]
 ) -> None:
     disk.resize(sizes(store, undisturbed.run)[stage])
     # As if others filled it in the meantime: a run that does not fit is refused.
@@ -372,10 +364,7 @@ def test_a_hung_worker_is_replaced(
 
 @pytest.mark.parametrize(
     ("number", "status", "word"),
-    [
-        (signal.SIGINT, 130, "interrupted"),
-        pytest.param(signal.SIGTERM, 143, "terminated", marks=pytest.mark.slow),
-    ],
+    [(signal.SIGINT, 130, "interrupted"), pytest.param(signal.SIGTERM, 143, "terminated", marks=pytest.mark.slow)],
 )
 def test_a_signal_stops_a_run_cleanly(
     number: signal.Signals,

@@ -87,11 +87,7 @@ def test_targets_of_a_scene_stand_on_its_ground(store: Path) -> None:
     assert lifted.point_targets()[0].z == 12.5
 
 
-def test_back_projection_puts_targets_where_they_stand(
-    store: Path,
-    terrain: Path,
-    tmp_path: Path,
-) -> None:
+def test_back_projection_puts_targets_where_they_stand(store: Path, terrain: Path, tmp_path: Path) -> None:
     run, settings = tmp_path / "run", {"processor": "backprojection", "workers": 0, "terrain": terrain}
     dx, dy = PLACES["flank"]
     grid = tuple((float(c + d - 45), float(c + d + 45), 0.8) for c, d in zip(MIDDLE, (dx, dy), strict=True))

@@ -62,13 +62,7 @@ def check(plan: Plan, image: ComplexArray, exact: ComplexArray) -> float:
     return min(found)
 
 
-@pytest.mark.parametrize(
-    ("kind", "text"),
-    [
-        ("stripmap", "uniform"),
-        ("squinted", "hann"),
-    ],
-)
+@pytest.mark.parametrize(("kind", "text"), [("stripmap", "uniform"), ("squinted", "hann")])
 def test_images_are_those_of_back_projection_across_a_zero(kind: str, text: str) -> None:
     """On the plane; all are NaN where the pattern is less than a hundredth of its peak. 0.9998 was said, and 0.91
     measured: sums over lit pulses were linear between ranges, and the factor for the pattern a series."""

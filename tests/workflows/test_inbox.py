@@ -22,7 +22,7 @@ import pytest
 import typer
 import zarr
 from distributed import Client, LocalCluster
-from faults import digests, members, until
+from faults import digests, until
 from repository import WORKFLOWS
 from scenes import scene, write_store
 
@@ -361,15 +361,6 @@ def test_foreign_folders_in_the_outbox_are_kept(post: Post) -> None:
     assert post.records("done")["a"]["run"] == str(post.outbox / "runs" / "a.3")
 
 
-def test_what_a_sweep_killed_at_its_first_file_has_left_is_no_run_of_others(post: Post) -> None:
-    post.deliver("a")
-    run = post.outbox / "runs" / "a"
-    run.mkdir(parents=True)
-    (run / ".run.json.01234567.part").write_text("{")
-    assert post.sweep() == post.module.DONE
-    assert post.records("done")["a"]["run"] == str(run)
-
-
 # ---------------------------------------------------------------- hooks
 
 
@@ -456,12 +447,9 @@ def test_system_errors_count_as_external(cause: Exception | None, passing: bool,
     error = InputError("it cannot be read")
     error.__cause__ = cause
     assert post.module.is_external(error) == passing
-
-
-def test_indirect_causes_of_an_error_are_examined(post: Post) -> None:
-    error, between = InputError("it cannot be read"), ValueError("of a library")
-    error.__cause__, between.__cause__ = between, OSError(113, "no route to host")
-    assert post.module.is_external(error)
+    error.__cause__ = between = ValueError("of a library")
+    between.__cause__ = cause
+    assert post.module.is_external(error) == passing
 
 
 @pytest.mark.parametrize("there", [False, True])
@@ -589,27 +577,6 @@ def test_concurrent_sweeps_and_a_kill_process_each_collection_once(post: Post, i
     started = post.names("started") + post.names("resumed")
     assert all(started.count(name) == 1 for name in settled)
     assert sorted(post.names("done")) == list("abcde")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_ends_a_sweep_cleanly(number: int, post: Post, image: dict[str, str]) -> None:
-    post.deliver(*"abcdef")
-    with post.start() as process:
-        until(lambda: post.names("started")[2:] or process.poll() is not None, "the third collection")
-        # A terminal sends Ctrl-C to the whole process group, workers included.
-        (os.killpg if number == signal.SIGINT else os.kill)(process.pid, number)
-        _, said = process.communicate()
-    assert process.returncode == 128 + number
-    assert "the next sweep continues from here" in said and "Traceback" not in said
-    until(lambda: not members(process.pid), "its workers to end")
-    assert post.status()["state"] == "interrupted"
-    assert not (post.outbox / "scratch").exists()
-    before = post.names("done")
-    assert 1 < len(before) < 6
-    assert post.sweep() == post.module.DONE
-    assert post.names("done") == list("abcdef")
-    assert post.images() == dict.fromkeys("abcdef", image)
 
 
 # ---------------------------------------------------------------- inbox in a bucket
