@@ -36,7 +36,7 @@ scatterers = 300
 power = 1e-4
 seed = 3
 """
-GRID = ((15980.0, 16120.0, 1.0), (19050.0, 19190.0, 1.0))  # about T
+GRID = ((16040.0, 16180.0, 1.0), (19135.0, 19275.0, 1.0))  # about T and D
 SETTINGS: dict[str, Any] = {"blocks": 1, "workers": 0, "coefficients": "closed-form", "grid": GRID}
 
 

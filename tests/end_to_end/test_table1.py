@@ -19,10 +19,10 @@ EDGES = ("A1", "A3", "B1", "B3", "C1", "C3")
 
 
 def middle_strip(table1: Path) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """The default grid's middle third in y."""
+    """The default grid's middle sixth in y."""
     grid = planned(table1, blocks=3).grid
-    third = (grid.y1 - grid.y0) / 3
-    return (grid.x0, grid.x1, grid.dx), (grid.y0 + third, grid.y1 - third, grid.dy)
+    middle, half = (grid.y0 + grid.y1) / 2, (grid.y1 - grid.y0) / 12
+    return (grid.x0, grid.x1, grid.dx), (middle - half, middle + half, grid.dy)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def inside_strip(run: Path, table1: Path) -> dict[str, Any]:
 
 
 def test_every_full_dwell_target_meets_the_quality_bar(run: Path, table1: Path) -> None:
-    check_targets(inside_strip(run, table1), 20)
+    check_targets(inside_strip(run, table1), 8)
 
 
 def test_a_run_takes_the_room_that_was_planned(run: Path, table1: Path) -> None:
@@ -71,7 +71,7 @@ def test_a_low_memory_limit_divides_blocks_in_range_and_is_kept(table1: Path, tm
     record = json.loads((tmp_path / "run" / "run.json").read_text())
     assert record["plan"]["parts"] > 1
     assert record["peak_memory"] <= max(b["memory"] for b in record["plan"]["predicted"]) <= limit
-    check_targets(inside_strip(tmp_path / "run", table1), 20)
+    check_targets(inside_strip(tmp_path / "run", table1), 8)
     # A resumed run keeps the sub-blocks of its first plan, whatever the memory limit is now.
     resumed = blocksar.focus(table1, tmp_path / "run", blocks=2, workers=1, grid=middle_strip(table1))
     assert "nothing to do" in resumed.summary[0]
