@@ -36,7 +36,7 @@ class Ground(NamedTuple):
 
 # Of papers B and C the whole of the azimuth and half of the range: test_papers.py has the papers' own scenes in full.
 GROUNDS = {
-    "table1": Ground(scene(steering=(46.5, 53.5), duration=0.267, swath=[29800.0, 30200.0]), None, 4.0, 0.995, 3),
+    "table1": Ground(scene(steering=(44.75, 55.25), duration=0.4, swath=[29700.0, 30300.0]), None, 4.0, 0.995, 3),
     "scan reversed": Ground(
         scene(steering=(55.25, 44.75), duration=0.4, swath=[29500.0, 30500.0]), None, 4.0, 0.995, 3
     ),
