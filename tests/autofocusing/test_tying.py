@@ -135,10 +135,7 @@ def test_places_beside_the_terrain_are_left_out(signal: ComplexArray) -> None:
     ],
 )
 def test_collections_are_tied_in_turn(
-    shared: dict[tuple[int, int], int],
-    refused: list[tuple[int, int]],
-    tried: list[tuple[int, int]],
-    apart: list[int],
+    shared: dict[tuple[int, int], int], refused: list[tuple[int, int]], tried: list[tuple[int, int]], apart: list[int]
 ) -> None:
     calls: list[tuple[int, int]] = []
 

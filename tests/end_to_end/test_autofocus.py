@@ -103,11 +103,8 @@ def test_the_same_command_again_does_nothing_and_another_is_refused(corrected: C
     assert not [path.name for path in store.parent.iterdir() if path.name.endswith(".autofocus")]
 
 
-@pytest.mark.parametrize(
-    "unit",
-    ["correction-1", pytest.param("chips-1-512", marks=pytest.mark.slow), pytest.param("copy", marks=pytest.mark.slow)],
-)
-def test_a_killed_command_goes_on_to_the_same_bytes(unit: str, corrected: Corrected, tmp_path: Path) -> None:
+@pytest.mark.slow  # the next test interrupts one in this process, test_faults.py kills runs
+def test_a_killed_command_goes_on_to_the_same_bytes(corrected: Corrected, tmp_path: Path) -> None:
     out, receipts = tmp_path / "again.zarr", tmp_path / "again.zarr.autofocus" / "receipts"
     grid = ",".join(f"{low}:{high}:{step}" for low, high, step in wrong_tracks.GRID)
     words = [str(corrected.source), "--out", str(out), f"--grid={grid}", "--workers=0"]
@@ -115,22 +112,45 @@ def test_a_killed_command_goes_on_to_the_same_bytes(unit: str, corrected: Correc
     process = subprocess.Popen(
         [sys.executable, "-m", "blocksar", "autofocus", *words, "--quiet"], stdout=subprocess.DEVNULL
     )
-    until(lambda: process.poll() is not None or any(receipts.glob(f"{unit}*")), unit)
+    until(lambda: process.poll() is not None or any(receipts.glob("correction-1*")), "correction-1")
     os.kill(process.pid, signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL and not out.exists()
-    report = blocksar.autofocus(corrected.source, out, grid=wrong_tracks.GRID, control=corrected.control, workers=0)
-    assert any(line.startswith("went on from an unfinished estimate") for line in report.summary)
-    assert files(out) == files(corrected.store)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["again.zarr"]
-
-
-@pytest.mark.slow
-def test_a_damaged_record_of_an_estimate_is_no_wrong_input(corrected: Corrected, tmp_path: Path) -> None:
-    out = tmp_path / "again.zarr"
-    place(f"{out}.autofocus/run.json").write_bytes(b'{"identity":')
     blocksar.autofocus(corrected.source, out, grid=wrong_tracks.GRID, control=corrected.control, workers=0)
     assert files(out) == files(corrected.store)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["again.zarr"]
+
+
+def test_an_interrupted_command_goes_on_to_the_same_bytes(
+    corrected: Corrected, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """But samples that change before they are copied are not taken with the track of others."""
+    out, other, copied = tmp_path / "again.zarr", tmp_path / "other.zarr", stores.files_to_copy
+    settings: dict[str, Any] = {"grid": wrong_tracks.GRID, "control": corrected.control, "workers": 0}
+    sample = next(path for path in (corrected.source / "signal" / "c").rglob("*") if path.is_file())
+    written = sample.stat().st_mtime_ns
+
+    def interrupted(store: Place) -> Any:
+        raise KeyboardInterrupt
+
+    def changed(store: Place) -> Any:
+        os.utime(sample, (1, 1))
+        return copied(store)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(stores, "files_to_copy", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            blocksar.autofocus(corrected.source, out, **settings)
+    assert not out.exists()
+    shutil.copytree(f"{out}.autofocus", f"{other}.autofocus")
+    report = blocksar.autofocus(corrected.source, out, **settings)
+    assert any(line.startswith("went on from an unfinished estimate") for line in report.summary)
+    assert files(out) == files(corrected.store)
+    monkeypatch.setattr(stores, "files_to_copy", changed)
+    try:
+        with pytest.raises(InputError, match=r"ph.zarr changes while it is read"):
+            blocksar.autofocus(corrected.source, other, **settings)
+    finally:
+        os.utime(sample, ns=(written, written))
+    assert [path.name for path in tmp_path.iterdir()] == ["again.zarr"]
 
 
 def test_what_others_put_into_the_work_folder_stays(corrected: Corrected, tmp_path: Path) -> None:
@@ -152,61 +172,15 @@ def test_what_others_put_into_the_work_folder_stays(corrected: Corrected, tmp_pa
         (folder / "notes.txt").unlink()
 
 
-@pytest.mark.slow
-def test_what_others_put_there_meanwhile_stays(
-    corrected: Corrected, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out, notes = tmp_path / "again.zarr", tmp_path / "again.zarr.autofocus" / "notes.txt"
-    publish = stores.publish
-
-    def noted(*given: Any, **options: Any) -> None:
-        notes.write_text("mine")
-        publish(*given, **options)
-
-    monkeypatch.setattr(stores, "publish", noted)
-    settings: dict[str, Any] = {"grid": wrong_tracks.GRID, "control": corrected.control, "workers": 0}
-    for _ in range(2):  # also of a store that is finished already
-        blocksar.autofocus(corrected.source, out, **settings)
-        assert files(out) == files(corrected.store)
-        assert [path.name for path in notes.parent.iterdir()] == ["notes.txt"]
-    with pytest.raises(InputError, match=r"notes.txt is not of an estimate of the track"):
-        blocksar.autofocus(corrected.source, out, overwrite=True, **settings | {"control": None})
-    assert notes.read_text() == "mine"
-
-
-def test_samples_that_change_before_they_are_copied_are_not_taken_with_the_track_of_others(
-    corrected: Corrected, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    source, groups = tmp_path / "ph.zarr", stores.files_to_copy
-    shutil.copytree(corrected.source, source)
-
-    def changed(store: Place) -> dict[str, str]:
-        os.utime(next(path for path in (source / "signal" / "c").rglob("*") if path.is_file()), (1, 1))
-        return groups(store)
-
-    monkeypatch.setattr(stores, "files_to_copy", changed)
-    with pytest.raises(InputError, match=r"ph.zarr changes while it is read"):
-        blocksar.autofocus(source, tmp_path / "out.zarr", grid=wrong_tracks.GRID, control=corrected.control, workers=0)
-    assert [path.name for path in tmp_path.iterdir()] == ["ph.zarr"]
-
-
-NOISE = "[noise]\npower = 1.0\nseed = 4\n"
 REFUSED = {
-    "noise alone": NOISE,
-    "one bright point": '[[targets]]\nname = "P"\nx = 3.0\ny = 4.0\namplitude = 30.0\n' + NOISE,
     "half of the pulses missing": wrong_tracks.targets() + "[dropped]\nfraction = 0.5\nseed = 1\n",
     "an empty scene": '[[targets]]\nname = "P"\nx = 3.0\ny = 4.0\namplitude = 0.0\n',
 }
 
 
-SLOW = ("noise alone", "one bright point")  # all loops are made before the halves are compared
-
-
-@pytest.mark.parametrize(
-    "case", [pytest.param(case, marks=pytest.mark.slow) if case in SLOW else case for case in REFUSED]
-)
+@pytest.mark.parametrize("case", [*REFUSED, pytest.param("noise alone", marks=pytest.mark.slow)])
 def test_samples_that_do_not_tell_are_refused_and_nothing_is_left(case: str, tmp_path: Path) -> None:
-    source = wrong_tracks.make(tmp_path, REFUSED[case])
+    source = wrong_tracks.make(tmp_path, REFUSED.get(case, "[noise]\npower = 1.0\nseed = 4\n"))
     before = sorted(path.name for path in tmp_path.iterdir())
     with pytest.raises(InputError) as caught:
         blocksar.autofocus(source, tmp_path / "corrected.zarr", grid=wrong_tracks.GRID, workers=0)

@@ -18,7 +18,6 @@ from blocksar.measurement.coherence import coherence
 
 DX, DY = 2.0, 6.0  # m
 LIMIT = 1536 * MIB  # bytes, of a worker
-CHIPS = [(0.375, 0.235), (0.225, -0.0875), (-0.075, -0.01), (-0.225, -0.2415)]  # of width and length; 3 on seams of 8
 
 
 def check_clutter(store: Path, image: Any, burst: Burst, chips: list[tuple[float, float]]) -> None:
@@ -55,22 +54,14 @@ def check_targets(targets: list[dict[str, Any]], expected: int) -> None:
         assert abs(np.angle(value)) <= 0.05, target
 
 
-@pytest.mark.parametrize(
-    ("width", "length", "across", "along", "blocks"),
-    [
-        pytest.param(2.4e3, 3e3, 2, 2, 2, id="small"),
-        pytest.param(60e3, 15e3, 7, 5, 8, id="whole", marks=pytest.mark.slow),
-    ],
-)
-def test_a_burst_is_as_sharp_as_back_projection_on_its_hills(
-    width: float, length: float, across: int, along: int, blocks: Any, tmp_path: Path
-) -> None:
+def test_a_burst_is_as_sharp_as_back_projection_on_its_hills(tmp_path: Path) -> None:
+    width, length, across, along, blocks = 2.4e3, 3e3, 2, 2, 2
     burst = Burst.over(width, length)
     steering = burst.collection.beam_steering
     assert steering is not None
     wavelength = burst.collection.wavelength
     assert 2 * SPEED / wavelength * (steering[-1] - steering[0] + BEAM) > 1.8 * PRF
-    chips = [(0.0, 0.0)] if along == 2 else [(dx * width, dy * length) for dx, dy in CHIPS]  # between targets
+    chips = [(0.0, 0.0)]  # between targets
     store = burst.write(tmp_path, burst.targets(across, along), chips)
     grid = burst.grid(DX, DY)
     report = blocksar.focus(

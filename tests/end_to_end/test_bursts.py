@@ -102,6 +102,8 @@ def test_it_is_the_back_projection_of_all_pulses(run: Path, bursts: list[Path]) 
 def test_a_collection_is_focused_as_by_itself(run: Path, bursts: list[Path], tmp_path: Path) -> None:
     blocksar.focus(bursts[1], tmp_path / "alone", **SETTINGS, workers=0)
     together, alone = blocksar.open(run), blocksar.open(tmp_path / "alone")
+    assert alone.image.dtype == np.complex64 and alone.block.dtype == np.int16
+    assert alone.image.attrs["units"] == "1" and alone.x.attrs["long_name"]
     assert "collection" not in alone and not (tmp_path / "alone" / "segments").exists()
     owned = together.collection.values == 1
     np.testing.assert_array_equal(together.image.values[owned], alone.image.values[owned])
@@ -113,10 +115,9 @@ def test_an_interrupted_run_resumes_to_the_same_bytes(
     def interrupted(*_: Any, **__: Any) -> Any:
         raise KeyboardInterrupt
 
-    for stage in ("focus_blocks", "mosaic"):
-        with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-            patch.setattr(stages, stage, interrupted)
-            blocksar.focus(bursts, tmp_path / "run", **SETTINGS, workers=0)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(stages, "mosaic", interrupted)
+        blocksar.focus(bursts, tmp_path / "run", **SETTINGS, workers=0)
     report = blocksar.focus(bursts, tmp_path / "run", **SETTINGS, workers=0)
     assert "3 of 3 column groups, 3 of 3 blocks," in report.summary[0]
     for variable in ("image", "block", "collection"):
@@ -141,6 +142,10 @@ def test_a_change_of_any_collection_is_noticed(run: Path, bursts: list[Path], tm
 
 
 def test_products_know_the_collections(run: Path, bursts: list[Path], tmp_path: Path) -> None:
+    two = [Target(f"P{i}", *TARGETS[i]) for i in (3, 4)]
+    result = blocksar.quality(run, reference=True, targets=two).result
+    assert {chip["place"].split(",")[0] for chip in result["reference"]} == {f"segment {i}" for i in range(3)}
+    assert "changed_input" not in result
     report = blocksar.quality(run)
     figures = {target["name"]: target for target in report.result["targets"]}
     assert sum(target["full_dwell"] for target in figures.values()) > 7
@@ -150,10 +155,6 @@ def test_products_know_the_collections(run: Path, bursts: list[Path], tmp_path: 
         assert not target["covered"] or len(np.unique(around.collection.values)) == 1
         assert target["error_x"] is None or np.hypot(target["error_x"], target["error_y"]) < 0.1
     assert any("within 10 widths of a seam between collections" in line for line in report.summary)
-    two = [Target(f"P{i}", *TARGETS[i]) for i in (3, 4)]
-    result = blocksar.quality(run, reference=True, targets=two).result
-    assert {chip["place"].split(",")[0] for chip in result["reference"]} == {f"segment {i}" for i in range(3)}
-    assert "changed_input" not in result
     blocksar.report(run)
     page = (run / "report.html").read_text()
     assert "<h1>burst 0 and 2 more</h1>" in page

@@ -36,7 +36,8 @@ scatterers = 300
 power = 1e-4
 seed = 3
 """
-SETTINGS: dict[str, Any] = {"blocks": 1, "workers": 0, "coefficients": "closed-form"}
+GRID = ((16040.0, 16180.0, 1.0), (19135.0, 19275.0, 1.0))  # about T and D
+SETTINGS: dict[str, Any] = {"blocks": 1, "workers": 0, "coefficients": "closed-form", "grid": GRID}
 
 
 @pytest.fixture(scope="module")
@@ -57,15 +58,14 @@ def test_each_channel_is_as_it_would_be_alone(store: Path, run: Path, tmp_path: 
     images = blocksar.open(run)
     assert images.image.dims == ("channel", "y", "x") and images.block.dims == ("y", "x")
     assert images.channel.values.tolist() == ["HH", "HV"]
-    for name in ("HH", "HV"):
-        history = stores.open_phase_history(store).of_channel(name)
-        blocksar.focus(history, tmp_path / name, **SETTINGS)
-        assert digests(tmp_path / name / "image.zarr" / "image" / "c") == digests(
-            run / "channels" / name / "image.zarr" / "image" / "c"
-        )
-        alone = blocksar.open(tmp_path / name)
-        assert np.array_equal(images.image.sel(channel=name).values, alone.image.values, equal_nan=True)
-        assert np.array_equal(images.block.values, alone.block.values)
+    history = stores.open_phase_history(store).of_channel("HV")
+    blocksar.focus(history, tmp_path / "HV", **SETTINGS)
+    assert digests(tmp_path / "HV" / "image.zarr" / "image" / "c") == digests(
+        run / "channels" / "HV" / "image.zarr" / "image" / "c"
+    )
+    alone = blocksar.open(tmp_path / "HV")
+    assert np.array_equal(images.image.sel(channel="HV").values, alone.image.values, equal_nan=True)
+    assert np.array_equal(images.block.values, alone.block.values)
     assert not np.array_equal(images.image[0].values, images.image[1].values, equal_nan=True)
     assert images.sar.db().dims == ("channel", "y", "x")
     assert images.sar.multilook("2x3").sizes["channel"] == 2
@@ -113,67 +113,42 @@ def test_every_channel_is_measured_shown_and_exported(run: Path, tmp_path: Path)
     assert f"--out {run} " in first.replace("\n", " ")  # the command that repeats the whole
 
 
-def test_an_interrupted_run_goes_on_to_the_same_bytes(
+def test_a_run_that_fails_as_channels_are_joined_goes_on_to_the_same_bytes(
     store: Path, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    share, calls = joint.share_chunk, []
+    """A channel that was damaged meanwhile is noticed, also if its time of modification does not tell."""
 
-    def fail(*given: Any) -> Any:
-        calls.append(given)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(joint, "share_chunk", fail)
-    with pytest.raises(KeyboardInterrupt):
-        blocksar.focus(store, tmp_path / "run", **SETTINGS)
-    assert json.loads((tmp_path / "run" / "run.json").read_text())["status"] == "unfinished"
-    with pytest.raises(InputError, match="is not finished"):
-        blocksar.open(tmp_path / "run")
-    monkeypatch.setattr(joint, "share_chunk", share)
-    summary = blocksar.focus(store, tmp_path / "run", overwrite=True, **SETTINGS).summary  # of a run that is unfinished
-    assert sum("nothing to do" in line for line in summary) == 2
-    assert digests(tmp_path / "run" / "image.zarr" / "image") == digests(run / "image.zarr" / "image")
-    before = (tmp_path / "run" / "run.json").stat().st_mtime_ns
-    assert "nothing to do" in blocksar.focus(store, tmp_path / "run", **SETTINGS).summary[0]
-    assert (tmp_path / "run" / "run.json").stat().st_mtime_ns == before
-
-
-def test_a_channel_that_was_damaged_before_the_run_went_on_is_noticed(
-    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Also if its time of modification does not tell."""
-
-    def fail(*_: Any) -> Any:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(joint, "share_chunk", fail)
-        blocksar.focus(store, tmp_path / "run", **SETTINGS)
-    chunk = tmp_path / "run" / "channels" / "HH" / "image.zarr" / "image" / "c" / "0" / "0"
-    data, written = bytearray(chunk.read_bytes()), chunk.stat().st_mtime_ns
-    data[len(data) // 2] ^= 1
-    chunk.write_bytes(data)
-    os.utime(chunk, ns=(written, written))
-    with pytest.raises(FolderError, match=r"HH was finished, but 1 .* \(first: image/c/0/0\); use overwrite=True"):
-        blocksar.focus(store, tmp_path / "run", **SETTINGS)
-    blocksar.focus(store, tmp_path / "run", overwrite=True, **SETTINGS)
-
-
-def test_a_run_that_fails_as_channels_are_joined_says_how_to_go_on(
-    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
     def full(*_: Any) -> Any:
         raise ProcessingError("no room") from OSError(28, "No space left on device")
 
-    monkeypatch.setattr(joint, "share_chunk", full)
-    with pytest.raises(ProcessingError, match=r"No space left on device.*; what was finished stays, the same command"):
-        blocksar.focus(store, tmp_path / "run", **SETTINGS)
+    with monkeypatch.context() as patch:
+        patch.setattr(joint, "share_chunk", full)
+        with pytest.raises(ProcessingError, match=r"No space left on device.*; what was finished stays, the same com"):
+            blocksar.focus(store, tmp_path / "run", **SETTINGS)
+    record = tmp_path / "run" / "run.json"
+    assert json.loads(record.read_text())["status"] == "unfinished"
+    with pytest.raises(InputError, match="is not finished"):
+        blocksar.open(tmp_path / "run")
+    chunk = tmp_path / "run" / "channels" / "HH" / "image.zarr" / "image" / "c" / "0" / "0"
+    data, written = chunk.read_bytes(), chunk.stat().st_mtime_ns
+    for content in (data[:-1] + bytes([data[-1] ^ 1]), data):
+        chunk.write_bytes(content)
+        os.utime(chunk, ns=(written, written))
+        if content != data:
+            with pytest.raises(FolderError, match=r"HH was finished, but 1 .* \(first: image/c/0/0\); use overwrite=T"):
+                blocksar.focus(store, tmp_path / "run", **SETTINGS)
+    summary = blocksar.focus(store, tmp_path / "run", overwrite=True, **SETTINGS).summary  # of a run that is unfinished
+    assert sum("nothing to do" in line for line in summary) == 2
+    assert digests(tmp_path / "run" / "image.zarr" / "image") == digests(run / "image.zarr" / "image")
+    before = record.stat().st_mtime_ns
+    assert "nothing to do" in blocksar.focus(store, tmp_path / "run", **SETTINGS).summary[0]
+    assert record.stat().st_mtime_ns == before
 
 
 def test_other_runs_are_not_replaced_unasked(store: Path, run: Path, tmp_path: Path) -> None:
     with pytest.raises(FolderError, match="holds a run with blocks 1"):
         blocksar.focus(store, run, **{**SETTINGS, "blocks": 2})
-    history = stores.open_phase_history(store).of_channel("HV")
-    blocksar.focus(history, tmp_path / "run", **SETTINGS)
+    shutil.copytree(run / "channels" / "HV", tmp_path / "run")
     for dry in (True, False):
         with pytest.raises(FolderError, match="holds a run without channels"):
             blocksar.focus(store, tmp_path / "run", dry_run=dry, **SETTINGS)
@@ -184,33 +159,23 @@ def test_other_runs_are_not_replaced_unasked(store: Path, run: Path, tmp_path: P
 
 
 @pytest.mark.parametrize("wrong", [{"memory_limit": "20MiB"}, {"grid": "0:10:1,0:10:1"}])
-def test_wrong_input_replaces_no_earlier_run(wrong: dict[str, Any], store: Path, run: Path, tmp_path: Path) -> None:
-    """Neither a run of channels, nor one without."""
-    alone = run / "channels" / "HV"
-    for earlier in (run, alone):
+def test_wrong_input_replaces_no_earlier_run_and_leaves_no_files(
+    wrong: dict[str, Any], store: Path, run: Path, tmp_path: Path
+) -> None:
+    """Neither a run of channels nor one without; nor of workers, before they are started and when they are."""
+    settings: dict[str, Any] = SETTINGS | {"workers": 1} | wrong
+    with pytest.raises(InputError, match=r"memory limit|outside the swath"):
+        blocksar.focus(store, tmp_path / "run", **settings)
+    assert not (tmp_path / "run").exists()
+    for earlier in (run, run / "channels" / "HV"):
         shutil.copytree(earlier, tmp_path / "run")
         before = digests(tmp_path / "run")
         with pytest.raises(InputError, match=r"memory limit|outside the swath"):
-            blocksar.focus(store, tmp_path / "run", overwrite=True, **SETTINGS | wrong)
+            blocksar.focus(store, tmp_path / "run", overwrite=True, **settings)
         assert digests(tmp_path / "run") == before
         assert blocksar.info(tmp_path / "run").result["facts"]["state"].startswith("finished")
         assert sorted(path.name for path in (tmp_path / "run").iterdir()) == sorted(p.name for p in earlier.iterdir())
         shutil.rmtree(tmp_path / "run")
-
-
-@pytest.mark.parametrize("wrong", [{"memory_limit": "20MiB"}, {"grid": "0:10:1,0:10:1"}])
-def test_a_run_that_fails_leaves_no_temporary_files(
-    wrong: dict[str, Any], store: Path, run: Path, tmp_path: Path
-) -> None:
-    """Of workers of its own, which all channels share: before they are started, and when they are."""
-    with pytest.raises(InputError, match=r"memory limit|outside the swath"):
-        blocksar.focus(store, tmp_path / "new", **SETTINGS | {"workers": 1} | wrong)
-    assert not (tmp_path / "new").exists()
-    shutil.copytree(run, tmp_path / "run")
-    before = digests(tmp_path / "run")
-    with pytest.raises(InputError, match=r"memory limit|outside the swath"):
-        blocksar.focus(store, tmp_path / "run", overwrite=True, **SETTINGS | {"workers": 1} | wrong)
-    assert digests(tmp_path / "run") == before
 
 
 def test_leftovers_of_a_killed_run_refuse_no_run_and_foreign_files_do(store: Path, tmp_path: Path) -> None:
@@ -243,9 +208,10 @@ def test_an_image_of_one_row_opens_and_says_what_it_lacks(store: Path, tmp_path:
     target = history.attrs["targets"][0]
     x, y = round(target["x"]), round(target["y"])
     grid = ((x - 20.0, x + 20.0, 1.0), (y, y + 0.5, 1.0))
-    report = blocksar.focus(history, tmp_path / "row", grid=grid, **SETTINGS)
+    settings = {**SETTINGS, "grid": grid}
+    report = blocksar.focus(history, tmp_path / "row", **settings)
     assert not report.measurable
-    assert not blocksar.focus(history, tmp_path / "row", grid=grid, **SETTINGS).measurable  # it is finished already
+    assert not blocksar.focus(history, tmp_path / "row", **settings).measurable  # it is finished already
     assert blocksar.info(tmp_path / "row").result["next"] == []
     assert (
         report.summary[-1]

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import signal
-import subprocess
-import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +12,7 @@ import pytest
 import wrong_tracks
 import xarray as xr
 import zarr
-from faults import digests, until
+from faults import digests
 
 import blocksar
 from blocksar import stores
@@ -46,14 +43,6 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def corrected(store: Path) -> Path:
-    """The store with its track corrected."""
-    out = store.with_name("corrected.zarr")
-    blocksar.autofocus(store, out, grid=GRID, workers=0)
-    return out
-
-
-@pytest.fixture(scope="module")
 def run(store: Path) -> Path:
     folder = store.with_name("run")
     calls, estimate = [], tracks.estimate_track
@@ -71,66 +60,28 @@ def run(store: Path) -> Path:
     return folder
 
 
-def test_the_channel_that_tells_most_mends_the_track_of_all(store: Path, corrected: Path, tmp_path: Path) -> None:
-    assert wrong_tracks.residual_phase(store, store) > 5
-    assert wrong_tracks.residual_phase(corrected, store) < 0.1
-    alone = tmp_path / "hh.zarr"
-    with xr.open_zarr(store) as whole:
-        blocksar.write(whole.isel(channel=0), alone)
-    with pytest.raises(InputError):
-        blocksar.autofocus(alone, tmp_path / "refused.zarr", grid=GRID, workers=0)
-
-
-def test_images_are_exact_back_projection_with_the_corrected_track(run: Path, corrected: Path) -> None:
+def test_the_channel_that_tells_most_mends_the_track_of_all(store: Path, run: Path, tmp_path: Path) -> None:
     images = blocksar.open(run)
     assert images.channel.values.tolist() == ["HH", "HV"]
     for name in ("HH", "HV"):
-        history = stores.open_phase_history(corrected).of_channel(name)
-        geometry = Geometry(collection=history.collection.centred())
+        history = stores.open_phase_history(store).of_channel(name)
+        used, _ = stores.read_collection(run / "channels" / name / "collection.zarr")
+        corrected = replace(history.collection, antenna_position=used.antenna_position)
+        assert wrong_tracks.residual_phase(history.collection, store) > 5
+        assert wrong_tracks.residual_phase(corrected, store) < 0.1
+        geometry = Geometry(collection=corrected.centred())
         exact = form_image(
             lambda pulses, history=history: history.read(pulses, slice(None)),
             geometry, images.x.values, images.y.values, threads=1,
         )  # fmt: skip
         assert abs(coherence(images.image.sel(channel=name).values, exact).coherence) > 0.999
-        used, _ = stores.read_collection(run / "channels" / name / "collection.zarr")
-        assert np.array_equal(used.antenna_position, history.collection.antenna_position)
     assert not (run / "autofocus").exists()
     assert not [path for path in (run / "channels").glob("*/autofocus")]
-
-
-@pytest.mark.slow
-def test_a_channel_alone_has_the_track_of_all(store: Path, run: Path, tmp_path: Path) -> None:
-    blocksar.focus(stores.open_phase_history(store).of_channel("HH"), tmp_path / "alone", **SETTINGS)
-    image = blocksar.open(tmp_path / "alone").image.values
-    assert np.array_equal(image, blocksar.open(run).image.sel(channel="HH").values, equal_nan=True)
-
-
-@pytest.mark.slow  # test_datasets.py focuses channels in memory
-def test_channels_in_memory_have_one_track_too(store: Path, run: Path, tmp_path: Path) -> None:
+    alone = tmp_path / "hh.zarr"
     with xr.open_zarr(store) as whole:
-        report = blocksar.focus(whole.load().assign_attrs(title="in memory"), tmp_path / "run", **SETTINGS)
-    assert sum(TRACK in line for line in report.summary) == 1
-    images, expected = (blocksar.open(folder).image.values for folder in (tmp_path / "run", run))
-    assert np.array_equal(images, expected, equal_nan=True)
-    assert not (tmp_path / "run" / "autofocus").exists()
-
-
-@pytest.mark.parametrize("leaves", ["autofocus/receipts/correction-1*", "channels/HV/receipts/*"])
-@pytest.mark.slow  # test_autofocus.py kills an estimate, test_channels.py interrupts a run of channels
-def test_a_killed_run_goes_on_to_the_same_bytes(leaves: str, store: Path, run: Path, tmp_path: Path) -> None:
-    out = tmp_path / "run"
-    grid = ",".join(f"{low}:{high}:{step}" for low, high, step in GRID)
-    words = [str(store), "--out", str(out), f"--grid={grid}", "--blocks=2", "--autofocus", "--workers=0", "--quiet"]
-    process = subprocess.Popen([sys.executable, "-m", "blocksar", "focus", *words], stdout=subprocess.DEVNULL)
-    until(lambda: process.poll() is not None or any(out.glob(leaves)), leaves)
-    os.kill(process.pid, signal.SIGKILL)
-    assert process.wait() == -signal.SIGKILL
-    assert (out / "autofocus").exists()
-    report = blocksar.focus(store, out, **SETTINGS)
-    assert sum("went on from an unfinished estimate" in line for line in report.summary) == 1
-    assert digests(out / "image.zarr" / "image") == digests(run / "image.zarr" / "image")
-    assert not (out / "autofocus").exists()
-    assert "nothing to do" in blocksar.focus(store, out, **SETTINGS).summary[0]
+        blocksar.write(whole.isel(channel=0), alone)
+    with pytest.raises(InputError):
+        blocksar.autofocus(alone, tmp_path / "refused.zarr", grid=GRID, workers=0)
 
 
 def test_a_change_of_one_channel_is_a_change_of_the_track_of_all(store: Path, run: Path, tmp_path: Path) -> None:
@@ -145,14 +96,9 @@ def test_a_change_of_one_channel_is_a_change_of_the_track_of_all(store: Path, ru
         with pytest.raises(InputError, match="holds a run with track_input"):
             blocksar.focus(store, folder, **SETTINGS)
         assert digests(folder) == first
-        blocksar.focus(store, folder, overwrite=True, **SETTINGS)
     finally:
         shutil.rmtree(store)
         aside.rename(store)
-    then = [stores.read_collection(folder / "channels" / name / "collection.zarr")[0] for name in ("HH", "HV")]
-    before, _ = stores.read_collection(run / "channels" / "HH" / "collection.zarr")
-    assert np.array_equal(then[0].antenna_position, then[1].antenna_position)
-    assert not np.array_equal(then[0].antenna_position, before.antenna_position)
 
 
 def test_samples_that_do_not_tell_leave_an_earlier_run_as_it_was(run: Path, tmp_path: Path) -> None:
@@ -167,13 +113,13 @@ def test_samples_that_do_not_tell_leave_an_earlier_run_as_it_was(run: Path, tmp_
 
 
 @pytest.mark.slow
-def test_looks_have_the_track_of_the_whole_dwell(store: Path, corrected: Path, tmp_path: Path) -> None:
+def test_looks_have_the_track_of_the_whole_dwell(store: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"has several channels .*; write one of them"):
         blocksar.focus(store, tmp_path / "several", looks=2, **SETTINGS)
-    one = stores.open_phase_history(store).of_channel("HV")
-    report = blocksar.focus(one, tmp_path / "looks", looks=2, **SETTINGS)
-    assert sum(TRACK in line for line in report.summary) == 1
-    plain = {**SETTINGS, "autofocus": False}
-    blocksar.focus(stores.open_phase_history(corrected).of_channel("HV"), tmp_path / "then", looks=2, **plain)
+    blocksar.autofocus(store, tmp_path / "corrected.zarr", grid=GRID, workers=0)
+    for name, source, autofocus in (("looks", store, True), ("then", tmp_path / "corrected.zarr", False)):
+        one = stores.open_phase_history(source).of_channel("HV")
+        report = blocksar.focus(one, tmp_path / name, looks=2, **SETTINGS | {"autofocus": autofocus})
+        assert sum(TRACK in line for line in report.summary) == autofocus
     assert digests(tmp_path / "looks" / "image.zarr" / "image") == digests(tmp_path / "then" / "image.zarr" / "image")
     assert not (tmp_path / "looks" / "autofocus").exists()

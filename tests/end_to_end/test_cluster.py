@@ -18,7 +18,7 @@ import psutil
 import pytest
 from distributed import Client, Future, LocalCluster
 from faults import digests, litter, until
-from machines import Machine, two_machines
+from machines import two_machines
 from repository import ROOT
 from scenes import write_store
 
@@ -154,27 +154,15 @@ def nobody() -> Iterator[Client]:
         yield connected
 
 
-def test_a_run_waits_for_its_first_worker(store: Path, image: dict[str, str], nobody: Client, tmp_path: Path) -> None:
-    foreman = Foreman(nobody)
-    blocksar.focus(store, tmp_path / "run", client=nobody, wait_workers=FOREVER, progress=foreman, **SETTINGS)
-    assert foreman.notes == ["the dask scheduler has no worker: waiting for one, at most 1e+06 s"]
-    assert digests(tmp_path / "run" / "image.zarr") == image
-
-
-def test_a_cluster_that_adapts_to_its_load_starts_its_first_worker(store: Path, nobody: Client, tmp_path: Path) -> None:
-    """It does so once there is a task."""
-    nobody.cluster.adapt(minimum=0, maximum=1)
-    blocksar.focus(store, tmp_path / "run", client=nobody, wait_workers=FOREVER, **SETTINGS)
-    assert blocksar.open(tmp_path / "run").image.size
-
-
-def test_a_run_waits_when_its_last_worker_goes(
+def test_a_run_waits_for_its_first_worker_and_when_its_last_one_goes(
     store: Path, image: dict[str, str], nobody: Client, tmp_path: Path
 ) -> None:
-    nobody.cluster.scale(1)
     foreman = Foreman(nobody, goes=True)
     blocksar.focus(store, tmp_path / "run", client=nobody, wait_workers=FOREVER, progress=foreman, **SETTINGS)
-    assert foreman.notes == ["no worker is left: waiting for one, at most 1e+06 s"]
+    assert foreman.notes == [
+        "the dask scheduler has no worker: waiting for one, at most 1e+06 s",
+        "no worker is left: waiting for one, at most 1e+06 s",
+    ]
     assert digests(tmp_path / "run" / "image.zarr") == image
 
 
@@ -191,9 +179,6 @@ def test_a_run_that_is_not_to_wait_fails_at_once(store: Path, nobody: Client, tm
     nobody.wait_for_workers(1)
     with pytest.raises(ProcessingError, match=r"no worker for 0 s; start .*the same command goes on from there"):
         blocksar.focus(store, tmp_path / "run", progress=Foreman(nobody, goes=True), **settings)
-    nobody.cluster.scale(1)
-    nobody.wait_for_workers(1)
-    blocksar.focus(store, tmp_path / "run", **settings)
 
 
 @pytest.mark.parametrize("wrong", [-1, float("nan"), "60", True])
@@ -205,78 +190,19 @@ def test_a_time_to_wait_that_is_none_is_refused(wrong: Any, store: Path, tmp_pat
 # ---------------------------------------------------------------- two machines
 
 
-@pytest.mark.parametrize("between", ["folder", pytest.param("bucket", marks=pytest.mark.slow)])
-def test_two_machines_compute_the_same_bytes(between: str, store: Path, image: dict[str, str], tmp_path: Path) -> None:
-    """Scheduler and main process on one, workers on the other; input and run lie in a shared folder or bucket."""
-    address, shared = "tcp://10.77.0.1:8786", str(tmp_path / "run")
-    with two_machines() as (first, second), Said(tmp_path) as said, contextlib.ExitStack() as stack:
-        env = dict(os.environ)
-        source = str(store)
-        if between == "bucket":
-            env |= stack.enter_context(bucket_on(first))
-            bucket_work(first, env, "put", source, "in.zarr")
-            source, shared = "s3://between/in.zarr", "s3://between/run"
+def test_two_machines_compute_the_same_bytes(store: Path, image: dict[str, str], tmp_path: Path) -> None:
+    """Scheduler and main process on one, workers on the other; input and run lie in a shared folder."""
+    address = "tcp://10.77.0.1:8786"
+    with two_machines() as (first, second), Said(tmp_path) as said:
         said.start(first.start, "scheduler", *SCHEDULER, "--host", first.address, "--port", "8786")
         worker = (*WORKER, address, "--host", second.address, "--local-directory", str(tmp_path), "--memory-limit")
-        said.start(second.start, "worker", *worker, "2GiB", "--nworkers", "2", env=env)
-        until(lambda: said.text("worker").count("Registered to") == 2, "two workers")
-        command = (*BLOCKSAR, "focus", source, "--out", shared, *WORDS, "--scheduler", address)
-        run = said.start(first.start, "main", *command, env=env)
+        said.start(second.start, "worker", *worker, "2GiB", "--nworkers", "1")
+        until(lambda: said.text("worker").count("Registered to") == 1, "the worker")
+        command = (*BLOCKSAR, "focus", str(store), "--out", str(tmp_path / "run"), *WORDS, "--scheduler", address)
+        run = said.start(first.start, "main", *command)
         assert run.wait() == 0, said.text("main")
-        assert said.text("scheduler").count(f"tcp://{second.address}:"), "the workers were elsewhere"
-        if between == "bucket":
-            bucket_work(first, env, "get", str(tmp_path / "run" / "image.zarr"), "run/image.zarr")
+        assert said.text("scheduler").count(f"tcp://{second.address}:"), "the worker was elsewhere"
     assert digests(tmp_path / "run" / "image.zarr") == image
-
-
-BUCKET_WORK = """
-import pathlib, sys
-import boto3
-what, folder, prefix = sys.argv[1], pathlib.Path(sys.argv[2]), sys.argv[3]
-s3 = boto3.client("s3")
-if what == "put":
-    s3.create_bucket(Bucket="between")
-    for path in folder.rglob("*"):
-        if path.is_file():
-            s3.upload_file(str(path), "between", f"{prefix}/{path.relative_to(folder)}")
-else:
-    for page in s3.get_paginator("list_objects_v2").paginate(Bucket="between", Prefix=prefix + "/"):
-        for entry in page["Contents"]:
-            path = folder / entry["Key"].removeprefix(prefix + "/")
-            path.parent.mkdir(parents=True, exist_ok=True)
-            s3.download_file("between", entry["Key"], str(path))
-"""
-
-
-def bucket_work(machine: Machine, env: dict[str, str], *what: str) -> None:
-    """Upload a folder to the bucket, or download one, on a machine that reaches the bucket."""
-    with machine.start(sys.executable, "-c", BUCKET_WORK, *what, env=env, stderr=subprocess.PIPE) as process:
-        said = process.communicate()[1]
-    assert process.returncode == 0, said
-
-
-@contextlib.contextmanager
-def bucket_on(machine: Machine) -> Iterator[dict[str, str]]:
-    """Run an S3 server on a machine; yield the environment variables that select it."""
-    for library in ("obstore", "moto", "boto3"):
-        pytest.importorskip(library)
-    import s3
-
-    program = s3.SERVER.replace("127.0.0.1", machine.address)
-    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-    with machine.start(sys.executable, "-c", program, **pipes) as server:
-        assert server.stdin is not None and server.stdout is not None
-        try:
-            yield {
-                "AWS_ENDPOINT_URL": f"http://{machine.address}:{int(server.stdout.readline())}",
-                "AWS_ACCESS_KEY_ID": "testing",
-                "AWS_SECRET_ACCESS_KEY": "testing",
-                "AWS_REGION": "us-east-1",
-                "AWS_DEFAULT_REGION": "us-east-1",
-            }
-        finally:
-            server.stdin.close()  # ends the server
-            server.wait()
 
 
 # ---------------------------------------------------------------- TLS
@@ -296,9 +222,6 @@ def certificates(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
         f"{tls}CA_FILE": str(folder / "authority.pem"),
         "DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION": "true",
     } | parts
-
-
-ROLES = ("SCHEDULER", "WORKER", "CLIENT")
 
 
 @pytest.mark.slow
@@ -344,7 +267,7 @@ def test_a_local_cluster_listens_on_loopback_only_and_leaves_no_files(
     strays: set[str] = set()
     with Said(tmp_path) as said:
         run = said.start(
-            here, "main", *BLOCKSAR, "focus", str(store), "--out", str(out), *WORDS, "--workers", "2",
+            here, "main", *BLOCKSAR, "focus", str(store), "--out", str(out), *WORDS, "--workers", "1",
             env=os.environ | {"TMPDIR": str(temporary)},
         )  # fmt: skip
         main = psutil.Process(run.pid)
@@ -352,11 +275,11 @@ def test_a_local_cluster_listens_on_loopback_only_and_leaves_no_files(
             sockets |= listening(main)
             scratch |= {path.name for path in out.glob("scratch/*/*")}
             strays |= set(os.listdir(temporary))
-            time.sleep(0.05)
+            time.sleep(0.2)
         assert run.returncode == 0, said.text("main")
     assert {ip for ip, _ in sockets} <= LOOPBACK, sockets
-    # The scheduler and two nannies in the main process, and the two workers, were all observed.
-    assert len(sockets) >= 5 and len(set(sockets.values())) == 3, sockets
+    # The scheduler and a nanny in the main process, and the worker, were all observed.
+    assert len(sockets) >= 3 and len(set(sockets.values())) == 2, sockets
     assert any(name.startswith("worker-") for name in scratch), scratch
     # Only the socket of the process that workers are forked from, which a folder's long name would not permit in it,
     # and the files of eight random characters by which Python's tempfile finds out whether it can write there.
@@ -383,7 +306,6 @@ def listening(main: psutil.Process) -> dict[tuple[str, int], str]:
 UNSAFE_MODULES = {"pickle", "cPickle", "_pickle", "cloudpickle", "dill", "joblib", "marshal", "shelve", "yaml", "code"}
 UNSAFE_CALLS = {"eval", "exec", "compile", "__import__", "execfile"}
 UNSAFE_METHODS = {"os.system", "os.popen", "builtins.eval", "builtins.exec"}
-MODULES = sorted([*(ROOT / "blocksar").rglob("*.py"), *(ROOT / "workflows").rglob("*.py")])
 
 
 def unsafe(text: str) -> Iterator[str]:
@@ -396,17 +318,19 @@ def unsafe(text: str) -> Iterator[str]:
                 yield f"from {module}"
             case ast.Call(func=ast.Name(id=name)) if name in UNSAFE_CALLS:
                 yield name
-            case ast.Call(func=ast.Attribute() as function) if ast.unparse(function) in UNSAFE_METHODS:
+            case ast.Call(func=ast.Attribute(attr="system" | "popen" | "eval" | "exec") as function) if (
+                ast.unparse(function) in UNSAFE_METHODS
+            ):
                 yield ast.unparse(function)
             case ast.keyword(arg="allow_pickle" | "shell", value=value) if ast.unparse(value) != "False":
                 yield f"{node.arg}={ast.unparse(value)}"
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_nothing_is_unpickled_or_evaluated(path: Path) -> None:
+def test_nothing_is_unpickled_or_evaluated() -> None:
     """But the plan of a run, of which nothing but data is made (runs/test_stored_plan.py)."""
-    allowed = ["import pickle"] if path.name == "stored_plan.py" else []
-    assert list(unsafe(path.read_text(encoding="utf-8"))) == allowed
+    modules = [*(ROOT / "blocksar").rglob("*.py"), *(ROOT / "workflows").rglob("*.py")]
+    found = {path.name: list(unsafe(path.read_text(encoding="utf-8"))) for path in modules}
+    assert {name: what for name, what in found.items() if what} == {"stored_plan.py": ["import pickle"]}
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,6 @@ from blocksar.collection.sublooks import entering_side
 from blocksar.errors import InputError
 from blocksar.places import place
 from blocksar.processors.chain import predicted_blocks
-from blocksar.products.sicd.layout import find_support
 from blocksar.runs.record import RunRecord
 
 SETTINGS: dict[str, Any] = {"workers": 0}
@@ -85,7 +84,6 @@ def test_looks_of_a_steered_beam_sum_up_to_the_image(tmp_path: Path) -> None:
     assert min(look["within"] for look in found["each"]) > 0.9  # the rest leaks out of chips of 60 pixels
     assert found["mean_looks"] > 1.1 * max(look["looks"] for look in found["each"])
     assert report.summary[0] == "look-1 of look-1, look-2; --channel chooses another"
-    assert "changed_input" not in blocksar.quality(run, reference=True).result
     blocksar.report(run)
     page = (run / "looks" / "look-2" / "report.html").read_text()
     assert "of the power of a look lie in its own part" in page and "<h1>test, look-2</h1>" in page
@@ -113,8 +111,6 @@ def test_a_plan_of_looks_is_the_one_that_focus_makes(strip: Path, tmp_path: Path
     assert would == [f"look-{n}: would write {tmp_path}/run/looks/look-{n}" for n in (1, 2)]
     assert sum("nothing was done" in line for line in rehearsed.summary) == 1 and not (tmp_path / "run").exists()
     blocksar.focus(strip, tmp_path / "run", threads=1, **settings)
-    rehearsed = blocksar.focus(strip, tmp_path / "run", dry_run=True, **settings)
-    assert rehearsed.result is None and sum("finished already" in line for line in rehearsed.summary) == 2
     for number, planned in enumerate(plan.result, 1):
         record = RunRecord.read(place(tmp_path / "run" / "looks" / f"look-{number}"))
         assert record.plan.predicted == predicted_blocks(planned) and record.plan.memory == planned.memory
@@ -125,8 +121,7 @@ def test_a_plan_of_looks_is_the_one_that_focus_makes(strip: Path, tmp_path: Path
     assert rows[0][1] == str(whole.result.n_blocks) and widths[1] == pytest.approx(2 * widths[0], rel=0.2)
     assert plan.summary[0] == "each look sees 0.4 of the beam's 0.8 degrees, the first in time first"
     assert len(plan.details) == 1 + 2 * len(whole.details)
-    # Of a scene, the same; of exact back-projection, the pulses of each.
-    assert blocksar.plan(strip.parent / "scene.toml", **settings).tables == plan.tables
+    # Of exact back-projection, the pulses of each.
     exact = blocksar.plan(strip, **settings | {"processor": "backprojection"}).summary
     pulses = [int(line.split(" lit pulses")[0].split()[-1]) for line in exact[1:4]]
     assert pulses[0] == pytest.approx(sum(pulses[1:]), abs=2)
@@ -186,36 +181,3 @@ def test_looks_of_an_unsteered_collection_are_parts_of_its_pulses(tmp_path: Path
             blocksar.focus(tmp_path / "ph.zarr", tmp_path / "wrong", looks=count, **SETTINGS)
     with pytest.raises(InputError, match="in a store"):
         blocksar.focus(dataset, tmp_path / "wrong", looks=2, grid=((-30.0, 30.0, 0.5), (-30.0, 30.0, 0.5)))
-
-
-@pytest.mark.slow
-def test_speckle_of_simulated_clutter_is_that_of_theory(tmp_path: Path) -> None:
-    """Equivalent number of looks of cells, within 5 % of what the band, the dwell and the density of scatterers give.
-
-    Power has the covariance |rho|^2 with rho(d) the mean of exp(2j pi K d) over the spatial frequencies K of a pixel;
-    and n Gaussian scatterers in a cell add 2 sum(m^2) / (n sum(h)^2), with h = |rho|^2 and m its mean over a cell.
-    """
-    count, where = 400_000, "range = [29650.0, 30350.0]\nyaw_deg = [49.45, 50.55]\n"
-    clutter = f"[clutter]\nscatterers = {count}\npower = 1\nseed = 3\n{where}"
-    store = write_store(tmp_path, swath=[29_500.0, 30_500.0], more=clutter)
-    geometry = Geometry(collection=stores.open_phase_history(store).collection.centred())
-    near, far, middle = (
-        geometry.ground_point(np.array(r), np.array(np.radians(50.0))) for r in (29650.0, 30350.0, 3e4)
-    )
-    radii = (np.hypot(*point[:2]) for point in (near, far))
-    density = count / (np.radians(1.1) / 2 * abs(np.subtract(*(r**2 for r in radii))))
-    x, y = round(float(middle[0])), round(float(middle[1]))
-    blocksar.focus(store, tmp_path / "run", grid=((x - 150.0, x + 150.0, 1.0), (y - 150.0, y + 150.0, 1.0)), **SETTINGS)
-    frequencies = find_support(geometry, np.array([x, y, 0.0])).frequencies[::17]
-    lag = np.arange(-40, 41)  # pixels of 1 m
-    parts = [np.exp(2j * np.pi * np.outer(lag, k)) for k in frequencies.T]
-    h = np.abs(np.einsum("ik,jk->ij", parts[1], parts[0]) / len(frequencies)) ** 2
-    image = blocksar.open(tmp_path / "run")
-    for looks in ((1, 1), (2, 2), (4, 4), (6, 3)):
-        power = image.sar.multilook(looks).values.astype(float)
-        triangles = [np.maximum(n - np.abs(lag), 0) / n**2 for n in looks]
-        box = [np.ones(n) / n for n in looks]
-        rows = np.apply_along_axis(np.convolve, 0, h, box[0])
-        mean = np.apply_along_axis(np.convolve, 1, rows, box[1])
-        variance = (np.multiply.outer(*triangles) * h).sum() + 2 * (mean**2).sum() / (density * h.sum() ** 2)
-        assert power.mean() ** 2 / power.var() == pytest.approx(1 / variance, rel=0.05), looks

@@ -76,6 +76,3 @@ def test_channels_lie_on_the_hills(tmp_path: Path) -> None:
     assert float(image.height.sel(x=x, y=y)) > 100
     peaks: ComplexArray = image.image.sel(x=x, y=y).values
     assert np.abs(peaks - [1, 0.5j]).max() < 0.05
-    history = stores.open_phase_history(store).of_channel("HV")
-    blocksar.focus(history, tmp_path / "alone", **settings)
-    np.testing.assert_array_equal(blocksar.open(tmp_path / "alone").image.values, image.image.values[1])

@@ -45,7 +45,7 @@ GROUNDS = {
 }
 
 
-# test_table1.py and test_focus.py test these at full size, and test_papers.py with the targets of the papers.
+# test_table1.py tests these at full size, and test_papers.py with the targets of the papers.
 ELSEWHERE = {("table1", "angular-division"), *((name, processor) for name, (processor, _) in PAPERS.items())}
 SLOWEST = {("paper_b", "high-order-phase"), ("paper_c", "angular-division"), ("paper_c", "keystone-resampling")}
 SLOWEST |= {

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 import slow_twins
-from axis_beams import axis_scene
 from quality_bar import check_targets, planned
 from scenes import write_store
 
 import blocksar
 from blocksar import stores
+from blocksar.collection.beam import is_lit
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import FolderError, InputError
@@ -45,25 +45,12 @@ def check_layers(image: Any, store: Path, ground: Terrain) -> None:
     rows, columns = (np.linspace(1, n - 2, 5).astype(int) for n in image.image.shape)
     for row, column in zip(rows, columns, strict=True):
         x, y = float(image.x[column]), float(image.y[row])
-        lit = np.flatnonzero(geometry.beam.is_lit(np.array(x), np.array(y)))
+        lit = np.flatnonzero(is_lit(geometry, np.array(x), np.array(y)))
         antenna = geometry.collection.antenna_position[[lit[0], lit[-1]]].mean(axis=0)
         slope = ground.slope(x, y)
         normal, sight = np.array([-slope[0], -slope[1], 1.0]), antenna - [x, y, float(ground(np.array(x), np.array(y)))]
         cosine = normal @ sight / np.linalg.norm(normal) / np.linalg.norm(sight)
         assert float(image.incidence_angle[row, column]) == pytest.approx(np.arccos(cosine), abs=2e-4)
-
-
-def check_noise(run: Any, exact: Any, store: Path, ground: Terrain) -> None:
-    """Check noise_equivalent of some pixels against the sums over the pulses that light them, at their heights."""
-    collection = stores.open_phase_history(store).collection
-    geometry, n = Geometry(collection=collection).over(ground), collection.n_range_frequency
-    x, y = (axis.ravel() for axis in np.meshgrid(exact.x.values[3::9], exact.y.values[:40:8]))
-    lit, gain = geometry.beam.is_lit(x, y), geometry.beam.gain(x[:, None], y[:, None], slice(None))
-    wanted = NOISE / n * lit.sum(axis=1) / (lit * gain).sum(axis=1) ** 2
-    for image, off in ((run, 0.005), (exact, 0.06)):  # linear over 16 pixels: a bend where dwells begin to be cut
-        rows, columns = (np.rint((at - axis[0]) / (axis[1] - axis[0])).astype(int)
-                         for at, axis in ((y, image.y.values), (x, image.x.values)))  # fmt: skip
-        np.testing.assert_allclose(image.noise_equivalent.values[rows, columns], wanted, rtol=off)
 
 
 @pytest.fixture(scope="module")
@@ -100,11 +87,7 @@ def test_targets_of_a_scene_stand_on_its_ground(store: Path) -> None:
     assert lifted.point_targets()[0].z == 12.5
 
 
-def test_back_projection_puts_targets_where_they_stand(
-    store: Path,
-    terrain: Path,
-    tmp_path: Path,
-) -> None:
+def test_back_projection_puts_targets_where_they_stand(store: Path, terrain: Path, tmp_path: Path) -> None:
     run, settings = tmp_path / "run", {"processor": "backprojection", "workers": 0, "terrain": terrain}
     dx, dy = PLACES["flank"]
     grid = tuple((float(c + d - 45), float(c + d + 45), 0.8) for c, d in zip(MIDDLE, (dx, dy), strict=True))
@@ -189,62 +172,13 @@ def test_a_mountain_outside_the_grid_casts_its_shadow_into_it(store: Path, tmp_p
     shadow = np.zeros(image.visibility.shape, bool)
     for row, column in np.ndindex(*shadow.shape):
         at = float(image.x[column]), float(image.y[row])
-        lit = np.flatnonzero(geometry.beam.is_lit(*map(np.array, at)))
+        lit = np.flatnonzero(is_lit(geometry, *map(np.array, at)))
         antenna = geometry.collection.antenna_position[[lit[0], lit[-1]]].mean(axis=0)
         point = np.array([*at, float(ground(*map(np.array, at)))])
         shadow[row, column] = slow_twins.ray_clearance(ground, antenna, point) < 0
     assert 0.1 < shadow.mean() < 0.9
     assert ((image.visibility.values == 2) != shadow).mean() < 0.02
     assert float(image.height.max()) < 100  # what casts it stands elsewhere
-
-
-AXIS = {
-    "bandwidth": 50e6, "range_sampling": 60e6, "prf": 600, "height": 5000.0, "velocity": [0.0, 200.0, 0.0],
-    "acceleration": [0.4, -0.8, -0.6], "time": "duration = 2.0", "swath": [9650.0, 10350.0], "yaw": 23.3,
-}  # fmt: skip
-BEAM = """mode = "tops"
-width_deg = 1.2
-rate_deg = 1.0
-squint_deg = 20.0
-pattern = "gaussian"
-elevation_pattern = "gaussian"
-elevation_width_deg = 4.0"""
-NOISE = 1e-6  # mean squared magnitude, of each sample
-
-
-@pytest.mark.slow  # test_burst_on_the_earth.py has such a beam over hills
-def test_clutter_on_hills_under_a_beam_about_its_axis_is_that_of_back_projection(
-    tmp_path: Path,
-) -> None:
-    """Squinted TOPS: at a yaw, 100 m of height move a dwell by a fifth of its length. Full dwells, and cut ones."""
-    hills = "[terrain]\nhills = [{x = 7960.0, y = 3650.0, height = 200.0, width = 480.0}]\n"
-    more = hills + "[clutter]\nscatterers = 5000\nseed = 3\nx = [7750.0, 8150.0]\ny = [3540.0, 3900.0]\n"
-    more += f"[noise]\npower = {NOISE}\nseed = 1\n"
-    (tmp_path / "scene.toml").write_text(axis_scene(BEAM, more=more, **AXIS))
-    store = Path(blocksar.simulate(tmp_path / "scene.toml", tmp_path / "phase_history.zarr"))
-    ground = Scene.read(tmp_path / "scene.toml").terrain
-    assert ground is not None
-    path = tmp_path / "ground.zarr"
-    stores.write_terrain(place(path), ground)
-    box, more = ((7840.0, 8070.0), (3580.0, 3850.0)), {"terrain": path, "workers": 0}
-    blocksar.focus(store, tmp_path / "run", blocks=2, grid=((*box[0], 1.2), (*box[1], 0.5)), **more)
-    blocksar.focus(store, tmp_path / "exact", processor="backprojection", grid=((*box[0], 4.8), (*box[1], 4.0)), **more)
-    run, exact = blocksar.open(tmp_path / "run"), blocksar.open(tmp_path / "exact")
-    one, other = run.image.values[::8, ::4], exact.image.values
-    covered = np.isfinite(one) & np.isfinite(other)
-    assert one.shape == other.shape and (np.isfinite(one) != np.isfinite(other)).mean() < 0.01
-    assert 0.7 < covered.mean() < 1.0  # light ends at y = 3750 .. 3800
-    full = exact.y.values < 3700
-    assert covered[full].all()
-    whole = coherence(one[full], other[full])
-    assert abs(whole.coherence) >= 0.999
-    assert whole.gain == pytest.approx(1.0, abs=0.005)
-    assert abs(whole.phase) < 0.01
-    cut = coherence(*(np.where(covered, image, 0)[~full] for image in (one, other)))
-    assert abs(cut.coherence) >= 0.93  # as on the plane
-    assert cut.gain == pytest.approx(1.0, abs=0.08)
-    check_layers(run.isel(y=slice(0, 200)), store, ground)
-    check_noise(run, exact, store, ground)
 
 
 def test_a_ground_that_cannot_be_taken_is_refused_before_anything_is_written(store: Path, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import blocksar
 from blocksar import stores
 from blocksar.arrays import FloatArray
+from blocksar.collection.collection import Collection
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.simulation.phase_history import truth_place
 
@@ -52,11 +53,11 @@ def make(folder: Path, text: str = "", *, raw: bool = False, error: str = ERROR,
     return Path(blocksar.simulate(folder / "scene.toml", folder / "ph.zarr", raw=raw))
 
 
-def phase_errors(store: Path, truth: Path) -> FloatArray:
+def phase_errors(store: Path | Collection, truth: Path) -> FloatArray:
     """What the track's error leaves of the phases of twelve places, (12, n_pulse), rad."""
     with stores.open_dataset(truth_place(truth)) as flown:
         true = np.array(flown["antenna_position"])
-    collection = stores.open_phase_history(store).collection
+    collection = store if isinstance(store, Collection) else stores.open_phase_history(store).collection
     wavenumber = 4 * np.pi * collection.carrier / SPEED_OF_LIGHT
     errors = []
     for x, y in np.random.default_rng(9).uniform(-60, 60, (12, 2)):
@@ -66,7 +67,7 @@ def phase_errors(store: Path, truth: Path) -> FloatArray:
     return np.array(errors)
 
 
-def residual_phase(store: Path, truth: Path) -> float:
+def residual_phase(store: Path | Collection, truth: Path) -> float:
     """The same without constant and line, rms over aperture and places, rad."""
     phases = phase_errors(store, truth)
     lines = np.stack([np.ones(phases.shape[1]), np.linspace(-1, 1, phases.shape[1])], axis=1)

@@ -67,24 +67,17 @@ def off(collection: Collection, degrees: float) -> Collection:
     return replace(collection, **{field: getattr(collection, field) + np.radians(degrees)})
 
 
-@pytest.mark.parametrize(
-    "kind", [pytest.param(kind, marks=SLOW) if kind in ("squint", "tops", "strip") else kind for kind in BEAMS]
-)
-def test_true_beams_pass_and_what_was_tried_is_said(kind: str) -> None:
-    findings = found(*made(kind), thorough=True)
+def test_a_true_beam_passes_and_what_was_tried_is_said() -> None:
+    findings = found(*made("fast tops"), thorough=True)
     assert findings.warning() is None
     assert findings.sentence().startswith("the samples fit what is said of them")
     assert "the beam lights them when it should (errors up to " in findings.sentence()
 
 
 @pytest.mark.parametrize(
-    ("kind", "error"),
-    [  # a half and a whole width; nearly a PRF, where echoes look hardly displaced; towards the other end of the PRF
-        ("squint", 0.8), ("tops", -2.0), ("yaw", -0.6),
-        *(pytest.param("strip", error, marks=SLOW) for error in (-0.4, 1.2)),
-        *(pytest.param(*more, marks=SLOW) for more in (("squint", 0.4), ("strip", 0.8), ("tops", 2.0), ("yaw", 2.0))),
-    ],
-)  # fmt: skip
+    ("kind", "error"),  # half a width; nearly a PRF, where echoes look hardly displaced; towards the PRF's other end
+    [("squint", 0.8), pytest.param("tops", -2.0, marks=SLOW), ("yaw", -0.6), pytest.param("strip", 1.2, marks=SLOW)],
+)
 def test_a_beam_that_is_off_is_named_with_its_error_and_field(kind: str, error: float) -> None:
     signal, collection = made(kind)
     warning = found(signal, off(collection, error)).warning() or ""
@@ -96,9 +89,8 @@ def test_a_beam_that_is_off_is_named_with_its_error_and_field(kind: str, error: 
     assert remedy.split()[4].rstrip(".") == field
 
 
-@pytest.mark.parametrize("kind", ["yaw", *(pytest.param(kind, marks=SLOW) for kind in ("strip", "tops"))])
-def test_a_beam_of_half_the_width_is_found(kind: str) -> None:
-    signal, collection = made(kind)
+def test_a_beam_of_half_the_width_is_found() -> None:
+    signal, collection = made("yaw")
     width = collection.beam_width or 0.0
     warning = found(signal, replace(collection, beam_width=2 * width)).warning() or ""
     assert warning.startswith("the beam has about 0.5 of the ")
@@ -143,25 +135,15 @@ def test_a_beam_that_looks_ahead_and_not_behind_is_found() -> None:
     assert warning.startswith("the beam looks to the other side") and "negate beam_steering" in warning
 
 
-@pytest.mark.parametrize(
-    ("kind", "percent"),
-    [
-        *(("fast tops", -2.0), ("yaw", 1.0)),
-        *(pytest.param("strip", percent, marks=SLOW) for percent in (1.0, -2.0)),
-        *(pytest.param(*more, marks=SLOW) for more in (("fast tops", 1.0), ("yaw", -2.0))),
-    ],
-)
-def test_a_wrong_velocity_accuses_neither_the_beam_nor_the_samples(kind: str, percent: float) -> None:
-    signal, collection = made(kind)
-    wrong = replace(collection, antenna_position=collection.antenna_position * [1, 1 + percent / 100, 1])
+def test_a_wrong_velocity_accuses_neither_the_beam_nor_the_samples() -> None:
+    signal, collection = made("yaw")
+    wrong = replace(collection, antenna_position=collection.antenna_position * [1, 1.01, 1])
     warning = found(signal, wrong, thorough=True).warning()
     assert warning is None or "the track is off by a phase" in warning
-    assert warning is not None or kind != "fast tops"
 
 
-@pytest.mark.parametrize("kind", ["yaw", *(pytest.param(kind, marks=SLOW) for kind in ("strip", "tops"))])
-def test_of_a_conjugated_signal_the_simplest_cause_is_named_and_the_tie_said(kind: str) -> None:
-    signal, collection = made(kind)
+def test_of_a_conjugated_signal_the_simplest_cause_is_named_and_the_tie_said() -> None:
+    signal, collection = made("yaw")
     warning = found(np.conj(signal), collection, thorough=True).warning() or ""
     assert warning.startswith("the signal is conjugated")
     assert "They do not tell whether the phase of the carrier has the other sign" in warning

@@ -390,10 +390,7 @@ WHOLE = {p: 10 for p in range(12)}
         ),
         ({"missing": {40: 1}}, ["1 sample is not a number: counted as not lit"]),
         ({"outliers": {3: [1]}}, ["1 sample stands 100-fold above its neighbours: counted as not lit"]),
-        (
-            {"outliers": {3: [1, 2], 8: [1]}},
-            ["3 samples stand 100-fold above their neighbours: counted as not lit"],
-        ),
+        ({"outliers": {3: [1, 2], 8: [1]}}, ["3 samples stand 100-fold above their neighbours: counted as not lit"]),
         (
             {"at_extreme": (45, 9), "extreme": 127.0},
             [

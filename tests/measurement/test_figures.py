@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -28,14 +27,12 @@ from blocksar.measurement.axes import response_axes
 from blocksar.measurement.coherence import coherence
 from blocksar.measurement.figures import (
     DEFINITIONS,
-    TABLE3,
     PointResponse,
     as_json,
     cuts,
     measure,
     measure_target,
     profile_quality,
-    response_grid,
     summary,
 )
 from blocksar.measurement.response import ReadChip, carrier_phase, read_response
@@ -251,9 +248,8 @@ def test_beam_steered_target_with_each_pixel_s_own_lit_pulses() -> None:
     assert found.full_dwell
 
 
-@pytest.mark.parametrize("yaw", [-50.0, 130.0])
-def test_cuts_equal_those_of_exact_back_projection(yaw: float) -> None:
-    target = target_at(yaw)
+def test_cuts_equal_those_of_exact_back_projection() -> None:
+    target = target_at(130.0)
     axes = response_axes(UNSTEERED, target.x, target.y)
     assert axes is not None
     reach = 14 * max(axes.range_width * np.abs(axes.range_direction).max(), axes.azimuth_width)
@@ -449,12 +445,6 @@ def test_summary_and_json(scene: Scene) -> None:
     assert summary([]).worst == {}
 
 
-def test_table_3_has_the_nine_targets() -> None:
-    assert sorted(TABLE3) == [row + column for row in "ABC" for column in "123"]
-    assert TABLE3["C3"].azimuth_pslr == -12.92
-    assert all(-13.4 < r.range_pslr < -13.1 and 1.8 < r.azimuth_irw < 1.9 for r in TABLE3.values())
-
-
 def test_coherence() -> None:
     rng = np.random.default_rng(62)
     shape = (64, 64)
@@ -474,26 +464,6 @@ def test_coherence() -> None:
     assert np.isnan(coherence(np.full_like(b, np.nan), b).gain)
     with pytest.raises(ValueError, match="one shape"):
         coherence(a, b[:3])
-
-
-def test_agrees_with_perseo_quality(scene: Scene) -> None:
-    """Compare with an independent implementation (MIT), given the response on its own axes."""
-    irf = pytest.importorskip("perseo_quality.point_targets_analysis.core.irf")
-    processing = pytest.importorskip("perseo_quality.core.signal_processing")
-    target, image_x, image_y, image = scene
-    response = read_response(reader(image), image_x, image_y, UNSTEERED, target)
-    assert response is not None
-    grid = response_grid(response, widths=7.0, samples_per_width=16)
-    data = grid.values.T  # (range, azimuth)
-    middle = data.shape[0] // 2
-    width_range = processing.evaluate_irf_resolution(data[:, middle])
-    width_azimuth = processing.evaluate_irf_resolution(data[middle])
-    found = measure(response)
-    assert width_range / 16 == pytest.approx(found.range_irw / found.range_irw_theory, rel=3e-3)
-    assert width_azimuth / 16 == pytest.approx(found.azimuth_irw / found.azimuth_irw_theory, rel=3e-3)
-    theirs = irf.compute_point_target_irf_analysis(data, width_range, width_azimuth)
-    assert theirs.range_pslr == pytest.approx(found.range_pslr, abs=0.05)
-    assert theirs.azimuth_pslr == pytest.approx(found.azimuth_pslr, abs=0.05)
 
 
 # ---- Pictures
@@ -540,28 +510,20 @@ def test_the_stretch_suits_clutter_and_isolated_targets() -> None:
     assert stretch(np.full(5, np.nan)) == (-60.0, 0.0)
 
 
-def test_pictures_are_written(scene: Scene, tmp_path: Path) -> None:
+def test_pictures_of_nothing_are_written(scene: Scene, tmp_path: Path) -> None:
     from blocksar.products.pictures import mosaic, responses
 
     target, image_x, image_y, image = scene
-    torn = image.copy()
-    torn[:30] = np.nan
-    block = np.where(np.isfinite(torn), image_x > target.x, -1).astype(np.int16)
-    response = read_response(reader(image), image_x, image_y, UNSTEERED, target)
-    missing = read_response(reader(np.full_like(image, np.nan)), image_x, image_y, UNSTEERED, target)
-    assert response is not None and missing is not None
-    drawings: dict[str, Callable[[Path], None]] = {
-        "mosaic": lambda path: mosaic.plot_mosaic(
-            reader(torn), image_x, image_y, path, read_block=lambda r, c: block[r, c], targets=[target]
-        ),
-        "dark": lambda path: mosaic.plot_mosaic(reader(np.full_like(image, np.nan)), image_x, image_y, path),
-        "contours": lambda path: responses.plot_contours([response, missing], path),
-        "cuts": lambda path: responses.plot_cuts([response, missing], path),
-    }
-    for name, draw in drawings.items():
-        path = tmp_path / f"{name}.png"
-        draw(path)
-        assert path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    dark = reader(np.full_like(image, np.nan))
+    several = [
+        read_response(read, image_x, image_y, UNSTEERED, target)  # of the other nothing is seen
+        for read in (reader(image), dark)
+    ]
+    assert all(each is not None for each in several)
+    mosaic.plot_mosaic(dark, image_x, image_y, tmp_path / "dark.png")
+    responses.plot_contours(several, tmp_path / "contours.png")  # type: ignore[arg-type]
+    responses.plot_cuts(several, tmp_path / "cuts.png")  # type: ignore[arg-type]
+    assert all(path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" for path in tmp_path.iterdir())
 
 
 def test_the_ideal_response_under_patterns_is_the_back_projection_of_the_target() -> None:
@@ -573,12 +535,11 @@ def test_the_ideal_response_under_patterns_is_the_back_projection_of_the_target(
     np.testing.assert_allclose(summed_response(geometry, target, x, y), exact, atol=2e-3)
 
 
-@pytest.mark.parametrize("text", ["uniform", "taylor:4:-35"])
-def test_a_target_under_patterns_has_the_figures_of_its_ideal_response(text: str) -> None:
+def test_a_target_under_patterns_has_the_figures_of_its_ideal_response() -> None:
     """Those of the taper alone would be off: the pattern falls by 5 dB to the edges of the beam."""
     collection = with_patterns(axis_collection(n_pulse=800, beam_width=0.012))
     geometry, target = Geometry(collection=collection), Target("P", 9000.0, 12.0, 1.0 + 0j)
-    weighting = Weighting.parse(text)
+    weighting = Weighting.parse("taylor:4:-35")
     axes = response_axes(geometry, target.x, target.y, weighting)
     assert axes is not None
     reach = 24 * np.array([axes.range_width * abs(axes.range_direction[0]), axes.azimuth_width])

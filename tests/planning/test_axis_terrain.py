@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from axis_beams import axis_collection, with_patterns
+from axis_beams import axis_collection
 
-from blocksar.collection.collection import Collection
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import OutsideSwath
@@ -20,24 +19,6 @@ from blocksar.planning.sector import Sector
 from blocksar.planning.segments import owned_by
 
 GRID = Grid(8880.0, 9120.0, 1.5, -80.0, 80.0, 0.9)
-
-
-def hill(height: float = 60.0) -> Terrain:
-    x, y = np.arange(8700.0, 9300.0, 10.0), np.arange(-300.0, 300.0, 10.0)[:, None]
-    heights = height * np.exp(-((x - 8960) ** 2 + (y - 30) ** 2) / 100**2)
-    return Terrain(x0=x[0], dx=10.0, y0=float(y[0, 0]), dy=10.0, heights=heights)
-
-
-@pytest.mark.slow
-def test_lines_over_a_terrain_have_as_many_nodes_at_all_heights() -> None:
-    """Along a spline these follow the longest dwell, which heights change: here from 69.0 to 69.2 above the least."""
-    still = with_patterns(axis_collection("squinted", n_pulse=1200, beam_width=0.0099975))
-    wave = np.sin(2 * np.pi * 14 * still.time)[:, None] * [0.004, 0.004, 0.004]
-    shaken = Collection(**{**still.as_dict(), "antenna_position": still.antenna_position + wave})
-    y = float(np.hypot(9000, 4000) * np.tan(0.25))
-    grid, over = Grid(GRID.x0, GRID.x1, 2.0, y - 60, y + 60, 1.5), hill(250.0)
-    terrain = Terrain(x0=over.x0, dx=over.dx, y0=over.y0 + y, dy=over.dy, heights=over.heights)
-    assert plan_collection(shaken, grid=grid, blocks=1, terrain=terrain).coherence > 0.999
 
 
 def test_a_strip_of_which_a_grid_needs_one_segment_is_planned() -> None:

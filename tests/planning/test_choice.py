@@ -38,8 +38,6 @@ def test_range_walk_remains_without_keystone() -> None:
     [
         ("table1", "angular-division", 3, 1.4),
         ("paper_b", "keystone-resampling", 1, 0.2),
-        ("paper_b", "keystone-resampling", 3, 0.05),
-        ("paper_c", "high-order-phase", 1, 3.0),
         ("paper_c", "high-order-phase", 4, 0.05),
     ],
 )
@@ -54,7 +52,7 @@ def test_closed_form_against_fit_and_against_deramp_alone(name: str, processor: 
     }.items():
         plan = blocksar.plan(name, processor=processor, blocks=blocks, grid=grid, **settings).result
         left[kind] = max(block.prediction.quadratic_phase for block in plan.blocks)
-    assert left["fitted"] < left["closed"] < most
+    assert left["fitted"] < 0.015 + 0.1 * left["closed"] and left["fitted"] < left["closed"] < most
     assert left["deramp"] > 4 * left["closed"]
 
 
@@ -62,7 +60,7 @@ def test_closed_form_against_fit_and_against_deramp_alone(name: str, processor: 
 
 
 def test_auto_takes_the_fastest_that_keeps_the_fidelity() -> None:
-    grid = PAPERS["paper_c"][1]
+    grid = ((18250.0, 18400.0, 0.4), (-250.0, 250.0, 0.4))
     report = blocksar.plan("paper_c", processor="auto", grid=grid)
     (header, rows), *_ = report.tables
     by_name = {row[0]: dict(zip(header, row, strict=True)) for row in rows}
@@ -78,13 +76,12 @@ def test_auto_gives_the_reason_why_a_processor_does_not_serve(tmp_path: Path) ->
     """A PRF that holds what is lit at one time, and not the derotated band of the whole scene."""
     (tmp_path / "scene.toml").write_text(scene(prf=3000.0))
     report = blocksar.plan(
-        tmp_path / "scene.toml", processor="auto", grid=((16000.0, 16300.0, 1.0), (19000.0, 19300.0, 1.0))
+        tmp_path / "scene.toml", processor="auto", grid=((16000.0, 16100.0, 1.0), (19000.0, 19100.0, 1.0))
     )
     assert not report.plan.processor.startswith("angular")
     assert "angular-division cannot: " in report.summary[0] and "PRF 3000 Hz is too low" in report.summary[0]
 
 
-@pytest.mark.parametrize("asked", [{"keystone": False}, {"blocks": 3}])
-def test_what_only_chains_have_asks_for_the_main_chain(asked: dict[str, Any]) -> None:
-    plan = blocksar.plan("table1", processor="auto", **asked).plan
+def test_what_only_chains_have_asks_for_the_main_chain() -> None:
+    plan = blocksar.plan("table1", processor="auto", keystone=False, blocks=3).plan
     assert plan.processor == "angular-division" and plan.compared is None

@@ -62,14 +62,7 @@ def check(plan: Plan, image: ComplexArray, exact: ComplexArray) -> float:
     return min(found)
 
 
-@pytest.mark.parametrize(
-    ("kind", "text"),
-    [
-        ("stripmap", "uniform"),
-        ("squinted", "hann"),
-        pytest.param("tops", "taylor:4:-35", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("kind", "text"), [("stripmap", "uniform"), ("squinted", "hann")])
 def test_images_are_those_of_back_projection_across_a_zero(kind: str, text: str) -> None:
     """On the plane; all are NaN where the pattern is less than a hundredth of its peak. 0.9998 was said, and 0.91
     measured: sums over lit pulses were linear between ranges, and the factor for the pattern a series."""
@@ -88,7 +81,7 @@ def test_images_are_those_of_back_projection_across_a_zero(kind: str, text: str)
 def test_unit_targets_beside_a_zero_are_one() -> None:
     """A pattern tilts the weights of a dwell, by which a chain's gain changes."""
     collection = Collection(**{**axis_collection(n_pulse=600).as_dict(), **zero_at(9000.0, 0.003)})
-    columns, rows = np.array([20, 56, 64, 100]), np.array([30, 80, 20, 60])
+    columns, rows = np.array([56, 64]), np.array([80, 20])
     x, y = GRID.x[columns], GRID.y[rows]
     plan = plan_collection(collection, grid=GRID)
     for k in range(x.size):

@@ -62,11 +62,6 @@ def test_a_plan_predicts_coherence_and_what_it_is_made_of() -> None:
     assert any("predicted coherence" in line for line in report.summary)
 
 
-def test_more_blocks_lose_less_at_the_ends_of_dwells() -> None:
-    found = [blocksar.plan("table1", blocks=blocks).result.coherence for blocks in (1, 2, 4)]
-    assert found == sorted(found)
-
-
 def test_without_a_steered_beam_nothing_is_lost_at_the_ends_of_dwells() -> None:
     processor, grid = PAPERS["paper_b"]
     for block in blocksar.plan("paper_b", processor=processor, blocks=3, grid=grid).result.blocks:

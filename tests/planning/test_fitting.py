@@ -20,14 +20,7 @@ from blocksar.planning.binding import Candidate, Freedom
 
 
 @pytest.mark.parametrize(
-    "freedom",
-    [
-        Freedom(True, True, False),
-        Freedom(True, False, True),
-        Freedom(False, True, False),
-        Freedom(False, False, False),
-        Freedom(True, True, True),
-    ],
+    "freedom", [Freedom(True, True, False), Freedom(False, False, False), Freedom(True, True, True)]
 )
 def test_the_fit_and_its_derivatives(freedom: Freedom, monkeypatch: pytest.MonkeyPatch) -> None:
     """Compare with finite differences of the residuals, at a place where no term is zero, and with MINPACK's fit."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,11 +16,10 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import plan_region
-from blocksar.errors import InputError
 from blocksar.focusing.method import Method
 from blocksar.graph.machine import pace
 from blocksar.planning import effort
-from blocksar.planning.block import BlockPlan, plan_block
+from blocksar.planning.block import plan_block
 from blocksar.planning.disk import run_bytes
 from blocksar.planning.planner import plan_collection
 from blocksar.planning.recovery import plan_recovery
@@ -30,45 +28,11 @@ from blocksar.processors import lines
 from blocksar.simulation.scene import Scene
 
 
-@pytest.mark.parametrize(("blocks", "least", "most"), [(3, 0.9, 1.4), (2, 1.2, 1.3), (1, 1.5, 5.0)])
-def test_closed_form_leaves_the_residual_of_the_printed_formulas(blocks: int, least: float, most: float) -> None:
-    """Quadratic phase at the edge of the dwell, rad: a study of the paper's swath gave up to 1.36, 1.25 and 4.6."""
-    geometry = Geometry(collection=Scene.read("table1").collection())
-    region = plan_region(geometry, None)
-    recovery = plan_recovery(geometry, region)
-    seams = np.linspace(np.radians(42.13), np.radians(57.87), blocks + 1)
-    worst = {}
-    for coefficients in ("closed-form", "fitted"):
-        planned_blocks = [
-            plan_block(
-                Sector(
-                    geometry=geometry,
-                    recovery=recovery,
-                    region=region,
-                    low=float(seams[i]),
-                    high=float(seams[i + 1]),
-                    near=27.6e3,
-                    far=32.4e3,
-                ),
-                Method(coefficients=coefficients),  # type: ignore[arg-type]
-                index=i,
-            )
-            for i in range(blocks)
-        ]
-        worst[coefficients] = max(block.prediction.quadratic_phase for block in planned_blocks)
-    assert least <= worst["closed-form"] <= most
-    assert worst["fitted"] < 0.015
-
-
 def test_looking_along_the_velocity_is_refused(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(scene(steering=(85.0, 101.0), centre=93.0, swath=[29900.0, 30100.0]))
     report = blocksar.plan(tmp_path / "scene.toml", blocks=3)
     assert report.refusal is not None
     assert "along the velocity" in report.refusal
-    store = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "phase_history.zarr")
-    with pytest.raises(InputError, match="along the velocity"):
-        blocksar.focus(store, tmp_path / "run", workers=0, processor="angular-division")
-    assert not (tmp_path / "run").exists()
 
 
 def test_a_plan_reads_no_samples_and_accepts_a_scene_or_a_store(table1: Path) -> None:
@@ -144,20 +108,6 @@ def wide_collection() -> Collection:
         assert text.count(before) == 1
         text = text.replace(before, after)
     return Scene.parse(text).collection().centred()
-
-
-@pytest.mark.slow
-def test_no_block_is_planned_twice(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The search ends at a division of which it planned a probe before others: those blocks are taken."""
-    planned_blocks: list[tuple[float, float, float, float, Method]] = []
-
-    def counted(sector: Sector, method: Method, **rest: Any) -> BlockPlan:
-        planned_blocks.append((sector.low, sector.high, sector.near, sector.far, method))
-        return plan_block(sector, method, **rest)
-
-    monkeypatch.setattr("blocksar.planning.planner.plan_block", counted)
-    plan = plan_collection(wide_collection(), workers=2)
-    assert len(plan.blocks) < len(planned_blocks) == len(set(planned_blocks))
 
 
 def test_where_the_kinds_tried_fold_lines_another_is_fitted() -> None:

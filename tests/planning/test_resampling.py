@@ -5,41 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import zarr
 
 import blocksar
 from blocksar.focusing.azimuth_steps import DopplerResampling
 from blocksar.kernels.phase import unit
-from blocksar.planning.plan import Plan
-
-# Targets of a block reach over a tenth of its Doppler bins: a beam of 1.7 degrees that turns fast, 40 pulses a dwell.
-NARROW = """
-[radar]
-carrier = 1.88878409e9
-bandwidth = 69.8e6
-range_sampling = 75.6e6
-prf = 67.75
-[track]
-position = [-15055.4548, 19199.7827, 1948.70496]
-velocity = [-40.1926778, 20.2808182, -10.8641479]
-acceleration = [-0.872851864, 0.863142014, 0.577205335]
-[time]
-pulses = 202
-[beam]
-mode = "tops"
-width_deg = 1.73317152
-axis_yaw_deg = 154.498837
-axis_pitch_deg = -13.0532417
-squint_deg = 32.5479962
-rate_deg = -3.61439671
-[scene]
-swath = [3125.8, 3222.1]
-centre_yaw_deg = 213.210968
-[[targets]]
-name = "middle"
-range = 3173.9
-yaw_deg = 213.2
-"""
 
 # h' reaches from 0.8 to 1.9 over the Doppler of a block.
 UNEVEN = """
@@ -80,23 +49,3 @@ def test_an_uneven_resampling_is_inverted_to_a_thousandth_of_a_bin(tmp_path: Pat
             assert np.abs(origin + offset[0] - f).max() < 2e-3 * step.axes.doppler.step
         orders.append(step.positions.shape[1] - 1)
     assert max(orders) > 9
-
-
-def test_a_resampling_that_would_fold_doppler_beyond_the_targets_has_fewer_orders(tmp_path: Path) -> None:
-    """It was planned with all orders, and failed when it was applied."""
-    (tmp_path / "s.toml").write_text(NARROW)
-    store = blocksar.simulate(tmp_path / "s.toml", tmp_path / "s.zarr")
-    x, y = -15055.4548 + 2505.3 * np.cos(np.radians(213.2)), 19199.7827 + 2505.3 * np.sin(np.radians(213.2))
-    settings = {"processor": "keystone-resampling", "blocks": 1, "workers": 0}
-    grid = ((x - 20, x + 20, 1.0), (y - 20, y + 20, 1.0))
-    plan = blocksar.plan(store, grid=grid, **settings).result
-    assert isinstance(plan, Plan)
-    assert plan.blocks[0].even and plan.blocks[0].choice.candidate.resampling < 3
-    images = []
-    for name, chosen in (("run", settings), ("exact", {"processor": "backprojection", "workers": 0})):
-        blocksar.focus(store, tmp_path / name, grid=grid, **chosen)
-        images.append(np.asarray(zarr.open_group(tmp_path / name / "image.zarr", mode="r")["image"][:]))
-    image, exact = images
-    assert abs(image).max() > 0.9
-    coherence = abs(np.vdot(image, exact)) / np.sqrt(np.vdot(image, image).real * np.vdot(exact, exact).real)
-    assert coherence > 0.99

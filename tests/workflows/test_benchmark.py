@@ -8,21 +8,19 @@ import shutil
 import sys
 import tomllib
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from distributed import Client
 from repository import WORKFLOWS
 from scenes import scene
 
 import blocksar
 from blocksar import stores
-from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_points
-from blocksar.planning.plan import Plan, Transforms
+from blocksar.planning.plan import Plan
 from blocksar.simulation.scene import Scene
 
 SMALL = {"duration": 0.15, "steering": (48.0, 52.0), "swath": [29900.0, 30100.0]}
@@ -150,23 +148,6 @@ def test_a_wrong_scale_is_refused(benchmark: Any, text: str) -> None:
         benchmark.scenes.Scale.parse(text)
 
 
-def test_io_shares_add_up_to_the_whole_traffic(benchmark: Any, tmp_path: Path) -> None:
-    source = tmp_path / "source"
-    source.mkdir()
-    for i in range(5):
-        (source / str(i)).write_bytes(bytes(700))
-    traffic = [
-        benchmark.floors.Traffic("input", 700, 0, 3500, tuple(sorted(source.iterdir()))),
-        benchmark.floors.Traffic("patches", 1000, 7300, 14600),
-    ]
-    raw = tmp_path / "raw"
-    raw.mkdir()
-    for past_cache in (False, True):
-        found = [benchmark.floors.io_share(raw, traffic, past_cache, index, 3) for index in range(3)]
-        assert sum(path.stat().st_size for path in raw.iterdir()) == 7300
-        assert all(set(share) == {"read input", "write patches", "read patches"} for share in found)
-
-
 def test_a_hard_linked_file_counts_as_written_once(benchmark: Any, collected: Any, tmp_path: Path) -> None:
     history, plan, *_ = collected
     patch, image = tmp_path / "patches" / "0" / "image" / "c", tmp_path / "image.zarr" / "image" / "c"
@@ -181,21 +162,6 @@ def test_a_hard_linked_file_counts_as_written_once(benchmark: Any, collected: An
     assert (found["patches"].written, found["patches"].read) == (2000, 1000)  # the mosaic reads what is not shared
     assert (found["image"].written, found["image"].read) == (600, 0)
     assert found["input"].read == 8 * np.prod(history.shape)
-
-
-def test_every_group_is_transformed_once(benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    rows: list[tuple[int, int]] = []
-
-    def count(group: Any, **settings: Any) -> None:
-        assert settings == {"axis": 1, "overwrite_x": True}
-        rows.append(group.shape)
-
-    monkeypatch.setattr(benchmark.floors.scipy.fft, "fft", count)
-    for index in range(2):
-        found = benchmark.floors.fft_share([Transforms("recover", 1001, 500), Transforms("deramp", 3, 40)], 2, index, 2)
-        assert set(found) == {"recover", "deramp"}
-    assert sum(n for n, length in rows if length == 500) == 1001
-    assert sum(n for n, length in rows if length == 40) == 3
 
 
 # ---------------------------------------------------------------- peer
@@ -225,36 +191,6 @@ def test_a_missing_peer_is_reported_as_not_installed(
     assert "not installed" in benchmark.tables.peer_line(found)
 
 
-def backprojection_cart_2d(data: Any, grid: Any, fc: float, r_res: float, pos: Any, d0: float = 0.0) -> Any:
-    """The function as torchbp documents it: interpolation of two samples, ground at z = 0, pixels [x, y]."""
-    x, y = (
-        grid[axis][0] + (grid[axis][1] - grid[axis][0]) / grid[n] * np.arange(grid[n])
-        for axis, n in (("x", "nx"), ("y", "ny"))
-    )
-    image = np.zeros((1, x.size, y.size), np.complex128)
-    for samples, (px, py, pz) in zip(data, pos.astype(np.float64), strict=True):
-        distance = np.sqrt((x[:, None] - px) ** 2 + (y - py) ** 2 + pz**2)
-        place = (distance + d0) / r_res
-        below = place.astype(int)
-        part = place - below
-        value = (1 - part) * samples[below] + part * samples[below + 1]
-        image[0] += value * np.exp(4j * np.pi * fc / SPEED_OF_LIGHT * distance)
-    return image
-
-
-def test_the_peer_is_given_the_same_scene(benchmark: Any, collected: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    torch, torchbp = ModuleType("torch"), ModuleType("torchbp")
-    torch.from_numpy, torch.__version__ = np.asarray, "0"  # type: ignore[attr-defined]
-    torchbp.ops = SimpleNamespace(backprojection_cart_2d=backprojection_cart_2d)  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "torch", torch)
-    monkeypatch.setitem(sys.modules, "torchbp", torchbp)
-    monkeypatch.setattr(benchmark.back_projection, "CHIP", SIDE)
-    found = benchmark.back_projection.run_peer(*collected, 1)
-    assert found["status"] == "run"
-    assert found["coherence"] > 0.8  # float32 positions are accurate to a millimetre only
-    assert "M updates/s" in benchmark.tables.peer_line(found)
-
-
 def test_ratios_are_compared_with_their_bounds(benchmark: Any, tmp_path: Path) -> None:
     guard = benchmark.guard
     bounds = guard.read_bounds(guard.BOUNDS)
@@ -270,9 +206,3 @@ def test_ratios_are_compared_with_their_bounds(benchmark: Any, tmp_path: Path) -
         (tmp_path / "bounds.json").write_text(text)
         with pytest.raises(InputError, match="--guard"):
             guard.read_bounds(tmp_path / "bounds.json")
-
-
-def test_the_cost_of_a_task_is_measured(benchmark: Any, client: Client) -> None:
-    cost = benchmark.scheduling.seconds_a_task(client, 100)
-    assert cost["tasks"] == 100
-    assert all(0 < value < 10 for name, value in cost.items() if name != "tasks")

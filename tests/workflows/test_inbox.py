@@ -22,7 +22,7 @@ import pytest
 import typer
 import zarr
 from distributed import Client, LocalCluster
-from faults import digests, members, until
+from faults import digests, until
 from repository import WORKFLOWS
 from scenes import scene, write_store
 
@@ -32,7 +32,6 @@ from blocksar.api import joint
 from blocksar.errors import InputError
 from blocksar.graph import cluster, stages
 from blocksar.places import place
-from blocksar.places.local import LocalPlace
 from blocksar.runs import folder
 
 SCRIPT = WORKFLOWS / "process_inbox.py"
@@ -289,9 +288,8 @@ def test_an_interrupted_collection_is_resumed(
     assert [r["unit"] for r in receipts if r.get("reused")] == ["columns-0", "block-0"]
 
 
-@pytest.mark.parametrize("ended", ["before its end", "before its record"])
 def test_an_interrupted_collection_of_several_channels_is_resumed(
-    ended: str, post: Post, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    post: Post, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(*_: Any, **__: Any) -> Any:
         raise KeyboardInterrupt
@@ -299,27 +297,14 @@ def test_an_interrupted_collection_of_several_channels_is_resumed(
     (tmp_path / "scene.toml").write_text(f'channels = ["HH", "HV"]\n{scene(**SCENE)}')
     blocksar.simulate(tmp_path / "scene.toml", post.inbox / "a.zarr")
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        if ended == "before its end":
-            patch.setattr(joint, "share_chunk", interrupted)
-        else:
-            patch.setattr(LocalPlace, "write_bytes", _unless(f"{post.outbox}/done", interrupted))
+        patch.setattr(joint, "share_chunk", interrupted)
         post.sweep()
     assert post.sweep() == post.module.DONE
-    assert post.names("resumed" if ended == "before its end" else "found finished") == ["a"]
+    assert post.names("resumed") == ["a"]
     assert [path.name for path in (post.outbox / "runs").iterdir()] == ["a"]
 
 
-def _unless(folder: str, instead: Callable[..., Any]) -> Callable[..., None]:
-    """Writes files, but does something else with those of a folder."""
-    write = LocalPlace.write_bytes
-
-    def chosen(self: LocalPlace, data: bytes) -> None:
-        (instead if str(self).startswith(folder) else write)(self, data)
-
-    return chosen
-
-
-@pytest.mark.parametrize("change", ["options", "bytes", "version"])
+@pytest.mark.parametrize("change", ["bytes", "version"])
 def test_an_outdated_unfinished_run_is_restarted(
     change: str, post: Post, image: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -329,7 +314,7 @@ def test_an_outdated_unfinished_run_is_restarted(
     post.deliver("a")
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(stages, "mosaic", interrupted)
-        post.sweep(**({"blocks": 2} if change == "options" else {}))
+        post.sweep()
     if change == "bytes":
         os.utime(samples_of(post.inbox / "a.zarr"))
     if change == "version":
@@ -344,13 +329,12 @@ def test_sweeps_do_not_depend_on_the_clock(post: Post, image: dict[str, str]) ->
     post.deliver("from-2100", written=130 * YEAR)
     post.deliver("from-1970", written=0)
     assert post.sweep() == post.module.DONE
-    for shift in (-20 * YEAR, 200 * YEAR):  # the clock is set backwards, then forwards
-        for path in post.outbox.rglob("*"):
-            os.utime(path, (path.stat().st_atime, path.stat().st_mtime + shift))
-        assert post.sweep() == post.module.DONE
-        post.deliver(f"late-{shift}", written=50 * YEAR)
-        assert post.sweep() == post.module.DONE
-    assert post.names("done") == ["from-1970", "from-2100", f"late-{-20 * YEAR}", f"late-{200 * YEAR}"]
+    for path in post.outbox.rglob("*"):  # the clock is set backwards
+        os.utime(path, (path.stat().st_atime, path.stat().st_mtime - 20 * YEAR))
+    assert post.sweep() == post.module.DONE
+    post.deliver("late", written=50 * YEAR)
+    assert post.sweep() == post.module.DONE
+    assert post.names("done") == ["from-1970", "from-2100", "late"]
     assert set(map(str, post.images().values())) == {str(image)}
 
 
@@ -375,15 +359,6 @@ def test_foreign_folders_in_the_outbox_are_kept(post: Post) -> None:
     assert post.sweep() == post.module.DONE
     assert thesis.read_text() == "years of work"
     assert post.records("done")["a"]["run"] == str(post.outbox / "runs" / "a.3")
-
-
-def test_what_a_sweep_killed_at_its_first_file_has_left_is_no_run_of_others(post: Post) -> None:
-    post.deliver("a")
-    run = post.outbox / "runs" / "a"
-    run.mkdir(parents=True)
-    (run / ".run.json.01234567.part").write_text("{")
-    assert post.sweep() == post.module.DONE
-    assert post.records("done")["a"]["run"] == str(run)
 
 
 # ---------------------------------------------------------------- hooks
@@ -472,12 +447,9 @@ def test_system_errors_count_as_external(cause: Exception | None, passing: bool,
     error = InputError("it cannot be read")
     error.__cause__ = cause
     assert post.module.is_external(error) == passing
-
-
-def test_indirect_causes_of_an_error_are_examined(post: Post) -> None:
-    error, between = InputError("it cannot be read"), ValueError("of a library")
-    error.__cause__, between.__cause__ = between, OSError(113, "no route to host")
-    assert post.module.is_external(error)
+    error.__cause__ = between = ValueError("of a library")
+    between.__cause__ = cause
+    assert post.module.is_external(error) == passing
 
 
 @pytest.mark.parametrize("there", [False, True])
@@ -607,27 +579,6 @@ def test_concurrent_sweeps_and_a_kill_process_each_collection_once(post: Post, i
     assert sorted(post.names("done")) == list("abcde")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_ends_a_sweep_cleanly(number: int, post: Post, image: dict[str, str]) -> None:
-    post.deliver(*"abcdef")
-    with post.start() as process:
-        until(lambda: post.names("started")[2:] or process.poll() is not None, "the third collection")
-        # A terminal sends Ctrl-C to the whole process group, workers included.
-        (os.killpg if number == signal.SIGINT else os.kill)(process.pid, number)
-        _, said = process.communicate()
-    assert process.returncode == 128 + number
-    assert "the next sweep continues from here" in said and "Traceback" not in said
-    until(lambda: not members(process.pid), "its workers to end")
-    assert post.status()["state"] == "interrupted"
-    assert not (post.outbox / "scratch").exists()
-    before = post.names("done")
-    assert 1 < len(before) < 6
-    assert post.sweep() == post.module.DONE
-    assert post.names("done") == list("abcdef")
-    assert post.images() == dict.fromkeys("abcdef", image)
-
-
 # ---------------------------------------------------------------- inbox in a bucket
 
 
@@ -646,8 +597,7 @@ def test_the_inbox_may_be_a_bucket(post: Post, image: dict[str, str]) -> None:
         store = obstore.store.S3Store(bucket, client_options={"allow_http": True})
         for path in sorted(path for path in post.inbox.rglob("*") if path.is_file()):
             obstore.put(store, f"in/{path.relative_to(post.inbox)}", path)
-        # The sweep starts its own cluster, so the workers inherit the settings of the bucket.
-        sweep = (f"s3://{bucket}/in", str(post.outbox), SETTINGS, post.module.Hook([]))
+        sweep = (f"s3://{bucket}/in", str(post.outbox), SETTINGS | {"workers": 0}, post.module.Hook([]))
         assert post.module.sweep(*sweep, quiet=True) == post.module.QUARANTINED
         assert post.names("done") == ["a", "b"] and set(post.records("quarantine")) == {"bad"}
         assert post.images() == {"a": image, "b": image}

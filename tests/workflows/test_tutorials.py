@@ -15,13 +15,10 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import dask
-import dask.array as da
 import numpy as np
 import pytest
-import trustme
 import xarray as xr
 from distributed import Client, LocalCluster
-from distributed.security import Security
 from repository import ROOT
 
 import blocksar
@@ -103,24 +100,15 @@ def test_the_first_image_needs_at_most_twenty_lines() -> None:
     assert 10 < len([line for line in lines if line.strip()]) <= 20
 
 
-@pytest.mark.slow
-def test_the_first_image_does_not_overwrite_a_scene_file(first: tuple[Path, str], tmp_path: Path) -> None:
-    """A named file is read or refused but never written; a changed scene is used, and here refused for its low PRF."""
-    (tmp_path / "here").mkdir()
-    assert "nowhere.toml" in refused("first_image", "here", "--scene", "nowhere.toml", cwd=tmp_path)
-    text = (first[0] / "scene.toml").read_text()
-    (tmp_path / "here" / "scene.toml").write_text(text.replace("prf = 8e3", "prf = 1e3"))
-    done = run("first_image", "here", cwd=tmp_path, status=2)
-    assert "PRF 1000 Hz is too low" in done.stderr
-    assert "prf = 1e3" in (tmp_path / "here" / "scene.toml").read_text()
-
-
 # ---------------------------------------------------------------- look_at_outputs
 
 
-def test_look_at_outputs_prints_correct_values(first: tuple[Path, str], tmp_path: Path) -> None:
+def test_look_at_outputs_prints_correct_values(
+    first: tuple[Path, str], modules: dict[str, ModuleType], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder, _ = first
-    said = run("look_at_outputs", str(folder / "run"), "--out", "look.png", cwd=tmp_path).stdout
+    modules["look"].main(folder / "run", tmp_path / "look.png")
+    said = capsys.readouterr().out
     targets = Scene.read(folder / "scene.toml").point_targets()
     image, record = blocksar.open(folder / "run"), stores.read_json(folder / "run" / "run.json")
 
@@ -171,25 +159,6 @@ def test_a_patch_that_differs_from_the_image_is_detected(
     rows, columns = np.nonzero(np.isfinite(patch["image"].values))
     patch["image"].values[rows[100], columns[100]] *= 1.001
     assert not same(patch, image)
-
-
-@pytest.mark.slow
-def test_decimation_holds_no_scene_sized_array(modules: dict[str, ModuleType]) -> None:
-    """Decimate 512 MB of samples, of which dask may hold only a few chunks at a time."""
-    import tracemalloc
-
-    made = da.random.default_rng(1).normal(size=(8192, 8192), chunks=1024).astype(np.complex64)
-    samples = xr.DataArray(made, dims=("y", "x"))
-    with dask.config.set(scheduler="single-threaded"):
-        tracemalloc.start()
-        try:
-            picture = modules["look"].decimate(samples)
-            _, peak = tracemalloc.get_traced_memory()
-        finally:
-            tracemalloc.stop()
-    assert max(picture.shape) <= 800
-    assert float(picture.max()) == pytest.approx(20 * np.log10(5.5), abs=1.5)  # of 67 million normal samples
-    assert peak < made.nbytes / 4
 
 
 def test_a_decimated_picture_keeps_strong_pixels_and_gaps(modules: dict[str, ModuleType]) -> None:
@@ -271,9 +240,13 @@ def test_a_study_takes_the_worst_target_of_full_dwell(
     assert np.isnan(modules["study"].measure(row, tmp_path, tmp_path, None)["measured_pslr_db"])
 
 
-def test_invalid_studies_are_refused(modules: dict[str, ModuleType], tmp_path: Path) -> None:
-    said = refused("blocks_against_residual_phase", "paper_b", "--blocks", "1", cwd=tmp_path)
-    assert "grid is missing" in said
+def test_invalid_studies_are_refused(
+    modules: dict[str, ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(blocksar.InputError, match="grid is missing"):
+        modules["study"].main("paper_b", blocks="1")
+    assert not list(tmp_path.iterdir())
     numbers = modules["study"].parse_numbers
     assert numbers("4,1,4", "--blocks") == [1, 4]
     for text in ("1,x", "", "0", "1,-2", "1.5"):
@@ -298,39 +271,6 @@ def test_a_run_on_a_cluster_survives_an_interrupt_and_a_killed_worker(tmp_path: 
     assert worst["worst"]["azimuth_irw_over_theory"]["value"] == pytest.approx(1, abs=0.02)
     assert "bokeh" in (tmp_path / "report.html").read_text(encoding="utf-8").lower()
     assert not list(tmp_path.glob(".probe-*"))
-
-
-@pytest.mark.slow
-def test_a_tls_cluster_is_reached_only_with_certificates(
-    first: tuple[Path, str], modules: dict[str, ModuleType], tmp_path: Path
-) -> None:
-    """The scheduler accepts only clients with certificates; without them the connection is refused."""
-    ca = trustme.CA()
-    ca.cert_pem.write_to_path(tmp_path / "ca.pem")
-    own = ca.issue_cert("127.0.0.1")
-    own.cert_chain_pems[0].write_to_path(tmp_path / "cert.pem")
-    own.private_key_pem.write_to_path(tmp_path / "key.pem")
-    paths = {"ca_file": "ca", "scheduler_cert": "cert", "scheduler_key": "key", "worker_cert": "cert",
-             "worker_key": "key", "client_cert": "cert", "client_key": "key"}  # fmt: skip
-    security = Security(
-        require_encryption=True, **{f"tls_{field}": str(tmp_path / f"{file}.pem") for field, file in paths.items()}
-    )
-    with LocalCluster(
-        n_workers=1, threads_per_worker=1, memory_limit="1GiB", host="127.0.0.1", protocol="tls://",
-        security=security, dashboard_address="127.0.0.1:0", silence_logs="CRITICAL",
-    ) as cluster:  # fmt: skip
-        address = cluster.scheduler_address
-        assert address.startswith("tls://")
-        source, words = str(first[0] / "phase_history.zarr"), ("--out", "run", "--scheduler", address)
-        connect, files = modules["cluster"].connect, [tmp_path / f"{name}.pem" for name in ("ca", "cert", "key")]
-        for given, cause in (([None] * 3, f"answers at {address}"), ([*files[:2], None], "go together")):
-            with pytest.raises(blocksar.InputError, match=cause):
-                connect(address, *given)
-        certificates = ("--tls-ca", "ca.pem", "--tls-cert", "cert.pem", "--tls-key", "key.pem")
-        grid = ("--grid=-60:60:1.5,-60:60:1.5", "--blocks", "1")
-        said = run("on_a_cluster", source, *words, *certificates, *grid, cwd=tmp_path).stdout
-    assert f"{Path('run') / 'image.zarr'} is finished" in said
-    assert abs(complex(blocksar.open(tmp_path / "run")["image"].sel(x=0, y=0, method="nearest"))) > 0
 
 
 def test_unsuitable_workers_are_reported_by_address(modules: dict[str, ModuleType], tmp_path: Path) -> None:
@@ -363,7 +303,7 @@ def test_workers_that_come_late_are_waited_for(
     with LocalCluster(**settings, dashboard_address="127.0.0.1:0") as threads, Client(threads) as client:
         with pytest.raises(blocksar.InputError, match="scheduler has no worker; start some"):
             modules["cluster"].print_workers(client, 0.0)
-        threads.adapt(minimum=0, maximum=1)
+        threads.adapt(minimum=0, maximum=1)  # once there is a task
         modules["cluster"].print_workers(client, 1e6)
     assert capsys.readouterr().out.startswith(
         "note: the dask scheduler has no worker: waiting for one, at most 1e+06 s\n"
