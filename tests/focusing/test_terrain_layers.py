@@ -64,7 +64,7 @@ def test_visibility_is_that_of_rays_and_of_range_and_doppler(name: str) -> None:
     terrain, sight = hills(), SIGHTS[name]
     found = visibility(terrain, sight, GRID, WHOLE)
     random = np.random.default_rng(3)
-    rows, columns = random.integers(0, GRID.shape[0], 250), random.integers(0, GRID.shape[1], 250)
+    rows, columns = random.integers(0, GRID.shape[0], 500), random.integers(0, GRID.shape[1], 500)
     wanted = []
     for row, column in zip(rows, columns, strict=True):
         x, y = float(GRID.x[column]), float(GRID.y[row])

@@ -85,7 +85,7 @@ def scene(
     weighting: str = "uniform", hills: bool = False, spacing: float = 0.7, along: float = 0.0, **options: Any
 ) -> dict[str, Any]:
     """What forms a few pixels, from noise."""
-    c = collection(**{"n_pulse": 41, "n_frequency": 32, "reference": "tracked", **options})
+    c = collection(**{"n_pulse": 41, "n_frequency": 48, "reference": "tracked", **options})
     x, y = around(c, along, 0.0)
     columns, rows = float(x) + spacing * np.arange(5), float(y) + spacing * np.arange(3)
     terrain = None
