@@ -24,6 +24,7 @@ from blocksar.api.jobs import Job
 from blocksar.collection.collection import Collection
 from blocksar.garbage import collect_seldom
 from blocksar.graph.cluster import open_client
+from blocksar.places.local import LocalPlace
 
 # Files that take longest, first: two processes that share the files then end at about the same time.
 FIRST = (
@@ -95,6 +96,7 @@ def hasty() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("typer.testing._get_command", cache(typer.main.get_command))
         patch.setattr(os, "fsync", lambda _: None)
+        patch.setattr(LocalPlace, "settle", lambda _: None)  # which would wait for what all other processes write
         yield
 
 
