@@ -200,7 +200,9 @@ def check_extension(names: dict[str, Any]) -> None:
 
 
 def check_arrays(names: dict[str, Any]) -> None:
-    assert names["run"].open()["image"].sel(x=30, y=-24).item() == pytest.approx(1, abs=0.01)
+    image = names["run"].open()["image"]
+    assert image.sel(x=30, y=-24).item() == pytest.approx(1, abs=0.01)
+    assert abs(image).argmax(...)["x"].item() == image.indexes["x"].get_loc(30.0)
     assert Path("arrays.png").stat().st_size > 10_000
 
 

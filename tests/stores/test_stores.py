@@ -22,8 +22,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.errors import InputError, ProcessingError
 from blocksar.places import local, place
-from blocksar.places.local import LocalPlace
-from blocksar.stores import chunk_files, creation
+from blocksar.stores import chunk_files
 
 SAMPLES = stores.Variable(("pulse", "range_frequency"), "complex64", "1", "samples")
 
@@ -330,14 +329,6 @@ def test_regions_are_read_as_by_zarr(tmp_path: Path, name: str, slab: None) -> N
             assert np.array_equal(out, expected, equal_nan=True)
 
 
-def test_wider_values_are_cast_as_by_zarr(tmp_path: Path) -> None:
-    array, values = plain_store(tmp_path / "zarr", "complex")
-    array[...] = values.astype(np.complex128) * np.pi
-    plain_store(tmp_path / "own", "complex")
-    stores.write_region(tmp_path / "own", "s", np.s_[:, :], values.astype(np.complex128) * np.pi)
-    assert chunk_bytes(tmp_path / "own") == chunk_bytes(tmp_path / "zarr")
-
-
 OTHERWISE: dict[str, dict[str, Any]] = {
     "compressed": {"compressors": zarr.codecs.GzipCodec()},
     "turned": {"filters": zarr.codecs.TransposeCodec(order=(1, 0))},
@@ -389,13 +380,6 @@ def test_unexpected_metadata_are_delegated_to_zarr(tmp_path: Path, key: str, val
     file = tmp_path / "s" / "s" / "zarr.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | {key: value}))
     assert chunk_files.chunk_files_of(place(tmp_path / "s"), "s") is None
-
-
-def test_an_output_array_that_does_not_fit_is_refused(own: Path) -> None:
-    region = np.s_[0:9, 0:5]
-    for out in (np.zeros((5, 9), np.complex64), np.zeros((9, 5), np.complex128), np.zeros((9, 5), np.float32)):
-        with pytest.raises(ValueError, match=r"out is .* but the region is complex64 of shape \(9, 5\)"):
-            stores.read_region(own, "signal", region, out=out)
 
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
@@ -499,29 +483,6 @@ def test_a_full_disk_is_no_wrong_input(
         stores.create_phase_history(path, small_collection)
     assert str(found.value) == said
     assert os.listdir(tmp_path) == []
-
-
-def test_a_failed_creation_leaves_nothing(tmp_path: Path, own: Path, monkeypatch: Any) -> None:
-    def fail(part: LocalPlace, _: bytes) -> None:
-        part.path.parent.mkdir(parents=True, exist_ok=True)
-        part.path.write_bytes(b"half of it")
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(creation, "put_file", fail)
-    before = stores.open_phase_history(own).fingerprint()
-    for path in (tmp_path / "new.zarr", own):
-        with pytest.raises(KeyboardInterrupt):
-            stores.create(
-                path,
-                {"s": SAMPLES},
-                sizes={"pulse": 4, "range_frequency": 4},
-                coords={},
-                attrs={},
-                chunks={},
-                overwrite=True,
-            )
-    assert os.listdir(tmp_path) == ["ph.zarr"]
-    assert stores.open_phase_history(own).fingerprint() == before
 
 
 @pytest.mark.parametrize(
