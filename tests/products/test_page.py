@@ -342,7 +342,7 @@ def test_a_demonstration_is_repeated_as_one(
 def test_only_the_worst_of_many_targets_are_listed(run: Path, quick: None) -> None:
     def copy(record: Any) -> None:
         one = record["targets"][0]
-        record["targets"] = [one | {"name": f"N{i}", "error_x": 1e-5 * i} for i in range(facts.MOST_ROWS + 20)]
+        record["targets"] = [one | {"name": f"N{i}", "error_x": 1.0 + 1e-3 * i} for i in range(facts.MOST_ROWS + 20)]
 
     changed(run / "quality.json", copy)
     path = blocksar.report(run).result.path
