@@ -102,7 +102,7 @@ WEIGHTINGS = [("taylor:4:-35", "taylor:4:-35"), ("uniform", "hann"), ("kaiser:6"
 WEIGHTED = ["Table 1", "unsteered", "scan reversed, negative yaw", "looking across yaw = pi"]
 
 
-@pytest.mark.parametrize(("name", "weighting"), zip(WEIGHTED, WEIGHTINGS, strict=True))
+@pytest.mark.parametrize(("name", "weighting"), [*zip(WEIGHTED, WEIGHTINGS, strict=True)])
 def test_weighted_back_projection_equals_the_double_loop(name: str, weighting: tuple[str, str]) -> None:
     """Points far apart, so that tiles are divided; some pulses and samples are missing, some dwells are cut."""
     c = collection(**COLLECTIONS[name])
