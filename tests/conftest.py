@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 import dask
 import numpy as np
 import pytest
+import typer
 from distributed import Client
 from once import once
 
@@ -21,6 +24,7 @@ from blocksar.api.jobs import Job
 from blocksar.collection.collection import Collection
 from blocksar.garbage import collect_seldom
 from blocksar.graph.cluster import open_client
+from blocksar.places.local import LocalPlace
 
 # Files that take longest, first: two processes that share the files then end at about the same time.
 FIRST = (
@@ -83,6 +87,16 @@ def unchecked() -> Iterator[None]:
     """Leave the samples of runs in this process unchecked: the check takes a third to a half of a small run."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run_stages, "checking", unchecking)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def hasty() -> Iterator[None]:
+    """Build the command line once for all calls in this process; flush no file, as none has to outlive a power cut."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("typer.testing._get_command", cache(typer.main.get_command))
+        patch.setattr(os, "fsync", lambda _: None)
+        patch.setattr(LocalPlace, "settle", lambda _: None)  # which would wait for what all other processes write
         yield
 
 

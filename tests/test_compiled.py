@@ -61,15 +61,12 @@ def test_loops_that_python_calls_are_cached() -> None:
 
 def test_the_second_compilation_finds_all_loops_in_the_cache() -> None:
     """In a process of its own, since this one may have compiled some."""
+    first = blocksar.compile().result
     code = "import blocksar; r = blocksar.compile(); print(r.result['compiled'], r.result['loops'], *r.summary)"
-    first, second = (
-        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split(
-            maxsplit=2
-        )
-        for _ in range(2)
-    )
-    assert int(second[0]) == 0 and int(first[1]) == int(second[1]) > 15
-    assert second[2].startswith(f"all {second[1]} loops are compiled already, in ")
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    compiled, loops, summary = run.stdout.split(maxsplit=2)
+    assert int(compiled) == 0 and int(loops) == first["loops"] > 15
+    assert summary.startswith(f"all {loops} loops are compiled already, in ")
 
 
 def test_all_loops_are_compiled_ahead() -> None:

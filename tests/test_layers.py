@@ -195,42 +195,34 @@ def test_one_home_for_the_fourier_transform(room: str) -> None:
     assert not wrong, "call blocksar.kernels.fourier instead:\n" + "\n".join(wrong)
 
 
-@pytest.mark.parametrize("module", ["blocksar", "blocksar.cli"])
-def test_the_import_is_light(module: str) -> None:
-    code = f"import {module}, sys; print(*(name for name in {HEAVY!r} if name in sys.modules))"
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
-    assert run.stdout.split() == []
-
-
-def test_a_plan_loads_neither_dask_nor_scipy_s_transforms_and_functions() -> None:
-    code = (
-        "import blocksar, sys; blocksar.plan('table1', blocks=3); "
-        "print(*(name for name in ('dask', 'distributed', 'scipy.fft', 'scipy.special') if name in sys.modules))"
+def loaded(*steps: tuple[str, tuple[str, ...]]) -> list[list[str]]:
+    """Which libraries a process has loaded after each of its statements."""
+    code = "import sys\n" + "".join(
+        f"{statement}\nprint(*(name for name in {names!r} if name in sys.modules))\n" for statement, names in steps
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
-    assert run.stdout.split() == []
+    return [line.split() for line in run.stdout.splitlines()]
 
 
-def test_focus_loads_only_what_it_uses() -> None:
-    """A run waits for its libraries before it plans."""
+def test_imports_and_a_plan_are_light() -> None:
+    numbers = ("dask", "distributed", "scipy.fft", "scipy.special")
+    plan = "import blocksar; blocksar.plan('table1', blocks=3)"
+    assert loaded(("import blocksar", HEAVY), ("import blocksar.cli", HEAVY), (plan, numbers)) == [[], [], []]
+
+
+def test_focus_loads_only_what_it_uses(tmp_path: Path) -> None:
+    """A run waits for its libraries before it plans, and does without zarr on a store of ours.
+
+    Nor has the process zarr that workers are forked from; here the main process does their work.
+    """
     slow = ("pydantic", "scipy.ndimage", "scipy.special", "matplotlib", "xarray", "rasterio", "zarr")
-    slow += ("blocksar.autofocusing",)
-    code = f"import blocksar.api.focusing, sys; print(*(name for name in {slow} if name in sys.modules))"
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
-    assert run.stdout.split() == []
-
-
-def test_a_run_on_a_store_of_ours_does_without_zarr(tmp_path: Path) -> None:
-    """Nor does the process that workers are forked from; here the main process does their work."""
     target = '[[targets]]\nname = "T"\nrange = 30000.0\nyaw_deg = 50.15\n'
     store = write_store(tmp_path, pulses=64, steering=(50.0, 50.3), dwell=0.01, swath=[29900.0, 30100.0], more=target)
-    code = (
-        "import blocksar.graph.worker, blocksar.api.focusing, sys; "
-        f"blocksar.api.focusing.focus({str(store)!r}, {str(tmp_path / 'run')!r}, blocks=1, workers=0); "
-        "print(*(name for name in ('xarray', 'zarr') if name in sys.modules))"
-    )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
-    assert run.stdout.split() == []
+    focus = f"blocksar.api.focusing.focus({str(store)!r}, {str(tmp_path / 'run')!r}, blocks=1, workers=0)"
+    assert loaded(
+        ("import blocksar.api.focusing", (*slow, "blocksar.autofocusing")),
+        (f"import blocksar.graph.worker; {focus}", ("xarray", "zarr")),
+    ) == [[], []]
 
 
 def test_no_room_is_named_as_a_public_function() -> None:

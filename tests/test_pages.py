@@ -200,7 +200,9 @@ def check_extension(names: dict[str, Any]) -> None:
 
 
 def check_arrays(names: dict[str, Any]) -> None:
-    assert names["run"].open()["image"].sel(x=30, y=-24).item() == pytest.approx(1, abs=0.01)
+    image = names["run"].open()["image"]
+    assert image.sel(x=30, y=-24).item() == pytest.approx(1, abs=0.01)
+    assert abs(image).argmax(...)["x"].item() == image.indexes["x"].get_loc(30.0)
     assert Path("arrays.png").stat().st_size > 10_000
 
 
@@ -224,7 +226,7 @@ def test_python_on_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.Mo
     (tmp_path / "scene.toml").write_text(importlib.import_module("first_image").SCENE)
     if page == "blocksar/products/README.md":
         blocksar.simulate("scene.toml", "ph.zarr")
-        blocksar.focus("ph.zarr", "run", blocks=1, workers=1, grid=((-60, 60, 1.5), (-60, 60, 1.5)))
+        blocksar.focus("ph.zarr", "run", blocks=1, workers=0, grid=((-60, 60, 1.5), (-60, 60, 1.5)))
     names: dict[str, Any] = {"__name__": "__main__"}
     for line, text in fenced(PAGES[page], "python"):
         exec(compile("\n" * (line - 1) + text, str(ROOT / page), "exec"), names)

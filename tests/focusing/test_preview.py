@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from axis_beams import axis_scene
 from matplotlib.image import imread
-from scenes import SMALL_SCAN, scene, write_store
+from scenes import scene, write_store
 from typer.testing import CliRunner
 
 import blocksar
@@ -123,13 +123,14 @@ def test_lost_pulses_are_left_out_of_the_mean() -> None:
 
 
 def test_the_command_writes_a_picture_and_proposes_a_grid(tmp_path: Path) -> None:
-    (tmp_path / "scene.toml").write_text(scene(**SMALL_SCAN, more=TARGETS + CLUTTER))
+    short: Any = {"swath": [29700.0, 30300.0], "prf": 4000.0, "duration": 0.2, "steering": (48.0, 52.0), "dwell": 0.05}
+    (tmp_path / "scene.toml").write_text(scene(**short, more=TARGETS + CLUTTER))
     store = Path(blocksar.simulate(tmp_path / "scene.toml", tmp_path / "ph.zarr"))
     done = CliRunner().invoke(
         commands.app, ["preview", str(store), "--out", str(tmp_path / "a.png"), "--size", "300", "--range=-40:0"]
     )
     assert done.exit_code == 0, done.stderr
-    assert "a run takes --grid 1" in done.stdout and "of 3200 pulses" in done.stdout
+    assert "a run takes --grid 1" in done.stdout and "of 800 pulses" in done.stdout
     assert f"next: blocksar plan {store}" in " ".join(done.stderr.split())
     assert imread(tmp_path / "a.png")[..., :3].std() > 0.05
     for size in ("a", 300.5, None, True):

@@ -35,11 +35,10 @@ from cphd_files import (
 )
 from lxml import etree
 from sarkit import cphd as skcphd
-from scenes import scene as scene_text
 from typer.testing import CliRunner
 
 import blocksar
-from blocksar import api, stores
+from blocksar import stores
 from blocksar.cli import commands
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
@@ -51,7 +50,6 @@ from blocksar.ingestion.cphd import channels, echoes, ingestion
 from blocksar.ingestion.cphd.files import CphdFile, open_file
 from blocksar.ingestion.cphd.samples import ACCURACY
 from blocksar.simulation import cphd as cphd_simulation
-from blocksar.simulation.scatterers import simulate_pulses
 from blocksar.simulation.scene import Scene
 
 pytest.importorskip("sarkit", reason="the extra `formats` is not installed")
@@ -141,57 +139,6 @@ def test_positions_survive_conversion_to_the_earth_frame_and_back(base: Base) ->
         assert abs(image[20, 20] - sigma) < 0.05
 
 
-def test_the_focused_image_equals_that_of_the_direct_store(tmp_path: Path) -> None:
-    """A small squint TOPS scene, simulated to a store, and to a CPHD that is then ingested; both are focused."""
-    text = scene_text(
-        velocity=[0.0, 200.0, -20.0], acceleration=[0.0, 2.0, -1.0], duration=None, pulses=1200, prf=2000.0,
-        steering=(47.0, 53.0), dwell=0.2, swath=[29900.0, 30100.0],
-        reference_range='"scene_centre"', more='[clutter]\nscatterers = 4000\nseed = 1\n',
-    ).replace("duration = None\n", "")  # fmt: skip
-    (tmp_path / "scene.toml").write_text(text)
-    scene = Scene.read(tmp_path / "scene.toml")
-    direct = api.simulate(tmp_path / "scene.toml", tmp_path / "direct.zarr")
-    file = api.simulate(tmp_path / "scene.toml", tmp_path / "scene.cphd", cphd=True)
-    assert failures(Path(str(file))) == []
-    report = blocksar.ingest("cphd", file, tmp_path / "ingested.zarr")
-    ours, theirs = stores.open_phase_history(direct).collection, report.result
-    assert theirs.beam_width == pytest.approx(ours.beam_width, rel=1e-4)
-    np.testing.assert_allclose(theirs.beam_azimuth, ours.beam_azimuth, atol=1e-4 * theirs.beam_width)
-    assert any("beam steered from yaw 47.00 to 53.00 degrees" in line for line in report.summary)
-    middle = scene.centre[:2]
-    box = (-60.0, 60.0, 2.0)
-    shifted = [(low + c, high + c, step) for (low, high, step), c in zip((box, box), middle, strict=True)]
-    options: dict[str, Any] = {"blocks": 1, "workers": 1, "threads": 1, "memory_limit": 2 * 2**30}
-    api.focus(direct, tmp_path / "one", grid=(shifted[0], shifted[1]), **options)
-    api.focus(tmp_path / "ingested.zarr", tmp_path / "two", grid=(box, box), **options)
-    one, two = (blocksar.open(tmp_path / name) for name in ("one", "two"))
-    np.testing.assert_allclose(two.x + middle[0], one.x, atol=1e-6)
-    left, right = one.image.values, two.image.values
-    assert np.isfinite(left).all()
-    assert np.isfinite(right).all()
-    power = np.sqrt(np.sum(np.abs(left) ** 2) * np.sum(np.abs(right) ** 2))
-    coherence = np.sum(left * right.conj()) / power
-    assert abs(coherence) >= 0.9999
-    assert abs(np.angle(coherence)) < 1e-3
-    assert two.attrs["georeference"]["kind"] == "ENU"
-
-
-def test_the_back_projected_image_equals_that_of_the_direct_store(base: Base) -> None:
-    """Back-project both on the same frequencies; the direct store has another reference range."""
-    ours, samples, _, _ = ingested(base.path)
-    same = {"carrier": ours.carrier, "range_frequency": ours.range_frequency}
-    theirs, centre = Collection(**{**base.scene.collection().as_dict(), **same}), base.scene.centre
-    assert np.ptp(theirs.reference_range) == 0
-    points = np.array([[t.x, t.y] for t in base.scene.point_targets()])
-    direct = simulate_pulses(theirs, points[:, 0], points[:, 1], base.sigma)
-    axis = np.arange(-45.0, 45.0, 0.75)
-    one = form_image(lambda p: samples[p], Geometry(collection=ours), axis, axis, threads=1)
-    two = form_image(lambda p: direct[p], Geometry(collection=theirs), axis + centre[0], axis + centre[1], threads=1)
-    coherence = np.sum(one * two.conj()) / np.sqrt(np.sum(np.abs(one) ** 2) * np.sum(np.abs(two) ** 2))
-    assert abs(coherence) >= 0.99999
-    assert abs(np.angle(coherence)) < 1e-4
-
-
 def test_dropped_pulses_stay_missing(base: Base, tmp_path: Path) -> None:
     text = SCENE + "[dropped]\npulses = [0, 5, 6, 100]\n[noise]\npower = 0.01\nseed = 3\n"
     path = cphd_simulation.simulate(Scene.parse(text), tmp_path / "lost.cphd", origin=ORIGIN)
@@ -246,7 +193,7 @@ def test_sgn(base: Base, tmp_path: Path, sign: int) -> None:
     check(write(tmp_path / "sgn.cphd", parts), base)
 
 
-@pytest.mark.parametrize("form", ["CF8", "CI4", "CI2"])
+@pytest.mark.parametrize("form", ["CI4", "CI2"])
 def test_sample_formats_and_amplitude_factors(base: Base, tmp_path: Path, form: str) -> None:
     parts = parts_of(base.path)
     exact = echo(grid_of(parts), delays(parts, base), base.sigma, -1)
@@ -255,16 +202,11 @@ def test_sample_formats_and_amplitude_factors(base: Base, tmp_path: Path, form: 
     vectors = np.zeros(len(exact), [*parts.vectors.dtype.descr, ("AmpSF", "f8")])
     for name in parts.vectors.dtype.names or ():
         vectors[name] = parts.vectors[name]
-    if form == "CF8":
-        samples = (exact / factor[:, None]).astype(np.complex64)
-        tolerance = 2e-5
-    else:
-        largest = 2 ** {"CI4": 15, "CI2": 7}[form] - 1
-        factor *= 4 / largest
-        integers = np.rint(exact / factor[:, None])
-        samples = np.zeros(exact.shape, skcphd.binary_format_string_to_dtype(form))
-        samples["real"], samples["imag"] = integers.real, integers.imag
-        tolerance = 0.71 * factor.max() + 2e-5
+    factor *= 4 / (2 ** {"CI4": 15, "CI2": 7}[form] - 1)
+    integers = np.rint(exact / factor[:, None])
+    samples = np.zeros(exact.shape, skcphd.binary_format_string_to_dtype(form))
+    samples["real"], samples["imag"] = integers.real, integers.imag
+    tolerance = 0.71 * factor.max() + 2e-5
     vectors["AmpSF"] = factor
     check(write(tmp_path / "form.cphd", Parts(parts.root, vectors, samples), {"AmpSF": "F8"}), base, tolerance)
 
@@ -301,15 +243,14 @@ def test_interpolation_does_not_use_samples_beyond_the_band(base: Base, tmp_path
     assert any("resampled to one grid" in line for line in said)
 
 
-@pytest.mark.parametrize("late", [0.0, 0.3])
-def test_the_interpolation_error_stays_below_its_bound(base: Base, tmp_path: Path, late: float) -> None:
+def test_the_interpolation_error_stays_below_its_bound(base: Base, tmp_path: Path) -> None:
     """One target at each end of the saved delays, where interpolation is worst: the reported error covers it."""
     parts = parts_of(base.path)
     v = parts.vectors
     v["SC0"] += v["SCSS"] * np.linspace(0, 1, v.size, endpoint=False)
     v["FX1"], v["FX2"] = v["SC0"], v["SC0"] + (parts.samples.shape[1] - 1) * v["SCSS"]
     for edge in ("TOA1", "TOA2"):
-        v[edge] += late / v["SCSS"]  # the saved delays are not centred at the SRP
+        v[edge] += 0.3 / v["SCSS"]  # the saved delays are not centred at the SRP
     worst = []
     for edge in ("TOA1", "TOA2"):
         parts.samples[...] = echo(grid_of(parts), v[edge][:, None], np.ones(1), -1)
@@ -361,8 +302,7 @@ def lines_to_toa(parts: Parts, spectrum: Array, sign: int, fx: Array) -> tuple[A
     return samples.astype(np.complex64), v
 
 
-@pytest.mark.parametrize("sign", [-1, 1])
-def test_toa_domain_by_its_closed_form(base: Base, tmp_path: Path, sign: int) -> None:
+def test_toa_domain_by_its_closed_form(base: Base, tmp_path: Path) -> None:
     """The standard's mainlobes, with SC0, SCSS and fx_C different for every vector; the window cuts side lobes off."""
     parts = parts_of(base.path)
     rng = np.random.default_rng(4)
@@ -375,11 +315,10 @@ def test_toa_domain_by_its_closed_form(base: Base, tmp_path: Path, sign: int) ->
     t = v["SC0"][:, None] + v["SCSS"][:, None] * np.arange(n)
     middle, band = (v["FX1"] + v["FX2"]) / 2, v["FX2"] - v["FX1"]
     samples = np.zeros((v.size, n), np.complex64)
-    for sigma, late in zip(base.sigma if sign < 0 else base.sigma.conj(), dtoa.T, strict=True):
-        phase = np.exp(2j * np.pi * sign * middle * late)  # of the mainlobe
+    for sigma, late in zip(base.sigma, dtoa.T, strict=True):
+        phase = np.exp(-2j * np.pi * middle * late)  # of the mainlobe
         samples += (sigma * phase)[:, None] * np.sinc(band[:, None] * (t - late[:, None]))
     parts.set("Global/DomainType", "TOA")
-    parts.set("Global/SGN", f"{sign:+d}")
     collection, _ = check(write(tmp_path / "toa.cphd", Parts(parts.root, v, samples)), base, 0.02, inner=0.9)
     assert collection.bandwidth == pytest.approx(98e6, rel=0.01)
 
@@ -473,23 +412,6 @@ def test_gaps_and_vectors_without_signal_are_missing_pulses(base: Base, tmp_path
     direct = base.scene.collection().antenna_position - base.scene.centre
     np.testing.assert_allclose(collection.antenna_position, direct, atol=1e-4)
     assert any("7 of them missing" in line for line in said)
-
-
-@pytest.mark.parametrize("junk", [0.0, -1.0])
-def test_vectors_without_signal_need_no_position(base: Base, tmp_path: Path, junk: float) -> None:
-    """With SIGNAL = 0 the other parameters of a vector are ignored, at the ends of the collection and within it."""
-    parts = parts_of(base.path)
-    where = [0, 1, 40, 41, 100, 159]
-    for name in parts.vectors.dtype.names or ():
-        parts.vectors[name][where] = junk
-    parts.vectors["SIGNAL"][where] = 0
-    collection, samples, _, _ = ingested(write(tmp_path / "junk.cphd", parts))
-    exact = expected(collection, base)
-    lost = np.isnan(samples).any(axis=1)
-    np.testing.assert_array_equal(np.flatnonzero(lost) + 2, [40, 41, 100])  # those at the ends are left out
-    assert collection.n_pulse == 157
-    assert np.abs(samples[~lost] - exact[~lost]).max() < 2e-5
-    assert np.abs(np.diff(collection.antenna_position, n=2, axis=0)).max() < 1e-3
 
 
 def test_version_1_0_1(base: Base, tmp_path: Path) -> None:
@@ -919,37 +841,9 @@ def test_mutated_bytes(base: Base, tmp_path: Path, name: str) -> None:
     refused(path, match)
 
 
-def test_flipped_bytes_of_header_xml_and_vectors(base: Base, tmp_path: Path) -> None:
-    """Up to three wrong bytes, seeded: the result is a one-sentence error or a store that opens."""
-    data = base.path.read_bytes()
-    with open(base.path, "rb") as file:
-        _, header = skcphd.read_file_header(file)
-    ends = [0, *(int(header[f"{name}_BLOCK_BYTE_OFFSET"]) for name in ("XML", "PVP", "SIGNAL"))]
-    rng = np.random.default_rng(6)
-    path, out = tmp_path / "flipped.cphd", tmp_path / "flipped.zarr"
-    told = 0
-    for trial in range(75):
-        first, stop = ends[trial % 3], ends[trial % 3 + 1]
-        changed = bytearray(data)
-        for place in rng.integers(first, stop, 1 + trial % 3):
-            changed[place] ^= 1 << int(rng.integers(8)) if trial % 2 else int(rng.integers(1, 256))
-        path.write_bytes(changed)
-        try:
-            ingest(path, out, overwrite=True)
-        except InputError as error:
-            told += 1
-            assert "\n" not in str(error), trial
-            assert "Warning" not in str(error), (trial, str(error))
-            assert not out.exists(), trial
-        else:
-            stores.open_phase_history(out)
-            shutil.rmtree(out)
-    assert told > 20
-
-
 def test_truncations(base: Base, tmp_path: Path) -> None:
     data = base.path.read_bytes()
-    for length in np.unique(np.geomspace(1, len(data) - 1, 40).astype(int)):
+    for length in np.unique(np.geomspace(1, len(data) - 1, 12).astype(int)):
         path = tmp_path / "short.cphd"
         path.write_bytes(data[:length])
         refused(path, ".")
@@ -1017,16 +911,6 @@ def test_the_commands(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     assert (done.exit_code, store in done.output) == (0, True)
     assert "latitude 10.0000000, longitude 20.0000000, height 30.00 m" in done.output
     assert stores.open_phase_history(store).shape[0] == 160
-    for wrong, message in {
-        ("ingest", "cphd", file, "--out", store): "exists",
-        ("ingest", "cphd", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "b.zarr")): "is a scene",
-        ("simulate", "table1", "--out", str(tmp_path / "b"), "--origin", "1,2,3"): "only CPHD files have one",
-        ("simulate", "table1", "--out", str(tmp_path / "b"), "--cphd", "--raw"): "leave out one",
-        ("simulate", "table1", "--out", str(tmp_path / "b"), "--cphd", "--origin", "north"): "not three numbers",
-    }.items():
-        told = runner.invoke(commands.app, list(wrong))
-        assert told.exit_code == 2
-        assert message in told.output
     with pytest.raises(InputError, match="kind is 'sicd'"):
         blocksar.ingest("sicd", file, store)
     with pytest.raises(InputError, match="ingested by itself"):

@@ -79,9 +79,10 @@ def peaks(path: Path, base: Base, **choices: Any) -> tuple[Array, list[str]]:
 # ---------------------------------------------------------------- Lost vectors
 
 
-@pytest.mark.parametrize("flag", [0, 1], ids=["flagged", "not flagged"])
-@pytest.mark.parametrize("value", [np.nan, 0.0, np.inf])
-@pytest.mark.parametrize("name", [*NEEDED, "all"])
+@pytest.mark.parametrize(
+    ("name", "value", "flag"),
+    [*((name, value, 1) for name in NEEDED for value in (np.nan, 0.0)), ("all", np.inf, 0), ("all", 0.0, 0)],
+)
 def test_a_vector_with_any_wrong_parameter_is_a_missing_pulse(
     file: CphdFile, base: Base, name: str, value: float, flag: int
 ) -> None:
@@ -180,7 +181,7 @@ def test_lost_vectors_are_listed_by_their_reasons() -> None:
     assert many == "0, 2, 4, 6, 8, 10, 12, 14 and 12 more ranges (invalid PVP A, B, C, D and 2 more)"
 
 
-@pytest.mark.parametrize("value", [0.0, np.nan, 1e-60])
+@pytest.mark.parametrize("value", [np.nan, 1e-60])
 def test_an_amplitude_factor_of_nothing_is_a_missing_pulse(base: Base, tmp_path: Path, value: float) -> None:
     parts = parts_of(base.path)
     vectors = np.zeros(160, [*parts.vectors.dtype.descr, ("AmpSF", "f8")])
@@ -214,9 +215,8 @@ def test_the_sign_can_be_stated(base: Base, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("declared", [-1, 1])
 @pytest.mark.parametrize("follows", [-1, 1])
-@pytest.mark.parametrize("noise", [0.0, 0.3])
 def test_energy_outside_of_the_saved_delays_tells_a_wrong_sign(
-    base: Base, tmp_path: Path, declared: int, follows: int, noise: float
+    base: Base, tmp_path: Path, declared: int, follows: int
 ) -> None:
     """Saved delays that are not centred at the SRP; some noise."""
     parts = parts_of(base.path)
@@ -227,7 +227,7 @@ def test_energy_outside_of_the_saved_delays_tells_a_wrong_sign(
     inside = np.full((160, 1), float(parts.vectors["TOA1"][0] + parts.vectors["TOA2"][0]) / 2)
     signal = echo(grid_of(parts), inside, np.ones(1), follows)
     rng = np.random.default_rng(4)
-    parts.samples[...] = signal + noise * (rng.standard_normal(signal.shape) + 1j * rng.standard_normal(signal.shape))
+    parts.samples[...] = signal + 0.3 * (rng.standard_normal(signal.shape) + 1j * rng.standard_normal(signal.shape))
     said = ingested(write(tmp_path / "sign.cphd", parts))[2]
     told = [line for line in said if "contradicts the samples" in line]
     assert bool(told) == (declared != follows)
@@ -252,7 +252,7 @@ def test_a_scene_about_the_srp_tells_nothing_of_the_sign_but_its_maker_may(base:
 @pytest.mark.parametrize(
     ("off", "said"), [(0.04, "of a sample: samples are taken as they are"), (0.3, "resampled to one grid")]
 )
-@pytest.mark.parametrize("full", [0.7, 0.95, 1.0])
+@pytest.mark.parametrize("full", [0.7, 1.0])
 def test_grids_that_wobble(base: Base, tmp_path: Path, off: float, said: str, full: float) -> None:
     """SCSS differs by parts per million, whatever the saved delays fill; targets are where they were."""
     parts = parts_of(base.path)

@@ -37,7 +37,7 @@ def response(filtered: area.LowPass, k: int, frequency: Any) -> Any:
     return np.exp(2j * np.pi * np.asarray(frequency)[:, None] * lag) @ filtered.weights[filtered.kind[k]]
 
 
-@pytest.mark.parametrize("band", [0.3, 0.09, pytest.param(0.02, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("band", [0.3, 0.09])
 def test_what_is_wanted_passes_and_nothing_folds_onto_it(band: float) -> None:
     steps = area.steps_of(band, 1.0)
     assert steps == int(1 / (area.SPARE * band))
@@ -105,7 +105,7 @@ def wandering(**changes: Any) -> Collection:
     })  # fmt: skip
 
 
-@pytest.mark.parametrize("make", [axis_collection, spotlight, wandering])
+@pytest.mark.parametrize("make", [spotlight, wandering])
 def test_samples_of_an_area_are_those_of_its_targets_alone(make: Callable[..., Collection]) -> None:
     whole = fine(make)
     present = np.ones(whole.n_pulse, bool)

@@ -81,8 +81,8 @@ def test_expanded_taps_equal_the_computed_taps(n_tap: int, occupancy: float) -> 
         assert largest(powers @ table[q].T.astype(np.float64) - taps[at]) < 1e-5
 
 
-SCALES = [0.9, 0.97, 0.999, 0.99993, 1.0, 1.00001, 1.001, 1.03, 1.3]
-PLACES = [(2000, 1000.0), (1201, 600.0), (777, 300.37), (600, -200.0), (600, 900.5), (3 * PIECE + 5, 1700.0)]
+SCALES = [0.9, 0.99993, 1.0, 1.001, 1.3]
+PLACES = [(1201, 600.0), (600, -200.0), (600, 900.5), (3 * PIECE + 5, 1700.0)]
 
 
 @pytest.mark.parametrize("scale", SCALES)
@@ -202,8 +202,7 @@ CURVES = {
 
 
 @pytest.mark.parametrize("slopes", CURVES.values(), ids=CURVES.keys())
-@pytest.mark.parametrize("n", [90, 777, 2 * PIECE + 5])
-@pytest.mark.parametrize(("n_tap", "occupancy"), [(8, 0.5), (16, 0.7), (22, 0.8), (32, 0.9)])
+@pytest.mark.parametrize(("n_tap", "occupancy", "n"), [(8, 0.5, 90), (22, 0.8, 777), (32, 0.9, 2 * PIECE + 5)])
 def test_resampled_rows_equal_the_exact_signal_between_samples(
     n_tap: int, occupancy: float, n: int, slopes: FloatArray
 ) -> None:
@@ -251,7 +250,7 @@ def test_resampled_rows_are_weighted_sums_of_the_nearest_samples(
     assert nearest_sums_differ(values[0], found[0] / np.sqrt(slope), position, n_tap) < 4e-5 * np.sqrt(n_tap)
 
 
-@pytest.mark.parametrize("scale", [0.5, 0.93, 1.0, 1.0005, 2.0])
+@pytest.mark.parametrize("scale", [0.5, 1.0005, 2.0])
 def test_a_straight_curve_equals_a_stretch(scale: float) -> None:
     """Except for the gain; the highest orders may be zero."""
     n, middle = 1201, 400.25

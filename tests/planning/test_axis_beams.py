@@ -56,8 +56,8 @@ def test_a_chain_focuses_as_back_projection_does(mode: str) -> None:
     image = focus(plan, signal)
     exact = form_image(lambda pulses: signal[pulses], geometry, grid.x, grid.y, threads=2)
     x, y = np.meshgrid(grid.x, grid.y)
-    full = has_full_dwell(geometry, x, y)
-    first, last = lit_interval(geometry, x, y)
+    full = geometry.beam.has_full_dwell(x, y)
+    first, last = geometry.beam.longest_pass(x, y)
     some = last - first > 40
     assert plan.refusal is None and full.mean() > 0.1
     assert (np.isfinite(image) | ~some).all()  # all that is lit is covered
@@ -79,7 +79,7 @@ def test_dwells_that_the_collection_cuts_have_no_noise_but_their_own() -> None:
     plan = plan_collection(collection, grid=grid, weighting=weighting)
     image = focus(plan, noise)
     exact = form_image(lambda p: noise[p], geometry, grid.x, grid.y, threads=2, weighting=weighting)
-    first, last = lit_interval(geometry, *np.meshgrid(grid.x, grid.y))
+    first, last = geometry.beam.longest_pass(*np.meshgrid(grid.x, grid.y))
     lit = last - first
     some = (lit > 30) & (lit < 150)
     assert some.sum() > 60
@@ -99,7 +99,7 @@ def least_coherence(collection: Collection, grid: Grid, blocks: int) -> tuple[Pl
     """A plan, and the least coherence of clutter in chips of 24 pixels with full dwells."""
     plan, signal = plan_collection(collection, grid=grid, blocks=blocks), clutter(collection, grid)
     exact = form_image(lambda pulses: signal[pulses], plan.geometry, grid.x, grid.y, threads=2)
-    image, full = focus(plan, signal), has_full_dwell(plan.geometry, *np.meshgrid(grid.x, grid.y))
+    image, full = focus(plan, signal), plan.geometry.beam.has_full_dwell(*np.meshgrid(grid.x, grid.y))
     cuts = [[slice(i, i + 24) for i in range(0, n - 23, 24)] for n in grid.shape]
     chips = [(rows, columns) for rows in cuts[0] for columns in cuts[1] if full[rows, columns].all()]
     return plan, min(abs(coherence(image[chip], exact[chip]).coherence) for chip in chips)
@@ -195,7 +195,7 @@ def test_phases_follow_a_wobble_from_yaw_to_yaw() -> None:
     plan, signal = plan_collection(collection, grid=grid, blocks=1), simulate_pulses(collection, x, y, np.ones(x.size))
     exact = form_points(lambda pulses: signal[pulses], Geometry(collection=collection), x, y, threads=2)
     turned = np.angle(focus(plan, signal)[rows, 10] / exact)
-    assert np.abs(turned[has_full_dwell(plan.geometry, x, y)]).max() < 0.02
+    assert np.abs(turned[plan.geometry.beam.has_full_dwell(x, y)]).max() < 0.02
 
 
 def test_unit_targets_under_the_lobes_of_a_pattern_in_elevation_are_one() -> None:
@@ -238,7 +238,7 @@ def test_a_taper_follows_a_jittering_beam_as_predicted() -> None:
     plan = plan_collection(collection, grid=grid_of(axis_collection()), weighting=weighting)
     assert plan.refusal is None and plan.away
     image, exact = focused_and_exact(plan, collection)
-    full = has_full_dwell(plan.geometry, *np.meshgrid(plan.grid.x, plan.grid.y))
+    full = plan.geometry.beam.has_full_dwell(*np.meshgrid(plan.grid.x, plan.grid.y))
     found = coherence(np.where(full, image, np.nan), exact)
     assert (1 - abs(found.coherence)) / (1 - plan.coherence) < 1.2
     assert abs(found.gain - 1) < 2e-3
@@ -254,7 +254,7 @@ def test_a_yaw_that_scans_unevenly_is_focused_as_predicted() -> None:
     grid = Grid(8880.0, 9120.0, 3.0, -130.0, 130.0, 0.5)
     plan = plan_collection(collection, grid=grid, weighting=Weighting.parse("hann"), blocks=3)
     image, exact = focused_and_exact(plan)
-    full = has_full_dwell(plan.geometry, *np.meshgrid(grid.x, grid.y))
+    full = plan.geometry.beam.has_full_dwell(*np.meshgrid(grid.x, grid.y))
     found = coherence(np.where(full, image, np.nan), np.where(full, exact, np.nan))
     assert full.all() and abs(found.coherence) > plan.coherence - 1e-4
 
@@ -270,10 +270,10 @@ def test_the_pulses_that_a_jittering_beam_lights_are_those_of_the_rule(mode: str
         collection = replace(collection, beam_steering=collection.beam_steering + turned - plain)
     geometry, rng = Geometry(collection=collection), np.random.default_rng(3)
     x, y = rng.uniform(8800, 9200, 500), rng.uniform(-200, 200, 500)
-    first, last = lit_passes(geometry, x, y)
+    first, last = geometry.beam.passes(x, y)
     pulse = np.arange(900)
     inside = (pulse >= first[..., None]) & (pulse < last[..., None])
-    np.testing.assert_array_equal(inside.sum(axis=0), is_lit(geometry, x, y))
+    np.testing.assert_array_equal(inside.sum(axis=0), geometry.beam.is_lit(x, y))
     assert (first[1:] >= last[:-1]).all()
 
 

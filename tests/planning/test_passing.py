@@ -21,14 +21,14 @@ def test_points_pass_places_in_the_beam(kind: str) -> None:
     geometry = Geometry(collection=collection)
     yaw = (0.274 if kind == "squinted" else 0.0) + np.linspace(-2e-3, 2e-3, 5)
     rng = np.linspace(9700, 10000, 3)[:, None]
-    first, last = dwell_at(geometry, yaw, rng, uncut=True)
+    first, last = geometry.beam.dwell_at(yaw, rng, uncut=True)
     x, y = geometry.ground_axes(rng, yaw)
     half = (collection.beam_width or 0.0) / 2
     for place in (-0.9, 0.0, 0.6):
-        times = passing_at(geometry, yaw, rng, place)
+        times = geometry.beam.passing_at(yaw, rng, place)
         found = np.abs(at_times(geometry, x, y, times, beam_offset)) / half
         inside = (times > collection.time[0]) & (times < collection.time[-1])
         assert inside.mean() > 0.5
         np.testing.assert_allclose(found[inside], abs(place), atol=1e-6)
     for place, end in ((-1.0, first), (1.0, last)):
-        np.testing.assert_allclose(passing_at(geometry, yaw, rng, place), np.broadcast_to(end, times.shape), atol=1e-9)
+        np.testing.assert_allclose(geometry.beam.passing_at(yaw, rng, place), np.broadcast_to(end, times.shape), atol=1e-9)

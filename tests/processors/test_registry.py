@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from extension import PARTS, install
+from extension import PARTS, Ended, install, run_commands
 from near_range import SPEED_OF_LIGHT
 
 import blocksar
@@ -21,6 +21,7 @@ from blocksar.measurement.coherence import coherence
 from blocksar.processors import PROCESSORS
 
 GRID = "-36:36:0.25,-36:36:0.25"
+FINE = "-36:36:0.06,-36:36:0.06"  # several chunks
 TARGETS = {(0.0, 0.0): 1.0, (25.0, -18.0): 0.7, (-28.0, 29.0): 1j, (31.0, 31.0): 0.5}
 OPTION = "order is 3, but it is an option of polar-format only; leave it out"
 BROKEN = {"lost": "blocksar_extension.nowhere:LOST", "clash": "clash:CLASH"}
@@ -79,9 +80,30 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return install(tmp_path_factory.mktemp("extension") / "site")
 
 
-def run(environment: dict[str, str], *words: object) -> subprocess.CompletedProcess[str]:
-    every = (sys.executable, "-m", "blocksar", *map(str, words))
-    return subprocess.run(every, env=environment, capture_output=True, text=True, check=False)
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where `ended` leaves what it writes."""
+    return tmp_path_factory.mktemp("finished")
+
+
+@pytest.fixture(scope="module")
+def ended(environment: dict[str, str], spotlight: Path, finished: Path) -> dict[str, Ended]:
+    """What commands leave, by a name; all of them in one process."""
+    out = finished / "polar"
+    commands: dict[str, tuple[object, ...]] = {
+        "focus --help": ("focus", "--help"),
+        "plan --help": ("plan", "--help"),
+        "plan": ("plan", spotlight, "--processor", "polar-format", f"--grid={GRID}"),
+        "focus": polar(spotlight, out, "--order", 4, "--workers", 0),
+        "info": ("info", out),
+        "report": ("report", out, "--out", finished / "page.html", "-q"),
+        "whole": polar(spotlight, finished / "whole", "--workers", 0, grid=FINE),
+        "wrong order": polar(spotlight, finished / "run", "--order", 9),
+        "foreign option": ("focus", spotlight, "--out", finished / "run", f"--grid={GRID}", "--order", 3),
+        "unknown": ("focus", spotlight, "--out", finished / "run", "--processor", "omega-k"),
+    }
+    words = [tuple(map(str, each)) for each in commands.values()]
+    return dict(zip(commands, run_commands(environment, *words), strict=True))
 
 
 def calls(environment: dict[str, str], *arguments: object) -> Any:
@@ -93,34 +115,34 @@ def polar(spotlight: Path, out: Path, *more: object, grid: str = GRID) -> tuple[
     return "focus", spotlight, "--out", out, "--processor", "polar-format", f"--grid={grid}", "-q", *more
 
 
-def test_it_is_in_help_and_completion(environment: dict[str, str]) -> None:
+def test_it_is_in_help_and_completion(environment: dict[str, str], ended: dict[str, Ended]) -> None:
     for command in ("focus", "plan"):
-        shown = " ".join(run(environment, command, "--help").stdout.replace("│", " ").split())
+        shown = " ".join(ended[f"{command} --help"].stdout.replace("│", " ").split())
         assert all(name in shown for name in PROCESSORS.own)
         assert "polar-format: a spotlight by plane waves" in shown
         assert "Options of polar-format" in shown and "--order N Order of the splines that resample, 3 to 5." in shown
     asked = {"_BLOCKSAR_COMPLETE": "complete_bash", "COMP_WORDS": "blocksar focus --processor p", "COMP_CWORD": "3"}
-    assert "polar-format" in run(environment | asked).stdout.split()
+    words = (sys.executable, "-m", "blocksar")
+    done = subprocess.run(words, env=environment | asked, capture_output=True, text=True, check=False)
+    assert "polar-format" in done.stdout.split()
 
 
-def test_it_plans_and_forms_an_image(environment: dict[str, str], spotlight: Path, tmp_path: Path) -> None:
-    planned = run(environment, "plan", spotlight, "--processor", "polar-format", f"--grid={GRID}")
+def test_it_plans_and_forms_an_image(ended: dict[str, Ended], spotlight: Path, finished: Path, tmp_path: Path) -> None:
+    planned, out = ended["plan"], finished / "polar"
     assert planned.returncode == 0, planned.stderr
     told = " ".join(planned.stdout.split())
     assert "image of 288 x 288 pixels by polar-format" in told and "peak memory of a worker" in told
     assert "curved waves leave a coherence with exact back-projection of at least 1.0000" in told
     assert "inspect " in told and "polar-format " in told  # the time of each stage
 
-    out = tmp_path / "polar"
-    done = run(environment, *polar(spotlight, out, "--order", 4, "--workers", 0))
+    done = ended["focus"]
     assert done.returncode == 0 and "polar-format" in done.stdout, done.stderr
     record = json.loads((out / "run.json").read_text())
     assert record["settings"]["processor"] == "polar-format" and record["settings"]["order"] == 4
-    shown = " ".join(run(environment, "info", out).stdout.split())
+    shown = " ".join(ended["info"].stdout.split())
     assert "processor polar-format" in shown and "order 4" in shown
-    page = tmp_path / "page.html"
-    assert run(environment, "report", out, "--out", page, "-q").returncode == 0
-    assert "--processor polar-format --order 4" in page.read_text()  # the command that repeats the run
+    assert ended["report"].returncode == 0
+    assert "--processor polar-format --order 4" in (finished / "page.html").read_text()  # the command that repeats it
 
     image = blocksar.open(out)["image"]
     for (x, y), value in TARGETS.items():  # others' side lobes reach 0.003, the interpolation's errors 0.002
@@ -132,18 +154,19 @@ def test_it_plans_and_forms_an_image(environment: dict[str, str], spotlight: Pat
     )  # the edges of the two apertures differ by half a sample
 
 
-def test_what_is_wrong_is_refused_in_a_sentence(environment: dict[str, str], spotlight: Path, tmp_path: Path) -> None:
-    out = tmp_path / "run"
+def test_what_is_wrong_is_refused_in_a_sentence(
+    environment: dict[str, str], ended: dict[str, Ended], spotlight: Path, finished: Path
+) -> None:
+    out = finished / "run"
+    assert not out.exists()
 
-    def said(*words: object) -> str:
-        done = run(environment, *words)
-        assert done.returncode == 2 and not out.exists() and done.stderr.count("\n") == 1
-        return done.stderr.strip().removeprefix("blocksar: ")
+    def said(name: str) -> str:
+        assert ended[name].returncode == 2 and ended[name].stderr.count("\n") == 1
+        return ended[name].stderr.strip().removeprefix("blocksar: ")
 
-    assert said(*polar(spotlight, out, "--order", 9)) == "order = 9: give 3, 4 or 5"
-    assert said("focus", spotlight, "--out", out, f"--grid={GRID}", "--order", 3) == OPTION
-    unknown = said("focus", spotlight, "--out", out, "--processor", "omega-k")
-    assert all(name in unknown for name in (*PROCESSORS.own, "polar-format"))
+    assert said("wrong order") == "order = 9: give 3, 4 or 5"
+    assert said("foreign option") == OPTION
+    assert all(name in said("unknown") for name in (*PROCESSORS.own, "polar-format"))
     given = {"processor": "polar-format", "grid": GRID}
     order, near, linear, weighted, far, settings = calls(
         environment, str(spotlight), str(out), given | {"order": 2}, given | {"ordr": 3},
@@ -160,17 +183,18 @@ def test_what_is_wrong_is_refused_in_a_sentence(environment: dict[str, str], spo
     assert settings["order"] == 3
 
 
-def test_a_killed_run_goes_on_to_the_same_bytes(environment: dict[str, str], spotlight: Path, tmp_path: Path) -> None:
-    grid = "-36:36:0.06,-36:36:0.06"  # several chunks
-    whole, cut = tmp_path / "whole", tmp_path / "cut"
-    assert run(environment, *polar(spotlight, whole, "--workers", 0, grid=grid)).returncode == 0
-    words = (sys.executable, "-m", "blocksar", *map(str, polar(spotlight, cut, "--workers", 1, grid=grid)))
+def test_a_killed_run_goes_on_to_the_same_bytes(
+    environment: dict[str, str], ended: dict[str, Ended], spotlight: Path, finished: Path, tmp_path: Path
+) -> None:
+    whole, cut = finished / "whole", tmp_path / "cut"
+    assert ended["whole"].returncode == 0
+    words = (sys.executable, "-m", "blocksar", *map(str, polar(spotlight, cut, "--workers", 1, grid=FINE)))
     with subprocess.Popen(words, env=environment, stderr=subprocess.DEVNULL, start_new_session=True) as process:
         while process.poll() is None and not list((cut / "receipts").rglob("*part-*")):
             time.sleep(0.02)
         assert process.poll() is None, "the run ended before it could be killed"
         os.killpg(process.pid, signal.SIGKILL)
-    again = run(environment, *polar(spotlight, cut, "--workers", 1, grid=grid))
+    again = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
     assert again.returncode == 0, again.stderr
     assert "units of polar-format were used again" in " ".join(again.stdout.split())
     first, second = (
@@ -186,11 +210,11 @@ def test_a_broken_package_breaks_nothing_else(spotlight: Path, tmp_path: Path) -
     group = "blocksar.processors"
     environment = install(tmp_path / "site", {group: PARTS[group] | BROKEN})
     (tmp_path / "site" / "clash.py").write_text(CLASH)
-    shown = run(environment, "focus", "--help")
+    broken = ("plan", str(spotlight), "--processor", "lost", f"--grid={GRID}")
+    shown, tried = run_commands(environment, ("focus", "--help"), broken)
     told = " ".join(shown.stdout.replace("│", " ").split())
     assert (shown.returncode, shown.stderr) == (0, "") and "--order" in told
     assert "processor lost of package blocksar_extension cannot be loaded (ModuleNotFoundError" in told
     assert "clash has an option grid, which is the command's own; repair or remove it" in told
-    tried = run(environment, "plan", spotlight, "--processor", "lost", f"--grid={GRID}")
     assert (tried.returncode, tried.stdout, tried.stderr.count("\n")) == (2, "", 1)
     assert tried.stderr.endswith("repair or remove that package\n")

@@ -323,7 +323,6 @@ DEMO = [*demonstration.GRID[0], *demonstration.GRID[1]]
     [
         ("table1", "phase_history.zarr", 3, DEMO, "demo"),
         ("table1", "phase_history.zarr", 4, DEMO, "focus"),
-        ("table1", "other.zarr", 3, DEMO, "focus"),
         ("paper_b", "phase_history.zarr", 3, DEMO, "focus"),
         ("table1", "phase_history.zarr", 3, None, "focus"),
     ],
@@ -340,25 +339,18 @@ def test_a_demonstration_is_repeated_as_one(
     assert CliRunner().invoke(commands.app, [*facts[1:], "--help"]).exit_code == 0
 
 
-def test_the_page_has_no_words_of_its_own(run: Path, quick: None) -> None:
-    text = blocksar.report(run).result.path.read_text(encoding="utf-8")
-    said = re.sub(r"<style.*?</style>|<script.*?</script>|<svg.*?</svg>|<[^>]*>", " ", text, flags=re.S)
-    assert "limits" in said and not re.search(r"\b(the|a|its) bar\b", said, re.I)
-    assert "outside the bar" not in text
-
-
 def test_only_the_worst_of_many_targets_are_listed(run: Path, quick: None) -> None:
     def copy(record: Any) -> None:
         one = record["targets"][0]
-        record["targets"] = [one | {"name": f"N{i}", "error_x": 1e-5 * i} for i in range(3000)]
+        record["targets"] = [one | {"name": f"N{i}", "error_x": 1.0 + 1e-3 * i} for i in range(facts.MOST_ROWS + 20)]
 
     changed(run / "quality.json", copy)
     path = blocksar.report(run).result.path
     text = path.read_text(encoding="utf-8")
     rows = text[text.index('<table id="targets"') :].partition("</table>")[0].count("<tr>") - 1
     assert rows == facts.MOST_ROWS
-    assert ">N2999</a>" in text and ">N100</a>" not in text
-    assert f"The {facts.MOST_ROWS} worst; 2\u202f700 more are in quality.json." in text
+    assert f">N{facts.MOST_ROWS + 19}</a>" in text and ">N10</a>" not in text
+    assert f"The {facts.MOST_ROWS} worst; 20 more are in quality.json." in text
     assert path.stat().st_size < 5e6
 
 
@@ -424,17 +416,6 @@ def test_report_of_a_run_in_an_object_store(runs: dict[str, Path], tmp_path: Pat
 # ---------------------------------------------------------------- progress, wrong input and failures
 
 
-@pytest.mark.slow
-def test_progress_covers_the_drawing_of_responses(run: Path) -> None:
-    """Drawing responses takes longer than reading the image, so progress must not stay at 100 % meanwhile."""
-    told: list[tuple[str, int, int]] = []
-    blocksar.report(run, progress=SimpleNamespace(update=lambda *update: told.append(update)))
-    drawn = [update for update in told if update[0] == "responses"]
-    number = drawn[-1][2]
-    assert number and drawn == [("responses", i, number) for i in range(number + 1)]
-    assert told[-number - 2][0] == "report" and told[-number - 2][1] == told[-number - 2][2]
-
-
 def test_an_existing_page_is_kept_unless_overwrite_is_given(run: Path, tmp_path: Path, quick: None) -> None:
     target = tmp_path / "page.html"
     target.write_text("mine")
@@ -444,20 +425,6 @@ def test_an_existing_page_is_kept_unless_overwrite_is_given(run: Path, tmp_path:
     told = CliRunner().invoke(commands.app, ["report", str(run), "--out", str(target), "--overwrite"])
     assert told.exit_code == 0 and f"wrote {target}" in told.stdout and "report: " in told.stderr
     assert target.read_text(encoding="utf-8").startswith("\n<!DOCTYPE html>".strip())
-
-
-@pytest.mark.parametrize("what", ["folder", "file above"])
-def test_invalid_destinations_are_refused(what: str, run: Path, tmp_path: Path, quick: None) -> None:
-    if what == "folder":
-        (tmp_path / "out").mkdir()
-        with pytest.raises(InputError, match="out exists"):
-            blocksar.report(run, out=tmp_path / "out")
-        with pytest.raises(InputError, match="out is a folder"):
-            blocksar.report(run, out=tmp_path / "out", overwrite=True)
-    else:
-        (tmp_path / "out").write_text("")
-        with pytest.raises(InputError, match="cannot be written"):
-            blocksar.report(run, out=tmp_path / "out" / "page.html")
 
 
 def test_a_full_disk_leaves_the_existing_page(run: Path, quick: None, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -502,8 +469,7 @@ def test_a_damaged_georeference_is_reported(run: Path, quick: None) -> None:
         blocksar.report(run)
 
 
-@pytest.mark.parametrize("library", ["jinja2", "matplotlib"])
-def test_a_missing_library_is_reported_with_its_extra(library: str, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    hide(library, "blocksar.products.page", "blocksar.products.pictures", patch=monkeypatch)
-    with pytest.raises(InputError, match=rf"{library} is not installed.*install blocksar\[plots\]$"):
+def test_a_missing_library_is_reported_with_its_extra(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    hide("jinja2", "blocksar.products.page", "blocksar.products.pictures", patch=monkeypatch)
+    with pytest.raises(InputError, match=r"jinja2 is not installed.*install blocksar\[plots\]$"):
         blocksar.report(run)

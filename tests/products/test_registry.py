@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from extension import PARTS, install, run_commands
+from extension import PARTS, Ended, install
 from matplotlib.image import imread
 from small_run import DAYTON, TARGETS, Made
 
@@ -37,32 +37,59 @@ class Options:
 class Clash(KML):
     options = Options
 """
-# What a session in Python says of calls, each a list of arguments and keywords; and whether the package is loaded then.
-CALLS = """
+# What a session in Python says of calls, each a list of arguments and keywords, and whether the package is loaded then;
+# and what commands leave after them.
+SESSION = """
 import json, sys
 import blocksar
+each, commands = map(json.loads, sys.argv[1:])
 said = []
-for arguments, keywords in json.loads(sys.argv[1]):
+for arguments, keywords in each:
     try:
         answer = blocksar.export(*arguments, **keywords).summary
     except blocksar.InputError as error:
         answer = str(error)
     said.append((answer, "blocksar_extension.product" in sys.modules))
-print(json.dumps(said))
+from typer.testing import CliRunner
+from blocksar.cli.commands import app
+done = [CliRunner().invoke(app, words, prog_name="blocksar") for words in commands]
+print(json.dumps((said, [(one.exit_code, one.stdout, one.stderr) for one in done])))
 """
 
 
-def calls(environment: dict[str, str], *each: tuple[tuple[str, ...], dict[str, object]]) -> list[Any]:
-    words = (sys.executable, "-c", CALLS, json.dumps(each))
+def session(environment: dict[str, str], calls: list[Any], commands: list[Any]) -> tuple[list[Any], list[Ended]]:
+    words = (sys.executable, "-c", SESSION, json.dumps(calls), json.dumps(commands))
     run = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
-    return json.loads(run.stdout)
+    said, done = json.loads(run.stdout)
+    return said, [Ended(*each) for each in done]
 
 
-def test_a_product_of_another_package_has_a_command_of_its_own(made: Made, tmp_path: Path) -> None:
-    environment = install(tmp_path / "site")
-    out = tmp_path / "image.kml"
-    words = ("export", "kml", str(made.folder), "--out", str(out), "-q", "--opacity", "0.5")
-    listed, helped, done = run_commands(environment, ("export", "--help"), ("export", "kml", "--help"), words)
+def test_a_product_of_another_package_has_a_command_and_is_one_in_python(made: Made, tmp_path: Path) -> None:
+    run, out, drawn = str(made.folder), tmp_path / "image.kml", str(tmp_path / "a")
+    said, (listed, helped, done) = session(
+        install(tmp_path / "site"),
+        [
+            (("png", run, f"{drawn}.png"), {"size": 200}),
+            (("kml", run, f"{drawn}.kml"), {"opacity": 2}),
+            (("kml", run, f"{drawn}.kml"), {"opacity": 0.25}),
+            (("kmz", run, f"{drawn}.kmz"), {}),
+            (("png", run, f"{drawn}.png"), {"opacity": 0.25}),
+            (("png", run, f"{drawn}.kml"), {}),
+        ],
+        [
+            ("export", "--help"),
+            ("export", "kml", "--help"),
+            ("export", "kml", run, "--out", str(out), "-q", "--opacity", "0.5"),
+        ],
+    )
+    assert [loaded for _, loaded in said] == [False, *[True] * 5]  # what is not asked for costs nothing
+    _, wrong, written, kind, option, ending = (answer for answer, _ in said)
+    assert wrong == "opacity = 2: give a number from 0 to 1"
+    assert written[-1] == f"wrote {drawn}.kml" and "<color>40ffffff" in Path(f"{drawn}.kml").read_text()
+    assert kind == "kind is 'kmz'; it must be 'sicd', 'sidd', 'geotiff', 'png', 'stac' or 'kml'"
+    assert option == "opacity is 0.25, but it is an option of kml only; leave it out"
+    assert ending == f"{drawn}.kml ends in .kml, which is that of kml; give png a name that ends in .png"
+
     assert all(name in listed.stdout for name in PRODUCTS.own)
     assert "│ kml      Lay the image over the Earth, as a KML file." in listed.stdout
     shown = " ".join(helped.stdout.split())
@@ -81,32 +108,20 @@ def test_a_product_of_another_package_has_a_command_of_its_own(made: Made, tmp_p
         assert picture[int(row), int(column)] > 0.95
 
 
-def test_a_product_of_another_package_is_one_in_python_and_in_messages(made: Made, tmp_path: Path) -> None:
-    environment, run, out = install(tmp_path / "site"), str(made.folder), str(tmp_path / "a")
-    said = calls(
-        environment,
-        (("png", run, f"{out}.png"), {"size": 200}),
-        (("kml", run, f"{out}.kml"), {"opacity": 2}),
-        (("kml", run, f"{out}.kml"), {"opacity": 0.25}),
-        (("kmz", run, f"{out}.kmz"), {}),
-        (("png", run, f"{out}.png"), {"opacity": 0.25}),
-        (("png", run, f"{out}.kml"), {}),
-    )
-    assert [loaded for _, loaded in said] == [False, *[True] * 5]  # what is not asked for costs nothing
-    _, wrong, written, kind, option, ending = (answer for answer, _ in said)
-    assert wrong == "opacity = 2: give a number from 0 to 1"
-    assert written[-1] == f"wrote {out}.kml" and "<color>40ffffff" in Path(f"{out}.kml").read_text()
-    assert kind == "kind is 'kmz'; it must be 'sicd', 'sidd', 'geotiff', 'png', 'stac' or 'kml'"
-    assert option == "opacity is 0.25, but it is an option of kml only; leave it out"
-    assert ending == f"{out}.kml ends in .kml, which is that of kml; give png a name that ends in .png"
-
-
 def test_a_broken_package_breaks_nothing_else(made: Made, tmp_path: Path) -> None:
     group = "blocksar.products"
     environment = install(tmp_path / "site", {group: PARTS[group] | BROKEN | {"clash": "clash:Clash"}})
     (tmp_path / "site" / "clash.py").write_text(CLASH)
-    lost = ("export", "lost", "run", "--out", "a.lost")
-    listed, tried = run_commands(environment, ("export", "--help"), lost)
+    run, out = str(made.folder), str(tmp_path / "a")
+    (_, unknown, *said), (listed, tried) = session(
+        environment,
+        [
+            (("png", run, f"{out}.whatever"), {"size": 200}),
+            (("png", run, f"{out}.png"), {"opacities": 1}),
+            *(((name, run, out), {}) for name in BROKEN),
+        ],
+        [("export", "--help"), ("export", "lost", "run", "--out", "a.lost")],
+    )
     assert (listed.returncode, listed.stderr) == (0, "")
     assert "│ kml       Lay the image over" in listed.stdout
     for name in BROKEN:
@@ -116,12 +131,6 @@ def test_a_broken_package_breaks_nothing_else(made: Made, tmp_path: Path) -> Non
     assert tried.stderr == (
         "blocksar: product lost of package blocksar_extension cannot be loaded (ModuleNotFoundError: No module named "
         "'blocksar_extension.nowhere'); repair or remove that package\n"
-    )
-    (_, unknown, *said) = calls(
-        environment,
-        (("png", str(made.folder), str(tmp_path / "a.whatever")), {"size": 200}),
-        (("png", str(made.folder), str(tmp_path / "a.png")), {"opacities": 1}),
-        *(((name, str(made.folder), str(tmp_path / "a")), {}) for name in BROKEN),
     )
     assert (
         unknown[0]

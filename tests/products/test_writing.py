@@ -85,23 +85,21 @@ def test_coverage_matches_the_finite_pixels(made: Made) -> None:
 
 @pytest.fixture(scope="module")
 def large(tmp_path_factory: pytest.TempPathFactory) -> Made:
-    return make(tmp_path_factory.mktemp("large"), size=(700, 600), step=0.1)
+    return make(tmp_path_factory.mktemp("large"), size=(520, 300), step=0.1)
 
 
-@pytest.mark.parametrize("kind", ["geotiff", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("sicd", "png"))])
-def test_a_full_disk_leaves_no_partial_file(kind: Any, large: Made, tmp_path: Path) -> None:
+def test_a_full_disk_leaves_no_partial_file(large: Made, tmp_path: Path) -> None:
     """GDAL does not report a failure of its last write, and raises errors of its own for earlier ones."""
-    content: Any = "complex" if kind == "geotiff" else None
-    blocksar.export(kind, large.folder, tmp_path / "whole", content=content)
+    blocksar.export("geotiff", large.folder, tmp_path / "whole", content="complex")
     size = (tmp_path / "whole").stat().st_size
     (tmp_path / "out").mkdir()
+    out = str(tmp_path / "out" / "file")
     program = (
-        "import resource, sys, blocksar, blocksar.products.pictures.quicklook, blocksar.products.sicd.nitf\n"
-        "import rasterio, sarkit.sicd\n"
+        "import resource, blocksar, rasterio\n"
         "from blocksar.errors import ProcessingError\n"
         f"for room in {size // 2 - 2}, {size - 2}:\n"
         "    resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))\n"
-        f"    try: blocksar.export({kind!r}, {str(large.folder)!r}, {str(tmp_path / 'out' / 'file')!r}, {content=})\n"
+        f"    try: blocksar.export('geotiff', {str(large.folder)!r}, {out!r}, content='complex')\n"
         "    except ProcessingError as error: print(error)\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)

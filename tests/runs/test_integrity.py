@@ -119,17 +119,15 @@ def test_an_axis_that_is_written_while_it_is_opened_is_refused(
 # ---------------------------------------------------------------- the run's own stores
 
 
-@pytest.mark.parametrize("damage", [overwrite, pytest.param(os.unlink, marks=pytest.mark.slow)])
 def test_a_damaged_chunk_of_the_spectrum_is_noticed_and_computed_again(
     store: Path,
     right: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    damage: Callable[[Path], None],
 ) -> None:
     run = tmp_path / "run"
     with monkeypatch.context() as patch:
-        before(patch, "focus_blocks", lambda: damage(chunk_of(run / "spectrum.zarr" / "spectrum")), lambda: None)
+        before(patch, "focus_blocks", lambda: overwrite(chunk_of(run / "spectrum.zarr" / "spectrum")), lambda: None)
         with pytest.raises(ProcessingError, match=r"no longer has the checksum of its receipt.* goes on from there"):
             blocksar.focus(store, run, blocks=2, grid=GRID, workers=0)
     report = blocksar.focus(store, run, blocks=2, grid=GRID, workers=0)
@@ -138,9 +136,8 @@ def test_a_damaged_chunk_of_the_spectrum_is_noticed_and_computed_again(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("damage", [overwrite, pytest.param(os.unlink, marks=pytest.mark.slow)])
 def test_a_damaged_chunk_of_a_gated_spectrum_is_noticed_and_computed_again(
-    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: Callable[[Path], None]
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Range sub-blocks read what range gates have kept for them; only what is damaged is gated again."""
     real = planner.plan_collection
@@ -150,7 +147,7 @@ def test_a_damaged_chunk_of_a_gated_spectrum_is_noticed_and_computed_again(
     assert whole.result["plan"]["parts"] == 2 and "gate" in whole.result["timings"]
     gated = run / "gated" / "spectrum-1.0.zarr" / "spectrum"
     with monkeypatch.context() as patch:
-        before(patch, "focus_blocks", lambda: damage(chunk_of(gated)), lambda: None)
+        before(patch, "focus_blocks", lambda: overwrite(chunk_of(gated)), lambda: None)
         with pytest.raises(
             ProcessingError, match=r"spectrum-1\.0\.zarr no longer has the checksum .* goes on from there"
         ):
@@ -232,12 +229,11 @@ ALTERED: list[dict[str, Any]] = [
 ]
 
 
-@pytest.mark.parametrize("turn", [0, *(pytest.param(turn, marks=pytest.mark.slow) for turn in range(1, 8))])
-def test_receipts_that_were_altered_do_not_count(turn: int, original: Path, right: str, unfinished: Path) -> None:
+def test_receipts_that_were_altered_do_not_count(original: Path, right: str, unfinished: Path) -> None:
     """Even with seals that fit; each receipt of the run is altered in another way."""
     receipts = sorted((unfinished / "receipts").iterdir())
     assert len(receipts) >= len(ALTERED)
-    for number, path in enumerate(receipts, start=turn):
+    for number, path in enumerate(receipts):
         change = ALTERED[number % len(ALTERED)]
         value = {name: item for name, item in json.loads(path.read_text()).items() if name != "seal"} | change
         path.write_text(json.dumps(value | {"seal": stores.json_checksum(value)}))
@@ -304,11 +300,10 @@ def test_a_finished_image_that_is_changed_afterwards_is_not_taken_for_the_run_s(
     assert "nothing to do" in blocksar.focus(original, tmp_path / "run", **settings).summary[0]
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 40), pytest.param((40, 1), marks=pytest.mark.slow)])
-@pytest.mark.parametrize("processor", ["angular-division", "backprojection"])
-def test_a_row_or_a_pixel_is_an_image(
-    shape: tuple[int, int], processor: Any, store: Path, right: str, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize(
+    ("processor", "shape"), [("angular-division", (1, 1)), ("angular-division", (1, 40)), ("backprojection", (1, 1))]
+)
+def test_a_row_or_a_pixel_is_an_image(shape: tuple[int, int], processor: Any, store: Path, tmp_path: Path) -> None:
     grid = ((15900.0, 15900.0 + 4 * shape[1], 4.0), (19000.0, 19000.0 + 4 * shape[0], 4.0))
     blocksar.focus(store, tmp_path / "run", processor=processor, blocks=1, grid=grid, workers=0)
     assert blocksar.open(tmp_path / "run").image.shape == shape
@@ -322,8 +317,7 @@ def rewrite(store: Path, name: str, values: Any) -> None:
 DIMENSIONS = {"time": "pulse", "range_frequency": "range_frequency"}
 
 
-@pytest.mark.parametrize("name", ["time", "range_frequency"])
-@pytest.mark.parametrize("scale", [1e-300, 1e-30, 1e300])
+@pytest.mark.parametrize(("name", "scale"), [("time", 1e-30), ("time", 1e300), ("range_frequency", 1e-300)])
 @pytest.mark.filterwarnings("error")
 def test_axes_of_impossible_scale_are_refused(name: str, scale: float, store: Path, tmp_path: Path) -> None:
     values = stores.read_region(store, name, (slice(None),)) * scale
@@ -351,16 +345,6 @@ def test_a_coordinate_that_expands_is_refused_before_it_is_read(store: Path, tmp
         blocksar.focus(store, tmp_path / "run", blocks=2, grid=GRID, workers=0)
 
 
-def test_a_variable_that_expands_is_refused_before_it_is_read(store: Path, tmp_path: Path) -> None:
-    shutil.rmtree(store / "antenna_position")
-    zarr.create_array(
-        store / "antenna_position", shape=(4_000_000, 4_000), chunks=(10**6, 4000), dtype="float64",
-        dimension_names=("pulse", "axis"),
-    )  # fmt: skip
-    with pytest.raises(InputError, match=r"antenna_position claims the shape \(4000000, 4000\)"):
-        blocksar.focus(store, tmp_path / "run", blocks=2, grid=GRID, workers=0)
-
-
 def test_old_metadata_beside_the_new_says_nothing(store: Path, tmp_path: Path) -> None:
     (store / ".zgroup").write_text('{"zarr_format": 2}')
     with warnings.catch_warnings():
@@ -368,7 +352,7 @@ def test_old_metadata_beside_the_new_says_nothing(store: Path, tmp_path: Path) -
         stores.open_phase_history(store)
 
 
-@pytest.mark.parametrize("endpoint", ["http//no", "://", "http://[::1", "http://me:secret@host:9000", "http://h:99999"])
+@pytest.mark.parametrize("endpoint", ["http//no", "http://[::1", "http://me:secret@host:9000"])
 def test_a_malformed_endpoint_is_refused_and_not_repeated(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("AWS_ENDPOINT_URL", endpoint)
     with pytest.raises(InputError, match="AWS_ENDPOINT_URL") as refused:

@@ -32,7 +32,6 @@ from zarr.storage import ObjectStore
 import blocksar
 from blocksar import stores
 from blocksar.collection.collection import Collection
-from blocksar.collection.raw_echo import RawEcho
 from blocksar.errors import InputError, ProcessingError
 from blocksar.graph.cluster import open_client
 from blocksar.places import objects, place
@@ -147,54 +146,6 @@ def test_regions_are_read_as_from_a_folder(small_collection: Collection, there: 
         stores.read_region(there, "signal", np.s_[:3, :3], out=np.zeros((3, 4), np.complex64))
 
 
-def test_regions_are_written_as_whole_chunks(there: Place) -> None:
-    schema = {"s": stores.Variable(("pulse", "range_frequency"), "complex64", "1", "samples")}
-    chunks = {"pulse": 4, "range_frequency": 5}
-    stores.create(there, schema, sizes={"pulse": 10, "range_frequency": 7}, coords={}, attrs={}, chunks=chunks)
-    values = noise((10, 7))
-    for rows in (slice(0, 8), slice(8, 10)):
-        stores.write_region(there, "s", (rows, slice(None)), values[rows].astype(np.complex128))
-    assert np.array_equal(stores.read_region(there, "s", ALL), values)
-    for region in (np.s_[1:4, :], np.s_[:6, :], np.s_[:, :6], np.s_[::2, :]):
-        with pytest.raises(ValueError, match="whole chunks"):
-            stores.write_region(there, "s", region, values[region])
-    with pytest.raises(ValueError, match="does not go into"):
-        stores.write_region(there, "s", ALL, np.full((10, 7), "no"))
-    with pytest.raises(InputError, match="no variable t"):
-        stores.write_region(there, "t", ALL, values)
-
-
-@pytest.mark.parametrize("raw", [False, True])
-def test_a_phase_history_is_read_back_as_written(raw: bool, small_collection: Collection, there: Place) -> None:
-    fast_time = 80e-6 + np.arange(1200) / 60e6
-    echo = RawEcho(fast_time=fast_time, chirp_rate=5e12, pulse_width=10e-6, sampling_rate=60e6)
-    collection = small_collection
-    if raw:
-        collection = Collection(**small_collection.as_dict() | {"range_frequency": echo.range_frequency})
-    samples = noise((256, 1200 if raw else 128))
-    stores.create_phase_history(
-        str(there),
-        collection,
-        raw=echo if raw else None,
-        attrs={"scene": "small", "where": there},
-        fill=lambda part: stores.write_region(part, "echo" if raw else "signal", ALL, samples),
-    )
-    found = stores.open_phase_history(str(there))
-    assert found.path == there and str(found.path) == str(there) and found.variable == ("echo" if raw else "signal")
-    assert found.attrs["scene"] == "small" and found.attrs["where"] == str(there)
-    assert (found.raw is not None) == raw and found.chunks == (256, 1024 if raw else 128)
-    assert found.collection.carrier == small_collection.carrier
-    assert np.array_equal(found.collection.antenna_position, small_collection.antenna_position)
-    assert np.array_equal(found.read(slice(3, 200), slice(5, 7)), samples[3:200, 5:7])
-
-
-def test_a_collection_is_read_back_as_written_and_can_be_replaced(small_collection: Collection, there: Place) -> None:
-    for name in ("first", "second"):
-        stores.write_collection(there, small_collection, {"scene": name})
-        collection, attrs = stores.read_collection(str(there))
-        assert np.array_equal(collection.time, small_collection.time) and attrs["scene"] == name
-
-
 def test_json_is_read_back_as_written(there: Place) -> None:
     for value in (1, [2.5, None]):
         stores.write_json(f"{there}/run.json", {"value": value, "where": there})
@@ -207,24 +158,15 @@ def test_json_is_read_back_as_written(there: Place) -> None:
         assert str(there / name) in one_sentence(error)
 
 
-def test_a_phase_history_can_be_pickled_for_other_processes(
-    small_collection: Collection, there: Place, tmp_path: Path
-) -> None:
+def test_a_phase_history_can_be_pickled_for_other_processes(small_collection: Collection, there: Place) -> None:
     pickled = pickle.dumps(history(there, small_collection))
-    assert len(pickled) < 50_000
-    (tmp_path / "history").write_bytes(pickled)
-    script = (
-        "import pickle, sys\nfrom blocksar import stores\n"
-        "history = pickle.load(open(sys.argv[1], 'rb'))\n"
-        "print(stores.checksum(history.read(slice(3, 200), slice(0, 70))))\n"
-    )
-    run = subprocess.run(
-        [sys.executable, "-c", script, str(tmp_path / "history")], capture_output=True, text=True, check=True
-    )
-    assert run.stdout.strip() == stores.checksum(noise((256, 128))[3:200, :70])
+    assert len(pickled) < 50_000  # axes and track, but no samples
+    objects.open_bucket.cache_clear()  # as in a process that has not opened it yet
+    again = pickle.loads(pickled)
+    assert np.array_equal(again.read(slice(3, 200), slice(0, 70)), noise((256, 128))[3:200, :70])
 
 
-@pytest.mark.parametrize("name", ["a b", "50%", "%41", "a#b", "a?b=c&d", "é", "a::b", "a+b", "-a", "'", "a:b"])
+@pytest.mark.parametrize("name", ["a b", "%41", "a#b?c=d&e", "é", "a::b", "a+b"])
 def test_unusual_names_are_used_as_given(name: str, there: Place, tmp_path: Path, small_collection: Collection) -> None:
     for where in (there / name / "ph.zarr", LocalPlace(tmp_path) / name / "ph.zarr"):
         again = str(where)
@@ -262,7 +204,6 @@ def test_chunks_of_object_stores_are_not_shared(there: Place, tmp_path: Path) ->
 
 OTHERWISE: dict[str, dict[str, Any]] = {
     "compressed": {"encoding": {"signal": {"compressors": zarr.codecs.ZstdCodec(), "chunks": (100, 37)}}},
-    "sharded": {"encoding": {"signal": {"chunks": (64, 64), "shards": (128, 128)}}},
     "version 2": {"zarr_format": 2},
 }
 
@@ -330,11 +271,9 @@ stores.create(
 """
 
 
-@pytest.mark.parametrize("before", [False, True])
-def test_a_store_is_unfinished_if_its_writer_was_killed(before: bool, there: Place) -> None:
+def test_a_store_is_unfinished_if_its_writer_was_killed(there: Place) -> None:
     make(there / "whole", 1)
-    if before:
-        make(there / "killed", 2)
+    make(there / "killed", 2)
     killed = subprocess.run([sys.executable, "-c", KILLED, str(there / "killed")], check=False)
     assert killed.returncode == -signal.SIGKILL
     assert "c" in (there / "killed" / "image").names()  # a chunk was already written
@@ -347,7 +286,7 @@ def test_a_store_is_unfinished_if_its_writer_was_killed(before: bool, there: Pla
     assert contents(there / "killed") == contents(there / "whole")
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), ProcessingError("no room"), OSError(5, "oh")])
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(5, "oh")])
 def test_a_failed_creation_leaves_nothing(error: BaseException, there: Place, tmp_path: Path) -> None:
     def fill(part: Place) -> None:
         stores.write_region(part, "image", np.s_[:8, :8], np.zeros((8, 8), np.complex64))
@@ -377,18 +316,6 @@ def test_overwrite_spares_what_is_not_a_store(name: str, there: Place) -> None:
     with pytest.raises(InputError, match="not a zarr store"):
         make(there / "thesis", 1, overwrite=True)
     assert precious.read_bytes() == b"..."
-
-
-def test_overwrite_removes_the_old_store_before_it_writes_the_new_one(there: Place) -> None:
-    """Otherwise the old metadata would present the first new chunks as a whole store."""
-    make(there, 1)
-
-    def fill(part: Place) -> None:
-        assert part.names() == [stores.UNFINISHED, "image", "x", "y"]
-        assert (part / "image").names() == ["zarr.json"]
-
-    make(there, 2, overwrite=True, fill=fill)
-    assert "zarr.json" in there.names() and stores.UNFINISHED not in there.names()
 
 
 def test_overwrite_removes_the_group_metadata_first_and_writes_it_last(
@@ -595,15 +522,6 @@ def test_a_failed_request_is_repeated(small_collection: Collection, there: Place
     assert len(failed) == 1
 
 
-def test_unreachable_samples_are_not_reported_as_damaged(
-    small_collection: Collection, there: Place, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    found = history(there, small_collection)
-    with unreliable(os.environ["AWS_ENDPOINT_URL"], np.inf, monkeypatch) as failed:
-        refused(lambda: found.read(slice(0, 9), slice(0, 9)), InputError, r"cannot be read .*503 .*; check AWS_")
-    assert len(failed) == 2  # the same chunk, requested twice
-
-
 def test_many_chunks_are_transferred_at_once() -> None:
     met = threading.Barrier(8)
     moved = []
@@ -626,7 +544,7 @@ def test_many_chunks_are_transferred_at_once() -> None:
 
 
 def test_refused_credentials_are_reported(small_collection: Collection, monkeypatch: pytest.MonkeyPatch) -> None:
-    with s3.server(refusing=True):
+    with s3.refusing_server():
         where = place("s3://bucket/ph.zarr")
         for read in READERS:
             refused(lambda read=read: read(where), InputError, r"refuses these credentials.*AWS_ACCESS_KEY_ID")
@@ -716,10 +634,3 @@ def test_a_run_that_was_killed_and_resumed_equals_the_run_in_a_folder(there: Pla
         assert "1 of 1 full-dwell targets measured" in measured.communicate()[0]
     blocksar.quality(local / "run")
     assert (run / "quality.json").read_bytes() == (local / "run" / "quality.json").read_bytes()
-
-
-def test_the_command_line_refuses_a_missing_store_in_one_line(there: Place) -> None:
-    with command("focus", f"{there}/ph.zarr", "--out", f"{there}/run") as refused_:
-        said = refused_.communicate()[0]
-    assert refused_.returncode == 2 and said.count("\n") == 1 and f"{there}/ph.zarr does not exist" in said
-    assert not there.exists()

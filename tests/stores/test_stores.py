@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-import pickle
 import re
 import shutil
-import subprocess
-import sys
-import tempfile
 import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -26,8 +22,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.errors import InputError, ProcessingError
 from blocksar.places import local, place
-from blocksar.places.local import LocalPlace
-from blocksar.stores import chunk_files, creation
+from blocksar.stores import chunk_files
 
 SAMPLES = stores.Variable(("pulse", "range_frequency"), "complex64", "1", "samples")
 
@@ -127,13 +122,6 @@ def test_a_phase_history_is_read_back_to_the_last_bit(small_collection: Collecti
     assert read.dtype == np.complex64 and np.array_equal(read, samples[3:200, 5:7])
 
 
-def test_an_unsteered_collection_is_read_back_as_written(small_collection: Collection, tmp_path: Path) -> None:
-    fields = small_collection.as_dict() | {"beam_azimuth": np.full(256, np.nan), "beam_width": None}
-    stores.create_phase_history(tmp_path / "ph.zarr", Collection(**fields))
-    collection = stores.open_phase_history(tmp_path / "ph.zarr").collection
-    assert same(collection, Collection(**fields)) and not collection.steered
-
-
 def test_a_collection_store_is_read_back_as_written_and_can_be_replaced(
     small_collection: Collection, tmp_path: Path
 ) -> None:
@@ -217,13 +205,6 @@ def test_a_raw_echo_is_validated_on_creation(echo: RawEcho, change: dict[str, An
     fields = {name: getattr(echo, name) for name in echo.__dataclass_fields__}
     with pytest.raises(InputError, match=words):
         RawEcho(**(fields | change))
-
-
-def test_a_pickled_phase_history_is_small(own: Path) -> None:
-    history = stores.open_phase_history(own)
-    again = pickle.loads(pickle.dumps(history))
-    assert np.array_equal(again.read(slice(0, 9), slice(0, 9)), history.read(slice(0, 9), slice(0, 9)))
-    assert len(pickle.dumps(history)) < 50_000  # axes and track, but no samples
 
 
 # Regions
@@ -348,14 +329,6 @@ def test_regions_are_read_as_by_zarr(tmp_path: Path, name: str, slab: None) -> N
             assert np.array_equal(out, expected, equal_nan=True)
 
 
-def test_wider_values_are_cast_as_by_zarr(tmp_path: Path) -> None:
-    array, values = plain_store(tmp_path / "zarr", "complex")
-    array[...] = values.astype(np.complex128) * np.pi
-    plain_store(tmp_path / "own", "complex")
-    stores.write_region(tmp_path / "own", "s", np.s_[:, :], values.astype(np.complex128) * np.pi)
-    assert chunk_bytes(tmp_path / "own") == chunk_bytes(tmp_path / "zarr")
-
-
 OTHERWISE: dict[str, dict[str, Any]] = {
     "compressed": {"compressors": zarr.codecs.GzipCodec()},
     "turned": {"filters": zarr.codecs.TransposeCodec(order=(1, 0))},
@@ -407,13 +380,6 @@ def test_unexpected_metadata_are_delegated_to_zarr(tmp_path: Path, key: str, val
     file = tmp_path / "s" / "s" / "zarr.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | {key: value}))
     assert chunk_files.chunk_files_of(place(tmp_path / "s"), "s") is None
-
-
-def test_an_output_array_that_does_not_fit_is_refused(own: Path) -> None:
-    region = np.s_[0:9, 0:5]
-    for out in (np.zeros((5, 9), np.complex64), np.zeros((9, 5), np.complex128), np.zeros((9, 5), np.float32)):
-        with pytest.raises(ValueError, match=r"out is .* but the region is complex64 of shape \(9, 5\)"):
-            stores.read_region(own, "signal", region, out=out)
 
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
@@ -519,29 +485,6 @@ def test_a_full_disk_is_no_wrong_input(
     assert os.listdir(tmp_path) == []
 
 
-def test_a_failed_creation_leaves_nothing(tmp_path: Path, own: Path, monkeypatch: Any) -> None:
-    def fail(part: LocalPlace, _: bytes) -> None:
-        part.path.parent.mkdir(parents=True, exist_ok=True)
-        part.path.write_bytes(b"half of it")
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(creation, "put_file", fail)
-    before = stores.open_phase_history(own).fingerprint()
-    for path in (tmp_path / "new.zarr", own):
-        with pytest.raises(KeyboardInterrupt):
-            stores.create(
-                path,
-                {"s": SAMPLES},
-                sizes={"pulse": 4, "range_frequency": 4},
-                coords={},
-                attrs={},
-                chunks={},
-                overwrite=True,
-            )
-    assert os.listdir(tmp_path) == ["ph.zarr"]
-    assert stores.open_phase_history(own).fingerprint() == before
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -569,27 +512,6 @@ def test_data_that_violate_the_schema_are_refused(tmp_path: Path, change: dict[s
 # Phase histories from other programs
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {},
-        {"encoding": {"signal": {"chunks": (100, 37)}}},
-        {"encoding": {"signal": {"chunks": (64, 64), "shards": (128, 128)}}},
-        {"encoding": {"signal": {"compressors": (zarr.codecs.GzipCodec(),)}}},
-        {"encoding": {"signal": {"write_empty_chunks": False}}},
-        {"zarr_format": 2},
-        {"zarr_format": 2, "consolidated": True},
-    ],
-)
-def test_any_storage_options_are_read(small_collection: Collection, tmp_path: Path, options: dict[str, Any]) -> None:
-    path = written(dataset(small_collection), tmp_path / "ph.zarr", **options)
-    history = stores.open_phase_history(path)
-    assert np.array_equal(history.collection.antenna_position, small_collection.antenna_position)
-    assert history.collection.beam_width == pytest.approx(0.02, rel=1e-7)  # stored as float32
-    assert np.array_equal(history.read(slice(90, 256), slice(30, 128)), noise((256, 128))[90:, 30:])
-    assert len(history.fingerprint()) == 32
-
-
 def test_consolidated_metadata_of_version_3_is_read(small_collection: Collection, tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a warning of the writer, not of blocksar
@@ -608,27 +530,6 @@ def test_optional_parts_may_be_absent(small_collection: Collection, tmp_path: Pa
 def test_a_beam_azimuth_of_nan_means_not_steered(small_collection: Collection, tmp_path: Path, beam_width: Any) -> None:
     ds = dataset(small_collection, beam_azimuth=("pulse", np.full(256, np.nan)), beam_width=beam_width)
     assert not stores.open_phase_history(written(ds, tmp_path / "ph.zarr")).collection.steered
-
-
-def test_wider_and_byte_swapped_numbers_are_cast(small_collection: Collection, tmp_path: Path) -> None:
-    ds = dataset(
-        small_collection,
-        signal=(("pulse", "range_frequency"), noise((256, 128)).astype(">c16") * 1.0),
-        reference_range=("pulse", np.full(256, 12_000)),
-        ground_height=np.int32(7),
-    )
-    history = stores.open_phase_history(written(ds, tmp_path / "ph.zarr"))
-    read = history.read(slice(0, 9), slice(None))
-    assert read.dtype == np.complex64 and np.array_equal(read, noise((256, 128))[:9])
-    assert history.collection.reference_range[0] == 12_000.0 and history.collection.ground_height == 7.0
-
-
-def test_missing_pulses_are_read_as_rows_of_nan(small_collection: Collection, tmp_path: Path) -> None:
-    signal = noise((256, 128)).copy()
-    signal[40:43] = np.nan
-    ds = dataset(small_collection, signal=(("pulse", "range_frequency"), signal))
-    read = stores.open_phase_history(written(ds, tmp_path / "ph.zarr")).read(slice(None), slice(None))
-    assert np.array_equal(np.flatnonzero(np.isnan(read).any(axis=1)), [40, 41, 42])
 
 
 def test_unwritten_chunks_are_read_as_their_fill_value(small_collection: Collection, tmp_path: Path) -> None:
@@ -730,16 +631,6 @@ def test_dimensions_without_names_are_refused(small_collection: Collection, tmp_
         stores.open_phase_history(path)
 
 
-@pytest.mark.parametrize("key", ["scale_factor", "add_offset"])
-def test_packed_variables_are_refused(small_collection: Collection, tmp_path: Path, key: str) -> None:
-    path = written(dataset(small_collection), tmp_path / "ph.zarr")
-    metadata = json.loads((path / "time" / "zarr.json").read_text())
-    metadata["attributes"][key] = 0.5
-    (path / "time" / "zarr.json").write_text(json.dumps(metadata))
-    with pytest.raises(InputError, match=key):
-        stores.open_phase_history(path)
-
-
 # Paths that hold no phase history
 
 
@@ -772,37 +663,10 @@ def test_files_and_foreign_folders_are_refused(tmp_path: Path) -> None:
         assert str(tmp_path / name) in one_sentence(error)
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="POSIX permissions")
-@pytest.mark.parametrize("locked", ["", "zarr.json", "time", "time/c/0"])
-def test_a_store_without_read_permission_is_refused(small_collection: Collection, locked: str) -> None:
-    if os.geteuid() == 0 and not hasattr(os, "setresuid"):
-        pytest.skip("root reads everything, and cannot become another user here")
-    # Root may read everything and must become another user, who cannot enter the parents of tmp_path.
-    with tempfile.TemporaryDirectory() as folder:
-        os.chmod(folder, 0o755)
-        path = Path(folder) / "ph.zarr"
-        stores.create_phase_history(path, small_collection)
-        os.chmod(path / locked, 0)
-        script = (
-            "import sys, os\nfrom blocksar import stores\nfrom blocksar.errors import InputError\n"
-            "import numpy, zarr\n"
-            "os.geteuid() or os.setresuid(65534, 65534, 65534)\n"
-            "try:\n    stores.open_phase_history(sys.argv[1])\n"
-            "except InputError as error:\n    print(error)\n"
-        )
-        done = subprocess.run(
-            [sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=False, cwd=os.getcwd()
-        )
-        os.chmod(path / locked, 0o755)
-        assert done.returncode == 0, done.stderr
-        assert "permission" in done.stdout.lower() or "may not be read" in done.stdout, done.stdout
-        assert str(path) in done.stdout and done.stdout.count("\n") == 1
-
-
 # Damage
 
 
-@pytest.mark.parametrize("file", ["zarr.json", "time/zarr.json", "signal/zarr.json", "antenna_position/zarr.json"])
+@pytest.mark.parametrize("file", ["zarr.json", "time/zarr.json"])
 @pytest.mark.parametrize(
     "content", [b"", b"{", b"null", b"[]", b"{}", b"\xff\xfe\x00", b"[" * 100_000, b'{"zarr_format": 3}']
 )
@@ -813,8 +677,8 @@ def test_damaged_metadata_are_refused(own: Path, file: str, content: bytes) -> N
     assert str(own) in one_sentence(error)
 
 
-@pytest.mark.parametrize("name", ["time", "range_frequency", "reference_range", "antenna_position", "beam_azimuth"])
-def test_truncated_and_missing_coordinates_are_refused(own: Path, name: str) -> None:
+def test_truncated_and_missing_coordinates_are_refused(own: Path) -> None:
+    name = "antenna_position"
     chunk = next(p for p in (own / name / "c").rglob("*") if p.is_file())
     chunk.write_bytes(chunk.read_bytes()[:-5])
     with pytest.raises(InputError, match=name) as error:
@@ -825,65 +689,11 @@ def test_truncated_and_missing_coordinates_are_refused(own: Path, name: str) -> 
         stores.open_phase_history(own)
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("shape", [10**15]),
-        ("shape", [-4]),
-        ("shape", []),
-        ("shape", [257]),
-        ("data_type", "float128"),
-        ("data_type", "string"),
-        ("codecs", []),
-        ("codecs", [{"name": "unknown"}]),
-        ("chunk_grid", {"name": "regular", "configuration": {"chunk_shape": [0]}}),
-        ("chunk_grid", {"name": "regular", "configuration": {"chunk_shape": [10**15]}}),
-        ("fill_value", "red"),
-        ("attributes", 5),
-        ("dimension_names", 7),
-        ("dimension_names", ["pulse", "pulse"]),
-        ("node_type", "group"),
-    ],
-)
-def test_false_metadata_are_refused(own: Path, key: str, value: Any) -> None:
-    metadata = json.loads((own / "time" / "zarr.json").read_text())
-    (own / "time" / "zarr.json").write_text(json.dumps(metadata | {key: value}))
-    with pytest.raises(InputError) as error:
-        stores.open_phase_history(own)
-    assert str(own) in one_sentence(error)
-
-
-def test_arbitrary_bytes_raise_only_an_input_error(own: Path) -> None:
-    rng = np.random.default_rng(1)
-    files = sorted(p for p in own.rglob("*") if p.is_file() and "signal/c" not in p.as_posix())
-    refused = 0
-    for i in range(200):
-        file = files[i % len(files)]
-        sound = file.read_bytes()
-        broken = bytearray(sound)
-        for at in rng.integers(0, len(broken), rng.integers(1, 4)):
-            broken[at] = rng.integers(0, 256)
-        file.write_bytes(broken[: rng.integers(0, len(broken))] if i % 3 == 0 else broken)
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                stores.open_phase_history(own)
-        except InputError as error:
-            refused += 1
-            assert "\n" not in str(error) and str(own) in str(error)
-        file.write_bytes(sound)
-    assert refused > 100
-    stores.open_phase_history(own)
-
-
 @pytest.mark.parametrize("compressed", [False, True])
-@pytest.mark.parametrize("content", [b"", b"garbage", b"\0" * 100])
-def test_damaged_samples_are_named(
-    small_collection: Collection, tmp_path: Path, compressed: bool, content: bytes
-) -> None:
+def test_damaged_samples_are_named(small_collection: Collection, tmp_path: Path, compressed: bool) -> None:
     encoding = {"signal": {"chunks": (128, 64), "compressors": zarr.codecs.ZstdCodec() if compressed else None}}
     path = written(dataset(small_collection), tmp_path / "ph.zarr", encoding=encoding)
-    (path / "signal" / "c" / "1" / "0").write_bytes(content)
+    (path / "signal" / "c" / "1" / "0").write_bytes(b"garbage")
     history = stores.open_phase_history(path)
     assert history.read(slice(0, 128), slice(None)).shape == (128, 128)
     with pytest.raises(InputError, match=r"pulse 128\.\.255, range_frequency 0\.\.63") as error:
