@@ -1,4 +1,4 @@
-"""Small linear algebra with bit-identical results in every process: least squares and series.
+"""Small linear algebra with bit-identical results in every process: least squares, series, and roots in the plane.
 
 BLAS and LAPACK, and with them `numpy.linalg`, `chebfit` and the operator @, round differently depending on where their
 operands lie in memory. But a plan that is computed again to resume a run has to equal the one with which the run began,
@@ -8,6 +8,7 @@ numpy's own sums, whose order depends on shapes alone. The systems have a few do
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -155,3 +156,55 @@ def _solve(q: FloatArray, right: FloatArray) -> FloatArray:
         r[i, i + 1 :] = np.add.reduce(np.multiply(row, rest, out=room), axis=1)
         rest -= np.multiply(r[i, i + 1 :, None], row, out=room)
     return back_substitute(r, projected)
+
+
+def combination(first: FloatArray, second: FloatArray, wanted: FloatArray) -> FloatArray:
+    """The a (2, ...) with a_0 first + a_1 second = wanted, all (2, ...): not finite where the two are parallel."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(
+            np.stack([
+                wanted[0] * second[1] - wanted[1] * second[0], wanted[1] * first[0] - wanted[0] * first[1],
+            ]) / (first[0] * second[1] - second[0] * first[1])
+        )  # fmt: skip
+
+
+def newton(
+    function: Callable[[FloatArray], FloatArray],
+    wanted: FloatArray,
+    at: FloatArray,
+    *,
+    steps: int,
+    longest: float = np.inf,
+) -> FloatArray:
+    """Points (2, ...) of the plane where a function has the values wanted, by Newton's method from points `at`.
+
+    Slopes are taken over 1, as of a place in metres. Not finite where the function's slopes become parallel; where it
+    has no such values, anywhere.
+
+    Parameters
+    ----------
+    function : (2, ...) to (2, ...)
+    wanted, at : (2, ...) float
+    steps : int
+    longest : float
+        No step goes further along an axis.
+
+    Examples
+    --------
+    >>> polar = lambda at: np.stack([np.hypot(*at), np.arctan2(at[1], at[0])])
+    >>> newton(polar, np.array([5.0, 0.5]), np.array([3.0, 3.0]), steps=30).round(3)
+    array([4.388, 2.397])
+    """
+    for _ in range(steps):
+        here = function(at)
+        along = [function(np.stack([at[0] + one, at[1] + (1 - one)])) - here for one in (1, 0)]
+        at = at + np.clip(combination(*along, wanted - here), -longest, longest)
+    return at
+
+
+def vertex(values: FloatArray) -> float:
+    """Where a parabola through three values is highest, from the middle one, in steps; 0 for fewer values."""
+    if values.size < 3:
+        return 0.0
+    bend = float(values[0]) - 2 * float(values[1]) + float(values[2])
+    return float(np.clip((float(values[0]) - float(values[2])) / (2 * bend), -0.5, 0.5)) if bend < 0 else 0.0

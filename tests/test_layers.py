@@ -46,7 +46,7 @@ HOMES: dict[str, set[str] | None] = {
     "numba": {"autofocusing", "kernels", "focusing", "inspection", "simulation"},
     "llvmlite": {"kernels"},
     "finufft": {"simulation"},
-    "pydantic": {"simulation"},
+    "pydantic": {"runs", "simulation"},
     "zarr": {"places", "stores"},
     "numcodecs": {"stores"},
     "obstore": {"places"},

@@ -462,7 +462,7 @@ def records_of(control: Sequence[Target]) -> list[list[str | float]]:
     ]
 
 
-def grid_numbers(grid: Grid) -> tuple[float, ...]:
+def grid_numbers(grid: Grid) -> tuple[float, float, float, float, float, float]:
     """Return a grid as run.json holds it."""
     return grid.x0, grid.x1, grid.dx, grid.y0, grid.y1, grid.dy
 

@@ -15,7 +15,6 @@ from blocksar.api.reference_chips import compare_with_exact
 from blocksar.api.reports import Report, Table, finite, rounded
 from blocksar.api.shadows import in_shadow
 from blocksar.api.target_files import targets_of
-from blocksar.arrays import FloatArray
 from blocksar.collection.beam import aperture
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import CUT_WIDTHS, Weighting
@@ -23,7 +22,7 @@ from blocksar.errors import InputError
 from blocksar.measurement.coherence import align
 from blocksar.measurement.figures import TABLE3, PointResponse, as_json, measure_target, rank, summary
 from blocksar.measurement.response import MIN_HALF_TAPS, Response, read_response
-from blocksar.measurement.scenery import measure_area
+from blocksar.measurement.scenery import ground_place, measure_area
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.place import Place
@@ -165,7 +164,6 @@ def looks_table(described: dict[str, Any]) -> Table:
 
 
 RAISED = 0.01  # m over or under the ground
-STEPS, STEP = 12, 1.0  # of Newton's method, and m over which it takes slopes
 
 
 def seen_places(run: FinishedRun, targets: Sequence[Target]) -> list[Target]:
@@ -196,23 +194,10 @@ def _seen(geometry: Geometry, target: Target) -> Target:
     first, last = geometry.beam.dwell(*at)
     time = np.clip((first + last) / 2 if first < last else np.array(geometry.epoch), *aperture(geometry.collection))
 
-    def look(xy: FloatArray) -> FloatArray:
-        return np.array(geometry.range_history(geometry.on_ground(xy[0], xy[1]), time))
-
     wanted = np.array(geometry.range_history(np.array([*at, target.z]), time))
-    for _ in range(STEPS):
-        here = look(at)
-        along = [(look(at + STEP * unit) - here) / STEP for unit in np.eye(2)]
-        a, b, c, d = along[0][0], along[1][0], along[0][1], along[1][1]  # rows: range and its rate
-        left, determinant = wanted - here, a * d - b * c
-        if not abs(determinant) > 0:
-            return target
-        move = np.array([d * left[0] - b * left[1], a * left[1] - c * left[0]]) / determinant
-        at = at + np.clip(move, -abs(target.z - ground) - STEP, abs(target.z - ground) + STEP)
-    found = look(at)
-    if not np.abs(found - wanted)[0] < 1e-3:
-        return target
-    return target._replace(x=float(at[0]), y=float(at[1]), z=None)
+    longest = abs(target.z - ground) + 1.0
+    place = ground_place(geometry, (target.x, target.y), time, wanted, longest=longest)
+    return target if place is None else target._replace(x=place[0], y=place[1], z=None)
 
 
 WORST = 10  # targets that are shown of more

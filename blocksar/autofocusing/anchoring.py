@@ -25,14 +25,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
-from blocksar.autofocusing.chips import ChipPart, Chips, join_chips, vertex
+from blocksar.autofocusing.chips import ChipPart, Chips, join_chips
 from blocksar.autofocusing.correction import Correction
 from blocksar.autofocusing.finishing import Result
 from blocksar.autofocusing.selection import Points
 from blocksar.autofocusing.work import Work
 from blocksar.errors import InputError
 from blocksar.kernels.fourier import fast_length, fft_rows
-from blocksar.solvers import least_squares
+from blocksar.solvers import least_squares, vertex
 
 BENDS = np.linspace(-6.0, 6.0, 121)  # rad: that are looked for
 STANDS_OUT = 20.0  # times the median power of its chip: of a response that is found

@@ -12,7 +12,7 @@ import numpy as np
 
 from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray
-from blocksar.autofocusing.chips import SHORT_GAP, Chips, mean_sight, missing_runs, vertex
+from blocksar.autofocusing.chips import SHORT_GAP, Chips, mean_sight, missing_runs
 from blocksar.autofocusing.fine_phase import strongest_rows
 from blocksar.autofocusing.selection import Refused
 from blocksar.kernels.fourier import fast_length, fft_rows
@@ -130,7 +130,7 @@ def jump(chips: Chips, gap: slice, weights: FloatArray) -> Jump:
             whole = spectra[0][:, near % length] + moved * np.exp(-2j * np.pi * turn)
             power[i, k] = (share * (whole.real**2 + whole.imag**2).max(axis=1)).sum()
     step, best = np.unravel_index(int(power.argmax()), power.shape)
-    beside = vertex(power[step, [best - 1, best, (best + 1) % turns.size]])
+    beside = solvers.vertex(power[step, [best - 1, best, (best + 1) % turns.size]])
     return Jump(2 * np.pi * (float(turns[best]) + beside / turns.size), 2 * np.pi * float(steps[step]) / length)
 
 

@@ -14,6 +14,7 @@ from blocksar.autofocusing.selection import Points
 from blocksar.autofocusing.work import Work, low_pass
 from blocksar.kernels.fourier import fast_length, fft_rows
 from blocksar.kernels.groups import run_groups
+from blocksar.solvers import combination, vertex
 
 POINTS_AT_ONCE = 4  # that a thread takes
 SHORT_GAP = 4  # samples that are missing in a row, and are filled
@@ -273,13 +274,10 @@ def brightest_places(chips: Chips) -> FloatArray:
         offset = (line + beside - n_line // 2) * work.settings.line_spacing * work.cell
         middle = min(max(int(chips.count[i]) // 2, 1), n - 2)
         sight, turned = chips.sight[i, middle, :2], chips.sight[i, middle + 1, :2] - chips.sight[i, middle - 1, :2]
-        turned = turned / (2 * interval)
-        determinant = sight[0] * turned[1] - sight[1] * turned[0]
-        if power.max() > 0 and abs(determinant) > 0:
-            slow = -rate / work.wavenumber
-            moved = np.array([offset * turned[1] - slow * sight[1], slow * sight[0] - offset * turned[0]]) / determinant
-            if np.isfinite(moved).all() and abs((moved * sight).sum()) < reach:
-                away[i] = moved
+        along = np.stack([sight, turned / (2 * interval)], axis=1)
+        moved = combination(*along, np.array([offset, -rate / work.wavenumber]))
+        if power.max() > 0 and np.isfinite(moved).all() and abs((moved * sight).sum()) < reach:
+            away[i] = moved
     return away
 
 
@@ -288,11 +286,3 @@ def _nearness(work: Work, length: int, interval: float) -> FloatArray:
     cell = (np.arange(length) + length // 2) % length - length // 2
     speed = cell * (2 * np.pi / (length * interval * work.wavenumber))
     return np.asarray(1 / (1 + (speed / (NEAR * work.settings.narrow_speed)) ** 2) ** 2)
-
-
-def vertex(values: FloatArray) -> float:
-    """Where a parabola through three values is highest, from the middle one, in steps; 0 for fewer values."""
-    if values.size < 3:
-        return 0.0
-    bend = float(values[0]) - 2 * float(values[1]) + float(values[2])
-    return float(np.clip((float(values[0]) - float(values[2])) / (2 * bend), -0.5, 0.5)) if bend < 0 else 0.0

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -23,6 +22,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
 from blocksar.kernels.fourier import fft_rows
 from blocksar.kernels.groups import row_groups, run_groups
+from blocksar.solvers import newton
 
 RANGE_STEP = 0.75  # range cells between lines
 DOPPLER_SHARE = 0.8  # of the PRF that lines about one yaw may fill
@@ -266,16 +266,14 @@ def _located(
     """
     middle = (pulses.start + pulses.stop) // 2
     uneven = work.geometry.terrain is not None
-    seen = partial(_seen, work, pulse=middle, ground=work.geometry if uneven else None)
-    for _ in range(UNEVEN_STEPS if uneven else STEPS):
-        distance, turned = seen(x, y)
-        (rx, tx), (ry, ty) = ((near[0] - distance, near[1] - turned) for near in (seen(x + 1, y), seen(x, y + 1)))
-        determinant = rx * ty - ry * tx
-        with np.errstate(divide="ignore", invalid="ignore"):
-            off, turn = wanted - distance, goal - turned
-            x, y = x + (off * ty - turn * ry) / determinant, y + (turn * rx - off * tx) / determinant
+
+    def seen(at: FloatArray) -> FloatArray:
+        return np.stack(_seen(work, at[0], at[1], middle, work.geometry if uneven else None))
+
+    at = np.stack([x, y])
+    x, y = newton(seen, np.stack([wanted, goal]), at, steps=UNEVEN_STEPS if uneven else STEPS)
     if uneven:
-        x = np.where(np.abs(wanted - seen(x, y)[0]) < work.cell, x, np.nan)  # steep slopes: not found
+        x = np.where(np.abs(wanted - seen(np.stack([x, y]))[0]) < work.cell, x, np.nan)  # steep slopes: not found
     return x, y
 
 

@@ -23,6 +23,7 @@ from blocksar.autofocusing.finishing import Result
 from blocksar.autofocusing.selection import Points
 from blocksar.autofocusing.work import Work
 from blocksar.errors import InputError
+from blocksar.solvers import newton
 
 SHARED = 0.75  # of a dwell of either collection: what it sees of a point
 LEAST = 4  # points that tie two collections
@@ -95,20 +96,14 @@ def _place(work: Work, points: Points, chips: Chips, i: int, one: Seen) -> tuple
     point = np.array([points.x[i], points.y[i], points.z[i]])
     antenna = point - chips.sight[i, at] * distance[:, None]
 
-    def seen(x: float, y: float) -> FloatArray:
-        height = float(np.asarray(work.geometry.height(np.array([x]), np.array([y]))).ravel()[0])
-        ranges = np.sqrt(((antenna - [x, y, height]) ** 2).sum(axis=1))
+    def seen(place: FloatArray) -> FloatArray:
+        height = float(np.asarray(work.geometry.height(place[:1], place[1:])).ravel()[0])
+        ranges = np.sqrt(((antenna - [*place, height]) ** 2).sum(axis=1))
         return np.array([ranges[1], ranges[2] - ranges[0]])
 
     turned = one.rate * float(one.at[2] - one.at[0]) / work.wavenumber  # m, towards the antenna
     wanted = np.array([distance[1] + one.range, distance[2] - distance[0] - turned])
-    x, y = float(point[0]), float(point[1])
-    for _ in range(STEPS):
-        here = seen(x, y)
-        (rx, tx), (ry, ty), (off, turn) = seen(x + 1, y) - here, seen(x, y + 1) - here, wanted - here
-        determinant = rx * ty - ry * tx
-        with np.errstate(divide="ignore", invalid="ignore"):
-            x, y = x + (off * ty - turn * ry) / determinant, y + (turn * rx - off * tx) / determinant
+    x, y = newton(seen, wanted, point[:2], steps=STEPS)
     return float(x), float(y)
 
 

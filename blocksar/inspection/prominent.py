@@ -42,6 +42,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from blocksar import solvers
 from blocksar.arrays import Complex128Array, ComplexArray, FloatArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
@@ -372,8 +373,8 @@ class Lines:
             bin_, row = (int(i) for i in np.unravel_index(int(np.argmax(power[near])), (near.size, offsets.size)))
             if size == last - first and settled:
                 return place, pulses, rows, row, bin_ - reach
-            shift = bin_ - reach + _vertex(power[near, row], bin_)
-            away = offsets[row] + ROW * _vertex(power[near[bin_]], row)
+            shift = bin_ - reach + _beside(power[near, row], bin_)
+            away = offsets[row] + ROW * _beside(power[near[bin_]], row)
             middle_pulse = (pulses.start + pulses.stop) // 2
             place = self._moved(place, middle_pulse, np.array([away * self.cell, shift / (size * self._interval)]))
             offsets = later
@@ -464,15 +465,10 @@ class Lines:
 
     def _moved(self, place: Place, pulse: int, change: FloatArray) -> Place:
         """The place that at a pulse has a `change` of offset (m) and Doppler (Hz)."""
-        step = 1.0  # m
-        x, y = place.x + step * np.array([0.0, 1.0, 0.0]), place.y + step * np.array([0.0, 0.0, 1.0])
-        here, by_x, by_y = self._seen(x, y, pulse).T
-        (a, b), (c, d) = by_x - here, by_y - here
-        determinant = a * d - b * c
-        if abs(determinant) < 1e-12:
-            return place
-        along_x, along_y = (change[0] * d - change[1] * c) / determinant, (a * change[1] - b * change[0]) / determinant
-        return place._replace(x=place.x + step * float(along_x), y=place.y + step * float(along_y))
+        at = np.array([place.x, place.y])
+        here = self._seen(*at, pulse)
+        x, y = solvers.newton(lambda moved: self._seen(*moved, pulse), here + change, at, steps=1)
+        return place._replace(x=float(x), y=float(y)) if np.isfinite([x, y]).all() else place
 
     def _seen(self, x: FloatArray, y: FloatArray, pulse: int, height: FloatArray | None = None) -> FloatArray:
         """R - reference_range (m) and Doppler (Hz) of points, m, about a pulse: (2, ...)."""
@@ -483,12 +479,9 @@ class Lines:
         return np.stack([(before + after) / 2, -self.turns * (after - before) / ((last - first) * self._interval)])
 
 
-def _vertex(power: FloatArray, peak: int) -> float:
-    """Where the parabola through a peak and its neighbours has its vertex, from the peak; 0 at the ends."""
-    if not 0 < peak < power.size - 1:
-        return 0.0
-    before, here, after = power[peak - 1 : peak + 2]
-    return float(np.clip((before - after) / (2 * min(before - 2 * here + after, -1e-30)), -0.5, 0.5))
+def _beside(power: FloatArray, peak: int) -> float:
+    """Where power is highest about a peak, from it; 0 at the ends."""
+    return solvers.vertex(power[max(peak - 1, 0) : peak + 2])
 
 
 def _demodulated(values: Complex128Array, shift: int) -> Complex128Array:

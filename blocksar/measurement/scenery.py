@@ -18,6 +18,7 @@ from blocksar.kernels.phase import Float32Array
 from blocksar.measurement.axes import ResponseAxes, response_axes
 from blocksar.measurement.looks import power_of
 from blocksar.measurement.response import ReadChip
+from blocksar.solvers import newton
 
 PROMINENT = 100.0  # times the median power about it: in clutter alone one cell of 1e30 is
 APART = 0.1  # of a point's power: what else lies within its cuts stays below, beyond the main lobe
@@ -25,7 +26,7 @@ MAIN_LOBE = 1.6  # widths from the peak
 TRIED = 20  # times as many local maxima as points are looked at
 FLOOR_CELL = 16  # pixels along the side of the cells whose mean power makes the floor
 FLOOR_SHARE = 0.01  # of the cells, the darkest, that lie below the floor
-GHOST_STEPS = 8  # of Newton's method
+GROUND_STEPS = 12  # of Newton's method
 GHOST_WIDTHS = 3.0  # within which an ambiguity is looked for, since it is defocused
 
 GeometryAt = Callable[[float, float], Geometry]
@@ -155,32 +156,24 @@ def ambiguity_place(geometry: Geometry, x: float, y: float, order: int) -> tuple
     if not start < end:
         return None
     time = np.array((start + end) / 2)
-    antenna, velocity = geometry.track.position(time), geometry.track.velocity(time)
-    wanted = _range_and_rate(geometry.on_ground(np.array(x), np.array(y)), antenna, velocity)[:2]
-    rate = wanted[1] - order * collection.prf * SPEED_OF_LIGHT / (2 * collection.carrier)
-    place = np.array([x, y])
-    for _ in range(GHOST_STEPS):
-        distance, speed, sight = _range_and_rate(geometry.on_ground(*map(np.array, place)), antenna, velocity)
-        gradients = np.array([sight[:2], (-velocity[:2] - speed * sight[:2]) / distance])
-        area = gradients[0, 0] * gradients[1, 1] - gradients[0, 1] * gradients[1, 0]
-        if abs(area) < 1e-12:
-            return None
-        off = wanted[0] - distance, rate - speed
-        place = place + np.array([
-            gradients[1, 1] * off[0] - gradients[0, 1] * off[1], gradients[0, 0] * off[1] - gradients[1, 0] * off[0],
-        ]) / area  # fmt: skip
-        if not np.isfinite(place).all() or np.hypot(*(place - antenna[:2])) > 10 * wanted[0]:
-            return None
-    distance, speed, _ = _range_and_rate(geometry.on_ground(*map(np.array, place)), antenna, velocity)
-    met = abs(distance - wanted[0]) < 1e-3 and abs(speed - rate) < 1e-3
-    return (float(place[0]), float(place[1])) if met else None
+    distance, rate = geometry.range_history(geometry.on_ground(np.array(x), np.array(y)), time)
+    rate = rate - order * collection.prf * SPEED_OF_LIGHT / (2 * collection.carrier)
+    return ground_place(geometry, (x, y), time, np.array([distance, rate]), longest=float(distance))
 
 
-def _range_and_rate(point: FloatArray, antenna: FloatArray, velocity: FloatArray) -> tuple[float, float, FloatArray]:
-    """Range (m) and range rate (m/s) of a point (3,), and the unit vector from the antenna to it."""
-    away = np.asarray(point) - antenna
-    distance = float(np.sqrt((away**2).sum()))
-    return distance, float(-(away * velocity).sum() / distance), away / distance
+def ground_place(
+    geometry: Geometry, near: tuple[float, float], time: FloatArray, wanted: FloatArray, *, longest: float
+) -> tuple[float, float] | None:
+    """Where on the ground, near a place (m), a point has a range (m) and a range rate (m/s) at a time; None if nowhere.
+
+    It is looked for in steps of `longest` at most, m.
+    """
+
+    def seen(at: FloatArray) -> FloatArray:
+        return np.array(geometry.range_history(geometry.on_ground(at[0], at[1]), time))
+
+    at = newton(seen, wanted, np.array(near), steps=GROUND_STEPS, longest=longest)
+    return (float(at[0]), float(at[1])) if (np.abs(seen(at) - wanted) < 1e-3).all() else None
 
 
 def strongest_about(

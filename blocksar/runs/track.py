@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import binascii
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Self
 
 import numpy as np
@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from blocksar.arrays import FloatArray
 from blocksar.errors import InputError
-from blocksar.runs.record import Field
+from blocksar.runs.schema import Figure, Number, Record, Whole, read
 from blocksar.version import __version__
 
 ATTRIBUTE = "autofocus"
 DEPTH = 40.0  # dB between the brightest level of chips and 0
-FIGURES = ("points", "knots", "halves_apart", "predicted_error", "entropy_before", "entropy_after")
 COLUMNS = 97  # Doppler samples of a chip that are kept, about the brightest
+_NOT_FIGURES = {"identity", "settings", "version", "track", "chips"}
 SHOWN = 129  # times of the track's error, at most
 
 
@@ -28,6 +28,35 @@ UNTOLD = (
     "but shift and turn the image and ramp its phase, so that after the best shift alone it differs from that of the "
     "true track; control points tell them"
 )
+
+
+@dataclass(frozen=True)
+class _Track(Record):
+    time: tuple[Number, ...]
+    error: tuple[tuple[Number, Number, Number], ...]
+    uncertainty: tuple[tuple[Number, Number, Number], ...]
+
+
+@dataclass(frozen=True)
+class _Chips(Record):
+    places: tuple[tuple[Number, Number], ...]
+    shape: tuple[Whole, Whole, Whole]
+    before: str
+    after: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Attribute(Record):
+    points: Figure
+    knots: Figure
+    halves_apart: Figure
+    predicted_error: Figure
+    entropy_before: Figure
+    entropy_after: Figure
+    identity: str = ""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    track: _Track
+    chips: _Chips
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,31 +118,29 @@ class TrackCorrection:
         InputError
             If it is damaged.
         """
-        entry = Field(value, ATTRIBUTE, file)
-        track, chips = entry["track"], entry["chips"]
+        what, remedy = f"{file}: the attribute {ATTRIBUTE}", "correct the track anew"
+        entry = read(_Attribute, value, what, remedy)
+        track, chips = entry.track, entry.chips
         try:
-            shape = tuple(side.integer() for side in chips["shape"])
             before, after = (
-                np.frombuffer(base64.b64decode(chips[name].text(), validate=True), np.uint8).reshape(shape)
-                for name in ("before", "after")
+                np.frombuffer(base64.b64decode(text, validate=True), np.uint8).reshape(chips.shape)
+                for text in (chips.before, chips.after)
             )
-            time = np.array([t.number() for t in track["time"]], dtype=np.float64)
-            if time.size < 2:
-                raise ValueError(f"track.time has {time.size} values")
-            error, uncertainty = (_numbers(track[name]).reshape(time.size, 3) for name in ("error", "uncertainty"))
-            places = _numbers(chips["places"]).reshape(shape[0], 2)
-        except (ValueError, IndexError, binascii.Error) as error_:
-            if isinstance(error_, InputError):
-                raise
-            raise InputError(
-                f"{file}: the attribute {ATTRIBUTE} is damaged ({error_}); correct the track anew"
-            ) from None
-        for name in FIGURES:
-            entry[name].number_or_nan()
-        rest = {"identity", "settings", "version", "track", "chips"}
+            if (n := len(track.time)) < 2:
+                raise ValueError(f"track.time has {n} values")
+            time, error, uncertainty, places = (
+                np.array(values, np.float64).reshape(shape)
+                for values, shape in (
+                    (track.time, n), (track.error, (n, 3)), (track.uncertainty, (n, 3)), (chips.places, (-1, 2)),
+                )
+            )  # fmt: skip
+            if len(places) != len(before):
+                raise ValueError(f"chips.places has {len(places)} values for {len(before)} chips")
+        except (ValueError, binascii.Error) as error_:
+            raise InputError(f"{what} is damaged ({error_}); {remedy}") from None
         return cls(
-            figures={name: item for name, item in entry.mapping().items() if name not in rest},
-            identity=entry["identity"].text(""), settings=entry["settings"].mapping(), time=time, error=error,
+            figures={name: item for name, item in value.items() if name not in _NOT_FIGURES},
+            identity=entry.identity, settings=entry.settings, time=time, error=error,
             uncertainty=uncertainty, before=before, after=after, places=places,
         )  # fmt: skip
 
@@ -180,7 +207,3 @@ def levels(before: FloatArray, after: FloatArray) -> tuple[NDArray[np.uint8], ND
 def _rounded(values: FloatArray) -> Any:
     """Lists of numbers with seven digits after the point: a tenth of a micrometre."""
     return np.round(values, 7).tolist()
-
-
-def _numbers(entry: Field) -> FloatArray:
-    return np.array([[number.number() for number in row] for row in entry], dtype=np.float64)

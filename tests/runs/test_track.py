@@ -62,10 +62,10 @@ def test_control_points_and_the_ground_are_in_the_sentences() -> None:
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        ({"points": "many"}, r"autofocus\.points is 'many', not a number"),
-        ({"track": {}}, "attribute autofocus is damaged"),
+        ({"points": "many"}, r"attribute autofocus is damaged: points is 'many', not a number; correct the track anew"),
+        ({"track": {}}, r"attribute autofocus is damaged: track\.time is missing"),
         ({"chips": {"shape": [1, 2, 3], "before": "AAAA", "after": "AAAA"}}, "attribute autofocus is damaged"),
-        ({"chips": None}, "autofocus"),
+        ({"chips": None}, "chips is null, not an object"),
     ],
 )
 def test_a_damaged_attribute_is_one_sentence(change: dict[str, Any], expected: str) -> None:
