@@ -155,6 +155,15 @@ def no_room(what: object, error: OSError) -> ProcessingError:
     return ProcessingError(f"{what} cannot be written ({error.strerror}); {remedy}, and give the same command again")
 
 
+def is_final(error: BaseException) -> bool:
+    """Whether an error says that the input is wrong, so that the same command meets it again.
+
+    A file that could not be read may be readable later, and a folder usable.
+    """
+    again = isinstance(error, FolderError) or isinstance(error.__cause__, OSError)
+    return isinstance(error, InputError) and not again
+
+
 def unwritable(what: object, error: OSError) -> InputError | ProcessingError:
     """The error about a file or store that cannot be written: where it lies is wrong, unless the disk is full."""
     if is_full(error):

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from blocksar.api.reports import Report, only_stage
+from blocksar.api.reports import Report, only_stage, resumed_stage
 from blocksar.errors import InputError
 from blocksar.graph.machine import resources
 from blocksar.ingestion import readers
@@ -70,7 +70,7 @@ def simulate(
         raise InputError(f"scene is a {type(scene).__name__}; give a file, the name of a shipped scene, or a Scene")
     _, threads, _ = resources(1, threads, None)
     listener = as_listener(progress)
-    callback = only_stage(listener, "simulate")
+    callback = only_stage(listener, "simulate") if cphd else resumed_stage(listener, "simulate")
     if cphd and raw:
         raise InputError("raw is given together with cphd, but CPHD files hold compressed pulses; leave out one")
     if origin is not None and not cphd:
@@ -158,7 +158,7 @@ def ingest(
     )
     history = readers.ingest(
         reader, sources, out, choices, times=stated_times(collection_start, time_zero), overwrite=overwrite,
-        progress=only_stage(progress, "ingest"),
+        progress=resumed_stage(progress, "ingest"),
     )  # fmt: skip
     return Report(summary=[*history.messages, f"wrote {history.path}"], result=history.collection)
 

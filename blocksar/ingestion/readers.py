@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from blocksar import stores
-from blocksar.arrays import ComplexArray
-from blocksar.chunks import TILE
 from blocksar.collection.collection import Collection
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.errors import InputError
@@ -20,10 +19,15 @@ from blocksar.ingestion.reading import Ingested
 from blocksar.options import Option
 from blocksar.places import Location, place, readable
 from blocksar.places.local import LocalPlace
-from blocksar.places.place import REMEDY, Place, check_room
+from blocksar.places.objects import ObjectPlace
+from blocksar.places.place import Place
 from blocksar.places.ranges import Readable
 from blocksar.plugins import Registry
 from blocksar.progress.listening import Callback
+from blocksar.stores import Piece
+from blocksar.version import __version__
+
+__all__ = ["READERS", "Described", "Piece", "Reader", "ReaderOptions", "Reading", "ingest"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,14 +43,6 @@ class ReaderOptions:
     ground_height: Annotated[float, Option("Height z of the imaged plane in the scene frame.", metavar="M")] = 0.0
 
 
-class Piece(NamedTuple):
-    """Samples (n_pulse, n_column) complex64 of some pulses of a channel; NaN where a pulse is missing."""
-
-    channel: int
-    pulses: slice
-    samples: ComplexArray
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reading:
     """A phase history in files, of which the samples are still to be read.
@@ -55,8 +51,9 @@ class Reading:
     ----------
     collection : Collection
     pieces : callable ()
-        Begins to read the samples, a piece at a time: range-frequency samples, or echoes over the fast time of `raw`.
+        Begins to give the samples, a piece at a time: range-frequency samples, or echoes over the fast time of `raw`.
         Pieces follow each other from pulse to pulse; whole chunks may be given again, with what is known better then.
+        Those whose samples are a function are not read if an ingestion that ended early has written them.
     attributes : mapping
         Of the store: `source`, `georeference`, `polarization`, ... (`stores.schema`).
     messages : callable ()
@@ -67,6 +64,8 @@ class Reading:
         Fast time and chirp of echoes that are not range-compressed.
     parts : str
         Options with which less is read, for who has no room on the disk.
+    notes : mapping of str to array
+        What is noted in place while pieces are read, and later pieces or messages depend on. Default: nothing.
     """
 
     collection: Collection
@@ -76,6 +75,32 @@ class Reading:
     channels: tuple[str, ...] = ()
     raw: RawEcho | None = None
     parts: str = ""
+    notes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+
+    @property
+    def n_channel(self) -> int:
+        return max(len(self.channels), 1)
+
+    @property
+    def n_byte(self) -> int:
+        """Bytes of the samples on a disk."""
+        return stores.history_bytes(self.collection, self.n_channel, self.raw)
+
+    def group(self, origin: str, times: Mapping[str, Any]) -> stores.Group:
+        """The phase history without its samples."""
+        source = dict(self.attributes.get("source", {}))
+        attributes = {
+            **self.attributes,
+            "source": {"time_zero": 0.0, **source, **times} if times else source,
+            "history": stores.history_line(f"ingested by blocksar from {origin}"),
+        }
+        return stores.phase_history_group(self.collection, raw=self.raw, channels=self.channels, attrs=attributes)
+
+    def samples(self, group: str) -> stores.Samples:
+        return stores.Samples(
+            variable="signal" if self.raw is None else "echo", n_pulse=self.collection.n_pulse,
+            n_channel=len(self.channels), pieces=self.pieces, notes=self.notes, group=group,
+        )  # fmt: skip
 
 
 class Described(NamedTuple):
@@ -158,142 +183,85 @@ def ingest(
     overwrite: bool = False,
     progress: Callback | None = None,
 ) -> Ingested:
-    """Turn files into a phase history, by `read` of a reader and `store`.
+    """Turn files into a store: a phase history, or several in one frame, a group for each by its name.
 
-    Raises
-    ------
-    InputError
-        As these.
-    """
-    origin = readable(sources[0]).name if len(sources) == 1 else f"{len(sources)} files"
-    reading = reader.read(sources, options)
-    if isinstance(reading, Mapping):
-        if len(reading) > 1:
-            return store_several(reading, out, origin=origin, times=times, overwrite=overwrite, progress=progress)
-        (reading,) = reading.values()
-    return store(reading, out, origin=origin, times=times, overwrite=overwrite, progress=progress)
-
-
-def store_several(
-    readings: Mapping[str, Reading],
-    out: Location,
-    *,
-    origin: str,
-    times: Mapping[str, Any] | None = None,
-    overwrite: bool = False,
-    progress: Callback | None = None,
-) -> Ingested:
-    """Write phase histories in one frame into one store, a group for each by its name; else as `store`.
-
-    Raises
-    ------
-    InputError
-        As `store`; or if times are stated, which would be those of all.
-    """
-    if times:
-        raise InputError(
-            f"--collection-start and --time-zero are one collection's, and there are {len(readings)}; leave them out"
-        )
-    target = place(out)
-    total = sum(each.collection.n_pulse * max(len(each.channels), 1) for each in readings.values())
-    needed = sum(
-        stores.history_bytes(each.collection, max(len(each.channels), 1), each.raw) for each in readings.values()
-    )
-    parts = next(iter(readings.values())).parts
-    check_room(target, needed, f"make room, choose another place, or read a part ({parts})" if parts else REMEDY)
-
-    def fill(whole: Place) -> None:
-        done = 0
-        for name, reading in readings.items():
-            told = None if progress is None else partial(_told, progress, done, total)
-            store(replace(reading, parts=""), whole / name, origin=origin, progress=told)
-            done += reading.collection.n_pulse * max(len(reading.channels), 1)
-
-    stores.create_collections(target, tuple(readings), origin=origin, overwrite=overwrite, fill=fill)
-    return Ingested(
-        path=target.path if isinstance(target, LocalPlace) else target,
-        collection=next(iter(readings.values())).collection,
-        messages=[sentence for reading in readings.values() for sentence in reading.messages()],
-    )  # fmt: skip
-
-
-def _told(progress: Callback, before: int, total: int, done: int, _: int) -> None:
-    progress(before + done, total)
-
-
-def store(
-    reading: Reading,
-    out: Location,
-    *,
-    origin: str,
-    times: Mapping[str, Any] | None = None,
-    overwrite: bool = False,
-    progress: Callback | None = None,
-) -> Ingested:
-    """Write a phase history that a reader has begun to read, a piece at a time.
+    An ingestion that ended early is gone on with by one of the same files, with the same options and version.
 
     Parameters
     ----------
-    reading : Reading
+    reader : Reader
+    sources : sequence of path
     out : path, URL or Place
         Of the new store.
-    origin : str
-        What it is made from, for its history.
+    options : object
+        Of the reader's model.
     times : mapping, optional
         What `stated_times` gives, instead of the files' own.
     overwrite : bool
         Replace an existing store.
     progress : callable (done, total)
-        Called after each piece, with numbers of pulses.
+        Told numbers of pulses: first those that are there already, then after each piece.
 
     Raises
     ------
     InputError
-        If `out` exists and overwrite is False, or does not fit the disk; or from the reader.
+        If `out` exists and overwrite is False, or does not fit the disk; if times are stated for several; or from the
+        reader.
     """
-    target, collection, names = place(out), reading.collection, reading.channels
-    if reading.parts:
-        less = f"read a part ({reading.parts})"
-        stores.refuse_full(target, collection, max(len(names), 1), less, raw=reading.raw)
-    source = dict(reading.attributes.get("source", {}))
-    attributes = {
-        **reading.attributes,
-        "source": {"time_zero": 0.0, **source, **times} if times else source,
-        "history": stores.history_line(f"ingested by blocksar from {origin}"),
-    }
-    name = "signal" if reading.raw is None else "echo"
-    total = collection.n_pulse * max(len(names), 1)
+    origin, stated = readable(sources[0]).name if len(sources) == 1 else f"{len(sources)} files", times or {}
+    reading = reader.read(sources, options)
+    readings = dict(reading) if isinstance(reading, Mapping) else {"": reading}
+    if len(readings) == 1:
+        readings = dict(zip([""], readings.values(), strict=True))
+    elif stated:
+        raise InputError(
+            f"--collection-start and --time-zero are one collection's, and there are {len(readings)}; leave them out"
+        )
+    groups = {name: each.group(origin, stated) for name, each in readings.items()}
+    target, (first, *_) = place(out), readings.values()
+    identity = _identity([reader.kind.name, repr(options), *map(_state, sources)], groups)
+    samples = [each.samples(name) for name, each in readings.items()]
+    there = 0
 
-    def fill(place: Place) -> None:
-        done = 0
-        for piece in _by_chunks(reading.pieces(), collection.n_pulse):
-            columns = slice(0, piece.samples.shape[1])
-            if names:
-                region: tuple[slice, ...] = (slice(piece.channel, piece.channel + 1), piece.pulses, columns)
-                stores.write_region(place, name, region, piece.samples[None])
-            else:
-                stores.write_region(place, name, (piece.pulses, columns), piece.samples)
-            now = piece.channel * collection.n_pulse + piece.pulses.stop
-            if progress is not None and now > done:
-                progress(now, total)
-            done = max(done, now)
+    def fill(store: Place) -> None:
+        nonlocal there
+        there = stores.write_pieces(store, samples, identity=identity, progress=progress)
 
-    stores.create_phase_history(
-        target, collection, raw=reading.raw, channels=names, attrs=attributes, overwrite=overwrite, fill=fill
-    )
+    stores.refuse_existing(target, overwrite=overwrite or isinstance(target, ObjectPlace))
+    less = f"read a part ({first.parts})" if first.parts else ""
+    stores.refuse_full(target, sum(each.n_byte for each in readings.values()), less, identity=identity)
+    if "" in groups:
+        alone = groups[""]._asdict()
+        stores.create(target, **alone, sizes={}, overwrite=overwrite, fill=fill, identity=identity)
+    else:
+        stores.create_collections(target, groups, origin=origin, overwrite=overwrite, fill=fill, identity=identity)
+    messages = [sentence for each in readings.values() for sentence in each.messages()]
+    if there:
+        messages.append(f"{there} of {sum(each.total for each in samples)} pulses were there from one that ended early")
     return Ingested(
-        path=target.path if isinstance(target, LocalPlace) else target, collection=collection,
-        messages=list(reading.messages()),
-    )  # fmt: skip
+        path=target.path if isinstance(target, LocalPlace) else target, collection=first.collection, messages=messages
+    )
 
 
-def _by_chunks(pieces: Iterable[Piece], n_pulse: int) -> Iterator[Piece]:
-    """Cut samples into pieces that end where chunks of the store do."""
-    rest: Piece | None = None
-    for channel, pulses, samples in pieces:
-        first, last = pulses.start if rest is None else rest.pulses.start, pulses.stop
-        joined = samples if rest is None else np.concatenate([rest.samples, samples])
-        whole = last if last == n_pulse else max(last - last % TILE[0], first)
-        if whole > first:
-            yield Piece(channel, slice(first, whole), joined[: whole - first])
-        rest = Piece(channel, slice(whole, last), joined[whole - first :]) if last > whole else None
+def _state(source: Location) -> list[str]:
+    """Name and state of a file, or of all below a folder: another state, another content."""
+    where = readable(source)
+    if isinstance(where, LocalPlace) and where.path.is_dir():
+        return [os.path.abspath(where.path), *(f"{name} {size} {written}" for name, size, written in where.files())]
+    name = os.path.abspath(where.path) if isinstance(where, LocalPlace) else str(where)
+    return [name, where.version()]
+
+
+def _identity(origin: Sequence[Any], groups: Mapping[str, stores.Group]) -> str:
+    """Hash of all that samples depend on, and of what is stored beside them."""
+    held = {
+        name: {
+            "attributes": {key: value for key, value in group.attrs.items() if key != "history"},
+            "arrays": {
+                key: stores.checksum(np.asarray(values)) if np.asarray(values).dtype.kind in "biufc" else list(values)
+                for key, values in {**group.coords, **group.variables}.items()
+            },
+        }
+        for name, group in groups.items()
+    }
+    return stores.json_checksum([__version__, list(origin), held])

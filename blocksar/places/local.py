@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Literal
 
+from blocksar.errors import is_final
 from blocksar.places.owners import describe_owner, this_process
 from blocksar.places.place import Held, Place
 from blocksar.places.posix import fcntl
@@ -169,24 +170,32 @@ def file_version(status: os.stat_result) -> str:
 
 
 @contextmanager
-def held_part(path: str | os.PathLike[str], make: Callable[[str], object]) -> Iterator[str]:
+def held_part(
+    path: str | os.PathLike[str], make: Callable[[str], object], *, begun: Callable[[str], bool] = lambda part: False
+) -> Iterator[str]:
     """Make a file or folder under a temporary name beside `path`, removed at the end if it still has that name.
 
-    It is locked meanwhile, so that `sweep_beside` tells it from what killed processes have left, which goes first.
+    It is locked meanwhile, so that `sweep_beside` tells it from what killed processes have left, which goes first. What
+    is `begun` (part) is taken instead of a new one, and stays if the block fails, unless that is final.
     """
+    left = sweep_beside(path, spare=begun)
+    part, descriptor = next(((part, lock) for part in left if (lock := _lock_abandoned(part)) is not None), ("", None))
     sweep_beside(path)
-    while True:
+    while descriptor is None:
         part = temporary_name(path, "part")
         make(part)
         descriptor = _hold(part)
-        if descriptor is not None:
-            break
+    stays = False
     try:
         yield part
+    except BaseException as error:
+        stays = not is_final(error) and begun(part)
+        raise
     finally:
-        shutil.rmtree(part, ignore_errors=True)
-        with suppress(OSError):
-            os.unlink(part)
+        if not stays:
+            shutil.rmtree(part, ignore_errors=True)
+            with suppress(OSError):
+                os.unlink(part)
         os.close(descriptor)
 
 
@@ -215,33 +224,55 @@ def _hold(part: str) -> int | None:
     return None
 
 
-def sweep_beside(path: str | os.PathLike[str]) -> None:
-    """Remove what killed processes have left beside `path` under its temporary names.
+def sweep_beside(path: str | os.PathLike[str], *, spare: Callable[[str], bool] = lambda part: False) -> list[str]:
+    """Remove what killed processes have left beside `path` under its temporary names, but for what is to be spared.
 
-    What was moved out of the way of `path` stays while nothing has its name.
+    What was moved out of the way of `path` stays while nothing has its name. Returns what was spared.
     """
     folder, name = os.path.split(os.path.abspath(path))
+    spared: list[str] = []
     with suppress(OSError):
         names = [other for other in os.listdir(folder) if is_temporary(other)]
         for other in names:
             if _whole(other) == _shortened(name) and (other.endswith(".part") or os.path.lexists(path)):
-                _remove_abandoned(os.path.join(folder, other))
+                _remove_abandoned(os.path.join(folder, other), spare, spared)
         for other in names:  # parts of parts
             part = _whole(other)
             ours = is_temporary(part) and _whole(part) == _shortened(name)
             if ours and not os.path.lexists(os.path.join(folder, part)):
-                _remove_abandoned(os.path.join(folder, other))
+                _remove_abandoned(os.path.join(folder, other), spare, spared)
+    return spared
 
 
-def _remove_abandoned(part: str) -> None:
-    """Remove a file or folder unless a living process holds it."""
+def _remove_abandoned(part: str, spare: Callable[[str], bool], spared: list[str]) -> None:
+    """Remove a file or folder unless a living process holds it, or it is to be spared."""
+    descriptor = _lock_abandoned(part)
+    if descriptor is None:
+        return
     with suppress(OSError):
-        descriptor = os.open(part, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            LocalPlace(Path(part)).remove()
+            if spare(part):
+                spared.append(part)
+            else:
+                LocalPlace(Path(part)).remove()
         finally:
             os.close(descriptor)
+
+
+def _lock_abandoned(part: str) -> int | None:
+    """Lock what a killed process has left, and return its descriptor; None if a living one holds it, or it is gone."""
+    try:
+        descriptor = os.open(part, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if os.path.samestat(os.fstat(descriptor), os.stat(part)):
+            return descriptor
+    except OSError:  # held by another process, or on a file system without locks
+        pass
+    os.close(descriptor)
+    return None
 
 
 def flush_file(path: str | os.PathLike[str]) -> None:

@@ -46,10 +46,6 @@ class Place(Readable):
         return iter(())
 
     @abstractmethod
-    def version(self) -> str:
-        """Return size and version of a file, as `files` tells them; empty if there is none."""
-
-    @abstractmethod
     def read_bytes(self) -> bytes:
         """Read a file."""
 

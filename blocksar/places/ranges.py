@@ -43,6 +43,10 @@ class Readable(ABC):
     def open(self) -> BinaryIO:
         """Open the file; only what is read is fetched."""
 
+    @abstractmethod
+    def version(self) -> str:
+        """Return size and version of a file: a text that changes when it is written; empty if there is none."""
+
 
 class Ranges(io.RawIOBase):
     """A file of which each part is fetched by a request of its own: `fetch` (start, stop) gives these bytes."""
@@ -96,6 +100,9 @@ class WebFile(Readable):
 
     def open(self) -> BinaryIO:
         return in_ranges(self._found[0], self._fetch)
+
+    def version(self) -> str:
+        return "{} {}".format(*self._found)
 
     @cached_property
     def _found(self) -> tuple[int, str]:

@@ -32,16 +32,19 @@ from blocksar.stores.copying import (
 )
 from blocksar.stores.creation import (
     UNFINISHED,
+    Group,
     create,
     create_phase_history,
     history_bytes,
     history_line,
+    phase_history_group,
     refuse_existing,
     refuse_full,
     write_collection,
 )
 from blocksar.stores.datasets import CONTENT, DatasetHistory, dataset_of, history_in_memory, history_of
 from blocksar.stores.phase_history import PhaseHistory, open_dataset, open_phase_history, read_collection
+from blocksar.stores.pieces import Piece, Samples, blocks_of, write_pieces
 from blocksar.stores.pyramid import PYRAMID, Pyramid, level_name, level_shapes, levels_of, pyramid_of
 from blocksar.stores.records import checksum, checksum_bytes, file_checksum, json_checksum, read_json, write_json
 from blocksar.stores.regions import chunk_shape, read_region, share_region, write_region
@@ -87,11 +90,15 @@ __all__ = [
     "UNFINISHED",
     "Array",
     "DatasetHistory",
+    "Group",
     "PhaseHistory",
+    "Piece",
     "Pyramid",
     "Region",
+    "Samples",
     "StoredTerrain",
     "Variable",
+    "blocks_of",
     "check_channels",
     "checksum",
     "checksum_bytes",
@@ -118,6 +125,7 @@ __all__ = [
     "number_of",
     "open_dataset",
     "open_phase_history",
+    "phase_history_group",
     "publish",
     "pyramid_of",
     "read_collection",
@@ -134,6 +142,7 @@ __all__ = [
     "without_unseen",
     "write_collection",
     "write_json",
+    "write_pieces",
     "write_region",
     "write_terrain",
     "write_track",

@@ -5,7 +5,7 @@ The group that holds them names them in its attribute `collections`, in the orde
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 
 from blocksar.errors import InputError
@@ -13,7 +13,7 @@ from blocksar.places import Location
 from blocksar.places import place as place_of
 from blocksar.places.place import Place
 from blocksar.stores.channels import NAME
-from blocksar.stores.creation import create, history_line
+from blocksar.stores.creation import Group, create, history_line
 from blocksar.stores.records import read_json
 from blocksar.stores.schema import CONVENTIONS
 
@@ -21,9 +21,15 @@ ATTRIBUTE = "collections"
 
 
 def create_collections(
-    path: Location, names: Sequence[str], *, origin: str, overwrite: bool, fill: Callable[[Place], None]
+    path: Location,
+    groups: Mapping[str, Group],
+    *,
+    origin: str,
+    overwrite: bool,
+    fill: Callable[[Place], None],
+    identity: str | None = None,
 ) -> None:
-    """Create a store of several phase histories, which `fill` writes below the place it receives, by these names.
+    """Create a store of several phase histories by name, whose samples `fill` writes below the place it receives.
 
     Raises
     ------
@@ -31,10 +37,13 @@ def create_collections(
         As for `create`.
     """
     attrs = {
-        ATTRIBUTE: list(names), "Conventions": CONVENTIONS,
+        ATTRIBUTE: list(groups), "Conventions": CONVENTIONS,
         "history": history_line(f"ingested by blocksar from {origin}"),
     }  # fmt: skip
-    create(path, {}, sizes={}, coords={}, attrs=attrs, chunks={}, overwrite=overwrite, fill=fill)
+    create(
+        path, {}, sizes={}, coords={}, attrs=attrs, chunks={}, groups=groups, overwrite=overwrite, fill=fill,
+        identity=identity,
+    )  # fmt: skip
 
 
 def collections_in(path: Location) -> list[Place]:

@@ -6,7 +6,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,12 +17,12 @@ from blocksar.chunks import TILE, stored_bytes
 from blocksar.collection.collection import Collection
 from blocksar.collection.raw_echo import ATTRIBUTE as RECORDED
 from blocksar.collection.raw_echo import RawEcho
-from blocksar.errors import InputError, ProcessingError, in_the_way, is_full, no_room, unwritable
+from blocksar.errors import InputError, ProcessingError, in_the_way, is_final, is_full, no_room, unwritable
 from blocksar.places import Location
 from blocksar.places import place as place_of
 from blocksar.places.local import LocalPlace, held_part, sweep_beside, temporary_name
 from blocksar.places.objects import ObjectPlace
-from blocksar.places.place import REMEDY, Place, check_room
+from blocksar.places.place import REMEDY, Held, Place, check_room
 from blocksar.stores.arrays import metadata_file
 from blocksar.stores.channels import check_channels, with_channels
 from blocksar.stores.chunk_files import (
@@ -36,11 +36,13 @@ from blocksar.stores.chunk_files import (
     metadata_bytes,
 )
 from blocksar.stores.contract import stated
+from blocksar.stores.pieces import LEDGER, is_begun
 from blocksar.stores.records import ENVIRONMENT, nan_to_null, plain_value
 from blocksar.stores.schema import COLLECTION, COLLECTION_ATTRS, CONVENTIONS, PHASE_HISTORY, RAW_ECHO, Variable
 
 RENAMES = 32  # attempts to replace a store that other processes replace at the same time
 UNFINISHED = ".unfinished"  # object in a store that is being created; it identifies the creating process
+LOCK = ".lock"  # what the name of an object beside one has more, while it is written that others could go on with
 
 
 class Group(NamedTuple):
@@ -50,6 +52,7 @@ class Group(NamedTuple):
     coords: Mapping[str, Array]
     attrs: Mapping[str, Any]
     chunks: Mapping[str, int]
+    variables: Mapping[str, Array] = {}
 
 
 def create(
@@ -64,11 +67,12 @@ def create(
     overwrite: bool = False,
     fill: Callable[[Place], None] | None = None,
     groups: Mapping[str, Group] | None = None,
+    identity: str | None = None,
 ) -> None:
     """Create a store: metadata, coordinates and small variables now; large arrays empty, to be written by region.
 
     An unfinished store is never taken for a finished one: a folder is written under a temporary name and then renamed;
-    in an object store the group's metadata is written last, and the objects of an overwritten store are removed first.
+    in an object store metadata of groups is written last, and the objects of an overwritten store are removed first.
     A store that is complete by then is flushed to the disk before it gets its name: also a loss of power leaves none
     that only looks complete.
     Only what the schema says is compressed. `xarray.open_zarr` opens the store.
@@ -93,6 +97,9 @@ def create(
         Writes samples by region to the place it receives; the store does not exist under its name before that.
     groups : dict of Group, optional
         Groups below it, by path. Default: none.
+    identity : str, optional
+        Hash of all that the store is made from, for a `fill` by `write_pieces`: what one that ended early has left of a
+        store of this identity stays, and is gone on with. Default: it is removed.
 
     Raises
     ------
@@ -107,14 +114,16 @@ def create(
     files, metadata = _metadata(schema, sizes, coords, variables or {}, attrs, chunks, groups or {})
     place = place_of(path)
     if isinstance(place, ObjectPlace):
-        _create_objects(place, files, metadata, fill, overwrite=overwrite)
+        last = {f"{path}/zarr.json": files.pop(f"{path}/zarr.json") for path in groups or {}}
+        _create_objects(place, files, {**last, "zarr.json": metadata}, fill, overwrite=overwrite, identity=identity)
         return
     assert isinstance(place, LocalPlace)
-    with replacing(place.path, overwrite=overwrite) as part:
+    with replacing(place.path, overwrite=overwrite, identity=identity) as part:
         for key, data in {**files, "zarr.json": metadata}.items():
             put_file(part / key, data)
         if fill is not None:
             fill(part)
+            (part / LEDGER).remove()
         if fill is not None or schema.keys() <= {*coords, *(variables or {})}:
             part.settle()
 
@@ -131,7 +140,7 @@ def _metadata(
     """Return the files of a new store by name, small arrays included, and the group's metadata."""
     files, arrays, attributes = _arrays(schema, sizes, coords, variables, attrs, chunks)
     for path, group in groups.items():
-        below, inner, own = _arrays(group.schema, {}, group.coords, {}, group.attrs, group.chunks)
+        below, inner, own = _arrays(group.schema, {}, group.coords, group.variables, group.attrs, group.chunks)
         files |= {f"{path}/{name}": data for name, data in below.items()}
         arrays[path] = {"attributes": own, "zarr_format": 3, "node_type": "group"}
         arrays |= {f"{path}/{name}": value for name, value in inner.items()}
@@ -215,15 +224,15 @@ def _variable_attrs(
 
 
 @contextmanager
-def replacing(path: Path, *, overwrite: bool) -> Iterator[LocalPlace]:
+def replacing(path: Path, *, overwrite: bool, identity: str | None = None) -> Iterator[LocalPlace]:
     """Yield an empty folder of a temporary name beside another: it replaces that if the block succeeds, else it goes.
 
-    What killed processes have left of such a folder goes first.
+    What killed processes have left of such a folder goes first; that of a store of this `identity` is yielded instead.
     """
     try:
         _refuse_existing(path, overwrite=overwrite)
         path.parent.mkdir(parents=True, exist_ok=True)
-        with held_part(path, os.mkdir) as part:
+        with held_part(path, os.mkdir, begun=_beginning(identity)) as part:
             yield LocalPlace(Path(part))
             _put_in_place(part, path, overwrite=overwrite)
         sweep_beside(path)
@@ -234,6 +243,11 @@ def replacing(path: Path, *, overwrite: bool) -> Iterator[LocalPlace]:
         raise
     except OSError as error:
         raise unwritable(path, error) from error
+
+
+def _beginning(identity: str | None) -> Callable[[str], bool]:
+    """A function that tells whether a folder is the beginning of a store of this identity."""
+    return lambda part: identity is not None and is_begun(LocalPlace(Path(part)), identity)
 
 
 def _put_in_place(part: str, path: Path, *, overwrite: bool) -> None:
@@ -293,27 +307,35 @@ def _not_a_store(path: object) -> InputError:
 def _create_objects(
     place: ObjectPlace,
     files: Mapping[str, bytes],
-    metadata: bytes,
+    last: Mapping[str, bytes],
     fill: Callable[[Place], None] | None,
     *,
     overwrite: bool,
+    identity: str | None,
 ) -> None:
-    with replacing_objects(place, secrets.token_bytes(16), overwrite=overwrite) as check_mark:
+    """Write files, samples, and the files that make it a store."""
+    token = secrets.token_bytes(16) if identity is None else identity.encode()
+    with replacing_objects(place, token, overwrite=overwrite, identity=identity) as check_mark:
         for key, data in files.items():
             (place / key).write_bytes(data)
         if fill is not None:
             fill(place)
         check_mark()
-        (place / "zarr.json").write_bytes(metadata)
+        for key, data in last.items():
+            (place / key).write_bytes(data)
+        if identity is not None:
+            (place / LEDGER).remove()
 
 
 @contextmanager
-def replacing_objects(place: ObjectPlace, token: bytes, *, overwrite: bool) -> Iterator[Callable[[], None]]:
+def replacing_objects(
+    place: ObjectPlace, token: bytes, *, overwrite: bool, identity: str | None = None
+) -> Iterator[Callable[[], None]]:
     """Create a store in an object store, where nothing can be renamed: a mark is written first, group metadata last.
 
-    The mark is this process's `token`; one that was left with the same token is gone on with. Yields the function that
-    checks it, to be called before the group's metadata is written: if it has changed, another process has begun to
-    write the same store.
+    The mark is this process's `token`; one that was left with the same token is gone on with: anew, or as `create` says
+    of a store of an `identity`. Yields the function that checks the mark, to be called before the group's metadata is
+    written: if it has changed, another process has begun to write the same store.
     """
     mark = place / UNFINISHED
 
@@ -322,22 +344,42 @@ def replacing_objects(place: ObjectPlace, token: bytes, *, overwrite: bool) -> I
             raise ProcessingError(f"{place} is also being written by somebody else; write each store only once")
 
     try:
-        _refuse_objects(place, overwrite=overwrite or holds(mark, token))
-        mark.write_bytes(token)
-        try:
-            _clear(place)
-            yield check_mark
-        except BaseException:
-            with suppress(OSError):
-                if holds(mark, token):
+        with nullcontext() if identity is None else _locked(place):
+            ours = holds(mark, token)
+            _refuse_objects(place, overwrite=overwrite or ours)
+            mark.write_bytes(token)
+            try:
+                if identity is None or not (ours and is_begun(place, identity)):
                     _clear(place)
-                    mark.remove()
-            raise
-        mark.remove()
+                yield check_mark
+            except BaseException as error:
+                with suppress(OSError):
+                    stays = identity is not None and not is_final(error) and is_begun(place, identity)
+                    if not stays and holds(mark, token):
+                        _clear(place)
+                        mark.remove()
+                raise
+            mark.remove()
     except (FileNotFoundError, PermissionError) as error:
         raise InputError(f"{place} cannot be written ({error.strerror}); check {ENVIRONMENT}") from error
     except OSError as error:
         raise ProcessingError(f"{place} cannot be written ({error.strerror or error})") from error
+
+
+@contextmanager
+def _locked(place: ObjectPlace) -> Iterator[None]:
+    """Keep others from what they could go on with as well.
+
+    Raises
+    ------
+    InputError
+        If another process writes there.
+    """
+    try:
+        with place_of(f"{str(place).rstrip('/')}{LOCK}").lock():
+            yield
+    except Held as owner:
+        raise InputError(f"{place} is being written by {owner}; wait for it, or choose another name") from None
 
 
 def _refuse_objects(place: ObjectPlace, *, overwrite: bool) -> None:
@@ -375,6 +417,7 @@ def create_phase_history(
     attrs: Mapping[str, Any] | None = None,
     overwrite: bool = False,
     fill: Callable[[Place], None] | None = None,
+    identity: str | None = None,
 ) -> None:
     """Create a phase history without its samples: `fill` writes those by region, in chunks of `TILE`.
 
@@ -383,14 +426,9 @@ def create_phase_history(
     Parameters
     ----------
     path : path
-    collection : Collection
-    raw : RawEcho, optional
-        For a raw echo, whose samples are `echo` over its fast_time.
-    channels : sequence of str
-        Names along a leading dimension of the samples; none by default.
-    attrs : dict
-        In addition to those of `collection` and `raw`: history, targets, scene, georeference ...
-    overwrite, fill
+    collection, raw, channels, attrs
+        As for `phase_history_group`.
+    overwrite, fill, identity
         As for `create`.
 
     Raises
@@ -399,38 +437,58 @@ def create_phase_history(
         As for `create`, and if the disk has no room for the samples that are filled in.
     """
     if fill is not None:
-        refuse_full(path, collection, max(len(channels), 1), raw=raw)
+        refuse_full(path, history_bytes(collection, max(len(channels), 1), raw), identity=identity)
+    group = phase_history_group(collection, raw=raw, channels=channels, attrs=attrs)
+    create(path, **group._asdict(), sizes={}, overwrite=overwrite, fill=fill, identity=identity)
+
+
+def phase_history_group(
+    collection: Collection,
+    *,
+    raw: RawEcho | None = None,
+    channels: Sequence[str] = (),
+    attrs: Mapping[str, Any] | None = None,
+) -> Group:
+    """A phase history, as a group of a store.
+
+    Parameters
+    ----------
+    collection : Collection
+    raw : RawEcho, optional
+        For a raw echo, whose samples are `echo` over its fast_time.
+    channels : sequence of str
+        Names along a leading dimension of the samples; none by default.
+    attrs : dict
+        In addition to those of `collection` and `raw`: history, targets, scene, georeference ...
+    """
     column, axis = ("range_frequency", collection.range_frequency) if raw is None else ("fast_time", raw.fast_time)
     schema, angles, variables = stated(collection, PHASE_HISTORY if raw is None else RAW_ECHO)
     named: dict[str, Any] = {}
     if channels:
         schema = with_channels(schema, "signal" if raw is None else "echo")
         named = {"channel": np.asarray(check_channels(channels), "T")}
-    create(
-        path,
-        schema,
-        sizes={},
-        coords={"time": collection.time, column: axis, **angles, **named},
-        variables=variables,
+    return Group(
+        schema=schema, coords={"time": collection.time, column: axis, **angles, **named}, variables=variables,
         attrs=_collection_attrs(collection, raw, attrs),
         chunks={"channel": 1, "pulse": TILE[0], column: TILE[1]},
-        overwrite=overwrite,
-        fill=fill,
-    )
+    )  # fmt: skip
 
 
-def refuse_full(
-    path: Location, collection: Collection, n_channel: int, other: str = "", *, raw: RawEcho | None = None
-) -> None:
-    """Check that the disk has room for a phase history; `other` is what else would make it fit.
+def refuse_full(path: Location, needed: int, other: str = "", *, identity: str | None = None) -> None:
+    """Check that the disk has room for so many bytes, once what killed processes have left there is removed.
+
+    `other` is what else would make them fit. What there is of a store of an `identity` stays, and is room as well.
 
     Raises
     ------
     InputError
         If it has not, with both figures.
     """
+    where = place_of(path)
     remedy = f"make room, choose another place, or {other}" if other else REMEDY
-    check_room(place_of(path), history_bytes(collection, n_channel, raw), remedy)
+    left = sweep_beside(where.path, spare=_beginning(identity)) if isinstance(where, LocalPlace) else []
+    there = sum(LocalPlace(Path(part)).taken() for part in left)
+    check_room(where, needed - there, remedy)
 
 
 def history_bytes(collection: Collection, n_channel: int, raw: RawEcho | None) -> int:

@@ -183,8 +183,9 @@ def test_several_in_one_store_are_named_where_one_is_needed(store: Path, tmp_pat
     with pytest.raises(InputError, match=r"holds 3 phase histories, and one is needed here; give one of them, such as"):
         blocksar.check(store)
     with pytest.raises(InputError, match="exists"):
-        stores.create_collections(store, ["a"], origin="x", overwrite=False, fill=lambda place: None)
-    stores.create_collections(tmp_path / "odd.zarr", ["../a"], origin="x", overwrite=False, fill=lambda place: None)
+        stores.create_collections(store, {}, origin="x", overwrite=False, fill=lambda place: None)
+    odd = {"../a": stores.Group({}, {}, {}, {})}
+    stores.create_collections(tmp_path / "odd.zarr", odd, origin="x", overwrite=False, fill=lambda place: None)
     with pytest.raises(InputError, match="attribute collections that is no list of names; correct it"):
         blocksar.plan(tmp_path / "odd.zarr")
 

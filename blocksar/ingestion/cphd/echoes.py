@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import BinaryIO
 
 import numpy as np
@@ -79,9 +79,9 @@ class Reader:
         Pulses that are given as missing, beside those that have no vector.
     """
 
-    def __init__(self, echoes: Echoes, stream: BinaryIO) -> None:
+    def __init__(self, echoes: Echoes, stream: BinaryIO, notes: BoolArray) -> None:
         self._echoes, self._stream = echoes, stream
-        self.seen, self.empty, self.broken = np.zeros((3, echoes.file.shape[0]), np.bool_)
+        self.seen, self.empty, self.broken = notes
         self.missing = np.zeros(echoes.pulses.vector.size, np.bool_)
         self._some: dict[int, ComplexArray] = {}  # vectors that tell the sign, delays after the SRP
 
@@ -104,9 +104,11 @@ class Reader:
         block[self.missing[pulses]] = np.nan
         return block
 
-    def stored(self, cut: Cut | None) -> Callable[[slice], ComplexArray]:
-        """A function that gives some of the pulses that are stored."""
-        return self.read if cut is None else cut.reader(self.read, self._echoes.resampler.frequency)
+    def stored(self, cut: Cut | None, pulses: slice) -> ComplexArray:
+        """Samples of some of the pulses that are stored."""
+        read = self.read if cut is None else cut.reader(self.read, self._echoes.resampler.frequency)
+        with reading_file(self._echoes.file.path):
+            return read(pulses)
 
     def _read_in_parts(self, vectors: IntArray) -> ComplexArray:
         out = np.empty((vectors.size, self._echoes.resampler.frequency.size), np.complex64)
@@ -127,12 +129,15 @@ class Reader:
         if file.sign > 0:
             np.conjugate(read, out=read)
         out = resampler.apply(read, rows)
-        every = -(-file.shape[0] // MOST_ROWS)
-        self._some |= {int(rows[k]): out[k].copy() for k in np.flatnonzero(rows % every == 0)}
+        self._some |= {int(rows[k]): out[k].copy() for k in np.flatnonzero(self._tells_sign(rows))}
         middle = self._echoes.delays.middle[rows]
         if not middle.any():
             return out
         return (out * phasor(resampler.frequency_of(rows) * middle[:, None])).astype(np.complex64)
+
+    def _tells_sign(self, vectors: IntArray) -> BoolArray:
+        """Which of some vectors are those that tell the sign."""
+        return np.asarray(vectors % -(-self._echoes.file.shape[0] // MOST_ROWS) == 0)
 
     def lost(self) -> tuple[BoolArray, list[Lost]]:
         """The pulses that are missing by what all of their samples are, and the vectors that are lost, by reason."""
@@ -152,11 +157,14 @@ class Reader:
 
     def sign(self) -> WindowEnergy | None:
         """Where the energy of the vectors read lies; None in the domain TOA, whose delays have no sign."""
-        file, rows = self._echoes.file, np.array(sorted(self._some))
+        file = self._echoes.file
+        rows = np.flatnonzero(self.seen & self._tells_sign(np.arange(file.shape[0])))
         if file.domain == "TOA" or not rows.size:
             return None
+        for row in set(rows.tolist()) - self._some.keys():  # read by an ingestion that ended early
+            self._read_vectors(np.array([row]))
         near, far = (SPEED_OF_LIGHT / 2 * file.parameter(name, rows) for name in ("TOA1", "TOA2"))
-        signal = np.stack([self._some[row] for row in rows])
+        signal = np.stack([self._some[row] for row in rows.tolist()])
         step = self._echoes.collection.range_frequency_step
         return energy_in_window(signal, frequency_step=step, near=near, far=far)
 
@@ -170,28 +178,35 @@ class Found:
     sign: WindowEnergy | None  # see `signs`
 
 
-def read_samples(channels: Sequence[Echoes], found: list[Found]) -> Iterator[Piece]:
+def notes_of(echoes: Echoes) -> BoolArray:
+    """What a `Reader` keeps in mind of vectors, before any is read: seen, empty and broken ones."""
+    return np.zeros((3, echoes.file.shape[0]), np.bool_)
+
+
+def read_samples(channels: Sequence[Echoes], notes: Sequence[BoolArray], found: list[Found]) -> Iterator[Piece]:
     """Read the samples of channels, one block of pulses at a time; lost pulses are missing.
 
-    Blocks that change with what is known of lost pulses at the end are given again. What is found is added to a list.
+    Blocks that change with what is known of lost pulses at the end are given again. Notes, an array a channel, are
+    filled in place. What is found is added to a list.
     """
     stored = channels[0].stored
     blocks = [slice(first, min(first + ROWS, stored.n_pulse)) for first in range(0, stored.n_pulse, ROWS)]
     for number, echoes in enumerate(channels):
-        with reading_file(echoes.file.path), echoes.file.path.open() as stream:
-            reader = Reader(echoes, stream)
-            read = reader.stored(echoes.cut)
+        with echoes.file.path.open() as stream:
+            reader = Reader(echoes, stream, notes[number])
             for pulses in blocks:
-                yield Piece(number, pulses, read(pulses))
-            reader.missing, lost = reader.lost()
+                yield Piece(number, pulses, partial(reader.stored, echoes.cut, pulses))
+            with reading_file(echoes.file.path):
+                reader.missing, lost = reader.lost()
             if reader.missing.any():
                 cut = echoes.cut_without(reader.missing)
-                affected, read = _affected(reader.missing, cut), reader.stored(cut)
+                affected = _affected(reader.missing, cut)
                 for pulses in blocks:
                     if affected[pulses].any():
-                        yield Piece(number, pulses, read(pulses))
-        missing = int(np.count_nonzero(reader.missing & (echoes.pulses.vector >= 0)))
-        found.append(Found(lost=lost, missing=missing, sign=reader.sign()))
+                        yield Piece(number, pulses, partial(reader.stored, cut, pulses))
+            missing = int(np.count_nonzero(reader.missing & (echoes.pulses.vector >= 0)))
+            with reading_file(echoes.file.path):
+                found.append(Found(lost=lost, missing=missing, sign=reader.sign()))
 
 
 def _affected(missing: BoolArray, cut: Cut | None) -> BoolArray:

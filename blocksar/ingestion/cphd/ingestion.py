@@ -26,7 +26,7 @@ from blocksar.ingestion.cphd.areas import ImageArea, ecef_of, read_area
 from blocksar.ingestion.cphd.beams import fit_beam
 from blocksar.ingestion.cphd.channels import check_same_geometry, names_of, open_channels
 from blocksar.ingestion.cphd.choices import Choices
-from blocksar.ingestion.cphd.echoes import Echoes, Found, read_samples
+from blocksar.ingestion.cphd.echoes import Echoes, Found, notes_of, read_samples
 from blocksar.ingestion.cphd.files import CphdFile, library, numbers_of, open_file, opened, reading_file
 from blocksar.ingestion.cphd.samples import (
     Delays,
@@ -94,6 +94,8 @@ def begin(source: Location, choices: Choices) -> Reading:
         prepared = [prepare(file, choices) for file in open_channels(stream, where, choices.channel)]
         names, attributes, notes = _combined(prepared)
     found: list[Found] = []
+    echoes = [each.echoes for each in prepared]
+    noted = [notes_of(each) for each in echoes]
 
     def messages() -> list[str]:
         told = [each.messages(some, choices) for each, some in zip(prepared, found, strict=True)]
@@ -102,8 +104,8 @@ def begin(source: Location, choices: Choices) -> Reading:
         return [*notes[:1], *first, *more, *notes[1:]]
 
     return Reading(
-        collection=prepared[0].collection, pieces=lambda: read_samples([each.echoes for each in prepared], found),
-        attributes=attributes, messages=messages, channels=names, parts=PARTS,
+        collection=prepared[0].collection, pieces=lambda: read_samples(echoes, noted, found), attributes=attributes,
+        messages=messages, channels=names, parts=PARTS, notes={str(k): notes for k, notes in enumerate(noted)},
     )  # fmt: skip
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
@@ -47,7 +47,7 @@ def opened(path: Readable) -> Iterator[tuple[Any, Any]]:
             yield stream, sarkit.crsd.Reader(stream)
 
 
-def begin(path: Readable, options: CrsdOptions) -> Strip:
+def begin(files: Sequence[Readable], options: CrsdOptions) -> Strip:
     """Read all but the samples.
 
     Raises
@@ -55,6 +55,7 @@ def begin(path: Readable, options: CrsdOptions) -> Strip:
     InputError
         If the file is damaged, not supported or contradicts itself.
     """
+    [path] = files
     with opened(path) as (stream, reader), np.errstate(all="ignore"):
         return _Layout(path, stream, reader, options).strip()
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -478,7 +479,7 @@ def _pieces(layout: _Layout) -> Iterator[Piece]:
         loaded: dict[int, ComplexArray] = {}
         for first in range(0, n, TILE[0]):
             pulses = slice(first, min(first + TILE[0], n))
-            yield Piece(number, pulses, _rows(layout, joined, pulses, loaded))
+            yield Piece(number, pulses, partial(_rows, layout, joined, pulses, loaded))
 
 
 def _rows(layout: _Layout, joined: Joined, rows: slice, loaded: dict[int, ComplexArray]) -> ComplexArray:

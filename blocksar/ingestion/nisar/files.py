@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -51,7 +51,7 @@ def opened(path: Readable) -> Iterator[Any]:
             raise ValueError(str(error)) from error  # the library's own: a file that is cut
 
 
-def begin(path: Readable, options: NisarOptions) -> Strip:
+def begin(files: Sequence[Readable], options: NisarOptions) -> Strip:
     """Read all but the samples.
 
     Raises
@@ -59,6 +59,7 @@ def begin(path: Readable, options: NisarOptions) -> Strip:
     InputError
         If the file is damaged, not supported or contradicts itself.
     """
+    [path] = files
     with opened(path) as file:
         return _Layout(path, file, options).strip().taking(options.time_tags)
 

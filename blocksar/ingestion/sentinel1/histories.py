@@ -20,7 +20,7 @@ along the track is that of an evenly lit aperture as long as the antenna, sinc^2
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, BinaryIO
@@ -192,10 +192,15 @@ class BurstHistory:
         shift = (burst.delay - burst.samples[0] + frequency / burst.radar.ramp) * burst.radar.rate
         resampling = Resampling.of(self.doppler, self.late, burst.interval)
         rows = max(AT_ONCE // (16 * int(burst.packets.quads.max())), 1)
-        with reading(self.file.where, damaged=DAMAGED, remedy=REMEDY), self.file.where.open() as file:
+        with self.file.where.open() as file:
+            read = partial(self._read, file, shift)
             for first in range(0, burst.n_slot, rows):
                 pulses = slice(first, min(first + rows, burst.n_slot))
-                yield Piece(0, pulses, resampling.apply(partial(self._read, file, shift), pulses))
+                yield Piece(0, pulses, partial(self._resampled, resampling, read, pulses))
+
+    def _resampled(self, resampling: Resampling, read: Callable[[slice], ComplexArray], pulses: slice) -> ComplexArray:
+        with reading(self.file.where, damaged=DAMAGED, remedy=REMEDY):
+            return resampling.apply(read, pulses)
 
     def _read(self, file: BinaryIO, shift: FloatArray, pulses: slice) -> ComplexArray:
         """Samples of some slots, NaN where one is lost."""

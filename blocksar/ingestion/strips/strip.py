@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -30,16 +30,16 @@ from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.georeference import Georeference, find_scene_centre
 from blocksar.collection.raw_echo import RawEcho
-from blocksar.constants import MIB, SPEED_OF_LIGHT
+from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, printable
 from blocksar.ingestion.atmosphere import delay_words, slant_delay
 from blocksar.ingestion.readers import Piece, Reading
 from blocksar.ingestion.strips.options import PartOptions, TimeTags
 from blocksar.ingestion.strips.orbit import Antenna, Orbit, Track
 from blocksar.ingestion.strips.pulses import Even
+from blocksar.stores import blocks_of
 
 PARTS = "--pulses, --polarization"
-AT_ONCE = 64 * MIB  # bytes of samples
 HALF_POWER = 0.886  # wavelengths over length: width of an evenly lit antenna's beam
 BAND_OF_PRF = 0.8  # of the PRF, that the Doppler band of a beam of unknown width fills
 TILTED = np.radians(10.0)  # an antenna's axis that lies farther off the track is none
@@ -284,16 +284,18 @@ def _polarization(text: str) -> dict[str, str]:
 
 
 def _pieces(strip: Strip) -> Iterator[Piece]:
-    n, columns = strip.even.time.size, strip.delay.size
-    rows = max(AT_ONCE // (8 * columns), 1)
     for channel in range(len(strip.polarizations)):
-        for first in range(0, n, rows):
-            pulses = slice(first, min(first + rows, n))
-            samples = np.full((pulses.stop - first, columns), np.nan, np.complex64)
-            slots, taken = strip.even.part(first, pulses.stop)
-            if taken.size:
-                samples[slots] = strip.read(channel, taken)
-            yield Piece(channel, pulses, samples)
+        for pulses in blocks_of(strip.even.time.size, strip.delay.size):
+            yield Piece(channel, pulses, partial(_read, strip, channel, pulses))
+
+
+def _read(strip: Strip, channel: int, pulses: slice) -> ComplexArray:
+    """Samples of some slots, NaN where one is lost."""
+    samples = np.full((pulses.stop - pulses.start, strip.delay.size), np.nan, np.complex64)
+    slots, taken = strip.even.part(pulses.start, pulses.stop)
+    if taken.size:
+        samples[slots] = strip.read(channel, taken)
+    return samples
 
 
 def common_window(first: IntArray, stop: IntArray, most: int) -> tuple[slice, str | None]:

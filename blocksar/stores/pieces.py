@@ -1,0 +1,265 @@
+"""Samples of phase histories, written a piece at a time; what a process that ended early has written is gone on with.
+
+Until a store is finished it has a ledger: what it is made from (its *identity*), and which pieces are written, in their
+order, with checksums. Whoever writes a store of the same identity passes over those pieces that are intact.
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cache, partial
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from blocksar.arrays import ComplexArray
+from blocksar.chunks import SAMPLE, TILE
+from blocksar.constants import MIB
+from blocksar.errors import InputError
+from blocksar.places.place import Place
+from blocksar.progress.listening import Callback
+from blocksar.stores.records import checksum, read_json, write_json
+from blocksar.stores.regions import read_region, write_region
+
+LEDGER = ".written.json"  # in an unfinished store
+AT_ONCE = 64 * MIB  # bytes of samples, about
+ROWS = TILE[0]  # pulses in a chunk
+
+
+class Piece(NamedTuple):
+    """Samples of some pulses of a channel: (n_pulse, n_column) complex64, NaN where a pulse is missing.
+
+    `samples` may be a function that reads them, which is called unless they are in the store already.
+    """
+
+    channel: int
+    pulses: slice
+    samples: ComplexArray | Callable[[], ComplexArray]
+
+
+class Samples(NamedTuple):
+    """The samples of a phase history.
+
+    Attributes
+    ----------
+    variable : str
+    n_pulse, n_channel : int
+        0 channels: there is no such dimension.
+    pieces : callable ()
+        Begins to give them, channel after channel, from pulse to pulse; whole chunks may be given again. The same
+        pieces come in the same order each time.
+    notes : mapping of str to array
+        What is noted in place of the samples that were read, and pieces that follow depend on: kept in the ledger, and
+        put back where it is gone on with.
+    group : str
+        In the store; empty: the store itself.
+    """
+
+    variable: str
+    n_pulse: int
+    n_channel: int
+    pieces: Callable[[], Iterable[Piece]]
+    notes: Mapping[str, NDArray[Any]] = {}
+    group: str = ""
+
+    @property
+    def total(self) -> int:
+        """Pulses of all channels."""
+        return self.n_pulse * max(self.n_channel, 1)
+
+    def within(self, store: Place) -> Place:
+        return store / self.group if self.group else store
+
+    def region(self, channel: int, first: int, stop: int) -> tuple[slice, ...]:
+        lead = (slice(channel, channel + 1),) if self.n_channel else ()
+        return (*lead, slice(first, stop), slice(None))
+
+
+class _Written(NamedTuple):
+    """A piece in the store: of which samples, its channel and pulses, and the checksums of its chunks of pulses."""
+
+    of: int
+    channel: int
+    first: int
+    stop: int
+    sums: list[str]
+
+    @property
+    def chunks(self) -> Iterator[tuple[tuple[int, int, int], str]]:
+        """The chunks of pulses, each with its checksum."""
+        for first, value in zip(range(self.first, self.stop, ROWS), self.sums, strict=True):
+            yield (self.of, self.channel, first), value
+
+
+class Ledger:
+    """What is written of an unfinished store."""
+
+    def __init__(self, store: Place, identity: str, samples: Sequence[Samples], written: list[_Written]) -> None:
+        self.store, self.identity, self.samples, self.written = store, identity, samples, written
+
+    @classmethod
+    def begin(cls, store: Place, identity: str, samples: Sequence[Samples]) -> Self:
+        """Begin the ledger of a store, or go on with it as far as what it says is true."""
+        told, written = ledger_of(store), []
+        if told is not None and told.get("identity") == identity:
+            try:
+                written = [_Written(*entry) for entry in told["written"]]
+                for each, notes in zip(samples, told["notes"], strict=True):
+                    for name, values in each.notes.items():
+                        data = zlib.decompress(base64.b64decode(notes[name]))
+                        values[...] = np.frombuffer(data, values.dtype).reshape(values.shape)
+            except (KeyError, TypeError, ValueError, zlib.error):
+                written = []
+        ledger = cls(store, identity, samples, written)
+        del written[ledger._intact() :]
+        ledger._save()
+        return ledger
+
+    def _intact(self) -> int:
+        """How many pieces, from the first on, are in the store with the checksums that they were last given."""
+        last = {chunk: value for entry in self.written for chunk, value in entry.chunks}
+        for number, entry in enumerate(self.written):
+            each = self.samples[entry.of]
+            region = each.region(entry.channel, entry.first, entry.stop)
+            try:
+                values = read_region(each.within(self.store), each.variable, region, cached=False)
+            except InputError:
+                return number
+            sums = _sums(values[0] if each.n_channel else values)
+            if sums != [last[chunk] for chunk, _ in entry.chunks]:
+                return number
+        return len(self.written)
+
+    def has(self, number: int, of: int, piece: Piece) -> bool:
+        """Whether a piece is written; if another has its number, that and all after it are not."""
+        if number >= len(self.written):
+            return False
+        same = self.written[number][:4] == (of, piece.channel, piece.pulses.start, piece.pulses.stop)
+        if not same:
+            del self.written[number:]
+        return same
+
+    def add(self, of: int, piece: Piece, values: ComplexArray) -> None:
+        """Note a piece that has been written."""
+        entry = _Written(of, piece.channel, piece.pulses.start, piece.pulses.stop, _sums(values))
+        self.written.append(entry)
+        self._save()
+
+    def _save(self) -> None:
+        notes = [
+            {name: base64.b64encode(zlib.compress(values.tobytes(), 1)).decode() for name, values in each.notes.items()}
+            for each in self.samples
+        ]
+        write_json(
+            self.store / LEDGER, {"identity": self.identity, "written": [*map(list, self.written)], "notes": notes}
+        )
+
+
+def ledger_of(store: Place) -> dict[str, Any] | None:
+    """What the ledger of an unfinished store says; None if there is none."""
+    try:
+        told = read_json(store / LEDGER)
+    except InputError:
+        return None
+    return told if isinstance(told, dict) else None
+
+
+def is_begun(store: Place, identity: str) -> bool:
+    """Whether a store is the beginning of one of this identity."""
+    told = ledger_of(store)
+    return told is not None and told.get("identity") == identity
+
+
+def _sums(values: ComplexArray) -> list[str]:
+    """Checksums of samples by chunks of pulses, as they are stored."""
+    values = values.astype(np.complex64, copy=False)
+    return [checksum(values[first : first + ROWS]) for first in range(0, len(values), ROWS)]
+
+
+def write_pieces(store: Place, samples: Sequence[Samples], *, identity: str, progress: Callback | None = None) -> int:
+    """Write samples to a store that `create` has begun with the same identity.
+
+    Parameters
+    ----------
+    store : Place
+        What `fill` of `create` receives.
+    samples : sequence of Samples
+    identity : str
+        Hash of all that the samples depend on.
+    progress : callable (done, total)
+        Told numbers of pulses: first those that were there, then after each piece.
+
+    Returns
+    -------
+    int
+        Number of pulses that were there.
+
+    Raises
+    ------
+    ProcessingError
+        If it cannot be written.
+    """
+    ledger = Ledger.begin(store, identity, samples)
+    before, done, number, total = 0, 0, 0, sum(each.total for each in samples)
+    there: int | None = None
+    tell = progress or (lambda done, total: None)
+    for of, each in enumerate(samples):
+        for piece in _by_chunks(each.pieces(), each.n_pulse):
+            now = before + piece.channel * each.n_pulse + piece.pulses.stop
+            if not ledger.has(number, of, piece):
+                if there is None:
+                    there = done
+                    tell(done, total)
+                values = _read(piece)
+                region = each.region(piece.channel, piece.pulses.start, piece.pulses.stop)
+                write_region(each.within(store), each.variable, region, values[None] if each.n_channel else values)
+                ledger.add(of, piece, values)
+                if now > done:
+                    tell(now, total)
+            done, number = max(done, now), number + 1
+        before += each.total
+    if there is None:
+        tell(done, total)
+    return done if there is None else there
+
+
+def _read(piece: Piece) -> ComplexArray:
+    return piece.samples() if callable(piece.samples) else piece.samples
+
+
+def blocks_of(n_pulse: int, n_column: int) -> list[slice]:
+    """Pulses in blocks of whole chunks, each of about `AT_ONCE` bytes of samples.
+
+    Examples
+    --------
+    >>> blocks_of(1200, 8192)
+    [slice(0, 1024, None), slice(1024, 1200, None)]
+    """
+    rows = max(AT_ONCE // (SAMPLE * n_column * ROWS), 1) * ROWS
+    return [slice(first, min(first + rows, n_pulse)) for first in range(0, n_pulse, rows)]
+
+
+def _by_chunks(pieces: Iterable[Piece], n_pulse: int) -> Iterator[Piece]:
+    """Cut pieces so that they end where chunks of the store do; none is read before it is asked for."""
+    parts: list[Piece] = []  # those that are not given yet
+    for piece in pieces:
+        parts.append(piece._replace(samples=cache(partial(_read, piece))))
+        first, last = parts[0].pulses.start, piece.pulses.stop
+        whole = last if last == n_pulse else max(last - last % ROWS, first)
+        if whole > first:
+            yield Piece(piece.channel, slice(first, whole), partial(_joined, parts, whole))
+            rest = parts[-1]._replace(pulses=slice(whole, last), samples=partial(_end, parts[-1], last - whole))
+            parts = [rest] if last > whole else []
+
+
+def _joined(parts: Sequence[Piece], stop: int) -> ComplexArray:
+    """The samples of parts that follow each other, to before a pulse."""
+    read = [_read(part)[: stop - part.pulses.start] for part in parts]
+    return read[0] if len(read) == 1 else np.concatenate(read)
+
+
+def _end(piece: Piece, count: int) -> ComplexArray:
+    return _read(piece)[-count:]
