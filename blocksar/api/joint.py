@@ -2,8 +2,9 @@
 
 RUN/channels/NAME is the run of a channel, as it would be alone: one geometry gives all of them one plan, and so pixels
 at the same places to the last bit. RUN/looks/NAME is that of a look, a part of each target's dwell (`collection.
-sublooks`). RUN/image.zarr has their images, and the noise of these, as (channel, y, x) or (look, y, x), in files that
-are shared with the members' own images where the file system has links. RUN/run.json is the record of the whole.
+sublooks`). RUN/image.zarr has their images, and the noise and pyramids of these, as (channel, y, x) or (look, y, x), in
+files that are shared with the members' own images where the file system has links. RUN/run.json is the record of the
+whole.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
 
 Focus = Callable[..., RunReport]
 OWN = ("image", "noise_equivalent")  # of each channel or look
-# Attributes of a member's image that are not those of all: also those of its pyramid.
+# Attributes of a member's image that are not those of all: also those of its pyramid, as the whole has its own.
 NOT_SHARED = ("warnings", "run", "channel", "look", "multiscales", "zarr_conventions")
 SAME = ("block", "collection", *stores.ON_TERRAIN)  # those of the first
 
@@ -340,11 +341,16 @@ def _join(
     x, y = (stores.read_region(first / "image.zarr", name, (slice(None),)) for name in ("x", "y"))
     own = [name for name in OWN if all((path / "image.zarr" / name).exists() for path in members.values())]
     same = [name for name in SAME if (first / "image.zarr" / name).exists()]
-    schema = {
+    schema = stores.with_channels({
         name: {**stores.IMAGE, **stores.COLLECTION_NUMBER, **stores.NOISE, **stores.ON_TERRAIN}[name]
         for name in (*own, *same, "x", "y")
-    }
+    }, *own, dimension=dimension)  # fmt: skip
     side = stores.chunk_shape(first / "image.zarr", "image")
+    attrs, wkt = _attributes(first)
+    pyramid, levels = stores.Pyramid({}, {}), len(stores.level_shapes((y.size, x.size)))
+    if levels and all(stores.levels_of(path / "image.zarr") == levels for path in members.values()):
+        pyramid = stores.pyramid_of(x, y, wkt, members=tuple(members), dimension=dimension)
+        own += map(stores.level_name, range(1, levels + 1))
     written: dict[str, list[Written]] = {name: [] for name in members}
 
     def fill(made: Place) -> None:
@@ -355,9 +361,9 @@ def _join(
                     written[name].append(share_chunk(path / "image.zarr", made, part, lead))
 
     stores.create(
-        image, stores.with_channels(schema, *own, dimension=dimension), sizes={},
-        coords={"x": x, "y": y, dimension: np.asarray(list(members), "T")},
-        attrs=_attributes(first), chunks={dimension: 1, "y": side[0], "x": side[1]}, overwrite=True, fill=fill,
+        image, schema, sizes={}, coords={"x": x, "y": y, dimension: np.asarray(list(members), "T")},
+        attrs=attrs | pyramid.attrs, chunks={dimension: 1, "y": side[0], "x": side[1]}, overwrite=True, fill=fill,
+        groups=pyramid.groups,
     )  # fmt: skip
     identity = _identity(records)
     base = next(iter(records.values()))
@@ -391,7 +397,8 @@ def share_chunk(source: Place, image: Place, part: Written, lead: tuple[slice, .
     return replace(part, region=(*((s.start, s.stop) for s in lead), *part.region))
 
 
-def _attributes(member: Place) -> dict[str, Any]:
-    """Attributes of a channel's image that hold for all channels."""
+def _attributes(member: Place) -> tuple[dict[str, Any], str | None]:
+    """Attributes of a channel's image that hold for all channels, and the map projection that its pyramid states."""
     attrs = dict(stores.open_dataset(member / "image.zarr").attrs)
-    return {name: value for name, value in attrs.items() if name not in NOT_SHARED and ":" not in name}
+    shared = {name: value for name, value in attrs.items() if name not in NOT_SHARED and ":" not in name}
+    return shared, attrs.get("proj:wkt2")

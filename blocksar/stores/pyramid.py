@@ -18,6 +18,7 @@ import numpy as np
 from blocksar.arrays import FloatArray
 from blocksar.chunks import IMAGE_CHUNK
 from blocksar.places.place import Place
+from blocksar.stores.channels import with_channels
 from blocksar.stores.creation import Group
 from blocksar.stores.schema import LEVEL
 
@@ -68,8 +69,15 @@ class Pyramid(NamedTuple):
     attrs: dict[str, Any]
 
 
-def pyramid_of(x: FloatArray, y: FloatArray, wkt: str | None) -> Pyramid:
-    """The pyramid of an image over x and y, m; `wkt` is its coordinate reference system, in WKT 2, if known."""
+def pyramid_of(
+    x: FloatArray, y: FloatArray, wkt: str | None, *, members: Sequence[str] = (), dimension: str = "channel"
+) -> Pyramid:
+    """The pyramid of an image over x and y, m; `wkt` is its coordinate reference system, in WKT 2, if known.
+
+    Of several channels or looks, the `members`, levels have that leading dimension, as their image has.
+    """
+    schema = with_channels(LEVEL, "power", dimension=dimension) if members else LEVEL
+    named, lead = ({dimension: np.asarray(members, "T")}, {dimension: 1}) if members else ({}, {})
     shapes = level_shapes((y.size, x.size))
     names = ["multiscales", "spatial", *(["proj"] if wkt else [])]
     shared = {"spatial:dimensions": ["y", "x"], **({"proj:wkt2": wkt} if wkt else {})}
@@ -87,7 +95,7 @@ def pyramid_of(x: FloatArray, y: FloatArray, wkt: str | None) -> Pyramid:
         # A chunk of the first level is that of a single chunk of the image.
         sides = [min(n, IMAGE_CHUNK) for n in ((y.size, x.size) if level == 1 else (n_y, n_x))]
         chunks = dict(zip("yx", [-(-n // 2) for n in sides] if level == 1 else sides, strict=True))
-        groups[f"{PYRAMID}/{level}"] = Group(LEVEL, axes, attrs, chunks)
+        groups[f"{PYRAMID}/{level}"] = Group(schema, axes | named, attrs, lead | chunks)
     return Pyramid(groups, {**_declared(names), **shared, "multiscales": _multiscales(whole)})
 
 

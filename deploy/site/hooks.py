@@ -1,4 +1,4 @@
-"""Gather the pages of the documentation site: README.md pages beside the code, and scene files from their model.
+"""Gather the pages of the site: README.md pages beside the code, notebooks as stored, and scene files from their model.
 
 MkDocs calls `on_files` and `on_page_markdown`. Pages keep their paths in the repository, so that their links work on
 the site as they do there.
@@ -6,6 +6,8 @@ the site as they do there.
 
 from __future__ import annotations
 
+import base64
+import json
 import os
 import re
 import sys
@@ -24,6 +26,7 @@ sys.path.insert(0, str(ROOT))  # scene files are those of this repository, whate
 
 FOLDERS = ("blocksar", "workflows", "deploy", "tests")
 ALSO = ("README.md", "CHANGELOG.md", "LICENSE")
+GALLERY = "workflows/gallery"
 PAGES = ("README.md", ".png")  # ends of the names of files that are gathered
 
 
@@ -32,12 +35,25 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for path in gathered():
         name = path.relative_to(ROOT).as_posix()
         files.append(File.generated(config, name, abs_src_path=str(path)))
+    for path in sorted((ROOT / GALLERY).glob("*.ipynb")):
+        text, pictures = notebook(path)
+        files.append(File.generated(config, f"{GALLERY}/{path.stem}.md", content=text))
+        for name, picture in pictures.items():
+            files.append(File.generated(config, f"{GALLERY}/{name}", content=picture))
     files.append(File.generated(config, "scene-files.md", content=scene_files()))
     return files
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    r"""Write `a|b` in code for `a\|b`, which GitHub needs in tables and Python-Markdown shows with its backslash."""
+    r"""Write for this site what GitHub needs otherwise.
+
+    `a\|b` in code, for tables, which Python-Markdown would show with its backslash; links to notebooks, each of which
+    is a page here, and whose last picture follows a heading that links to it.
+    """
+    markdown = re.sub(
+        r"^(## .*\]\((\w+)\.ipynb\))$", r"\1\n\n![last picture of the notebook](\2.png)", markdown, flags=re.M
+    )
+    markdown = re.sub(r"\]\(([\w/.]+)\.ipynb\)", r"](\1.md)", markdown)
     return re.sub(r"`[^`\n]*`", lambda span: span[0].replace(r"\|", "|"), markdown)
 
 
@@ -48,6 +64,26 @@ def gathered() -> Iterator[Path]:
         for root, folders, names in os.walk(ROOT / folder):
             folders[:] = sorted(name for name in folders if not name.startswith((".", "__")))
             yield from (Path(root, name) for name in sorted(names) if name.endswith(PAGES))
+
+
+def notebook(path: Path) -> tuple[str, dict[str, bytes]]:
+    """A notebook as a page with its stored outputs, and the pictures by their names; the last has the notebook's."""
+    parts: list[str] = []
+    drawn: list[bytes] = []
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        text = "".join(cell["source"])
+        parts.append(text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```")
+        for output in cell.get("outputs", []):
+            shown = output.get("data", {"text/plain": output.get("text", [])})
+            if "image/png" in shown:
+                drawn.append(base64.b64decode(shown["image/png"]))
+                parts.append(f"![what the cell draws]({path.stem}-{len(drawn)}.png)")
+            elif "text/html" in shown:
+                parts.append("".join(shown["text/html"]))
+            else:
+                parts.append(f"```text\n{''.join(shown['text/plain'])}\n```")
+    pictures = {f"{path.stem}-{number}.png": picture for number, picture in enumerate(drawn, 1)}
+    return "\n\n".join(parts) + "\n", pictures | {f"{path.stem}.png": picture for picture in drawn}
 
 
 def scene_files() -> str:

@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
+import itertools
 import shlex
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
-from passes import CARRIER, GRID, Points, clutter, flight, fly, focus, points, together
+from bursts import CENTRE, SLANT, STEP, ground, write_bursts
+from passes import CARRIER, GRID, N, Points, clutter, flight, fly, focus, points, together
 
 import blocksar
+from blocksar import stores
+from blocksar.collection.beam import lit_interval
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.terrain import Terrain
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.measurement.interferometry import Sight, over_window, vertical_wavenumber
 from blocksar.places import place
 from blocksar.products.pair.pair import Pair
 from blocksar.runs.finished import FinishedRun
+from blocksar.stores.terrain import write_terrain
 
 UP = (2.0, 1.5, 5.0)  # m, by which the second pass lies apart: 4.6 m of it across the line of sight
 WAVELENGTH = SPEED_OF_LIGHT / CARRIER
@@ -78,6 +85,74 @@ def test_height_turns_the_phase_by_the_vertical_wavenumber(passes: Any, tmp_path
         assert np.angle(np.exp(1j * (phase - expected))) == pytest.approx(0.0, abs=0.05)
         assert abs(expected) > 0.3 or height == 0
     assert report.result["vertical_wavenumber"] == pytest.approx(float(pair.vertical_wavenumber[60, 67]), rel=1e-2)
+
+
+def turned(
+    point: tuple[float, float, float], pixel: tuple[float, float, float], antennas: Sequence[Any], wavelength: float
+) -> float:
+    """Phase of a conj(b) in the pixel of a ground point that shows a point: 4 pi / wavelength times the ranges."""
+    a, b = (np.linalg.norm(np.subtract(point, at)) - np.linalg.norm(np.subtract(pixel, at)) for at in antennas)
+    return float(4 * np.pi / wavelength * (b - a))
+
+
+def test_on_terrain_only_height_over_it_turns_the_phase(tmp_path: Path) -> None:
+    """On a plane at the hill's foot the points at its top would turn by several rad."""
+    axis, hill = np.arange(-64.0, 65.0, 2.0), tmp_path / "hill.zarr"
+
+    def height(x: Any, y: Any) -> Any:
+        return 20 * np.exp(-(x**2 + y**2) / 2 / 40**2)
+
+    write_terrain(place(hill), Terrain(x0=-64.0, dx=2.0, y0=-64.0, dy=2.0, heights=height(axis, axis[:, None])))
+    over = {(-18.0, -12.0): 0.0, (4.0, 3.0): 0.0, (20.0, -14.0): 0.0, (-10.0, 18.0): 1.5}
+    scene = points(*((x, y, height(x, y) + h) for (x, y), h in over.items()))
+    a, b = (focus(fly(scene, up), tmp_path / f"{up[2]}", terrain=hill) for up in ((0.0, 0.0, 0.0), UP))
+    blocksar.compare(a, b, tmp_path / "pair", window="3x3", progress=False)
+    pair, image = xr.open_zarr(tmp_path / "pair" / "pair.zarr"), blocksar.open(a)
+    antennas = [flight(up).antenna_position[N // 2] for up in ((0.0, 0.0, 0.0), UP)]
+    for (x, y), h in over.items():
+        row, column = peak(image.image, x, y)
+        pixel = float(image.x[column]), float(image.y[row]), float(image.height[row, column])
+        expected = turned((x, y, height(x, y) + h), pixel, antennas, WAVELENGTH)
+        phase = float(np.angle(pair.interferogram.values[row, column]))
+        assert np.angle(np.exp(1j * (phase - expected))) == pytest.approx(0.0, abs=0.05)
+        assert abs(expected) < 0.1 if h == 0 else abs(expected) > 0.5
+
+
+def test_mosaics_of_bursts_are_compared_with_the_track_of_each(tmp_path: Path) -> None:
+    """A wrong burst's antenna would be off by hundreds of metres; raised targets turn, those on the ground do not."""
+    offset = (6.0, 5.0, 15.0)
+    raised = {"P1": 4.0, "P3": -3.0}
+    yaws = [CENTRE - STEP, CENTRE - 0.75 * STEP, CENTRE, CENTRE - 0.25 * STEP]
+    places = [ground(SLANT + 40 * (-1) ** i, yaw) for i, yaw in enumerate(yaws)]
+    grid = tuple((min(axis) - 60, max(axis) + 60, 3.0) for axis in zip(*places, strict=True))
+    runs, flown = [], []
+    for name, away in (("a", (0.0, 0.0, 0.0)), ("b", offset)):
+        (tmp_path / name).mkdir()
+        bursts = write_bursts(tmp_path / name, places, count=2, offset=away, heights=raised)
+        blocksar.focus(bursts, tmp_path / name / "run", grid=grid, blocks=1, workers=0, progress=False)
+        runs.append(tmp_path / name / "run")
+        flown.append([Geometry(collection=stores.open_phase_history(burst).collection) for burst in bursts])
+    blocksar.compare(*runs, tmp_path / "pair", window="3x3", progress=False)
+    pair, images = xr.open_zarr(tmp_path / "pair" / "pair.zarr"), [blocksar.open(run).load() for run in runs]
+    owners = set()
+    for i, (x, y) in enumerate(places):
+        row, column = peak(images[0].image, x, y)
+        owner = int(images[0].collection[row, column])
+        antennas = []
+        for geometries in flown:
+            first, last = lit_interval(geometries[owner], np.array([x]), np.array([y]))
+            antennas.append(geometries[owner].collection.antenna_position[(int(first[0]) + int(last[0])) // 2])
+        total = 0j  # over the window, whose pixels of 3 m lie beside the point
+        for r, c in itertools.product(range(row - 1, row + 2), range(column - 1, column + 2)):
+            pixel = float(images[0].x[c]), float(images[0].y[r]), 0.0
+            turn = turned((x, y, raised.get(f"P{i}", 0.0)), pixel, antennas, SPEED_OF_LIGHT / 15e9)
+            total += np.prod([abs(complex(image.image[r, c])) for image in images]) * np.exp(1j * turn)
+        expected = float(np.angle(total))
+        phase = float(np.angle(pair.interferogram.values[row, column]))
+        assert np.angle(np.exp(1j * (phase - expected))) == pytest.approx(0.0, abs=0.05)
+        assert (abs(expected) > 0.5) == (f"P{i}" in raised)
+        owners.add(owner)
+    assert owners == {0, 1}
 
 
 def test_motion_along_the_line_of_sight_turns_the_phase(passes: Any, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 import zarr
 from faults import digests
 from matplotlib.image import imread
@@ -71,6 +72,27 @@ def test_each_channel_is_as_it_would_be_alone(store: Path, run: Path, tmp_path: 
     assert images.sar.multilook("2x3").sizes["channel"] == 2
     with pytest.raises(InputError, match=r"2 channels; choose one, such as ds.sel\(channel='HH'\)"):
         images.sar.cut(0.0, 0.0)
+
+
+def test_the_image_of_all_has_the_pyramids_of_each(store: Path, run: Path, tmp_path: Path) -> None:
+    x, y = (float(blocksar.open(run)[axis].mean()) for axis in "xy")
+    grid = ((x - 135, x + 135, 0.5), (y - 5, y + 5, 0.5))  # 540 pixels: one level
+    blocksar.focus(store, tmp_path / "run", grid=grid, pyramid=True, **SETTINGS)
+    image = tmp_path / "run" / "image.zarr"
+    level = xr.open_zarr(image, group="pyramid/1").power
+    assert level.shape == (2, 10, 270) and level.channel.values.tolist() == ["HH", "HV"]
+    for name in ("HH", "HV"):
+        part = Path("channels", name, "image.zarr", "pyramid", "1")
+        own = xr.open_zarr(tmp_path / "run" / part.parents[1], group="pyramid/1").power
+        assert np.isfinite(own).any()
+        xr.testing.assert_equal(level.sel(channel=name).drop_vars("channel"), own)
+    assert digests(image / "pyramid/1/power/c/1") == digests(tmp_path / "run" / part / "power" / "c")
+    attrs = xr.open_zarr(image).attrs
+    assert [each["asset"] for each in attrs["multiscales"]["layout"]] == ["image", "pyramid/1/power"]
+    chunk = image / "pyramid/1/power/c/0/0/0"
+    chunk.unlink()
+    with pytest.raises(InputError, match="pyramid/1/power/c/0/0/0"):
+        blocksar.focus(store, tmp_path / "run", grid=grid, pyramid=True, **SETTINGS)
 
 
 def test_a_channel_without_samples_is_named_and_costs_no_run(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -57,12 +58,20 @@ def write_bursts(
     duration: float = DURATION,
     step: float = STEP,
     half_swath: float = 150.0,
+    count: int = 3,
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    heights: Mapping[str, float] | None = None,
 ) -> list[Path]:
-    """Simulate three bursts, whose scans meet on the ground with an overlap of more than a dwell."""
-    points = "\n".join(f'[[targets]]\nname = "P{i}"\nx = {x!r}\ny = {y!r}' for i, (x, y) in enumerate(targets))
+    """Simulate bursts, whose scans meet on the ground with an overlap of more than a dwell."""
+    over = {} if heights is None else heights  # of targets by name, m
+    points = "\n".join(
+        f'[[targets]]\nname = "P{i}"\nx = {x!r}\ny = {y!r}\nz = {over.get(f"P{i}", 0.0)!r}'
+        for i, (x, y) in enumerate(targets)
+    )
     stores = []
-    for number in range(3):
+    for number in range(count):
         position, velocity = nadir_at((number - 1) * duration)
+        position = position + offset
         x, y = ground(SLANT, CENTRE + (number - 1) * step)
         yaw = float(np.degrees(np.arctan2(y - position[1], x - position[0])))
         slant = float(np.linalg.norm([x - position[0], y - position[1], position[2]]))

@@ -19,6 +19,7 @@ import pytest
 import s3
 from matplotlib.image import imread
 from missing_library import hide
+from passes import fly, focus, points
 from report_page import HOSTILE, borrowed, changed, read, source_of
 from typer.testing import CliRunner
 
@@ -30,6 +31,7 @@ from blocksar.focusing import method
 from blocksar.measurement.targets import Target
 from blocksar.places import place
 from blocksar.products.page import facts, page, picture, tables
+from blocksar.products.pictures.overview import overview
 from blocksar.runs import demonstration
 from blocksar.runs.finished import FinishedRun
 from blocksar.runs.record import RunRecord
@@ -104,6 +106,28 @@ def test_the_picture_matches_the_image(runs: dict[str, Path]) -> None:
     x, y = made.place(source.x[0], source.y[-1])  # upper left pixel; the rows of the picture run downwards
     assert float(x) == pytest.approx(-made.width / 2 + source.spacing[0] / 2, abs=1e-3)
     assert float(y) >= -made.height / 2
+
+
+def test_the_picture_of_a_run_with_a_pyramid_has_its_means(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = focus(
+        fly(points((-20.0, 5.0, 0.0))), tmp_path / "run", grid=((-40.0, 40.0, 0.1), (-20.0, 20.0, 0.2)), pyramid=True
+    )
+    source = source_of(run)
+    monkeypatch.setattr(picture, "PIXELS", 270)  # of 800: cells of 3 pixels, or of 2 cells of the first level
+    plain = overview(source.read, source.x, source.y, max_pixels=200, looks="mean")
+    monkeypatch.setattr(FinishedRun, "read", None)  # which would read the image
+    made = picture.draw(source, looks="max")
+    assert made.looks == "mean" and made.cell == pytest.approx(0.8)
+    assert made.centre == pytest.approx(
+        (float(np.mean(plain.x_edges[[0, -1]])), float(np.mean(plain.y_edges[[0, -1]])))
+    )
+    decoded = imread(io.BytesIO(base64.b64decode(made.data.partition(",")[2])), format="webp")[::-1]
+    said = made.bottom + decoded[..., 0] / 255 * (made.top - made.bottom)
+    with np.errstate(divide="ignore"):
+        expected = np.maximum(10 * np.log10(plain.power), made.bottom)
+    covered = np.isfinite(plain.power)
+    assert np.abs(said - expected)[covered].max() < 0.52 * (made.top - made.bottom) / 255
+    assert made.top >= expected[covered].max() + 10 * np.log10(16) - 0.01  # of one pixel of the 16 of a cell
 
 
 class Wide(FinishedRun):

@@ -19,7 +19,7 @@ from blocksar.arrays import FloatArray
 from blocksar.measurement.figures import PointResponse
 from blocksar.measurement.targets import Target
 from blocksar.products.page.facts import MOST_ROWS
-from blocksar.products.pictures.overview import overview, reader_of, stretch
+from blocksar.products.pictures.overview import level_for, level_of, overview, reader_of, stretch
 from blocksar.progress.listening import Callback
 from blocksar.runs.finished import FinishedRun
 from blocksar.runs.record import PredictedBlock
@@ -111,12 +111,22 @@ class Arrow(NamedTuple):
 
 
 def draw(source: FinishedRun, *, looks: Literal["max", "mean"], progress: Callback | None = None) -> Picture:
-    """Decimate the image to grey levels, reading it strip by strip."""
-    reduced = overview(reader_of(source, progress), source.x, source.y, max_pixels=PIXELS, looks=looks)
+    """Decimate the image to grey levels: a level of the run's pyramid, which has means, or the image, strip by strip.
+
+    Grey levels then reach up to what a single pixel can have in a cell of that mean, for the chips around targets.
+    """
+    level = level_for(source, PIXELS)
+    if level:
+        reduced, looks = overview(*level_of(source, level), max_pixels=PIXELS, looks="mean"), "mean"
+    else:
+        reduced = overview(reader_of(source, progress), source.x, source.y, max_pixels=PIXELS, looks=looks)
     with np.errstate(divide="ignore"):
         decibel = 10 * np.log10(reduced.power)
     finite = decibel[np.isfinite(decibel)]
     top = float(finite.max()) if finite.size else 0.0
+    if level:
+        (dx, dy), x, y = source.spacing, reduced.x_edges, reduced.y_edges
+        top += 10 * float(np.log10((x[1] - x[0]) * (y[1] - y[0]) / (dx * dy)))
     bottom = max(float(finite.min()), top - DEEPEST) if finite.size else -DEEPEST
     bottom = min(bottom, top - 1)
     black, white = stretch(decibel)

@@ -8,12 +8,14 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from blocksar import stores
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.progress.listening import Callback
 from blocksar.runs.finished import FinishedRun
 
 ReadImage = Callable[[slice, slice], ComplexArray]
 ReadBlock = Callable[[slice, slice], NDArray[np.int16]]
+COARSER = 4 / 3  # cells of a level over those of the pixels, at most
 LEAST_SHOWN = 0.005  # of the cells, whose power should lie within the range in dB
 NOT_COVERED = "#39506b"  # slate blue: cannot be mistaken for dark ground
 
@@ -29,6 +31,19 @@ def reader_of(source: FinishedRun, progress: Callback | None) -> ReadImage:
     return read
 
 
+def level_of(source: FinishedRun, level: int) -> tuple[ReadImage, FloatArray, FloatArray]:
+    """Reader of a level of a run's pyramid as of an image, with the root of the power as a pixel; its x and y, m."""
+
+    def read(rows: slice, columns: slice) -> ComplexArray:
+        power = stores.read_region(source.image, stores.level_name(level), (rows, columns))
+        return np.sqrt(power).astype(np.complex64)
+
+    n_y, n_x = stores.level_shapes((source.y.size, source.x.size))[level - 1]
+    middle, side = (2**level - 1) / 2, 2**level
+    (dx, dy), x, y = source.spacing, source.x[0], source.y[0]
+    return read, x + dx * (middle + side * np.arange(n_x)), y + dy * (middle + side * np.arange(n_y))
+
+
 def mean_of(reads: Sequence[ReadImage]) -> ReadImage:
     """Read the square root of the mean power of images of one grid; NaN where not covered by all."""
 
@@ -37,6 +52,17 @@ def mean_of(reads: Sequence[ReadImage]) -> ReadImage:
         return np.sqrt(power / len(reads)).astype(np.complex64)
 
     return read
+
+
+def level_for(source: FinishedRun, max_pixels: int) -> int:
+    """The coarsest level of a run's pyramid whose picture has cells at most COARSER as large as those of the pixels.
+
+    0: the pixels themselves. A cell has as many pixels a side as leave at most `max_pixels` cells, and of a level a
+    multiple of its own.
+    """
+    times = -(-max(source.y.size, source.x.size) // max_pixels)
+    sides = ((level, 2**level) for level in range(stores.levels_of(source.image), 0, -1))
+    return next((level for level, side in sides if -(-times // side) * side <= COARSER * times), 0)
 
 
 class Overview(NamedTuple):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from blocksar import stores
 from blocksar.errors import InputError
-from blocksar.products.pictures.overview import overview, stretch
+from blocksar.products.pictures.overview import level_of, overview, stretch
 from blocksar.runs.finished import FinishedRun
 
 SIDE = 256  # cells along a side of a tile
@@ -80,12 +80,10 @@ class Tiles:
         rows, columns = (slice(part.start * side, min(part.stop * side, n))
                          for part, n in zip(window, shape, strict=True))  # fmt: skip
 
+        whole = level_of(self.source, base)[0] if base else self.source.read
+
         def read(some: slice, others: slice) -> NDArray[Any]:
-            inside = slice(rows.start + some.start, rows.start + some.stop), columns
-            if base == 0:
-                return self.source.read(*inside)
-            # The root of the power, as a pixel of it: `overview` squares.
-            return np.sqrt(stores.read_region(self.source.image, stores.level_name(base), inside)).astype(np.complex64)
+            return whole(slice(rows.start + some.start, rows.start + some.stop), columns)
 
         x, y = (np.arange(part.stop - part.start, dtype=np.float64) for part in (columns, rows))
         return overview(read, x, y, max_pixels=SIDE, looks="mean", cell=(side, side)).power
