@@ -18,7 +18,6 @@ from passes import CARRIER, GRID, N, Points, clutter, flight, fly, focus, points
 
 import blocksar
 from blocksar import stores
-from blocksar.collection.beam import lit_interval
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
 from blocksar.constants import SPEED_OF_LIGHT
@@ -140,7 +139,7 @@ def test_mosaics_of_bursts_are_compared_with_the_track_of_each(tmp_path: Path) -
         owner = int(images[0].collection[row, column])
         antennas = []
         for geometries in flown:
-            first, last = lit_interval(geometries[owner], np.array([x]), np.array([y]))
+            first, last = geometries[owner].beam.longest_pass(np.array([x]), np.array([y]))
             antennas.append(geometries[owner].collection.antenna_position[(int(first[0]) + int(last[0])) // 2])
         total = 0j  # over the window, whose pixels of 3 m lie beside the point
         for r, c in itertools.product(range(row - 1, row + 2), range(column - 1, column + 2)):

@@ -26,6 +26,7 @@ from blocksar.autofocusing.information import information, told_within_sides
 from blocksar.autofocusing.prediction import told_across_gaps
 from blocksar.autofocusing.selection import best_points, find_candidates, gaps_between
 from blocksar.autofocusing.work import Work, begin
+from blocksar.collection.beam import Beam
 from blocksar.collection.geometry import Geometry
 from blocksar.kernels.fourier import fast_length
 from tests.helpers.samples import noise
@@ -136,7 +137,7 @@ def test_points_that_see_both_sides_of_a_gap_are_kept(work: Work, monkeypatch: p
     random, n, n_pulse = np.random.default_rng(4), 300, work.geometry.collection.n_pulse
     x, y = CENTRE[0] + random.uniform(-65, 65, n), random.uniform(-65, 65, n)
     weak = np.arange(n) >= 200  # these alone see both sides
-    monkeypatch.setattr(selection, "lit_interval", lambda *_: (np.where(weak, 100, 0), np.where(weak, n_pulse, 200)))
+    monkeypatch.setattr(Beam, "longest_pass", lambda *_: (np.where(weak, 100, 0), np.where(weak, n_pulse, 200)))
     middles = np.array([50.0, 150.0, 350.0, 450.0])
     kept = {
         len(gaps): best_points(x, y, np.where(weak, 5.0, 500.0), middles, gaps, work)[0]

@@ -13,7 +13,6 @@ from scenes import write_store
 
 import blocksar
 from blocksar import stores
-from blocksar.collection.beam import is_lit
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import FolderError, InputError

@@ -15,7 +15,6 @@ from slow_twins import back_projection
 from turning_beam import around, collection
 
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.collection.beam import lit_interval, lit_passes
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Weighting
@@ -136,7 +135,7 @@ def test_missing_pulses_and_samples_do_not_change_the_mean() -> None:
     rng = np.random.default_rng(3)
     tx, ty = around(c, [0.0], [0.0])
     signal = simulate_pulses(c, tx, ty, np.ones(1))
-    first, last = (int(bound[0]) for bound in lit_interval(Geometry(collection=c), tx, ty))
+    first, last = (int(bound[0]) for bound in Geometry(collection=c).beam.longest_pass(tx, ty))
     signal[rng.choice(np.arange(first, last), 20, replace=False)] = np.nan
     signal[rng.random(signal.shape) < 0.05] = np.nan
     signal[first + 3, ::2] = complex(1.0, np.nan)
@@ -163,7 +162,7 @@ def test_the_window_ends_where_ranges_become_ambiguous(side: int) -> None:
     half = c.range_window / 2
     x, y = around(c, side * np.linspace(0.9, 1.4, 2001) * half, np.zeros(2001))
     geometry, signal = Geometry(collection=c), noise(c)
-    first, last = lit_interval(geometry, x, y)
+    first, last = geometry.beam.longest_pass(x, y)
     away = np.linalg.norm(np.stack([x, y, 0 * x], -1)[:, None] - c.antenna_position, axis=-1) - c.reference_range
     lit = (np.arange(c.n_pulse) >= first[:, None]) & (np.arange(c.n_pulse) < last[:, None])
     farthest = np.where(lit, np.abs(away), 0).max(axis=1)
@@ -286,7 +285,7 @@ def test_only_lit_pulses_are_read_each_once_and_in_order() -> None:
     geometry = Geometry(collection=c)
     # Two chips whose dwells do not overlap: no pixel needs the pulses between them.
     x, y = around(c, np.zeros(2), [-1800.0, 1800.0])
-    first, last = lit_interval(geometry, x, y)
+    first, last = geometry.beam.longest_pass(x, y)
     assert 0 < last[0] < first[1]
     asked: list[slice] = []
 
@@ -351,7 +350,7 @@ def test_points_that_are_lit_several_times_equal_the_double_loop(patterns: bool,
     c = axis_collection(beam_steering=0.03 * np.cos(np.linspace(0, 7 * np.pi, 400)))
     c = with_patterns(c) if patterns else c
     x, y = np.meshgrid(9000.0 + np.arange(3) * 40, np.linspace(-300, 300, 13))
-    assert len(lit_passes(Geometry(collection=c), x, y)[0]) == 7
+    assert len(Geometry(collection=c).beam.passes(x, y)[0]) == 7
     signal, tapers = noise(c), Weighting.parse(weighting)
     image = form_points(lambda p: signal[p], Geometry(collection=c), x, y, threads=2, pulse_block=64, weighting=tapers)
     expected = back_projection(c, signal, x, y, in_range=tapers.range, in_azimuth=tapers.azimuth)

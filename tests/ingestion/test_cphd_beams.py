@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from sarkit import cphd as skcphd
 
 from blocksar import stores
-from blocksar.collection.beam import is_lit, pattern_gain
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
@@ -162,7 +161,7 @@ def points(made: Made) -> tuple[Array, Array]:
 def differing(made: Made, collection: Collection) -> int:
     """The largest number of pulses, of those that light a point in one collection, that do not in the other."""
     x, y = points(made)
-    ours, theirs = (is_lit(Geometry(collection=one), x, y) for one in (made.collection, collection))
+    ours, theirs = (Geometry(collection=one).beam.is_lit(x, y) for one in (made.collection, collection))
     assert ours.sum(axis=1).max() > 50
     return int((ours != theirs).sum(axis=1).max())
 
@@ -172,10 +171,10 @@ def gain_error(made: Made, collection: Collection) -> float:
     x, y = points(made)
     direct = Geometry(collection=made.collection)
     ours, theirs = (
-        pattern_gain(geometry, x[:, None], y[:, None], slice(None))
+        geometry.beam.gain(x[:, None], y[:, None], slice(None))
         for geometry in (direct, Geometry(collection=collection))
     )
-    return float(np.abs(ours - theirs)[is_lit(direct, x, y)].max())
+    return float(np.abs(ours - theirs)[direct.beam.is_lit(x, y)].max())
 
 
 # ---------------------------------------------------------------- from a scene and back

@@ -11,7 +11,6 @@ from plan_images import focus
 from strips import DISTANCE, strip_collection
 
 from blocksar.arrays import BoolArray, ComplexArray
-from blocksar.collection.beam import has_full_dwell, is_lit, lit_interval, lit_passes
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid

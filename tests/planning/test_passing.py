@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from axis_beams import axis_collection
 
-from blocksar.collection.beam import at_times, beam_offset, dwell_at, passing_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 
@@ -16,19 +15,21 @@ def test_points_pass_places_in_the_beam(kind: str) -> None:
     collection = axis_collection(kind if not kind.startswith("scan") else "stripmap")
     if kind.startswith("scan"):
         azimuth = (0.06 if kind == "scan" else -0.06) * (collection.time + 0.05 * collection.time**2)
-        beam = {"beam_axis": None, "beam_steering": None, "beam_azimuth": azimuth}
-        collection = Collection(**{**collection.as_dict(), **beam})
+        scan = {"beam_axis": None, "beam_steering": None, "beam_azimuth": azimuth}
+        collection = Collection(**{**collection.as_dict(), **scan})
     geometry = Geometry(collection=collection)
     yaw = (0.274 if kind == "squinted" else 0.0) + np.linspace(-2e-3, 2e-3, 5)
     rng = np.linspace(9700, 10000, 3)[:, None]
     first, last = geometry.beam.dwell_at(yaw, rng, uncut=True)
     x, y = geometry.ground_axes(rng, yaw)
-    half = (collection.beam_width or 0.0) / 2
+    beam = geometry.beam
     for place in (-0.9, 0.0, 0.6):
         times = geometry.beam.passing_at(yaw, rng, place)
-        found = np.abs(at_times(geometry, x, y, times, beam_offset)) / half
+        found = np.abs(beam.at_times(times, lambda pulses: beam.offset(x, y, pulses))) / beam.half
         inside = (times > collection.time[0]) & (times < collection.time[-1])
         assert inside.mean() > 0.5
         np.testing.assert_allclose(found[inside], abs(place), atol=1e-6)
     for place, end in ((-1.0, first), (1.0, last)):
-        np.testing.assert_allclose(geometry.beam.passing_at(yaw, rng, place), np.broadcast_to(end, times.shape), atol=1e-9)
+        np.testing.assert_allclose(
+            geometry.beam.passing_at(yaw, rng, place), np.broadcast_to(end, times.shape), atol=1e-9
+        )

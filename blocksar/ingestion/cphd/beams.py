@@ -75,7 +75,7 @@ CHECKED_PULSES = 33
 ELEVATION_MARGIN = 0.05  # of the image area's elevations, for which a pattern is sampled beyond them
 
 
-class Beam(NamedTuple):
+class StatedBeam(NamedTuple):
     azimuth: FloatArray  # (n_pulse,) rad; NaN if not steered, or about an axis
     width: float | None  # rad
     messages: list[str]
@@ -85,13 +85,13 @@ class Beam(NamedTuple):
 class _Law(NamedTuple):
     """A beam fitted to dwells, and by which share of a dwell its edges miss theirs at most."""
 
-    beam: Beam
+    beam: StatedBeam
     miss: float
 
 
 def fit_beam(
     file: CphdFile, pulses: Pulses, frame: Georeference, position: FloatArray, carrier: float, area: ImageArea
-) -> Beam:
+) -> StatedBeam:
     """The beam of the store (see the module), and what was taken and left, one sentence each.
 
     Where the image area is not as the file has it, the dwell polynomials may be in the coordinates of ImageArea, or in
@@ -131,7 +131,7 @@ def _of_dwells(
     antenna: Antenna | None,
     given: list[str],
     turn: FloatArray,
-) -> Beam:
+) -> StatedBeam:
     """The beam of the dwell polynomials, in turned coordinates, and the antenna; `given` are notes so far."""
     notes = list(given)
     try:
@@ -155,14 +155,14 @@ def _of_dwells(
     return _by_dwells(pulses, position, dwells, notes)
 
 
-def _unsteered(pulses: Pulses, message: str, notes: list[str]) -> Beam:
-    return Beam(np.full(pulses.time.size, np.nan), None, [message, *notes])
+def _unsteered(pulses: Pulses, message: str, notes: list[str]) -> StatedBeam:
+    return StatedBeam(np.full(pulses.time.size, np.nan), None, [message, *notes])
 
 
 # ---------------------------------------------------------------- the antenna's own beam
 
 
-def _by_antenna(antenna: Antenna, pulses: Pulses, position: FloatArray, dwells: Dwells, notes: list[str]) -> Beam:
+def _by_antenna(antenna: Antenna, pulses: Pulses, position: FloatArray, dwells: Dwells, notes: list[str]) -> StatedBeam:
     """The antenna's axis and steering, with the width that the dwells have about it.
 
     Raises
@@ -195,7 +195,9 @@ def _by_antenna(antenna: Antenna, pulses: Pulses, position: FloatArray, dwells: 
     return _with_patterns(antenna, antenna.steering, width, pulses, position, dwells.ground, [message, *notes])
 
 
-def _by_pattern(antenna: Antenna, pulses: Pulses, position: FloatArray, ground: FloatArray, notes: list[str]) -> Beam:
+def _by_pattern(
+    antenna: Antenna, pulses: Pulses, position: FloatArray, ground: FloatArray, notes: list[str]
+) -> StatedBeam:
     """The antenna's axis and steering, as wide as half of its power one way: for files without dwells."""
     edges = antenna.half_power()
     if edges is None:
@@ -229,7 +231,7 @@ def _with_patterns(
     position: FloatArray,
     ground: FloatArray,
     notes: list[str],
-) -> Beam:
+) -> StatedBeam:
     """The beam with the patterns of the antenna's gain polynomials, where they are not constant."""
     found: dict[str, FloatArray] = {"beam_axis": antenna.axis, "beam_steering": steering}
     shift = float(steering[0] - antenna.steering[0])
@@ -262,7 +264,7 @@ def _with_patterns(
         notes.append(f"the antenna's gain changes by {scanned:.2g} dB as the beam is steered, which stays in the image")
     if antenna.left:
         notes.append(f"not used of the antenna's metadata: {', '.join(antenna.left)}")
-    return Beam(np.full(pulses.time.size, np.nan), width, notes, found)
+    return StatedBeam(np.full(pulses.time.size, np.nan), width, notes, found)
 
 
 def _usable(which: str, gain: FloatArray, at_boresight: float, notes: list[str]) -> bool:
@@ -323,7 +325,7 @@ def _unused_gain(antenna: Antenna, position: FloatArray, ground: FloatArray) -> 
 # ---------------------------------------------------------------- beams fitted to dwells
 
 
-def _by_dwells(pulses: Pulses, position: FloatArray, dwells: Dwells, notes: list[str]) -> Beam:
+def _by_dwells(pulses: Pulses, position: FloatArray, dwells: Dwells, notes: list[str]) -> StatedBeam:
     """The better of a yaw about the nadir and a steering about the velocity, where either reproduces the dwells."""
     although = "beam not steered, although targets are lit for part of the time only: "
     if np.ptp(dwells.centre) < 0.05 * dwells.length.mean():
@@ -331,7 +333,7 @@ def _by_dwells(pulses: Pulses, position: FloatArray, dwells: Dwells, notes: list
     yaw, axis = _yaw_law(pulses, position, dwells), _axis_law(pulses, position, dwells)
     for law in [yaw, axis] if yaw.miss <= max(CLOSE, axis.miss) else [axis, yaw]:
         if law.miss <= BEAM_TOLERANCE:
-            return Beam(law.beam.azimuth, law.beam.width, [*law.beam.messages, *notes], law.beam.antenna)
+            return StatedBeam(law.beam.azimuth, law.beam.width, [*law.beam.messages, *notes], law.beam.antenna)
     return _unsteered(
         pulses,
         f"{although}of the laws that reproduce dwell polynomials, a yaw about the nadir {_missed(yaw)}, and a steering "
@@ -368,7 +370,7 @@ def _yaw_law(pulses: Pulses, position: FloatArray, dwells: Dwells) -> _Law:
         f"beam steered from yaw {degrees[0]:.2f} to {degrees[1]:.2f} degrees, {degrees[2]:.2f} degrees wide, from the "
         f"dwell polynomials (accurate to {late:.2g} s)"
     )
-    return _Law(Beam(azimuth, width, [message]), miss)
+    return _Law(StatedBeam(azimuth, width, [message]), miss)
 
 
 def _fit_yaw(u: FloatArray, yaw: FloatArray) -> tuple[FloatArray, float]:
@@ -410,7 +412,7 @@ def _steering_law(pulses: Pulses, position: FloatArray, dwells: Dwells, turn: fl
     cos, sin = np.cos(turn), np.sin(turn)
     axis = np.stack([cos * axis[:, 0] - sin * axis[:, 1], sin * axis[:, 0] + cos * axis[:, 1], axis[:, 2]], axis=1)
     first, last, inside = _edges(pulses, dwells)
-    none = _Law(Beam(np.full(pulses.time.size, np.nan), None, []), np.inf)
+    none = _Law(StatedBeam(np.full(pulses.time.size, np.nan), None, []), np.inf)
     if np.count_nonzero(inside) < LEAST_POINTS:
         return none
     times = np.concatenate([first[inside], last[inside]])
@@ -439,7 +441,7 @@ def _steering_law(pulses: Pulses, position: FloatArray, dwells: Dwells, turn: fl
         f"{_words(steering)} about {about}, {np.degrees(width):.4g} degrees wide, from the dwell polynomials (accurate "
         f"to {miss:.2g} of a dwell)"
     )
-    beam = Beam(none.beam.azimuth, width, [message], {"beam_axis": axis, "beam_steering": steering})
+    beam = StatedBeam(none.beam.azimuth, width, [message], {"beam_axis": axis, "beam_steering": steering})
     return _Law(beam, miss)
 
 
