@@ -90,9 +90,10 @@ def test_a_regular_matrix_of_equal_points() -> None:
 
 
 def test_noise_is_refused() -> None:
-    stated = spotlight()
+    stated = spotlight(n_pulse=256)
+    signal = noise(stated.n_pulse, stated.n_range_frequency)
     with pytest.raises(Refused, match=r": 0 of \d\d points stand out of noise and clutter, and 20 tell .* differ by"):
-        found(noise(stated.n_pulse, stated.n_range_frequency), settings=Settings(loops=2))
+        find_track_error(lambda pulses: signal[pulses], Geometry(collection=stated), GRID, settings=Settings(loops=2))
 
 
 @pytest.mark.parametrize(("amplitude", "points"), [(0.0, 1), (1.0, 1), (1.0, 18)])

@@ -542,7 +542,7 @@ def test_a_target_under_patterns_has_the_figures_of_its_ideal_response() -> None
     weighting = Weighting.parse("taylor:4:-35")
     axes = response_axes(geometry, target.x, target.y, weighting)
     assert axes is not None
-    reach = 24 * np.array([axes.range_width * abs(axes.range_direction[0]), axes.azimuth_width])
+    reach = 20 * np.array([axes.range_width * abs(axes.range_direction[0]), axes.azimuth_width])
     image_x, image_y = (
         centre + np.linspace(-1, 1, 2 * int(extent * 2.8 * band) + 1) * extent
         for centre, extent, band in zip((target.x, target.y), reach, axes.band, strict=True)

@@ -52,7 +52,8 @@ def test_closed_form_against_fit_and_against_deramp_alone(name: str, processor: 
     }.items():
         plan = blocksar.plan(name, processor=processor, blocks=blocks, grid=grid, **settings).result
         left[kind] = max(block.prediction.quadratic_phase for block in plan.blocks)
-    assert left["fitted"] < 0.015 + 0.1 * left["closed"] and left["fitted"] < left["closed"] < most
+    assert left["fitted"] < left["closed"] < most
+    assert left["fitted"] < 0.015 or name != "table1"
     assert left["deramp"] > 4 * left["closed"]
 
 
