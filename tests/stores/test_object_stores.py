@@ -522,6 +522,15 @@ def test_a_failed_request_is_repeated(small_collection: Collection, there: Place
     assert len(failed) == 1
 
 
+def test_unreachable_samples_are_not_reported_as_damaged(
+    small_collection: Collection, there: Place, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = history(there, small_collection)
+    with unreliable(os.environ["AWS_ENDPOINT_URL"], np.inf, monkeypatch) as failed:
+        refused(lambda: found.read(slice(0, 9), slice(0, 9)), InputError, r"cannot be read .*503 .*; check AWS_")
+    assert len(failed) == 2  # the same chunk, requested twice
+
+
 def test_many_chunks_are_transferred_at_once() -> None:
     met = threading.Barrier(8)
     moved = []
