@@ -197,8 +197,8 @@ def newton(
     """
     for _ in range(steps):
         here = function(at)
-        along = [function(np.stack([at[0] + one, at[1] + (1 - one)])) - here for one in (1, 0)]
-        at = at + np.clip(combination(*along, wanted - here), -longest, longest)
+        by_first, by_second = (function(np.stack([at[0] + one, at[1] + (1 - one)])) - here for one in (1, 0))
+        at = at + np.clip(combination(by_first, by_second, wanted - here), -longest, longest)
     return at
 
 

@@ -27,6 +27,7 @@ PACKAGE = ROOT / "blocksar"
 # no other room of its own layer.
 LAYERS = (
     {"errors", "constants", "budget", "garbage", "loop_cache", "version"},
+    {"texts"},
     {"places", "progress", "arrays", "solvers", "chunks", "options", "plugins", "spans", "tables"},
     {"kernels"},
     {"collection"},

@@ -25,6 +25,7 @@ from blocksar.progress import Wanted as Progress
 from blocksar.progress import as_listener
 from blocksar.runs import demonstration
 from blocksar.runs.finished import FinishedRun
+from blocksar.texts import size_text
 
 
 def demo(
@@ -104,7 +105,7 @@ def demo(
     lines.append(f"report: {page.result}, for a browser")
     if (size := disk_size(folder)) is not None:
         lines.append(
-            f"{folder} takes {size / 1e9:.2f} GB: `focus` keeps spectrum and patches too, unless --discard is given, "
+            f"{folder} takes {size_text(size)}: `focus` keeps spectrum and patches too, unless --discard is given, "
             "and proposes a grid of 1 m"
         )
     return Report(

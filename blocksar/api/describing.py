@@ -21,12 +21,13 @@ from blocksar.ingestion.kinds import SCENE
 from blocksar.ingestion.readers import READERS, Reader
 from blocksar.places import Location, place, readable
 from blocksar.places.local import LocalPlace
-from blocksar.places.place import Place, size_text
+from blocksar.places.place import Place
 from blocksar.places.ranges import Readable, WebFile
 from blocksar.runs.folder import member
 from blocksar.runs.record import RECORD, RunRecord
 from blocksar.simulation.scene import Scene
 from blocksar.simulation.shipped import shipped_scenes
+from blocksar.texts import count, size_text
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -266,7 +267,7 @@ def _scene(source: str | Path) -> tuple[Rows, Following]:
     scene = Scene.read(source)
     collection = scene.collection()
     n = len(scene.point_targets())
-    holds = [f"{n} point target{'s' if n > 1 else ''}"] if n else []
+    holds = [count(n, "point target")] if n else []
     holds += [name for name, table in (
         ("clutter", scene.clutter), ("a reflectivity map", scene.reflectivity), ("noise", scene.noise),
         ("dropped pulses", scene.dropped),

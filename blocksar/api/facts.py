@@ -22,8 +22,9 @@ from blocksar.constants import SPEED_OF_LIGHT, unit_of_lengths
 from blocksar.errors import InputError
 from blocksar.focusing.method import Method
 from blocksar.places.local import LocalPlace
-from blocksar.places.place import Place, size_text
+from blocksar.places.place import Place
 from blocksar.runs.record import RunRecord
+from blocksar.texts import frequency_text, size_text
 
 Rows = list[tuple[str, str]]
 PREDICTED = "predicted coherence with exact back-projection at least"
@@ -63,8 +64,8 @@ def _band(collection: Collection) -> str:
     centred = collection.centred()
     resolution = SPEED_OF_LIGHT / (2 * collection.bandwidth)
     return (
-        f"{centred.carrier / 1e9:.6g} GHz, wavelength {100 * centred.wavelength:.3g} cm; "
-        f"{collection.bandwidth / 1e6:.5g} MHz in {collection.n_range_frequency} range frequencies: cells of "
+        f"{frequency_text(centred.carrier)}, wavelength {100 * centred.wavelength:.3g} cm; "
+        f"{frequency_text(collection.bandwidth)} in {collection.n_range_frequency} range frequencies: cells of "
         f"{resolution:.3g} m, range window {collection.range_window:.5g} m"
     )
 

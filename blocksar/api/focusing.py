@@ -26,7 +26,6 @@ from blocksar.api.shown import RunReport, is_measurable
 from blocksar.api.track_places import TrackPlace
 from blocksar.budget import FIDELITY, WAIT_WORKERS
 from blocksar.collection.surface import Surface
-from blocksar.constants import MIB
 from blocksar.errors import InputError
 from blocksar.focusing.method import Coefficients, Cutting, Derotation, Perturbation, RangeModel
 from blocksar.graph import cluster, recording
@@ -43,6 +42,7 @@ from blocksar.progress import Wanted as Progress
 from blocksar.runs import folder as run_folder
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import RECORD, Receipt, RunRecord
+from blocksar.texts import size_text
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -419,7 +419,7 @@ def _summary(folder: Place, record: RunRecord, planned: int, worker: str) -> lis
         *(f"note: {line}" for line in record.warnings),
         *_resumed_line(record.receipts),
         f"{folder / 'image.zarr'} is finished in {timings['total']:.1f} s ({stages})",
-        f"peak memory of {worker} {peak / MIB:.0f} MiB, planned {planned / MIB:.0f} MiB",
+        f"peak memory of {worker} {size_text(peak)}, planned {size_text(planned)}",
         *([record.check] if record.check else []),
     ]
 

@@ -22,7 +22,6 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
-from blocksar.constants import MIB
 from blocksar.errors import FolderError, InputError, ProcessingError, changes_while_read
 from blocksar.focusing.method import Cutting
 from blocksar.graph import cluster, compiling
@@ -37,6 +36,7 @@ from blocksar.runs import folder as run_folder
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import RECORD, Receipt
 from blocksar.runs.track import ATTRIBUTE, SHOWN, TrackCorrection, levels
+from blocksar.texts import size_text
 from blocksar.version import __version__
 
 if TYPE_CHECKING:
@@ -242,7 +242,7 @@ class TrackEstimate:
         return [
             *TrackCorrection.of(attribute, str(self.history.path)).sentences(),
             *(resumed if reused else []),
-            f"peak memory of a worker {peak / MIB:.0f} MiB, planned {memory / MIB:.0f} MiB",
+            f"peak memory of a worker {size_text(peak)}, planned {size_text(memory)}",
         ]
 
 

@@ -274,8 +274,8 @@ def brightest_places(chips: Chips) -> FloatArray:
         offset = (line + beside - n_line // 2) * work.settings.line_spacing * work.cell
         middle = min(max(int(chips.count[i]) // 2, 1), n - 2)
         sight, turned = chips.sight[i, middle, :2], chips.sight[i, middle + 1, :2] - chips.sight[i, middle - 1, :2]
-        along = np.stack([sight, turned / (2 * interval)], axis=1)
-        moved = combination(*along, np.array([offset, -rate / work.wavenumber]))
+        along = np.stack([sight, turned / (2 * interval)])
+        moved = combination(along[:, 0], along[:, 1], np.array([offset, -rate / work.wavenumber]))
         if power.max() > 0 and np.isfinite(moved).all() and abs((moved * sight).sum()) < reach:
             away[i] = moved
     return away

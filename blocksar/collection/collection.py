@@ -19,6 +19,7 @@ from blocksar.collection.raw_echo import RecordedRanges
 from blocksar.collection.spline import smoothed
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
+from blocksar.texts import frequency_text
 
 CARRIERS = (1e6, 1e15)  # Hz: accepted carriers, from below HF radar to beyond visible light
 FARTHEST = 1e9  # m: largest coordinate; beyond the moon, and float64 still resolves phase there
@@ -356,8 +357,8 @@ class Collection:
         """The collection in half a sentence: its size, band, rate and beam."""
         beam = "not steered" if not self.steered else "about its axis" if self.has_axis else "steered in yaw"
         return (
-            f"{self.n_pulse} pulses x {self.n_range_frequency} range frequencies, {self.carrier / 1e9:.6g} GHz, "
-            f"{self.bandwidth / 1e6:.5g} MHz, PRF {self.prf:.6g} Hz, beam {beam}"
+            f"{self.n_pulse} pulses x {self.n_range_frequency} range frequencies, {frequency_text(self.carrier)}, "
+            f"{frequency_text(self.bandwidth)}, PRF {self.prf:.6g} Hz, beam {beam}"
         )
 
     @property

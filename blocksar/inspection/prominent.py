@@ -466,8 +466,8 @@ class Lines:
     def _moved(self, place: Place, pulse: int, change: FloatArray) -> Place:
         """The place that at a pulse has a `change` of offset (m) and Doppler (Hz)."""
         at = np.array([place.x, place.y])
-        here = self._seen(*at, pulse)
-        x, y = solvers.newton(lambda moved: self._seen(*moved, pulse), here + change, at, steps=1)
+        wanted = self._seen(at[0], at[1], pulse) + change
+        x, y = solvers.newton(lambda moved: self._seen(moved[0], moved[1], pulse), wanted, at, steps=1)
         return place._replace(x=float(x), y=float(y)) if np.isfinite([x, y]).all() else place
 
     def _seen(self, x: FloatArray, y: FloatArray, pulse: int, height: FloatArray | None = None) -> FloatArray:

@@ -23,11 +23,11 @@ import numba.cuda
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.constants import MIB
 from blocksar.kernels.decimation import Decimation, padded
 from blocksar.kernels.fourier import fft_rows
 from blocksar.kernels.groups import Scratch
 from blocksar.kernels.projection import UPSAMPLING, Sights, halves, place_tables
+from blocksar.texts import size_text
 
 cuda: Any = numba.cuda
 SIMULATED = bool(getattr(numba.config, "ENABLE_CUDASIM", False))
@@ -249,7 +249,7 @@ class Gpu:
         pool.set_limit(size=memory)
         free = xp.cuda.runtime.memGetInfo()[0] + pool.total_bytes()
         if free < memory:
-            raise MemoryError(f"{memory / MIB:.0f} MiB are needed, {free / MIB:.0f} MiB are free")
+            raise MemoryError(f"{size_text(memory)} are needed, {size_text(free)} are free")
 
     def put(self, values: Any) -> Any:
         return None if values is None else xp.asarray(values)

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from blocksar.constants import GIB, MIB
 from blocksar.errors import NoRoom
 from blocksar.places.ranges import Readable
+from blocksar.texts import size_text
 
 if TYPE_CHECKING:
     from zarr.storage import StorePath
@@ -90,17 +90,6 @@ class Place(Readable):
 
 
 REMEDY = "make room, or choose another place"
-
-
-def size_text(size: float) -> str:
-    """A number of bytes in MiB or GiB.
-
-    Examples
-    --------
-    >>> size_text(3 * 2**20), size_text(5.5 * 2**30)
-    ('3.0 MiB', '5.5 GiB')
-    """
-    return f"{size / GIB:.1f} GiB" if size >= GIB else f"{size / MIB:.{0 if size >= 100 * MIB else 1}f} MiB"
 
 
 def check_room(place: Place, needed: int, remedy: str = REMEDY) -> None:

@@ -26,13 +26,13 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import Region
 from blocksar.collection.weighting import Weighting
-from blocksar.constants import MIB
 from blocksar.focusing.method import Method
 from blocksar.focusing.range_gate import RangeGate
 from blocksar.focusing.recovery import Recovery
 from blocksar.kernels.operations import Blend, Resample, Stretch, Transform
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.memory import PROCESS_MEMORY, gating_memory, thread_memory
+from blocksar.texts import size_text
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class Plan:
         noun = "block" if self.n_blocks == 1 else "blocks"
         return (
             f"{self.n_blocks} {noun}{divided} by {self.method.processor}, {self.grid.shape[1]} x {self.grid.shape[0]} "
-            f"pixels, predicted coherence at least {self.coherence:.6f}, {self.memory / MIB:.0f} MiB for each worker"
+            f"pixels, predicted coherence at least {self.coherence:.6f}, {size_text(self.memory)} for each worker"
         )
 
     @property

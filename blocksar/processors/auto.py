@@ -17,7 +17,7 @@ from blocksar.planning import effort
 from blocksar.processors import AUTO, PROCESSORS, options_for
 from blocksar.processors.base import Comparison, ImagePlan, Problem
 from blocksar.processors.chain_tables import digits
-from blocksar.processors.lines import time_text
+from blocksar.texts import time_text
 
 HEADER = ("processor", "coherence", "time, usual pace", "memory (MiB)", "disk (MiB)", "keeps the fidelity")
 

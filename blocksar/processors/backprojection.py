@@ -14,7 +14,6 @@ from blocksar.chunks import BACKPROJECTION_CHUNK
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Weighting
-from blocksar.constants import MIB
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import ReadPulses, form_image
 from blocksar.focusing.method import ChainOptions, Method
@@ -27,6 +26,7 @@ from blocksar.planning.tiling import box_of
 from blocksar.processors.base import ChunkPlan, ImagePlan, Problem, Window
 from blocksar.processors.lines import lit_pulses
 from blocksar.progress import Work
+from blocksar.texts import size_text
 
 if TYPE_CHECKING:
     from blocksar.graph.tasks import Form, FormParts
@@ -124,7 +124,7 @@ class BackprojectionPlan(ChunkPlan):
             f"exact back-projection of {self.grid.shape[1]} x {self.grid.shape[0]} pixels, {lit} lit pulses each: "
             f"{pixels * lit / 1e9:.3g} G updates at most",
             *self.memory_lines(),
-            f"a run writes at most {sum(self.stored().values()) / MIB:.0f} MiB",
+            f"a run writes at most {size_text(sum(self.stored().values()))}",
             *dict.fromkeys(doubts),
             *self.notes(),
         ]

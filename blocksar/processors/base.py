@@ -15,7 +15,6 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.region import check_seen
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
-from blocksar.constants import MIB
 from blocksar.planning import effort
 from blocksar.planning.ambiguity import azimuth_ambiguities
 from blocksar.planning.disk import exact_bytes
@@ -23,6 +22,7 @@ from blocksar.planning.segments import PlannedSegment, joint_grid
 from blocksar.planning.tiling import units_of
 from blocksar.progress import Listener, Work
 from blocksar.tables import Table
+from blocksar.texts import size_text
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -171,8 +171,8 @@ class ImagePlan(ABC):
         """The plan in sentences."""
         return [
             f"image of {self.grid.shape[1]} x {self.grid.shape[0]} pixels by {self.processor}",
-            f"peak memory of a worker {self.memory(1) / MIB:.0f} MiB",
-            f"a run writes about {sum(self.stored().values()) / MIB:.0f} MiB",
+            f"peak memory of a worker {size_text(self.memory(1))}",
+            f"a run writes about {size_text(sum(self.stored().values()))}",
             *self.notes(),
         ]
 
@@ -230,8 +230,8 @@ class PartPlan(ImagePlan):
 
     def memory_lines(self) -> list[str]:
         """Find what a worker needs."""
-        gpu = f", and {self.on_gpu / MIB:.0f} MiB of its GPU" if self.on_gpu else ""
-        return [f"peak memory of a worker {self.needed / MIB:.0f} MiB{gpu}"]
+        gpu = f", and {size_text(self.on_gpu)} of its GPU" if self.on_gpu else ""
+        return [f"peak memory of a worker {size_text(self.needed)}{gpu}"]
 
     @abstractmethod
     def forming_parts(self, number: int, weighting: Weighting) -> FormParts:

@@ -8,7 +8,6 @@ from functools import cached_property
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
-from blocksar.constants import MIB
 from blocksar.focusing.method import Chain as Name
 from blocksar.focusing.method import ChainOptions, Method
 from blocksar.graph import compiling
@@ -31,6 +30,7 @@ from blocksar.processors.chain_tables import block_table, plan_details
 from blocksar.progress import Work
 from blocksar.runs.record import PredictedBlock, Receipt
 from blocksar.tables import Table
+from blocksar.texts import size_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -149,7 +149,7 @@ class ChainPlan(ImagePlan):
     def headline(self) -> str:
         if len(self.plans) > 1:
             return self.lines()[0]
-        return f"{self.plans[0].headline()}, {sum(self.stored().values()) / MIB:.0f} MiB on the disk"
+        return f"{self.plans[0].headline()}, {size_text(sum(self.stored().values()))} on the disk"
 
     def draw(self, axes: Axes | None) -> Axes:
         from blocksar.products.pictures.planned import draw_plan  # optional, and slow to load

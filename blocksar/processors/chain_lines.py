@@ -21,6 +21,7 @@ from blocksar.planning.dwell_ends import reaches_full
 from blocksar.planning.plan import Plan
 from blocksar.processors.chain_tables import digits
 from blocksar.processors.lines import lit_pulses
+from blocksar.texts import count, size_text
 
 OTHER, SMALLER, TAPER = (
     "try --processor auto", "image a smaller --grid", "taper the dwells, for example with --weighting-azimuth hann"
@@ -80,14 +81,14 @@ def plan_lines(plan: Plan, *, compared: bool = False) -> list[str]:
     """Say what there is to say of a plan besides its tables; `compared` as for `describe_shortfall`."""
     recovery, collection, grid = plan.recovery, plan.geometry.collection, plan.grid
     spectrum = recovery.doppler.size * collection.n_range_frequency * 8
-    blocks = f"{plan.n_blocks} block{'s' if plan.n_blocks > 1 else ''}"
+    blocks = count(plan.n_blocks, "block")
     if plan.parts > 1:
         blocks += f" of {plan.parts} range sub-blocks{' each' if plan.n_blocks > 1 else ''}"
     lines = [
         f"{blocks}, {plan.method.coefficients} coefficients; "
         f"track: {plan.geometry.track}, misfit {plan.geometry.track.max_misfit:.2g} m",
         f"derotated band {recovery.band[1] - recovery.band[0]:.0f} Hz at PRF {collection.prf:.0f} Hz; recovered "
-        f"spectrum {recovery.doppler.size} x {collection.n_range_frequency} ({spectrum / MIB:.0f} MiB), "
+        f"spectrum {recovery.doppler.size} x {collection.n_range_frequency} ({size_text(spectrum)}), "
         f"{recovery.doppler.extent:.0f} Hz wide",
         f"image {grid.shape[1]} x {grid.shape[0]} pixels: x {grid.x[0]:g} .. {grid.x[-1]:g} m every {grid.dx:g} m, "
         f"y {grid.y[0]:g} .. {grid.y[-1]:g} m every {grid.dy:g} m",

@@ -9,7 +9,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from blocksar.collection.weighting import Weighting
-from blocksar.constants import MIB
 from blocksar.focusing.hierarchical_backprojection import form_windows
 from blocksar.graph import compiling
 from blocksar.inspection.samples import doubts_of_track
@@ -18,6 +17,7 @@ from blocksar.planning.hierarchy import Division, coherence_of, divide
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY, checked_memory
 from blocksar.processors.base import ImagePlan, NoOptions, PartPlan, Problem
 from blocksar.progress import Work
+from blocksar.texts import size_text
 
 if TYPE_CHECKING:
     from blocksar.graph.tasks import FormParts
@@ -103,7 +103,7 @@ class HierarchicalPlan(PartPlan):
             f"predicted coherence with exact back-projection: at least {self.coherence:.8f}; errors are "
             f"{error:.0f} dB below the power of all that a part's data hold, bright places beside it as well",
             *self.memory_lines(),
-            f"a run writes at most {sum(self.stored().values()) / MIB:.0f} MiB",
+            f"a run writes at most {size_text(sum(self.stored().values()))}",
             *dict.fromkeys(doubts),
             *self.notes(),
         ]

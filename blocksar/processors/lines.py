@@ -11,6 +11,7 @@ from blocksar.collection.grid import Grid
 from blocksar.graph.machine import Resources, machine, pace
 from blocksar.planning import effort
 from blocksar.progress import Work
+from blocksar.texts import count, time_text
 
 PLANNING_TOLD = 1.0  # s to plan, which are counted in the time of a run
 LOOKED_AT = 64  # points along a side of a grid at which lit pulses are counted
@@ -39,8 +40,7 @@ def stage_seconds(work: Work, assumed: Resources, planning: float = 0.0) -> dict
 
 def workforce(assumed: Resources) -> str:
     """Who does the work, in words."""
-    count = assumed.workers
-    return f"with {count} worker{'s' if count > 1 else ''}" if count else "in one process"
+    return f"with {count(assumed.workers, 'worker')}" if assumed.workers else "in one process"
 
 
 def _shares(seconds: Mapping[str, float]) -> str:
@@ -58,19 +58,6 @@ def _shares(seconds: Mapping[str, float]) -> str:
     for name in sorted(seconds, key=lambda each: parts[each] - seconds[each] / step)[:left]:  # most cut off first
         parts[name] += 1
     return ", ".join(f"{name} {f'{count / 10:.1f}' if unit == 'h' else count} {unit}" for name, count in parts.items())
-
-
-def time_text(seconds: float) -> str:
-    """A predicted time with as many digits as it deserves.
-
-    Examples
-    --------
-    >>> time_text(0.04), time_text(13.3), time_text(250), time_text(9000)
-    ('1 s', '13 s', '4 min', '2.5 h')
-    """
-    if seconds < 100:
-        return f"{max(round(seconds), 1)} s"
-    return f"{round(seconds / 60)} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
 
 
 def lit_pulses(geometry: Geometry, grid: Grid) -> int:

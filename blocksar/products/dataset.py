@@ -26,6 +26,7 @@ from blocksar.places.place import Place
 from blocksar.products.options import parse_looks
 from blocksar.runs.finished import finished_record
 from blocksar.runs.record import RECORD
+from blocksar.texts import frequency_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -412,7 +413,10 @@ def _history_facts(collection: Collection) -> list[tuple[str, str]]:
     return [
         ("phase history", f"{collection.n_pulse} pulses x {collection.n_range_frequency} range frequencies"),
         ("pulses", f"{time[0]:.4g} .. {time[-1]:.4g} s, PRF {collection.prf:.6g} Hz"),
-        ("band", f"{collection.carrier / 1e9:.6g} GHz, {collection.bandwidth / 1e6:.5g} MHz: cells of {cell:.3g} m"),
+        (
+            "band",
+            f"{frequency_text(collection.carrier)}, {frequency_text(collection.bandwidth)}: cells of {cell:.3g} m",
+        ),
         ("track", f"{speed:.4g} m/s, {height:.5g} m above the ground"),
         ("reference range", f"{float(np.median(collection.reference_range)):.6g} m"),
         ("beam", beam),

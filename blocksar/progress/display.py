@@ -15,9 +15,10 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from blocksar.constants import GIB
-from blocksar.progress.estimate import Estimate, Stage, clock_time, rate_text, rough_time
+from blocksar.progress.estimate import Estimate, Stage, clock_time, rate_text
 from blocksar.progress.listening import NOBODY, Listener, Work, Workers
 from blocksar.progress.log import Log
+from blocksar.texts import time_text
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType
@@ -148,7 +149,7 @@ class Progress(Listener):
             return
         if step > self._printed.get(stage.name, -1):
             self._printed[stage.name] = step
-            remaining = f", about {rough_time(left)} left" if left else ""
+            remaining = f", about {time_text(left)} left" if left else ""
             self._print_line(
                 f"{stage.name}: {stage.done} of {stage.total}, {clock_time(self.estimate.elapsed)} elapsed{remaining}"
             )
@@ -210,7 +211,7 @@ class Progress(Listener):
         if self._over:  # a command without stages has nothing to show for it
             return [line] if self.estimate.stages else []
         if left:
-            line.append(", ").append(f"about {rough_time(left)} left", style="bold")
+            line.append(", ").append(f"about {time_text(left)} left", style="bold")
         lines: list[RenderableType] = [line]
         if self._workers.number:
             lines.append(Text(_memory_text(self._workers), no_wrap=True, overflow="crop", style="dim"))

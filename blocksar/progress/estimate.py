@@ -24,22 +24,6 @@ def clock_time(seconds: float) -> str:
     return f"{hours}:{minute:02}:{second:02}" if hours else f"{minute}:{second:02}"
 
 
-def rough_time(seconds: float) -> str:
-    """Format the time left, no finer than it is known.
-
-    Examples
-    --------
-    >>> rough_time(34.6), rough_time(330), rough_time(8000)
-    ('35 s', '6 min', '2 h 15 min')
-    """
-    if seconds < 90:
-        return f"{math.ceil(seconds)} s"
-    if seconds < 90 * 60:
-        return f"{math.ceil(seconds / 60)} min"
-    hours, minutes = divmod(5 * math.ceil(seconds / 300), 60)
-    return f"{hours} h {minutes:02} min"
-
-
 def rate_text(rate: float | None) -> str:
     """Format a rate, in units per second, minute or hour: the shortest in which a unit is finished.
 

@@ -10,7 +10,8 @@ from html import escape
 from typing import Any
 
 from blocksar.progress.display import FRAMES, Progress
-from blocksar.progress.estimate import Stage, clock_time, rough_time
+from blocksar.progress.estimate import Stage, clock_time
+from blocksar.texts import time_text
 
 
 def in_notebook() -> bool:
@@ -60,7 +61,7 @@ class CellProgress(Progress):
             rows = "".join(_row(stage, now) for stage in self.estimate.stages.values())
             elapsed = clock_time(self.estimate.elapsed)
         notes = "".join(f"<div>note: {escape(text)}</div>" for text in self._notes)
-        remaining = f", about {rough_time(left)} left" if left else ""
+        remaining = f", about {time_text(left)} left" if left else ""
         return f"<table>{rows}</table><div>{elapsed} elapsed{remaining}</div>{notes}"
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from blocksar.arrays import FloatArray
 from blocksar.errors import InputError
 from blocksar.runs.schema import Figure, Number, Record, Whole, read
+from blocksar.texts import count
 from blocksar.version import __version__
 
 ATTRIBUTE = "autofocus"
@@ -149,11 +150,11 @@ class TrackCorrection:
         f, n = self.figures, self.figures["points"]
         few = f", {f['distinct']} of which stand out of noise and clutter," if f.get("distinct", n) < n else ""
         size = np.sqrt((self.error * self.error).sum(axis=1))
-        loops, of = len(f.get("history") or []), f" of channel {f['channel']}" if "channel" in f else ""
+        loops, of = count(len(f.get("history") or []), "loop"), f" of channel {f['channel']}" if "channel" in f else ""
         on = "" if "surface" in self.settings else ", if the ground is the plane on which points were taken"
         return [
             f"track corrected by up to {1e3 * size.max():.3g} mm ({1e3 * np.sqrt((size * size).mean()):.3g} mm r.m.s.) "
-            f"from {f['points']} points{of}{few} in {loops} loop{'s' if loops != 1 else ''}; entropy of their chips "
+            f"from {f['points']} points{of}{few} in {loops}; entropy of their chips "
             f"{f['entropy_before']:.3f} before and {f['entropy_after']:.3f} after",
             f"phase error left over a dwell: {f['predicted_error']:.3f} rad r.m.s. predicted{on}; two estimates from "
             f"disjoint halves of the points differ by {f['halves_apart']:.3f} rad",

@@ -11,12 +11,12 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from blocksar.simulation.tables import LARGEST, SMALLEST
+from blocksar.texts import count
 
 
 def message_of(label: str, problems: list[str]) -> str:
     """Join problems into one message; `label` names the scene file."""
-    count = f"{len(problems)} wrong field{'s' if len(problems) > 1 else ''}"
-    return f"{label} has {count}:" + "".join(f"\n  {problem}" for problem in problems)
+    return f"{label} has {count(len(problems), 'wrong field')}:" + "".join(f"\n  {problem}" for problem in problems)
 
 
 def describe_error(error: ValidationError, data: dict[str, Any], label: str, root: type[BaseModel]) -> str:

@@ -17,8 +17,8 @@ from blocksar.api.rehearsing import needed
 from blocksar.errors import NoRoom, in_python
 from blocksar.places import place
 from blocksar.places.local import LocalPlace
-from blocksar.places.place import size_text
 from blocksar.progress import Listener
+from blocksar.texts import size_text
 
 SCENE: dict[str, Any] = {
     "swath": [29700.0, 30300.0],

@@ -173,7 +173,7 @@ def test_a_folder_of_the_gotcha_set_is_described(tmp_path: Path) -> None:
     kind, facts, following = facts_of(tmp_path)
     assert kind == "folder of the AFRL Gotcha set"
     assert (facts["pass"], facts["polarization"], facts["azimuth"]) == ("3", "VV", "1.00 .. 1.95 degrees")
-    assert facts["band"].startswith(f"{(frequency[0] + frequency[-1]) / 2e9:.5g} GHz; 46.5 MHz in 32")
+    assert facts["band"].startswith(f"{(frequency[0] + frequency[-1]) / 2e9:.6g} GHz; 46.5 MHz in 32")
     assert following == [["ingest", "gotcha", f"{tmp_path}/*.mat", "--out", "gotcha.zarr"]]
     one = tmp_path / "data_3dsar_pass3_az001_VV.mat"
     assert facts_of(one)[2] == [["ingest", "gotcha", str(one), "--out", "gotcha.zarr"]]

@@ -42,8 +42,8 @@ from blocksar.ingestion.cphd.vectors import Pulses, VectorResampling, assign_pul
 from blocksar.ingestion.readers import Described, Reading
 from blocksar.measurement.window import WindowEnergy
 from blocksar.places import Location, readable
-from blocksar.places.place import size_text
 from blocksar.places.ranges import Readable
+from blocksar.texts import frequency_text, size_text
 
 # Makers whose files were reported to declare +1 with samples that follow -1.
 DOUBTED = ("capella",)
@@ -337,8 +337,8 @@ def _describe(echoes: Echoes, lost: int, bistatic: float) -> list[str]:
     messages = [
         f"CPHD {file.version}, channel {file.channel}: {file.shape[0]} vectors of {file.shape[1]} samples, "
         f"{file.domain} domain, SGN {file.sign:+d}",
-        f"{n} pulses, {missing} of them missing; {frequency.size} frequencies, {frequency[0] / 1e9:.6g} .. "
-        f"{frequency[-1] / 1e9:.6g} GHz ({step * frequency.size / 1e6:.6g} of {own / 1e6:.6g} MHz that a vector has)",
+        f"{n} pulses, {missing} of them missing; {frequency.size} frequencies, {frequency_text(frequency[0])} .. "
+        f"{frequency_text(frequency[-1])} ({step * frequency.size / 1e6:.6g} of {own / 1e6:.6g} MHz that a vector has)",
         f"transmitter and receiver up to {pulses.separation:.3g} m apart: the point midway is used, which changes "
         f"ranges over the image area by {bistatic / echoes.collection.wavelength:.2g} wavelengths",
         _describe_resampling(resampler, echoes.delays),

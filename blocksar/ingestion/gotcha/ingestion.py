@@ -32,8 +32,9 @@ from blocksar.ingestion.readers import Described, Piece, ReaderOptions, Reading
 from blocksar.ingestion.resampling import OCCUPIED, Resampling, plan_resampling
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
-from blocksar.places.place import Place, size_text
+from blocksar.places.place import Place
 from blocksar.places.ranges import Readable
+from blocksar.texts import frequency_text, size_text
 
 MAX_GAP = 32  # pulses that may be missing in one place; an omitted file leaves a larger gap
 MAX_JUMP = 5.0  # largest distance between two pulses over the usual one; a single pass stays below it
@@ -245,8 +246,8 @@ def describe(files: Sequence[Readable], given: str) -> Described:
     rows += [
         ("azimuth", f"{azimuths[0].min():.2f} .. {azimuths[-1].max():.2f} degrees"),
         ("pulses", f"{sum(len(file.checksums) for file in read)} in the files that were read"),
-        ("band", f"{(frequency[0] + frequency[-1]) / 2e9:.5g} GHz; {(frequency[-1] - frequency[0]) / 1e6:.4g} MHz in "
-                 f"{frequency.size} frequencies"),
+        ("band", f"{frequency_text((frequency[0] + frequency[-1]) / 2)}; "
+                 f"{frequency_text(frequency[-1] - frequency[0])} in {frequency.size} frequencies"),
         ("track", f"{np.linalg.norm(position, axis=1).mean():.5g} m from the scene's centre, "
                   f"{position[:, 2].mean():.5g} m above it"),
         ("beam", NOT_STEERED),

@@ -9,8 +9,8 @@ from blocksar.ingestion.sentinel1.bursts import find_bursts
 from blocksar.ingestion.sentinel1.files import open_files
 from blocksar.ingestion.sentinel1.gps import utc
 from blocksar.places import Location
-from blocksar.places.place import size_text
 from blocksar.places.ranges import Readable
+from blocksar.texts import count, frequency_text, size_text
 
 
 def describe(files: Sequence[Readable], given: str) -> Described:
@@ -34,11 +34,11 @@ def describe(files: Sequence[Readable], given: str) -> Described:
             own = [burst for burst in bursts if burst.swath == swath]
             radar, prf = own[0].radar, 1 / own[0].interval
             samples, most = 2 * int(own[0].packets.quads.max()), max(each.n_slot for each in own)
-            count = f"{len(own)} burst{'s' if len(own) > 1 else ''} of up to {most} pulses"
-            chirp = f"{radar.bandwidth / 1e6:.4g} MHz in {1e6 * radar.length:.4g} us"
+            bursts_text = f"{count(len(own), 'burst')} of up to {most} pulses"
+            chirp = f"{frequency_text(radar.bandwidth)} in {1e6 * radar.length:.4g} us"
             rows.append((
                 f"{swath} {own[0].polarization}",
-                f"{count} at {prf:.6g} Hz, {samples} samples at {radar.rate / 1e6:.6g} MHz; chirp of {chirp}",
+                f"{bursts_text} at {prf:.6g} Hz, {samples} samples at {frequency_text(radar.rate)}; chirp of {chirp}",
             ))  # fmt: skip
         rows += [("left out", note) for note in notes]
     name = given.rstrip("/").rpartition("/")[2].partition(".")[0].replace("*", "") or "sentinel1"

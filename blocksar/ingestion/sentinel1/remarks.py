@@ -9,6 +9,7 @@ import numpy as np
 from blocksar.ingestion.sentinel1.ancillary import TILTED
 from blocksar.ingestion.sentinel1.histories import BurstHistory
 from blocksar.ingestion.sentinel1.samples import COMPRESSIONS
+from blocksar.texts import count, frequency_text
 
 UNTOLD = 1e-9  # s, by which receive windows may differ
 
@@ -39,9 +40,9 @@ def _swath(swath: str, own: Sequence[BurstHistory]) -> list[str]:
     modes = {COMPRESSIONS.get(int(code), "?") for each in own for code in each.burst.packets.compression}
     missing = f"; {lost} lost pulses are missing" if lost else ""
     return [
-        f"{swath} {burst.polarization}: {len(own)} burst{'s' if len(own) > 1 else ''} of up to "
+        f"{swath} {burst.polarization}: {count(len(own), 'burst')} of up to "
         f"{max(each.burst.n_slot for each in own)} pulses at {1 / burst.interval:.6g} Hz, "
-        f"{own[0].raw.fast_time.size} samples at {burst.radar.rate / 1e6:.6g} MHz ({', '.join(sorted(modes))}), "
+        f"{own[0].raw.fast_time.size} samples at {frequency_text(burst.radar.rate)} ({', '.join(sorted(modes))}), "
         f"{int(burst.packets.rank[0])} pulses in the air{missing}; {own[0].data.steering[swath].describe()}",
         *([f"receive windows change within {windows} of {swath}'s bursts; what all pulses have is taken"]
           if windows else []),

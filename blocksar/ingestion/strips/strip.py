@@ -38,6 +38,7 @@ from blocksar.ingestion.strips.options import PartOptions, TimeTags
 from blocksar.ingestion.strips.orbit import Antenna, Orbit, Track
 from blocksar.ingestion.strips.pulses import Even
 from blocksar.stores import blocks_of
+from blocksar.texts import frequency_text
 
 PARTS = "--pulses, --polarization"
 HALF_POWER = 0.886  # wavelengths over length: width of an evenly lit antenna's beam
@@ -255,7 +256,7 @@ class Strip:
         turned = f"x away from the track, {self.frame.rotation:.2f} degrees from east"
         turned = turned if self.origin is None else "x east, y north"
         return [
-            f"{n} pulses at {1 / interval:.6g} Hz, {self.delay.size} samples at {self.sampling_rate / 1e6:.6g} MHz; "
+            f"{n} pulses at {1 / interval:.6g} Hz, {self.delay.size} samples at {frequency_text(self.sampling_rate)}; "
             f"delays of the file count from the pulse's start, those of the store from its centre",
             *self.notes,
             *([note] if note else []),

@@ -14,6 +14,7 @@ from blocksar.measurement.figures import PointResponse, rank, select_judged
 from blocksar.measurement.targets import Target
 from blocksar.runs.finished import FinishedRun
 from blocksar.runs.record import PredictedBlock, Receipt, RunRecord, block_unit
+from blocksar.texts import count
 
 DASH, MINUS, TIMES = "\N{EN DASH}", "\N{MINUS SIGN}", "\N{MULTIPLICATION SIGN}"
 SPACE = "\N{NARROW NO-BREAK SPACE}"
@@ -49,17 +50,6 @@ def keep_units(text: str) -> str:
     'within 1\u202f% of 5\u202fmm'
     """
     return re.sub(r"(?<=\d) (?=(%|dB|mm|MiB|rad)\b|%)", SPACE, text)
-
-
-def count(n: int, noun: str) -> str:
-    """A number of things, with the noun in singular or plural.
-
-    Examples
-    --------
-    >>> count(1, "target"), count(0, "warning"), count(73, "target")
-    ('1 target', 'no warnings', '73 targets')
-    """
-    return f"{n or 'no'} {noun}{'' if n == 1 else 's'}"
 
 
 def describe(response: PointResponse) -> str:

@@ -31,7 +31,7 @@ from blocksar.measurement.targets import Target
 from blocksar.products.look_spectra import LookSpectra
 from blocksar.products.page import picture
 from blocksar.products.page.composite import Composite, put
-from blocksar.products.page.facts import SPACE, TIMES, Facts, count, describe, keep_units, memory, number
+from blocksar.products.page.facts import SPACE, TIMES, Facts, describe, keep_units, memory, number
 from blocksar.products.page.picture import Picture, data_uri
 from blocksar.products.page.tables import (
     block_table,
@@ -49,6 +49,7 @@ from blocksar.runs import demonstration
 from blocksar.runs.finished import FinishedRun
 from blocksar.runs.folder import INPUT
 from blocksar.runs.track import TrackCorrection
+from blocksar.texts import count, frequency_text
 from blocksar.version import __version__
 
 EDGE = 16  # pixels at the edge of an image in which a response may not be measurable
@@ -81,7 +82,7 @@ def subtitle(run: Facts) -> str:
     dx, dy = run.source.spacing
     spacing = f"{dx:.4g} m" if abs(dx - dy) < 1e-9 * dx else f"{dx:.4g} m {TIMES} {dy:.4g} m"
     size = f"{number(run.source.x.size, 0)} {TIMES} {number(run.source.y.size, 0)} pixels of {spacing}"
-    carrier = f"{run.source.collection.carrier / 1e9:.4g} GHz"
+    carrier = frequency_text(run.source.collection.carrier)
     processor = run.record.processor or "blocksar"
     return ", ".join([processor, *([count(blocks, "block")] if blocks else []), size, carrier])
 
@@ -252,7 +253,7 @@ def provenance(run: Facts) -> list[tuple[str, str]]:
         ("image", _extent(run.source)),
         ("segments", _segments(run)),
         ("collection", f"{collection.n_pulse} pulses of {collection.n_range_frequency} range frequencies, "
-         f"{collection.prf:.6g} Hz, {collection.carrier / 1e9:.6g} GHz, {collection.bandwidth / 1e6:.4g} MHz wide"),
+         f"{collection.prf:.6g} Hz, {frequency_text(collection.carrier)}, {frequency_text(collection.bandwidth)} wide"),
         ("samples", run.samples),
         ("Doppler centroid", run.centroid),
         ("noise", "" if run.source.noise is None else run.source.noise.sentence()),

@@ -41,6 +41,7 @@ from blocksar.products.pictures.overview import (
 from blocksar.products.writing import replacing
 from blocksar.progress.listening import Callback
 from blocksar.runs.finished import FinishedRun
+from blocksar.texts import frequency_text
 
 GREY = "gray"
 PIXELS = 1600  # along the longer side, at most
@@ -283,7 +284,7 @@ def scene_arrows(reduced: Overview, geometry: Geometry, frame: Georeference | No
 def caption_of(source: FinishedRun) -> str:
     """Carrier, pixel spacing and, if georeferenced, the centre of the image."""
     dx, dy = source.spacing
-    parts = [f"{source.collection.carrier / 1e9:.4g} GHz", f"pixels {dx:.4g} m x {dy:.4g} m"]
+    parts = [frequency_text(source.collection.carrier), f"pixels {dx:.4g} m x {dy:.4g} m"]
     if source.georeference is not None:
         centre = np.array([source.x.mean(), source.y.mean(), source.ground_height])
         try:
