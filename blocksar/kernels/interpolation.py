@@ -306,15 +306,11 @@ def resample_rows(values: ComplexArray, out: ComplexArray, positions: FloatArray
     real, imag = np.empty(room, np.float32), np.empty(room, np.float32)
     terms, about = np.empty((order + 1, order + 1)), np.empty((order + 1, LANES))
     drift, slope = np.empty(order + 1, np.float32), np.empty(order, np.float32)
-    gain, strip = np.empty(2 * LANES, np.float32), np.empty(LANES, np.complex64)
+    gain, strip, origin = np.empty(2 * LANES, np.float32), np.empty(LANES, np.complex64), 0
+    store(gain, LANES, spread(np.float32(0.0)))
     middles = np.empty(n // LANES + 1 + LANES)  # u in the middle of every LANES samples; zeros fill up
-    for i in range(middles.size):  # `np.zeros` takes longer to compile
-        middles[i] = 0.0
-    for i in range(gain.size):
-        gain[i] = 0.0
-    for i in range(0, n, LANES):
-        middles[i // LANES] = (i + (min(LANES, n - i) - 1) / 2 - n // 2) * (2.0 / n)
-    origin = 0
+    for i in range(0, middles.size * LANES, LANES):  # `np.zeros` takes longer to compile
+        middles[i // LANES] = (i + (min(LANES, n - i) - 1) / 2 - n // 2) * (2.0 / n) if i < n else 0.0
     for r in range(values.shape[0]):
         row, result = values[r], out[r]
         extent = 0.0
