@@ -34,6 +34,7 @@ from blocksar.focusing.pixel_rows import (
     find_limits,
     find_sector,
     phasors_of,
+    place_across,
     place_windows,
     sum_windows,
     turn_windows,
@@ -43,7 +44,7 @@ from blocksar.focusing.relief_correction import bent_taps_of, nodes_of, resample
 from blocksar.kernels import interpolation
 from blocksar.kernels.groups import run_groups
 from blocksar.kernels.lanes import FEW
-from blocksar.kernels.loops import COMPILED, FLOATS_IN, PAIR, POWERS, REAL_ROW, REAL_ROWS, SAMPLES_OUT, TILES, loop
+from blocksar.kernels.loops import COMPILED, FLOATS_IN, NUMBERS_OUT, PAIR, POWERS, REAL_ROW, REAL_ROWS, TILES, loop
 from blocksar.kernels.phase import Float32Array
 from blocksar.solvers import product
 
@@ -177,13 +178,14 @@ def _correct(
     yaw_step = float(ground.yaw_axis[1] - ground.yaw_axis[0])
     weight = ground.weight
     x, y, near_limit, far_limit = (np.ascontiguousarray(v) for v in (x, y, ground.near_limit, ground.far_limit))
-    floats = _with_room(block, *widths).view(np.float32)
+    floats, numbers = _with_room(block, *widths).view(np.float32), out.view(np.float32).reshape(-1)
+    across = place_across(side)
 
     def resample(group: slice) -> None:
         _resample(
-            floats, out, places[group], polynomials[group], x, y, side, range_taps, doppler_taps, carriers, n_taps,
-            widths, (ground.rows.size, ground.doppler.size), rays, frame, yaw_start, yaw_step, near_limit, far_limit,
-            weight,
+            floats, numbers, places[group], polynomials[group], x, y, across, range_taps, doppler_taps, carriers,
+            n_taps, widths, (ground.rows.size, ground.doppler.size), rays, frame, yaw_start, yaw_step, near_limit,
+            far_limit, weight,
         )  # fmt: skip
 
     # Python threads over groups of tiles, not numba's own: a dask worker may run several tasks in one process.
@@ -352,36 +354,33 @@ def _with_room(block: ComplexArray, n_row: int, n_doppler: int) -> ComplexArray:
 
 
 @loop(
-    FLOATS_IN, SAMPLES_OUT, TILES, POWERS, REAL_ROW, REAL_ROW, types.int64, *[FLOATS_IN] * 3, *[PAIR] * 3, REAL_ROW,
-    REAL_ROW, types.float64, types.float64, REAL_ROW, REAL_ROW, REAL_ROWS, **COMPILED,
+    FLOATS_IN, NUMBERS_OUT, TILES, POWERS, *[REAL_ROW] * 3, *[FLOATS_IN] * 3, *[PAIR] * 3, REAL_ROW, REAL_ROW,
+    types.float64, types.float64, REAL_ROW, REAL_ROW, REAL_ROWS, **COMPILED,
 )  # fmt: skip
 def _resample(  # type: ignore[no-untyped-def]
-    floats, out, tiles, coefficients, x, y, tile, range_table, doppler_table, carrier_table, n_taps, widths, sizes,
+    floats, numbers, tiles, coefficients, x, y, across, range_taps, doppler_taps, carriers, n_taps, widths, sizes,
     rays, frame, yaw_start, yaw_step, near_limit, far_limit, weight,
 ):  # fmt: skip
-    """Write the owned pixels of some tiles to `out`, row by row."""
-    n_row, n_doppler = floats.shape[0], floats.shape[1] // 2
-    flat, stride = floats.reshape(-1), floats.shape[1]
-    range_taps, range_step = range_table.reshape(-1), range_table.shape[1]
-    doppler_taps, doppler_step = doppler_table.reshape(-1), doppler_table.shape[1]
-    carriers, by_yaw = carrier_table.reshape(-1), weight[0]
-    across, along = np.arange(tile) / max((tile - 1) / 2, 0.5) - 1.0, np.empty(coefficients.shape[2])
+    """Write the owned pixels of some tiles to `numbers`, their real and imaginary parts, row by row."""
+    n_row, n_doppler, stride = floats.shape[0], floats.shape[1] // 2, floats.shape[1]
+    range_step, doppler_step, by_yaw = range_taps.shape[1], doppler_taps.shape[1], weight[0]
+    tile, along = across.size, np.empty(coefficients.shape[2])
     values = np.empty((6, tile))
     row, doppler, cycles, loss, turn, middle = values[0], values[1], values[2], values[3], values[4], values[5]
     rng, owned = np.empty(tile), np.empty(tile)
     places = np.empty((6, tile), np.int64)
     first_row, range_at, at = places[0], places[1], places[2]
     first_doppler, doppler_at, carrier_at = places[3], places[4], places[5]
-    parts, numbers = np.zeros((8, tile), np.float32), out.view(np.float32).reshape(-1)
+    parts = np.empty((8, tile), np.float32)
     range_part, doppler_part, own, own_real, own_imag = parts[0], parts[1], parts[2], parts[3], parts[4]
     amplitude, real, imag = parts[5], parts[6], parts[7]
     for t in range(tiles.shape[0]):
         i0, j0, every = tiles[t, 0], tiles[t, 1], tiles[t, 2] != 0
-        n = min(tile, out.shape[1] - j0)
-        for i in range(i0, min(i0 + tile, out.shape[0])):
+        n = min(tile, x.size - j0)
+        for i in range(i0, min(i0 + tile, y.size)):
             for k in range(tile):
                 owned[k] = 1.0 if k < n else np.nan
-            start = 2 * (i * out.shape[1] + j0)
+            start = 2 * (i * x.size + j0)
             if not every and not find_sector(x, j0, n, y[i], rays, frame, rng, owned):
                 blank_row(numbers, start, n)
                 continue
@@ -404,7 +403,7 @@ def _resample(  # type: ignore[no-untyped-def]
             phasors_of(own, own_real, own_imag)
             find_addresses(first_row, first_doppler, stride, amplitude, at)
             sum_windows(
-                flat, stride, at, range_taps, range_step, widths[0], range_at, range_part, doppler_taps, doppler_step,
+                floats, stride, at, range_taps, range_step, widths[0], range_at, range_part, doppler_taps, doppler_step,
                 doppler_at, doppler_part, carriers, carrier_at, real, imag,
             )  # fmt: skip
             write_row(numbers, start, n, amplitude, own_real, own_imag, real, imag)

@@ -26,6 +26,11 @@ TILE_DEGREE = 5
 # out negative ones, for which it would load element by element.
 
 
+def place_across(tile: int) -> FloatArray:
+    """Places of the pixels along a tile's side, -1 to 1."""
+    return np.arange(tile) / max((tile - 1) / 2, 0.5) - 1.0
+
+
 @njit(**PART, **UNCONTRACTED)
 def left_of(ray_x: float, ray_y: float, x: float, y: float) -> bool:
     """Whether a point is on a ray or to its left.

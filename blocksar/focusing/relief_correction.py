@@ -32,6 +32,7 @@ from blocksar.focusing.pixel_rows import (
     find_limits,
     left_of,
     phasors_of,
+    place_across,
     place_windows,
     sum_windows_bent,
     turn_windows,
@@ -43,12 +44,12 @@ from blocksar.kernels.interpolation import bent_errors
 from blocksar.kernels.loops import (
     COMPILED,
     FLOATS_IN,
+    NUMBERS_OUT,
     PAIR,
     PART,
     POWERS,
     REAL_ROW,
     REAL_ROWS,
-    SAMPLES_OUT,
     TILES,
     TUPLE,
     UNCHECKED,
@@ -294,10 +295,11 @@ def resample_on_relief(
     per_bend = (doppler_taps.n_bend[0] - 1) / (2 * most_bend) if most_bend else 0.0
     # Contiguous copies: a loop is compiled for each layout of its arrays.
     z, weight = np.ascontiguousarray(z), np.ascontiguousarray(weight)
+    numbers, across = out.view(np.float32).reshape(-1), place_across(tile)
 
     def work(part: slice) -> None:
         _resample(
-            block, out, tiles[part], coefficients[part], spans[part], x, y, z, tile, table, doppler_taps.real,
+            block, numbers, tiles[part], coefficients[part], spans[part], x, y, z, across, table, doppler_taps.real,
             doppler_taps.imag, carriers, (n_range, *doppler_taps.n_tap), (range_width, *doppler_taps.width),
             (ground.rows.size, ground.doppler.size), rays, frame, (carrier, 1 / ground.rows.step, ground.origin),
             (per_bend, *doppler_taps.n_bend), yaw_start, yaw_step, *limits, weight,
@@ -395,37 +397,37 @@ def _choose_taps(  # type: ignore[no-untyped-def]
 
 
 @loop(
-    FLOATS_IN, SAMPLES_OUT, TILES, POWERS, REAL_ROWS, REAL_ROW, REAL_ROW, REAL_ROWS, types.int64, FLOATS_IN, FLOAT_ROW,
+    FLOATS_IN, NUMBERS_OUT, TILES, POWERS, REAL_ROWS, REAL_ROW, REAL_ROW, REAL_ROWS, REAL_ROW, FLOATS_IN, FLOAT_ROW,
     FLOAT_ROW, FLOATS_IN, TRIPLE, TRIPLE, PAIR, REAL_ROW, REAL_ROW, TUPLE((types.float64,) * 3),
     TUPLE((types.float64, types.int64, types.int64)), types.float64, types.float64, REAL_ROW, REAL_ROW, REAL_ROWS,
     **COMPILED,
 )  # fmt: skip
 def _resample(  # type: ignore[no-untyped-def]
-    floats, out, tiles, coefficients, spans, x, y, z, tile, range_table, real_taps, imag_taps, carrier_table, n_taps,
+    floats, numbers, tiles, coefficients, spans, x, y, z, across, range_taps, real_taps, imag_taps, carriers, n_taps,
     widths, sizes, rays, frame, scales, bends, yaw_start, yaw_step, near_limit, far_limit, weight,
 ):  # fmt: skip
-    """Write the owned pixels of some tiles to `out`, row by row."""
-    n_row, n_doppler = floats.shape[0], floats.shape[1] // 2
-    flat, stride = floats.reshape(-1), floats.shape[1]
-    range_taps, range_step = range_table.reshape(-1), range_table.shape[1]
-    carriers, by_yaw = carrier_table.reshape(-1), weight[0]
+    """Write the owned pixels of some tiles to `numbers`, their real and imaginary parts, row by row."""
+    n_row, n_doppler, stride = floats.shape[0], floats.shape[1] // 2, floats.shape[1]
+    range_step, by_yaw, tile = range_taps.shape[1], weight[0], across.size
     carrier_cycles, per_row, origin = scales
-    across, values = np.arange(tile) / max((tile - 1) / 2, 0.5) - 1.0, np.zeros((QUANTITIES, tile))
+    values = np.empty((QUANTITIES, tile))
     row, doppler, cycles, loss, turn, middle, bend = (
         values[0], values[1], values[2], values[3], values[4], values[5], values[6],
     )  # fmt: skip
-    rng, owned, w, cubics = np.zeros(tile), np.empty(tile), np.zeros(tile), np.empty(coefficients.shape[2])
+    rng, owned, w, cubics = np.empty(tile), np.empty(tile), np.empty(tile), np.empty(coefficients.shape[2])
+    for k in range(tile):  # `np.zeros` takes longer to compile
+        rng[k], w[k] = 0.0, 0.0
     places = np.empty((8, tile), np.int64)
     first_row, range_at, at, carrier_at = places[0], places[1], places[2], places[3]
     first_doppler, doppler_row, tap_at, tap_step = places[4], places[5], places[6], places[7]
-    parts, numbers = np.zeros((8, tile), np.float32), out.view(np.float32).reshape(-1)
+    parts = np.empty((8, tile), np.float32)
     range_part, doppler_part, own, own_real, own_imag = parts[0], parts[1], parts[2], parts[3], parts[4]
     amplitude, real, imag = parts[5], parts[6], parts[7]
     for t in range(tiles.shape[0]):
         i0, j0, every = tiles[t, 0], tiles[t, 1], tiles[t, 2] != 0
-        n = min(tile, out.shape[1] - j0)
-        for i in range(i0, min(i0 + tile, out.shape[0])):
-            start = 2 * (i * out.shape[1] + j0)
+        n = min(tile, x.size - j0)
+        for i in range(i0, min(i0 + tile, y.size)):
+            start = 2 * (i * x.size + j0)
             for k in range(tile):
                 owned[k] = 1.0 if k < n else np.nan
             if every:
@@ -455,7 +457,7 @@ def _resample(  # type: ignore[no-untyped-def]
             turn_windows(doppler, cycles, middle, first_doppler, 4 * widths[1], carrier_at, own)
             phasors_of(own, own_real, own_imag)
             sum_windows_bent(
-                flat, stride, at, range_taps, range_step, widths[0], range_at, range_part, real_taps, imag_taps,
+                floats, stride, at, range_taps, range_step, widths[0], range_at, range_part, real_taps, imag_taps,
                 tap_at, tap_step, doppler_part, carriers, 2 * widths[1], carrier_at, real, imag,
             )  # fmt: skip
             write_row(numbers, start, n, amplitude, own_real, own_imag, real, imag)

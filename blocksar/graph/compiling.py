@@ -29,19 +29,19 @@ By = Literal["this", "all", "others"]  # the processes that compile loops
 
 # Those that take longest come first, so that processes end together.
 TASKS = (
-    "kernels.levelling", "kernels.interpolation", "inspection.scan", "kernels.pulse_sums", "kernels.phase",
-    "focusing.correction", "focusing.surfaces:sum_series",
+    "kernels.levelling", "focusing.correction", "kernels.interpolation", "inspection.scan", "kernels.phase",
+    "focusing.surfaces:sum_series",
 )  # fmt: skip
 TERRAIN = (
     "focusing.relief_correction", "kernels.occlusion", "kernels.terrain_rows", "focusing.surfaces:sum_layers",
 )  # fmt: skip
-PATTERNS = ("focusing.pattern_sums",)
+PULSES = ("kernels.pulse_sums", "focusing.pattern_sums")
 WEIGHTS = ("kernels.blending",)
 PYRAMID = ("kernels.halving",)
 HIERARCHY = ("kernels.decimation",)
 TRACKS = ("autofocusing.range_lines", "autofocusing.forms", "autofocusing.sights", "autofocusing.phase_gradient")
 LOOPS = (
-    *TERRAIN[:1], *TASKS, *PATTERNS, "kernels.beam_passes", *TERRAIN[1:], "simulation.scatterers", *WEIGHTS,
+    *TERRAIN[:1], *TASKS, *PULSES, "kernels.beam_passes", *TERRAIN[1:], "simulation.scatterers", *WEIGHTS,
     *HIERARCHY, *PYRAMID, *TRACKS, "kernels.posts", "kernels.quantised_packets",
 )  # fmt: skip
 HELP = "import sys; from blocksar.graph import compiling; print(compiling.help_to_compile(sys.argv[1:]))"

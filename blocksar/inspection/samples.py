@@ -309,11 +309,14 @@ def _scan(
         step = (range_frequency[-1] - range_frequency[0]) / max(n_column - 1, 1)
         factor = np.array([1 + range_frequency[0] / recovery.carrier, step / recovery.carrier])
     parts = signal.view(np.float32)
+    part_bits = parts.view(np.int32)
     edges = np.arange(SEGMENTS + 1) * n_pulse // SEGMENTS
 
     def work(k: int) -> None:
         first, last = int(edges[k]), int(edges[k + 1])
-        levels = scan_pulses(parts, first, last, scan.missing, scan.suspect[k])
+        moduli = np.zeros((5, n_column), np.float32)
+        bits = moduli.view(np.int32)
+        levels = scan_pulses(parts, part_bits, moduli, bits, first, last, scan.missing, scan.suspect[k])
         scan.valid[k], scan.extreme[k], scan.at_extreme[k] = levels[0], levels[1], levels[2:]
         if recovery is not None:
             sum_pairs(signal, np.float32(scale), first, last, advance, factor, scan.pairs[k])

@@ -13,13 +13,13 @@ from numba import njit, types
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.constants import TURN
 from blocksar.kernels.lanes import LANES, load_imag, load_real, store
-from blocksar.kernels.loops import COMPILED, PART, SAMPLES_IN, loop
+from blocksar.kernels.loops import COMPILED, FLOATS_IN, PART, SAMPLES_IN, loop
 from blocksar.kernels.phase import Float32Array
 
 STANDS_OUT = 100.0  # an impossible sample over its neighbours, and over its column's median
 BEYOND_ALL = 1e8  # an impossible sample over its column's median, whatever its neighbours
 
-_PARTS = types.Array(types.float32, 2, "C", readonly=True)
+_BITS = types.Array(types.int32, 2, "C", readonly=True)
 _REALS = types.float64[::1]
 _LARGEST = np.float32(np.finfo(np.float32).max)
 _SIGNLESS = np.int32(0x7FFFFFFF)
@@ -78,14 +78,19 @@ def _mark_suspects(moduli: Float32Array, p: int, suspect: BoolArray) -> None:
             suspect[c] |= _is_suspect(m[c], max(a[c], b[c]), max(d[c], e[c]))
 
 
-@loop(_PARTS, types.int64, types.int64, types.int64[::1], types.boolean[::1], nogil=True)
+@loop(
+    FLOATS_IN, _BITS, types.float32[:, ::1], _BITS, types.int64, types.int64, types.int64[::1], types.boolean[::1],
+    nogil=True,
+)  # fmt: skip
 def scan_pulses(
-    parts: Float32Array, first: int, last: int, missing: IntArray, suspect: BoolArray
-) -> tuple[int, int, int, int]:
+    parts: Float32Array, part_bits: Any, moduli: Float32Array, bits: Any, first: int, last: int, missing: IntArray,
+    suspect: BoolArray,
+) -> tuple[int, int, int, int]:  # fmt: skip
     """Scan pulses first .. last - 1 for missing samples, suspect columns and the extreme level.
 
-    `parts` (n_pulse, 2 n_column) has real and imaginary parts side by side. Writes the number of missing samples of
-    each pulse to `missing` (n_pulse,), and marks suspect columns in `suspect` (n_column,).
+    `parts` (n_pulse, 2 n_column) has real and imaginary parts side by side; `moduli` (5, n_column) is room; of both the
+    bits are given as int32 too. Writes the number of missing samples of each pulse to `missing` (n_pulse,), and marks
+    suspect columns in `suspect` (n_column,).
 
     Returns
     -------
@@ -94,8 +99,6 @@ def scan_pulses(
         of imaginary parts with that modulus.
     """
     n_pulse, n_column = parts.shape[0], parts.shape[1] // 2
-    moduli = np.zeros((5, n_column), np.float32)
-    bits, part_bits = moduli.view(np.int32), parts.view(np.int32)
     valid, extreme, real, imag = 0, 0, 0, 0
     for ahead in range(first - 2, last + 2):
         if 0 <= ahead < n_pulse:
@@ -141,7 +144,9 @@ def sum_pairs(
     """
     n_pulse, n_column = signal.shape
     whole = n_column - n_column % LANES
-    rest, rest_next = np.zeros(LANES, np.complex64), np.zeros(LANES, np.complex64)
+    rest, rest_next = np.empty(LANES, np.complex64), np.empty(LANES, np.complex64)
+    for k in range(LANES):
+        rest[k], rest_next[k] = 0.0, 0.0
     reals, imags, energies = np.empty(LANES, np.float32), np.empty(LANES, np.float32), np.empty(LANES, np.float32)
     for p in range(first, last):
         paired = p + 1 < n_pulse
@@ -159,12 +164,12 @@ def sum_pairs(
         store(reals, 0, real)
         store(imags, 0, imag)
         store(energies, 0, energy)
-        total = 0j
-        phasor, by = np.exp(-1j * TURN * (cycles - np.rint(cycles))), np.exp(-1j * TURN * step)
+        total_real, total_imag, phase, by = 0.0, 0.0, -TURN * (cycles - np.rint(cycles)), -TURN * step
         for k in range(LANES):
-            total += phasor * complex(reals[k], imags[k])
-            phasor *= by
+            cos, sin = np.cos(phase + k * by), np.sin(phase + k * by)
+            total_real += cos * reals[k] - sin * imags[k]
+            total_imag += cos * imags[k] + sin * reals[k]
             out[2] += energies[k]
         if paired:
-            out[0] += total.real
-            out[1] += total.imag
+            out[0] += total_real
+            out[1] += total_imag

@@ -115,13 +115,15 @@ def _turn_row(row: Any, u: Any, first: Any, step: Any, real: Any, imag: Any, lea
         imag[lead + i] = row[i].real * sine_ + row[i].imag * cosine_
 
 
-@loop(SAMPLES_IN, REAL_ROW, REAL_ROW, REAL_ROW, _REALS, types.int64, types.int64, types.int64, SAMPLES_OUT, **COMPILED)
+@loop(
+    SAMPLES_IN, REAL_ROW, REAL_ROW, REAL_ROW, _REALS, types.int64, types.int64, types.float32[:, ::1], SAMPLES_OUT,
+    **COMPILED,
+)  # fmt: skip
 def _turn_and_decimate(
     values: ComplexArray, u: FloatArray, first: FloatArray, step: FloatArray, taps: Float32Array, factor: int,
-    lead: int, size: int, out: ComplexArray,
+    lead: int, parts: Float32Array, out: ComplexArray,
 ) -> None:  # fmt: skip
-    n, n_out = values.shape[1], out.shape[1]
-    real, imag = np.zeros(size, np.float32), np.zeros(size, np.float32)
+    n, n_out, real, imag = values.shape[1], out.shape[1], parts[0], parts[1]
     for r in range(values.shape[0]):
         _turn_row(values[r], u, first[r], step[r], real, imag, lead)
         row = out[r]
@@ -180,7 +182,8 @@ def turn_and_decimate(
     lead = decimation.half - start
     size = max((filled - 1) * decimation.factor + whole.size, lead + n) + LANES
     u = np.arange(n, dtype=np.float64)
-    _turn_and_decimate(values, u, first, step, whole, decimation.factor, lead, size, out)
+    parts = np.zeros((2, size), np.float32)
+    _turn_and_decimate(values, u, first, step, whole, decimation.factor, lead, parts, out)
     return out, start
 
 

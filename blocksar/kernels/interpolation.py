@@ -244,15 +244,6 @@ def stretch_rows(values: ComplexArray, out: ComplexArray, scale: FloatArray, mid
 
 
 @njit(**PART, **COMPILED)
-def _zeros(size: Any, dtype: Any) -> Any:
-    """np.zeros, which takes longer to compile."""
-    values = np.empty(size, dtype)
-    for k in range(size):
-        values[k] = 0.0
-    return values
-
-
-@njit(**PART, **COMPILED)
 def _expand(c: Any, n: Any, terms: Any) -> Any:
     """Taylor terms of a polynomial in u, in steps of half a vector: c(u + x LANES / n) = sum_k terms[k](u) x^k.
 
@@ -315,11 +306,11 @@ def resample_rows(values: ComplexArray, out: ComplexArray, positions: FloatArray
     real, imag = np.empty(room, np.float32), np.empty(room, np.float32)
     terms, about = np.empty((order + 1, order + 1)), np.empty((order + 1, LANES))
     drift, slope = np.empty(order + 1, np.float32), np.empty(order, np.float32)
-    gain, strip = _zeros(2 * LANES, np.float32), np.empty(LANES, np.complex64)
-    middles = _zeros(n // LANES + 1 + LANES, np.float64)  # u in the middle of every LANES samples; zeros fill up
-    for i in range(0, n, LANES):
-        middles[i // LANES] = (i + (min(LANES, n - i) - 1) / 2 - n // 2) * (2.0 / n)
-    origin = 0
+    gain, strip, origin = np.empty(2 * LANES, np.float32), np.empty(LANES, np.complex64), 0
+    store(gain, LANES, spread(np.float32(0.0)))
+    middles = np.empty(n // LANES + 1 + LANES)  # u in the middle of every LANES samples; zeros fill up
+    for i in range(0, middles.size * LANES, LANES):  # `np.zeros` takes longer to compile
+        middles[i // LANES] = (i + (min(LANES, n - i) - 1) / 2 - n // 2) * (2.0 / n) if i < n else 0.0
     for r in range(values.shape[0]):
         row, result = values[r], out[r]
         extent = 0.0

@@ -36,6 +36,7 @@ SAMPLES_OUT = types.complex64[:, ::1]
 REAL_ROW = types.Array(types.float64, 1, "C", readonly=True)
 REAL_ROWS = types.Array(types.float64, 2, "C", readonly=True)
 FLOATS_IN = types.Array(types.float32, 2, "C", readonly=True)
+NUMBERS_OUT = types.float32[::1]  # samples seen as numbers: what Python can do, a loop would compile
 TILES = types.Array(types.int64, 2, "C", readonly=True)
 POWERS = types.Array(types.float64, 3, "C", readonly=True)  # of the polynomials of tiles
 TUPLE: Any = types.Tuple  # carries no types

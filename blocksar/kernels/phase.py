@@ -202,11 +202,19 @@ def multiply_windows(values: ComplexArray, windows: ComplexArray, which: IntArra
     for r in range(values.shape[0]):
         row, window = values[r, :n], windows[which[r]]
         for i in range(0, whole, LANES):
-            real, imag = load_real(row, i), load_imag(row, i)
-            a, b = load_real(window, i), load_imag(window, i)
-            store_complex(row, i, real * a - imag * b, real * b + imag * a)
-        for i in range(whole, n):
-            row[i] *= window[i]
+            _multiply(row, window, i)
+        if whole < n:
+            rest = _rest(row)
+            _multiply(rest, _rest(window), 0)
+            for i in range(whole, n):
+                row[i] = rest[i - whole]
+
+
+@njit(**PART, **COMPILED)
+def _multiply(row: Any, window: Any, i: Any) -> None:
+    """Multiply LANES samples from index i on by those of the window, in place."""
+    real, imag, a, b = load_real(row, i), load_imag(row, i), load_real(window, i), load_imag(window, i)
+    store_complex(row, i, real * a - imag * b, real * b + imag * a)
 
 
 @loop(types.Array(types.complex64, 2, "A", readonly=True), types.int64, SAMPLES_OUT, **COMPILED)

@@ -114,7 +114,7 @@ class BackprojectionPlan(ChunkPlan):
         return partial(form_together, weighting=weighting, device=self.device, memory=self.on_gpu)
 
     def loops(self) -> Sequence[str]:
-        return compiling.PATTERNS
+        return compiling.PULSES
 
     def lines(self) -> list[str]:
         pixels = self.grid.shape[0] * self.grid.shape[1]

@@ -89,7 +89,7 @@ class HierarchicalPlan(PartPlan):
         return effort.of_parts(geometries, self.grid, self.processor, [seconds / count] * count)
 
     def loops(self) -> Sequence[str]:
-        return *compiling.PATTERNS, *compiling.HIERARCHY
+        return *compiling.PULSES, *compiling.HIERARCHY
 
     def lines(self) -> list[str]:
         worst = max(self.divisions, key=lambda each: each.error)
