@@ -61,6 +61,7 @@ def simulate(
     raw: bool = False,
     threads: int = 1,
     overwrite: bool = False,
+    begun: Callable[[int], object] | None = None,
     progress: Callback | None = None,
 ) -> Path | Place:
     """Simulate a scene into a phase-history store, chunk by chunk of pulses, so that it need not fit into memory.
@@ -76,8 +77,8 @@ def simulate(
         Number of threads; the samples do not depend on it.
     overwrite : bool
         Replace an existing store.
-    progress : callable (done, total)
-        Told numbers of pulses: first those that one that ended early has left, then after each chunk.
+    begun, progress
+        As for `stores.write_pieces`.
 
     Returns
     -------
@@ -108,7 +109,7 @@ def simulate(
 
     def write(store: Place) -> None:
         samples = stores.Samples(name, collection.n_pulse, len(scene.channels), read)
-        stores.write_pieces(store, [samples], identity=identity, progress=progress)
+        stores.write_pieces(store, [samples], identity=identity, begun=begun, progress=progress)
         write_truth(scene, where)
 
     # Rows not yet written would read as lost pulses: the store therefore gets its name when it is complete.
