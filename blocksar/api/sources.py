@@ -75,6 +75,7 @@ def simulate(
         raise InputError(f"scene is a {type(scene).__name__}; give a file, the name of a shipped scene, or a Scene")
     _, threads, _ = resources(1, threads, None)
     listener = as_listener(progress)
+    callback = only_stage(listener, "simulate")
     if cphd and raw:
         raise InputError("raw is given together with cphd, but CPHD files hold compressed pulses; leave out one")
     if origin is not None and not cphd:
@@ -85,18 +86,10 @@ def simulate(
         from blocksar.simulation import cphd as cphd_files  # optional libraries
 
         written = cphd_files.simulate(
-            scene,
-            out,
-            origin=origin,
-            threads=threads,
-            overwrite=overwrite,
-            progress=only_stage(listener, "simulate"),
+            scene, out, origin=origin, threads=threads, overwrite=overwrite, progress=callback
         )
     else:
-        written = phase_history.simulate(
-            scene, out, raw=raw, threads=threads, overwrite=overwrite, begun=partial(listener.begin, "simulate"),
-            progress=partial(listener.update, "simulate"),
-        )  # fmt: skip
+        written = phase_history.simulate(scene, out, raw=raw, threads=threads, overwrite=overwrite, progress=callback)
     _note_unlit(scene, listener)
     return written
 
