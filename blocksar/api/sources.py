@@ -238,7 +238,7 @@ Part = str | tuple[int | None, int | None] | None
 
 
 class _Options(TypedDict, total=False):
-    """What editors and type checkers know of each reader's options; a test holds it to the model."""
+    """Options of every reader as type checkers know them; a test holds it to the model."""
 
     ground_height: float
     collection_start: str | None

@@ -95,7 +95,7 @@ class _Written(NamedTuple):
 
 
 class Ledger:
-    """What is written of an unfinished store."""
+    """List of what is written of an unfinished store."""
 
     def __init__(self, store: Place, identity: str, samples: Sequence[Samples], written: list[_Written]) -> None:
         self.store, self.identity, self.samples, self.written = store, identity, samples, written
@@ -159,7 +159,7 @@ class Ledger:
 
 
 def ledger_of(store: Place) -> dict[str, Any] | None:
-    """What the ledger of an unfinished store says; None if there is none."""
+    """Read the ledger of an unfinished store; None if there is none."""
     try:
         told = read_json(store / LEDGER)
     except InputError:
