@@ -23,20 +23,6 @@ def only_stage(progress: Progress | None, stage: str) -> Callable[[int, int], No
     return partial(listener.update, stage)
 
 
-def resumed_stage(progress: Progress | None, stage: str) -> Callable[[int, int], None]:
-    """As `only_stage`, for a callback whose first call tells what an earlier run has finished."""
-    listener, begun = as_listener(progress), False
-
-    def update(done: int, total: int) -> None:
-        nonlocal begun
-        if not begun:
-            listener.begin(stage, done)
-        begun = True
-        listener.update(stage, done, total)
-
-    return update
-
-
 def finite(value: float) -> float | None:
     """A number for a result; None unless it is finite."""
     return float(value) if math.isfinite(value) else None

@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
+from functools import partial
+from inspect import Parameter, getdoc, signature
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict, TypeVar, Unpack
 
-from blocksar.api.reports import Report, only_stage, resumed_stage
+from blocksar.api.reports import Report, only_stage
 from blocksar.errors import InputError
 from blocksar.graph.machine import resources
 from blocksar.ingestion import readers
 from blocksar.ingestion.found import found_at
 from blocksar.ingestion.readers import READERS
 from blocksar.ingestion.timeline import stated_times
-from blocksar.options import read_options
+from blocksar.options import options_of, read_options
 from blocksar.places import Location, readable
 from blocksar.places.place import Place
 from blocksar.progress import Listener, as_listener
 from blocksar.progress import Wanted as Progress
 from blocksar.simulation import phase_history
 from blocksar.simulation.scene import Scene
+
+Reads = TypeVar("Reads", bound=Callable[..., Report])
 
 
 def simulate(
@@ -70,7 +75,7 @@ def simulate(
         raise InputError(f"scene is a {type(scene).__name__}; give a file, the name of a shipped scene, or a Scene")
     _, threads, _ = resources(1, threads, None)
     listener = as_listener(progress)
-    callback = only_stage(listener, "simulate") if cphd else resumed_stage(listener, "simulate")
+    callback = only_stage(listener, "simulate")
     if cphd and raw:
         raise InputError("raw is given together with cphd, but CPHD files hold compressed pulses; leave out one")
     if origin is not None and not cphd:
@@ -156,9 +161,10 @@ def ingest(
     choices: Any = read_options(
         reader.options, options, str(name), ((other, each.options) for other, each in READERS.sound())
     )
+    listener = as_listener(progress)
     history = readers.ingest(
         reader, sources, out, choices, times=stated_times(collection_start, time_zero), overwrite=overwrite,
-        progress=resumed_stage(progress, "ingest"),
+        begun=partial(listener.begin, "ingest"), progress=partial(listener.update, "ingest"),
     )  # fmt: skip
     return Report(summary=[*history.messages, f"wrote {history.path}"], result=history.collection)
 
@@ -184,23 +190,102 @@ def reader_of(source: Location) -> str:
     return found.reader
 
 
-def ingest_cphd(
-    source: Location,
-    out: Location,
-    *,
-    channel: str | None = None,
-    pulses: str | tuple[int | None, int | None] | None = None,
-    frequencies: str | tuple[float | None, float | None] | None = None,
-    area: str | tuple[tuple[float, float], tuple[float, float]] | None = None,
-    ground_height: float = 0.0,
-    sgn: int | None = None,
-    range_window: Literal["saved", "reference"] | None = None,
-    troposphere: Literal["file", "standard"] | None = None,
-    collection_start: str | None = None,
-    time_zero: float | None = None,
-    overwrite: bool = False,
-    progress: Progress | None = None,
-) -> Report:
+_SECTION = r"^{}\n-+\n(.*?)(?=^\S[^\n]*\n---|\Z)"  # of a docstring
+_ENTRY = r"^(\w+) : [^\n]*\n(?:    [^\n]*\n|\n)+"
+
+
+def _entries(documented: object, section: str) -> dict[str, str]:
+    """The entries of a section of a docstring, by name."""
+    text = re.search(_SECTION.format(section), getdoc(documented) or "", re.M | re.S)
+    found = re.finditer(_ENTRY, f"{text[1]}\n" if text else "", re.M)
+    return {entry[1]: entry[0].strip() for entry in found}
+
+
+def _of_reader(function: Reads) -> Reads:
+    """Complete signature and docstring of `ingest_NAME` by the reader's model of options, and by what `ingest` has.
+
+    What the function's own docstring says stays.
+    """
+    model = READERS.get(function.__name__.removeprefix("ingest_")).options
+    *own, _ = signature(function).parameters.values()
+    shared = [each for each in signature(ingest).parameters.values() if each.kind is Parameter.KEYWORD_ONLY]
+    options = [
+        Parameter(
+            each.name, Parameter.KEYWORD_ONLY, default=each.default if each.option.read is None else None,
+            annotation=each.type,
+        )
+        for each in options_of(model)
+    ]  # fmt: skip
+    whole = signature(function).replace(parameters=[*own, *options, *shared])
+    known = _entries(ingest, "Parameters")
+    for each in reversed(model.__mro__):
+        known |= _entries(each, "Attributes")
+    known |= _entries(function, "Parameters")
+    said = "\n".join(known[name] for name in whole.parameters)
+    text = getdoc(function) or ""
+    start = text.index("Parameters\n---")
+    rest = re.search(r"^(Returns|Raises)\n---", text[start:], re.M)
+    assert rest is not None
+    returns = "" if rest[1] == "Returns" else f"Returns\n-------\n{_RETURNS}\n\n"
+    function.__doc__ = f"{text[:start]}Parameters\n----------\n{said}\n\n{returns}{text[start + rest.start() :]}"
+    function.__signature__ = whole  # type: ignore[attr-defined]
+    return function
+
+
+_RETURNS = """Report
+    `summary` says what was found in the files; `result` is the collection that the store holds."""
+Part = str | tuple[int | None, int | None] | None
+
+
+class _Options(TypedDict, total=False):
+    """Options of every reader as type checkers know them; a test holds it to the model."""
+
+    ground_height: float
+    collection_start: str | None
+    time_zero: float | None
+    overwrite: bool
+    progress: Progress | None
+
+
+class _CphdOptions(_Options, total=False):
+    channel: str | None
+    pulses: Part
+    frequencies: str | tuple[float | None, float | None] | None
+    area: str | tuple[tuple[float, float], tuple[float, float]] | None
+    sgn: int | None
+    range_window: Literal["saved", "reference"] | None
+    troposphere: Literal["file", "standard"] | None
+
+
+class _PartOptions(_Options, total=False):
+    polarization: str | None
+    pulses: Part
+    troposphere: Literal["standard"] | None
+
+
+class _CrsdOptions(_PartOptions, total=False):
+    channel: str | None
+
+
+class _StripOptions(_PartOptions, total=False):
+    time_tags: Literal["transmit", "receive", "middle"] | None
+
+
+class _NisarOptions(_StripOptions, total=False):
+    frequency: str | None
+
+
+class _Sentinel1Options(_Options, total=False):
+    swath: str | None
+    polarization: str | None
+    bursts: Part
+    orbit: Location | None
+    time_tags: Literal["transmit", "middle"] | None
+    troposphere: Literal["standard"] | None
+
+
+@_of_reader
+def ingest_cphd(source: Location, out: Location, **options: Unpack[_CphdOptions]) -> Report:
     """Turn a CPHD file into a phase history, in the tangent frame at its scene's reference point.
 
     Parameters
@@ -208,65 +293,17 @@ def ingest_cphd(
     source : path
         CPHD file, version 1.0 or 1.1, monostatic: a path, s3://bucket/name, or the URL of a web server that sends parts
         of files.
-    out : path
-        Phase-history store to write.
-    channel : str, optional
-        Identifier of the channel. Needed if the file has several. "all" makes a store with a channel for each of the
-        file's, which must have the same geometry.
-    pulses : str or (int, int), optional
-        Vectors "a:b" of the file that are read, from a to the one before b; either may be left out. Default: all.
-    frequencies : str or (float, float), optional
-        Band "f1:f2" that is read, Hz; either may be left out. Default: all.
-    area : str or ((float, float), (float, float)), optional
-        Ground "x0:x1,y0:y1", m in the scene frame, that images will show: of pulses and frequencies only what it needs
-        is kept, after low-passes that stop the echoes of all else. Default: all.
-    ground_height : float
-        Height z of the imaged plane in the scene frame, m. Default: 0, that of the file's reference point.
-    sgn : {-1, 1}, optional
-        Sign of the phase that the samples follow. Default: as declared.
-    range_window : {"saved", "reference"}, optional
-        The delays that are taken: those of TOA1 .. TOA2, or those about the reference point that the samples tell
-        apart. Default: "saved", and refused if none of them is of the image area.
-    troposphere : {"file", "standard"}, optional
-        The troposphere's delay that the samples still hold, and that is taken out: that of TDTropoSRP, or that of a
-        standard atmosphere. Default: none, as the standard has it.
-    collection_start : str, optional
-        UTC from which the collection's times count, ISO 8601, such as "2008-08-19T14:03:21.5Z"; for products.
-        Default: the file's own.
-    time_zero : float, optional
-        Seconds from there to slow time 0. Default: the file's own.
-    overwrite : bool
-        Replace what stands at `out`. Default: False.
-    progress : object with a method update(stage, done, total), or False, optional
-        As in `focus`. Default: bars in a notebook, silence elsewhere.
-
-    Returns
-    -------
-    Report
-        `summary` says what was found in the file; `result` is the collection that the store holds.
 
     Raises
     ------
     InputError
         If the file is damaged, contradicts itself or is not supported, or `out` exists and `overwrite` is False.
     """
-    return ingest(
-        "cphd", source, out, channel=channel, pulses=pulses, frequencies=frequencies, area=area,
-        ground_height=ground_height, sgn=sgn, range_window=range_window, troposphere=troposphere,
-        collection_start=collection_start, time_zero=time_zero, overwrite=overwrite, progress=progress,
-    )  # fmt: skip
+    return ingest("cphd", source, out, **options)
 
 
-def ingest_gotcha(
-    source: Location | Sequence[Location],
-    out: Location,
-    *,
-    ground_height: float = 0.0,
-    collection_start: str | None = None,
-    time_zero: float | None = None,
-    overwrite: bool = False,
-    progress: Progress | None = None,
-) -> Report:
+@_of_reader
+def ingest_gotcha(source: Location | Sequence[Location], out: Location, **options: Unpack[_Options]) -> Report:
     """Join MATLAB files of the AFRL Gotcha set in azimuth into a phase history, in their scene-centred frame.
 
     Parameters
@@ -274,82 +311,28 @@ def ingest_gotcha(
     source : path or sequence of paths
         Files of one pass, in any order. Several polarisations become the channels of the store, if their pulses are at
         the same places.
-    out : path
-        Phase-history store to write.
-    ground_height : float
-        Height z of the imaged plane in the scene frame, m. Default: 0, that of the scene's centre.
     collection_start : str, optional
         UTC from which the collection's times count, ISO 8601, such as "2008-08-19T14:03:21.5Z"; for products. Default:
         unknown.
     time_zero : float, optional
         Seconds from there to slow time 0. Default: 0.
-    overwrite : bool
-        Replace what stands at `out`. Default: False.
-    progress : object with a method update(stage, done, total), or False, optional
-        As in `focus`. Default: bars in a notebook, silence elsewhere.
-
-    Returns
-    -------
-    Report
-        `summary` says what was found in the files; `result` is the collection that the store holds.
 
     Raises
     ------
     InputError
         If a file is damaged, files do not belong together, or `out` exists and `overwrite` is False.
     """
-    return ingest(
-        "gotcha", source, out, ground_height=ground_height, collection_start=collection_start, time_zero=time_zero,
-        overwrite=overwrite, progress=progress,
-    )  # fmt: skip
+    return ingest("gotcha", source, out, **options)
 
 
-def ingest_crsd(
-    source: Location,
-    out: Location,
-    *,
-    polarization: str | None = None,
-    channel: str | None = None,
-    pulses: str | tuple[int | None, int | None] | None = None,
-    ground_height: float = 0.0,
-    troposphere: Literal["standard"] | None = None,
-    collection_start: str | None = None,
-    time_zero: float | None = None,
-    overwrite: bool = False,
-    progress: Progress | None = None,
-) -> Report:
+@_of_reader
+def ingest_crsd(source: Location, out: Location, **options: Unpack[_CrsdOptions]) -> Report:
     """Turn a CRSD file, of echoes that are not compressed, into a phase history in the frame of its reference point.
 
     Parameters
     ----------
     source : path
         CRSD file, version 1.0, monostatic: a path, s3://bucket/name, or a URL.
-    out : path
-        Phase-history store to write.
-    polarization : str, optional
-        Transmitter and receiver, such as "HV". Default: all of the first transmitter, as channels of the store.
-    channel : str, optional
-        Identifier of the channel, if several have the polarisation.
-    pulses : str or (int, int), optional
-        Pulses "a:b" of the file that are read, from a to the one before b; either may be left out. Default: all.
-    ground_height : float
-        Height of the imaged ground above the ellipsoid, m, the z of its plane in the scene frame. Default: 0.
-    troposphere : {"standard"}, optional
-        Delay that the samples hold, and that is taken out: that of a standard atmosphere. Default: none.
-    collection_start : str, optional
-        UTC from which the collection's times count, ISO 8601, such as "2008-08-19T14:03:21.5Z"; for products.
-        Default: the file's own.
-    time_zero : float, optional
-        Seconds from there to slow time 0. Default: the file's own.
-    overwrite : bool
-        Replace what stands at `out`. Default: False.
-    progress : object with a method update(stage, done, total), or False, optional
-        As in `focus`. Default: bars in a notebook, silence elsewhere.
-
-    Returns
-    -------
-    Report
-        `summary` says what was found in the file; `result` is the collection that the store holds.
 
     Raises
     ------
@@ -357,64 +340,17 @@ def ingest_crsd(
         If the file is damaged, contradicts itself or is not supported, a library is missing, or `out` exists and
         `overwrite` is False.
     """
-    return ingest(
-        "crsd", source, out, polarization=polarization, channel=channel, pulses=pulses,
-        ground_height=ground_height, troposphere=troposphere, collection_start=collection_start,
-        time_zero=time_zero, overwrite=overwrite, progress=progress,
-    )  # fmt: skip
+    return ingest("crsd", source, out, **options)
 
 
-def ingest_nisar(
-    source: Location,
-    out: Location,
-    *,
-    polarization: str | None = None,
-    frequency: str | None = None,
-    pulses: str | tuple[int | None, int | None] | None = None,
-    ground_height: float = 0.0,
-    time_tags: Literal["transmit", "receive", "middle"] | None = None,
-    troposphere: Literal["standard"] | None = None,
-    collection_start: str | None = None,
-    time_zero: float | None = None,
-    overwrite: bool = False,
-    progress: Progress | None = None,
-) -> Report:
+@_of_reader
+def ingest_nisar(source: Location, out: Location, **options: Unpack[_NisarOptions]) -> Report:
     """Turn raw echoes of NISAR (level 0B RRSD, HDF5) into a phase history on the ellipsoid.
 
     Parameters
     ----------
     source : path
         File of NISAR, or of another sensor in its layout: a path, s3://bucket/name, or a URL.
-    out : path
-        Phase-history store to write.
-    polarization : str, optional
-        Transmitter and receiver, such as "HV". Default: all of the first transmitter, as channels of the store.
-    frequency : {"A", "B"}, optional
-        Band of the two. Default: "A", or the only one.
-    pulses : str or (int, int), optional
-        Pulses "a:b" of the file that are read, from a to the one before b; either may be left out. Default: all.
-    ground_height : float
-        Height of the imaged ground above the ellipsoid, m, the z of its plane in the scene frame. Default: 0.
-    time_tags : {"transmit", "receive", "middle"}, optional
-        What times of pulses are those of: the pulse's transmission, its first sample's reception, or the antenna at the
-        middle of the echo's way. Default: "transmit" if the
-        file describes them so, else "middle".
-    troposphere : {"standard"}, optional
-        Delay that the samples hold, and that is taken out: that of a standard atmosphere. Default: none.
-    collection_start : str, optional
-        UTC from which the collection's times count, ISO 8601, such as "2008-08-19T14:03:21.5Z"; for products.
-        Default: the file's own.
-    time_zero : float, optional
-        Seconds from there to slow time 0. Default: the file's own.
-    overwrite : bool
-        Replace what stands at `out`. Default: False.
-    progress : object with a method update(stage, done, total), or False, optional
-        As in `focus`. Default: bars in a notebook, silence elsewhere.
-
-    Returns
-    -------
-    Report
-        `summary` says what was found in the file; `result` is the collection that the store holds.
 
     Raises
     ------
@@ -422,89 +358,30 @@ def ingest_nisar(
         If the file is damaged, contradicts itself or is not supported, a library is missing, or `out` exists and
         `overwrite` is False.
     """
-    return ingest(
-        "nisar", source, out, polarization=polarization, frequency=frequency, pulses=pulses,
-        ground_height=ground_height, time_tags=time_tags, troposphere=troposphere,
-        collection_start=collection_start, time_zero=time_zero, overwrite=overwrite, progress=progress,
-    )  # fmt: skip
+    return ingest("nisar", source, out, **options)
 
 
-def ingest_palsar(
-    source: Location | Sequence[Location],
-    out: Location,
-    *,
-    polarization: str | None = None,
-    pulses: str | tuple[int | None, int | None] | None = None,
-    ground_height: float = 0.0,
-    time_tags: Literal["transmit", "receive", "middle"] | None = None,
-    troposphere: Literal["standard"] | None = None,
-    collection_start: str | None = None,
-    time_zero: float | None = None,
-    overwrite: bool = False,
-    progress: Progress | None = None,
-) -> Report:
+@_of_reader
+def ingest_palsar(source: Location | Sequence[Location], out: Location, **options: Unpack[_StripOptions]) -> Report:
     """Turn raw echoes of ALOS PALSAR (CEOS level 1.0) into a phase history on the ellipsoid.
 
     Parameters
     ----------
     source : path or sequence of paths
         Folder of a scene, or its files: the leader (LED) and images (IMG).
-    out : path
-        Phase-history store to write.
-    polarization : str, optional
-        Transmitter and receiver, such as "HV". Default: all of the first transmitter, as channels of the store.
-    pulses : str or (int, int), optional
-        Pulses "a:b" of the file that are read, from a to the one before b; either may be left out. Default: all.
-    ground_height : float
-        Height of the imaged ground above the ellipsoid, m, the z of its plane in the scene frame. Default: 0.
-    time_tags : {"transmit", "receive", "middle"}, optional
-        What times of pulses are those of: the pulse's transmission, its first sample's reception, or the antenna at the
-        middle of the echo's way. Default: "receive".
-    troposphere : {"standard"}, optional
-        Delay that the samples hold, and that is taken out: that of a standard atmosphere. Default: none.
-    collection_start : str, optional
-        UTC from which the collection's times count, ISO 8601, such as "2008-08-19T14:03:21.5Z"; for products.
-        Default: the file's own.
-    time_zero : float, optional
-        Seconds from there to slow time 0. Default: the file's own.
-    overwrite : bool
-        Replace what stands at `out`. Default: False.
-    progress : object with a method update(stage, done, total), or False, optional
-        As in `focus`. Default: bars in a notebook, silence elsewhere.
-
-    Returns
-    -------
-    Report
-        `summary` says what was found in the file; `result` is the collection that the store holds.
 
     Raises
     ------
     InputError
-        If the file is damaged, contradicts itself or is not supported, a library is missing, or `out` exists and
+        If a file is damaged, contradicts others or is not supported, a library is missing, or `out` exists and
         `overwrite` is False.
     """
-    return ingest(
-        "palsar", source, out, polarization=polarization, pulses=pulses, ground_height=ground_height,
-        time_tags=time_tags, troposphere=troposphere, collection_start=collection_start, time_zero=time_zero,
-        overwrite=overwrite, progress=progress,
-    )  # fmt: skip
+    return ingest("palsar", source, out, **options)
 
 
+@_of_reader
 def ingest_sentinel1(
-    source: Location | Sequence[Location],
-    out: Location,
-    *,
-    swath: str | None = None,
-    polarization: str | None = None,
-    bursts: str | tuple[int | None, int | None] | None = None,
-    orbit: Location | None = None,
-    time_tags: Literal["transmit", "middle"] | None = None,
-    troposphere: Literal["standard"] | None = None,
-    ground_height: float = 0.0,
-    collection_start: str | None = None,
-    time_zero: float | None = None,
-    overwrite: bool = False,
-    progress: Progress | None = None,
+    source: Location | Sequence[Location], out: Location, **options: Unpack[_Sentinel1Options]
 ) -> Report:
     """Turn Sentinel-1 level 0 (packets) into phase histories: one for each burst, in one frame on the ellipsoid.
 
@@ -514,29 +391,10 @@ def ingest_sentinel1(
         Files of packets (.dat) of one data take, or the SAFE folder that they lie in.
     out : path
         Phase-history store to write; of several bursts a store of as many, which `focus` takes as one.
-    swath : str, optional
-        The one swath that is read, such as "IW1". Default: all.
-    polarization : str, optional
-        Of transmitter and receiver. Default: that of like ones, "VV" or "HH".
-    bursts : str or (int, int), optional
-        Bursts "a:b" of each swath that are read, from a to the one before b, counted from 0. Default: all.
-    orbit : path, optional
-        Precise orbit (EOF). Default: the states in the packets.
-    time_tags : {"transmit", "middle"}, optional
-        What the packets' times are those of: the pulse's transmission, or the positions of an antenna that stands still
-        while a pulse is out, as in simulations. Default: the PRI in which the echo is received.
-    troposphere : {"standard"}, optional
-        The delay that the samples hold, and that is taken out: a standard atmosphere's. Default: none.
-    ground_height : float
-        Height z of the imaged plane in the scene frame, m. Default: 0.
     collection_start : str, optional
         UTC from which the times of a single burst count. Default: the packets' own.
     time_zero : float, optional
         Seconds from there to its slow time 0. Default: the packets' own.
-    overwrite : bool
-        Replace what stands at `out`. Default: False.
-    progress : object with a method update(stage, done, total), or False, optional
-        As in `focus`. Default: bars in a notebook, silence elsewhere.
 
     Returns
     -------
@@ -549,8 +407,4 @@ def ingest_sentinel1(
         If a file is damaged or of another kind, no burst is left, the orbit is not known, or `out` exists and
         `overwrite` is False.
     """
-    return ingest(
-        "sentinel1", source, out, swath=swath, polarization=polarization, bursts=bursts, orbit=orbit,
-        time_tags=time_tags, troposphere=troposphere, ground_height=ground_height, collection_start=collection_start,
-        time_zero=time_zero, overwrite=overwrite, progress=progress,
-    )  # fmt: skip
+    return ingest("sentinel1", source, out, **options)

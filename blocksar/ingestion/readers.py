@@ -32,12 +32,12 @@ __all__ = ["READERS", "Described", "Piece", "Reader", "ReaderOptions", "Reading"
 
 @dataclass(frozen=True, kw_only=True)
 class ReaderOptions:
-    """Options of every reader; those of a format have more fields.
+    """Options of every reader; those of a format have more fields. `blocksar.ingest_NAME` describes them in this way.
 
     Attributes
     ----------
     ground_height : float
-        z of the imaged plane in the scene frame, m.
+        Height z of the imaged plane in the scene frame, m. Default: 0.
     """
 
     ground_height: Annotated[float, Option("Height z of the imaged plane in the scene frame.", metavar="M")] = 0.0
@@ -181,6 +181,7 @@ def ingest(
     *,
     times: Mapping[str, Any] | None = None,
     overwrite: bool = False,
+    begun: Callable[[int], object] | None = None,
     progress: Callback | None = None,
 ) -> Ingested:
     """Turn files into a store: a phase history, or several in one frame, a group for each by its name.
@@ -199,8 +200,8 @@ def ingest(
         What `stated_times` gives, instead of the files' own.
     overwrite : bool
         Replace an existing store.
-    progress : callable (done, total)
-        Told numbers of pulses: first those that are there already, then after each piece.
+    begun, progress
+        As for `write_pieces`.
 
     Raises
     ------
@@ -225,7 +226,7 @@ def ingest(
 
     def fill(store: Place) -> None:
         nonlocal there
-        there = stores.write_pieces(store, samples, identity=identity, progress=progress)
+        there = stores.write_pieces(store, samples, identity=identity, begun=begun, progress=progress)
 
     stores.refuse_existing(target, overwrite=overwrite or isinstance(target, ObjectPlace))
     less = f"read a part ({first.parts})" if first.parts else ""

@@ -14,8 +14,7 @@ The track as flown then lies beside the store, in `truth_place`, and nothing in 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +35,6 @@ from blocksar.progress.listening import Callback
 from blocksar.simulation.channels import factor, of_channel
 from blocksar.simulation.scatterers import Field, field, phase_history, raw_echo
 from blocksar.simulation.scene import RANGE_GUARD, Scene
-from blocksar.version import __version__
 
 MAX_NAMED_TARGETS = 2000  # with more, the store's attributes do not list them
 
@@ -77,7 +75,7 @@ def simulate(
     overwrite : bool
         Replace an existing store.
     progress : callable (done, total)
-        Told numbers of pulses: first those that one that ended early has left, then after each chunk.
+        Called after each chunk with the numbers of finished pulses and of all pulses.
 
     Returns
     -------
@@ -95,40 +93,26 @@ def simulate(
     where = place(out)
     collection = scene.collection(raw=raw)
     echo = _echo_axes(scene) if raw else None
+    n = collection.n_range_frequency if echo is None else echo.fast_time.size
     count, name, rows = max(len(scene.channels), 1), "echo" if raw else "signal", TILE[0]
-    tables = scene.model_dump()
-    identity = stores.json_checksum([__version__, repr(tables), raw, *_states(tables)])
 
-    def read() -> Iterator[stores.Piece]:
+    def write(store: Place) -> None:
         for channel in range(count):
             sample = sampler(of_channel(scene, channel), collection, echo=echo, threads=threads)
             for first in range(0, collection.n_pulse, rows):
                 pulses = slice(first, min(first + rows, collection.n_pulse))
-                yield stores.Piece(channel, pulses, partial(sample, pulses))
-
-    def write(store: Place) -> None:
-        samples = stores.Samples(name, collection.n_pulse, len(scene.channels), read)
-        stores.write_pieces(store, [samples], identity=identity, progress=progress)
+                lead = (slice(channel, channel + 1),) if scene.channels else ()
+                samples = sample(pulses)
+                stores.write_region(store, name, (*lead, pulses, slice(0, n)), samples[None] if lead else samples)
+                if progress is not None:
+                    progress(channel * collection.n_pulse + pulses.stop, count * collection.n_pulse)
         write_truth(scene, where)
 
     # Rows not yet written would read as lost pulses: the store therefore gets its name when it is complete.
     stores.create_phase_history(
-        where, collection, raw=echo, channels=scene.channels, attrs=_attributes(scene), overwrite=overwrite,
-        fill=write, identity=identity,
-    )  # fmt: skip
+        where, collection, raw=echo, channels=scene.channels, attrs=_attributes(scene), overwrite=overwrite, fill=write
+    )
     return where.path if isinstance(where, LocalPlace) else where
-
-
-def _states(tables: Any) -> Iterator[str]:
-    """Sizes and versions of the files that a scene names."""
-    match tables:
-        case Path():
-            yield place(tables).version()
-        case dict():
-            yield from _states([*tables.values()])
-        case list() | tuple():
-            for each in tables:
-                yield from _states(each)
 
 
 def sampler(

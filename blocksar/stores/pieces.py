@@ -95,7 +95,7 @@ class _Written(NamedTuple):
 
 
 class Ledger:
-    """What is written of an unfinished store."""
+    """List of what is written of an unfinished store."""
 
     def __init__(self, store: Place, identity: str, samples: Sequence[Samples], written: list[_Written]) -> None:
         self.store, self.identity, self.samples, self.written = store, identity, samples, written
@@ -159,7 +159,7 @@ class Ledger:
 
 
 def ledger_of(store: Place) -> dict[str, Any] | None:
-    """What the ledger of an unfinished store says; None if there is none."""
+    """Read the ledger of an unfinished store; None if there is none."""
     try:
         told = read_json(store / LEDGER)
     except InputError:
@@ -179,7 +179,14 @@ def _sums(values: ComplexArray) -> list[str]:
     return [checksum(values[first : first + ROWS]) for first in range(0, len(values), ROWS)]
 
 
-def write_pieces(store: Place, samples: Sequence[Samples], *, identity: str, progress: Callback | None = None) -> int:
+def write_pieces(
+    store: Place,
+    samples: Sequence[Samples],
+    *,
+    identity: str,
+    begun: Callable[[int], object] | None = None,
+    progress: Callback | None = None,
+) -> int:
     """Write samples to a store that `create` has begun with the same identity.
 
     Parameters
@@ -189,8 +196,10 @@ def write_pieces(store: Place, samples: Sequence[Samples], *, identity: str, pro
     samples : sequence of Samples
     identity : str
         Hash of all that the samples depend on.
+    begun : callable (done)
+        Told once how many pulses are there, before any is read.
     progress : callable (done, total)
-        Told numbers of pulses: first those that were there, then after each piece.
+        Told numbers of pulses after each piece, and before the first if some are there.
 
     Returns
     -------
@@ -205,25 +214,31 @@ def write_pieces(store: Place, samples: Sequence[Samples], *, identity: str, pro
     ledger = Ledger.begin(store, identity, samples)
     before, done, number, total = 0, 0, 0, sum(each.total for each in samples)
     there: int | None = None
-    tell = progress or (lambda done, total: None)
+
+    def tell(done: int) -> None:
+        if progress is not None and done:
+            progress(done, total)
+
+    def begin() -> int:
+        if begun is not None:
+            begun(done)
+        tell(done)
+        return done
+
     for of, each in enumerate(samples):
         for piece in _by_chunks(each.pieces(), each.n_pulse):
             now = before + piece.channel * each.n_pulse + piece.pulses.stop
             if not ledger.has(number, of, piece):
-                if there is None:
-                    there = done
-                    tell(done, total)
+                there = begin() if there is None else there
                 values = _read(piece)
                 region = each.region(piece.channel, piece.pulses.start, piece.pulses.stop)
                 write_region(each.within(store), each.variable, region, values[None] if each.n_channel else values)
                 ledger.add(of, piece, values)
                 if now > done:
-                    tell(now, total)
+                    tell(now)
             done, number = max(done, now), number + 1
         before += each.total
-    if there is None:
-        tell(done, total)
-    return done if there is None else there
+    return begin() if there is None else there
 
 
 def _read(piece: Piece) -> ComplexArray:

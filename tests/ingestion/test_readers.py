@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from inspect import signature
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -86,9 +86,11 @@ def test_what_no_reader_knows_is_said(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", READERS.own)
 def test_an_own_reader_has_a_function_with_the_options_of_its_model(name: str) -> None:
-    model = READERS.get(name).options
+    model, function = READERS.get(name).options, getattr(api, f"ingest_{name}")
     assert issubclass(model, ReaderOptions)
-    known = signature(getattr(api, f"ingest_{name}")).parameters
+    known = signature(function).parameters
     for option in options_of(model):
         expected = None if option.option.read is not None else option.default
         assert known[option.name].default == expected
+    [told] = get_args(get_type_hints(function)["options"])  # what type checkers know
+    assert set(get_type_hints(told)) == set(known) - {"source", "out"}

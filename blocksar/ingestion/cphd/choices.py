@@ -24,25 +24,30 @@ def _read_area(crop: Any) -> tuple[tuple[float, float], tuple[float, float]]:
 
 @dataclass(frozen=True, kw_only=True)
 class Choices(ReaderOptions):
-    """The part of a file that is wanted, and what is not as the file has it; None: as it has it.
+    """The part of a file that is wanted, and what is not as the file has it; see `ReaderOptions`.
 
     Attributes
     ----------
-    channel : str or None
-        Identifier; None if the file has only one. "all": a store with a channel for each of the file's, which must have
-        one geometry.
-    pulses : (int, int or None)
-        First, and the one behind the last; None: to the end.
-    frequencies : (float, float)
-        Lowest and highest, Hz.
-    area : ((x0, x1), (y0, y1)) or None
-        m in the scene frame; None: all of the scene.
-    sgn : {-1, 1} or None
-        The sign that the samples follow.
-    range_window : {"saved", "reference"} or None
-        See `delays.find_delays`.
-    troposphere : {"file", "standard"} or None
-        The delay that the samples hold, see `troposphere`.
+    channel : str, optional
+        Identifier of the channel. Needed if the file has several. "all" makes a store with a channel for each of the
+        file's, which must have the same geometry.
+    pulses : str or (int, int), optional
+        Vectors "a:b" of the file that are read, from a to the one before b; either may be left out. Default: all.
+    frequencies : str or (float, float), optional
+        Band "f1:f2" that is read, Hz; either may be left out. Default: all.
+    area : str or ((float, float), (float, float)), optional
+        Ground "x0:x1,y0:y1", m in the scene frame, that images will show: of pulses and frequencies only what it needs
+        is kept, after low-passes that stop the echoes of all else. Default: all.
+    ground_height : float
+        Height z of the imaged plane in the scene frame, m. Default: 0, that of the file's reference point.
+    sgn : {-1, 1}, optional
+        Sign of the phase that the samples follow. Default: as declared.
+    range_window : {"saved", "reference"}, optional
+        The delays that are taken: those of TOA1 .. TOA2, or those about the reference point that the samples tell
+        apart. Default: "saved", and refused if none of them is of the image area.
+    troposphere : {"file", "standard"}, optional
+        The troposphere's delay that the samples still hold, and that is taken out: that of TDTropoSRP, or that of a
+        standard atmosphere. Default: none, as the standard has it.
 
     Raises
     ------

@@ -136,7 +136,7 @@ class Reader:
         return (out * phasor(resampler.frequency_of(rows) * middle[:, None])).astype(np.complex64)
 
     def _tells_sign(self, vectors: IntArray) -> BoolArray:
-        """Which of some vectors are those that tell the sign."""
+        """Tell which of some vectors are those that tell the sign."""
         return np.asarray(vectors % -(-self._echoes.file.shape[0] // MOST_ROWS) == 0)
 
     def lost(self) -> tuple[BoolArray, list[Lost]]:
@@ -179,7 +179,7 @@ class Found:
 
 
 def notes_of(echoes: Echoes) -> BoolArray:
-    """What a `Reader` keeps in mind of vectors, before any is read: seen, empty and broken ones."""
+    """Notes of a `Reader` on vectors, before any is read: seen, empty and broken ones."""
     return np.zeros((3, echoes.file.shape[0]), np.bool_)
 
 

@@ -21,8 +21,8 @@ class CrsdOptions(PartOptions):
 
     Attributes
     ----------
-    channel : str or None
-        Identifier; None if the file has one of the polarisation.
+    channel : str, optional
+        Identifier of the channel. Needed if several have the polarisation.
     """
 
     channel: Annotated[

@@ -28,8 +28,8 @@ class NisarOptions(StripOptions):
 
     Attributes
     ----------
-    frequency : {"A", "B"} or None
-        The band; None: A, or the only one.
+    frequency : {"A", "B"}, optional
+        Band of the two. Default: "A", or the only one.
     """
 
     frequency: Annotated[

@@ -37,23 +37,23 @@ def _path(value: Any) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Sentinel1Options(ReaderOptions):
-    """The part of the data that is wanted, and what is said of it.
+    """The part of the data that is wanted, and what is said of it; see `ReaderOptions`.
 
     Attributes
     ----------
-    swath : str or None
-        None: all.
-    polarization : str or None
-        None: that of like transmitter and receiver.
-    bursts : (int, int or None)
-        First in each swath, and the one behind the last; None: to the end.
-    orbit : path or None
-        EOF file; None: the states in the packets.
-    time_tags : {"transmit", "middle"} or None
+    swath : str, optional
+        The one swath that is read, such as "IW1". Default: all.
+    polarization : str, optional
+        Of transmitter and receiver. Default: that of like ones, "VV" or "HH".
+    bursts : str or (int, int), optional
+        Bursts "a:b" of each swath that are read, from a to the one before b, counted from 0. Default: all.
+    orbit : path, optional
+        Precise orbit (EOF). Default: the states in the packets.
+    time_tags : {"transmit", "middle"}, optional
         What the packets' times are those of: the pulse's transmission, or the positions of an antenna that stands still
-        meanwhile, as in simulations; None: the PRI in which the echo is received, as the instrument has it.
-    troposphere : {"standard"} or None
-        The delay that the samples hold, and that is taken out.
+        while a pulse is out, as in simulations. Default: the PRI in which the echo is received.
+    troposphere : {"standard"}, optional
+        The delay that the samples hold, and that is taken out: a standard atmosphere's. Default: none.
     """
 
     swath: Annotated[

@@ -32,16 +32,18 @@ def check_choices(options: Any, **choices: tuple[str, ...]) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class PartOptions(ReaderOptions):
-    """The part of a file that is wanted, and what its samples hold; None: as the file has it.
+    """The part of a file that is wanted, and what its samples hold; see `ReaderOptions`.
 
     Attributes
     ----------
-    polarization : str or None
-        Transmitter and receiver, such as "HV"; None: all of the first transmitter, as channels.
-    pulses : (int, int or None)
-        First, and the one behind the last; None: to the end.
-    troposphere : {"standard"} or None
-        The delay that the samples hold, and that is taken out.
+    polarization : str, optional
+        Transmitter and receiver, such as "HV". Default: all of the first transmitter, as channels of the store.
+    pulses : str or (int, int), optional
+        Pulses "a:b" of the file that are read, from a to the one before b; either may be left out. Default: all.
+    ground_height : float
+        Height of the imaged ground above the ellipsoid, m, the z of its plane in the scene frame. Default: 0.
+    troposphere : {"standard"}, optional
+        Delay that the samples hold, and that is taken out: that of a standard atmosphere. Default: none.
 
     Raises
     ------
@@ -74,9 +76,10 @@ class StripOptions(PartOptions):
 
     Attributes
     ----------
-    time_tags : {"transmit", "receive", "middle"} or None
-        What the pulses' times are those of: the pulse's transmission, its first sample's reception, or the middle
-        between transmission and reception of the echo.
+    time_tags : {"transmit", "receive", "middle"}, optional
+        What times of pulses are those of: the pulse's transmission, its first sample's reception, or the antenna at the
+        middle of the echo's way. Default: of NISAR "transmit" if the file describes them so, else "middle"; of PALSAR
+        "receive".
 
     Raises
     ------
