@@ -7,6 +7,7 @@ the origin, m. OUT gets an image (y, x) of each algorithm, and processor times w
 import sys
 import time
 from importlib.metadata import version
+from typing import Any
 
 import fastsar
 import numpy as np
@@ -17,7 +18,7 @@ def main(source: str, out: str) -> None:
     x, y, frequency = given["x"], given["y"], given["frequency"]
     step = (frequency[-1] - frequency[0]) / (frequency.size - 1)
     formers = {"fastsar": fastsar.ImageFormer, "fastsar, exact": fastsar.ExactFormer}
-    found = {"version": np.array(version("fastsar"))}
+    found: dict[str, Any] = {"version": np.array(version("fastsar"))}
     for name, former in formers.items():
         for _ in range(2):
             started = time.process_time()
