@@ -21,7 +21,8 @@ fidelities. *Error* is the power of the difference from exact back-projection ov
 adjustment of place, gain or phase. Times are processor time of all threads, {repeats}, with planning, which takes some
 seconds of the chains' and does not grow with the pixels: on images of millions of them chains are the cheaper ones.
 [fastsar](https://pypi.org/project/fastsar/), in an environment of its own that `--peers` names, goes from arrays to
-arrays, without reading, checks and writing.
+arrays, without reading, checks and writing, but with the set-up of its former, which other samples of the same geometry
+would share.
 
 {machine}.
 
