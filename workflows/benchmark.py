@@ -25,6 +25,10 @@ focuses the same store on a warm cluster of its own of the same size, in turns w
 and their ratio are printed (above 1, this version is faster):
 
     python workflows/benchmark.py --scale 1x1 --against /opt/blocksar-0.1/bin/python
+
+--cost-against-error PAGE measures something else instead: the processor time and the error of every processor on small
+scenes, beside exact back-projection. PAGE gets the tables, and a picture beside it. --peers PYTHON adds fastsar, which
+must be installed for the Python at that path.
 """
 
 from __future__ import annotations
@@ -43,6 +47,8 @@ from benchmarks.bench import Bench, log
 from benchmarks.environment import describe_machine, versions
 from benchmarks.figures import compare_scenes
 from benchmarks.guard import read_bounds, violations
+from benchmarks.processor_page import write_page
+from benchmarks.processors import compare_processors
 from benchmarks.scenes import Case, Scale, scene_tables
 from benchmarks.tables import show
 from blocksar import stores
@@ -126,6 +132,12 @@ def main(
     against: Annotated[
         str | None, typer.Option(metavar="PYTHON", help="Path of a Python with another blocksar to compare with.")
     ] = None,
+    cost_against_error: Annotated[
+        Path | None, typer.Option(metavar="PAGE", help="Measure every processor instead; a page (.md) to write.")
+    ] = None,
+    peers: Annotated[
+        str | None, typer.Option(metavar="PYTHON", help="Path of a Python with fastsar, to be on that page, too.")
+    ] = None,
 ) -> None:
     """Measure blocksar against its lower limits and against exact back-projection.
 
@@ -138,6 +150,9 @@ def main(
         bounds = {} if guard is None else read_bounds(guard)
         scene_tables(scene)  # refuse a missing scene once, not for every scale
         with working_folder(out, keep=keep) as folder:
+            if cost_against_error is not None:
+                write_page(compare_processors(folder, repeats=repeats, peers=peers), cost_against_error)
+                return
             bench = Bench(
                 source=scene, folder=folder, workers=workers, threads=max(machine()[0] // workers, 1), blocks=n_blocks,
                 memory_limit=limit, repeats=repeats, peer=peer, against=against,

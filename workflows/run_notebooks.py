@@ -108,8 +108,8 @@ def _run(text: str, names: dict[str, Any]) -> Outputs:
         outputs.append({"output_type": "display_data", "data": data, "metadata": {}})
     for number in pyplot.get_fignums():
         picture = base64.b64encode(_drawn(pyplot.figure(number))).decode()
-        data = {"image/png": picture, "text/plain": ["<Figure>"]}
-        outputs.append({"output_type": "display_data", "data": data, "metadata": {}})
+        drawn: dict[str, Any] = {"image/png": picture, "text/plain": ["<Figure>"]}
+        outputs.append({"output_type": "display_data", "data": drawn, "metadata": {}})
     pyplot.close("all")
     return outputs
 

@@ -34,9 +34,24 @@ def benchmark() -> Any:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(WORKFLOWS))
         import benchmark
-        from benchmarks import back_projection, bench, floors, folders, guard, other_version, scenes, scheduling, tables
+        from benchmarks import (
+            back_projection,
+            bench,
+            floors,
+            folders,
+            guard,
+            other_version,
+            processor_page,
+            processors,
+            scenes,
+            scheduling,
+            tables,
+        )
 
-        parts = (back_projection, bench, floors, folders, guard, other_version, scenes, scheduling, tables)
+        parts = (
+            back_projection, bench, floors, folders, guard, other_version, processor_page, processors, scenes,
+            scheduling, tables,
+        )  # fmt: skip
         yield SimpleNamespace(
             main=benchmark.main, **{part.__name__.removeprefix("benchmarks."): part for part in parts}
         )
@@ -70,7 +85,7 @@ def test_a_benchmark_measures_every_quantity(
     benchmark.main(
         scene=str(small), scale="1x1", repeats=1, workers=2, blocks="auto", memory_limit="3GiB",
         out=tmp_path, json_file=tmp_path / "result.json", speedup=True, starts=True, guard=None, peer=True, keep=False,
-        against=str(python),
+        against=str(python), cost_against_error=None, peers=None,
     )  # fmt: skip
     assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
     result = json.loads((tmp_path / "result.json").read_text())
@@ -189,6 +204,32 @@ def test_a_missing_peer_is_reported_as_not_installed(
     found = benchmark.back_projection.run_peer(*collected, 1)
     assert (found["name"], found["status"]) == ("torchbp", "not installed")
     assert "not installed" in benchmark.tables.peer_line(found)
+
+
+def test_processors_are_compared_by_processor_time_and_error(
+    benchmark: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On one small scene: the page has what was measured, and why a package is not there."""
+    processors = benchmark.processors
+    spotlight = processors.SCENES["spotlight"]._replace(half=20.0)
+    monkeypatch.setattr(processors, "SCENES", {"spotlight": spotlight})
+    monkeypatch.setattr(processors, "_asked", lambda: iter([("hierarchical-backprojection", 0.999)]))
+    monkeypatch.setattr(blocksar, "compile", lambda: None)
+    result = processors.compare_processors(tmp_path, repeats=1, peers=None)
+    exact, row = result["scenes"]["spotlight"]["rows"]
+    assert exact.error is None and row.processor == "hierarchical-backprojection"
+    assert 0 < row.error < 1e-3 and row.coherence == pytest.approx(1 - row.error / 2, abs=1e-3)
+    benchmark.processor_page.write_page(result, tmp_path / "page.md")
+    page = (tmp_path / "page.md").read_text(encoding="utf-8")
+    assert f"| 0.999 | {row.coherence:.6f} | {10 * math.log10(row.error):.1f} | {row.seconds:.1f} |" in page
+    assert "`fastsar`: not run; --peers names a Python" in page
+    assert (tmp_path / "cost_against_error.png").stat().st_size > 5000
+    image = np.array([[1 + 1j, np.nan], [2, 3]], np.complex64)
+    assert processors._error(image * np.float32(1.1), image) == pytest.approx((1.0, 0.01))
+    with pytest.raises(InputError, match=r"--peers \S*nowhere: No such file.*; give the path of a Python"):
+        processors._peers(str(tmp_path / "nowhere"), tmp_path / "spotlight.zarr", image, tmp_path)
+    with pytest.raises(InputError, match=r"No module named 'fastsar'; give the path"):
+        processors._peers(sys.executable, tmp_path / "spotlight.zarr", image, tmp_path)
 
 
 def test_ratios_are_compared_with_their_bounds(benchmark: Any, tmp_path: Path) -> None:
