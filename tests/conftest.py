@@ -19,8 +19,8 @@ from once import once
 
 import blocksar
 from blocksar.api import run_stages
-from blocksar.api.findings import Check, checking
 from blocksar.api.jobs import Job
+from blocksar.api.run_stages import Check, checking
 from blocksar.collection.collection import Collection
 from blocksar.garbage import collect_seldom
 from blocksar.graph.cluster import open_client

@@ -87,7 +87,7 @@ def test_loops_are_loaded_without_all_that_numba_can_compile() -> None:
 
 def test_two_processes_compile_no_loop_twice(tmp_path: Path) -> None:
     """Both begin with an empty cache: whichever is first, the other loads what it finds or waits for it."""
-    names = ["autofocusing.forms"]
+    names = ["autofocusing.information"]
     code = f"from blocksar.graph.compiling import compile_modules as c; t = c({names}); print(t.loaded, t.compiled)"
     started = [
         subprocess.Popen(

@@ -20,10 +20,10 @@ import numpy as np
 
 from blocksar import stores
 from blocksar.api.arguments import OnGround, Source, history_of, sources_of
-from blocksar.api.findings import without_samples
 from blocksar.api.ground import image_grid
 from blocksar.api.looks import divide_dwells, name_rows, one_source
 from blocksar.api.rehearsing import NOTHING_DONE
+from blocksar.api.run_stages import without_samples
 from blocksar.api.settings import Settings
 from blocksar.api.shown import RunReport, is_measurable
 from blocksar.api.track_places import TrackPlace, fingerprint_of_members, joint_fingerprint

@@ -97,13 +97,14 @@ def _common(folder: Place, whole: RunRecord, progress: Progress | None) -> _Comm
     if whole.dimension == "look":
         looks = [FinishedRun.open(folder_of(folder, name)) for name in whole.channels]
         return _Common(None, measure_looks(looks), len(looks))
-    from blocksar.products.page import composite
+    from blocksar.products.page.page import draw_composite
+    from blocksar.products.pictures.composite import find_pauli
 
-    chosen = composite.find_pauli(whole.channels)
+    chosen = find_pauli(whole.channels)
     if not chosen:
         return _Common(None, None, None)
     sources = {name: FinishedRun.open(folder_of(folder, channel)) for name, channel in chosen.items()}
-    return _Common(composite.draw(sources, progress=only_stage(progress, "composite")), None, None)
+    return _Common(draw_composite(sources, progress=only_stage(progress, "composite")), None, None)
 
 
 def _page_module() -> ModuleType:

@@ -9,8 +9,7 @@ from blocksar.api.reports import Report
 from blocksar.api.target_files import targets_of
 from blocksar.errors import InputError, quoted
 from blocksar.places import Location, place
-from blocksar.products.viewer.server import Viewer
-from blocksar.products.viewer.tiles import Tiles
+from blocksar.products.viewer.server import Tiles, Viewer
 from blocksar.runs.finished import FinishedRun, folder_of, member_line
 
 PORTS = (1024, 65535)

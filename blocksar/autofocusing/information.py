@@ -1,16 +1,72 @@
-"""How sharply chips tell the coefficients of a spline: an approximate Hessian, its factors and what follows."""
+"""How sharply chips tell the coefficients of a spline: an approximate Hessian, its factors and what follows.
+
+Positive definite forms of hundreds of coefficients: Cholesky factors and their inverses, in compiled loops.
+
+Without BLAS, and with sums in one order, so that every process gets the same bits, see `blocksar.solvers`.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numba import types
 
 from blocksar.arrays import FloatArray
-from blocksar.autofocusing import forms, sights
-from blocksar.autofocusing.chips import Chips, missing_runs
+from blocksar.autofocusing.chips import Chips, add_to_form, collect_squares, flat_parts, missing_runs
 from blocksar.autofocusing.correction import Knots
+from blocksar.kernels.loops import REAL_ROWS, UNCHECKED, loop
+
+SUMS = types.float64[:, ::1]
+EXACT = {"nogil": True, **UNCHECKED}
+
+
+@loop(REAL_ROWS, SUMS, **EXACT)
+def decompose(form: FloatArray, upper: FloatArray) -> None:
+    """Write the upper triangular r with r^T r = form, (n, n), over the zeros of `upper`."""
+    n = form.shape[0]
+    for j in range(n):
+        row = upper[j, j:]
+        for k in range(n - j):
+            row[k] = form[j, j + k]
+        for i in range(j):
+            share, above = upper[i, j], upper[i, j:]
+            for k in range(n - j):
+                row[k] -= share * above[k]
+        root = math.sqrt(row[0])
+        for k in range(n - j):
+            row[k] /= root
+
+
+@loop(REAL_ROWS, SUMS, **EXACT)
+def invert(upper: FloatArray, inverse: FloatArray) -> None:
+    """Write the inverse of an upper triangular matrix (n, n) over the zeros of `inverse`."""
+    n = upper.shape[0]
+    for j in range(n - 1, -1, -1):
+        inverse[j, j] = 1.0
+        for i in range(n - 1, j, -1):
+            share, row, below = upper[j, i], inverse[j, i:], inverse[i, i:]
+            for k in range(n - i):
+                row[k] -= share * below[k]
+        for k in range(j, n):
+            inverse[j, k] /= upper[j, j]
+
+
+@loop(REAL_ROWS, SUMS, **EXACT)
+def add_squares(rows: FloatArray, form: FloatArray) -> None:
+    """Add sum_r rows_r rows_r^T, rows (n_row, n), to a symmetric form (n, n)."""
+    n_row, n = rows.shape
+    for i in range(n):
+        out = form[i, i:]
+        for r in range(n_row):
+            share, row = rows[r, i], rows[r, i:]
+            if share != 0:
+                for j in range(n - i):
+                    out[j] += share * row[j]
+        for j in range(i + 1, n):
+            form[j, i] = form[i, j]
 
 
 class Information(NamedTuple):
@@ -29,11 +85,11 @@ def information(chips: Chips, knots: Knots, weights: FloatArray) -> Information:
     told = chips.told
     each = np.where(told, (weights / np.maximum(told.sum(axis=1), 1))[:, None], 0.0)
     squares, form = np.zeros((chips.time.size, 3, 3)), np.zeros((3 * knots.size, 3 * knots.size))
-    sights.collect_squares(chips.sight, chips.first, each, squares)
-    sights.add_to_form(squares, *knots.basis, form)
+    collect_squares(chips.sight, chips.first, each, squares)
+    add_to_form(squares, *knots.basis, form)
     rows, flat = np.zeros((2 * weights.size, 3 * knots.size)), np.zeros(form.shape)
-    sights.flat_parts(chips.sight, chips.first, each, *knots.basis, rows)
-    forms.add_squares(rows, flat)
+    flat_parts(chips.sight, chips.first, each, *knots.basis, rows)
+    add_squares(rows, flat)
     return Information(form - flat, flat)
 
 
@@ -67,8 +123,8 @@ def bending(size: int) -> FloatArray:
 def factor(form: FloatArray) -> FloatArray:
     """The upper triangular inverse factor f of a positive definite form: f f^T = form^-1, (n, n)."""
     upper, inverse = np.zeros(form.shape), np.zeros(form.shape)
-    forms.decompose(form, upper)
-    forms.invert(upper, inverse)
+    decompose(form, upper)
+    invert(upper, inverse)
     return inverse
 
 

@@ -16,8 +16,7 @@ import numpy as np
 from numba import types
 
 from blocksar.arrays import Complex128Array, ComplexArray, FloatArray, IntArray
-from blocksar.autofocusing.chips import Chips
-from blocksar.autofocusing.sights import INDICES
+from blocksar.autofocusing.chips import INDICES, Chips
 from blocksar.kernels.fourier import fft_rows
 from blocksar.kernels.groups import row_groups
 from blocksar.kernels.loops import loop

@@ -2,10 +2,15 @@
 
 Exit status: 0 success; 1 processing failed; 2 the user's input is wrong; 130 interrupted; 143 terminated.
 Tables go to stdout, progress and messages to stderr.
+
+The commands below `export`, one for each product: the image of a run in standard formats.
+
+The commands below `ingest`: measured data to phase histories, one for each reader.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,9 +21,7 @@ from blocksar.api.parsing import parse_origin
 from blocksar.api.settings import options_taken
 from blocksar.cli.display import hint, listening, show
 from blocksar.cli.endings import catch_signals, open_streams
-from blocksar.cli.exporting import export
 from blocksar.cli.focusing import OfProcessors, focus, plan
-from blocksar.cli.ingesting import ingest
 from blocksar.cli.options import (
     Channel,
     ColourMap,
@@ -30,12 +33,132 @@ from blocksar.cli.options import (
     OwnThreads,
     Quiet,
     Run,
+    StoreOut,
     given,
     taking,
 )
+from blocksar.cli.plugged import Plugged, with_options
 from blocksar.garbage import collect_seldom
-from blocksar.options import read_values
+from blocksar.options import options_of, read_values
+from blocksar.products.registry import PRODUCTS
 from blocksar.version import __version__
+
+
+class Products(Plugged):
+    """A command for each product."""
+
+    @classmethod
+    def names(cls) -> tuple[str, ...]:
+        return PRODUCTS.names()
+
+    @classmethod
+    def command_of(cls, name: str) -> Callable[..., None]:
+        product = PRODUCTS.get(name)
+
+        def export_product(
+            context: typer.Context,
+            run: Run,
+            out: str | None = None,
+            channel: Channel = None,
+            overwrite: Overwrite = False,
+            quiet: Quiet = False,
+            json_log: JsonLog = None,
+            **options: Any,
+        ) -> None:
+            from blocksar import api
+
+            if out is None:
+                out = f"{run.rstrip('/').rpartition('/')[2]}{product.endings[0]}"
+            with listening(context) as progress:
+                report = api.export(name, run, out, channel=channel, overwrite=overwrite, progress=progress, **options)
+            show(report)
+            hint(context, "report", run)
+
+        file = typer.Option(
+            metavar="FILE",
+            help=f"File to write, {' or '.join(product.endings)}; default: the run's name with that, here.",
+        )
+        export_product.__annotations__["out"] = Annotated[str | None, file]
+        example = f"Example: [bold]blocksar export {name} run --out image{product.endings[0]}[/bold]"
+        return with_options(export_product, options_of(product.options), f"{product.summary}\n\n{example}")
+
+
+export = typer.Typer(
+    name="export",
+    cls=Products,
+    help="Export the image of a run to a standard file format.\n\n"
+    "Example: [bold]blocksar export png run --out image.png[/bold]",
+    no_args_is_help=True,
+)
+
+CollectionStart = Annotated[
+    str | None,
+    typer.Option(metavar="UTC", help="When the collection began, such as 2008-08-19T14:03:21.5Z, for products."),
+]
+TimeZero = Annotated[
+    float | None, typer.Option(metavar="S", help="Seconds from --collection-start to slow time 0, for products.")
+]
+
+
+class Readers(Plugged):
+    """The readers; files that stand for the name of one are ingested by what knows them."""
+
+    @classmethod
+    def names(cls) -> tuple[str, ...]:
+        from blocksar.ingestion.readers import READERS
+
+        return READERS.names()
+
+    @classmethod
+    def command_of(cls, name: str) -> Callable[..., None]:
+        from blocksar.ingestion.readers import READERS
+
+        reader = READERS.get(name)
+        metavar, text = reader.source
+        kind: Any = list[str] if reader.several else str
+
+        def ingest_files(
+            context: typer.Context,
+            source: str,
+            out: StoreOut,
+            collection_start: CollectionStart = None,
+            time_zero: TimeZero = None,
+            overwrite: Overwrite = False,
+            quiet: Quiet = False,
+            json_log: JsonLog = None,
+            **options: Any,
+        ) -> None:
+            from blocksar import api
+
+            with listening(context) as progress:
+                report = api.ingest(
+                    name, source, out, collection_start=collection_start, time_zero=time_zero, overwrite=overwrite,
+                    progress=progress, **options,
+                )  # fmt: skip
+            show(report)
+            hint(context, "info", out)
+
+        ingest_files.__annotations__["source"] = Annotated[kind, typer.Argument(metavar=metavar, help=text)]
+        doc = f"{reader.summary}\n\nExample: [bold]blocksar ingest {name} {reader.example}[/bold]"
+        return with_options(ingest_files, options_of(reader.options), doc)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        from blocksar.api.sources import reader_of
+
+        named = not args or args[0].startswith("-") or args[0] in self.names()
+        if not (named or ctx.resilient_parsing):  # which completes words
+            name = reader_of(args[0])
+            return name, self.get_command(ctx, name), args
+        return super().resolve_command(ctx, args)
+
+
+ingest = typer.Typer(
+    name="ingest",
+    cls=Readers,
+    help="Convert measured data to a phase history. Without the name of a command, the file's first bytes tell it.\n\n"
+    "Example: [bold]blocksar ingest cphd collect.cphd --out collect.zarr[/bold]",
+    no_args_is_help=True,
+)
 
 
 @taking(options_taken("autofocus"))

@@ -1,24 +1,207 @@
 """The region that can be imaged, the default grid over it, and the seams between blocks.
 
 Regions are given in yaw, and in range from the antenna position at the epoch.
+
+Sentences on a grid that lies outside the swath: why, and what to do.
+
+What numbers may mean where a grid lies outside the swath: degrees, beam widths, feet or kilometres.
+
+Each candidate changes a unit, one thing at a time. It is named if the middle of the grid then lies in the range window
+while it is lit, which it does not as given.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.beam import lit_yaw, wrapped
+from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution, outline
-from blocksar.collection.outside import MOVE, WINDOW_GUARD, remedied, remedy, why_not_recorded, why_outside
+from blocksar.collection.raw_echo import RecordedRanges
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, OutsideSwath
+
+FOOT = 0.3048  # m
+WIDE = 0.35  # rad, 20 degrees: a beam that is wider is doubted where its steering looks like degrees
+DEGREES = "degrees"
+BAND = 4.0  # times the PRF, from which on a band of Doppler is no matter of the PRF alone
+
+
+def find_meant(collection: Collection, grid: Grid, *, on_terrain: bool) -> str | None:
+    """Say what to do about a grid outside the swath if a wrong unit explains it, else None.
+
+    On a terrain units of heights and ranges are not tried: its own heights are as likely to be wrong.
+    """
+    x, y = (grid.x0 + grid.x1) / 2, (grid.y0 + grid.y1) / 2
+    if _holds(collection, 1000 * x, 1000 * y):
+        return "it looks like km: give metres"
+    if units := [unit for unit, changes in _of_steering(collection) if _would_hold(collection, changes, x, y)]:
+        wide = collection.beam_width is not None and collection.beam_width > WIDE
+        looks = "and beam_width look" if wide and units[0] == DEGREES else "looks"
+        return f"beam_steering {looks} like {' or '.join(units)}: give radians"
+    candidates = [] if on_terrain else _candidates(collection)
+    return next((text for text, changes in candidates if _would_hold(collection, changes, x, y)), None)
+
+
+def _of_steering(collection: Collection) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Units that may be meant by beam_steering, and the fields as they would then be."""
+    steering, width = collection.beam_steering, collection.beam_width
+    if steering is not None and width is not None:
+        yield DEGREES, {"beam_steering": np.radians(steering)}
+        yield "beam widths", {"beam_steering": steering * width}
+
+
+def _candidates(collection: Collection) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Say what may be meant, and the fields as they would then be."""
+    if collection.steered and not collection.has_axis:
+        azimuth = np.radians(collection.beam_azimuth)
+        yield "beam_azimuth looks like degrees: give radians", {"beam_azimuth": azimuth}
+    position, reference = collection.antenna_position, collection.reference_range
+    for unit, metres in (("feet", FOOT), ("km", 1000.0)):
+        for names in (("antenna_position",), ("reference_range",), ("antenna_position", "reference_range")):
+            given = {"antenna_position": position, "reference_range": reference}
+            verb = "looks" if len(names) == 1 else "look"
+            yield f"{' and '.join(names)} {verb} like {unit}: give metres", {n: metres * given[n] for n in names}
+    if collection.ground_height:
+        yield "ground_height looks like feet: give metres", {"ground_height": FOOT * collection.ground_height}
+
+
+def _would_hold(collection: Collection, changes: dict[str, Any], x: float, y: float) -> bool:
+    """Whether `_holds` is true with some fields changed."""
+    with suppress(InputError):  # no collection at all
+        return _holds(replace(collection, **changes), x, y)
+    return False
+
+
+def _holds(collection: Collection, x: float, y: float) -> bool:
+    """Whether a pulse lights a point x, y, m, while its range lies in the range window."""
+    point = np.array([x, y, collection.ground_height])
+    away = np.linalg.norm(collection.antenna_position - point, axis=1) - collection.reference_range
+    lit = Geometry(collection=collection).beam.is_lit(np.asarray(x), np.asarray(y))
+    return bool((lit & (np.abs(away) <= collection.range_window / 2)).any())
+
+
+def describe_pointing(geometry: Geometry, grid: Grid) -> str:
+    """Where the middle of a grid and a beam about its axis lie, in degrees off the plane normal to the axis."""
+    collection = geometry.collection
+    assert collection.beam_steering is not None and collection.beam_width is not None
+    x, y = ((np.asarray(low + high) / 2) for low, high in ((grid.x0, grid.x1), (grid.y0, grid.y1)))
+    offset = geometry.beam.offset(x, y, slice(None)) + collection.beam_steering
+    half = collection.beam_width / 2
+    beam = collection.beam_steering.min() - half, collection.beam_steering.max() + half
+    return (
+        f"its middle lies {_degrees(offset.min(), offset.max())} degrees off the plane normal to beam_axis, and the "
+        f"beam (beam_steering, beam_width) lights {_degrees(*beam)}"
+    )
+
+
+def _degrees(*ends: float) -> str:
+    return " .. ".join(f"{np.degrees(end):.4g}" for end in ends)
+
+
+def doubt_width(width: float | None, prf: float, band: float) -> str | None:
+    """Say what is wrong where a band of Doppler (Hz) exceeds the PRF, if a beam's width (rad) in degrees does."""
+    if width is None or width <= WIDE or band < BAND * prf or np.radians(band) > prf:
+        return None
+    return (
+        f"beam_width is {width:.4g} rad, or {np.degrees(width):.3g} degrees, over which Doppler changes by {band:.4g} "
+        f"Hz at a PRF of {prf:.4g} Hz; it looks like degrees: give radians, {np.radians(width):.3g}"
+    )
+
+
+WINDOW_GUARD = 8  # range cells kept free at either end of the range window
+MOVE = "move the grid"
+
+
+def why_outside(
+    collection: Collection, half: float, within: tuple[float, float] | None, held: FloatArray, trial: FloatArray
+) -> str:
+    """Why no range stays in the range window while it is lit.
+
+    `held` (n_yaw, n_range, n_time) are ranges less the reference range, of points at epoch ranges `trial`.
+    """
+    low, high = within or (float(trial[0]), float(trial[-1]))
+    meant = (trial >= low) & (trial <= high)
+    change = np.ptp(held[:, meant] if meant.any() else held, axis=-1)
+    moves = float(np.min(change, where=np.isfinite(change), initial=np.inf))
+    still = np.ptp(collection.reference_range) == 0
+    swath = f"the range window of {collection.range_window:.6g} m about the reference range"
+    where = "" if within is None else f" (the grid's ranges are {low:.6g} .. {high:.6g} m at the epoch)"
+    if half <= 0:
+        return (
+            f"grid lies outside the swath: {swath} has {collection.n_range_frequency} range cells, of which "
+            f"{WINDOW_GUARD} at either end are left free for side lobes; sample range frequency more densely"
+        )
+    if 2 * half < moves < np.inf:
+        remedy = (
+            "re-reference the samples to a range that follows the scene, reference_range = distance to its centre"
+            if still
+            else "let reference_range follow the scene's centre"
+        )
+        return (
+            f"grid lies outside the swath: {swath} is shorter than the {moves:.4g} m by which ranges change while they "
+            f"are lit{where}, so every point leaves it; {remedy}, or cut the collection in time"
+        )
+    reference = collection.reference_range
+    return (
+        f"grid lies outside the swath: no range stays in {swath}, {reference.min():.6g} .. {reference.max():.6g} m, "
+        f"while it is lit{where}; {MOVE}"
+    )
+
+
+def why_not_recorded(recorded: RecordedRanges, within: tuple[float, float] | None) -> str:
+    """Why a raw echo has no pulse of what is lit, or no whole one."""
+    where = "" if within is None else f" (the grid's ranges are {within[0]:.6g} .. {within[1]:.6g} m at the epoch)"
+    (nearest, farthest), (first, last) = recorded.reached, recorded.whole
+    held = f"fast_time holds echoes from ranges {nearest:.6g} .. {farthest:.6g} m"
+    if recorded.partial or (within is not None and (within[1] < nearest or within[0] > farthest)):
+        return f"grid lies outside the swath: {held}, and none of what is lit{where}; {MOVE}, or correct fast_time"
+    whole = f"whole pulses from {first:.6g} .. {last:.6g} m" if first < last else "of no range the whole pulse"
+    remedy = "give --grid for ground of which parts of pulses were recorded"
+    if within is not None:
+        remedy = f"{MOVE}, or leave out --whole-pulses"
+    return f"grid lies outside the swath: {held}, {whole}, and no whole pulse of what is lit{where}; {remedy}"
+
+
+@contextmanager
+def remedied(geometry: Geometry, grid: Grid) -> Iterator[None]:
+    """Say what to do about a grid that is found outside the swath."""
+    try:
+        yield
+    except OutsideSwath as error:
+        pointing = f"{describe_pointing(geometry, grid)}; " if geometry.collection.has_axis else ""
+        raise OutsideSwath(str(error).replace(MOVE, pointing + remedy(geometry, grid))) from None
+
+
+def remedy(geometry: Geometry, grid: Grid) -> str:
+    """Say what to do about a grid outside the swath.
+
+    A unit may be wrong (`find_meant`). On a terrain these may be wrong heights: of those in the swath the middle
+    is told, z = height of the antenna - sqrt(reference range^2 - distance^2).
+    """
+    collection = geometry.collection
+    meant = find_meant(collection, grid, on_terrain=geometry.terrain is not None)
+    if meant is not None or geometry.terrain is None:
+        return meant or MOVE
+    x, y = (np.asarray(low + high) / 2 for low, high in ((grid.x0, grid.x1), (grid.y0, grid.y1)))
+    reference = np.interp(geometry.epoch, collection.time, collection.reference_range)
+    squares = reference**2 - float(np.sum((np.array([x, y]) - geometry.nadir[:2]) ** 2))
+    if squares <= 0:
+        return MOVE
+    low, high = geometry.terrain.limits
+    return (
+        f"the terrain lies at z = {low:.6g} .. {high:.6g} m, but the middle of what was recorded at "
+        f"{float(geometry.epoch_position[2]) - math.sqrt(squares):.1f} m there: correct its heights (unit, datum), or "
+        f"{MOVE}{''.join(f'; {remark}' for remark in geometry.terrain.remarks)}"
+    )
 
 
 def range_window(

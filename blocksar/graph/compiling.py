@@ -39,7 +39,7 @@ PULSES = ("kernels.pulse_sums", "focusing.pattern_sums")
 WEIGHTS = ("kernels.blending",)
 PYRAMID = ("kernels.halving",)
 HIERARCHY = ("kernels.decimation",)
-TRACKS = ("autofocusing.range_lines", "autofocusing.forms", "autofocusing.sights", "autofocusing.phase_gradient")
+TRACKS = ("autofocusing.range_lines", "autofocusing.information", "autofocusing.chips", "autofocusing.phase_gradient")
 LOOPS = (
     *TERRAIN[:1], *TASKS, *PULSES, "kernels.beam_passes", *TERRAIN[1:], "simulation.scatterers", *WEIGHTS,
     *HIERARCHY, *PYRAMID, *TRACKS, "kernels.posts", "kernels.quantised_packets",

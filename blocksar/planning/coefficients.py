@@ -78,7 +78,7 @@ from blocksar.planning import binding
 from blocksar.planning.binding import RESAMPLING_ORDERS, SERIES_DEGREE, AzimuthPart, Candidate, Freedom, RangePart
 from blocksar.planning.dwell_ends import full_dwells, smear_room
 from blocksar.planning.dwell_weights import beam_moves
-from blocksar.planning.fidelity import smear_loss
+from blocksar.planning.prediction import smear_loss
 
 STEEPEST = 0.5  # times r0: the largest change of a line's slope by the time perturbation, anywhere along its dwell
 

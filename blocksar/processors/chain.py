@@ -1,39 +1,268 @@
-"""The chains of the three papers as processors: recovery, blocks focused by a list of steps, mosaic."""
+"""The chains of the three papers as processors: recovery, blocks focused by a list of steps, mosaic.
+
+Sentences on a chain's plan beside its tables, one a line.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from itertools import chain
+from itertools import chain, product
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from blocksar.arrays import FloatArray
+from blocksar.budget import side_lobe_budget
+from blocksar.collection.grid import folds, ground_spectrum
+from blocksar.collection.region import default_grid, share_outside
+from blocksar.constants import MIB
 from blocksar.focusing.method import Chain as Name
 from blocksar.focusing.method import ChainOptions, Method
 from blocksar.graph import compiling
+from blocksar.inspection.samples import doubts_of_track
+from blocksar.measurement.axes import MIN_OVERSAMPLING, response_axes
 from blocksar.planning import effort
+from blocksar.planning.block import BlockPlan
 from blocksar.planning.disk import run_bytes
+from blocksar.planning.dwell_ends import reaches_full
 from blocksar.planning.plan import Plan
 from blocksar.planning.planner import planner_of
 from blocksar.planning.segments import PlannedSegment, plan_segments
 from blocksar.processors.base import Execution, ImagePlan, Problem
-from blocksar.processors.chain_lines import (
-    cut_dwells,
-    jittering_beam,
-    missed_fidelity,
-    outside_window,
-    plan_lines,
-    short_dwells,
-    undersampling,
-)
-from blocksar.processors.chain_tables import block_table, plan_details
+from blocksar.processors.chain_tables import block_table, digits, plan_details
+from blocksar.processors.lines import lit_pulses
 from blocksar.progress import Work
 from blocksar.runs.record import PredictedBlock, Receipt
 from blocksar.tables import Table
-from blocksar.texts import size_text
+from blocksar.texts import count, size_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+OTHER, SMALLER, TAPER = (
+    "try --processor auto", "image a smaller --grid", "taper the dwells, for example with --weighting-azimuth hann"
+)  # fmt: skip
+# What helps where no number of blocks does, by what takes most of the coherence.
+REMEDIES = {
+    "residual phase": (OTHER, SMALLER),
+    "range migration": (OTHER, SMALLER),
+    "the ends of the dwell": (OTHER, TAPER),
+    "noise of the track": ("smooth the positions",),
+}
+
+
+def describe_shortfall(plan: Plan, *, compared: bool = False) -> str:
+    """Say which fidelity is not kept, and what would help most; `compared`: this is the best of several processors."""
+    worst = max(plan.blocks, key=lambda block: block.prediction.excess(plan.fidelity))
+    p = worst.prediction
+    losses = {
+        "residual phase": p.phase_loss, "range migration": p.range_loss, "the ends of the dwell": p.dispersion_loss,
+        "noise of the track": p.track_loss,
+    }  # fmt: skip
+    cause = max(losses, key=losses.__getitem__)
+    if plan.searched:
+        useless = {OTHER} if compared else set()
+        useless |= set() if plan.weighting.azimuth.uniform else {TAPER}  # where dwells have one
+        ways = [way for way in REMEDIES[cause] if way not in useless]
+        remedy = ", or ".join([*ways, "take --processor backprojection, which is exact"])
+    elif cause == "noise of the track":
+        remedy = REMEDIES[cause][0]
+    else:
+        remedy = "ask for more --blocks, or for --blocks auto"
+    if plan.method.variant:
+        remedy += ", or leave the alternative methods out"
+    if 1 - p.coherence > 1 - plan.fidelity:
+        kept, figure = f"fidelity {plan.fidelity:.12g} is", f"coherence {p.coherence:.6g}"
+    else:  # said apart, for it is no matter of coherence
+        allowed = side_lobe_budget(plan.fidelity, p.ideal_pslr)
+        kept = f"fidelity {plan.fidelity:.12g} is kept in coherence, but side lobes to {allowed:.2g} dB are"
+        figure = f"side lobes of {p.pslr:.2f} dB instead of {p.ideal_pslr:.2f}"
+    if plan.searched:
+        closest = "block comes" if plan.n_blocks == 1 else "blocks come"
+        return (
+            f"{kept} not kept by any division that was tried: {plan.n_blocks} {closest} closest, with {figure} "
+            f"predicted in block {worst.name}, and most is lost by {cause}; {remedy}"
+        )
+    return f"{kept} not kept: block {worst.name} predicts {figure}, and most is lost by {cause}; {remedy}"
+
+
+TRACK_TOLD = 0.01  # rad: noise of the track that leaves less is not mentioned
+PLACES = 9  # of a block along range and yaw, at which full dwells are looked for
+MEASURED_AT = 5  # points along a side of a grid, whose responses tell which steps they are measured on
+LOOKED_AT = 64  # points along a side of a grid at which full dwells are looked for
+SHORT_DWELL = 12  # pulses, below which a coherence of up to 0.002 less than is predicted was measured
+
+
+def plan_lines(plan: Plan, *, compared: bool = False) -> list[str]:
+    """Say what there is to say of a plan besides its tables; `compared` as for `describe_shortfall`."""
+    recovery, collection, grid = plan.recovery, plan.geometry.collection, plan.grid
+    spectrum = recovery.doppler.size * collection.n_range_frequency * 8
+    blocks = count(plan.n_blocks, "block")
+    if plan.parts > 1:
+        blocks += f" of {plan.parts} range sub-blocks{' each' if plan.n_blocks > 1 else ''}"
+    lines = [
+        f"{blocks}, {plan.method.coefficients} coefficients; "
+        f"track: {plan.geometry.track}, misfit {plan.geometry.track.max_misfit:.2g} m",
+        f"derotated band {recovery.band[1] - recovery.band[0]:.0f} Hz at PRF {collection.prf:.0f} Hz; recovered "
+        f"spectrum {recovery.doppler.size} x {collection.n_range_frequency} ({size_text(spectrum)}), "
+        f"{recovery.doppler.extent:.0f} Hz wide",
+        f"image {grid.shape[1]} x {grid.shape[0]} pixels: x {grid.x[0]:g} .. {grid.x[-1]:g} m every {grid.dx:g} m, "
+        f"y {grid.y[0]:g} .. {grid.y[-1]:g} m every {grid.dy:g} m",
+    ]
+    if plan.geometry.terrain is not None:
+        low, high = plan.geometry.terrain.limits
+        lines.append(f"terrain: z = {low:.5g} .. {high:.5g} m; blocks are fitted on its smooth part")
+    lines.append(
+        f"predicted coherence with exact back-projection: at least {digits(plan.coherence)} for targets with full dwell"
+    )
+    if not plan.weighting.uniform:
+        azimuth = plan.weighting.azimuth.ideal.pslr
+        lines.append(
+            f"weighting {plan.weighting.text}: ideal side lobes {plan.weighting.range.ideal.pslr:.2f} dB in range, "
+            f"{azimuth:.2f} dB in azimuth"
+        )
+    lines.append(_disk_line(plan))
+    lines += doubts_of_track(plan.geometry.collection)
+    doubts = undersampling, short_dwells, cut_dwells, cut_lobes, jittering_beam
+    lines += [line for doubt in doubts if (line := doubt(plan)) is not None]
+    noise = max(block.prediction.track_phase for block in plan.blocks)
+    if noise > TRACK_TOLD:
+        lines.append(
+            f"the noise of the track leaves a phase of {noise:.2g} rad r.m.s. over a dwell; smooth the positions"
+        )
+    if not plan.faithful:
+        lines.append(describe_shortfall(plan, compared=compared))
+    return lines
+
+
+def missed_fidelity(plan: Plan) -> str | None:
+    """A sentence if the division that was searched for does not keep the fidelity, else None."""
+    return describe_shortfall(plan) if plan.searched and not plan.faithful and plan.refusal is None else None
+
+
+def cut_dwells(plan: Plan) -> str | None:
+    """A sentence if no point of the grid has a full dwell, for which the prediction holds, else None."""
+    x, y = (axis[:: math.ceil(axis.size / LOOKED_AT)] for axis in (plan.grid.x, plan.grid.y))
+    if not plan.geometry.collection.steered or bool(plan.geometry.beam.has_full_dwell(x, y[:, None]).any()):
+        return None
+    return (
+        "no point of the grid is lit for a full dwell: the prediction holds for none, and cut dwells differ more from "
+        "back-projection"
+    )
+
+
+def cut_lobes(plan: Plan) -> str | None:
+    """A sentence if blocks have cut dwells only, whose side lobes are those of a part of the weighting, else None."""
+    if plan.weighting.azimuth.uniform:
+        return None
+    cut = [block for block in plan.blocks if not reaches_full(plan.geometry, *_places(block))]
+    if not cut:
+        return None
+    worst = max(cut, key=lambda block: block.prediction.ideal_pslr)
+    some = f"{len(cut)} of {len(plan.blocks)} blocks have" if len(plan.blocks) > 1 else "the block has"
+    return (
+        f"{some} no full dwell: the weighting of cut dwells is cut as well, with side lobes of up to "
+        f"{worst.prediction.ideal_pslr:.2f} dB in back-projection (block {worst.name})"
+    )
+
+
+def _places(block: BlockPlan) -> tuple[FloatArray, FloatArray]:
+    """Some epoch ranges and yaws of a block."""
+    ground = block.ground
+    return np.linspace(ground.near, ground.far, PLACES), np.linspace(block.low, block.high, PLACES)
+
+
+def _disk_line(plan: Plan) -> str:
+    """Room that a run needs; a raw echo's range compression is not counted, since a plan knows no samples."""
+    stores = run_bytes(plan)
+    parts = ", ".join(f"{name} {size / MIB:.0f}" for name, size in stores.items())
+    return f"a run writes about {sum(stores.values()) / MIB:.0f} MiB ({parts})"
+
+
+def undersampling(plan: Plan) -> str | None:
+    """A sentence if spectra fold on the grid in the middle of any block, or are too wide to be measured; else None."""
+    grid, places = plan.grid, [((b.ground.near + b.ground.far) / 2, (b.low + b.high) / 2) for b in plan.blocks]
+    folded = any(folds(ground_spectrum(plan.geometry, *place), grid.dx, grid.dy) for place in places)
+    if not (bands := list(_bands(plan))):
+        return None
+    needed = [_rounded_down(1 / (2 * MIN_OVERSAMPLING * max(each))) for each in zip(*bands, strict=True)]
+    if not folded and grid.dx <= needed[0] and grid.dy <= needed[1]:
+        return None
+    steps = f"the grid's steps of {grid.dx:g} x {grid.dy:g} m"
+    enough = f"{needed[0]:.2g} m in x and {needed[1]:.2g} m in y"
+    if folded:
+        return (
+            f"{steps} undersample the image: spectra fold, and targets between its points are lost; steps of {enough} "
+            "show everything"
+        )
+    return f"{steps} hold the image, but `blocksar quality` measures responses on steps of at most {enough}"
+
+
+def _bands(plan: Plan) -> Iterator[tuple[float, float]]:
+    """Largest wavenumbers in x and y, cycles/m, of responses at some points of the grid that are lit."""
+    x, y = (np.linspace(axis[0], axis[-1], MEASURED_AT) for axis in (plan.grid.x, plan.grid.y))
+    for at in product(x.tolist(), y.tolist()):
+        if (axes := response_axes(plan.geometry, *at)) is not None:
+            yield float(axes.band[0]), float(axes.band[1])
+
+
+def _rounded_down(value: float) -> float:
+    """A number with two digits, not above the value.
+
+    Examples
+    --------
+    >>> _rounded_down(0.0159), _rounded_down(3.0)
+    (0.015, 3.0)
+    """
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{math.floor(value / unit * (1 + 1e-12)) * unit:.2g}")
+
+
+def short_dwells(plan: Plan) -> str | None:
+    """A sentence if no point of the grid is lit by enough pulses, else None."""
+    n_pulse, lit = plan.geometry.collection.n_pulse, lit_pulses(plan.geometry, plan.grid)
+    if lit >= SHORT_DWELL or n_pulse < SHORT_DWELL:
+        return None
+    return (
+        f"{lit} pulses light a target at most, of {n_pulse}, and predictions hold from {SHORT_DWELL} pulses "
+        "on; is beam_width in rad, and what says where the beam points?"
+    )
+
+
+def jittering_beam(plan: Plan) -> str | None:
+    """A sentence if dwells are gated by a smoothed beam, else None."""
+    width = plan.geometry.collection.beam_width
+    if not plan.away or width is None:
+        return None
+    return (
+        f"the beam's pointing jitters by {np.rad2deg(plan.away):.2g} deg on average, {100 * plan.away / width:.2g} % "
+        "of its width: dwells are gated by a smoothed beam"
+    )
+
+
+def outside_window(plans: Sequence[Plan]) -> list[str]:
+    """A sentence if a part of a grid that was asked for lies outside the range windows of all plans, else none."""
+    grid = plans[0].grid
+    if all(plan.geometry.collection.steered and grid == default_grid(plan.geometry, plan.region) for plan in plans):
+        return []  # the corners of the box about what is lit
+    share = share_outside([(plan.geometry, plan.region) for plan in plans], grid)
+    if share == 0:
+        return []
+    terrain = plans[0].geometry.terrain
+    heights = "" if terrain is None else f", or correct the terrain's heights, z = {terrain.limits[0]:.6g} .. "
+    heights += "" if terrain is None else f"{terrain.limits[1]:.6g} m"
+    window = max(plan.geometry.collection.range_window for plan in plans)
+    unrecorded = {each.partial for plan in plans if (each := plan.geometry.collection.recorded) is not None}
+    pulses = (
+        "" if not unrecorded else ", or have no recorded pulse," if any(unrecorded) else ", or have no whole pulse,"
+    )
+    return [
+        f"{100 * share:.2g} % of the grid's pixels lie outside the range window ({window:.5g} m about the reference "
+        f"range){pulses} and stay NaN; move the grid, or give a smaller one{heights}"
+    ]
 
 
 @dataclass(frozen=True)

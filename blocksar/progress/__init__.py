@@ -7,10 +7,9 @@ progress to people, as a live display on a terminal and as a few plain lines els
 
 from __future__ import annotations
 
-from blocksar.progress.display import PLAIN_STEPS, Progress, abandon
+from blocksar.progress.display import PLAIN_STEPS, Log, Progress, abandon
 from blocksar.progress.estimate import Estimate
 from blocksar.progress.listening import NOBODY, Callback, Listener, Updated, Work, Workers
-from blocksar.progress.log import Log
 from blocksar.progress.wanted import Wanted, as_listener
 
 __all__ = [

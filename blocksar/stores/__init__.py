@@ -43,7 +43,14 @@ from blocksar.stores.creation import (
     write_collection,
 )
 from blocksar.stores.datasets import CONTENT, DatasetHistory, dataset_of, history_in_memory, history_of
-from blocksar.stores.phase_history import PhaseHistory, open_dataset, open_phase_history, read_collection
+from blocksar.stores.phase_history import (
+    PhaseHistory,
+    is_truth,
+    open_dataset,
+    open_phase_history,
+    read_collection,
+    write_truth,
+)
 from blocksar.stores.pieces import Piece, Samples, blocks_of, write_pieces
 from blocksar.stores.pyramid import PYRAMID, Pyramid, level_name, level_shapes, levels_of, pyramid_of
 from blocksar.stores.records import checksum, checksum_bytes, file_checksum, json_checksum, read_json, write_json
@@ -66,7 +73,6 @@ from blocksar.stores.schema import (
     Variable,
 )
 from blocksar.stores.terrain import StoredTerrain, read_terrain, terrain_fingerprint, write_terrain
-from blocksar.stores.truth import is_truth, write_truth
 
 __all__ = [
     "COLLECTION",

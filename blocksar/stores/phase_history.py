@@ -1,4 +1,7 @@
-"""Phase histories and collections: creating them, and opening them with every check of the public contract."""
+"""Phase histories and collections: creating them, and opening them with every check of the public contract.
+
+The track as flown, beside a simulated phase history whose own track has an error.
+"""
 
 from __future__ import annotations
 
@@ -31,16 +34,10 @@ from blocksar.stores.arrays import metadata_file, open_variable, refuse_codecs
 from blocksar.stores.channels import attrs_of_channel, look_name, number_of, read_channels
 from blocksar.stores.chunk_files import METADATA, group_attrs, refuse_odd_file
 from blocksar.stores.contract import checked, number, raw_echo_from, read_real
-from blocksar.stores.creation import UNFINISHED
+from blocksar.stores.creation import UNFINISHED, create
 from blocksar.stores.records import cause_of, json_checksum, unreachable
 from blocksar.stores.regions import chunk_names, read_array
-from blocksar.stores.schema import (
-    COLLECTION_ATTRS,
-    OPTIONAL,
-    PHASE_HISTORY,
-    RAW_ATTRS,
-    RAW_ECHO,
-)
+from blocksar.stores.schema import COLLECTION_ATTRS, CONVENTIONS, OPTIONAL, PHASE_HISTORY, RAW_ATTRS, RAW_ECHO, TRUTH
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -493,3 +490,28 @@ def collection_from(
         recorded=RecordedRanges.among(attrs) if raw is None else raw.recorded(),
         **{name: read(name) for name in OPTIONAL if present(name)},  # type: ignore[arg-type]  # arrays, all of them
     )
+
+
+TITLE = "track as flown; the phase history beside it has the track as known"
+
+
+def write_truth(path: Location, time: FloatArray, positions: FloatArray) -> None:
+    """Write slow times (n,), s, and positions (n, 3), m, in the frame of the phase history; replaces an earlier one."""
+    create(
+        path,
+        TRUTH,
+        sizes={},
+        coords={"time": time},
+        variables={"antenna_position": positions},
+        attrs={"Conventions": CONVENTIONS, "title": TITLE},
+        chunks={},
+        overwrite=True,
+    )
+
+
+def is_truth(path: Location) -> bool:
+    """Tell whether a store is one that `write_truth` wrote."""
+    try:
+        return open_dataset(path).attrs.get("title") == TITLE
+    except InputError:
+        return False

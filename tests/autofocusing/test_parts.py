@@ -14,10 +14,9 @@ from blocksar.autofocusing.chips import Chips, brightest_places, fill, gaps, joi
 from blocksar.autofocusing.correction import Correction, Knots, between_samples, intervals
 from blocksar.autofocusing.estimation import PADDING, Polish, coarse_error, entropies, minimise, without_line
 from blocksar.autofocusing.fine_phase import believed, by_least_squares, is_pattern, own_phase, point_phases
-from blocksar.autofocusing.finishing import unknown_turns
+from blocksar.autofocusing.finishing import alike_nearby, bends, far_from_gaps, fine_samples, unfollowed, unknown_turns
 from blocksar.autofocusing.information import factor, information, solve
 from blocksar.autofocusing.phase_gradient import add_rows, line_of_sight, own_errors, strongest_lines, sum_along
-from blocksar.autofocusing.prediction import alike_nearby, bends, far_from_gaps, fine_samples, unfollowed
 from blocksar.autofocusing.range_lines import range_profiles, take_chips, take_lines, taps
 from blocksar.autofocusing.selection import Points, find_candidates
 from blocksar.autofocusing.spectral_drift import STEP, Spectra, phase_of_drift, products_with_others, smooth_path

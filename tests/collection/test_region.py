@@ -11,8 +11,7 @@ from axis_beams import axis_collection
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, folds, ground_spectrum
-from blocksar.collection.outside import WINDOW_GUARD
-from blocksar.collection.region import default_grid, plan_region, share_outside
+from blocksar.collection.region import WINDOW_GUARD, default_grid, plan_region, share_outside
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 

@@ -21,7 +21,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
 from blocksar.simulation import cphd as cphd_simulation
-from blocksar.simulation.cphd_beam import GAIN_ERROR
+from blocksar.simulation.cphd import GAIN_ERROR
 from blocksar.simulation.scene import Scene
 
 pytest.importorskip("sarkit", reason="the extra `formats` is not installed")

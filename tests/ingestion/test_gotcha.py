@@ -38,7 +38,7 @@ from blocksar.ingestion.reading import Ingested
 from blocksar.ingestion.resampling import plan_resampling
 from blocksar.measurement.coherence import coherence
 from blocksar.measurement.targets import Target
-from blocksar.planning import recovery as recovery_planning
+from blocksar.planning import planner as recovery_planning
 from blocksar.planning import target_lines
 from blocksar.planning.planner import plan_collection
 from blocksar.simulation.scatterers import simulate_pulses

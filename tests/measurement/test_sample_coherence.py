@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from blocksar.collection.weighting import Weighting
-from blocksar.measurement.sample_coherence import (
+from blocksar.measurement.interferometry import (
     coherence_of_median,
     independent_pixels,
     mean_estimate,

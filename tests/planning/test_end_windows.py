@@ -19,8 +19,8 @@ from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import RowPolynomial, focus
 from blocksar.kernels import fourier
 from blocksar.planning.dwell_ends import end_lift
-from blocksar.planning.fidelity import smear_loss
 from blocksar.planning.planner import plan_collection
+from blocksar.planning.prediction import smear_loss
 from blocksar.planning.target_lines import find_dwells
 
 # A band of 3 %.

@@ -17,9 +17,9 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Taper
 from blocksar.errors import InputError
 from blocksar.planning.dwell_ends import ImageEdges
-from blocksar.planning.fidelity import end_energy
 from blocksar.planning.planner import plan_collection
-from blocksar.processors.chain_lines import describe_shortfall
+from blocksar.planning.prediction import end_energy
+from blocksar.processors.chain import describe_shortfall
 from blocksar.simulation.scene import Scene
 
 

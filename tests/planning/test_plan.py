@@ -21,8 +21,7 @@ from blocksar.graph.machine import pace
 from blocksar.planning import effort
 from blocksar.planning.block import plan_block
 from blocksar.planning.disk import run_bytes
-from blocksar.planning.planner import plan_collection
-from blocksar.planning.recovery import plan_recovery
+from blocksar.planning.planner import plan_collection, plan_recovery
 from blocksar.planning.sector import Sector
 from blocksar.processors import lines
 from blocksar.simulation.scene import Scene

@@ -18,7 +18,7 @@ from small_run import TARGETS, Made, make
 import blocksar
 from blocksar import stores
 from blocksar.kernels.halving import halve
-from blocksar.products.viewer.tiles import NOTHING, Tiles
+from blocksar.products.viewer.server import NOTHING, Tiles
 
 CHROMIUM = os.environ.get("BLOCKSAR_CHROMIUM") or next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None

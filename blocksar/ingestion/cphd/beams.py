@@ -16,7 +16,7 @@ from numpy.polynomial import polynomial
 
 from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.beam import turned_near
-from blocksar.collection.beam_checks import check_axis_beam
+from blocksar.collection.collection import check_axis_beam
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
 from blocksar.ingestion.cphd.antennas import Antenna, read_antenna, sampled

@@ -11,6 +11,16 @@ Where the error exceeds a twentieth of a pixel, because the origin is far away (
 is rotated from north, the projection is centred on the image instead, and the best affine map places the pixels,
 rotated if need be. The largest error of a pixel's place against exact conversion through ECEF is reported and stored in
 the file.
+
+Overviews of a GeoTIFF: each level has half as many rows and columns, and what the product holds of the mean there.
+
+Means are of what was measured, before it is coded: power for amplitude and decibels, whose own means say nothing. A
+cell of level k is the mean of all covered pixels among the 2^k x 2^k that it stands for; not that of the means of the
+level above, which at the edge of what is covered would count some pixels more than others. Complex pixels, whose mean
+is no image, and flags have those of the north-western corner of each cell.
+
+GDAL knows no such mean of decibels. So each level is a file of its own, which a VRT names as the overview of the
+pixels, and GDAL copies them all into one.
 """
 
 from __future__ import annotations
@@ -18,6 +28,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
+from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -31,7 +42,6 @@ from blocksar.collection.georeference import Georeference
 from blocksar.errors import library_for, printable
 from blocksar.places import Location
 from blocksar.places.local import temporary_name
-from blocksar.products.geotiff import overviews
 from blocksar.products.map_pixels import MapPixels, parse_crs
 from blocksar.products.pixels import Pixels
 from blocksar.products.writing import replacing
@@ -40,6 +50,85 @@ from blocksar.version import __version__
 
 if TYPE_CHECKING:
     from pyproj import CRS
+
+NEAREST = ("complex", "visibility")  # contents without a mean
+AT_ONCE = 1 << 18  # pixels of the full image
+
+State = NDArray[Any]  # (1, rows, columns): pixels; (2, rows, columns): sums of what is covered, and how many
+
+
+def sizes_of(width: int, height: int, tile: int) -> list[tuple[int, int]]:
+    """Columns and rows of the levels, until one tile holds all.
+
+    Examples
+    --------
+    >>> sizes_of(1300, 600, 512)
+    [(650, 300), (325, 150)]
+    """
+    sizes = []
+    while max(width, height) > tile:
+        width, height = -(-width // 2), -(-height // 2)
+        sizes.append((width, height))
+    return sizes
+
+
+class Level:
+    """A level of overviews, written from north to south as the rows above it come in."""
+
+    def __init__(self, write: Callable[[int, NDArray[Any]], None], below: Level | None) -> None:
+        """`write` takes the number of a row and rows of what was measured."""
+        self._write, self._below, self._row = write, below, 0
+        self._held: State | None = None
+
+    def take(self, rows: State) -> None:
+        """Take rows of the level above; an odd one is held until the next comes."""
+        rows = rows if self._held is None else np.concatenate([self._held, rows], axis=1)
+        whole = rows.shape[1] // 2 * 2
+        self._held = rows[:, whole:]
+        self._put(rows[:, :whole])
+
+    def end(self) -> None:
+        """Write what is held, and end the levels below."""
+        if self._held is not None:
+            self._put(self._held)
+        if self._below is not None:
+            self._below.end()
+
+    def _put(self, rows: State) -> None:
+        if not rows.shape[1]:
+            return
+        halved = _halved(rows)
+        self._write(self._row, _values(halved))
+        self._row += halved.shape[1]
+        if self._below is not None:
+            self._below.take(halved)
+
+
+def feed(first: Level, measured: NDArray[Any], *, nearest: bool) -> None:
+    """Give the first level rows (rows, columns), from north to south, of what was measured; NaN where not covered."""
+    step = max(AT_ONCE // measured.shape[1], 1)
+    for start in range(0, len(measured), step):
+        rows = measured[start : start + step]
+        if nearest:
+            first.take(rows[None])
+        else:
+            covered = ~np.isnan(rows)
+            first.take(np.stack([np.where(covered, rows, 0), covered]).astype(np.float64))
+
+
+def _halved(rows: State) -> State:
+    """Sums over cells of 2 x 2, less at the end of an odd number; pixels of their first corner."""
+    if len(rows) == 1:
+        return rows[:, ::2, ::2]
+    pairs = np.add.reduceat(rows, np.arange(0, rows.shape[1], 2), axis=1)
+    return np.asarray(np.add.reduceat(pairs, np.arange(0, rows.shape[2], 2), axis=2))
+
+
+def _values(rows: State) -> NDArray[Any]:
+    if len(rows) == 1:
+        return np.asarray(rows[0])
+    total, count = rows
+    return np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0).astype(np.float32)
 
 
 UNITS = {"height": "m", "incidence": "rad"}
@@ -114,7 +203,7 @@ def write(
     source.coverage()  # raises if no pixel is covered
     room = raster.x.size * raster.y.size * np.dtype(pixels.dtype).itemsize  # of the plain file
     with replacing(out, overwrite=overwrite, room=room) as part, rasterio.Env(GDAL_CACHEMAX=CACHE, GDAL_NUM_THREADS=1):
-        sizes = overviews.sizes_of(raster.x.size, raster.y.size, TILE)
+        sizes = sizes_of(raster.x.size, raster.y.size, TILE)
         plain, *levels, whole = (temporary_name(part, "part") for _ in range(len(sizes) + 2))
         try:
             _write_plain(raster, plain, dict(zip(levels, sizes, strict=True)), placement, listener)
@@ -248,13 +337,13 @@ def _write_pixels(pixels: Pixels | MapPixels, file: Any, levels: list[Any], prog
 
     first = None
     for level in reversed(levels):
-        first = overviews.Level(partial(write, level), first)
+        first = Level(partial(write, level), first)
     strips = list(pixels.strips())[::-1]
     for done, rows in enumerate(strips, 1):
         measured = pixels.measured(rows)[::-1]
         write(file, pixels.y.size - rows.stop, measured)
         if first is not None:
-            overviews.feed(first, measured, nearest=pixels.content in overviews.NEAREST)
+            feed(first, measured, nearest=pixels.content in NEAREST)
         progress(done, len(strips))
     if first is not None:
         first.end()

@@ -19,15 +19,13 @@ from blocksar.measurement.interferometry import (
     Baseline,
     Windowed,
     changed,
-    over_window,
-    sides_at,
-    vertical_wavenumber,
-)
-from blocksar.measurement.sample_coherence import (
     coherence_of_median,
     independent_pixels,
     mean_estimate,
+    over_window,
+    sides_at,
     threshold,
+    vertical_wavenumber,
 )
 from blocksar.places.place import Place
 from blocksar.progress.listening import Callback

@@ -12,8 +12,7 @@ from blocksar.places import Location
 from blocksar.places.local import temporary_name
 from blocksar.products.collect import about_segments, ascii_text, security_mark
 from blocksar.products.pixels import Pixels
-from blocksar.products.sidd.grids import Grid, grid_of
-from blocksar.products.sidd.metadata import build_metadata
+from blocksar.products.sidd.metadata import Grid, build_metadata, grid_of
 from blocksar.products.writing import replacing
 from blocksar.progress.listening import Callback
 
