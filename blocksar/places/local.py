@@ -127,7 +127,7 @@ class LocalPlace(Place):
             os.close(descriptor)
 
     def zarr_path(self) -> StorePath:
-        from blocksar.places.place import of_folder
+        from blocksar.places.zarr_paths import of_folder
 
         return of_folder(self.path)
 

@@ -128,7 +128,7 @@ class ObjectPlace(Place):
         pass  # an object store keeps what it has acknowledged
 
     def zarr_path(self) -> StorePath:
-        from blocksar.places.place import of_objects
+        from blocksar.places.zarr_paths import of_objects
 
         return of_objects(open_bucket(self.bucket), self.key)
 

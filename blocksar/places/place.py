@@ -1,39 +1,18 @@
-"""The interface of places, whatever holds their files.
-
-Places as zarr names them. This module loads zarr, which takes 0.1 to 0.3 s: `Place.zarr_path` does so on use.
-"""
+"""The interface of places, whatever holds their files."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING
-
-import zarr
-from zarr.storage import LocalStore, ObjectStore, StorePath
 
 from blocksar.errors import NoRoom
 from blocksar.places.ranges import Readable
 from blocksar.texts import size_text
 
 if TYPE_CHECKING:
-    from obstore.store import S3Store
-
-FILES_AT_ONCE = 2  # chunks in flight per process: zarr's default of 10 is up to 1.7x slower, for copies of buffers
-
-zarr.config.set({"async.concurrency": FILES_AT_ONCE})
-
-
-def of_folder(path: Path) -> StorePath:
-    """A folder, or an array in it; given as text, '://' and '::' would be taken for URLs."""
-    return StorePath(LocalStore(path))
-
-
-def of_objects(bucket: S3Store, key: str) -> StorePath:
-    """Find what lies below a key of a bucket."""
-    return StorePath(ObjectStore(bucket), key)
+    from zarr.storage import StorePath
 
 
 class Held(Exception):

@@ -26,7 +26,6 @@ from blocksar.stores.regions import read_region, write_region
 
 LEDGER = ".written.json"  # in an unfinished store
 AT_ONCE = 64 * MIB  # bytes of samples, about
-ROWS = TILE[0]  # pulses in a chunk
 
 
 class Piece(NamedTuple):
@@ -90,7 +89,7 @@ class _Written(NamedTuple):
     @property
     def chunks(self) -> Iterator[tuple[tuple[int, int, int], str]]:
         """The chunks of pulses, each with its checksum."""
-        for first, value in zip(range(self.first, self.stop, ROWS), self.sums, strict=True):
+        for first, value in zip(range(self.first, self.stop, TILE[0]), self.sums, strict=True):
             yield (self.of, self.channel, first), value
 
 
@@ -176,7 +175,7 @@ def is_begun(store: Place, identity: str) -> bool:
 def _sums(values: ComplexArray) -> list[str]:
     """Checksums of samples by chunks of pulses, as they are stored."""
     values = values.astype(np.complex64, copy=False)
-    return [checksum(values[first : first + ROWS]) for first in range(0, len(values), ROWS)]
+    return [checksum(values[first : first + TILE[0]]) for first in range(0, len(values), TILE[0])]
 
 
 def write_pieces(
@@ -253,7 +252,7 @@ def blocks_of(n_pulse: int, n_column: int) -> list[slice]:
     >>> blocks_of(1200, 8192)
     [slice(0, 1024, None), slice(1024, 1200, None)]
     """
-    rows = max(AT_ONCE // (SAMPLE * n_column * ROWS), 1) * ROWS
+    rows = max(AT_ONCE // (SAMPLE * n_column * TILE[0]), 1) * TILE[0]
     return [slice(first, min(first + rows, n_pulse)) for first in range(0, n_pulse, rows)]
 
 
@@ -263,7 +262,7 @@ def _by_chunks(pieces: Iterable[Piece], n_pulse: int) -> Iterator[Piece]:
     for piece in pieces:
         parts.append(piece._replace(samples=cache(partial(_read, piece))))
         first, last = parts[0].pulses.start, piece.pulses.stop
-        whole = last if last == n_pulse else max(last - last % ROWS, first)
+        whole = last if last == n_pulse else max(last - last % TILE[0], first)
         if whole > first:
             yield Piece(piece.channel, slice(first, whole), partial(_joined, parts, whole))
             rest = parts[-1]._replace(pulses=slice(whole, last), samples=partial(_end, parts[-1], last - whole))

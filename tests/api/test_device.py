@@ -52,7 +52,7 @@ def test_a_cluster_says_which_workers_have_one(monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.parametrize("processor", ["backprojection", "hierarchical-backprojection", "auto"])
 def test_a_plan_says_what_a_gpu_needs(processor: Any) -> None:
     report = blocksar.plan("paper_b", processor=processor, device="gpu", grid=GRID)
-    assert any("MiB of its GPU" in line for line in report.summary)
+    assert any("iB of its GPU" in line for line in report.summary)
 
 
 def test_too_little_memory_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:

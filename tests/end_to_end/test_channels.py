@@ -77,7 +77,8 @@ def test_each_channel_is_as_it_would_be_alone(store: Path, run: Path, tmp_path: 
 def test_the_image_of_all_has_the_pyramids_of_each(store: Path, run: Path, tmp_path: Path) -> None:
     x, y = (float(blocksar.open(run)[axis].mean()) for axis in "xy")
     grid = ((x - 135, x + 135, 0.5), (y - 5, y + 5, 0.5))  # 540 pixels: one level
-    blocksar.focus(store, tmp_path / "run", grid=grid, pyramid=True, **SETTINGS)
+    settings = {**SETTINGS, "grid": grid, "pyramid": True}
+    blocksar.focus(store, tmp_path / "run", **settings)
     image = tmp_path / "run" / "image.zarr"
     level = xr.open_zarr(image, group="pyramid/1").power
     assert level.shape == (2, 10, 270) and level.channel.values.tolist() == ["HH", "HV"]
@@ -92,7 +93,7 @@ def test_the_image_of_all_has_the_pyramids_of_each(store: Path, run: Path, tmp_p
     chunk = image / "pyramid/1/power/c/0/0/0"
     chunk.unlink()
     with pytest.raises(InputError, match="pyramid/1/power/c/0/0/0"):
-        blocksar.focus(store, tmp_path / "run", grid=grid, pyramid=True, **SETTINGS)
+        blocksar.focus(store, tmp_path / "run", **settings)
 
 
 def test_a_channel_without_samples_is_named_and_costs_no_run(

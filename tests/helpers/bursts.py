@@ -63,10 +63,11 @@ def write_bursts(
     heights: Mapping[str, float] | None = None,
 ) -> list[Path]:
     """Simulate bursts, whose scans meet on the ground with an overlap of more than a dwell."""
-    over = {} if heights is None else heights  # of targets by name, m
+    over = {} if heights is None else heights  # of targets by name, m; others lie on the ground
+    names = [f"P{i}" for i in range(len(targets))]
     points = "\n".join(
-        f'[[targets]]\nname = "P{i}"\nx = {x!r}\ny = {y!r}\nz = {over.get(f"P{i}", 0.0)!r}'
-        for i, (x, y) in enumerate(targets)
+        f'[[targets]]\nname = "{name}"\nx = {x!r}\ny = {y!r}' + (f"\nz = {over[name]!r}" if name in over else "")
+        for name, (x, y) in zip(names, targets, strict=True)
     )
     stores = []
     for number in range(count):

@@ -166,7 +166,7 @@ def test_a_few_lost_pulses_become_missing(tmp_path: Path) -> None:
 
 
 def test_chunks_of_pulses_are_gathered_across_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for holder in (ingestion, readers, stores.creation):
+    for holder in (ingestion, stores.pieces, stores.creation):
         monkeypatch.setattr(holder, "TILE", (16, 1024))
     told: list[tuple[int, int]] = []
     ingest(written(tmp_path, *np.split(circle(AZIMUTH), 9)), tmp_path / "ph.zarr", progress=lambda *n: told.append(n))
@@ -211,7 +211,7 @@ def polarised(paths: list[Path], name: str, factor: complex) -> list[Path]:
 
 
 def test_polarisations_become_channels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for holder in (ingestion, readers, stores.creation):
+    for holder in (ingestion, stores.pieces, stores.creation):
         monkeypatch.setattr(holder, "TILE", (16, 1024))
     position = circle(AZIMUTH)
     factors = {"HH": 1, "HV": 0.25j, "VH": 0.5, "VV": -2}
