@@ -78,12 +78,17 @@ def ground_spectrum(geometry: Geometry, epoch_range: float, yaw: float) -> tuple
     The spectrum is the parallelogram that they span about 2 / wavelength times the mean gradient of range.
     """
     collection = geometry.collection
+    first, _, last = _gradients(geometry, epoch_range, yaw)
+    by_band = collection.bandwidth / SPEED_OF_LIGHT * (first + last)
+    return by_band, 2 / collection.wavelength * (last - first)
+
+
+def _gradients(geometry: Geometry, epoch_range: float, yaw: float) -> FloatArray:
+    """Gradients (3, 2) of a target's range on the ground at the begin, the middle and the end of its dwell."""
     point = geometry.ground_point(np.array(epoch_range), np.array(yaw))
-    ends = np.array(geometry.beam.dwell_at(np.array(yaw), np.array(epoch_range)))
-    sight = point - geometry.track.position(ends)
-    gradient = (sight / np.linalg.norm(sight, axis=1, keepdims=True))[:, :2]
-    by_band = 2 * collection.bandwidth / SPEED_OF_LIGHT * gradient.mean(axis=0)
-    return by_band, 2 / collection.wavelength * (gradient[1] - gradient[0])
+    first, last = geometry.beam.dwell_at(np.array(yaw), np.array(epoch_range))
+    sight = point - geometry.track.position(np.array([first, (first + last) / 2, last]))
+    return np.asarray((sight / np.linalg.norm(sight, axis=1, keepdims=True))[:, :2])
 
 
 def ground_resolution(geometry: Geometry, epoch_range: float, yaw: float) -> tuple[float, float]:
@@ -92,6 +97,23 @@ def ground_resolution(geometry: Geometry, epoch_range: float, yaw: float) -> tup
     length = float(np.hypot(*by_band))
     turned = abs(float(by_band[0] * by_dwell[1] - by_band[1] * by_dwell[0])) / length
     return SINC_WIDTH / length, SINC_WIDTH / max(turned, 1e-12)
+
+
+def ground_steps(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray) -> tuple[float, float]:
+    """Half the -3 dB widths of a target's response along x and along y, m: the least of those at some places (n,).
+
+    The spectrum's extent along an axis is taken for the root sum square of those of its sides (`ground_spectrum`) and
+    of the bow of the dwell between them: the width where band and dwell lie along the axes, and for a square spectrum
+    the same whichever way it is turned.
+    """
+    extents = []
+    for place in zip(epoch_range.tolist(), yaw.tolist(), strict=True):
+        by_band, by_dwell = ground_spectrum(geometry, *place)
+        first, middle, last = _gradients(geometry, *place)
+        bow = 2 / geometry.collection.wavelength * (middle - (first + last) / 2)
+        extents.append(np.sqrt(by_band**2 + by_dwell**2 + bow**2))
+    x, y = SINC_WIDTH / 2 / np.max(extents, axis=0)
+    return float(x), float(y)
 
 
 def folds(sides: tuple[FloatArray, FloatArray], dx: float, dy: float) -> bool:

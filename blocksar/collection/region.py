@@ -24,7 +24,7 @@ from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.beam import lit_yaw, wrapped
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.grid import Grid, ground_resolution, outline
+from blocksar.collection.grid import Grid, ground_resolution, ground_steps, outline
 from blocksar.collection.raw_echo import RecordedRanges
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, OutsideSwath
@@ -587,7 +587,8 @@ def on_terrain(
 
 
 def default_grid(geometry: Geometry, region: Region) -> Grid:
-    """The bounding box of the lit sector, sampled at about half the resolution at its centre, on round coordinates.
+    """The bounding box of the lit sector, sampled at about half the resolution along x and along y, on round
+    coordinates.
 
     Under a beam about its axis that of the ground with full dwell.
     """
@@ -596,17 +597,12 @@ def default_grid(geometry: Geometry, region: Region) -> Grid:
     yaw = np.concatenate([region.yaw, region.yaw])
     point = geometry.ground_point(np.concatenate([region.near, region.far]), yaw)
     x, y = point[:, 0], point[:, 1]
-    middle = region.yaw.size // 2
-    centre = (region.near[middle] + region.far[middle]) / 2
-    range_width, azimuth_width = ground_resolution(geometry, centre, float(region.yaw[middle]))
-    step = _round_step(min(range_width, azimuth_width) / 2)
+    steps = ground_steps(geometry, (region.near + region.far) / 2, region.yaw)
 
-    def box(values: FloatArray) -> tuple[float, float, float]:
+    def box(values: FloatArray, step: float) -> tuple[float, float, float]:
         return float(np.floor(values.min() / step) * step), float(np.ceil(values.max() / step + 1) * step), step
 
-    x0, x1, dx = box(x)
-    y0, y1, dy = box(y)
-    return Grid(x0, x1, dx, y0, y1, dy)
+    return Grid(*(side for axis, step in zip((x, y), map(_round_step, steps), strict=True) for side in box(axis, step)))
 
 
 def _full_grid(geometry: Geometry, region: Region) -> Grid:
@@ -629,13 +625,15 @@ def _full_grid(geometry: Geometry, region: Region) -> Grid:
     rows, columns = np.nonzero(full)
     centre = np.argmin(np.hypot(rows - rows.mean(), (columns - columns.mean()) * FULL_RANGES / FULL_YAWS))
     at = rows[centre], columns[centre]
-    step = _round_step(min(ground_resolution(geometry, float(ranges[at]), float(yaw[at[1]]))) / 2)
+    steps = ground_steps(geometry, ranges[at][None], yaw[at[1]][None])
 
-    def box(values: FloatArray) -> tuple[float, float, float]:
+    def box(values: FloatArray, step: float) -> tuple[float, float, float]:
         low, high = np.ceil(values.min() / step), np.floor(values.max() / step)
         return float(low * step), float(max(high, low + 1) * step), step
 
-    return Grid(*box(x[full]), *box(y[full]))
+    return Grid(
+        *(side for axis, step in zip((x, y), map(_round_step, steps), strict=True) for side in box(axis[full], step))
+    )
 
 
 def facing_grid(geometry: Geometry) -> Grid:

@@ -138,13 +138,12 @@ def joint_grid(geometries: Sequence[Geometry]) -> Grid:
     grids = [default_grid(geometry, plan_region(geometry, None)) for geometry in geometries]
     if len(grids) == 1:
         return grids[0]
-    step = min(grid.dx for grid in grids)
 
-    def box(low: float, high: float) -> tuple[float, float, float]:
+    def box(sides: list[tuple[float, float, float]]) -> tuple[float, float, float]:
+        low, high, step = min(side[0] for side in sides), max(side[1] for side in sides), min(side[2] for side in sides)
         return float(step * round(low / step)), float(step * round(high / step)), step
 
-    x = box(min(grid.x0 for grid in grids), max(grid.x1 for grid in grids))
-    y = box(min(grid.y0 for grid in grids), max(grid.y1 for grid in grids))
+    x, y = box([(grid.x0, grid.x1, grid.dx) for grid in grids]), box([(grid.y0, grid.y1, grid.dy) for grid in grids])
     return Grid(*x, *y)
 
 

@@ -113,11 +113,11 @@ def test_the_picture_of_a_run_with_a_pyramid_has_its_means(tmp_path: Path, monke
         fly(points((-20.0, 5.0, 0.0))), tmp_path / "run", grid=((-40.0, 40.0, 0.1), (-20.0, 20.0, 0.2)), pyramid=True
     )
     source = source_of(run)
-    monkeypatch.setattr(picture, "PIXELS", 270)  # of 800: cells of 3 pixels, or of 2 cells of the first level
+    monkeypatch.setattr(picture, "PIXELS", 270)  # of 800: square cells of 3 x 2 pixels, or of 2 x 1 cells of the first level
     plain = overview(source.read, source.x, source.y, max_pixels=200, looks="mean")
     monkeypatch.setattr(FinishedRun, "read", None)  # which would read the image
     made = picture.draw(source, looks="max")
-    assert made.looks == "mean" and made.cell == pytest.approx(0.8)
+    assert made.looks == "mean" and made.cell == pytest.approx(0.4)
     assert made.centre == pytest.approx(
         (float(np.mean(plain.x_edges[[0, -1]])), float(np.mean(plain.y_edges[[0, -1]])))
     )
@@ -127,7 +127,7 @@ def test_the_picture_of_a_run_with_a_pyramid_has_its_means(tmp_path: Path, monke
         expected = np.maximum(10 * np.log10(plain.power), made.bottom)
     covered = np.isfinite(plain.power)
     assert np.abs(said - expected)[covered].max() < 0.52 * (made.top - made.bottom) / 255
-    assert made.top >= expected[covered].max() + 10 * np.log10(16) - 0.01  # of one pixel of the 16 of a cell
+    assert made.top >= expected[covered].max() + 10 * np.log10(8) - 0.01  # of one pixel of the 8 of a cell
 
 
 class Wide(FinishedRun):

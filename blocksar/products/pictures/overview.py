@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -60,9 +61,31 @@ def level_for(source: FinishedRun, max_pixels: int) -> int:
     0: the pixels themselves. A cell has as many pixels a side as leave at most `max_pixels` cells, and of a level a
     multiple of its own.
     """
-    times = -(-max(source.y.size, source.x.size) // max_pixels)
+    cell = cell_sides(source.x, source.y, max_pixels)
     sides = ((level, 2**level) for level in range(stores.levels_of(source.image), 0, -1))
-    return next((level for level, side in sides if -(-times // side) * side <= COARSER * times), 0)
+    return next(
+        (level for level, side in sides if all(-(-times // side) * side <= COARSER * times for times in cell)), 0
+    )
+
+
+def cell_sides(x: FloatArray, y: FloatArray, max_pixels: int, cell: tuple[int, int] = (1, 1)) -> tuple[int, int]:
+    """Pixels along y and along x of a cell, such that an image has at most `max_pixels` cells a side.
+
+    Multiples of `cell`; where they are larger, cells are nearly square on the ground.
+
+    Examples
+    --------
+    >>> cell_sides(np.arange(0.0, 8000.0, 2.0), np.arange(0.0, 8000.0, 10.0), 1000)
+    (1, 4)
+    """
+    parts = [-(-axis.size // n) for axis, n in zip((y, x), cell, strict=True)]
+    if max(parts) <= max_pixels:
+        return cell
+    steps = [n * abs(float(axis[-1] - axis[0])) / (axis.size - 1) if axis.size > 1 else 0.0
+             for axis, n in zip((y, x), cell, strict=True)]  # fmt: skip
+    side = max(n * step for n, step in zip(parts, steps, strict=True)) / max_pixels * (1 - 1e-9)
+    tall, wide = (n * math.ceil(side / step) if step else n for n, step in zip(cell, steps, strict=True))
+    return tall, wide
 
 
 class Overview(NamedTuple):
@@ -115,9 +138,7 @@ def overview(
     strip : int
         Pixels to read at once, at most; but always a whole row of cells.
     """
-    parts = -(-image_y.size // cell[0]), -(-image_x.size // cell[1])
-    times = max(1, -(-max(parts) // max_pixels))
-    tall, wide = times * cell[0], times * cell[1]
+    tall, wide = cell_sides(image_x, image_y, max_pixels, cell)
     n_y, n_x = -(-image_y.size // tall), -(-image_x.size // wide)
     power = np.full((n_y, n_x), np.nan)
     block = np.full((n_y, n_x), -1, dtype=np.int16) if read_block is not None else None
