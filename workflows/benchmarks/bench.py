@@ -127,9 +127,16 @@ class Bench:
         log(f"{case.scale}: planning, commands, compilation")
         planning = starts.planning_seconds(self.source, case, workers=self.workers, memory_limit=self.limit)
         shell = starts.shell_seconds(store, store.parent, case, workers=self.workers, repeats=self.repeats)
-        result["starts"] = starts.describe(planning, shell, starts.compilation())
+        compiling = starts.compilation()
+        result["starts"] = starts.describe(planning, shell, compiling)
         warm = result["seconds"]["end_to_end"]["median"]
-        result["ratios"]["shell_over_warm"] = spread([seconds / warm for seconds in shell["blocksar focus"]])
+        for name, seconds in {
+            "shell_over_warm": shell["blocksar focus"],
+            "planning_over_warm": [planning[key] for key in ("200 blocks",) if key in planning],
+            "compilation_over_warm": [compiling["plain run"]],
+        }.items():
+            if seconds:
+                result["ratios"][name] = spread([each / warm for each in seconds])
 
     def start_other(self, stack: ExitStack, case: Case, store: Path) -> OtherVersion | None:
         """The version to compare with, warmed up; None without --against."""

@@ -17,6 +17,8 @@ RATIOS = {
     "end_to_end_over_floor": "end to end / (FFT + I/O floor)",
     "end_to_end_over_direct_floor": "the same, I/O past the page cache",
     "shell_over_warm": "blocksar focus from a shell / end to end",
+    "planning_over_warm": "plan of 200 blocks / end to end",
+    "compilation_over_warm": "compilation of a plain run / end to end",
     "chain_over_own_ffts": "chain / its own FFTs",
     "recovery_over_own_ffts": "recovery / its own FFTs",
     "back_projection_over_end_to_end": "back-projection / end to end",
