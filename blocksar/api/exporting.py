@@ -101,9 +101,9 @@ def export(
     size : int, optional
         Pixels of a PNG along its longer side. Default: by the image, up to about 1700.
     composite : {"pauli", "mean"}, optional
-        A PNG of several channels or looks of one run. "pauli": colours from HH, VV and HV or VH, |HH - VV|, |HV + VH|
-        and |HH + VV|, each over sqrt(2), as red, green and blue. "mean": their mean power, which has less speckle.
-        Default: one channel or look.
+        A PNG of several channels or looks of one run. "pauli": colours from HH, VV and HV or VH, `|HH - VV|`,
+        `|HV + VH|` and `|HH + VV|`, each over sqrt(2), as red, green and blue. "mean": their mean power, which has
+        less speckle. Default: one channel or look.
     assets : sequence of str or str, optional
         Files exported before, which a STAC item names beside the image; in a text with commas between them. Only for
         `kind="stac"`. Default: none.
