@@ -12,10 +12,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import s3
 import sentinel1_packets as s1
 from raw_satellites import Radar, write_nisar
+from scipy.io import savemat
 
 import blocksar
 from blocksar import stores
@@ -41,9 +43,19 @@ def little_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     read_little_at_once(monkeypatch)
 
 
+def write_gotcha(path: Path, n_pulse: int = 2900) -> Path:
+    """Noise seen along a part of a circle."""
+    azimuth, generator = np.radians(0.0085) * np.arange(n_pulse), np.random.default_rng(1)
+    x, y, z = 7000 * np.cos(azimuth), 7000 * np.sin(azimuth), np.full(n_pulse, 7200.0)
+    samples = (generator.standard_normal((16, n_pulse)) + 1j).astype(np.complex64)
+    axes = {"x": x, "y": y, "z": z, "r0": np.hypot(7000.0, z), "th": np.degrees(azimuth), "phi": np.full(n_pulse, 45.8)}
+    savemat(path, {"data": {"fp": samples, "freq": 9.6e9 + 1.5e6 * np.arange(16.0)[:, None], **axes}})
+    return path
+
+
 @pytest.fixture(scope="module")
 def sources(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """CPHD with lost vectors, of which chunks are given twice; two channels of a strip; three bursts."""
+    """CPHD with lost vectors, of which chunks are given twice; a circle; two channels of a strip; three bursts."""
     folder = tmp_path_factory.mktemp("sources")
     (folder / "scene.toml").write_text(cphd_files.SCENE.replace("pulses = 160", "pulses = 1700"))
     blocksar.simulate(folder / "scene.toml", folder / "whole.cphd", cphd=True)
@@ -51,12 +63,13 @@ def sources(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     parts.samples[[30, 1100]] = 0
     return {
         "cphd": cphd_files.write(folder / "lost.cphd", parts),
+        "gotcha": write_gotcha(folder / "data_3dsar_pass1_az001_HH.mat"),
         "nisar": write_nisar(folder / "strip.h5", Radar(n_pulse=1100, n_sample=640), polarizations=("HH", "HV")),
         "sentinel1": s1.write_bursts(folder / "bursts.dat", [s1.place_on_the_ellipsoid(10.0, s1.MIDDLE)]),
     }
 
 
-WRITTEN = {"cphd": 4 + 2, "nisar": 2 * 3, "sentinel1": 3 * 2}  # pieces
+WRITTEN = {"cphd": 4 + 2, "gotcha": 6, "nisar": 2 * 3, "sentinel1": 3 * 2}  # pieces
 
 
 class Shown(Listener):

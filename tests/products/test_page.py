@@ -113,7 +113,7 @@ def test_the_picture_of_a_run_with_a_pyramid_has_its_means(tmp_path: Path, monke
         fly(points((-20.0, 5.0, 0.0))), tmp_path / "run", grid=((-40.0, 40.0, 0.1), (-20.0, 20.0, 0.2)), pyramid=True
     )
     source = source_of(run)
-    monkeypatch.setattr(picture, "PIXELS", 270)  # of 800: square cells of 3 x 2 pixels, or of 2 x 1 cells of the first level
+    monkeypatch.setattr(picture, "PIXELS", 270)  # cells of 3 x 2 pixels, or of 2 x 1 of the first level
     plain = overview(source.read, source.x, source.y, max_pixels=200, looks="mean")
     monkeypatch.setattr(FinishedRun, "read", None)  # which would read the image
     made = picture.draw(source, looks="max")
