@@ -88,8 +88,8 @@ def notebook(path: Path) -> tuple[str, dict[str, bytes]]:
 
 def scene_files() -> str:
     """The page of the scene file's tables and keys, from the model that checks them."""
+    from blocksar.simulation import shipped_scenes
     from blocksar.simulation.scene import Scene
-    from blocksar.simulation.shipped import shipped_scenes
 
     parts = [INTRODUCTION.format(shipped=", ".join(f"`{name}`" for name in shipped_scenes()))]
     tables = list(tables_of(Scene))
