@@ -25,7 +25,7 @@ from blocksar.graph import compiling
 from blocksar.kernels import loops as kernel_loops
 from blocksar.kernels import phase
 from blocksar.kernels.loops import Loop, dispatchers
-from blocksar.places.shared_work import locked
+from blocksar.places.locks import locked
 
 
 def loops() -> Iterator[tuple[str, Dispatcher]]:
@@ -106,7 +106,7 @@ def test_two_processes_compile_no_loop_twice(tmp_path: Path) -> None:
 def test_a_loop_that_another_process_compiles_is_passed_over(tmp_path: Path) -> None:
     """Locks belong to processes, so another one holds it."""
     hold = (
-        "from blocksar.places.shared_work import locked\n"
+        "from blocksar.places.locks import locked\n"
         f"with locked({str(tmp_path)!r}, 'taken', wait=True): print('held', flush=True); input()"
     )
     with subprocess.Popen(

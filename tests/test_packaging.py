@@ -34,7 +34,7 @@ def built(kind: str, folder: Path) -> Path:
 def test_the_wheel_holds_the_package_and_nothing_else(tmp_path: Path) -> None:
     names = set(zipfile.ZipFile(built("wheel", tmp_path)).namelist())
     ours = {path.relative_to(ROOT).as_posix() for path in (ROOT / "blocksar").rglob("*.py")}
-    data = {"blocksar/py.typed", "blocksar/products/viewer/view.html"}
+    data = {"blocksar/py.typed", "blocksar/products/view.html"}
     data |= {f"blocksar/products/page/templates/report.{kind}" for kind in ("html", "css", "js")}
     data |= {path.relative_to(ROOT).as_posix() for path in (ROOT / "blocksar/simulation/scenes").glob("*.toml")}
     assert ours | data <= names

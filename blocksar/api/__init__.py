@@ -1,7 +1,7 @@
 """The commands as functions: simulate, ingest, check, autofocus, plan, focus, quality, report, export, compare, open,
 info, preview, view, demo, compile; and collection, scene_centre and write, for data in memory.
 
-One module for each stage: `sources`, `datasets`, `describing` (with `facts`), `previewing`, `checking`, `autofocusing`
+One module for each stage: `sources`, `datasets`, `describing`, `previewing`, `checking`, `autofocusing`
 (with `tracks`), `planning`, `focusing` (with `jobs`), `measuring`, `reporting`, `exporting`, `comparing`, `viewing`,
 `demonstrating`, `compiling`. They share `settings`, which states every option once, `arguments` and `reports`.
 """

@@ -16,12 +16,12 @@ from blocksar import stores
 from blocksar.collection.collection import Collection
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError, quoted
-from blocksar.ingestion.found import found_at
+from blocksar.ingestion.readers import found_at
 from blocksar.places import Location, lies_at, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.runs.record import RECORD
-from blocksar.simulation.shipped import shipped_scenes
+from blocksar.simulation import shipped_scenes
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -217,7 +217,7 @@ def is_scene(source: One) -> bool:
     text = str(source) if isinstance(source, str | Path) else ""
     if text.endswith(".toml") or not text or os.path.exists(text):
         return text.endswith(".toml")
-    from blocksar.simulation.shipped import shipped_scenes
+    from blocksar.simulation import shipped_scenes
 
     return text in shipped_scenes()
 
@@ -304,11 +304,11 @@ def control_points(
         return ()
     if not used:
         raise InputError("control is given without autofocus, which alone uses it; give both, or leave it out")
-    from blocksar.api.target_files import Frame, targets_of  # with SciPy, slow to load
+    from blocksar.api.target_files import TargetFrame, targets_of  # with SciPy, slow to load
 
     history = history_of(sources_of(source)[0])
     level = history.collection.ground_height if ground_height is None else ground_height
-    frame = Frame(Georeference.among(history.attrs), level)
+    frame = TargetFrame(Georeference.among(history.attrs), level)
     found = tuple(targets_of(control, {}, frame))
     if not found:
         raise InputError(f"control {control} names no points; give some, or leave it out")

@@ -8,13 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from blocksar import stores
-from blocksar.api import definitions
 from blocksar.api.arguments import history_of, on_ground
 from blocksar.api.ground import geometry_over, read_ground
 from blocksar.api.parsing import GridLike, grid_of
-from blocksar.api.partial_pulses import imaging_parts
-from blocksar.api.pulses import pulse_reader
-from blocksar.api.reports import Report, Table
+from blocksar.api.pulses import imaging_parts, pulse_reader
+from blocksar.api.reports import CHECK_COLUMNS, Report, Table
 from blocksar.arrays import ComplexArray
 from blocksar.chunks import TILE
 from blocksar.collection.empty_pulses import find_real
@@ -24,7 +22,7 @@ from blocksar.collection.surface import Surface
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
 from blocksar.graph.machine import resources
-from blocksar.ingestion.terrain.reading import Ground
+from blocksar.ingestion.terrain import Ground
 from blocksar.inspection import check as samples_check
 from blocksar.inspection.verdict import Findings
 from blocksar.places import Location
@@ -117,7 +115,7 @@ def check(
     }
     return Report(
         tables=[_table(findings)],
-        definitions=definitions.CHECK,
+        definitions=CHECK_COLUMNS,
         summary=[*(heights.remarks if heights is not None else ()), findings.sentence()],
         result=result,
     )

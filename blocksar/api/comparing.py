@@ -13,7 +13,7 @@ from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place, check_room
 from blocksar.products.options import parse_looks
-from blocksar.products.pair.pair import PIXEL_BYTES, Made, Pair, displacement, write_pair
+from blocksar.products.pair import PIXEL_BYTES, Made, Pair, displacement, write_pair
 from blocksar.products.writing import refuse_parts
 from blocksar.progress import Wanted as Progress
 from blocksar.progress import as_listener
@@ -77,7 +77,7 @@ def compare(
     """
     sides, rate = _checked_window(window), _checked_rate(false_alarms)
     with library_for("pictures need", "plots"):
-        from blocksar.products.pair import pictures  # optional, and slow to load
+        from blocksar.products.pictures import pair_layers  # optional, and slow to load
     runs = [FinishedRun.open(folder_of(place(run), channel)) for run in (a, b)]
     box = None if crop is None else parse_crop(crop)
     parts = [run if box is None else run.cropped(*box) for run in runs]
@@ -88,7 +88,7 @@ def compare(
     listener = as_listener(progress)
     store = folder / STORE
     made = write_pair(pair, store, overwrite=overwrite, progress=only_stage(listener, "compare"))
-    drawn = pictures.draw_pair(pair, store, folder, overwrite=overwrite, progress=only_stage(listener, "draw"))
+    drawn = pair_layers.draw_pair(pair, store, folder, overwrite=overwrite, progress=only_stage(listener, "draw"))
     lines = [*member_line(place(a), channel), *_lines(pair, made)]
     names = ", ".join(each.name for each in drawn if isinstance(each, LocalPlace))
     return Report(summary=[*lines, f"wrote {store}, and beside it {names}"], result=_result(pair, made, store))

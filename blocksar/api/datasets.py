@@ -16,7 +16,7 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.georeference import Georeference, find_scene_centre
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.ingestion.timeline import stated_times
+from blocksar.ingestion.readers import stated_times
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, lies_at, place
 from blocksar.places.local import LocalPlace

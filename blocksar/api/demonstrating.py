@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from blocksar.api.facts import disk_size
+from blocksar.api.describing import disk_size
 from blocksar.api.focusing import focus
 from blocksar.api.measuring import measure
 from blocksar.api.reporting import report
@@ -117,7 +117,7 @@ def demo(
 def _draw(folder: Place, responses: Sequence[Response]) -> list[Place]:
     """Draw the mosaic and the contours of responses into a run folder; return the pictures."""
     with library_for("pictures need", "plots"):
-        from blocksar.products.pictures.mosaic import plot_mosaic  # optional, and slow to load
+        from blocksar.products.pictures.blocks import plot_mosaic  # optional, and slow to load
         from blocksar.products.pictures.responses import plot_contours
     run = FinishedRun.open(folder)
     with tempfile.TemporaryDirectory() as scratch:

@@ -11,7 +11,7 @@ from blocksar.measurement import scenery
 from blocksar.measurement.axes import response_axes
 from blocksar.measurement.figures import measure
 from blocksar.measurement.response import read_response
-from blocksar.measurement.scenery import Bright
+from blocksar.measurement.scenery import BrightPoint
 from blocksar.measurement.targets import Target
 from blocksar.runs.finished import FinishedRun
 from blocksar.spans import parse_crop
@@ -34,7 +34,7 @@ def find_points(run: FinishedRun, count: int) -> list[dict[str, Any]]:
     return [_record(run, point, number) for number, point in enumerate(bright, 1)]
 
 
-def _record(run: FinishedRun, point: Bright, number: int) -> dict[str, Any]:
+def _record(run: FinishedRun, point: BrightPoint, number: int) -> dict[str, Any]:
     """The figures of a point, at the peak of its response."""
     geometry = run.geometry_at(point.x, point.y)
     target = Target(f"F{number}", point.x, point.y)

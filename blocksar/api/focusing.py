@@ -18,8 +18,8 @@ from blocksar.api.arguments import Source, check_cluster, gpu_workers, in_this_p
 from blocksar.api.jobs import Job, Request
 from blocksar.api.joint import focus_members, members_of
 from blocksar.api.parsing import GridLike
-from blocksar.api.partial_pulses import recorded_lines
-from blocksar.api.rehearsing import Beside, check_room_for_run, rehearse
+from blocksar.api.pulses import recorded_lines
+from blocksar.api.rehearsing import RoomBeside, check_room_for_run, rehearse
 from blocksar.api.run_stages import carry_out
 from blocksar.api.settings import Settings
 from blocksar.api.shown import RunReport, is_measurable
@@ -30,7 +30,7 @@ from blocksar.errors import InputError
 from blocksar.focusing.method import Coefficients, Cutting, Derotation, Perturbation, RangeModel
 from blocksar.graph import cluster, recording
 from blocksar.graph.machine import Resources, resources
-from blocksar.ingestion.terrain.reading import terrain_notes
+from blocksar.ingestion.terrain import terrain_notes
 from blocksar.loop_cache import compilation_seconds
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
@@ -305,13 +305,13 @@ def _has_pyramid(job: Job, *, resumed: bool) -> bool:
     return has_pyramid(job.grid, job.request.asked.pyramid)
 
 
-def _beside(request: Request, following: int) -> Beside:
+def _beside(request: Request, following: int) -> RoomBeside:
     """Find what a run needs room for besides its own stores: so many that follow, and the correction of its track."""
     if request.track is None:
-        return Beside(following)
+        return RoomBeside(following)
     from blocksar.api.tracks import estimates_of
 
-    return Beside(following, sum(estimate.room() for estimate in estimates_of(request, request.track)))
+    return RoomBeside(following, sum(estimate.room() for estimate in estimates_of(request, request.track)))
 
 
 def _check_room_before_track(request: Request, earlier: RunRecord | None, machine: Resources, following: int) -> None:
@@ -372,7 +372,7 @@ def _focus(
         resumed = earlier is not None or run_folder.is_begun(request.folder, record)
         pyramid = _has_pyramid(job, resumed=resumed)
         run = Run(folder=request.folder, identity=record.identity, threads=machine.threads, pyramid=pyramid)
-        check_room_for_run(job, Beside(following), resumed=resumed)
+        check_room_for_run(job, RoomBeside(following), resumed=resumed)
         with run_folder.resumable():
             finished = carry_out(job, run, record, workers, listener, profile, resumed=resumed, compiled=compiled)
     found = [] if job.plan.compared is None else [job.plan.compared.reason]

@@ -22,7 +22,7 @@ from blocksar.api.arguments import (
     sources_of,
 )
 from blocksar.api.ground import PLANE, check_ground, ground_settings, read_ground, read_surroundings
-from blocksar.api.partial_pulses import imaging_parts, pulses_of
+from blocksar.api.pulses import imaging_parts, pulses_of
 from blocksar.api.settings import Settings
 from blocksar.api.track_places import TrackPlace, joint_fingerprint
 from blocksar.arrays import FloatArray
@@ -37,7 +37,7 @@ from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_gate import RawCompression
 from blocksar.graph.machine import Resources
 from blocksar.graph.segments import Segment
-from blocksar.ingestion.terrain.reading import Ground
+from blocksar.ingestion.terrain import Ground
 from blocksar.measurement.targets import Target
 from blocksar.places import place
 from blocksar.places.place import Place

@@ -9,11 +9,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from blocksar import stores
-from blocksar.api import definitions
 from blocksar.api.arguments import One, Source, history_of, is_scene, sources_of
 from blocksar.api.ground import image_grid
-from blocksar.api.partial_pulses import recorded_lines
-from blocksar.api.reports import Table
+from blocksar.api.pulses import recorded_lines
+from blocksar.api.reports import PLAN_COLUMNS, Table
 from blocksar.api.shown import PlanReport
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
@@ -151,7 +150,7 @@ def report_looks(
     return PlanReport(
         tables=[table, *(name_rows(name, each) for each in first.tables())],
         details=[table, *(name_rows(look, each) for look, plan in planned.items() for each in plan.details())],
-        definitions=definitions.PLAN,
+        definitions=PLAN_COLUMNS,
         summary=lines,
         refusal=None if refused is None else f"look {refused[0]}: {refused[1]}",
         result=first.grid if not first.blocks() else tuple(results),

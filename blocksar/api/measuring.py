@@ -10,15 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from blocksar import stores
-from blocksar.api import definitions, finding
+from blocksar.api import finding
 from blocksar.api.reference_chips import compare_with_exact
-from blocksar.api.reports import Report, Table, finite, rounded
-from blocksar.api.shadows import in_shadow
+from blocksar.api.reports import Report, Table, finite, quality_columns, rounded
 from blocksar.api.target_files import targets_of
 from blocksar.collection.beam import aperture
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import CUT_WIDTHS, Weighting
 from blocksar.errors import InputError
+from blocksar.kernels.occlusion import SHADOW
 from blocksar.measurement.coherence import align
 from blocksar.measurement.figures import TABLE3, PointResponse, as_json, measure_target, rank, summary
 from blocksar.measurement.response import MIN_HALF_TAPS, Response, read_response
@@ -31,6 +31,26 @@ from blocksar.products.pictures.overview import mean_of
 from blocksar.runs.finished import FinishedRun, finished_record, folder_of, member_line
 from blocksar.runs.track import TrackCorrection
 from blocksar.spans import parse_crop
+
+OVER_SHADOW = 1.0  # m over the ground, from which on the ground's shadow is not the target's
+
+
+def in_shadow(run: FinishedRun, targets: Sequence[Target]) -> list[bool]:
+    """Whether the image has shadow at the targets, at the middle of the dwell."""
+    terrain = run.geometry.terrain
+    if terrain is None or not (run.image / "visibility" / "zarr.json").exists():
+        return [False] * len(targets)
+    hidden = []
+    for target in targets:
+        row, column = run.pixel_at(target.x, target.y)
+        ground = float(terrain(np.array(target.x), np.array(target.y)))
+        if run.inside(row, column) and (target.z is None or target.z < ground + OVER_SHADOW):
+            seen = run.read_layer("visibility", slice(row, row + 1), slice(column, column + 1))
+            hidden.append(int(seen[0, 0]) == SHADOW)
+        else:
+            hidden.append(False)
+    return hidden
+
 
 CHIPS = 6  # along either axis, evenly over the image; at most, and no more than it has room for
 SIDE = 64  # pixels
@@ -298,13 +318,13 @@ def measure(
     worst = [_summary_table(responses), _worst_table(responses)] if responses else []
     full = [_response_table(responses)] if responses else []
     report = Report(
-        tables=[*worst, *tables], details=[*worst[:1], *full, *tables], definitions=definitions.quality(),
+        tables=[*worst, *tables], details=[*worst[:1], *full, *tables], definitions=quality_columns(),
         summary=[line for part in parts for line in part.lines], result=result,
     )  # fmt: skip
     return report, drawn
 
 
-class Part(NamedTuple):
+class ReportPart(NamedTuple):
     """Part of a report on one subject: entries of its result, sentences and tables."""
 
     result: Mapping[str, Any]
@@ -312,7 +332,7 @@ class Part(NamedTuple):
     tables: Sequence[Table] = ()
 
 
-NOTHING = Part({})
+NOTHING = ReportPart({})
 
 
 def read_target(run: FinishedRun, target: Target) -> Response | None:
@@ -352,7 +372,7 @@ def measure_targets(run: FinishedRun, targets: Sequence[Target]) -> Measured:
     return Measured(lit, seen, dark)
 
 
-def _about_targets(run: FinishedRun, listed: Sequence[Target], measured: Measured, *, alone: bool) -> Part:
+def _about_targets(run: FinishedRun, listed: Sequence[Target], measured: Measured, *, alone: bool) -> ReportPart:
     """The responses, and which targets are measured elsewhere, or not judged; `alone`: nothing else is asked for."""
     responses, lines = measured.responses, []
     if responses:
@@ -363,17 +383,17 @@ def _about_targets(run: FinishedRun, listed: Sequence[Target], measured: Measure
         lines.append("the collection names no targets: give --targets FILE to measure some, or --found N to find some")
     if dark := [target.name for target, hidden in zip(listed, measured.dark, strict=True) if hidden]:
         lines.append(f"in shadow of the terrain, and not judged: {len(dark)} of {len(listed)} targets ({_first(dark)})")
-    return Part(as_json(responses, run.weighting), lines)
+    return ReportPart(as_json(responses, run.weighting), lines)
 
 
-def _about_track(run: FinishedRun) -> Part:
+def _about_track(run: FinishedRun) -> ReportPart:
     """How the track was corrected, if it was."""
     if run.track is None:
         return NOTHING
-    return Part({"autofocus": dict(run.track.figures)}, run.track.sentences(), [_track_table(run.track)])
+    return ReportPart({"autofocus": dict(run.track.figures)}, run.track.sentences(), [_track_table(run.track)])
 
 
-def _beside_table3(run: FinishedRun, responses: Sequence[PointResponse]) -> Part:
+def _beside_table3(run: FinishedRun, responses: Sequence[PointResponse]) -> ReportPart:
     """The paper's figures of the shipped scene."""
     if run.attrs.get("scene") != "table1" or not responses:
         return NOTHING
@@ -381,59 +401,59 @@ def _beside_table3(run: FinishedRun, responses: Sequence[PointResponse]) -> Part
         "paper: Table 3 of the angular-division paper; its ISLR follows another, unstated definition, and its "
         "azimuth IRW hardly changes over the scene, as if one factor had turned Doppler into metres"
     )
-    return Part({"table3": {name: row._asdict() for name, row in TABLE3.items()}}, [line], [_table3(responses)])
+    return ReportPart({"table3": {name: row._asdict() for name, row in TABLE3.items()}}, [line], [_table3(responses)])
 
 
-def _about_noise(run: FinishedRun) -> Part:
+def _about_noise(run: FinishedRun) -> ReportPart:
     """The noise of the image, if that of the samples is known."""
-    return NOTHING if run.noise is None else Part({"noise": run.noise.as_json()}, [run.noise.sentence()])
+    return NOTHING if run.noise is None else ReportPart({"noise": run.noise.as_json()}, [run.noise.sentence()])
 
 
-def _about_area(run: FinishedRun, area: Any) -> Part:
+def _about_area(run: FinishedRun, area: Any) -> ReportPart:
     """Figures of an area, if they are asked for."""
     if area is None:
         return NOTHING
     described = finding.describe_area(run, area)
-    return Part({"area": described}, [finding.area_sentence(described)])
+    return ReportPart({"area": described}, [finding.area_sentence(described)])
 
 
-def _about_found(run: FinishedRun, count: int) -> Part:
+def _about_found(run: FinishedRun, count: int) -> ReportPart:
     """Bright points and the floor, if they are asked for."""
     if not count:
         return NOTHING
     points, floor = finding.find_points(run, count), finding.floor_of(run)
     result, lines = {"found": points, "floor": floor}, [finding.floor_sentence(floor)]
     if not points:
-        return Part(result, [*lines, "no point stands out by 20 dB, 10 widths from its like"])
+        return ReportPart(result, [*lines, "no point stands out by 20 dB, 10 widths from its like"])
     if len(points) < count:
         lines.append(f"{len(points)} of {count} points: no other stands out by 20 dB, 10 widths from its like")
-    return Part(result, lines, [finding.found_table(points)])
+    return ReportPart(result, lines, [finding.found_table(points)])
 
 
-def _about_looks(looks: Sequence[Place], area: Any) -> Part:
+def _about_looks(looks: Sequence[Place], area: Any) -> ReportPart:
     """Spectra of the looks of a run, and figures of an area in each."""
     if not looks:
         return NOTHING
     described = describe_looks([FinishedRun.open(look) for look in looks], area)
-    return Part({"looks": described}, tables=[looks_table(described)])
+    return ReportPart({"looks": described}, tables=[looks_table(described)])
 
 
-def _beside_exact(run: FinishedRun, wanted: bool) -> Part:
+def _beside_exact(run: FinishedRun, wanted: bool) -> ReportPart:
     """Chips beside exact back-projection, if that is asked for."""
     if not wanted:
         return NOTHING
     result: dict[str, Any] = {}
     table, lines = compare_with_exact(run, result)
-    return Part(result, lines, [table])
+    return ReportPart(result, lines, [table])
 
 
-def _beside_another(run: FinishedRun, folder: Place | None) -> Part:
+def _beside_another(run: FinishedRun, folder: Place | None) -> ReportPart:
     """Chips beside those of another run, if one is given."""
     if folder is None:
         return NOTHING
     other = FinishedRun.open(folder)
     compared = compare_with(run, other)
-    return Part({"against": compared}, alignment_lines(compared, run, other), [alignment_table(compared)])
+    return ReportPart({"against": compared}, alignment_lines(compared, run, other), [alignment_table(compared)])
 
 
 def _response_table(responses: Sequence[PointResponse]) -> Table:

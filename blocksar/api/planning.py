@@ -6,13 +6,13 @@ import time
 from dataclasses import replace
 from typing import Any, Literal
 
-from blocksar.api import definitions
 from blocksar.api.arguments import Source, channels_of, collections_of, in_this_process, sources_of
 from blocksar.api.ground import ground_under, read_ground
 from blocksar.api.jobs import ANY, naming_hierarchy
 from blocksar.api.looks import divide_dwells, one_source, report_looks
 from blocksar.api.parsing import GridLike
-from blocksar.api.partial_pulses import imaged_collections, recorded_lines
+from blocksar.api.pulses import imaged_collections, recorded_lines
+from blocksar.api.reports import PLAN_COLUMNS
 from blocksar.api.settings import Settings
 from blocksar.api.shown import PlanReport
 from blocksar.budget import FIDELITY
@@ -27,7 +27,7 @@ from blocksar.focusing.method import (
     RangeModel,
 )
 from blocksar.graph.machine import Resources, resources
-from blocksar.ingestion.terrain.reading import terrain_notes
+from blocksar.ingestion.terrain import terrain_notes
 from blocksar.places import Location
 from blocksar.planning import effort
 from blocksar.planning.segments import joint_grid
@@ -213,7 +213,7 @@ def _report(plan: ImagePlan, assumed: Resources, planning: float) -> PlanReport:
     return PlanReport(
         tables=[*([compared.table] if compared else []), *tables],
         details=[*([compared.table] if compared else []), *plan.details()],
-        definitions=definitions.PLAN if tables else (),
+        definitions=PLAN_COLUMNS if tables else (),
         summary=[
             *([compared.reason] if compared else []),
             *plan.lines(),

@@ -10,10 +10,9 @@ import numpy as np
 
 from blocksar import stores
 from blocksar.api.arguments import Source, check_one_frame, history_of, sources_of
-from blocksar.api.facts import grid_text
+from blocksar.api.describing import grid_text
 from blocksar.api.parsing import GridLike, grid_of
-from blocksar.api.partial_pulses import imaging_parts
-from blocksar.api.pulses import pulse_reader
+from blocksar.api.pulses import imaging_parts, pulse_reader
 from blocksar.api.reports import Report, only_stage
 from blocksar.arrays import ComplexArray
 from blocksar.collection.geometry import Geometry

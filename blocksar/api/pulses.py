@@ -1,17 +1,25 @@
-"""Pulses of a phase history, compressed in range if it is a raw echo."""
+"""Pulses of a raw echo: compressed in range; and ground of whose pulses only parts were recorded."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from blocksar import stores
-from blocksar.arrays import ComplexArray
+from blocksar.api.arguments import Source, history_of, on_ground, sources_of
+from blocksar.api.ground import geometry_over
+from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.chunks import TILE
+from blocksar.collection.collection import Collection
 from blocksar.collection.empty_pulses import missing_pulses
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
 from blocksar.collection.sublooks import whole_beam
+from blocksar.collection.terrain import Terrain
 from blocksar.focusing.range_gate import RawCompression
+from blocksar.focusing.recorded_pulses import ROUNDING, recorded_means
 
 
 def pulse_reader(history: stores.PhaseHistory) -> Callable[[slice], ComplexArray]:
@@ -41,3 +49,97 @@ def lit_pulse_reader(history: stores.PhaseHistory) -> Callable[[slice], ComplexA
         return signal
 
     return read_lit if lost.any() else read
+
+
+# ---------------------------------------------------------------- pulses of which parts were recorded
+
+WHOLE, PARTS = "whole", "parts"
+LOOKED_AT = 64  # points along a side of a grid that are asked what was recorded of their pulses
+
+
+def imaging_parts(
+    histories: Sequence[stores.PhaseHistory],
+    grid: Grid | None,
+    terrain: Terrain | None = None,
+    *,
+    whole_pulses: bool = False,
+) -> tuple[stores.PhaseHistory, ...]:
+    """Phase histories as they are imaged on a grid: raw echoes with partial pulses where it has ground of such.
+
+    Not without a grid, nor where only whole pulses are wanted. Elsewhere whole pulses do with a shorter transform.
+    """
+    if whole_pulses or grid is None:
+        return tuple(histories)
+    extended = tuple(history.with_partial_pulses() for history in histories)
+    seen = any(_has_parts(history.collection, grid, terrain) for history in extended)
+    return extended if seen else tuple(histories)
+
+
+def imaged_collections(
+    source: Source,
+    collections: list[Collection],
+    grid: Grid | None,
+    terrain: Terrain | None,
+    *,
+    ground_height: float | None,
+    whole_pulses: bool,
+) -> list[Collection]:
+    """The centred collections of a source as `imaging_parts` has them; those of scenes as they are."""
+    if all(collection.recorded is None for collection in collections):
+        return collections
+    histories = on_ground([history_of(each) for each in sources_of(source)], ground_height, terrain=terrain)
+    imaged = imaging_parts(histories, grid, terrain, whole_pulses=whole_pulses)
+    return [history.collection.centred() for history in imaged]
+
+
+def pulses_of(histories: Sequence[stores.PhaseHistory]) -> str | None:
+    """Find which pulses are imaged, as a run's settings say it: WHOLE, or PARTS as well; None without a raw echo."""
+    recorded = [each for history in histories if (each := history.collection.recorded) is not None]
+    return None if not recorded else PARTS if any(each.partial for each in recorded) else WHOLE
+
+
+def _has_parts(collection: Collection, grid: Grid, terrain: Terrain | None) -> bool:
+    if collection.recorded is None:
+        return False
+    share = _shares(geometry_over(collection, terrain), grid)
+    return bool((share < 1 - ROUNDING).any())
+
+
+def _shares(geometry: Geometry, grid: Grid) -> FloatArray:
+    """Mean recorded shares at lit points of a grid, the outermost among them: (n,), NaN where not imaged."""
+    axes = (axis[np.unique(np.linspace(0, axis.size - 1, LOOKED_AT).round().astype(int))] for axis in (grid.x, grid.y))
+    x, y = np.meshgrid(*axes)
+    first, last = geometry.beam.dwell(x, y)
+    return recorded_means(geometry, x, y).amplitude[last > first]
+
+
+def recorded_text(geometry: Geometry) -> str | None:
+    """From which ranges a raw echo has whole pulses, m of slant range and on the ground, and from which parts."""
+    recorded = geometry.collection.recorded
+    if recorded is None:
+        return None
+    first, last = recorded.whole
+    parts = f"parts of pulses from {recorded.pulse:.5g} m farther on either side"
+    if first >= last:
+        return f"from no range: the window of {recorded.far - recorded.near:.5g} m is shorter than the pulse; {parts}"
+    height = float(geometry.epoch_position[2] - geometry.collection.ground_height)
+    near, far = (math.sqrt(max(end**2 - height**2, 0.0)) for end in (first, last))
+    whole = f"{last - first:.5g} m of slant range ({first:.7g} .. {last:.7g} m), {far - near:.5g} m on the ground"
+    return f"from {whole}; {parts}"
+
+
+def recorded_lines(geometries: Sequence[Geometry], grid: Grid, *, swath: bool = True) -> list[str]:
+    """Sentences on the whole pulses of raw echoes, if there are any, and on what a grid has of others."""
+    geometries = [geometry for geometry in geometries if geometry.collection.recorded is not None]
+    lines = [f"whole pulses {recorded_text(geometry)}" for geometry in geometries] if swath else []
+    shares = np.concatenate([_shares(geometry, grid) for geometry in geometries] or [np.ones(0)])
+    parts = shares[shares < 1 - ROUNDING]
+    if not parts.size:
+        return lines
+    least = float(parts.min())
+    return [
+        *lines,
+        f"{100 * parts.size / shares.size:.2g} % of the grid's lit pixels have parts of pulses, {least:.2g} at least, "
+        "and are divided by the part: targets peak at 1, but are broader in range by its inverse, and clutter and "
+        f"noise rise with that by up to {-10 * math.log10(least):.2g} dB; --whole-pulses leaves them NaN",
+    ]

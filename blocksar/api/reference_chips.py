@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from blocksar import stores
-from blocksar.api.partial_pulses import PARTS
-from blocksar.api.pulses import lit_pulse_reader
+from blocksar.api.pulses import PARTS, lit_pulse_reader
 from blocksar.api.reports import Table
 from blocksar.arrays import ComplexArray
 from blocksar.collection.beam import full_dwell_yaw

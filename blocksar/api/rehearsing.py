@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from blocksar import stores
 from blocksar.api.jobs import Job, Request
-from blocksar.api.partial_pulses import recorded_lines
+from blocksar.api.pulses import recorded_lines
 from blocksar.api.shown import RunReport
 from blocksar.chunks import stored_bytes
 from blocksar.errors import InputError
@@ -39,7 +39,7 @@ def room_of(job: Job) -> Room:
     return room_of_run(stored, beside=beside, temporary=temporary, discard=request.asked.discard)
 
 
-class Beside(NamedTuple):
+class RoomBeside(NamedTuple):
     """Room that a run needs besides its own stores.
 
     Attributes
@@ -54,7 +54,7 @@ class Beside(NamedTuple):
     first: int = 0
 
 
-def needed(job: Job, beside: Beside, *, resumed: bool) -> int:
+def needed(job: Job, beside: RoomBeside, *, resumed: bool) -> int:
     """Bytes that must be free for a run, and for what is written beside it.
 
     A resumed run needs what is not there yet. An earlier run that is replaced stays until the input of the new one has
@@ -68,7 +68,7 @@ def needed(job: Job, beside: Beside, *, resumed: bool) -> int:
     return max(own, 0) + beside.first + beside.following * room.left
 
 
-def check_room_for_run(job: Job, beside: Beside, *, resumed: bool) -> None:
+def check_room_for_run(job: Job, beside: RoomBeside, *, resumed: bool) -> None:
     """Check that a run fits the disk of its folder; see `needed`.
 
     Raises
@@ -81,7 +81,7 @@ def check_room_for_run(job: Job, beside: Beside, *, resumed: bool) -> None:
         raise no_room_for(job.request.folder, size, free, remedy(job, beside, free, resumed=resumed))
 
 
-def remedy(job: Job, beside: Beside, free: int, *, resumed: bool) -> str:
+def remedy(job: Job, beside: RoomBeside, free: int, *, resumed: bool) -> str:
     """Say with which options a run would need no more than what is free, bytes."""
     fitting = []
     for words, other in _others(job, resumed=resumed):
@@ -121,7 +121,7 @@ def _discarding(job: Job) -> Job:
 NOTHING_DONE = "nothing was done: leave out --dry-run to focus"
 
 
-def rehearse(request: Request, earlier: RunRecord | None, machine: Resources, beside: Beside) -> RunReport:
+def rehearse(request: Request, earlier: RunRecord | None, machine: Resources, beside: RoomBeside) -> RunReport:
     """Say what `focus` would do with a request: its plan, memory, and disk. Writes nothing.
 
     `earlier` is the run in the folder that would be resumed, or is finished; `result` is the plan, a tuple of them
@@ -157,7 +157,7 @@ def rehearse(request: Request, earlier: RunRecord | None, machine: Resources, be
     )
 
 
-def _doing(request: Request, job: Job, earlier: RunRecord | None, beside: Beside) -> str:
+def _doing(request: Request, job: Job, earlier: RunRecord | None, beside: RoomBeside) -> str:
     """Find what would be written, and how much room there is for it."""
     folder = request.folder
     resumed = earlier is not None or is_begun(folder, job.record())

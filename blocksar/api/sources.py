@@ -14,9 +14,7 @@ from blocksar.api.reports import Report, only_stage
 from blocksar.errors import InputError
 from blocksar.graph.machine import resources
 from blocksar.ingestion import readers
-from blocksar.ingestion.found import found_at
-from blocksar.ingestion.readers import READERS
-from blocksar.ingestion.timeline import stated_times
+from blocksar.ingestion.readers import READERS, found_at, stated_times
 from blocksar.options import options_of, read_options
 from blocksar.places import Location, readable
 from blocksar.places.place import Place

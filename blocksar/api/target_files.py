@@ -28,8 +28,8 @@ FORM = '[{"name": "A1", "x": 120.5, "y": -40.0}, ...], x and y in m in the scene
 KNOWN = {*Target._fields, *PointResponse._fields}
 
 
-class Placed(Protocol):
-    """Owner of a scene frame: a finished run, or a `Frame`."""
+class HasFrame(Protocol):
+    """Owner of a scene frame: a finished run, or a `TargetFrame`."""
 
     @property
     def georeference(self) -> Georeference | None: ...
@@ -38,7 +38,7 @@ class Placed(Protocol):
     def ground_height(self) -> float: ...
 
 
-class Frame(NamedTuple):
+class TargetFrame(NamedTuple):
     """A scene frame: its place on the Earth, if that is known, and the height of its ground, m."""
 
     georeference: Georeference | None
@@ -48,7 +48,7 @@ class Frame(NamedTuple):
 def targets_of(
     targets: Location | Sequence[Target | Mapping[str, Any]] | None,
     attrs: Mapping[str, Any],
-    frame: Placed | None = None,
+    frame: HasFrame | None = None,
 ) -> list[Target]:
     """Read targets from a file; by default, from the attributes of a collection. GeoJSON needs the scene's frame.
 
@@ -72,7 +72,7 @@ def targets_of(
     return read_targets(path, frame)
 
 
-def read_targets(path: Place, frame: Placed | None = None) -> list[Target]:
+def read_targets(path: Place, frame: HasFrame | None = None) -> list[Target]:
     """Read the targets of a JSON file: a list of records, or a dict with that list as `targets`.
 
     A CSV file has the names of the fields in its first line. A GeoJSON file (FeatureCollection) has points in degrees,
@@ -152,7 +152,7 @@ def _of_csv(path: Place) -> list[dict[str, Any]]:
     return records
 
 
-def _of_geojson(path: Place, content: Mapping[str, Any], frame: Placed | None) -> list[dict[str, Any]]:
+def _of_geojson(path: Place, content: Mapping[str, Any], frame: HasFrame | None) -> list[dict[str, Any]]:
     """The records of GeoJSON points: longitude and latitude in degrees, and height above the ellipsoid in m if given.
 
     Without a height a point lies on the plane of the ground.

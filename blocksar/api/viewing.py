@@ -9,7 +9,7 @@ from blocksar.api.reports import Report
 from blocksar.api.target_files import targets_of
 from blocksar.errors import InputError, quoted
 from blocksar.places import Location, place
-from blocksar.products.viewer.server import Tiles, Viewer
+from blocksar.products.viewer import Viewer, ViewerTiles
 from blocksar.runs.finished import FinishedRun, folder_of, member_line
 
 PORTS = (1024, 65535)
@@ -47,7 +47,7 @@ def view(run: Location, *, channel: str | None = None, port: int | None = None, 
         raise InputError(f"port is {quoted(port)}; give a whole number from {PORTS[0]} to {PORTS[1]}, or leave it out")
     folder = place(run)
     source = FinishedRun.open(folder_of(folder, channel))
-    viewer = Viewer(Tiles(source), targets_of(None, source.attrs), port or 0)
+    viewer = Viewer(ViewerTiles(source), targets_of(None, source.attrs), port or 0)
     if browser:
         webbrowser.open(viewer.url)
     lines = [*member_line(folder, channel), f"{folder} is shown at {viewer.url}"]

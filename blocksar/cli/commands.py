@@ -31,13 +31,14 @@ from blocksar.cli.options import (
     JsonLog,
     Overwrite,
     OwnThreads,
+    Plugged,
     Quiet,
     Run,
     StoreOut,
     given,
     taking,
+    with_options,
 )
-from blocksar.cli.plugged import Plugged, with_options
 from blocksar.garbage import collect_seldom
 from blocksar.options import options_of, read_values
 from blocksar.products.registry import PRODUCTS

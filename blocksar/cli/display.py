@@ -41,7 +41,7 @@ MIN_TEXT = 20  # columns to which a text may be folded
 TABLE_SIDES, COLUMN_GAP = 4, 3  # columns of the terminal that a table takes at its sides, and between its columns
 
 
-class Report(Protocol):
+class Printed(Protocol):
     """The result of a function in `blocksar.api`, as people read it."""
 
     @property
@@ -60,7 +60,7 @@ class Report(Protocol):
         """Return the tables as (header, rows), with cells as text."""
 
 
-def show(report: Report, context: typer.Context | None = None) -> None:
+def show(report: Printed, context: typer.Context | None = None) -> None:
     """Print a report's tables and summary on stdout, as the options --all and --explain of the command ask for.
 
     Where the command has these options and they are not given, a line on stderr says what they would add.

@@ -19,8 +19,7 @@ import typer
 from blocksar.api.settings import options_taken
 from blocksar.cli.display import hint, listening, show
 from blocksar.cli.endings import FILE, WRONG_INPUT, Commands, UsageError, complain, plain
-from blocksar.cli.options import ALTERNATIVES, Everything, Explain, JsonLog, Quiet, given, taking
-from blocksar.cli.plugged import single_command
+from blocksar.cli.options import ALTERNATIVES, Everything, Explain, JsonLog, Quiet, given, single_command, taking
 from blocksar.errors import InputError, quoted
 from blocksar.focusing.method import ChainOptions
 from blocksar.options import Stated, options_of, read_values

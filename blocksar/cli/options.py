@@ -1,16 +1,136 @@
-"""The options that several commands share."""
+"""Options of commands: those that several share, and those of models, with a command for each part of a registry."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import Annotated
+from abc import abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from functools import wraps
+from inspect import Parameter, signature
+from typing import Annotated, Any, Literal, get_args
 
 import typer
+from rich.markup import escape
 
 from blocksar.api.settings import OVERWRITE
-from blocksar.cli.plugged import typer_option, with_options
-from blocksar.options import Stated
+from blocksar.cli.endings import Commands
+from blocksar.errors import InputError
+from blocksar.options import Option, Stated
 from blocksar.products.options import COLOUR_MAP, COLOUR_RANGE
+
+
+class Plugged(Commands):
+    """A group with a command for each part of a registry, made when it is asked for."""
+
+    def __init__(self, *, commands: Any = None, **settings: Any) -> None:
+        super().__init__(commands=_Made(commands or {}, self), **settings)  # type: ignore[arg-type]
+
+    @classmethod
+    @abstractmethod
+    def names(cls) -> tuple[str, ...]:
+        """Names of the parts, in the order of the help."""
+
+    @classmethod
+    @abstractmethod
+    def command_of(cls, name: str) -> Callable[..., None]:
+        """The function of a part's command."""
+
+
+class _Made(Mapping[str, Any]):
+    """The commands of a group by name: its own, then those of parts, each made once, when it is first looked up."""
+
+    def __init__(self, own: Mapping[str, Any], group: Plugged) -> None:
+        self._own, self._group, self._made = own, group, dict[str, Any]()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((*self._own, *self._group.names()))
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def __getitem__(self, name: str) -> Any:
+        if name in self._own:
+            return self._own[name]
+        if name not in self._made:
+            if name not in self._group.names():
+                raise KeyError(name)
+            self._made[name] = self._command(name)
+        return self._made[name]
+
+    def _command(self, name: str) -> Any:
+        """The command of a part; of one that cannot have any, one that says so, as its help does."""
+        try:
+            return single_command(name, self._group.command_of(name))
+        except InputError as error:
+            refusal = error
+        except Exception as error:  # its options are none for a command line
+            refusal = InputError(
+                f"{name} has no command ({type(error).__name__}: {error}); repair or remove the package that adds it"
+            )
+        return single_command(name, _refusing(refusal), ignore_unknown_options=True, allow_extra_args=True)
+
+
+def single_command(name: str, function: Callable[..., None], **settings: bool) -> Any:
+    """The command of a function, made now."""
+    settings_of_all = {"help_option_names": ["-h", "--help"]}
+    single = typer.Typer(rich_markup_mode="rich", context_settings=settings_of_all | settings, add_completion=False)
+    single.command(name)(function)
+    return typer.main.get_command(single)
+
+
+def _refusing(error: InputError) -> Callable[..., None]:
+    def refuse() -> None:
+        raise error
+
+    refuse.__doc__ = escape(f"{str(error)[0].upper()}{str(error)[1:]}.")
+    return refuse
+
+
+def with_options(
+    command: Callable[..., None], options: Iterable[Stated], doc: str | None = None, *, panel: str | None = None
+) -> Callable[..., None]:
+    """Let a command take options as keyword arguments, behind its own up to the first with a default.
+
+    What has a function that reads it is taken as text, except for numbers. `panel` is where its help shows them.
+    """
+    plain = signature(command, eval_str=True)
+    own = [parameter for parameter in plain.parameters.values() if parameter.kind != Parameter.VAR_KEYWORD]
+    needed = [parameter for parameter in own if parameter.default is Parameter.empty]
+    others = [each.replace(kind=Parameter.KEYWORD_ONLY) for each in own if each.default is not Parameter.empty]
+    shown = [_parameter(each, panel) for each in options]
+
+    @wraps(command)
+    def taking_options(*arguments: Any, **settings: Any) -> None:
+        command(*arguments, **settings)
+
+    taking_options.__signature__ = plain.replace(parameters=[*needed, *shown, *others])  # type: ignore[attr-defined]
+    taking_options.__doc__ = doc or command.__doc__
+    return taking_options
+
+
+def typer_option(option: Option, default: object = None, panel: str | None = None) -> Any:
+    """An option as the command line has it; `panel` is where its help shows it."""
+    shown = option.default if option.default is not None else default is not None
+    return typer.Option(
+        *option.flags, metavar=option.metavar, help=option.help, min=option.least, show_default=shown,
+        rich_help_panel=panel,
+    )  # fmt: skip
+
+
+def _parameter(stated: Stated, panel: str | None) -> Parameter:
+    option, kind = stated.option, stated.type
+    if option.choices is not None:
+        kind = Literal[tuple(option.choices())]
+    elif option.read is not None and kind not in (int, float):
+        kind = str | None
+    if stated.default is False and not option.flags:  # there is no option not to do what is not done
+        option = replace(option, flags=(f"--{stated.name.replace('_', '-')}",))
+    if panel is not None and option.metavar is None:
+        option = replace(option, metavar=", ".join(map(str, get_args(kind))) or None)  # which few columns can fold
+    default = stated.default if option.default is None else None
+    annotation = Annotated[kind, typer_option(option, default, panel)]  # type: ignore[valid-type]
+    return Parameter(stated.name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+
 
 Command = Callable[..., None]
 

@@ -1,1 +1,1 @@
-"""Conversion of measured data to a phase-history store: CPHD files and the Gotcha data set."""
+"""Conversion of measured data to phase-history stores: a module or folder for each format, and what they share."""

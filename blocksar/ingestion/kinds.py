@@ -2,8 +2,8 @@
 
 A table: the name of a kind, the mark that tells it, and what leads from there to a phase history. What is no data at
 all comes first (`NOTHING`), then what readers and scenes are, then `OTHERS`; the first row whose mark fits counts
-(`found`). Marks are those of the formats' own definitions; where one has none (MATLAB 4, text), the whole beginning has
-to look like it.
+(`readers.found_at`). Marks are those of the formats' own definitions; where one has none (MATLAB 4, text), the whole
+beginning has to look like it.
 """
 
 from __future__ import annotations

@@ -1,10 +1,16 @@
-"""Readers: what turns files of one format into phase histories, and the one writer of their stores."""
+"""Readers of formats, found by what lies at a place; and the one writer of the phase histories that they make."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import re
+import shlex
+import stat
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from numbers import Real
 from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
@@ -14,7 +20,7 @@ from blocksar import stores
 from blocksar.collection.collection import Collection
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.errors import InputError
-from blocksar.ingestion.kinds import Kind
+from blocksar.ingestion.kinds import NOTHING, OTHERS, SAFE_IMAGES, SCENE, START, Kind, Start
 from blocksar.ingestion.reading import Ingested
 from blocksar.options import Option
 from blocksar.places import Location, place, readable
@@ -27,7 +33,58 @@ from blocksar.progress.listening import Callback
 from blocksar.stores import Piece
 from blocksar.version import __version__
 
-__all__ = ["READERS", "Described", "Piece", "Reader", "ReaderOptions", "Reading", "ingest"]
+__all__ = ["READERS", "Described", "Piece", "Reader", "ReaderOptions", "Reading", "ingest", "stated_times"]
+
+# ---------------------------------------------------------------- times as a user states them
+
+LONGEST = 1e9  # s from the start of a collection to slow time 0: some 30 years
+
+
+def stated_times(start: str | None, zero: float | None) -> dict[str, Any]:
+    """Return `collection_start` and `time_zero` as a user gives them, for the attribute `source`; empty if not given.
+
+    Parameters
+    ----------
+    start : str or None
+        UTC in ISO 8601, such as 2008-08-19T14:03:21.5Z; without a zone it is taken for UTC.
+    zero : float or None
+        Seconds from the start to slow time 0.
+
+    Raises
+    ------
+    InputError
+        If the start is no date with a time, or the seconds are no number, or more than LONGEST.
+
+    Examples
+    --------
+    >>> stated_times("2008-08-19T16:03:21.5+02:00", 3.25)
+    {'collection_start': '2008-08-19T14:03:21.500000Z', 'time_zero': 3.25}
+    """
+    times: dict[str, Any] = {}
+    if start is not None:
+        start = str(start)
+        try:
+            if not ("T" in start or " " in start.strip()):
+                raise ValueError
+            moment = datetime.fromisoformat(start.strip())
+            moment = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).astimezone(UTC)
+        except (ValueError, OverflowError):
+            raise InputError(
+                f"--collection-start {start!r} is not a date with a time; give UTC in ISO 8601, such as "
+                "2008-08-19T14:03:21.5Z"
+            ) from None
+        times["collection_start"] = f"{moment:%Y-%m-%dT%H:%M:%S.%f}Z"
+    if zero is not None:
+        if not isinstance(zero, Real) or not abs(zero) <= LONGEST:
+            raise InputError(
+                f"--time-zero is {zero!r} s; give the seconds from --collection-start to slow time 0, "
+                f"{LONGEST:g} at most"
+            )
+        times["time_zero"] = float(zero)
+    return times
+
+
+# ---------------------------------------------------------------- readers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +112,7 @@ class Reading:
         Pieces follow each other from pulse to pulse; whole chunks may be given again, with what is known better then.
         Those whose samples are a function are not read if an ingestion that ended early has written them.
     attributes : mapping
-        Of the store: `source`, `georeference`, `polarization`, ... (`stores.schema`).
+        Of the store: `source`, `georeference`, `polarization`, ... (`stores.contract`).
     messages : callable ()
         What was found, a sentence each; asked once all pieces were given.
     channels : tuple of str
@@ -165,10 +222,10 @@ class Reader(Protocol):
 
 READERS: Registry[Reader] = Registry("blocksar.readers", "reader", {
     "cphd": "blocksar.ingestion.cphd.reader:CPHD",
-    "crsd": "blocksar.ingestion.crsd.reader:CRSD",
-    "nisar": "blocksar.ingestion.nisar.reader:NISAR",
-    "palsar": "blocksar.ingestion.palsar.reader:PALSAR",
-    "gotcha": "blocksar.ingestion.gotcha.reader:GOTCHA",
+    "crsd": "blocksar.ingestion.crsd:CRSD",
+    "nisar": "blocksar.ingestion.nisar:NISAR",
+    "palsar": "blocksar.ingestion.palsar:PALSAR",
+    "gotcha": "blocksar.ingestion.gotcha:GOTCHA",
     "sentinel1": "blocksar.ingestion.sentinel1.reader:SENTINEL1",
 })  # fmt: skip
 
@@ -266,3 +323,95 @@ def _identity(origin: Sequence[Any], groups: Mapping[str, stores.Group]) -> str:
         for name, group in groups.items()
     }
     return stores.json_checksum([__version__, list(origin), held])
+
+
+MOST_FILES = 64  # of a folder, that are looked at
+
+
+class Found(NamedTuple):
+    """Kind of what lies at a place, and the file that shows it, if that is in a folder."""
+
+    kind: Kind
+    start: Start
+    file: Readable
+
+    @property
+    def reader(self) -> str | None:
+        """The name of what reads it, if anything does."""
+        return next((name for name, reader in READERS.sound() if reader.kind is self.kind), None)
+
+    def sentence(self, asked: Readable, given: str | None = None) -> str:
+        """Say what it is, and what leads from there to a phase history; `given` is the path as the user gave it."""
+        path = given if given is not None and self.file is asked else str(self.file)
+        plain = re.sub(r"\.(gz|z|bz2|xz|zst|lz4)$", "", path, flags=re.IGNORECASE)
+        stem = self.file.name.partition(".")[0] or "phase_history"
+        fields = {
+            "path": shlex.quote(path), "store": shlex.quote(f"{stem}.zarr"),
+            "plain": shlex.quote(plain if plain != path else f"{path}.unpacked"),
+        }  # fmt: skip
+        name = self.kind.name.format(detail=self.kind.detail(self.start))
+        what = f"{self.file} is {name}; {self.kind.remedy.format(**fields)}"
+        return what if self.file is asked else f"{asked} is a folder, no phase history: {what}"
+
+
+def _kinds() -> Iterator[Kind]:
+    """All kinds, in the order in which they are tried."""
+    yield from NOTHING
+    for reader in READERS:
+        yield reader.kind
+    yield SCENE
+    yield from OTHERS
+
+
+def found_at(where: Readable) -> Found | None:
+    """Tell what lies at a place from first bytes; None if nothing does, or nothing that can be told.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    """
+    if isinstance(where, LocalPlace):
+        if where.path.is_dir():
+            return _in_folder(where)
+        if not where.path.exists() or not stat.S_ISREG(os.stat(where.path).st_mode):
+            return None
+    try:
+        with where.open() as file:
+            data = file.read(START + 1)
+    except FileNotFoundError:
+        return None
+    start = Start(where.name, data[:START], len(data) <= START)
+    return Found(next(kind for kind in _kinds() if kind.mark(start)), start, where)
+
+
+def _in_folder(folder: LocalPlace) -> Found | None:
+    """Find what a folder holds: the first file that `ingest` reads, or else of which the kind is known."""
+    names = folder.names()
+    if "manifest.safe" in names and "_RAW_" not in folder.name:
+        return Found(SAFE_IMAGES, Start(folder.name, b"", whole=True), folder)
+    seen: list[Found] = []
+    for name in names[:MOST_FILES]:
+        file = folder / name
+        with suppress(OSError):  # of others that can be read
+            if not file.path.is_dir() and (found := found_at(file)) is not None:
+                seen.append(found)
+    seen.sort(key=lambda found: (found.reader is None, found.kind.beside))
+    return seen[0] if seen and not seen[0].kind.beside else None
+
+
+def refuse_others(where: Readable, wanted: Kind) -> None:
+    """Raise an InputError that says what lies at a place, unless it is of that kind, or nothing lies there.
+
+    Raises
+    ------
+    InputError
+        If it is of another kind, or no regular file.
+    OSError
+        If it cannot be read.
+    """
+    found = found_at(where)
+    if found is not None and (found.kind is not wanted or found.file is not where):
+        raise InputError(found.sentence(where))
+    if found is None and isinstance(where, LocalPlace) and where.path.exists():
+        raise InputError(f"{where} is no regular file; give the path of {wanted.name}")

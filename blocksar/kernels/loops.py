@@ -29,7 +29,7 @@ from numba.core.runtime.nrt import rtsys
 
 from blocksar.errors import InputError
 from blocksar.loop_cache import note_compilation
-from blocksar.places.shared_work import locked
+from blocksar.places.locks import locked
 
 SAMPLES_IN = types.Array(types.complex64, 2, "C", readonly=True)
 SAMPLES_OUT = types.complex64[:, ::1]

@@ -191,7 +191,7 @@ def _mean(values: FloatArray, window: tuple[int, int]) -> FloatArray:
     return np.asarray(uniform_filter(values, window, mode="constant"))
 
 
-class Sight(NamedTuple):
+class LinesOfSight(NamedTuple):
     """Lines of sight (..., 3) from the antenna at the middles of dwells, its velocity there, m/s, and ranges, m."""
 
     unit: FloatArray
@@ -199,7 +199,7 @@ class Sight(NamedTuple):
     distance: FloatArray
 
     @classmethod
-    def of(cls, geometry: Geometry, x: FloatArray, y: FloatArray, z: FloatArray | float) -> Sight:
+    def of(cls, geometry: Geometry, x: FloatArray, y: FloatArray, z: FloatArray | float) -> LinesOfSight:
         """Geometry of sight to points x, y, z (...), m; NaN where a point is never lit."""
         first, last = np.broadcast_arrays(*geometry.beam.dwell(x, y, z=z), x)[:2]
         middle = np.where(first < last, (first + last) / 2, geometry.epoch)
@@ -209,7 +209,7 @@ class Sight(NamedTuple):
         return cls(away / distance[..., None], geometry.track.velocity(middle), distance)
 
 
-def layover_direction(sight: Sight) -> FloatArray:
+def layover_direction(sight: LinesOfSight) -> FloatArray:
     """By how much (..., 3) a scatterer moves for a metre of height if its range and Doppler are to stay.
 
     d is orthogonal to the line of sight u and to its rate, which lies in the plane of u and the velocity v, and
@@ -227,7 +227,7 @@ def vertical_wavenumber(a: Geometry, b: Geometry, x: FloatArray, y: FloatArray) 
     the perpendicular baseline B. 2 pi / |k_z| is the height of ambiguity. NaN where one does not see the point.
     """
     z = a.height(x, y)
-    direction, sight = layover_direction(Sight.of(a, x, y, z)), Sight.of(b, x, y, z)
+    direction, sight = layover_direction(LinesOfSight.of(a, x, y, z)), LinesOfSight.of(b, x, y, z)
     return np.asarray(4 * np.pi * b.collection.carrier / SPEED_OF_LIGHT * (sight.unit * direction).sum(axis=-1))
 
 
@@ -254,7 +254,7 @@ class Baseline(NamedTuple):
     def at(cls, a: Geometry, b: Geometry, x: float, y: float, weighting: Weighting) -> Baseline:
         """The baseline at a point x, y, m; NaN where one does not see it."""
         point = np.array(x), np.array(y), np.asarray(a.height(np.array(x), np.array(y)))
-        first, second = Sight.of(a, *point), Sight.of(b, *point)
+        first, second = LinesOfSight.of(a, *point), LinesOfSight.of(b, *point)
         direction = layover_direction(first)
         way = first.unit * first.distance - second.unit * second.distance
         perpendicular = -float((way * direction).sum() / np.sqrt((direction**2).sum()))
@@ -264,7 +264,9 @@ class Baseline(NamedTuple):
 
 def _surface(a: Geometry, b: Geometry, point: tuple[FloatArray, FloatArray, FloatArray], weighting: Weighting) -> float:
     """Overlap of the spectra of surface clutter, which lie about 2 f / c times the horizontal part of the sight."""
-    first, second = (2 * each.collection.carrier / SPEED_OF_LIGHT * Sight.of(each, *point).unit[:2] for each in (a, b))
+    first, second = (
+        2 * each.collection.carrier / SPEED_OF_LIGHT * LinesOfSight.of(each, *point).unit[:2] for each in (a, b)
+    )
     by_band, by_dwell = sides_at(a, float(point[0]), float(point[1]))
     area = by_band[0] * by_dwell[1] - by_band[1] * by_dwell[0]
     away = second - first

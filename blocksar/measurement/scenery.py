@@ -16,7 +16,7 @@ from blocksar.collection.weighting import CUT_WIDTHS, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.kernels.phase import Float32Array
 from blocksar.measurement.axes import ResponseAxes, response_axes
-from blocksar.measurement.looks import power_of
+from blocksar.measurement.multilooking import power_of
 from blocksar.measurement.response import ReadChip
 from blocksar.solvers import newton
 
@@ -33,7 +33,7 @@ GeometryAt = Callable[[float, float], Geometry]
 Strips = Iterable[slice]
 
 
-class Bright(NamedTuple):
+class BrightPoint(NamedTuple):
     """An isolated bright pixel: place, m, power, and its prominence, the power over the median about it."""
 
     x: float
@@ -58,7 +58,7 @@ def find_bright(
     geometry_at: GeometryAt,
     weighting: Weighting,
     count: int,
-) -> list[Bright]:
+) -> list[BrightPoint]:
     """The brightest pixels (at most `count`) that stand out from all within 10 widths along the response's two axes.
 
     Beyond the main lobe nothing within comes up to a tenth of their power, and the median within is less than a
@@ -84,7 +84,7 @@ def find_bright(
         axes = response_axes(geometry_at(*place), *place, weighting)
         prominence = 0.0 if axes is None else _prominence(read, x, y, (row_, column_), axes)
         if prominence >= PROMINENT:
-            found.append(Bright(*place, value, prominence))
+            found.append(BrightPoint(*place, value, prominence))
         if len(found) == count:
             break
     return found

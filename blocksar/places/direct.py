@@ -139,7 +139,7 @@ def writing(path: str, *, cached: bool = False) -> Iterator[Writer]:
         os.close(descriptor)
 
 
-class Reader:
+class DirectReader:
     """A file of which parts are read in ascending order."""
 
     def __init__(self, descriptor: int, buffer: memoryview) -> None:
@@ -189,7 +189,7 @@ class Reader:
 
 
 @contextmanager
-def reading(path: str) -> Iterator[Reader]:
+def reading(path: str) -> Iterator[DirectReader]:
     """Open a file of which parts are read.
 
     Raises
@@ -199,7 +199,7 @@ def reading(path: str) -> Iterator[Reader]:
     """
     descriptor = _open(path, os.O_RDONLY)
     try:
-        yield Reader(descriptor, _buffers.view)
+        yield DirectReader(descriptor, _buffers.view)
     finally:
         with suppress(OSError):
             os.close(descriptor)

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Literal
 
 from blocksar.errors import is_final
-from blocksar.places.owners import describe_owner, this_process
+from blocksar.places.locks import describe_owner, this_process
 from blocksar.places.place import Held, Place
 from blocksar.places.posix import fcntl
 

@@ -16,7 +16,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from blocksar.errors import changes_while_read
-from blocksar.places.owners import describe_owner, is_alive, this_process
+from blocksar.places.locks import describe_owner, is_alive, this_process
 from blocksar.places.place import Held, Place
 from blocksar.places.ranges import in_ranges
 

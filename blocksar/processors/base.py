@@ -190,7 +190,7 @@ class ImagePlan(ABC):
 
     def draw(self, axes: Axes | None) -> Axes:
         """Draw grid and track on the ground."""
-        from blocksar.products.pictures.planned import draw_plan  # optional, and slow to load
+        from blocksar.products.pictures.blocks import draw_plan  # optional, and slow to load
 
         return draw_plan(self.pieces[0].geometry, self.grid, axes=axes)
 

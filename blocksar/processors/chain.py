@@ -381,7 +381,7 @@ class ChainPlan(ImagePlan):
         return f"{self.plans[0].headline()}, {size_text(sum(self.stored().values()))} on the disk"
 
     def draw(self, axes: Axes | None) -> Axes:
-        from blocksar.products.pictures.planned import draw_plan  # optional, and slow to load
+        from blocksar.products.pictures.blocks import draw_plan  # optional, and slow to load
 
         plan = self.plans[0]
         return draw_plan(plan.geometry, plan.grid, blocks=plan.blocks, region=plan.region, axes=axes)

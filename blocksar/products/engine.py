@@ -29,7 +29,7 @@ class Engine(BackendEntrypoint):
         return _without(dataset.open(place(filename_or_obj)), drop_variables)
 
     def open_datatree(self, filename_or_obj: Any, *, drop_variables: str | Iterable[str] | None = None) -> xr.DataTree:
-        """As `products.tree.groups_of`."""
+        """As `products.dataset.groups_of`."""
         import xarray as xr
 
         return xr.DataTree.from_dict(self.open_groups_as_dict(filename_or_obj, drop_variables=drop_variables))
@@ -37,11 +37,11 @@ class Engine(BackendEntrypoint):
     def open_groups_as_dict(
         self, filename_or_obj: Any, *, drop_variables: str | Iterable[str] | None = None
     ) -> dict[str, xr.Dataset]:
-        """As `products.tree.groups_of`."""
+        """As `products.dataset.groups_of`."""
         from blocksar.places import place
-        from blocksar.products import tree
+        from blocksar.products import dataset
 
-        groups = tree.groups_of(place(filename_or_obj))
+        groups = dataset.groups_of(place(filename_or_obj))
         return {path: _without(group, drop_variables) for path, group in groups.items()}
 
     def guess_can_open(self, filename_or_obj: Any) -> bool:

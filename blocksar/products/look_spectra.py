@@ -1,15 +1,126 @@
-"""Spectra over the dwell of the looks of a run: each should fill its own part of the dwell, and nothing else."""
+"""Spectra over the dwell of the looks of a run: each should fill its own part of the dwell, and nothing else.
+
+A pixel's wave vector on the ground is K = 2 (fc + f) / c u(t), with u the horizontal part of the unit vector from the
+antenna to it. Its direction depends on time alone, and its length tells the range frequency. So the power of a chip's
+two-dimensional spectrum, sorted by the direction of K, is the spectrum over the dwell.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from blocksar.arrays import FloatArray
-from blocksar.measurement.dwell_spectrum import dwell_spectrum, shares
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.geometry import Geometry
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.kernels.fourier import fft_rows
 from blocksar.runs.finished import FinishedRun
+
+BINS, BEYOND = 96, 0.25  # of the spectrum; share of the dwell that it shows on either side
+PADDED = 256  # samples of a chip's spectrum along each axis, at least
+TIMES = 129  # of the dwell, between which directions are interpolated
+
+SpanAt = Callable[[float, float], tuple[float, float]]  # x, y (m) -> start and end of the dwell, s
+
+
+def shares() -> FloatArray:
+    """Middles of the bins: 0 is the beginning of the dwell, 1 its end."""
+    edges = np.linspace(-BEYOND, 1 + BEYOND, BINS + 1)
+    return np.asarray((edges[1:] + edges[:-1]) / 2)
+
+
+def dwell_spectrum(
+    chip: ComplexArray, x: FloatArray, y: FloatArray, geometry: Geometry, span_at: SpanAt
+) -> FloatArray | None:
+    """Mean power of the spectrum over the dwell, (BINS,).
+
+    Parameters
+    ----------
+    chip : (n_y, n_x) complex
+        Pixels, all covered; they hold the carrier's phase.
+    x, y : (n_x,), (n_y,) float
+        m.
+    geometry : Geometry
+    span_at : callable
+        The dwell of a ground point.
+
+    Returns
+    -------
+    (BINS,) float or None
+        NaN where the chip's spectrum has no sample; None if the pixels are too far apart for the band.
+    """
+    half = geometry.collection.bandwidth / 2
+    middle = np.array([x[x.size // 2], y[y.size // 2]])
+    start, end = span_at(*middle)
+    time = np.linspace(start - BEYOND * (end - start), end + BEYOND * (end - start), TIMES)
+    sight = _sight(geometry, middle, time)
+    lit = sight[(time >= start) & (time <= end)]
+    support = 2 / SPEED_OF_LIGHT * np.concatenate([(geometry.collection.carrier + f) * lit for f in (-half, half)])
+    if (np.ptp(support, axis=0) * (abs(x[1] - x[0]), abs(y[1] - y[0])) > 1).any():
+        return None
+    carrier, turn = _wave_vector(geometry, span_at, middle), _turn(geometry, span_at, middle, x, y)
+    at = np.stack(np.meshgrid(x - middle[0], y - middle[1]), axis=-1)
+    phase = 2 * np.pi * (at @ carrier + np.einsum("...i,ij,...j", at, turn, at) / 2)
+    taper = np.multiply.outer(np.hanning(y.size), np.hanning(x.size))
+    # Padded, so that every bin has samples.
+    padded = np.zeros((max(y.size, PADDED), max(x.size, PADDED)), np.complex128)
+    padded[: y.size, : x.size] = chip * np.exp(-1j * phase) * taper
+    along_x = fft_rows(padded, inverse=False)
+    power = np.abs(fft_rows(np.ascontiguousarray(along_x.T), inverse=False).T) ** 2
+    k_x, k_y = np.meshgrid(
+        *(k + _frequencies(n, axis) for k, n, axis in zip(carrier, power.shape[::-1], (x, y), strict=True))
+    )
+    return _by_share(k_x, k_y, power, sight, geometry.collection.carrier + np.array([-half, half]))
+
+
+def _frequencies(n: int, axis: FloatArray) -> FloatArray:
+    """Frequencies of the samples of a transform of length n, cycles/m, half of them negative."""
+    return (np.arange(n) + n // 2) % n / (n * (axis[1] - axis[0])) - n // 2 / (n * (axis[1] - axis[0]))
+
+
+def _by_share(k_x: FloatArray, k_y: FloatArray, power: FloatArray, sight: FloatArray, band: FloatArray) -> FloatArray:
+    """Mean power of wave vectors within the band, Hz, by the share of the dwell that their directions belong to."""
+    direction = np.unwrap(np.arctan2(sight[:, 1], sight[:, 0]))
+    order = np.argsort(direction)
+    centre = direction[TIMES // 2]
+    turned = centre + np.angle(np.exp(1j * (np.arctan2(k_y, k_x) - centre)))
+    share = np.linspace(-BEYOND, 1 + BEYOND, TIMES)
+    at = np.interp(turned, direction[order], share[order], left=np.nan, right=np.nan)
+    length = np.interp(turned, direction[order], np.linalg.norm(sight, axis=1)[order])
+    frequency = SPEED_OF_LIGHT / 2 * np.hypot(k_x, k_y) / length
+    used = np.isfinite(at) & (frequency > band[0]) & (frequency < band[1])
+    edges = np.linspace(-BEYOND, 1 + BEYOND, BINS + 1)
+    total, _ = np.histogram(at[used], edges, weights=power[used])
+    count, _ = np.histogram(at[used], edges)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _sight(geometry: Geometry, place: FloatArray, time: FloatArray) -> FloatArray:
+    """Horizontal parts (n, 2) of the unit vectors from the antenna at times (n,) to a ground point (2,)."""
+    height = float(geometry.height(*np.asarray(place, np.float64)))
+    sight = np.array([*place, height]) - geometry.track.position(time)
+    return np.asarray((sight / np.linalg.norm(sight, axis=-1, keepdims=True))[..., :2])
+
+
+def _wave_vector(geometry: Geometry, span_at: SpanAt, place: FloatArray) -> FloatArray:
+    """Wave vector (2,), cycles/m, at the carrier and the middle of the dwell of a ground point."""
+    middle = sum(span_at(*place)) / 2
+    return 2 * geometry.collection.carrier / SPEED_OF_LIGHT * _sight(geometry, place, np.array([middle]))[0]
+
+
+def _turn(geometry: Geometry, span_at: SpanAt, middle: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    """How the wave vector changes from pixel to pixel, (2, 2) symmetric, cycles/m^2."""
+    columns = []
+    for axis, places in enumerate((x, y)):
+        step = np.zeros(2)
+        step[axis] = np.ptp(places) / 2
+        ahead, behind = (_wave_vector(geometry, span_at, middle + sign * step) for sign in (1, -1))
+        columns.append((ahead - behind) / np.ptp(places))
+    jacobian = np.stack(columns, axis=1)
+    return np.asarray((jacobian + jacobian.T) / 2)
+
 
 CHIP, LEAST_CHIP = 128, 16  # pixels along a side, at most and at least
 PLACES = 5  # along each side of the image, at which chips are tried, beside the targets

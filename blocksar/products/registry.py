@@ -45,7 +45,7 @@ class Product(Protocol):
     def write(
         self, run: Place, out: Location, options: Any, *, channel: str | None, overwrite: bool, progress: Callback
     ) -> list[str]:
-        """Write the file; `products.opening.opened` opens the image, and `products.writing.replacing` the file.
+        """Write the file; `products.writing.opened` opens the image, and `products.writing.replacing` the file.
 
         Parameters
         ----------
@@ -88,11 +88,11 @@ PRODUCTS: Registry[Product] = Registry(
     "blocksar.products",
     "product",
     {
-        "sicd": "blocksar.products.sicd.product:SICD",
-        "sidd": "blocksar.products.sidd.product:SIDD",
-        "geotiff": "blocksar.products.geotiff.product:GeoTIFF",
-        "png": "blocksar.products.pictures.product:PNG",
-        "stac": "blocksar.products.stac.product:STAC",
+        "sicd": "blocksar.products.exports:SICD",
+        "sidd": "blocksar.products.exports:SIDD",
+        "geotiff": "blocksar.products.exports:GeoTIFF",
+        "png": "blocksar.products.exports:PNG",
+        "stac": "blocksar.products.exports:STAC",
     },
     _check,
 )

@@ -30,9 +30,8 @@ from blocksar.collection.georeference import Georeference
 from blocksar.collection.terrain import MARGIN, Terrain
 from blocksar.constants import TURN
 from blocksar.errors import InputError
-from blocksar.ingestion.terrain.earth import ellipsoid
-from blocksar.ingestion.terrain.reading import Ground
-from blocksar.ingestion.terrain.resampling import Box, read_around
+from blocksar.ingestion.terrain import Ground
+from blocksar.ingestion.terrain_earth import Box, ellipsoid, read_around
 from blocksar.kernels.occlusion import STEPS, block_extremes, find_shadow
 from blocksar.simulation.tables import Positive, Table
 

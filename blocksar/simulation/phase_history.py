@@ -32,9 +32,9 @@ from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.progress.listening import Callback
-from blocksar.simulation.channels import factor, of_channel
 from blocksar.simulation.scatterers import Field, field, phase_history, raw_echo
 from blocksar.simulation.scene import RANGE_GUARD, Scene
+from blocksar.simulation.scene_tables import factor, of_channel
 
 MAX_NAMED_TARGETS = 2000  # with more, the store's attributes do not list them
 

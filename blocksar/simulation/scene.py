@@ -48,10 +48,10 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
+from blocksar.simulation import shipped_scenes, shipped_text
 from blocksar.simulation.antenna import axis_beam, lit_yaws, patterns
 from blocksar.simulation.ground import hiding_terrain, terrain_of
 from blocksar.simulation.scene_tables import SceneTables
-from blocksar.simulation.shipped import shipped_scenes, shipped_text
 from blocksar.simulation.tables import LARGEST, SMALLEST, ClutterTable, ReflectivityTable
 from blocksar.texts import count
 
@@ -202,7 +202,7 @@ class PointTarget(NamedTuple):
     z: float | None = None
 
 
-class Scatterers(NamedTuple):
+class PlacedScatterers(NamedTuple):
     """Many nameless scatterers: x, y (n,) m in the scene frame, reflectivity (n,) complex64."""
 
     x: FloatArray
@@ -215,7 +215,7 @@ def draw_field(
     ranges: tuple[float, float],
     yaws: tuple[float, float],
     ground_point: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]],
-) -> Scatterers:
+) -> PlacedScatterers:
     """Draw a random field: uniform over the table's box, or over the ground between slant ranges (m) and yaws (rad).
 
     `ground_point` returns x, y (m) at slant ranges (m) and yaws (rad).
@@ -230,10 +230,10 @@ def draw_field(
         squared = ranges[0] ** 2 + u * (ranges[1] ** 2 - ranges[0] ** 2)
         x, y = ground_point(np.sqrt(squared), yaws[0] + v * (yaws[1] - yaws[0]))
     parts = random.standard_normal((2, table.scatterers)) * np.sqrt(table.power / 2)
-    return Scatterers(x, y, (parts[0] + 1j * parts[1]).astype(np.complex64))
+    return PlacedScatterers(x, y, (parts[0] + 1j * parts[1]).astype(np.complex64))
 
 
-def read_map(table: ReflectivityTable) -> Scatterers:
+def read_map(table: ReflectivityTable) -> PlacedScatterers:
     """Read a reflectivity map: a scatterer for each pixel that is not zero."""
     pixels = np.load(table.file, allow_pickle=False)
     row, column = np.nonzero(pixels)
@@ -243,7 +243,7 @@ def read_map(table: ReflectivityTable) -> Scatterers:
         phase = np.random.default_rng(table.seed).random(pixels.shape)[row, column]
         values = values * np.exp(2j * np.pi * phase).astype(np.complex64)
     x, y = table.x0 + table.dx * column.astype(np.float64), table.y0 + table.dy * row.astype(np.float64)
-    return Scatterers(x, y, values)
+    return PlacedScatterers(x, y, values)
 
 
 RANGE_GUARD = 1.05  # ratio of the range window to what lit targets need
@@ -511,7 +511,7 @@ class Scene(SceneTables):
             self.ground, self.area.ground_height, self.terrain, (x, y), self._positions, self.georeference
         )
 
-    def scatterers(self) -> Scatterers:
+    def scatterers(self) -> PlacedScatterers:
         """Return the scatterers of the random field and of the reflectivity map together (possibly none)."""
         parts = []
         if self.clutter is not None:
@@ -519,8 +519,8 @@ class Scene(SceneTables):
         if self.reflectivity is not None:
             parts.append(read_map(self.reflectivity))
         if not parts:
-            return Scatterers(np.empty(0), np.empty(0), np.empty(0, np.complex64))
-        return Scatterers(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+            return PlacedScatterers(np.empty(0), np.empty(0), np.empty(0, np.complex64))
+        return PlacedScatterers(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
     def _clutter_region(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Return the polar region of the random field: slant ranges (m) and yaws (rad)."""

@@ -1,6 +1,6 @@
 """Zarr stores: their variables, how to create them, and how to read and write them by region.
 
-`schema` defines the variables of every store, for writing and for checking. Metadata is created once, before any task
+`contract` defines the variables of every store, for writing and for checking. Metadata is created once, before any task
 (`creation`); each task then writes whole chunks that no other task writes (`regions`), so no locks are needed. A chunk
 that was never written reads as NaN (-1 for integers), never as zero: missing is not dark.
 
@@ -19,7 +19,23 @@ from __future__ import annotations
 
 from blocksar.stores.channels import POLARIZATIONS, check_channels, look_name, number_of, with_channels, without_unseen
 from blocksar.stores.chunk_files import Array, Region
-from blocksar.stores.collections import collections_in, create_collections
+from blocksar.stores.contract import (
+    COLLECTION,
+    COLLECTION_NUMBER,
+    CONVENTIONS,
+    GATED,
+    IMAGE,
+    LEVEL,
+    NOISE,
+    ON_TERRAIN,
+    PATCH,
+    PHASE_HISTORY,
+    RAW_ECHO,
+    SPECTRUM,
+    TRACK_AND_BEAM,
+    TRUTH,
+    Variable,
+)
 from blocksar.stores.copying import (
     ORIGINAL,
     copy_files,
@@ -45,6 +61,8 @@ from blocksar.stores.creation import (
 from blocksar.stores.datasets import CONTENT, DatasetHistory, dataset_of, history_in_memory, history_of
 from blocksar.stores.phase_history import (
     PhaseHistory,
+    collections_in,
+    create_collections,
     is_truth,
     open_dataset,
     open_phase_history,
@@ -55,23 +73,6 @@ from blocksar.stores.pieces import Piece, Samples, blocks_of, write_pieces
 from blocksar.stores.pyramid import PYRAMID, Pyramid, level_name, level_shapes, levels_of, pyramid_of
 from blocksar.stores.records import checksum, checksum_bytes, file_checksum, json_checksum, read_json, write_json
 from blocksar.stores.regions import chunk_shape, read_region, share_region, write_region
-from blocksar.stores.schema import (
-    COLLECTION,
-    COLLECTION_NUMBER,
-    CONVENTIONS,
-    GATED,
-    IMAGE,
-    LEVEL,
-    NOISE,
-    ON_TERRAIN,
-    PATCH,
-    PHASE_HISTORY,
-    RAW_ECHO,
-    SPECTRUM,
-    TRACK_AND_BEAM,
-    TRUTH,
-    Variable,
-)
 from blocksar.stores.terrain import StoredTerrain, read_terrain, terrain_fingerprint, write_terrain
 
 __all__ = [

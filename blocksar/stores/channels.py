@@ -10,9 +10,8 @@ from typing import Any
 
 from blocksar.errors import InputError, printable
 from blocksar.places.place import Place
-from blocksar.stores.arrays import dimension_names, metadata_file, open_variable
-from blocksar.stores.regions import read_array
-from blocksar.stores.schema import Variable
+from blocksar.stores.contract import Variable
+from blocksar.stores.regions import dimension_names, metadata_file, open_variable, read_array
 
 NAMED = {
     "channel": "channel, such as a polarisation",

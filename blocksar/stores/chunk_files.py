@@ -42,7 +42,7 @@ HIGHEST_LEVEL = 22  # of zstd
 FILLS = {"complex64": ["NaN", "NaN"], "float64": "NaN", "float32": "NaN", "int16": -1, "uint8": 255, "string": ""}
 
 
-class Layout(NamedTuple):
+class VariableLayout(NamedTuple):
     """Layout that the metadata of a variable state.
 
     Attributes
@@ -75,7 +75,7 @@ def fill_value(dtype: np.dtype[Any]) -> Any:
     return complex(np.nan, np.nan) if dtype.kind == "c" else np.nan if dtype.kind == "f" else -1
 
 
-def array_metadata(layout: Layout) -> dict[str, Any]:
+def array_metadata(layout: VariableLayout) -> dict[str, Any]:
     """Return the metadata of a variable, with keys in zarr's order."""
     data_type = "string" if layout.dtype.kind == "T" else layout.dtype.name
     codec: dict[str, Any] = {"name": "bytes"}
@@ -113,7 +113,7 @@ def metadata_bytes(metadata: Mapping[str, Any]) -> bytes:
 
 
 @lru_cache(maxsize=256)
-def layout_of(content: bytes) -> Layout | None:
+def layout_of(content: bytes) -> VariableLayout | None:
     """Return what a variable's metadata file states, if it is as `create` writes it, at any level of compression."""
     try:
         metadata = json.loads(content)
@@ -137,7 +137,7 @@ def layout_of(content: bytes) -> Layout | None:
         ):
             dtype = np.dtype("T" if data_type == "string" else data_type)
             codec = compression[0] if compression else None
-            layout = Layout(tuple(shape), tuple(chunks), dtype, codec, tuple(dims), attrs)
+            layout = VariableLayout(tuple(shape), tuple(chunks), dtype, codec, tuple(dims), attrs)
             return layout if metadata == array_metadata(layout) else None
     return None
 
@@ -330,7 +330,7 @@ class ChunkFiles:
             keys, inside_chunk, inside_region = zip(*cell, strict=True)
             yield os.path.join(self.folder, "c", *keys), inside_chunk, inside_region
 
-    def _read_chunk(self, stream: BinaryIO | direct.Reader, inside: Region, values: Array, slab: Array) -> None:
+    def _read_chunk(self, stream: BinaryIO | direct.DirectReader, inside: Region, values: Array, slab: Array) -> None:
         length = os.fstat(stream.fileno()).st_size
         if self._encoded:
             decode = self._decode_text if self.dtype.kind == "T" else self._decode
@@ -347,7 +347,7 @@ class ChunkFiles:
             _read_into(stream, slab[: len(rows)])
             copy_values(slab[(slice(len(rows)), *inside[1:])], rows)
 
-    def _decode(self, stream: BinaryIO | direct.Reader, length: int) -> Array:
+    def _decode(self, stream: BinaryIO | direct.DirectReader, length: int) -> Array:
         """Read a compressed chunk as a whole.
 
         Raises
@@ -373,7 +373,7 @@ class ChunkFiles:
             raise OSError(f"a chunk has {len(decoded)} bytes instead of {size}")
         return np.frombuffer(decoded, self.dtype).reshape(self.chunks)
 
-    def _decode_text(self, stream: BinaryIO | direct.Reader, length: int) -> Array:
+    def _decode_text(self, stream: BinaryIO | direct.DirectReader, length: int) -> Array:
         """Read a chunk of text as a whole: the number of texts, and each after its length in bytes.
 
         Raises
@@ -438,7 +438,7 @@ def chunk_files_of(path: Place, name: str) -> ChunkFiles | None:
 
 
 @lru_cache(maxsize=256)
-def _layout_in(metadata: str, version: str) -> Layout | None:
+def _layout_in(metadata: str, version: str) -> VariableLayout | None:
     """Find what a metadata file of a version states."""
     with open(metadata, "rb") as file:
         return layout_of(file.read())
@@ -519,7 +519,7 @@ def _flat(lengths: Sequence[int]) -> tuple[int, ...]:
     return tuple(dropwhile(lambda n: n == 1, lengths))
 
 
-def _read_into(stream: BinaryIO | direct.Reader, values: Array) -> None:
+def _read_into(stream: BinaryIO | direct.DirectReader, values: Array) -> None:
     if stream.readinto(values.data) != values.nbytes:  # type: ignore[union-attr]
         raise OSError("a chunk became shorter while it was read")
 

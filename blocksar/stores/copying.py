@@ -23,9 +23,9 @@ from blocksar.places.local import LocalPlace
 from blocksar.places.objects import ObjectPlace
 from blocksar.places.place import Place
 from blocksar.stores.chunk_files import METADATA, refuse_odd_file
+from blocksar.stores.contract import TRACK_AND_BEAM, Variable
 from blocksar.stores.creation import UNFINISHED, holds, replacing, replacing_objects
 from blocksar.stores.records import checksum_bytes, nan_to_null, plain_value, unreachable
-from blocksar.stores.schema import TRACK_AND_BEAM, Variable
 
 POSITION = "antenna_position"
 ORIGINAL = "antenna_position_original"

@@ -23,22 +23,29 @@ from blocksar.places import place as place_of
 from blocksar.places.local import LocalPlace, held_part, sweep_beside, temporary_name
 from blocksar.places.objects import ObjectPlace
 from blocksar.places.place import REMEDY, Held, Place, check_room
-from blocksar.stores.arrays import metadata_file
 from blocksar.stores.channels import check_channels, with_channels
 from blocksar.stores.chunk_files import (
     COMPRESSION,
     Array,
-    Layout,
+    VariableLayout,
     array_metadata,
     chunk_name,
     encode,
     group_metadata,
     metadata_bytes,
 )
-from blocksar.stores.contract import stated
+from blocksar.stores.contract import (
+    COLLECTION,
+    COLLECTION_ATTRS,
+    CONVENTIONS,
+    PHASE_HISTORY,
+    RAW_ECHO,
+    Variable,
+    stated,
+)
 from blocksar.stores.pieces import LEDGER, is_begun
 from blocksar.stores.records import ENVIRONMENT, nan_to_null, plain_value
-from blocksar.stores.schema import COLLECTION, COLLECTION_ATTRS, CONVENTIONS, PHASE_HISTORY, RAW_ECHO, Variable
+from blocksar.stores.regions import metadata_file
 
 RENAMES = 32  # attempts to replace a store that other processes replace at the same time
 UNFINISHED = ".unfinished"  # object in a store that is being created; it identifies the creating process
@@ -82,7 +89,7 @@ def create(
     path : path
         Folder to create, with its parents; or prefix in an object store.
     schema : dict of Variable
-        The store's variables: one of the tables in the module `schema`.
+        The store's variables: one of the tables in the module `contract`.
     sizes : dict of int
         Length of every dimension that has no coordinate or variable.
     coords, variables : dict of array
@@ -170,7 +177,7 @@ def _arrays(
         shape = tuple(lengths[dim] for dim in variable.dims)
         whole = tuple(max(n, 1) for n in shape)
         tile = tuple(max(min(chunks.get(dim, n), n), 1) for dim, n in zip(variable.dims, shape, strict=True))
-        layout = Layout(
+        layout = VariableLayout(
             shape=shape,
             chunks=whole if name in small else tile,
             dtype=np.dtype(variable.dtype),

@@ -17,9 +17,18 @@ from blocksar.collection.empty_pulses import find_real, real_numbers
 from blocksar.errors import InputError
 from blocksar.places import Location, place
 from blocksar.places.place import Place
-from blocksar.stores.arrays import metadata_file
 from blocksar.stores.channels import attrs_of_channel, check_channels, number_of, text, unnamed_channels, with_channels
-from blocksar.stores.contract import SAMPLES, check_type, check_units, missing, raw_echo_from
+from blocksar.stores.contract import (
+    OPTIONAL,
+    PHASE_HISTORY,
+    RAW_ECHO,
+    SAMPLES,
+    Variable,
+    check_type,
+    check_units,
+    missing,
+    raw_echo_from,
+)
 from blocksar.stores.creation import create_phase_history, history_line
 from blocksar.stores.phase_history import (
     PhaseHistory,
@@ -29,8 +38,7 @@ from blocksar.stores.phase_history import (
     other_attrs,
 )
 from blocksar.stores.records import json_checksum, plain_value
-from blocksar.stores.regions import write_region
-from blocksar.stores.schema import OPTIONAL, PHASE_HISTORY, RAW_ECHO, Variable
+from blocksar.stores.regions import metadata_file, write_region
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -1,6 +1,7 @@
-"""Phase histories and collections: creating them, and opening them with every check of the public contract.
+"""Phase histories, one or several in one frame: creating them, and opening them with every check of the contract.
 
-The track as flown, beside a simulated phase history whose own track has an error.
+A simulated phase history whose own track has an error has the track as flown beside it. A group that holds several
+names them in its attribute `collections`, in the order of time.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Self
@@ -30,14 +31,24 @@ from blocksar.places import place as place_of
 from blocksar.places.local import LocalPlace
 from blocksar.places.objects import ObjectPlace, os_errors
 from blocksar.places.place import Place
-from blocksar.stores.arrays import metadata_file, open_variable, refuse_codecs
-from blocksar.stores.channels import attrs_of_channel, look_name, number_of, read_channels
+from blocksar.stores.channels import NAME, attrs_of_channel, look_name, number_of, read_channels
 from blocksar.stores.chunk_files import METADATA, group_attrs, refuse_odd_file
-from blocksar.stores.contract import checked, number, raw_echo_from, read_real
-from blocksar.stores.creation import UNFINISHED, create
-from blocksar.stores.records import cause_of, json_checksum, unreachable
-from blocksar.stores.regions import chunk_names, read_array
-from blocksar.stores.schema import COLLECTION_ATTRS, CONVENTIONS, OPTIONAL, PHASE_HISTORY, RAW_ATTRS, RAW_ECHO, TRUTH
+from blocksar.stores.contract import (
+    COLLECTION_ATTRS,
+    CONVENTIONS,
+    OPTIONAL,
+    PHASE_HISTORY,
+    RAW_ATTRS,
+    RAW_ECHO,
+    TRUTH,
+    checked,
+    number,
+    raw_echo_from,
+    read_real,
+)
+from blocksar.stores.creation import UNFINISHED, Group, create, history_line
+from blocksar.stores.records import cause_of, json_checksum, read_json, unreachable
+from blocksar.stores.regions import chunk_names, metadata_file, open_variable, read_array, refuse_codecs
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -515,3 +526,59 @@ def is_truth(path: Location) -> bool:
         return open_dataset(path).attrs.get("title") == TITLE
     except InputError:
         return False
+
+
+# ---------------------------------------------------------------- several in one frame
+
+ATTRIBUTE = "collections"
+
+
+def create_collections(
+    path: Location,
+    groups: Mapping[str, Group],
+    *,
+    origin: str,
+    overwrite: bool,
+    fill: Callable[[Place], None],
+    identity: str | None = None,
+) -> None:
+    """Create a store of several phase histories by name, whose samples `fill` writes below the place it receives.
+
+    Raises
+    ------
+    InputError, ProcessingError
+        As for `create`.
+    """
+    attrs = {
+        ATTRIBUTE: list(groups), "Conventions": CONVENTIONS,
+        "history": history_line(f"ingested by blocksar from {origin}"),
+    }  # fmt: skip
+    create(
+        path, {}, sizes={}, coords={}, attrs=attrs, chunks={}, groups=groups, overwrite=overwrite, fill=fill,
+        identity=identity,
+    )  # fmt: skip
+
+
+def collections_in(path: Location) -> list[Place]:
+    """The phase histories of a store of several; none of any other, or where nothing lies.
+
+    Raises
+    ------
+    InputError
+        If it names them wrongly.
+    """
+    place = place_of(path)
+    names = None
+    with suppress(InputError, OSError):
+        match read_json(place / "zarr.json"):
+            case {"attributes": {"collections": names}}:
+                pass
+    if names is None:
+        return []
+    if (
+        not isinstance(names, list)
+        or not names
+        or not all(isinstance(each, str) and NAME.fullmatch(each) for each in names)
+    ):
+        raise InputError(f"{place} has an attribute {ATTRIBUTE} that is no list of names; correct it")
+    return [place / name for name in names]

@@ -19,8 +19,8 @@ from blocksar.arrays import FloatArray
 from blocksar.chunks import IMAGE_CHUNK
 from blocksar.places.place import Place
 from blocksar.stores.channels import with_channels
+from blocksar.stores.contract import LEVEL
 from blocksar.stores.creation import Group
-from blocksar.stores.schema import LEVEL
 
 PYRAMID = "pyramid"
 METHOD = "mean power of covered pixels"

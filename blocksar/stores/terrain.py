@@ -12,10 +12,10 @@ from blocksar.collection.terrain import Terrain
 from blocksar.constants import MIB
 from blocksar.errors import InputError
 from blocksar.places.place import Place
+from blocksar.stores.contract import CONVENTIONS, TERRAIN
 from blocksar.stores.creation import create
 from blocksar.stores.records import checksum, checksum_bytes, read_json
 from blocksar.stores.regions import read_region, write_region
-from blocksar.stores.schema import CONVENTIONS, TERRAIN
 
 KEPT_BYTES = 16 * MIB  # of heights that are kept between windows, at most
 LIMITS = "limits"  # attribute: lowest and highest height, m

@@ -21,9 +21,9 @@ from blocksar import stores
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.measurement.interferometry import Sight, over_window, vertical_wavenumber
+from blocksar.measurement.interferometry import LinesOfSight, over_window, vertical_wavenumber
 from blocksar.places import place
-from blocksar.products.pair.pair import Pair
+from blocksar.products.pair import Pair
 from blocksar.runs.finished import FinishedRun
 from blocksar.stores.terrain import write_terrain
 
@@ -49,7 +49,7 @@ def passes(tmp_path_factory: pytest.TempPathFactory) -> Any:
 def _without_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw nothing but where pictures are asked for: that takes longer than all else."""
     if "pictures" not in request.node.name:
-        monkeypatch.setattr("blocksar.products.pair.pictures.draw_pair", lambda *_, **__: [])
+        monkeypatch.setattr("blocksar.products.pictures.pair_layers.draw_pair", lambda *_, **__: [])
 
 
 def mixed(coherence: float) -> Points:
@@ -60,7 +60,7 @@ def mixed(coherence: float) -> Points:
 
 def sight(offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Any:
     """The line of sight to the origin in the middle of a pass."""
-    return Sight.of(Geometry(collection=flight(offset)), np.array(0.0), np.array(0.0), 0.0).unit
+    return LinesOfSight.of(Geometry(collection=flight(offset)), np.array(0.0), np.array(0.0), 0.0).unit
 
 
 def peak(image: Any, x: float, y: float) -> tuple[int, int]:

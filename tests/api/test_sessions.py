@@ -17,7 +17,7 @@ from matplotlib import pyplot
 from matplotlib.patches import Polygon
 
 import blocksar
-from blocksar.api.rendering import html_report, text_table
+from blocksar.api.reports import html_report, text_table
 from blocksar.api.shown import PlanReport, RunReport
 from blocksar.errors import InputError, in_python
 from blocksar.processors.chain_tables import digits

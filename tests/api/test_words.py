@@ -26,7 +26,7 @@ from blocksar.cli import commands
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError, in_python
-from blocksar.ingestion.timeline import stated_times
+from blocksar.ingestion.readers import stated_times
 from blocksar.measurement.targets import Target
 from blocksar.products.pictures.quicklook import checked_colour_map, checked_size
 

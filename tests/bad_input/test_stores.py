@@ -45,7 +45,7 @@ import blocksar
 from blocksar import stores
 from blocksar.api import focusing
 from blocksar.errors import InputError
-from blocksar.stores import arrays
+from blocksar.stores import regions
 
 OUTLIER = 100  # times its neighbours: a sample up to this ratio may be valid
 
@@ -567,9 +567,9 @@ def test_zarr_alone_runs_the_bomb(armed: None, bench: Bench) -> None:
 def test_codecs_within_shards_are_checked(monkeypatch: pytest.MonkeyPatch, bench: Bench) -> None:
     encoding = {"signal": {"chunks": (50, 53), "shards": (100, 53)}}
     store = altered(bench, lambda d: d, encoding=encoding)
-    monkeypatch.setattr(arrays, "CODECS", arrays.CODECS - {"crc32c"})  # codec of the index
+    monkeypatch.setattr(regions, "CODECS", regions.CODECS - {"crc32c"})  # codec of the index
     assert "crc32c" in bench.refused("armed", blocksar.plan, store)
-    monkeypatch.setattr(arrays, "CODECS", arrays.CODECS - {"zstd"})  # codec of the samples
+    monkeypatch.setattr(regions, "CODECS", regions.CODECS - {"zstd"})  # codec of the samples
     assert "zstd" in bench.refused("armed", blocksar.plan, store)
 
 

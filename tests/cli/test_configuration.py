@@ -14,7 +14,7 @@ from typer.testing import CliRunner, Result
 
 import blocksar
 from blocksar.api.jobs import Request
-from blocksar.api.rehearsing import Beside, rehearse
+from blocksar.api.rehearsing import RoomBeside, rehearse
 from blocksar.api.settings import Settings
 from blocksar.cli import commands
 from blocksar.cli.focusing import NOT_CONFIGURED
@@ -197,7 +197,7 @@ def test_a_dry_run_refuses_what_focus_refuses(table1: Path, tmp_path: Path) -> N
 
 def test_a_finished_run_needs_nothing() -> None:
     request: Any = SimpleNamespace(folder=place("run"))
-    report = rehearse(request, RunRecord(status=FINISHED), resources(1, 1, None), Beside())
+    report = rehearse(request, RunRecord(status=FINISHED), resources(1, 1, None), RoomBeside())
     assert report.summary[0].endswith("nothing would be done") and report.result is None
 
 
@@ -205,5 +205,5 @@ def test_a_request_that_replaces_a_run_says_so(table1: Path, tmp_path: Path) -> 
     (tmp_path / "run.json").write_text("{}")
     grid = Grid(16000, 16032, 1, 19000, 19032, 1)
     request = Request.open(table1, place(tmp_path), Settings(processor="backprojection", grid=grid, overwrite=True))
-    report = rehearse(request, None, resources(1, 1, None), Beside())
+    report = rehearse(request, None, resources(1, 1, None), RoomBeside())
     assert f"would replace what is in {tmp_path}" in report.summary[-2]

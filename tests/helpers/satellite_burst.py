@@ -17,7 +17,7 @@ from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.ingestion.terrain.earth import ellipsoid
+from blocksar.ingestion.terrain_earth import ellipsoid
 from blocksar.places import place
 from blocksar.simulation.scatterers import field, phase_history
 

@@ -46,7 +46,7 @@ from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_image
-from blocksar.ingestion.cphd import channels, echoes, ingestion
+from blocksar.ingestion.cphd import channels, echoes, reader
 from blocksar.ingestion.cphd.files import CphdFile, open_file
 from blocksar.ingestion.cphd.samples import ACCURACY
 from blocksar.simulation import cphd as cphd_simulation
@@ -569,7 +569,7 @@ def test_channels_of_other_geometry_are_refused(
 
 def test_beams_and_patterns_of_channels_are_compared(base: Base) -> None:
     with open(base.path, "rb") as stream:
-        made = ingestion.prepare(open_file(stream, base.path, None), ingestion.Choices())
+        made = reader.prepare(open_file(stream, base.path, None), reader.Choices())
     n, pulses = made.collection.n_pulse, made.echoes.pulses
 
     def steered(azimuth: float, width: float, **more: Any) -> tuple[Collection, Any]:
@@ -852,14 +852,14 @@ def test_truncations(base: Base, tmp_path: Path) -> None:
 def test_a_file_that_shrinks_during_reading(base: Base, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "shrinking.cphd"
     shutil.copy(base.path, path)
-    prepare = ingestion.prepare
+    prepare = reader.prepare
 
     def then_cut(*given: Any) -> Any:
         made = prepare(*given)
         path.write_bytes(base.path.read_bytes()[:-1000])
         return made
 
-    monkeypatch.setattr(ingestion, "prepare", then_cut)
+    monkeypatch.setattr(reader, "prepare", then_cut)
     refused(path, "became shorter")
 
 

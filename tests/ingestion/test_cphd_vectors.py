@@ -35,7 +35,7 @@ from blocksar.ingestion.atmosphere import zenith_delay
 from blocksar.ingestion.cphd import Choices
 from blocksar.ingestion.cphd.areas import read_area
 from blocksar.ingestion.cphd.files import NEEDED, CphdFile, open_file
-from blocksar.ingestion.cphd.ingestion import Prepared, describe, describe_sign, prepare
+from blocksar.ingestion.cphd.reader import Prepared, describe, describe_sign, prepare
 from blocksar.ingestion.cphd.vectors import Lost, describe_lost
 from blocksar.places.local import LocalPlace
 

@@ -29,10 +29,9 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.focusing import recovery
 from blocksar.focusing.backprojection import form_image
-from blocksar.ingestion import readers
-from blocksar.ingestion.gotcha import files, ingestion
-from blocksar.ingestion.gotcha.files import read_struct
-from blocksar.ingestion.gotcha.reader import GOTCHA
+from blocksar.ingestion import gotcha, gotcha_files, readers
+from blocksar.ingestion.gotcha import GOTCHA
+from blocksar.ingestion.gotcha_files import read_struct
 from blocksar.ingestion.readers import ReaderOptions
 from blocksar.ingestion.reading import Ingested
 from blocksar.ingestion.resampling import plan_resampling
@@ -166,7 +165,7 @@ def test_a_few_lost_pulses_become_missing(tmp_path: Path) -> None:
 
 
 def test_chunks_of_pulses_are_gathered_across_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for holder in (ingestion, stores.pieces, stores.creation):
+    for holder in (gotcha, stores.pieces, stores.creation):
         monkeypatch.setattr(holder, "TILE", (16, 1024))
     told: list[tuple[int, int]] = []
     ingest(written(tmp_path, *np.split(circle(AZIMUTH), 9)), tmp_path / "ph.zarr", progress=lambda *n: told.append(n))
@@ -211,7 +210,7 @@ def polarised(paths: list[Path], name: str, factor: complex) -> list[Path]:
 
 
 def test_polarisations_become_channels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for holder in (ingestion, stores.pieces, stores.creation):
+    for holder in (gotcha, stores.pieces, stores.creation):
         monkeypatch.setattr(holder, "TILE", (16, 1024))
     position = circle(AZIMUTH)
     factors = {"HH": 1, "HV": 0.25j, "VH": 0.5, "VV": -2}
@@ -547,13 +546,13 @@ def test_a_compressed_variable_without_an_end_is_refused(record: Record) -> None
 
 def test_a_file_that_changes_during_ingestion_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (path,) = written(tmp_path, circle(AZIMUTH))
-    lay_out = ingestion.lay_out
+    lay_out = gotcha.lay_out
 
     def meddling(joined: Any) -> Any:
         written(tmp_path, circle(AZIMUTH + STEP))
         return lay_out(joined)
 
-    monkeypatch.setattr(ingestion, "lay_out", meddling)
+    monkeypatch.setattr(gotcha, "lay_out", meddling)
     with pytest.raises(InputError, match="changed while"):
         ingest(path, tmp_path / "ph.zarr")
     assert not (tmp_path / "ph.zarr").exists()
@@ -671,10 +670,10 @@ def measured() -> list[Path]:
     folder = os.environ.get("BLOCKSAR_DATA")
     if not folder:
         pytest.skip("BLOCKSAR_DATA does not say where measured data are")
-    files = sorted((Path(folder) / "gotcha").glob("*.mat"))
-    if len(files) < 4:
+    gotcha_files = sorted((Path(folder) / "gotcha").glob("*.mat"))
+    if len(gotcha_files) < 4:
         pytest.skip(f"{folder} has no gotcha/ with four files")
-    return files[:4]
+    return gotcha_files[:4]
 
 
 @pytest.fixture(scope="module")
@@ -707,7 +706,7 @@ def test_measured_sign_and_reference(store: Path, reference: np.ndarray, measure
     history = stores.open_phase_history(store)
     collection = history.collection.centred()
     signal = history.read(slice(None), slice(None))
-    rounded = np.concatenate([files.read_file(places.place(path)).r0 for path in measured])
+    rounded = np.concatenate([gotcha_files.read_file(places.place(path)).r0 for path in measured])
     axis = -50 + 0.125 * np.arange(800)
     for x, y in POINTS:
         near = np.hypot(axis[None, :] - x, axis[:, None] - y) < 3

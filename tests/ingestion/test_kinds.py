@@ -22,7 +22,7 @@ import scipy.io
 
 import blocksar
 from blocksar.errors import InputError
-from blocksar.ingestion import found
+from blocksar.ingestion import readers
 from blocksar.places.local import LocalPlace
 
 CPHD = b"CPHD/1.1.0\nXML_BLOCK_SIZE := 1000\n\f\n" + bytes(range(256)) * 4
@@ -192,15 +192,15 @@ def test_a_folder_is_told_by_the_data_in_it(files: dict[str, bytes], sentence: s
 
 def test_what_is_no_file_is_not_opened(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
-    assert found.found_at(LocalPlace(tmp_path / "pipe")) is None
+    assert readers.found_at(LocalPlace(tmp_path / "pipe")) is None
     assert "is no regular file; give the path of a CPHD file" in refusal(
         blocksar.ingest, "cphd", tmp_path / "pipe", tmp_path / "new"
     )
-    assert found.found_at(LocalPlace(tmp_path / "nothing")) is None
+    assert readers.found_at(LocalPlace(tmp_path / "nothing")) is None
 
 
 @pytest.mark.parametrize("cut", [1, 3, 13, 29, 127, 300, 1000])
 def test_no_beginning_fails(cut: int, tmp_path: Path) -> None:
     for number, (name, data, _) in enumerate(FILES.values()):
         (path := tmp_path / f"{number}{name}").write_bytes(data[:cut])
-        assert found.found_at(LocalPlace(path)) is not None
+        assert readers.found_at(LocalPlace(path)) is not None

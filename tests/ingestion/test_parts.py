@@ -21,7 +21,7 @@ from blocksar import stores
 from blocksar.collection.collection import Collection
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.ingestion import area
+from blocksar.ingestion import resampling
 from blocksar.ingestion.cphd.files import open_file
 from blocksar.places import place, ranges
 from blocksar.simulation import cphd as cphd_simulation
@@ -31,7 +31,7 @@ pytest.importorskip("sarkit", reason="the extra `formats` is not installed")
 # ---------------------------------------------------------------- low-passes
 
 
-def response(filtered: area.LowPass, k: int, frequency: Any) -> Any:
+def response(filtered: resampling.LowPass, k: int, frequency: Any) -> Any:
     """H of one sum, from its definition."""
     lag = filtered.first[k] + np.arange(filtered.weights.shape[1]) - filtered.places[k]
     return np.exp(2j * np.pi * np.asarray(frequency)[:, None] * lag) @ filtered.weights[filtered.kind[k]]
@@ -39,9 +39,9 @@ def response(filtered: area.LowPass, k: int, frequency: Any) -> Any:
 
 @pytest.mark.parametrize("band", [0.3, 0.09])
 def test_what_is_wanted_passes_and_nothing_folds_onto_it(band: float) -> None:
-    steps = area.steps_of(band, 1.0)
-    assert steps == int(1 / (area.SPARE * band))
-    filtered = area.plan_lowpass(3000, steps, band)
+    steps = resampling.steps_of(band, 1.0)
+    assert steps == int(1 / (resampling.SPARE * band))
+    filtered = resampling.plan_lowpass(3000, steps, band)
     assert np.ptp(np.diff(filtered.places)) == 0 and filtered.places[1] - filtered.places[0] == steps
     passed = np.linspace(-band / 2, band / 2, 501)
     stopped = np.linspace(1 / steps - band / 2, 0.5, 501)
@@ -49,7 +49,7 @@ def test_what_is_wanted_passes_and_nothing_folds_onto_it(band: float) -> None:
     assert np.abs(response(filtered, middle, passed) - 1).max() < 1e-3  # TAPS give -77 dB
     assert np.abs(response(filtered, middle, stopped)).max() < 1e-3
     for k in np.flatnonzero(filtered.good)[[0, -1]]:  # beside the ends, as far as is said
-        assert np.abs(response(filtered, k, passed) - 1).max() <= 1.01 * filtered.error <= 1.01 * area.MOST_ERROR
+        assert np.abs(response(filtered, k, passed) - 1).max() <= 1.01 * filtered.error <= 1.01 * resampling.MOST_ERROR
         assert np.abs(response(filtered, k, stopped)).max() <= 1.01 * filtered.error
     assert np.count_nonzero(~filtered.good) <= 4  # of the sums, two at either end
 
@@ -58,7 +58,7 @@ def test_missing_samples_are_not_used_and_cost_what_is_said() -> None:
     rng = np.random.default_rng(3)
     present = rng.random(900) > 0.02
     band = 0.2
-    filtered = area.plan_lowpass(900, 4, band, present)
+    filtered = resampling.plan_lowpass(900, 4, band, present)
     for k in np.flatnonzero(filtered.good)[::9]:
         used = slice(filtered.first[k], filtered.first[k] + filtered.weights.shape[1])
         assert not filtered.weights[filtered.kind[k]][~present[used]].any()
@@ -110,7 +110,7 @@ def test_samples_of_an_area_are_those_of_its_targets_alone(make: Callable[..., C
     whole = fine(make)
     present = np.ones(whole.n_pulse, bool)
     present[[742, 753]] = False
-    cut = area.plan_cut(whole, AREA, present)
+    cut = resampling.plan_cut(whole, AREA, present)
     kept = cut.collection
     assert whole.n_pulse / kept.n_pulse > 1.9 and whole.n_range_frequency / kept.n_range_frequency > 1.9
     others = outside(kept)
@@ -128,19 +128,21 @@ def test_samples_of_an_area_are_those_of_its_targets_alone(make: Callable[..., C
     wanted = signal_of(kept, INSIDE, 1.0)
     error = np.abs(got - wanted).max(axis=1)
     filtered = cut.pulses.error + cut.frequencies.error
-    most = filtered * area.MOST_GROWTH * (len(INSIDE) + STRONG * len(others))  # one stops what the other lets grow
+    most = (
+        filtered * resampling.MOST_GROWTH * (len(INSIDE) + STRONG * len(others))
+    )  # one stops what the other lets grow
     lit = np.isfinite(error)
     assert lit.mean() > 0.95 and error[lit].max() <= most
     middle = np.abs(got - wanted)[n // 8 : n // 3, 10:-10]  # away from ends and missing pulses
     assert np.nanmax(middle) <= 1e-3 * (len(INSIDE) + STRONG * len(others))
     places = np.searchsorted(whole.time, kept.time + cut.later - 1e-9)
     np.testing.assert_array_equal(kept.antenna_position, whole.antenna_position[places])
-    assert max(each.stop - each.start for each in asked) <= area.PART  # memory does not grow with the file
+    assert max(each.stop - each.start for each in asked) <= resampling.PART  # memory does not grow with the file
 
 
 def test_only_pulses_that_light_an_area_are_kept() -> None:
     whole = fine(axis_collection)
-    cut = area.plan_cut(whole, ((8990.0, 9010.0), (40.0, 60.0)), np.ones(whole.n_pulse, bool))
+    cut = resampling.plan_cut(whole, ((8990.0, 9010.0), (40.0, 60.0)), np.ones(whole.n_pulse, bool))
     x, y = (each.ravel() for each in np.meshgrid(np.linspace(8990, 9010, 9), np.linspace(40, 60, 9)))
     sight = np.stack([x, y, 0 * x], axis=1) - whole.antenna_position[:, None]
     assert whole.beam_axis is not None and whole.beam_steering is not None and whole.beam_width is not None
@@ -151,7 +153,7 @@ def test_only_pulses_that_light_an_area_are_kept() -> None:
     assert kept == pytest.approx(lit[[0, -1]], abs=4)  # of places between those that are asked, and steps
     assert cut.collection.n_pulse * cut.collection.pulse_interval < 0.6 * whole.n_pulse * whole.pulse_interval
     with pytest.raises(InputError, match=r"--area 8990:9010,4000:4060 is lit at no time; give an area that the beam"):
-        area.plan_cut(whole, ((8990.0, 9010.0), (4000.0, 4060.0)), np.ones(whole.n_pulse, bool))
+        resampling.plan_cut(whole, ((8990.0, 9010.0), (4000.0, 4060.0)), np.ones(whole.n_pulse, bool))
 
 
 def test_an_area_that_was_not_recorded_is_refused() -> None:
@@ -159,7 +161,7 @@ def test_an_area_that_was_not_recorded_is_refused() -> None:
     with pytest.raises(
         InputError, match=r"--area 20000:20100,0:100 lies 10575.8 m in range from the middle of what was"
     ):
-        area.plan_cut(whole, ((20000.0, 20100.0), (0.0, 100.0)), np.ones(whole.n_pulse, bool))
+        resampling.plan_cut(whole, ((20000.0, 20100.0), (0.0, 100.0)), np.ones(whole.n_pulse, bool))
 
 
 # ---------------------------------------------------------------- files

@@ -20,10 +20,11 @@ from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_chips
-from blocksar.ingestion.sentinel1 import ancillary, propagation
+from blocksar.ingestion import orbit
+from blocksar.ingestion.sentinel1 import ancillary
+from blocksar.ingestion.sentinel1.histories import ColumnResampling
 from blocksar.ingestion.sentinel1.packets import read_headers
-from blocksar.ingestion.sentinel1.resampling import Resampling
-from blocksar.ingestion.terrain.earth import ellipsoid
+from blocksar.ingestion.terrain_earth import ellipsoid
 
 # Zero-Doppler time off the middle burst's, s, and range off the swath's middle, m. Two bursts see three of them: beams
 # look ahead by the lean of the antenna's axis.
@@ -317,7 +318,7 @@ def test_samples_are_resampled_to_the_moment_of_the_position(frequency: float) -
     def signal(moment: FloatArray) -> ComplexArray:
         return np.asarray(np.exp(2j * np.pi * (500 * moment + 9e3 * moment**2 + frequency * moment)), np.complex64)
 
-    resampling = Resampling.of(500 + 18e3 * time, late, s1.PRI)
+    resampling = ColumnResampling.of(500 + 18e3 * time, late, s1.PRI)
     received, wanted = signal(time[:, None] + late), signal(time[:, None] + 0 * late)
     received[390] = np.nan
     whole = resampling.apply(lambda pulses: received[pulses].copy(), slice(0, 400))
@@ -330,20 +331,20 @@ def test_samples_are_resampled_to_the_moment_of_the_position(frequency: float) -
 def test_states_are_carried_on_as_gravity_has_it() -> None:
     """Against an integration in axes that do not turn."""
     place, velocity = s1.state(3.0)
-    turn = np.array([0.0, 0.0, propagation.SPIN])
+    turn = np.array([0.0, 0.0, orbit.SPIN])
 
     def rates(_: float, y: FloatArray) -> FloatArray:
         r = float(np.linalg.norm(y[:3]))
-        factor = 1.5 * propagation.OBLATENESS * (propagation.RADIUS / r) ** 2
+        factor = 1.5 * orbit.OBLATENESS * (orbit.RADIUS / r) ** 2
         pull = 1 + factor * (np.array([1, 1, 3]) - 5 * (y[2] / r) ** 2)
-        return np.concatenate([y[3:], -propagation.GRAVITY / r**3 * y[:3] * pull])
+        return np.concatenate([y[3:], -orbit.GRAVITY / r**3 * y[:3] * pull])
 
     start = np.concatenate([place, velocity + np.cross(turn, place)])
     for seconds in (-7.3, 0.4, 12.0):
         end = solve_ivp(rates, (0, seconds), start, rtol=1e-12, atol=1e-6).y[:, -1]
-        c, s = np.cos(propagation.SPIN * seconds), np.sin(propagation.SPIN * seconds)
+        c, s = np.cos(orbit.SPIN * seconds), np.sin(orbit.SPIN * seconds)
         expected = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ end[:3]
-        found, _ = propagation.propagated(place, velocity, seconds)
+        found, _ = orbit.propagated(place, velocity, seconds)
         assert np.abs(found - expected).max() < 1e-4
 
 

@@ -17,10 +17,9 @@ from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
-from blocksar.ingestion.terrain import resampling
-from blocksar.ingestion.terrain.earth import datum_of, ellipsoid, read_geotiff
-from blocksar.ingestion.terrain.frame_grid import read_frame_grid, refuse_untagged
-from blocksar.ingestion.terrain.reading import Ground, terrain_notes
+from blocksar.ingestion import terrain_earth
+from blocksar.ingestion.terrain import Ground, read_frame_grid, terrain_notes
+from blocksar.ingestion.terrain_earth import datum_of, ellipsoid, read_geotiff, refuse_untagged
 from blocksar.places import place
 
 HERE = Georeference(latitude=47.0, longitude=11.0, height=600.0, rotation=25.0)
@@ -118,7 +117,7 @@ def test_a_map_that_breaks_is_followed_place_by_place(tmp_path: Path, monkeypatc
     """As one does where longitudes jump; elsewhere it is smooth, and cubic between nodes."""
     path = geotiff(tmp_path / "dem.tif", "EPSG:3035", plane_of)
     smooth = read_geotiff(path, "ellipsoid", HERE, X, Y)
-    monkeypatch.setattr(resampling, "BENT", 0.0)
+    monkeypatch.setattr(terrain_earth, "BENT", 0.0)
     exact = read_geotiff(path, "ellipsoid", HERE, X, Y)
     np.testing.assert_allclose(smooth.heights, exact.heights, rtol=0, atol=1e-6)
 

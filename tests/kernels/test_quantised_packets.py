@@ -10,8 +10,7 @@ import pytest
 from sentinel1_packets import encoded
 
 from blocksar.arrays import ComplexArray
-from blocksar.ingestion.sentinel1.packets import read_headers
-from blocksar.ingestion.sentinel1.samples import read_samples
+from blocksar.ingestion.sentinel1.packets import read_headers, read_samples
 from blocksar.kernels import quantised_packets as loops
 
 

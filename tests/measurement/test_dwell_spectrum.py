@@ -9,7 +9,7 @@ from axis_beams import axis_collection
 
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.measurement.dwell_spectrum import dwell_spectrum, shares
+from blocksar.products.look_spectra import dwell_spectrum, shares
 
 SIDE, STEP = 48, 0.8
 

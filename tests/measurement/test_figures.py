@@ -511,7 +511,7 @@ def test_the_stretch_suits_clutter_and_isolated_targets() -> None:
 
 
 def test_pictures_of_nothing_are_written(scene: Scene, tmp_path: Path) -> None:
-    from blocksar.products.pictures import mosaic, responses
+    from blocksar.products.pictures import blocks, responses
 
     target, image_x, image_y, image = scene
     dark = reader(np.full_like(image, np.nan))
@@ -520,7 +520,7 @@ def test_pictures_of_nothing_are_written(scene: Scene, tmp_path: Path) -> None:
         for read in (reader(image), dark)
     ]
     assert all(each is not None for each in several)
-    mosaic.plot_mosaic(dark, image_x, image_y, tmp_path / "dark.png")
+    blocks.plot_mosaic(dark, image_x, image_y, tmp_path / "dark.png")
     responses.plot_contours(several, tmp_path / "contours.png")  # type: ignore[arg-type]
     responses.plot_cuts(several, tmp_path / "cuts.png")  # type: ignore[arg-type]
     assert all(path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" for path in tmp_path.iterdir())

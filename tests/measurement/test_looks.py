@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from blocksar.errors import InputError
-from blocksar.measurement.looks import checked_looks, decibels, multilook, power_of
+from blocksar.measurement.multilooking import checked_looks, decibels, multilook, power_of
 
 
 def clutter(shape: tuple[int, int], occupied: tuple[float, float], seed: int = 0) -> Any:

@@ -11,7 +11,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.measurement.axes import response_axes
-from blocksar.measurement.looks import multilook, power_of
+from blocksar.measurement.multilooking import multilook, power_of
 from blocksar.measurement.response import ReadChip
 from blocksar.measurement.scenery import ambiguity_place, measure_area, noise_floor, strongest_about
 

@@ -9,7 +9,7 @@ import sys
 import psutil
 import pytest
 
-from blocksar.places.owners import is_alive, this_process
+from blocksar.places.locks import is_alive, this_process
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="Linux counts the start of processes from the boot")

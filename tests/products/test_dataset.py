@@ -18,7 +18,7 @@ import blocksar
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.products.geotiff import cog
+from blocksar.products import geotiff
 from blocksar.products.pixels import Pixels
 
 pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # by affine, in rioxarray
@@ -190,4 +190,4 @@ def test_a_rotated_frame_has_no_grid_mapping(tmp_path: Path) -> None:
 
 
 def test_the_default_projection_is_kept_where_it_is_accurate(made: Made) -> None:
-    assert cog.place_pixels(Pixels(made.source, "amplitude"), DAYTON).offset.tolist() == [0.0, 0.0]
+    assert geotiff.place_pixels(Pixels(made.source, "amplitude"), DAYTON).offset.tolist() == [0.0, 0.0]

@@ -17,7 +17,9 @@ def test_panels_share_one_scale_and_one_legend(tmp_path: Path, monkeypatch: pyte
     edges, x = np.arange(5.0), np.linspace(0, 4, 9)
     maps = [panels.Map(np.full((4, 4), value), edges, edges, value - 30, value) for value in (0.0, -20.0)]
     drawn = [
-        panels.Panel("map", "s", "Hz", [panels.Trace("line", x, x, "red", style)], [panels.Level("limit", 2.0)], shown)
+        panels.Panel(
+            "map", "s", "Hz", [panels.Trace("line", x, x, "red", style)], [panels.LimitLine("limit", 2.0)], shown
+        )
         for shown, style in zip(maps, ("--", "."), strict=True)
     ]
     panels.plot_panels(drawn, tmp_path / "panels.png", bar="power (dB)")

@@ -17,7 +17,7 @@ from small_run import TARGETS, hilly, make, ridge
 
 import blocksar
 from blocksar.places import place
-from blocksar.products.pictures.relief import read_relief
+from blocksar.products.page.picture import read_relief
 from blocksar.runs.finished import FinishedRun
 
 

@@ -27,7 +27,7 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.measurement.targets import Target
 from blocksar.places import place
-from blocksar.products.sicd.layout import Layout, cut_width, find_support, lay_out, valid_data
+from blocksar.products.shared_metadata import Layout, cut_width, find_support, lay_out, valid_data
 from blocksar.runs import finished
 
 LOOKS = [(0.1, False), (0.9, False), (2.6, False), (-1.9, True)]  # rad, with a beam; rows run along each direction

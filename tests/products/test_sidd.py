@@ -18,7 +18,7 @@ from small_run import DAYTON, TARGETS, Made, hilly, make, ridge
 import blocksar
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
-from blocksar.products.collect import MARKS
+from blocksar.products.shared_metadata import MARKS
 
 
 def assert_sound(found: Sidd) -> None:

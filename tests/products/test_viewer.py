@@ -18,7 +18,7 @@ from small_run import TARGETS, Made, make
 import blocksar
 from blocksar import stores
 from blocksar.kernels.halving import halve
-from blocksar.products.viewer.server import NOTHING, Tiles
+from blocksar.products.viewer import NOTHING, ViewerTiles
 
 CHROMIUM = os.environ.get("BLOCKSAR_CHROMIUM") or next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
@@ -73,7 +73,7 @@ def fetch(url: str, **headers: str) -> tuple[int, bytes, Any]:
 def test_tiles_are_the_mean_power_of_their_cells(large: Made, with_pyramid: Made) -> None:
     power = np.abs(large.image.astype(np.complex128)) ** 2
     for made in (large, with_pyramid):
-        tiles = Tiles(made.source)
+        tiles = ViewerTiles(made.source)
         assert tiles.shapes == [(590, 701), (295, 351), (148, 176)]
         for level, row, column in ((0, 1, 2), (1, 0, 1), (1, 1, 0), (2, 0, 0)):
             found, window = tiles.power(level, row, column), tiles.window(level, row, column)

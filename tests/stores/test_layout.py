@@ -16,12 +16,12 @@ from blocksar import stores
 from blocksar.collection.collection import Collection
 from blocksar.errors import InputError
 from blocksar.places import place
-from blocksar.stores import arrays, chunk_files, phase_history, schema
-from blocksar.stores.schema import Variable
+from blocksar.stores import chunk_files, contract, phase_history, regions
+from blocksar.stores.contract import Variable
 
 SCHEMAS: dict[str, dict[str, Variable]] = {
     name: value
-    for name, value in vars(schema).items()
+    for name, value in vars(contract).items()
     if isinstance(value, dict) and all(isinstance(variable, Variable) for variable in value.values())
 }
 SCHEMAS |= {
@@ -109,7 +109,7 @@ def test_a_store_has_the_bytes_that_zarr_writes(name: str, small: bool, tmp_path
 
 def through_zarr(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave every array and group to zarr."""
-    monkeypatch.setattr(arrays, "chunk_files_of", lambda *_: None)
+    monkeypatch.setattr(regions, "chunk_files_of", lambda *_: None)
     monkeypatch.setattr(phase_history, "group_attrs", lambda _: None)
 
 
@@ -122,7 +122,7 @@ def own(small_collection: Collection, tmp_path: Path) -> Path:
 def test_a_store_is_opened_alike_through_zarr(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(
         chunk_files.chunk_files_of(place(own), name)
-        for name in (*schema.PHASE_HISTORY, "channel")
+        for name in (*contract.PHASE_HISTORY, "channel")
         if name != "beam_axis"
     )
     direct = stores.open_phase_history(own)

@@ -8,8 +8,7 @@ from blocksar.focusing.azimuth_steps import Deramp, FrequencyPerturbation
 from blocksar.focusing.lines import focus
 from blocksar.focusing.range_steps import Compression
 from blocksar.measurement.figures import ProfileQuality, profile_quality
-from blocksar.products.pictures.figures import CURVE_COLOURS
-from blocksar.products.pictures.panels import Panel, Style, Trace, plot_panels
+from blocksar.products.pictures.panels import CURVE_COLOURS, Panel, Style, Trace, plot_panels
 from papers.bench import Bench, plan_scene
 from papers.comparison import ABOVE_QUARTER, QUARTER, Exhibit, Row, below
 from papers.sectors import same_range

@@ -8,8 +8,7 @@ from blocksar.arrays import FloatArray
 from blocksar.focusing.lines import focus
 from blocksar.measurement.figures import PointResponse
 from blocksar.planning.plan import Plan
-from blocksar.products.pictures.figures import CURVE_COLOURS
-from blocksar.products.pictures.panels import Level, Panel, Trace, plot_panels
+from blocksar.products.pictures.panels import CURVE_COLOURS, LimitLine, Panel, Trace, plot_panels
 from papers.bench import SWATH, Bench, plan_scene
 from papers.comparison import Cell, Exhibit, Row, Table, listed, minus
 from papers.printed import NAMES
@@ -27,7 +26,7 @@ def closed_form(bench: Bench) -> Exhibit:
             residual = residual_phase(plan_scene("table1", blocks, coefficients=coefficients), ranges)
             traces.append(Trace(coefficients, ranges / 1e3, residual, colour))
             rows.append(Row(f"{title}, {coefficients}, worst range", float(residual.max()), "rad", digits=4))
-        limits = [Level("π/4", np.pi / 4)]
+        limits = [LimitLine("π/4", np.pi / 4)]
         panels.append(Panel(title, "range (km)", "phase (rad)", traces, limits, y_limits=(1e-4, 10.0), log=True))
     plot_panels(panels, path, columns=3, size=(3.5, 2.9), title="Residual quadratic phase at the edge of the dwell")
     runs = {kind: bench.run("table1", blocks=1, coefficients=kind) for kind in ("closed-form", "fitted")}

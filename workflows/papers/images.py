@@ -12,7 +12,7 @@ from blocksar.measurement.figures import PointResponse
 from blocksar.measurement.targets import Target
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.plan import Plan
-from blocksar.products.pictures import mosaic
+from blocksar.products.pictures import blocks
 from blocksar.products.pictures.overview import overview
 from blocksar.products.pictures.panels import Mark, Panel, as_map, plot_panels
 from blocksar.stores import read_region
@@ -105,7 +105,7 @@ def figure13(bench: Bench) -> Exhibit:
         panels.append(Panel(title, "x (km)", "y (km)", map=shown, equal=True))
     plot_panels(panels, path, columns=3, size=(3.7, 3.3), title="Blocks after geometric correction",
                 bar="power (dB, unit reflectivity = 0)")  # fmt: skip
-    mosaic.plot_mosaic(
+    blocks.plot_mosaic(
         run.read, run.x, run.y, whole, read_block=run.read_block, targets=targets("table1"), labels=NAMES,
         title="(d) blocks combined",
     )  # fmt: skip

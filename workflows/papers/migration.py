@@ -6,8 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from blocksar.products.pictures.figures import CURVE_COLOURS
-from blocksar.products.pictures.panels import Panel, Trace, plot_panels
+from blocksar.products.pictures.panels import CURVE_COLOURS, Panel, Trace, plot_panels
 from papers.bench import SWATH, Bench, plan_scene
 from papers.comparison import Exhibit, Row, above, below
 from papers.sectors import same_range

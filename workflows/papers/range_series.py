@@ -6,8 +6,7 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.collection import range_series
-from blocksar.products.pictures.figures import CURVE_COLOURS
-from blocksar.products.pictures.panels import Level, Panel, Trace, plot_panels
+from blocksar.products.pictures.panels import CURVE_COLOURS, LimitLine, Panel, Trace, plot_panels
 from papers.bench import SWATH, Bench, geometry
 from papers.comparison import ABOVE_QUARTER, BELOW_QUARTER, QUARTER, Exhibit, Row, below
 from papers.sectors import YAWS, Sector, sectors
@@ -39,7 +38,7 @@ def phase_panel(title: str, order: int, *, blocks: int, kept: int) -> tuple[Pane
         Trace(f"{name} range, {rng / 1e3:.1f} km", np.degrees(yaw), values, colour)
         for (name, rng), values, colour in zip(SWATH.items(), phase, CURVE_COLOURS, strict=False)
     ]
-    levels = (Level("±π/4", QUARTER), Level("", -QUARTER))
+    levels = (LimitLine("±π/4", QUARTER), LimitLine("", -QUARTER))
     return Panel(title, "yaw (°)", "phase (π rad)", curves, levels), float(np.nanmax(np.abs(phase)))
 
 

@@ -20,8 +20,7 @@ from blocksar.kernels.fourier import Axis, dual, unit_phasor
 from blocksar.planning.plan import Plan
 from blocksar.planning.planner import plan_collection
 from blocksar.planning.target_lines import find_dwells
-from blocksar.products.pictures.figures import CURVE_COLOURS
-from blocksar.products.pictures.panels import Map, Mark, Panel, Style, Trace, plot_panels
+from blocksar.products.pictures.panels import CURVE_COLOURS, Map, Mark, Panel, Style, Trace, plot_panels
 from blocksar.simulation.scatterers import simulate_pulses
 from blocksar.simulation.scene import Scene
 from papers.bench import SWATH, THREADS, Bench, geometry, plan_scene, scene, targets

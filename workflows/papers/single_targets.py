@@ -20,8 +20,7 @@ from blocksar.kernels.fourier import Axis
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.plan import Plan
 from blocksar.planning.target_lines import find_dwells
-from blocksar.products.pictures.figures import CURVE_COLOURS, LIMIT
-from blocksar.products.pictures.panels import Map, Panel, Trace
+from blocksar.products.pictures.panels import CURVE_COLOURS, LIMIT, Map, Panel, Trace
 from blocksar.simulation.scatterers import simulate_pulses
 from papers.bench import THREADS, geometry, plan_scene
 from papers.sectors import Place

@@ -24,7 +24,7 @@ those delays is computed, kept below `ACCURACY`, and reported; a few samples at 
 be exceeded, are left out, and where TOA1 .. TOA2 fills all of 1 / SCSS, the delays at its ends. Samples beyond FX1 and
 FX2, which a vector may have but which carry no meaning, are not used.
 
-Tropospheric and ionospheric delays up to the SRP are part of the file's reference and removed with it (`troposphere`
+Tropospheric and ionospheric delays up to the SRP are part of the file's reference and removed with it (`samples`
 has what is done otherwise); their variation over the scene remains. With SGN = +1 the reflectivity is conjugated as
 well, as if time ran backwards.
 
@@ -36,7 +36,7 @@ reference point (IARP), which becomes the origin and is stored in the attribute 
 of a monostatic collection are at two points of one track, since the platform moves during the pulse's travel time; the
 phase centre is taken midway between them. This is exact at the SRP; the range error elsewhere is computed at the
 corners of the image area, reported, and refused beyond `MAX_BISTATIC` wavelengths. Slow time is the time of
-transmission relative to the middle vector. Vectors absent from the uniform times, and those that are lost (`faults`,
+transmission relative to the middle vector. Vectors absent from the uniform times, and those that are lost (`vectors`,
 `echoes`), are missing pulses. If times are not uniform, signals are referenced to one fixed point and resampled
 (`resampling`) within the Doppler band of the image area, and the error is reported.
 
@@ -47,7 +47,7 @@ A file is read in blocks of vectors, and only the samples in the common band if 
 
 from __future__ import annotations
 
-from blocksar.ingestion.cphd.choices import Choices
 from blocksar.ingestion.cphd.files import NAMESPACE, library
+from blocksar.ingestion.cphd.reader import Choices
 
 __all__ = ["NAMESPACE", "Choices", "library"]

@@ -62,7 +62,7 @@ class _Side(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Antenna:
+class ChannelAntenna:
     """The antenna at the pulses, in the scene frame.
 
     Attributes
@@ -137,7 +137,7 @@ class Antenna:
 
 def read_antenna(
     file: CphdFile, pulses: Pulses, frame: Georeference, position: FloatArray, carrier: float
-) -> Antenna | None:
+) -> ChannelAntenna | None:
     """The antenna that the channel names; None if it names none.
 
     Parameters
@@ -184,7 +184,7 @@ def read_antenna(
         left.append(f"the angle of {np.degrees(apart):.3g} degrees between transmitter and receiver")
     boresight = np.mean([side.boresight for side in sides], axis=0)
     normal = np.cross(axis, across) * (1.0 if (which == 0) == (sign > 0) else -1.0)
-    antenna = Antenna(
+    antenna = ChannelAntenna(
         axis=axis, across=across, normal=normal, steering=np.arcsin(np.clip(sign * boresight[:, which], -1, 1)),
         tilt=boresight[:, 1 - which], sides=sides, left=tuple(dict.fromkeys(left)),
     )  # fmt: skip

@@ -19,13 +19,13 @@ from blocksar.collection.beam import turned_near
 from blocksar.collection.collection import check_axis_beam
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
-from blocksar.ingestion.cphd.antennas import Antenna, read_antenna, sampled
+from blocksar.ingestion.cphd.antennas import ChannelAntenna, read_antenna, sampled
 from blocksar.ingestion.cphd.areas import AS_IT_IS, SWAPPED, ImageArea, area_points, describe_turn, ecef_of
 from blocksar.ingestion.cphd.files import CphdFile, child_of, polynomial_of, text_of
 from blocksar.ingestion.cphd.vectors import Pulses
 
 
-class Dwells(NamedTuple):
+class DwellPoints(NamedTuple):
     """Points (n, 3) all over the image area, scene frame, m, with their centre of dwell and dwell time (n,), s."""
 
     ground: FloatArray
@@ -33,7 +33,7 @@ class Dwells(NamedTuple):
     length: FloatArray
 
 
-def read_dwells(file: CphdFile, frame: Georeference, area: ImageArea, turn: FloatArray) -> Dwells:
+def read_dwells(file: CphdFile, frame: Georeference, area: ImageArea, turn: FloatArray) -> DwellPoints:
     """Evaluate the channel's polynomials, in image-area coordinates turned by (2, 2) `turn`.
 
     Raises
@@ -57,7 +57,7 @@ def read_dwells(file: CphdFile, frame: Georeference, area: ImageArea, turn: Floa
     cod, dwell = (polynomial.polyval2d(along, across, table) for table in tables)
     if not (np.isfinite(cod).all() and np.isfinite(dwell).all() and dwell.min() > 0):
         raise InputError("they are not finite and above 0 over the image area")
-    return Dwells(frame.from_ecef(ecef_of(file, np.stack([x, y], axis=1))), np.asarray(cod), np.asarray(dwell))
+    return DwellPoints(frame.from_ecef(ecef_of(file, np.stack([x, y], axis=1))), np.asarray(cod), np.asarray(dwell))
 
 
 FULL_DWELL = 0.95  # share of the collection from which a target counts as always lit
@@ -128,7 +128,7 @@ def _of_dwells(
     frame: Georeference,
     position: FloatArray,
     area: ImageArea,
-    antenna: Antenna | None,
+    antenna: ChannelAntenna | None,
     given: list[str],
     turn: FloatArray,
 ) -> StatedBeam:
@@ -162,7 +162,9 @@ def _unsteered(pulses: Pulses, message: str, notes: list[str]) -> StatedBeam:
 # ---------------------------------------------------------------- the antenna's own beam
 
 
-def _by_antenna(antenna: Antenna, pulses: Pulses, position: FloatArray, dwells: Dwells, notes: list[str]) -> StatedBeam:
+def _by_antenna(
+    antenna: ChannelAntenna, pulses: Pulses, position: FloatArray, dwells: DwellPoints, notes: list[str]
+) -> StatedBeam:
     """The antenna's axis and steering, with the width that the dwells have about it.
 
     Raises
@@ -196,7 +198,7 @@ def _by_antenna(antenna: Antenna, pulses: Pulses, position: FloatArray, dwells: 
 
 
 def _by_pattern(
-    antenna: Antenna, pulses: Pulses, position: FloatArray, ground: FloatArray, notes: list[str]
+    antenna: ChannelAntenna, pulses: Pulses, position: FloatArray, ground: FloatArray, notes: list[str]
 ) -> StatedBeam:
     """The antenna's axis and steering, as wide as half of its power one way: for files without dwells."""
     edges = antenna.half_power()
@@ -224,7 +226,7 @@ def _words(steering: FloatArray) -> str:
 
 
 def _with_patterns(
-    antenna: Antenna,
+    antenna: ChannelAntenna,
     steering: FloatArray,
     width: float,
     pulses: Pulses,
@@ -278,7 +280,7 @@ def _usable(which: str, gain: FloatArray, at_boresight: float, notes: list[str])
     return float(np.ptp(gain)) > FLAT
 
 
-def _across(antenna: Antenna, position: FloatArray, ground: FloatArray, width: float) -> FloatArray:
+def _across(antenna: ChannelAntenna, position: FloatArray, ground: FloatArray, width: float) -> FloatArray:
     """Direction cosines across the beam, off the boresight's, at which the beam sees points (n, 3), and more, (m,)."""
     seen = [np.zeros(1)]
     for pulse in np.unique(np.linspace(0, position.shape[0] - 1, CHECKED_PULSES).astype(int)):
@@ -292,7 +294,7 @@ def _across(antenna: Antenna, position: FloatArray, ground: FloatArray, width: f
     return np.linspace(low - margin, high + margin, PATTERN_SAMPLES)
 
 
-def _turned_gain(antenna: Antenna, across: FloatArray, down: FloatArray, gain: FloatArray) -> float:
+def _turned_gain(antenna: ChannelAntenna, across: FloatArray, down: FloatArray, gain: FloatArray) -> float:
     """By how many dB the gain over elevation (n,) differs at the ends of the collection."""
     order, worst = np.argsort(down), 0.0
     for pulse in (0, antenna.steering.size - 1):
@@ -304,7 +306,7 @@ def _turned_gain(antenna: Antenna, across: FloatArray, down: FloatArray, gain: F
     return worst
 
 
-def _scanned_gain(antenna: Antenna) -> float:
+def _scanned_gain(antenna: ChannelAntenna) -> float:
     """By how many dB the gain of both ways at the boresight changes over the steering, by the elements' pattern."""
     p = antenna.pulse
     total = np.zeros(antenna.steering.size)
@@ -313,7 +315,7 @@ def _scanned_gain(antenna: Antenna) -> float:
     return float(np.abs(total - total[p]).max())
 
 
-def _unused_gain(antenna: Antenna, position: FloatArray, ground: FloatArray) -> str:
+def _unused_gain(antenna: ChannelAntenna, position: FloatArray, ground: FloatArray) -> str:
     """In words, how far the gain over the image area, which is left out, changes."""
     offset = _offsets(antenna.axis, antenna.steering, position, ground)
     gain = antenna.azimuth_gain(np.linspace(offset.min(), offset.max(), PATTERN_SAMPLES))
@@ -325,7 +327,7 @@ def _unused_gain(antenna: Antenna, position: FloatArray, ground: FloatArray) -> 
 # ---------------------------------------------------------------- beams fitted to dwells
 
 
-def _by_dwells(pulses: Pulses, position: FloatArray, dwells: Dwells, notes: list[str]) -> StatedBeam:
+def _by_dwells(pulses: Pulses, position: FloatArray, dwells: DwellPoints, notes: list[str]) -> StatedBeam:
     """The better of a yaw about the nadir and a steering about the velocity, where either reproduces the dwells."""
     although = "beam not steered, although targets are lit for part of the time only: "
     if np.ptp(dwells.centre) < 0.05 * dwells.length.mean():
@@ -346,7 +348,7 @@ def _missed(law: _Law) -> str:
     return f"misses them by {law.miss:.2g} of a dwell" if np.isfinite(law.miss) else "is no beam of a store"
 
 
-def _yaw_law(pulses: Pulses, position: FloatArray, dwells: Dwells) -> _Law:
+def _yaw_law(pulses: Pulses, position: FloatArray, dwells: DwellPoints) -> _Law:
     """A yaw that is a polynomial of the centre of dwell, continued to the ends of the collection."""
     moment, cod = pulses.reference_time, dwells.centre
     nadir = position[position.shape[0] // 2, :2]
@@ -384,7 +386,7 @@ def _fit_yaw(u: FloatArray, yaw: FloatArray) -> tuple[FloatArray, float]:
     return fits[-1]
 
 
-def _axis_law(pulses: Pulses, position: FloatArray, dwells: Dwells) -> _Law:
+def _axis_law(pulses: Pulses, position: FloatArray, dwells: DwellPoints) -> _Law:
     """A steering about the velocity, or about an axis at a yaw off it where that reproduces the dwells better."""
     law = _steering_law(pulses, position, dwells, 0.0)
     if law.miss <= CLOSE or np.count_nonzero(_edges(pulses, dwells)[2]) < LEAST_POINTS:
@@ -401,7 +403,7 @@ def _axis_law(pulses: Pulses, position: FloatArray, dwells: Dwells) -> _Law:
     return turned if turned.miss < law.miss / 2 else law
 
 
-def _steering_law(pulses: Pulses, position: FloatArray, dwells: Dwells, turn: float) -> _Law:
+def _steering_law(pulses: Pulses, position: FloatArray, dwells: DwellPoints, turn: float) -> _Law:
     """A steering that is a polynomial s(t), and a width w, by least squares, about the velocity turned by a yaw, rad.
 
     With a(t) the angle of a point off the plane normal to the axis, a = s - w/2 at one end of its dwell, and
@@ -448,7 +450,7 @@ def _steering_law(pulses: Pulses, position: FloatArray, dwells: Dwells, turn: fl
 # ---------------------------------------------------------------- angles
 
 
-def _edges(pulses: Pulses, dwells: Dwells) -> tuple[FloatArray, FloatArray, BoolArray]:
+def _edges(pulses: Pulses, dwells: DwellPoints) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Beginning and end of each dwell (n,), s, and whether both lie within the collection."""
     first, last = dwells.centre - dwells.length / 2, dwells.centre + dwells.length / 2
     start, end = pulses.reference_time[[0, -1]]

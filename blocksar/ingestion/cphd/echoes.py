@@ -1,26 +1,126 @@
-"""The samples of a channel as pulses of a store: reading them, and which pulses turn out to be lost."""
+"""The samples of a channel as pulses of a store: reading them, the sign of their phase, and pulses that are lost.
+
+*Sign.* A source states the window of delays that its samples hold, or the grid has the ground that they show. The
+conjugate of a signal lies in the mirror image of that window about the reference range. A spotlight about a fixed point
+may be as sharp there, so that its energy tells what its sharpness does not.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
-from blocksar.arrays import BoolArray, ComplexArray, IntArray
+from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.chunks import TILE
 from blocksar.collection.collection import Collection
 from blocksar.collection.empty_pulses import missing_pulses
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.ingestion.area import Area, Cut, plan_cut
 from blocksar.ingestion.cphd.files import CphdFile, reading_file
 from blocksar.ingestion.cphd.samples import Delays, Resampler, phasor
 from blocksar.ingestion.cphd.vectors import NOT_FINITE, ZEROS, Lost, Pulses, VectorResampling
 from blocksar.ingestion.readers import Piece
-from blocksar.ingestion.resampling import MOST_ERROR
-from blocksar.measurement.window import WindowEnergy, energy_in_window
+from blocksar.ingestion.resampling import MOST_ERROR, Area, AreaCut, plan_cut
+from blocksar.kernels.fourier import fft_rows
+
+# ---------------------------------------------------------------- sign
+
+GROUP = 256  # pulses that are transformed at a time
+GUARD = 8  # bins about the ends of the window that are left out: a Hann weighting leaks 1e-6 of a target beyond
+LEAK = 1e-4  # of all energy: with less in either part, they hold what leaks from between them
+CLEAR = 3.0  # dB
+SIGNIFICANT = 5.0  # standard deviations; by chance once in 3 million
+
+
+class WindowEnergy(NamedTuple):
+    """Where the energy of a signal lies, against the window that is stated for it.
+
+    Attributes
+    ----------
+    inside, mirrored : float
+        Share of the energy inside the window as given, and with the signal conjugated.
+    gain : float
+        Power per bin where only the window is, over that where only its mirror image is, dB; 0 where nothing lies in
+        either, as with a window that is its own mirror image.
+    deviation : float
+        Standard deviation of `gain` if both hold speckle of the same power, dB.
+    """
+
+    inside: float
+    mirrored: float
+    gain: float
+    deviation: float
+
+    @property
+    def conjugated(self) -> bool | None:
+        """Whether the signal is conjugated; None if its energy does not tell."""
+        if abs(self.gain) < max(CLEAR, SIGNIFICANT * self.deviation):
+            return None
+        return self.gain < 0
+
+
+def energy_in_window(
+    signal: ComplexArray, *, frequency_step: float, near: FloatArray | float, far: FloatArray | float
+) -> WindowEnergy:
+    """Compare the energy inside a window of range with that inside its mirror image about the reference range.
+
+    Under either sign the part of the range axis that only the true window covers holds echoes and noise, and the part
+    that only the mirror image covers holds noise. Speckle whose power is averaged over m independent bins deviates by
+    10 / ln 10 / sqrt(m) dB; range profiles of a spotlight hardly change from pulse to pulse, so only the bins of one
+    pulse count as independent.
+
+    Parameters
+    ----------
+    signal : (n_pulse, n_frequency) complex64
+        With the phase -4 pi (fc + f) / c (R - reference_range); NaN where missing. Not changed.
+    frequency_step : float
+        Hz. Ranges are told apart up to c / (4 frequency_step) on either side of the reference; those beyond fold back.
+    near, far : float or (n_pulse,) float
+        Ends of the window, R - reference_range, m: c / 2 times TOA1 and TOA2 of a CPHD file.
+
+    Returns
+    -------
+    WindowEnergy
+
+    Raises
+    ------
+    ValueError
+        If the window is empty.
+    """
+    n_pulse, n = signal.shape
+    ends = [np.broadcast_to(np.asarray(end, np.float64), (n_pulse,))[:, None] for end in (near, far)]
+    if not (ends[0] < ends[1]).all():
+        raise ValueError(f"need near < far, got {near=} {far=}")
+    spacing = SPEED_OF_LIGHT / (2 * n * frequency_step)
+    offset = spacing * ((np.arange(n) + n // 2) % n - n // 2)  # of the bins, as the transform has them
+    span, guard = n * spacing, GUARD * spacing
+    hann = (1 + np.cos(2 * np.pi * (np.arange(n) - (n - 1) / 2) / n)).astype(np.float32)
+    energy, bins = np.zeros(5), np.zeros(5)  # all, inside, mirrored, only inside, only mirrored
+    for first in range(0, n_pulse, GROUP):
+        rows = slice(first, first + GROUP)
+        low, high = ends[0][rows], ends[1][rows]
+        profile = fft_rows(np.nan_to_num(signal[rows]) * hann, inverse=True)
+        power = np.abs(profile).astype(np.float64) ** 2
+        inside, mirrored = (np.mod(each - low, span) <= high - low for each in (offset, -offset))
+        around, around_mirrored = (
+            np.mod(each - low + guard, span) <= high - low + 2 * guard for each in (offset, -offset)
+        )
+        for k, part in enumerate((None, inside, mirrored, inside & ~around_mirrored, mirrored & ~around)):
+            energy[k] += power.sum() if part is None else power[part].sum()
+            bins[k] += power.size if part is None else part.sum()
+    shares = energy / max(energy[0], 1e-300)
+    gain, independent = 0.0, bins[3:].min() / n_pulse
+    if independent >= 1 and shares[3:].max() > LEAK:
+        gain = float(10 * np.log10(max(energy[3] / bins[3], 1e-300) / max(energy[4] / bins[4], 1e-300)))
+    # Neighbouring bins of a Hann-weighted profile are not independent: two in three are.
+    deviation = 10 / np.log(10) * np.sqrt(2 * 1.5 / max(independent, 1.0))
+    return WindowEnergy(float(shares[1]), float(shares[2]), gain, float(deviation))
+
+
+# ---------------------------------------------------------------- samples
 
 ROWS = TILE[0]  # pulses written at a time
 PART = 64  # vectors resampled in frequency at a time
@@ -28,7 +128,7 @@ MOST_ROWS = 64  # vectors that tell the sign
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Echoes:
+class ChannelEchoes:
     """Where a channel's samples come from, and what is done with them.
 
     Attributes
@@ -50,7 +150,7 @@ class Echoes:
     area: Area | None = None
 
     @cached_property
-    def cut(self) -> Cut | None:
+    def cut(self) -> AreaCut | None:
         """How what is stored comes from all pulses; None if that is all."""
         return None if self.area is None else plan_cut(self.collection, self.area, self.pulses.vector >= 0)
 
@@ -59,7 +159,7 @@ class Echoes:
         """The collection that is stored."""
         return self.collection if self.cut is None else self.cut.collection
 
-    def cut_without(self, missing: BoolArray) -> Cut | None:
+    def cut_without(self, missing: BoolArray) -> AreaCut | None:
         """`cut`, with sums that leave out some of the pulses (n_pulse,)."""
         if self.area is None or self.cut is None:
             return None
@@ -67,7 +167,7 @@ class Echoes:
         return replace(self.cut, pulses=again.pulses)
 
 
-class Reader:
+class SampleReader:
     """Reads pulses of a channel, and keeps in mind which vectors hold nothing.
 
     Attributes
@@ -79,7 +179,7 @@ class Reader:
         Pulses that are given as missing, beside those that have no vector.
     """
 
-    def __init__(self, echoes: Echoes, stream: BinaryIO, notes: BoolArray) -> None:
+    def __init__(self, echoes: ChannelEchoes, stream: BinaryIO, notes: BoolArray) -> None:
         self._echoes, self._stream = echoes, stream
         self.seen, self.empty, self.broken = notes
         self.missing = np.zeros(echoes.pulses.vector.size, np.bool_)
@@ -104,7 +204,7 @@ class Reader:
         block[self.missing[pulses]] = np.nan
         return block
 
-    def stored(self, cut: Cut | None, pulses: slice) -> ComplexArray:
+    def stored(self, cut: AreaCut | None, pulses: slice) -> ComplexArray:
         """Samples of some of the pulses that are stored."""
         read = self.read if cut is None else cut.reader(self.read, self._echoes.resampler.frequency)
         with reading_file(self._echoes.file.path):
@@ -170,7 +270,7 @@ class Reader:
 
 
 @dataclass(kw_only=True, eq=False)
-class Found:
+class ChannelFindings:
     """Findings in the samples of a channel, once all are written."""
 
     lost: list[Lost]
@@ -178,12 +278,14 @@ class Found:
     sign: WindowEnergy | None  # see `signs`
 
 
-def notes_of(echoes: Echoes) -> BoolArray:
-    """Notes of a `Reader` on vectors, before any is read: seen, empty and broken ones."""
+def notes_of(echoes: ChannelEchoes) -> BoolArray:
+    """Notes of a `SampleReader` on vectors, before any is read: seen, empty and broken ones."""
     return np.zeros((3, echoes.file.shape[0]), np.bool_)
 
 
-def read_samples(channels: Sequence[Echoes], notes: Sequence[BoolArray], found: list[Found]) -> Iterator[Piece]:
+def read_samples(
+    channels: Sequence[ChannelEchoes], notes: Sequence[BoolArray], found: list[ChannelFindings]
+) -> Iterator[Piece]:
     """Read the samples of channels, one block of pulses at a time; lost pulses are missing.
 
     Blocks that change with what is known of lost pulses at the end are given again. Notes, an array a channel, are
@@ -193,7 +295,7 @@ def read_samples(channels: Sequence[Echoes], notes: Sequence[BoolArray], found: 
     blocks = [slice(first, min(first + ROWS, stored.n_pulse)) for first in range(0, stored.n_pulse, ROWS)]
     for number, echoes in enumerate(channels):
         with echoes.file.path.open() as stream:
-            reader = Reader(echoes, stream, notes[number])
+            reader = SampleReader(echoes, stream, notes[number])
             for pulses in blocks:
                 yield Piece(number, pulses, partial(reader.stored, echoes.cut, pulses))
             with reading_file(echoes.file.path):
@@ -206,10 +308,10 @@ def read_samples(channels: Sequence[Echoes], notes: Sequence[BoolArray], found: 
                         yield Piece(number, pulses, partial(reader.stored, cut, pulses))
             missing = int(np.count_nonzero(reader.missing & (echoes.pulses.vector >= 0)))
             with reading_file(echoes.file.path):
-                found.append(Found(lost=lost, missing=missing, sign=reader.sign()))
+                found.append(ChannelFindings(lost=lost, missing=missing, sign=reader.sign()))
 
 
-def _affected(missing: BoolArray, cut: Cut | None) -> BoolArray:
+def _affected(missing: BoolArray, cut: AreaCut | None) -> BoolArray:
     """The pulses that are stored, and change if some (n_pulse,) of all are missing."""
     if cut is None:
         return missing

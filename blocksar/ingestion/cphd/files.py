@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.errors import InputError, library_for
-from blocksar.ingestion.found import refuse_others
 from blocksar.ingestion.kinds import Kind, matches
+from blocksar.ingestion.readers import refuse_others
 from blocksar.ingestion.reading import reading
 from blocksar.places.ranges import Readable
 

@@ -1,7 +1,8 @@
-"""Orbit and attitude in packets: each carries one of 64 words, which follow each other from packet to packet.
+"""Orbit and attitude of Sentinel-1, from packets or from files of precise orbits; and GPS time, which packets have.
 
-Words 1 to 22 are position and velocity with their time, 23 to 41 the attitude's quaternion (S1-IF-ASD-PL-0007, tables
-3.2-5 and 3.2-6). Times are GPS seconds of 32 bits with a fraction of 24.
+Packets carry one of 64 words each, which follow each other. Words 1 to 22 are position and velocity with their time, 23
+to 41 the attitude's quaternion (S1-IF-ASD-PL-0007, tables 3.2-5 and 3.2-6). Times are GPS seconds of 32 bits with a
+fraction of 24.
 
 The document does not say between which axes the quaternion turns. The antenna's azimuth axis is x of the satellite's
 body, and the satellite is steered so that it lies along the velocity over the turning Earth (zero Doppler): of all
@@ -11,6 +12,7 @@ is that of a turn to inertial axes by a body that rolls to its right.
 
 from __future__ import annotations
 
+from datetime import UTC, datetime, timedelta
 from itertools import product
 from typing import NamedTuple
 
@@ -18,9 +20,22 @@ import numpy as np
 
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.errors import InputError
+from blocksar.ingestion.orbit import Orbit, States
+from blocksar.ingestion.reading import reading
 from blocksar.ingestion.sentinel1.packets import Packets
-from blocksar.ingestion.sentinel1.propagation import States
-from blocksar.ingestion.strips.orbit import Orbit
+from blocksar.places import Location, readable
+
+GPS = datetime(1980, 1, 6, tzinfo=UTC)
+# Seconds that GPS time is ahead of UTC, from a GPS second on.
+LEAPS = ((0, 16), (1119744017, 17), (1167264018, 18))
+
+
+def utc(zero: int, seconds: float) -> str:
+    """UTC of so many seconds after a GPS second, ISO 8601."""
+    ahead = next(leap for since, leap in reversed(LEAPS) if zero >= since)
+    moment: datetime = GPS + timedelta(seconds=zero - ahead) + timedelta(seconds=seconds)
+    return f"{moment.replace(tzinfo=None).isoformat(timespec='microseconds')}Z"
+
 
 ORBIT, ATTITUDE = (1, 22), (23, 41)  # first and last words
 TILTED = np.radians(1.0)  # rad, which no attitude of Sentinel-1 departs from zero Doppler by
@@ -143,3 +158,44 @@ def _about(axis: int, angle: FloatArray) -> FloatArray:
     about_z, about_y = [c, s, zero, -s, c, zero, zero, zero, one], [c, zero, -s, zero, one, zero, s, zero, c]
     rows = about_z if axis == 2 else about_y
     return np.stack(rows, axis=-1).reshape(-1, 3, 3)
+
+
+# ---------------------------------------------------------------- files of precise orbits (EOF)
+
+TAI_AHEAD = 19.0  # s, of GPS time
+MARGIN = 60.0  # s before and after the data, of which states are taken
+STATE = ("X", "Y", "Z", "VX", "VY", "VZ")
+
+
+def read_orbit_file(path: Location, first: float, last: float, zero: int) -> Orbit:
+    """Read the states about times first .. last, s after the GPS second `zero`.
+
+    Raises
+    ------
+    InputError
+        If it is no such file, damaged, or of another time.
+    """
+    from xml.etree import ElementTree  # every reader is loaded where a kind of file is looked for
+
+    where = readable(path)
+    with reading(
+        where, damaged="no orbit file of Sentinel-1 (EOF)", remedy="give one, such as S1A_OPER_AUX_POEORB_*.EOF"
+    ):
+        with where.open() as file:
+            root = ElementTree.parse(file).getroot()
+        times, states = [], []
+        for state in root.iter("OSV"):
+            text = state.findtext("TAI", "").removeprefix("TAI=")
+            moment = datetime.fromisoformat(text).replace(tzinfo=UTC) - GPS
+            times.append(moment.days * 86400 - zero + moment.seconds + moment.microseconds * 1e-6 - TAI_AHEAD)
+            states.append([float(state.findtext(name, "nan")) for name in STATE])
+        if not times:
+            raise InputError("it holds no states of an orbit (OSV); give a file of precise or restituted orbits")
+        time, values = np.array(times), np.array(states)
+        near = (time >= first - MARGIN) & (time <= last + MARGIN)
+        if time.min() > first or time.max() < last or near.sum() < 2:
+            raise InputError(
+                f"its states begin {time.min() - first:.6g} s after the data do and end {time.max() - last:.6g} s "
+                "after them; give the file of the day of the data"
+            )
+        return Orbit(time=time[near], position=values[near, :3], velocity=values[near, 3:])

@@ -1,17 +1,30 @@
-"""Bursts: pulses of one swath, PRF and chirp that follow each other while the beam is steered one way."""
+"""Bursts in files of packets: pulses of one swath, PRF and chirp that follow each other, steered one way."""
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.errors import InputError
-from blocksar.ingestion.sentinel1.packets import REFERENCE, SUPPRESSED, SWATHS, Packets, Radar
+from blocksar.errors import InputError, quoted
+from blocksar.ingestion.readers import ReaderOptions, refuse_others
+from blocksar.ingestion.reading import reading
+from blocksar.ingestion.sentinel1.packets import KIND, REFERENCE, SUPPRESSED, SWATHS, Packets, Radar, read_headers
+from blocksar.options import Option
+from blocksar.places import Location, readable
+from blocksar.places.local import LocalPlace
+from blocksar.places.place import Place
+from blocksar.places.ranges import Readable
+from blocksar.spans import parse_pulses
+
+# ---------------------------------------------------------------- bursts
 
 LEAST = 16  # pulses that are worth an image
 LONGEST_GAP = 256  # pulses that are lost within a burst; more divide it
@@ -214,3 +227,196 @@ def _line(burst: Burst) -> tuple[float, float]:
     slope = float((own * burst.packets.azimuth).sum() / (own**2).sum())
     middle = (burst.n_slot - 1) / 2 - float(pulse.mean())
     return slope / burst.interval, float(burst.packets.azimuth.mean()) + slope * middle
+
+
+# ---------------------------------------------------------------- files of packets
+
+TimeTags = Literal["transmit", "middle"]
+TIME_TAGS = ("transmit", "middle")
+POLARIZATIONS = tuple(sent + received for sent in "HV" for received in "HV")
+
+
+def _one_of(option: str, values: tuple[str, ...], value: Any) -> str | None:
+    if value is None:
+        return None
+    found = {each.lower(): each for each in values}.get(str(value).lower())
+    if found is None:
+        raise InputError(f"{option} is {quoted(value)}; it must be {' or '.join(values)}")
+    return found
+
+
+def _path(value: Any) -> Any:
+    if value is not None and not isinstance(value, str | os.PathLike | Place):
+        raise InputError(f"--orbit is {quoted(value)}; give the path of an EOF file")
+    return value
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sentinel1Options(ReaderOptions):
+    """The part of the data that is wanted, and what is said of it; see `ReaderOptions`.
+
+    Attributes
+    ----------
+    swath : str, optional
+        The one swath that is read, such as "IW1". Default: all.
+    polarization : str, optional
+        Of transmitter and receiver. Default: that of like ones, "VV" or "HH".
+    bursts : str or (int, int), optional
+        Bursts "a:b" of each swath that are read, from a to the one before b, counted from 0. Default: all.
+    orbit : path, optional
+        Precise orbit (EOF). Default: the states in the packets.
+    time_tags : {"transmit", "middle"}, optional
+        What the packets' times are those of: the pulse's transmission, or the positions of an antenna that stands still
+        while a pulse is out, as in simulations. Default: the PRI in which the echo is received.
+    troposphere : {"standard"}, optional
+        The delay that the samples hold, and that is taken out: a standard atmosphere's. Default: none.
+    """
+
+    swath: Annotated[
+        str | None,
+        Option("The one swath that is read.", metavar="IW1", default="all",
+               read=partial(_one_of, "--swath", tuple(SWATHS.values()))),
+    ] = None  # fmt: skip
+    polarization: Annotated[
+        str | None,
+        Option("Of transmitter and receiver.", metavar="VV", default="VV or HH",
+               read=partial(_one_of, "--polarization", POLARIZATIONS)),
+    ] = None  # fmt: skip
+    bursts: Annotated[
+        tuple[int, int | None],
+        Option("Bursts of each swath that are read: A to the one before B.", metavar="A:B", default="all",
+               read=partial(parse_pulses, option="--bursts", example="--bursts 0:3")),
+    ] = (0, None)  # fmt: skip
+    orbit: Annotated[
+        Location | None,
+        Option("Precise orbit.", metavar="FILE.EOF", default="the states in the packets", read=_path),
+    ] = None
+    time_tags: Annotated[
+        TimeTags | None,
+        Option("What times of packets are those of.", metavar="|".join(TIME_TAGS), default="the PRI that receives",
+               read=partial(_one_of, "--time-tags", TIME_TAGS)),
+    ] = None  # fmt: skip
+    troposphere: Annotated[
+        Literal["standard"] | None,
+        Option("Delay to take out of the samples: that of a standard atmosphere.", metavar="standard", default="none",
+               read=partial(_one_of, "--troposphere", ("standard",))),
+    ] = None  # fmt: skip
+
+
+DAMAGED, REMEDY = "damaged", "get it again"
+BESIDE = re.compile(r"-(annot|index)\.dat$")  # what lies beside packets in a SAFE folder
+
+
+class PacketFile(NamedTuple):
+    """A file of packets, and their headers."""
+
+    where: Readable
+    packets: Packets
+
+    @property
+    def polarization(self) -> str:
+        """Polarization of its echoes, the first one's.
+
+        Raises
+        ------
+        InputError
+            If it has none.
+        """
+        echoes = self.packets[self.packets.echo]
+        if not len(echoes):
+            raise InputError(f"{self.where} holds {len(self.packets)} packets of noise or calibration and no echo")
+        return polarizations(echoes[:1])[0]
+
+
+def expand(sources: Sequence[Location]) -> list[Readable]:
+    """The files of packets among these, and in folders among them.
+
+    Raises
+    ------
+    InputError
+        If there are none.
+    """
+    found: list[Readable] = []
+    for source in sources:
+        where = readable(source)
+        if isinstance(where, LocalPlace) and where.path.is_dir():
+            inside = [where / name for name in sorted(where.names()) if name.endswith(".dat")]
+            found += (inside := [each for each in inside if not BESIDE.search(each.name)])
+            if not inside:
+                refuse_others(where, KIND)
+                raise InputError(f"{where} holds no .dat file of packets; give a SAFE folder of level 0")
+        elif not BESIDE.search(where.name):
+            found.append(where)
+    if not found:
+        raise InputError("no file of packets is given; give the .dat file, not its annotation or index")
+    return found
+
+
+def open_files(sources: Sequence[Location]) -> list[PacketFile]:
+    """Read the headers of all files.
+
+    Raises
+    ------
+    InputError
+        If one is of another kind, cut or damaged.
+    """
+    files = []
+    for where in expand(sources):
+        with reading(where, damaged=DAMAGED, remedy=REMEDY):
+            refuse_others(where, KIND)
+            with where.open() as file:
+                files.append(PacketFile(where, read_headers(file)))
+    return files
+
+
+class BurstChoice(NamedTuple):
+    """Bursts of one polarisation: all in the order of time with their files, and which of them are wanted."""
+
+    bursts: list[tuple[PacketFile, Burst]]
+    wanted: list[bool]
+    packets: Packets
+    zero: int
+    notes: list[str]
+
+
+def choose(files: Sequence[PacketFile], options: Sentinel1Options) -> BurstChoice:
+    """The bursts of files, of which one polarisation is wanted, and notes.
+
+    Raises
+    ------
+    InputError
+        If none is left.
+    """
+    have = list(dict.fromkeys(file.polarization for file in files))
+    like = [each for each in have if each[0] == each[1]]
+    polarization = options.polarization or (like or have)[0]
+    if polarization not in have:
+        raise InputError(f"--polarization is {polarization}, but the packets have {', '.join(have)}; give one of these")
+    notes = []
+    if len(have) > 1 and options.polarization is None:
+        notes.append(f"of polarisations {', '.join(have)}, {polarization} is taken; others with --polarization")
+    of_it = [file for file in files if file.polarization == polarization]
+    zero = min(int(file.packets.seconds.min()) for file in of_it)
+    found: list[tuple[PacketFile, Burst]] = []
+    for file in of_it:
+        bursts, said = find_bursts(file.packets, zero)
+        found += [(file, burst) for burst in bursts]
+        notes += said
+    found.sort(key=lambda each: each[1].sent)
+    counts: dict[str, int] = {}
+    numbered = []
+    for file, burst in found:
+        number = counts.get(burst.swath, 0)
+        counts[burst.swath] = number + 1
+        numbered.append((file, replace(burst, number=number)))
+    first, last = options.bursts
+    wanted = [
+        options.swath in (None, burst.swath) and first <= burst.number and (last is None or burst.number < last)
+        for _, burst in numbered
+    ]
+    if not counts:
+        raise InputError(f"the packets hold no burst of {LEAST} pulses or more; give a longer part of the data")
+    if not any(wanted):
+        held = ", ".join(f"{number} of {swath}" for swath, number in counts.items())
+        raise InputError(f"no burst is left by --swath and --bursts; the packets have {held}, counted from 0")
+    return BurstChoice(numbered, wanted, Packets.joined([file.packets for file in of_it]), zero, notes)

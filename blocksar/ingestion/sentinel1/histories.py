@@ -1,4 +1,10 @@
-"""A burst as a phase history: a raw echo in a frame on the ellipsoid.
+"""A burst as a phase history: a raw echo in a frame on the ellipsoid, and remarks on it for a user.
+
+*Resampling.* Columns of samples that come earlier or later than their pulse's position are moved in slow time. The
+Doppler frequency of the beam's centre passes through many PRFs. Without it, samples fill less than a PRF, and are
+interpolated by a sinc under Kaiser's window. With x[n] the sample at t_n + d, and Phi the phase of the beam's centre,
+
+    y[n] = exp(j Phi(t_n)) sum_k h(k + d / PRI) x[n + k] exp(-j Phi(t_n+k + d)) .
 
 *Time.* A packet has the time of the PRI in which its echo is received; the pulse was sent `rank` PRIs before. While it
 travels the antenna moves on. A sample received s after the beginning of the transmission has, at a target's delay tau,
@@ -8,7 +14,7 @@ swath and pulse, s0 and u0 = T / 2 with the pulse's length T; the sample is of a
     (s - s0) / 2 + (u - u0) / 2 ,    u = s - tau ,
 
 later. The first part is a delay in slow time, another for each column of samples: they are resampled to the moment of
-the position (`resampling`), without which ground at the edges of IW1 would lie 0.7 m off along the track. The second
+the position (above), without which ground at the edges of IW1 would lie 0.7 m off along the track. The second
 one is a Doppler frequency of half of the target's on the chirp, whose compressed peak it moves by -f / 2 K in delay:
 echoes are put later by as much for the beam's centre, an even shift of a pulse's samples.
 
@@ -33,25 +39,84 @@ from blocksar.collection.georeference import Georeference, find_scene_centre
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.constants import MIB, SPEED_OF_LIGHT
 from blocksar.ingestion.atmosphere import slant_delay
+from blocksar.ingestion.orbit import Orbit
 from blocksar.ingestion.readers import Piece, Reading
 from blocksar.ingestion.reading import reading
-from blocksar.ingestion.sentinel1.ancillary import Attitude
-from blocksar.ingestion.sentinel1.bursts import Burst, Steering
-from blocksar.ingestion.sentinel1.files import DAMAGED, REMEDY, File
-from blocksar.ingestion.sentinel1.gps import utc
-from blocksar.ingestion.sentinel1.options import Sentinel1Options
-from blocksar.ingestion.sentinel1.packets import CARRIER, Packets
-from blocksar.ingestion.sentinel1.resampling import Resampling
-from blocksar.ingestion.sentinel1.samples import read_samples
-from blocksar.ingestion.strips.orbit import Orbit
+from blocksar.ingestion.sentinel1.ancillary import TILTED, Attitude, utc
+from blocksar.ingestion.sentinel1.bursts import DAMAGED, REMEDY, Burst, PacketFile, Sentinel1Options, Steering
+from blocksar.ingestion.sentinel1.packets import CARRIER, COMPRESSIONS, Packets, read_samples
 from blocksar.kernels.fourier import fast_length, fft_rows, unit_phasor
+from blocksar.texts import count, frequency_text
+
+# ---------------------------------------------------------------- resampling
+
+HALF = 8  # pulses on either side that a sum takes
+WINDOW = 6.0  # Kaiser's beta: errors of -60 dB up to 0.4 PRF
+UNMOVED_PULSE = 1e-4  # of a PRI
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ColumnResampling:
+    """How pulses are resampled.
+
+    Attributes
+    ----------
+    cycles, doppler : (n_pulse,) float
+        Phase of the beam's centre over 2 pi, and its Doppler frequency, Hz.
+    late : (n_sample,) float
+        d of each column, s.
+    interval : float
+        PRI, s.
+    """
+
+    cycles: FloatArray
+    doppler: FloatArray
+    late: FloatArray
+    interval: float
+
+    @classmethod
+    def of(cls, doppler: FloatArray, late: FloatArray, interval: float) -> ColumnResampling:
+        steps = interval * (doppler[1:] + doppler[:-1]) / 2
+        cycles = np.concatenate([[0.0], np.cumsum(steps)])
+        return cls(cycles=cycles, doppler=doppler, late=late, interval=interval)
+
+    def apply(self, read: Callable[[slice], ComplexArray], pulses: slice) -> ComplexArray:
+        """Samples of some pulses, of which `read` gives those that are asked for; lost ones stay NaN."""
+        shift = self.late / self.interval
+        if np.abs(shift).max() < UNMOVED_PULSE:
+            return read(pulses)
+        around = slice(max(pulses.start - HALF, 0), min(pulses.stop + HALF, self.cycles.size))
+        samples = read(around)
+        lost = np.isnan(samples[:, 0].real)
+        samples[lost] = 0
+        phase = self.cycles[around, None] + np.multiply.outer(self.doppler[around], self.late)
+        samples *= unit_phasor(-phase).astype(np.complex64)
+        n = pulses.stop - pulses.start
+        out = np.zeros((n, samples.shape[1]), np.complex64)
+        for k in range(-HALF, HALF + 1):
+            low, high = max(pulses.start + k, around.start), min(pulses.stop + k, around.stop)
+            if low < high:
+                rows = slice(low - k - pulses.start, high - k - pulses.start)
+                out[rows] += _weight(k + shift).astype(np.float32) * samples[low - around.start : high - around.start]
+        out *= unit_phasor(self.cycles[pulses])[:, None].astype(np.complex64)
+        out[lost[pulses.start - around.start :][:n]] = np.nan
+        return out
+
+
+def _weight(place: FloatArray) -> FloatArray:
+    """h at places in pulses."""
+    within = np.clip(1 - (place / (HALF + 1)) ** 2, 0, None)
+    return np.asarray(np.sinc(place) * np.i0(WINDOW * np.sqrt(within)) / np.i0(WINDOW))
+
+
+# ---------------------------------------------------------------- phase histories
 
 APERTURE = 12.3  # m, length of the antenna
 PATTERN_SAMPLES = 65
 SIDE = "right"
 PARTS = "--swath, --bursts"
 AT_ONCE = 16 * MIB  # bytes of samples
-UNMOVED = 1e-3  # of a sample
+UNMOVED_SAMPLE = 1e-3  # of a sample
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,7 +151,7 @@ class Data:
 class BurstHistory:
     """A burst as a phase history in a frame."""
 
-    file: File
+    file: PacketFile
     burst: Burst
     data: Data
     frame: Georeference
@@ -190,7 +255,7 @@ class BurstHistory:
         # In samples, by which a pulse's first one comes after the first that all have. Codes round the chirp's middle.
         frequency = burst.radar.middle + self.doppler[burst.slots] / 2
         shift = (burst.delay - burst.samples[0] + frequency / burst.radar.ramp) * burst.radar.rate
-        resampling = Resampling.of(self.doppler, self.late, burst.interval)
+        resampling = ColumnResampling.of(self.doppler, self.late, burst.interval)
         rows = max(AT_ONCE // (16 * int(burst.packets.quads.max())), 1)
         with self.file.where.open() as file:
             read = partial(self._read, file, shift)
@@ -198,7 +263,9 @@ class BurstHistory:
                 pulses = slice(first, min(first + rows, burst.n_slot))
                 yield Piece(0, pulses, partial(self._resampled, resampling, read, pulses))
 
-    def _resampled(self, resampling: Resampling, read: Callable[[slice], ComplexArray], pulses: slice) -> ComplexArray:
+    def _resampled(
+        self, resampling: ColumnResampling, read: Callable[[slice], ComplexArray], pulses: slice
+    ) -> ComplexArray:
         with reading(self.file.where, damaged=DAMAGED, remedy=REMEDY):
             return resampling.apply(read, pulses)
 
@@ -229,7 +296,7 @@ def shifted(samples: ComplexArray, shift: FloatArray, count: int) -> ComplexArra
     n, m = samples.shape
     whole = np.rint(shift).astype(int)
     rest = shift - whole
-    if np.abs(rest).max(initial=0.0) > UNMOVED:
+    if np.abs(rest).max(initial=0.0) > UNMOVED_SAMPLE:
         size = fast_length(m + 64)
         padded = np.zeros((n, size), np.complex64)
         padded[:, :m] = samples
@@ -251,3 +318,74 @@ def frame_of(burst: Burst, data: Data) -> Georeference:
     frame = find_scene_centre(position, axis, slant_range=burst.middle_range, side=SIDE, height=0.0, squint=0.0)
     east, north, _ = frame.east_north_up @ (frame.origin - position)
     return replace(frame, rotation=float(np.degrees(np.arctan2(north, east))))
+
+
+# ---------------------------------------------------------------- remarks
+
+UNTOLD = 1e-9  # s, by which receive windows may differ
+
+
+def remarks(histories: Sequence[BurstHistory]) -> list[str]:
+    """All of them, a sentence each."""
+    swaths: dict[str, list[BurstHistory]] = {}
+    for each in histories:
+        swaths.setdefault(each.burst.swath, []).append(each)
+    first, frame = histories[0], histories[0].frame
+    taken = "taken out" if first.removed else "in the samples; --troposphere standard takes it out"
+    return [
+        *(line for swath, own in swaths.items() for line in _swath(swath, own)),
+        f"orbit from {_orbit(first)}; {_attitude(first)}",
+        "assumed: the nominal chirp of the headers as replica (calibration pulses are not used); a beam pattern of an "
+        "evenly lit aperture along the track, and none in elevation",
+        _times(histories),
+        f"the delay of a standard atmosphere, {first.atmosphere:.3g} m of range, is {taken}",
+        f"scene frame: x away from the track, {frame.rotation:.2f} degrees from east, z up at latitude "
+        f"{frame.latitude:.6f}, longitude {frame.longitude:.6f} on the ellipsoid, which is the ground by default",
+    ]
+
+
+def _swath(swath: str, own: Sequence[BurstHistory]) -> list[str]:
+    burst = own[0].burst
+    lost = sum(each.burst.n_slot - len(each.burst.packets) for each in own)
+    windows = sum(bool(np.ptp(each.burst.delay) > UNTOLD) for each in own)
+    modes = {COMPRESSIONS.get(int(code), "?") for each in own for code in each.burst.packets.compression}
+    missing = f"; {lost} lost pulses are missing" if lost else ""
+    return [
+        f"{swath} {burst.polarization}: {count(len(own), 'burst')} of up to "
+        f"{max(each.burst.n_slot for each in own)} pulses at {1 / burst.interval:.6g} Hz, "
+        f"{own[0].raw.fast_time.size} samples at {frequency_text(burst.radar.rate)} ({', '.join(sorted(modes))}), "
+        f"{int(burst.packets.rank[0])} pulses in the air{missing}; {own[0].data.steering[swath].describe()}",
+        *([f"receive windows change within {windows} of {swath}'s bursts; what all pulses have is taken"]
+          if windows else []),
+    ]  # fmt: skip
+
+
+def _orbit(history: BurstHistory) -> str:
+    given = history.data.options.orbit is not None
+    return "the file" if given else "the packets, whose accuracy is some metres (--orbit takes a precise one)"
+
+
+def _attitude(history: BurstHistory) -> str:
+    attitude = history.data.attitude
+    if attitude is None:
+        return (
+            f"no attitude within {np.degrees(TILTED):g} degree of zero Doppler is in the packets, and the antenna is "
+            "taken to lie along the velocity over the Earth"
+        )
+    return (
+        f"attitude from the packets, its quaternions read {attitude.reading}: the antenna lies up to "
+        f"{np.degrees(attitude.off):.2g} degrees off the velocity over the Earth"
+    )
+
+
+def _times(histories: Sequence[BurstHistory]) -> str:
+    tags = histories[0].data.options.time_tags
+    if tags == "middle":
+        return "the packets' times are taken for those of an antenna that stands still while a pulse is out"
+    of = "the PRI that receives the echo" if tags is None else "transmission"
+    speed = float(np.linalg.norm(histories[0].track[1], axis=1).mean())
+    off = speed * max(np.ptp(each.raw.fast_time) for each in histories) / 4
+    return (
+        f"the packets' times are taken for those of {of}, and positions at the middle of a pulse's way; samples are "
+        f"resampled to its moment, without which places at the swath's edges lie {off:.2g} m off along the track"
+    )

@@ -1,7 +1,7 @@
-"""Headers of Sentinel-1's space packets, by "Sentinel-1 SAR Space Packet Protocol Data Unit" (S1-IF-ASD-PL-0007).
+"""Space packets of Sentinel-1: their headers, and their samples, decoded.
 
-A packet is a primary header of 6 bytes, which has its length, a secondary one of 62, and the samples. Numbers are
-big-endian.
+By "Sentinel-1 SAR Space Packet Protocol Data Unit" (S1-IF-ASD-PL-0007) a packet is a primary header of 6 bytes, which
+has its length, a secondary one of 62, and the samples. Numbers are big-endian.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import BinaryIO, NamedTuple, Self
 
 import numpy as np
 
-from blocksar.arrays import BoolArray, FloatArray, IntArray
+from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.constants import MIB
 from blocksar.errors import InputError
 from blocksar.ingestion.kinds import Kind, begins
@@ -232,3 +232,39 @@ def read_headers(file: BinaryIO, most: int | None = None) -> Packets:
         )
     table = np.frombuffer(b"".join(headers), np.uint8).reshape(-1, HEADERS)
     return Packets.of(table, np.array(offsets, np.int64), np.array(sizes, np.int64))
+
+
+COMPRESSIONS = {0: "bypass", 3: "BAQ 3", 4: "BAQ 4", 5: "BAQ 5", 12: "FDBAQ", 13: "FDBAQ", 14: "FDBAQ"}
+
+
+def read_samples(file: BinaryIO, packets: Packets) -> ComplexArray:
+    """Read the samples (n, 2 quads) complex64 of packets that have as many.
+
+    Raises
+    ------
+    InputError
+        If a packet is damaged, or its compression is unknown.
+    """
+    from blocksar.kernels import quantised_packets as loops  # with numba, slow to load
+
+    kinds = {0: loops.BYPASS, **{bits: loops.BAQ + bits - 3 for bits in (3, 4, 5)}}
+    kinds |= dict.fromkeys((12, 13, 14), loops.FDBAQ)
+    quads = int(packets.quads[0])
+    out = np.empty((len(packets), 2 * quads), np.complex64)
+    codes, amplitudes = loops.code_table(), loops.amplitude_table()
+    for row in range(len(packets)):
+        mode, block = int(packets.compression[row]), int(packets.block[row])
+        if mode not in kinds:
+            raise InputError(f"the packet at byte {packets.offset[row]} has BAQ mode {mode}, which is not defined")
+        file.seek(int(packets.offset[row]) + HEADERS)
+        data = np.zeros(int(packets.size[row]) - HEADERS + loops.PADDING, np.uint8)
+        read = file.read(data.size - loops.PADDING)
+        data[: len(read)] = np.frombuffer(read, np.uint8)
+        marks = np.empty((2, -(-quads // block)), np.int64)
+        bits = loops.decode_packet(
+            data, len(read), kinds[mode], block, codes, amplitudes, marks, out[row].view(np.float32)
+        )
+        if bits < 0:
+            why = "ends before its last sample" if bits == loops.CUT else "has an undefined Huffman code"
+            raise InputError(f"the packet at byte {packets.offset[row]} {why}; get the file again")
+    return out

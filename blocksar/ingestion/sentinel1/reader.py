@@ -4,12 +4,108 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
+from blocksar.errors import InputError
 from blocksar.ingestion.kinds import Kind
 from blocksar.ingestion.readers import Described, Reading
-from blocksar.ingestion.sentinel1.options import Sentinel1Options
+from blocksar.ingestion.reading import reading
+from blocksar.ingestion.sentinel1.ancillary import read_attitude, read_orbit_file, read_states, utc
+from blocksar.ingestion.sentinel1.bursts import (
+    DAMAGED,
+    REMEDY,
+    Burst,
+    BurstChoice,
+    Sentinel1Options,
+    Steering,
+    choose,
+    find_bursts,
+    open_files,
+)
+from blocksar.ingestion.sentinel1.histories import BurstHistory, Data, frame_of, remarks
 from blocksar.ingestion.sentinel1.packets import KIND
 from blocksar.places import Location
 from blocksar.places.ranges import Readable
+from blocksar.texts import count, frequency_text, size_text
+
+
+def describe(files: Sequence[Readable], given: str) -> Described:
+    """Read the headers of files of one data take.
+
+    Raises
+    ------
+    InputError
+        As `Sentinel1Reader.read`.
+    """
+    sources: list[Location] = [str(file) for file in files]
+    rows: list[tuple[str, str]] = []
+    for file in open_files(sources):
+        packets = file.packets
+        zero = int(packets.seconds[0])
+        times, size = packets.times(zero), size_text(int(packets.size.sum()))
+        rows.append(("file", f"{file.where.name}: {len(packets)} packets, {int(packets.echo.sum())} echoes, {size}"))
+        rows.append(("time", f"{utc(zero, float(times[0]))} for {times[-1] - times[0]:.4g} s"))
+        bursts, notes = find_bursts(packets, zero)
+        for swath in dict.fromkeys(burst.swath for burst in bursts):
+            own = [burst for burst in bursts if burst.swath == swath]
+            radar, prf = own[0].radar, 1 / own[0].interval
+            samples, most = 2 * int(own[0].packets.quads.max()), max(each.n_slot for each in own)
+            bursts_text = f"{count(len(own), 'burst')} of up to {most} pulses"
+            chirp = f"{frequency_text(radar.bandwidth)} in {1e6 * radar.length:.4g} us"
+            rows.append((
+                f"{swath} {own[0].polarization}",
+                f"{bursts_text} at {prf:.6g} Hz, {samples} samples at {frequency_text(radar.rate)}; chirp of {chirp}",
+            ))  # fmt: skip
+        rows += [("left out", note) for note in notes]
+    name = given.rstrip("/").rpartition("/")[2].partition(".")[0].replace("*", "") or "sentinel1"
+    return Described(
+        kind="Sentinel-1 level 0", rows=rows, command=["ingest", "sentinel1", given, "--out", f"{name}.zarr"]
+    )
+
+
+FARTHEST = 1e6  # m along the track, in which the Earth falls 20 km below a plane at both ends
+
+
+def begin(sources: Sequence[Location], options: Sentinel1Options) -> dict[str, Reading]:
+    """Read all but the samples: the bursts' phase histories by name.
+
+    Raises
+    ------
+    InputError
+        If a file is of another kind, cut or damaged, no burst is left, or the orbit is not known.
+    """
+    files = open_files(sources)
+    choice = choose(files, options)
+    kept = [each for each, wanted in zip(choice.bursts, choice.wanted, strict=True) if wanted]
+    with reading(files[0].where, damaged=DAMAGED, remedy=REMEDY):
+        data = _common(choice, [burst for _, burst in kept], options)
+    frame = frame_of(kept[len(kept) // 2][1], data)
+    ends = [data.track(burst)[0][burst.n_slot // 2] for _, burst in (kept[0], kept[-1])]
+    if (apart := float(np.linalg.norm(ends[1] - ends[0]))) > FARTHEST:
+        raise InputError(
+            f"the bursts lie {apart / 1e3:.0f} km from each other, and one frame has room for {FARTHEST / 1e3:g} km; "
+            "take some of them with --bursts"
+        )
+    histories = [BurstHistory(file=file, burst=burst, data=data, frame=frame) for file, burst in kept]
+    said = [*choice.notes, *remarks(histories)]
+    return {each.burst.name: each.reading(() if number else said) for number, each in enumerate(histories)}
+
+
+def _common(choice: BurstChoice, bursts: Sequence[Burst], options: Sentinel1Options) -> Data:
+    """Find what the wanted bursts have in common; the law of the steering is told by all of a swath."""
+    zero = choice.zero
+    first = min(burst.sent for burst in bursts)
+    last = max(burst.sent + (burst.n_slot + 32) * burst.interval for burst in bursts)  # with what is in the air
+    if options.orbit is not None:
+        orbit = read_orbit_file(options.orbit, first, last, zero)
+    else:
+        orbit = read_states(choice.packets, zero).reaching(first, last)
+    attitude = read_attitude(choice.packets, zero, orbit)
+    swaths = {burst.swath for burst in bursts}
+    steering = {
+        swath: Steering.of([burst for _, burst in choice.bursts if burst.swath == swath]) for swath in swaths
+    }  # fmt: skip
+    return Data(options=options, zero=zero, orbit=orbit, attitude=attitude, steering=steering)
 
 
 class Sentinel1Reader:
@@ -26,13 +122,9 @@ class Sentinel1Reader:
     options = Sentinel1Options
 
     def read(self, sources: Sequence[Location], options: Sentinel1Options) -> Mapping[str, Reading]:
-        from blocksar.ingestion.sentinel1.ingestion import begin
-
         return begin(sources, options)
 
     def describe(self, files: Sequence[Readable], given: str) -> Described:
-        from blocksar.ingestion.sentinel1.describing import describe
-
         return describe(files, given)
 
 

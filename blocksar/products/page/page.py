@@ -6,7 +6,7 @@ identical bytes.
 
 Import this module only where a page is made: matplotlib is slow to load.
 
-The Pauli composite of the report page: colours that are switched on over the grey levels of a channel.
+The Pauli composite of a page is an overlay: colours that are switched on over the grey levels of a channel.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from blocksar.measurement.targets import Target
 from blocksar.products.look_spectra import LookSpectra
 from blocksar.products.page import picture
 from blocksar.products.page.facts import SPACE, TIMES, Facts, describe, keep_units, memory, number
-from blocksar.products.page.picture import Picture, data_uri, lossless
+from blocksar.products.page.picture import Picture, data_uri, lossless, plot_relief, read_relief
 from blocksar.products.page.tables import (
     block_table,
     plan_table,
@@ -45,7 +45,6 @@ from blocksar.products.page.tables import (
 )
 from blocksar.products.pictures.composite import labels_of, pauli_powers
 from blocksar.products.pictures.overview import stretch
-from blocksar.products.pictures.relief import plot_relief, read_relief
 from blocksar.products.pictures.responses import has_chips, plot_chips, plot_contours, plot_cuts, plot_looks, plot_track
 from blocksar.progress.listening import Callback
 from blocksar.runs import demonstration
@@ -85,7 +84,7 @@ class Composite(NamedTuple):
     labels: list[str]
 
 
-class Placed(NamedTuple):
+class PlacedComposite(NamedTuple):
     """A composite in the SVG coordinates of a page's picture: upper left corner and sides, m."""
 
     composite: Composite
@@ -112,12 +111,12 @@ def draw_composite(sources: Mapping[str, FinishedRun], *, progress: Callback | N
     )  # fmt: skip
 
 
-def put(composite: Composite | None, image: Picture) -> Placed | None:
+def put(composite: Composite | None, image: Picture) -> PlacedComposite | None:
     """Place a composite in a page's picture, if there is one."""
     if composite is None:
         return None
     x0, x1, y0, y1 = composite.edges
-    return Placed(composite, *image.place(x0, y1), f"{x1 - x0:.3f}", f"{y1 - y0:.3f}")
+    return PlacedComposite(composite, *image.place(x0, y1), f"{x1 - x0:.3f}", f"{y1 - y0:.3f}")
 
 
 EDGE = 16  # pixels at the edge of an image in which a response may not be measurable

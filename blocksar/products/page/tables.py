@@ -78,7 +78,7 @@ class Row(NamedTuple):
     at: tuple[str, str] | None = None
 
 
-class Table(NamedTuple):
+class PageTable(NamedTuple):
     """A table; `caption` is its title, `note` tells what has been left out."""
 
     key: str
@@ -96,7 +96,7 @@ def _cell(value: float | None, digits: int, *, off: bool = False, scale: float =
     return Cell(number(scale * value, digits), value, off)
 
 
-def plan_table(run: Facts) -> Table | None:
+def plan_table(run: Facts) -> PageTable | None:
     """Predictions for each block beside the worst figures measured in it; None without a plan."""
     if not run.predicted:
         return None
@@ -121,7 +121,9 @@ def plan_table(run: Facts) -> Table | None:
         columns.insert(1, Column("segment"))
         for row, block in zip(rows, run.predicted, strict=False):
             row.cells.insert(1, Cell(str(run.source.segment_of(block.block))))
-    return Table("plan", "Planned and measured figures of every block", columns, rows, note=_left_out(run.predicted))
+    return PageTable(
+        "plan", "Planned and measured figures of every block", columns, rows, note=_left_out(run.predicted)
+    )
 
 
 def _plan_row(run: Facts, block: PredictedBlock, metres: float) -> Row:
@@ -168,7 +170,7 @@ def _left_out(rows: Sequence[Any]) -> str:
     return f"The first {MOST_ROWS} of {number(len(rows), 0)}." if len(rows) > MOST_ROWS else ""
 
 
-def quality_table(run: Facts, image: Picture) -> Table:
+def quality_table(run: Facts, image: Picture) -> PageTable:
     """Figures of the point targets, linked to their places in the picture."""
     columns = [
         Column("target"),
@@ -195,7 +197,7 @@ def quality_table(run: Facts, image: Picture) -> Table:
     rows = [_quality_row(run, r, image) for r in run.listed]
     rest = len(run.responses) - len(run.listed)
     note = f"The {len(run.listed)} worst; {number(rest, 0)} more are in quality.json." if rest else ""
-    return Table("targets", "Point targets measured in the image", columns, rows, sortable=True, note=note)
+    return PageTable("targets", "Point targets measured in the image", columns, rows, sortable=True, note=note)
 
 
 def _quality_row(run: Facts, r: PointResponse, image: Picture) -> Row:
@@ -232,7 +234,7 @@ def _quality_row(run: Facts, r: PointResponse, image: Picture) -> Row:
     return Row(cells, image.find(r.x, r.y))
 
 
-def reference_table(run: Facts) -> Table | None:
+def reference_table(run: Facts) -> PageTable | None:
     """Comparison of image chips with exact back-projection; None without one."""
     chips = run.chips
     if not chips:
@@ -254,7 +256,7 @@ def reference_table(run: Facts) -> Table | None:
         for c in chips[:MOST_ROWS]
     ]  # fmt: skip
     caption = f"Chips of 64 {TIMES} 64 pixels compared with exact back-projection of the same samples"
-    return Table("reference", caption, columns, rows, sortable=True, note=_left_out(chips))
+    return PageTable("reference", caption, columns, rows, sortable=True, note=_left_out(chips))
 
 
 def _bars(values: Sequence[float], ticks: Sequence[float | None], text: Callable[[float], str]) -> list[Cell]:
@@ -271,7 +273,7 @@ def seconds_text(value: float) -> str:
     return number(value, 2 if value < 100 else 0)
 
 
-def stage_table(run: Facts) -> Table | None:
+def stage_table(run: Facts) -> PageTable | None:
     """Duration of the stages; None without timings."""
     if not run.timings:
         return None
@@ -281,10 +283,10 @@ def stage_table(run: Facts) -> Table | None:
     bars = _bars(list(stages.values()), [None] * len(stages), seconds_text)
     rows = [Row([Cell(STAGES.get(name, name)), bar]) for name, bar in zip(stages, bars, strict=True)]
     rows.append(Row([Cell("total"), Cell(seconds_text(total), total)]))
-    return Table("stages", "Stages", [Column("stage"), Column("time", "s")], rows)
+    return PageTable("stages", "Stages", [Column("stage"), Column("time", "s")], rows)
 
 
-def unit_table(run: Facts) -> Table | None:
+def unit_table(run: Facts) -> PageTable | None:
     """Time and memory by kind of unit; None without receipts."""
     kinds = [(name, [r for r in run.receipts if r.stage == stage]) for stage, name in UNITS.items()]
     rows = [
@@ -303,10 +305,10 @@ def unit_table(run: Facts) -> Table | None:
         Column("work"), Column("units"), Column("reused", "from an earlier process"), Column("total time", "s"),
         Column("longest", "s"), Column("peak memory", "MiB"),
     ]  # fmt: skip
-    return Table("units", "Units of work", columns, rows) if rows else None
+    return PageTable("units", "Units of work", columns, rows) if rows else None
 
 
-def block_table(run: Facts) -> Table | None:
+def block_table(run: Facts) -> PageTable | None:
     """Time and memory of each block; None without receipts of blocks."""
     blocks = [(b, r) for b in run.predicted[:MOST_ROWS] if (r := run.receipt(b))]
     if not blocks:
@@ -320,10 +322,10 @@ def block_table(run: Facts) -> Table | None:
         Column("time", "s"),
         Column("peak memory of its worker so far", "MiB; mark: planned"),
     ]
-    return Table("blocks", "Blocks", columns, rows, note=_left_out(run.predicted))
+    return PageTable("blocks", "Blocks", columns, rows, note=_left_out(run.predicted))
 
 
-def step_table(run: Facts) -> Table | None:
+def step_table(run: Facts) -> PageTable | None:
     """Time of the steps of each block; None without receipts that hold steps."""
     blocks = [(b, r) for b in run.predicted[:MOST_ROWS] if (r := run.receipt(b)) and r.steps]
     if not blocks:
@@ -331,4 +333,4 @@ def step_table(run: Facts) -> Table | None:
     names = list(dict.fromkeys(name for _, receipt in blocks for name in receipt.steps))
     columns = [Column("block"), *(Column(name.replace("+", " + "), "s") for name in names)]
     rows = [Row([Cell(b.name), *(_cell(r.steps.get(name), 2) for name in names)]) for b, r in blocks]
-    return Table("steps", "Steps of every block", columns, rows)
+    return PageTable("steps", "Steps of every block", columns, rows)

@@ -27,7 +27,6 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
 from blocksar.places import Location
-from blocksar.products.pictures.figures import DPI, MARK
 from blocksar.products.pictures.overview import (
     NOT_COVERED,
     Overview,
@@ -38,6 +37,7 @@ from blocksar.products.pictures.overview import (
     reader_of,
     stretch,
 )
+from blocksar.products.pictures.panels import DPI, MARK
 from blocksar.products.writing import replacing
 from blocksar.progress.listening import Callback
 from blocksar.runs.finished import FinishedRun

@@ -27,7 +27,7 @@ from blocksar.collection.weighting import CUT_WIDTHS
 from blocksar.measurement.figures import BEYOND, ResponseGrid, cuts, ideal_cuts, measure_cuts, response_grid
 from blocksar.measurement.response import Response
 from blocksar.products.look_spectra import LookSpectra
-from blocksar.products.pictures.figures import (
+from blocksar.products.pictures.panels import (
     CURVE_COLOURS,
     LEVEL_COLOURS,
     Curve,

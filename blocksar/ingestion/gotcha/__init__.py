@@ -1,1 +1,0 @@
-"""Ingestion of the AFRL Gotcha volumetric SAR data set (MATLAB files)."""

@@ -1,1 +1,0 @@
-"""Raw echoes of satellites: what their formats have in common."""

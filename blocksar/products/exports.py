@@ -1,0 +1,270 @@
+"""The package's own products, as `export` knows them: their options and endings, and where each is written.
+
+The registry imports this module for every help, so what writes a product is imported on use.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from blocksar.errors import InputError, library_for
+from blocksar.options import Option
+from blocksar.products.options import COLOUR_MAP, COLOUR_RANGE, Content, Crop, Decibels, Looks, Scale, decibels
+
+if TYPE_CHECKING:
+    from blocksar.places import Location
+    from blocksar.places.place import Place
+    from blocksar.progress.listening import Callback
+    from blocksar.runs.finished import FinishedRun
+
+
+@dataclass(frozen=True, kw_only=True)
+class SICDOptions:
+    """SICD has none."""
+
+
+class SICD:
+    """The complex image, pixel by pixel, see `sicd`."""
+
+    summary = "Write the complex image, on its ground plane, as a SICD file.\n\nThe run must be georeferenced."
+    endings = (".nitf", ".ntf", ".nsf")
+    options = SICDOptions
+
+    @staticmethod
+    def write(
+        run: Place, out: Location, options: SICDOptions, *, channel: str | None, overwrite: bool, progress: Callback
+    ) -> list[str]:
+        """Write the file; return lines for the user."""
+        from blocksar.products import sicd
+        from blocksar.products.writing import opened
+
+        source, said = opened(run, channel)
+        return [*said, *sicd.write(source, out, overwrite=overwrite, progress=progress)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SIDDOptions:
+    """Options of a SIDD: which part, how smooth, and over which range."""
+
+    looks: Looks = None
+    range: Annotated[Decibels | None, decibels("the 8 bits")] = None
+    crop: Crop = None
+
+
+class SIDD:
+    """The detected image, see `sidd`."""
+
+    summary = (
+        "Write the detected image, on the plane or on its terrain, as a SIDD file.\n\nThe run must be georeferenced."
+    )
+    endings = (".nitf", ".ntf", ".nsf")
+    options = SIDDOptions
+
+    @staticmethod
+    def write(
+        run: Place, out: Location, options: SIDDOptions, *, channel: str | None, overwrite: bool, progress: Callback
+    ) -> list[str]:
+        """Write the file; return lines for the user."""
+        from blocksar.products import sidd
+        from blocksar.products.pixels import pixels_of
+        from blocksar.products.writing import opened
+
+        source, said = opened(run, channel, options.crop)
+        looks = (1, 1) if options.looks is None else options.looks
+        frame = source.placed("a SIDD")
+        pixels = pixels_of(source, content="db", looks=looks, scale="uint8", limits=options.range)
+        return [*said, *sidd.write(pixels, frame, out, overwrite=overwrite, progress=progress)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GeoTIFFOptions:
+    """Options of pixels and of the map."""
+
+    content: Annotated[
+        Content | None,
+        Option(
+            "Pixel values, in float32, or complex64; the last four of images on a terrain.",
+            metavar="amplitude, power, db, complex, height, incidence, visibility, gamma",
+            default="amplitude; db with --scale",
+        ),
+    ] = None
+    looks: Looks = None
+    scale: Annotated[
+        Scale | None,
+        Option("Store dB as whole numbers, 0 where not covered.", metavar="uint8, uint16", default="float32"),
+    ] = None
+    range: Annotated[Decibels | None, decibels("--scale")] = None
+    crop: Crop = None
+    crs: Annotated[
+        str | None,
+        Option(
+            "Orthorectify to this coordinate reference system.",
+            metavar="EPSG:n",
+            default="the scene frame's own, without resampling",
+        ),
+    ] = None
+
+
+class GeoTIFF:
+    """Pixels of the image, their power or what the ground is like there, on a map; see `geotiff`."""
+
+    summary = "Write the image as a cloud-optimised GeoTIFF.\n\nThe run must be georeferenced."
+    endings = (".tif", ".tiff")
+    options = GeoTIFFOptions
+
+    @staticmethod
+    def write(
+        run: Place, out: Location, options: GeoTIFFOptions, *, channel: str | None, overwrite: bool, progress: Callback
+    ) -> list[str]:
+        """Write the file; return lines for the user."""
+        from blocksar.products import geotiff
+        from blocksar.products.pixels import pixels_of
+        from blocksar.products.writing import opened
+
+        source, said = opened(run, channel, options.crop)
+        pixels = pixels_of(
+            source,
+            content=options.content,
+            looks=(1, 1) if options.looks is None else options.looks,
+            scale=options.scale,
+            limits=options.range,
+        )
+        return [*said, *geotiff.write(pixels, out, crs=options.crs, overwrite=overwrite, progress=progress)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PNGOptions:
+    """Options of what is drawn, and in which colours."""
+
+    range: Annotated[Decibels | None, COLOUR_RANGE] = None
+    colour_map: Annotated[str | None, COLOUR_MAP] = None
+    size: Annotated[
+        int | None, Option("Longer side of the picture.", metavar="PIXELS", default="by the image, up to 1700")
+    ] = None
+    crop: Crop = None
+    looks: Looks = None
+    composite: Annotated[
+        Literal["pauli", "mean"] | None,
+        Option(
+            "Colours from HH, VV and HV or VH of one run; or the mean power of its looks or channels.",
+            default="one channel or look",
+        ),
+    ] = None
+
+
+class PNG:
+    """A picture in decibels, see `quicklook` and `composite`."""
+
+    summary = (
+        "Draw the image in decibels as a PNG, with axes in metres.\n\n"
+        "Includes a scale bar, the look direction and north."
+    )
+    endings = (".png",)
+    options = PNGOptions
+
+    @staticmethod
+    def write(
+        run: Place, out: Location, options: PNGOptions, *, channel: str | None, overwrite: bool, progress: Callback
+    ) -> list[str]:
+        """Write the file; return lines for the user."""
+        from blocksar.products.writing import opened
+
+        drawn = {"limits": options.range, "size": options.size, "overwrite": overwrite, "progress": progress}
+        if options.composite is None:
+            source, said = opened(run, channel, options.crop)
+            cell = _cell(options, source)
+            quicklook = _pictures("quicklook")
+            return [*said, *quicklook.write(source, out, cell=cell, colour_map=options.colour_map, **drawn)]
+        sources = _composed(run, options, channel)
+        first, *others = sources.values()
+        cell = _cell(options, first)
+        if options.composite == "pauli":
+            return list(_pictures("composite").write(sources, out, cell=cell, **drawn))
+        quicklook = _pictures("quicklook")
+        return list(quicklook.write(first, out, others=others, cell=cell, colour_map=options.colour_map, **drawn))
+
+
+def _cell(options: PNGOptions, source: FinishedRun) -> tuple[int, int]:
+    """Pixels along y and along x of the cells of a picture, or of their parts."""
+    from blocksar.measurement.multilooking import checked_looks
+
+    return (1, 1) if options.looks is None else checked_looks(options.looks, (source.y.size, source.x.size))
+
+
+def _composed(run: Place, options: PNGOptions, channel: str | None) -> dict[str, FinishedRun]:
+    """Open the channels or looks of a composite by name."""
+    from blocksar.products.writing import opened
+    from blocksar.runs.finished import finished_record
+
+    composite = options.composite
+    if composite not in ("pauli", "mean"):
+        raise InputError(f"composite is {composite!r}; it must be 'pauli' or 'mean'")
+    taken = {"channel": channel, **({"colour_map": options.colour_map} if composite != "mean" else {})}
+    for name, value in taken.items():
+        if value is not None:
+            raise InputError(f"{name} is {value!r}, but a composite has channels and colours of its own; leave it out")
+    names = finished_record(run).channels
+    if composite == "mean" and not names:
+        raise InputError(f"composite mean takes the looks or channels of a run, and {run} has none; leave it out")
+    members = dict(zip(names, names, strict=True))
+    if composite == "pauli":
+        members = _pictures("composite").pauli_channels(names, str(run))
+    return {name: opened(run, member, options.crop)[0] for name, member in members.items()}
+
+
+def _pictures(name: str) -> Any:
+    """Import a module of pictures: optional, and slow to load."""
+    with library_for("PNG needs", "plots"):
+        return import_module(f"blocksar.products.pictures.{name}")
+
+
+def parse_files(files: Any) -> tuple[str, ...]:
+    """Read names of files: a text with commas between them, or several.
+
+    Examples
+    --------
+    >>> parse_files("image.tif, image.nitf")
+    ('image.tif', 'image.nitf')
+    """
+    several = files.split(",") if isinstance(files, str) else files if isinstance(files, Iterable) else (files,)
+    return tuple(name for each in several if (name := str(each).strip()))
+
+
+@dataclass(frozen=True, kw_only=True)
+class STACOptions:
+    """Options of an item: the files that were exported of the run."""
+
+    assets: Annotated[
+        tuple[str, ...] | None,
+        Option(
+            "Exported files, assets of the item beside image.zarr.",
+            metavar="FILE,FILE",
+            default="none",
+            read=parse_files,
+        ),
+    ] = None
+
+
+class STAC:
+    """Place, time, radar and processing of a run, and where its files are; see `stac`."""
+
+    summary = "Describe the run and what was exported of it as a STAC item.\n\nThe run must be georeferenced."
+    endings = (".json",)
+    options = STACOptions
+
+    @staticmethod
+    def write(
+        run: Place, out: Location, options: STACOptions, *, channel: str | None, overwrite: bool, progress: Callback
+    ) -> list[str]:
+        """Write the file; return lines for the user."""
+        from blocksar.products import stac
+        from blocksar.products.writing import opened
+
+        source, said = opened(run, channel)
+        whole = run if channel is None else source.folder
+        lines = stac.write(source, whole, out, options.assets or (), overwrite=overwrite)
+        progress(1, 1)
+        return [*(said if channel else ()), *lines]

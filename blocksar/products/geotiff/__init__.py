@@ -1,1 +1,0 @@
-"""The image of a run as a cloud-optimised GeoTIFF."""

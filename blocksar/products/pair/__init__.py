@@ -1,1 +1,0 @@
-"""Two runs on one grid: interferogram, coherence, amplitude ratio and change, as a store and as pictures."""

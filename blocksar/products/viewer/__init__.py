@@ -1,1 +1,0 @@
-"""A page on this machine that pans and zooms a run of any size."""
