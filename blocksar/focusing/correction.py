@@ -125,21 +125,22 @@ def correct(
     """
     out = _correct(block, ground, x=x, y=y, z=z, tiles=tiles, threads=threads, out=out)
     if ground.geometry.collection.elevation_pattern is not None:
-        _divide_by_elevation(out, ground, x=x, y=y, z=z, threads=threads)
+        _divide_by_elevation(out, ground, x=x, y=y, threads=threads)
     return out
 
 
-def _divide_by_elevation(
-    image: ComplexArray, ground: GroundMap, *, x: FloatArray, y: FloatArray, z: FloatArray | None, threads: int
-) -> None:
-    """Divide pixels (n_y, n_x) in place by the mean of the pattern in elevation; NaN where that is too small."""
+def _divide_by_elevation(image: ComplexArray, ground: GroundMap, *, x: FloatArray, y: FloatArray, threads: int) -> None:
+    """Divide pixels (n_y, n_x) in place by the mean of the pattern in elevation; NaN where that is too small.
+
+    On the plane: plans on a terrain take no such pattern.
+    """
 
     def divide(rows: slice) -> None:
         part = image[rows]
         row, column = np.nonzero(np.isfinite(part.real))
         if not row.size:
             return
-        at = x[column], y[rows][row], None if z is None else z[rows][row, column]
+        at = x[column], y[rows][row]
         means = ground.elevation_means(*at)
         dark = means.dark(ground.geometry)
         shares = np.where(dark, 1.0, means.weighed * ground.tilted_gain(*at, means.tilt)).astype(np.float32)

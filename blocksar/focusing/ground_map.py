@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -315,27 +314,26 @@ class GroundMap:
         """Yaw less the block's middle, wrapped to +-pi."""
         return wrapped(self.geometry.yaw(x, y) - self.middle_yaw)
 
-    def elevation_means(self, x: FloatArray, y: FloatArray, z: FloatArray | None) -> ElevationMeans:
+    def elevation_means(self, x: FloatArray, y: FloatArray) -> ElevationMeans:
         """Means over lit pulses of the pattern in elevation at ground points (...), m: `lit` is multiplied by them."""
-        flat, shape = [np.ravel(axis)[None] for axis in (x, y, *([] if z is None else [z]))], np.shape(x)
+        flat, shape = [np.ravel(axis)[None] for axis in (x, y)], np.shape(x)
         means = np.empty((len(ElevationMeans._fields), flat[0].size))
         for part in (slice(first, first + ELEVATIONS_AT_ONCE) for first in range(0, flat[0].size, ELEVATIONS_AT_ONCE)):
             means[:, part] = self._elevation_means(*(axis[:, part] for axis in flat))
         return ElevationMeans(*(each.reshape(shape) for each in means))
 
-    def _elevation_means(self, x: FloatArray, y: FloatArray, z: FloatArray | None = None) -> FloatArray:
+    def _elevation_means(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Means of points (1, n) under a pattern in elevation: (3, n)."""
-        geometry, settings = self.geometry, dict[str, Any](valid=self.valid, taper=self.taper)
-        at: Any = x, y, None if z is None else z - geometry.collection.ground_height
-        means = mean_elevations(geometry, *at, passes=geometry.beam.passes(x, y, z), **settings)
-        return np.concatenate(means)
+        geometry, (z, _) = self.geometry, self.geometry.known_height(x, y)
+        passes = geometry.beam.passes(x, y, z)
+        return np.concatenate(mean_elevations(geometry, x, y, z, passes=passes, valid=self.valid, taper=self.taper))
 
-    def tilted_gain(self, x: FloatArray, y: FloatArray, z: FloatArray | None, tilt: FloatArray) -> FloatArray:
+    def tilted_gain(self, x: FloatArray, y: FloatArray, tilt: FloatArray) -> FloatArray:
         """Say what the gain is multiplied by at ground points (...), m, whose dwells a pattern in elevation tilts."""
         if self.tilt is None:
             return np.ones(np.shape(x))
         yaw = self.middle_yaw + self.relative_yaw(x, y)
-        return 1 + self.tilt(self.geometry.epoch_range(x, y, z), yaw) * tilt
+        return 1 + self.tilt(self.geometry.epoch_range(x, y), yaw) * tilt
 
     def widened(self, region: Region, room: float) -> GroundMap:
         """Copy with limits and sums over lit pulses known `room`, rad, beyond the block."""
