@@ -86,8 +86,6 @@ class ReliefMap:
     smooth : SmoothGround
     low, high : float
         Least and greatest height over the smooth ground, m.
-    lowest, highest : float
-        Least and greatest z, m.
     layers : tuple of tuples of Surface
         For range offset, Doppler, phase, gain and time as in `GroundMap`, and the bend: the terms of a Chebyshev series
         in the height over the smooth ground, each a surface; all have one domain and one shape. The bend is the phase
@@ -102,8 +100,6 @@ class ReliefMap:
     smooth: SmoothGround
     low: float
     high: float
-    lowest: float
-    highest: float
     layers: tuple[tuple[Surface, ...], ...]
     most_bend: float
     turns: tuple[Surface, ...] = ()
@@ -195,6 +191,8 @@ class GroundMap:
         Yaw interval of this block, [low, high), rad.
     near, far : float
         Epoch ranges of this block, [near, far), m.
+    levels : (float, float)
+        Least and greatest z of its ground, m.
     origin : float
         Range origin, m.
     rows, doppler : Axis
@@ -237,6 +235,7 @@ class GroundMap:
     high: float
     near: float
     far: float
+    levels: tuple[float, float]
     origin: float
     rows: Axis
     doppler: Axis
@@ -275,13 +274,6 @@ class GroundMap:
             return weighted_pulses(geometry.collection, self.yaw_axis, valid, taper)
         ranges = np.linspace(self.near, self.far, LIT_RANGES)
         return geometry.beam.lit_total(ranges, self.yaw_axis, valid, taper)
-
-    @property
-    def levels(self) -> tuple[float, float]:
-        """Least and greatest z of the block's ground, m."""
-        if self.relief is None:
-            return self.geometry.collection.ground_height, self.geometry.collection.ground_height
-        return self.relief.lowest, self.relief.highest
 
     @property
     def least_lit(self) -> float:
