@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.autofocusing.range_lines import range_profiles, take_lines, taps
 from blocksar.autofocusing.work import Work
-from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
 from blocksar.kernels.fourier import fft_rows
 from blocksar.kernels.groups import row_groups, run_groups
@@ -140,7 +139,7 @@ def find_candidates(signal: ComplexArray, work: Work, pulses: slice, threads: in
     near, far = work.region.limits(low, high)
     ranges = np.arange(near, far, RANGE_STEP * work.cell)
     ends = work.plane.ground_point(np.full(2, (near + far) / 2), np.array([low, high]))
-    doppler = [_seen(work, ends[:, 0], ends[:, 1], at)[1] for at in (pulses.start, pulses.stop - 1)]
+    doppler = [_seen(work, ends, at)[1] for at in (pulses.start, pulses.stop - 1)]
     span = float(max(np.ptp(d) for d in doppler)) / 2 / np.pi
     seconds = (pulses.stop - pulses.start) * collection.pulse_interval
     widest = min(DOPPLER_SHARE * collection.prf, work.wavenumber / np.pi * work.cell / seconds)
@@ -172,28 +171,18 @@ def _lit_yaws(work: Work, pulses: slice) -> tuple[float, float] | None:
     return (float(yaw[lit[0]]), float(yaw[lit[-1]])) if lit.size > 1 else None
 
 
-def _seen(
-    work: Work, x: FloatArray, y: FloatArray, pulse: int, ground: Geometry | None = None
-) -> tuple[FloatArray, FloatArray]:
-    """Range of points (n,) at a pulse, m, and the phase rate of that, rad/s; on the plane, or on another ground."""
+def _seen(work: Work, point: FloatArray, pulse: int) -> tuple[FloatArray, FloatArray]:
+    """Range of points (n, 3) at a pulse, m, and the phase rate of that, rad/s."""
     collection = work.geometry.collection
     pulse = min(max(pulse, 1), collection.n_pulse - 2)
-    height = None if ground is None else ground.height(x, y)
-    distance = [_distance(work, x, y, slice(p, p + 1), height)[:, 0] for p in (pulse - 1, pulse, pulse + 1)]
+    distance = [_distance(work, point, slice(p, p + 1))[:, 0] for p in (pulse - 1, pulse, pulse + 1)]
     return distance[1], work.wavenumber * (distance[2] - distance[0]) / (2 * collection.pulse_interval)
 
 
-def _distance(
-    work: Work, x: FloatArray, y: FloatArray, pulses: slice, height: FloatArray | float | None = None
-) -> FloatArray:
-    """Range (n, n_pulse) of points (n,), m; at z = ground_height, or at other heights."""
-    position = work.geometry.collection.antenna_position[pulses]
-    height = np.asarray(work.geometry.collection.ground_height if height is None else height)[..., None]
-    return np.asarray(
-        np.sqrt(
-            (position[:, 0] - x[:, None]) ** 2 + (position[:, 1] - y[:, None]) ** 2 + (position[:, 2] - height) ** 2
-        )
-    )
+def _distance(work: Work, point: FloatArray, pulses: slice) -> FloatArray:
+    """Range (n, n_pulse) of points (n, 3), m."""
+    position, (x, y, z) = work.geometry.collection.antenna_position[pulses], point.T[..., None]
+    return np.asarray(np.sqrt((position[:, 0] - x) ** 2 + (position[:, 1] - y) ** 2 + (position[:, 2] - z) ** 2))
 
 
 def _coarse_image(
@@ -205,7 +194,7 @@ def _coarse_image(
     reference = work.geometry.collection.reference_range[pulses]
 
     def one(rows: slice) -> None:
-        held = _distance(work, ground[rows, 0], ground[rows, 1], pulses) - reference
+        held = _distance(work, ground[rows], pulses) - reference
         lines = np.empty(held.shape, np.complex64)
         take_lines(profiles, held / spacing, held * (work.wavenumber / (2 * np.pi)), taps(), lines)
         lines *= window
@@ -251,7 +240,7 @@ def _brightest(work: Work, pulses: slice, power: FloatArray, ground: FloatArray,
                 prominence.append(float(values[row, column]) / typical)
                 brightest.append(float(values[row, column]))
     x, y = ground[np.array(rows, np.int64), :2].T
-    distance, there = _seen(work, x, y, (pulses.start + pulses.stop) // 2)
+    distance, there = _seen(work, work.plane.on_ground(x, y), (pulses.start + pulses.stop) // 2)
     rate = there - np.array(columns) * step * 2 * np.pi
     x, y = _located(work, pulses, x, y, distance, rate)
     return Bright(x=x, y=y, prominence=np.array(prominence), power=np.array(brightest), distance=distance, rate=rate)
@@ -268,7 +257,7 @@ def _located(
     uneven = work.geometry.terrain is not None
 
     def seen(at: FloatArray) -> FloatArray:
-        return np.stack(_seen(work, at[0], at[1], middle, work.geometry if uneven else None))
+        return np.stack(_seen(work, work.geometry.on_ground(at[0], at[1]), middle))
 
     at = np.stack([x, y])
     x, y = newton(seen, np.stack([wanted, goal]), at, steps=UNEVEN_STEPS if uneven else STEPS)
@@ -378,8 +367,8 @@ def _yaw_cell(work: Work) -> float:
     """Yaw of a Doppler cell of a short aperture, rad."""
     yaw = np.array([-5e-5, 5e-5]) + (work.region.yaw[0] + work.region.yaw[-1]) / 2
     near, far = work.region.at(yaw)
-    x, y = work.plane.ground_axes((near + far) / 2, yaw)
-    rate = _seen(work, x, y, work.geometry.collection.n_pulse // 2)[1]
+    point = work.plane.ground_point((near + far) / 2, yaw)
+    rate = _seen(work, point, work.geometry.collection.n_pulse // 2)[1]
     per_yaw = abs(float(rate[1] - rate[0])) / 1e-4 / (2 * np.pi)
     return work.geometry.collection.prf / work.short / max(per_yaw, 1e-12)
 

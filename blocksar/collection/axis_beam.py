@@ -10,8 +10,6 @@ spotlight, a fast one TOPS. When a point is lit depends on its range as well as 
 Which pulses light a point is found exactly, however the beam turns and wobbles (`kernels.beam_passes`). Times of dwells
 are those of a beam that is smooth over a fraction 1 / NODES of the collection: an offset mostly rises or falls
 throughout, or turns back once.
-
-Points x, y lie at heights z, m; without, on the plane z = ground_height.
 """
 
 from __future__ import annotations
@@ -38,11 +36,6 @@ class Points(NamedTuple):
     y: FloatArray
     z: Height
 
-    @classmethod
-    def of(cls, collection: Collection, x: FloatArray, y: FloatArray, z: Height | None) -> Points:
-        """Points at heights z; None: on the plane."""
-        return cls(x, y, collection.ground_height if z is None else z)
-
     def some(self, which: IntArray | BoolArray) -> Points:
         """The points at some indices."""
         return Points(self.x[which], self.y[which], self.z[which] if isinstance(self.z, np.ndarray) else self.z)
@@ -54,33 +47,30 @@ class Points(NamedTuple):
 
 
 def axis_offset(
-    collection: Collection, x: FloatArray, y: FloatArray, pulses: slice | IntArray | int, z: Height | None = None
+    collection: Collection, x: FloatArray, y: FloatArray, z: Height, pulses: slice | IntArray | int
 ) -> FloatArray:
     """Angle of points x, y, z (m) off the beam's centre at pulses, rad; points and pulses are broadcast."""
     assert collection.beam_axis is not None and collection.beam_steering is not None
     px, py, pz = np.moveaxis(collection.antenna_position[pulses], -1, 0)
     ax, ay, az = np.moveaxis(collection.beam_axis[pulses], -1, 0)
-    dx, dy, dz = x - px, y - py, (collection.ground_height if z is None else z) - pz
+    dx, dy, dz = x - px, y - py, z - pz
     sine = (dx * ax + dy * ay + dz * az) / np.sqrt(dx * dx + dy * dy + dz * dz)
     return np.asarray(np.arcsin(np.clip(sine, -1.0, 1.0)) - collection.beam_steering[pulses])
 
 
-def axis_passes(
-    collection: Collection, x: FloatArray, y: FloatArray, z: Height | None = None
-) -> tuple[IntArray, IntArray]:
-    """Pulses first <= p < last that light points x, y, z (n,), m: exactly those with |offset| <= beam_width / 2.
+def axis_passes(collection: Collection, points: Points) -> tuple[IntArray, IntArray]:
+    """Pulses first <= p < last that light points (n,): exactly those with |offset| <= beam_width / 2.
 
     Several passes where the beam turns back or wobbles, leaves a point and comes to it again: (n_pass, n), in the order
     of time. Those that a point lacks are empty, at the end of the one before; so a point that is never lit has 0 and 0.
     """
     from blocksar.kernels.beam_passes import find_passes, largest_steps  # load numba, which other beams do without
 
-    points = Points.of(collection, x, y, z).each()
-    table, most, m = _table(collection, _half(collection)), FEW_PASSES, 0
+    points, table, most, m = points.each(), _table(collection, _half(collection)), FEW_PASSES, 0
     steps = largest_steps(table)
     while most > m:
         m = most
-        firsts, lasts = np.empty((2, m, x.size), np.int64)
+        firsts, lasts = np.empty((2, m, points.x.size), np.int64)
         most = find_passes(table, *points, *steps, firsts, lasts)
     return _in_order(firsts, lasts)
 
@@ -105,10 +95,8 @@ def _table(collection: Collection, half: float) -> FloatArray:
     return table
 
 
-def axis_dwell(
-    collection: Collection, x: FloatArray, y: FloatArray, z: Height | None = None, *, uncut: bool
-) -> tuple[FloatArray, FloatArray]:
-    """Times at which points x, y, z (n,), m, enter and leave the beam, s, as a continuous function of time.
+def axis_dwell(collection: Collection, points: Points, *, uncut: bool) -> tuple[FloatArray, FloatArray]:
+    """Times at which points (n,) enter and leave the beam, s, as a continuous function of time.
 
     Of the steady beam where it wobbles. Between pulses, offsets are interpolated linearly; beyond the ends of the
     collection they go on with their slope there. Without `uncut`, times are limited to the collection; the first is not
@@ -116,11 +104,10 @@ def axis_dwell(
     is.
     """
     collection = collection.steady
-    points = Points.of(collection, x, y, z)
-    known = np.isfinite(x) & np.isfinite(y) & np.isfinite(points.z)
+    known = np.isfinite(points.x) & np.isfinite(points.y) & np.isfinite(points.z)
     if not known.all():
-        first, last = np.full(x.shape, np.nan), np.full(x.shape, np.nan)
-        first[known], last[known] = axis_dwell(collection, *points.some(known), uncut=uncut)
+        first, last = np.full((2, points.x.size), np.nan)
+        first[known], last[known] = axis_dwell(collection, points.some(known), uncut=uncut)
         return first, last
     time, half_pulse = collection.time, collection.pulse_interval / 2
     turning, rising = _turning(collection, points)
@@ -128,7 +115,7 @@ def axis_dwell(
     first, last = (_edge_times(collection, points, sign, level) for level in (-_half(collection), _half(collection)))
     bent = np.flatnonzero(turning != 0)
     if bent.size:
-        passes = axis_passes(collection, *points.some(bent))
+        passes = axis_passes(collection, points.some(bent))
         begin, end = passes[0][0], passes[1][-1]
         lit, at_turn = end > begin, time[np.maximum(turning[bent], 0)]
         first[bent] = np.where(lit, time[np.minimum(begin, collection.n_pulse - 1)] - half_pulse, at_turn)
@@ -138,24 +125,21 @@ def axis_dwell(
     return np.maximum(first, time[0] - half_pulse), np.minimum(last, time[-1] + half_pulse)
 
 
-def axis_passing(
-    collection: Collection, x: FloatArray, y: FloatArray, place: float, z: Height | None = None
-) -> FloatArray:
-    """Times at which points x, y, z (n,), m, are at a place in the beam, s: -1 where they enter, 1 where they leave it.
+def axis_passing(collection: Collection, points: Points, place: float) -> FloatArray:
+    """Times at which points (n,) are at a place in the beam, s: -1 where they enter, 1 where they leave it.
 
     As `axis_dwell`, as if the collection did not cut dwells; in proportion where offsets turn back. From the nearer end
     of the dwell, a place is half as far as in proportion to half as far again; near the ends a third to three times.
     """
     collection = collection.steady
-    points = Points.of(collection, x, y, z)
-    first, last = axis_dwell(collection, *points, uncut=True)
+    first, last = axis_dwell(collection, points, uncut=True)
     middle, half = (first + last) / 2, (last - first) / 2
     known = np.flatnonzero(np.isfinite(middle))
     turning, rising = _turning(collection, points.some(known))
     some = known[turning == 0]
     sign = np.where(rising[turning == 0], 1.0, -1.0)
     found = _edge_times(collection, points.some(some), sign, place * _half(collection))
-    away = np.full(x.shape, place)
+    away = np.full(points.x.shape, place)
     toward, apart = (1.0 if place >= 0 else -1.0), 1 - abs(place)
     limits = toward * (1 - apart * 1.5 * (1 + place**2)), toward * (1 - apart / (2 + place**2))
     away[some] = np.clip((found - middle[some]) / half[some], min(limits), max(limits))
@@ -183,7 +167,7 @@ def _turning(collection: Collection, points: Points) -> tuple[IntArray, BoolArra
 
 def _at(collection: Collection, points: Points, pulses: IntArray) -> FloatArray:
     """Offsets of points (n,) at a pulse each (n,)."""
-    return axis_offset(collection, points.x, points.y, pulses, points.z)
+    return axis_offset(collection, *points, pulses)
 
 
 def _edge_times(collection: Collection, points: Points, sign: FloatArray, level: float) -> FloatArray:

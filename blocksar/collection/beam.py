@@ -23,12 +23,12 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import ClassVar, Protocol, TypeVar
 
 import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray, IntArray
-from blocksar.collection.axis_beam import Height, axis_dwell, axis_offset, axis_passes, axis_passing
+from blocksar.collection.axis_beam import Height, Points, axis_dwell, axis_offset, axis_passes, axis_passing
 from blocksar.collection.collection import Collection
 from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import TURN
@@ -79,9 +79,6 @@ class Lit(Protocol):
     def collection(self) -> Collection: ...
 
     @property
-    def terrain(self) -> Any: ...
-
-    @property
     def beam(self) -> Beam: ...
 
     def yaw(self, x: FloatArray, y: FloatArray) -> FloatArray: ...
@@ -90,7 +87,7 @@ class Lit(Protocol):
 
     def level(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray | float: ...
 
-    def on_ground(self, x: FloatArray, y: FloatArray) -> FloatArray: ...
+    def height(self, x: FloatArray, y: FloatArray) -> FloatArray | float: ...
 
     def lit_by(self, collection: Collection) -> Lit: ...
 
@@ -258,9 +255,7 @@ class Beam(ABC):
 
     def height(self, x: FloatArray, y: FloatArray, z: Height | None) -> Height:
         """Heights z, by default those of the ground at points x, y, broadcast; one number on the plane."""
-        if z is not None or self.geometry.terrain is None:
-            return self.collection.ground_height if z is None else z
-        return self.geometry.on_ground(x, y)[..., 2]
+        return self.geometry.height(x, y) if z is None else z
 
     def lit_total(self, epoch_range: FloatArray, yaw: FloatArray, valid: FloatArray, taper: Taper = FLAT) -> FloatArray:
         """Sum of `valid` (n_pulse,) times taper and pattern over lit pulses: (n_range, n_yaw), at (n,) m and rad.
@@ -417,12 +412,12 @@ class AxisScan(Beam):
         return np.asarray(np.abs(self.offset(px, py, pulses, pz)) <= self.half)
 
     def passes(self, x: FloatArray, y: FloatArray, z: Height | None = None) -> tuple[IntArray, IntArray]:
-        passes = axis_passes(self.collection, *_raveled(x, y, self.height(x, y, z)))
+        passes = axis_passes(self.collection, _raveled(x, y, self.height(x, y, z)))
         first, last = (ends.reshape(len(ends), *np.shape(x)) for ends in passes)
         return first, last
 
     def offset(self, x: FloatArray, y: FloatArray, pulses: Pulses, z: Height | None = None) -> FloatArray:
-        return axis_offset(self.collection, x, y, pulses, self.height(x, y, z))
+        return axis_offset(self.collection, x, y, self.height(x, y, z), pulses)
 
     def dwell(
         self, x: FloatArray, y: FloatArray, *, z: Height | None = None, uncut: bool = False
@@ -430,7 +425,7 @@ class AxisScan(Beam):
         x, y = np.broadcast_arrays(x, y)
         z = self.height(x, y, z)
         z = np.broadcast_to(z, x.shape) if isinstance(z, np.ndarray) else z
-        first, last = axis_dwell(self.collection, *_raveled(x, y, z), uncut=uncut)
+        first, last = axis_dwell(self.collection, _raveled(x, y, z), uncut=uncut)
         return first.reshape(x.shape), last.reshape(x.shape)
 
     def dwell_at(
@@ -442,7 +437,7 @@ class AxisScan(Beam):
     def passing_at(self, yaw: FloatArray, epoch_range: FloatArray, place: float) -> FloatArray:
         geometry = self.geometry
         x, y, z = np.broadcast_arrays(*geometry.ground_axes(epoch_range, yaw), geometry.level(epoch_range, yaw))
-        return axis_passing(self.collection, x.ravel(), y.ravel(), place, z.ravel()).reshape(x.shape)
+        return axis_passing(self.collection, _raveled(x, y, z), place).reshape(x.shape)
 
     def centre_yaw(self, time: FloatArray, epoch_range: FloatArray | float, low: float, high: float) -> FloatArray:
         yaw = np.linspace(low, high, CENTRE_NODES)
@@ -476,10 +471,10 @@ class AxisScan(Beam):
         return math.ceil(float(lasts.max(initial=0.0)) * self.collection.prf)
 
 
-def _raveled(x: FloatArray, y: FloatArray, z: Height) -> tuple[FloatArray, FloatArray, Height]:
+def _raveled(x: FloatArray, y: FloatArray, z: Height) -> Points:
     """Points (n,), whose height may be one number."""
     along_x, along_y = (np.ravel(np.asarray(axis, np.float64)) for axis in (x, y))
-    return along_x, along_y, np.ravel(z) if isinstance(z, np.ndarray) else z
+    return Points(along_x, along_y, np.ravel(z) if isinstance(z, np.ndarray) else z)
 
 
 # ---------------------------------------------------------------- pulses and yaws

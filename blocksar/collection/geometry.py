@@ -17,7 +17,7 @@ import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial, chebyshev
 
 from blocksar import solvers
-from blocksar.arrays import FloatArray
+from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.beam import Beam, beam_of
 from blocksar.collection.collection import Collection
 from blocksar.collection.spline import Spline, fit_spline
@@ -244,6 +244,12 @@ class Geometry:
     def height(self, x: FloatArray, y: FloatArray) -> FloatArray | float:
         """Height z of ground points x, y (m), m: one number on the plane; NaN where the terrain has none."""
         return self.collection.ground_height if self.terrain is None else self.terrain(x, y)
+
+    def known_height(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Height z of ground points x, y (m), of their shape, m, and where it is known; elsewhere it is the plane's."""
+        z = np.broadcast_to(self.height(x, y), np.shape(x))
+        known = np.isfinite(z)
+        return z if known.all() else np.where(known, z, self.collection.ground_height), known
 
     def on_ground(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Points (..., 3), m, of the ground at x, y (m), broadcast."""

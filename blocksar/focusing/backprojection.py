@@ -54,12 +54,12 @@ def accumulate(
     geometry: Geometry,
     x: FloatArray,
     y: FloatArray,
+    z: FloatArray,
     first: IntArray,
     last: IntArray,
     threads: int,
     taper: Taper = FLAT,
     weight: Float32Array | None = None,
-    height: FloatArray | None = None,
     device: Device = CPU,
 ) -> None:
     """Add a block of pulses to the image, in place: image += sum over lit pulses of the profile at the pixel's range.
@@ -71,8 +71,8 @@ def accumulate(
         Set where a lit pulse sees the pixel outside the unambiguous window.
     profiles : Profiles
     geometry : Geometry
-    x, y : (n_row, n_column) float
-        m, scene frame.
+    x, y, z : (n_row, n_column) float
+        m, scene frame; finite.
     first, last : (n_row, n_column) int
         Lit pulses: one of `Beam.passes`.
     threads : int
@@ -81,8 +81,6 @@ def accumulate(
         Weighting over a steered beam.
     weight : (n_row, n_column) float32, optional
         Rises by the sum of weights; needed under a weighting.
-    height : (n_row, n_column) float, optional
-        Of the pixels over the plane z = ground_height, m; finite. None: they lie on it.
     device : Device
         Which has the arrays of pixels, and the profiles.
 
@@ -95,39 +93,27 @@ def accumulate(
         raise ValueError(f"{taper.text} needs an array for the sum of weights")
     collection, pulses = geometry.collection, profiles.pulses
     middle = collection.range_frequency[collection.n_range_frequency // 2]
-    position = collection.antenna_position[pulses].T
     sights = Sights(
         start=pulses.start,
         values=profiles.values,
         middle=profiles.centre,
         bins_per_metre=1 / profiles.spacing,
         cycles_per_metre=2 * (collection.carrier + middle) / SPEED_OF_LIGHT,
-        antenna=position - np.array([[0.0], [0.0], [collection.ground_height]]),
+        antenna=collection.antenna_position[pulses].T,
         reference_range=collection.reference_range[pulses],
         half_window=collection.range_window / 2,
         taper=None if taper.uniform else _beam_taper(taper, profiles, geometry),
     )
-    device.project(image, outside, sights, x, y, first, last, weight, height, threads)
-
-
-def _relief(geometry: Geometry, x: FloatArray, y: FloatArray, outside: BoolArray) -> FloatArray | None:
-    """Heights of pixels over the plane z = ground_height, m; where they are unknown 0, and `outside` is set."""
-    if geometry.terrain is None:
-        return None
-    height = geometry.terrain(x, y) - geometry.collection.ground_height
-    unknown = ~np.isfinite(height)
-    outside |= unknown
-    return np.where(unknown, 0.0, height)
+    device.project(image, outside, sights, x, y, z, first, last, weight, threads)
 
 
 def _beam_taper(taper: Taper, profiles: Profiles, geometry: Geometry) -> BeamTaper:
     """The weights of a block of pulses under a taper over the beam."""
     start, half = profiles.pulses.start, (geometry.collection.beam_width or np.inf) / 2
 
-    def place(x: FloatArray, y: FloatArray, pulses: slice, over: FloatArray | None) -> FloatArray:
+    def place(x: FloatArray, y: FloatArray, z: FloatArray, pulses: slice) -> FloatArray:
         block = slice(pulses.start + start, pulses.stop + start)
-        z = geometry.collection.ground_height + (0.0 if over is None else over[:, None])
-        return geometry.beam.offset(x[:, None], y[:, None], block, z) / half
+        return geometry.beam.offset(x[:, None], y[:, None], block, z[:, None]) / half
 
     valid = profiles.valid / geometry.collection.n_range_frequency
     return BeamTaper(terms=taper.series[0], frequency=taper.series[1], valid=valid, place=place)
@@ -208,8 +194,8 @@ class Pixels:
     def __init__(self, sums: PixelSums, device: Device) -> None:
         self.sums, self.device = sums, device
         weight = None if sums.over_beam.uniform else np.zeros(sums.x.shape, np.float32)
-        self.image, self.outside, self.weight, self.x, self.y, self.height = map(
-            device.put, (sums.image, sums.outside, weight, sums.x, sums.y, sums.height)
+        self.image, self.outside, self.weight, self.x, self.y, self.z = map(
+            device.put, (sums.image, sums.outside, weight, sums.x, sums.y, sums.z)
         )
         self.passes = [(part, device.put(first), device.put(last)) for part, first, last in sums.passes]
 
@@ -218,9 +204,8 @@ class Pixels:
         for part, first, last in self.passes:
             accumulate(
                 self.image[part], self.outside[part], profiles, geometry=self.sums.geometry, x=self.x[part],
-                y=self.y[part], first=first, last=last, threads=threads, taper=self.sums.over_beam,
-                weight=None if self.weight is None else self.weight[part],
-                height=None if self.height is None else self.height[part], device=self.device,
+                y=self.y[part], z=self.z[part], first=first, last=last, threads=threads, taper=self.sums.over_beam,
+                weight=None if self.weight is None else self.weight[part], device=self.device,
             )  # fmt: skip
 
     def take(self) -> Float32Array | None:
@@ -247,8 +232,8 @@ class PixelSums:
         The sums, zero at first.
     outside : (n_row, n_column) bool
         Pixels that get no value.
-    height : (n_row, n_column) float or None
-        Over the plane z = ground_height, m; None: on it.
+    z : (n_row, n_column) float
+        m; of pixels without a height, which are outside, ground_height.
     passes : list of Pass
     over_beam : Taper
         Weighting over a steered beam.
@@ -265,10 +250,10 @@ class PixelSums:
         self.geometry, self.x, self.y, self.threads, collection = geometry, x, y, threads, geometry.collection
         self._weighting = weighting
         self.passes = _lit_passes(geometry, x, y, threads)
-        self.image, self.outside = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.bool_)
-        self.height = _relief(geometry, x, y, self.outside)
+        self.z, known = geometry.known_height(x, y)
+        self.image, self.outside = np.zeros(x.shape, np.complex64), ~known
         if collection.elevation_pattern is not None:
-            _find_dark(self.outside, geometry, x, y, self.height, threads)
+            _find_dark(self.outside, geometry, x, y, self.z, threads)
         self.over_beam, self.over_pulses = weighting.azimuth, None
         if not (collection.steered or self.over_beam.uniform):  # every pixel has the same weights
             self.over_pulses = self.over_beam.samples(collection.n_pulse).astype(np.float32)
@@ -291,9 +276,8 @@ class PixelSums:
         self._gains = np.zeros(self.image.shape) if self._gains is None else self._gains
         for part, first, last in self.passes:
             _add_gains(
-                self._gains[part], self.geometry, self.x[part], self.y[part],
-                None if self.height is None else self.height[part], first=first, last=last, pulses=pulses,
-                valid=self._valid, taper=self.over_beam, threads=self.threads,
+                self._gains[part], self.geometry, self.x[part], self.y[part], self.z[part], first=first, last=last,
+                pulses=pulses, valid=self._valid, taper=self.over_beam, threads=self.threads,
             )  # fmt: skip
 
     def mean(self, weight: Float32Array | None = None) -> ComplexArray:
@@ -317,9 +301,8 @@ class PixelSums:
 
     def _divided(self) -> ComplexArray:
         """The means, those of ground of whose pulses a raw echo recorded only parts divided by the part."""
-        z = None if self.height is None else self.height + self.geometry.collection.ground_height
         divide_by_recorded(
-            self.image, self.geometry, self.x, self.y, z, weighting=self._weighting, threads=self.threads
+            self.image, self.geometry, self.x, self.y, self.z, weighting=self._weighting, threads=self.threads
         )
         return self.image
 
@@ -426,30 +409,28 @@ def _lit_passes(geometry: Geometry, x: FloatArray, y: FloatArray, threads: int) 
 
 
 def _add_gains(
-    gains: FloatArray, geometry: Geometry, x: FloatArray, y: FloatArray, height: FloatArray | None, *,
-    first: IntArray, last: IntArray, pulses: slice, valid: IntArray | FloatArray, taper: Taper, threads: int,
+    gains: FloatArray, geometry: Geometry, x: FloatArray, y: FloatArray, z: FloatArray, *, first: IntArray,
+    last: IntArray, pulses: slice, valid: IntArray | FloatArray, taper: Taper, threads: int,
 ) -> None:  # fmt: skip
     """`pattern_sums.add_gains` tile by tile, in threads."""
 
     def work(tile: Tile) -> None:
         add_gains(
-            gains[tile], geometry, x[tile], y[tile], None if height is None else height[tile], first=first[tile],
-            last=last[tile], pulses=pulses, valid=valid[pulses], taper=taper,
+            gains[tile], geometry, x[tile], y[tile], z[tile], first=first[tile], last=last[tile], pulses=pulses,
+            valid=valid[pulses], taper=taper,
         )  # fmt: skip
 
     _run_tiles(work, gains.shape, threads)
 
 
 def _find_dark(
-    outside: BoolArray, geometry: Geometry, x: FloatArray, y: FloatArray, height: FloatArray | None, threads: int
+    outside: BoolArray, geometry: Geometry, x: FloatArray, y: FloatArray, z: FloatArray, threads: int
 ) -> None:
     """Set `outside` where the pattern in elevation is too small, tile by tile."""
 
     def work(tile: Tile) -> None:
-        over = None if height is None else height[tile]
-        z = None if over is None else over + geometry.collection.ground_height
-        passes = geometry.beam.passes(x[tile], y[tile], z)
-        outside[tile] |= mean_elevations(geometry, x[tile], y[tile], over, passes=passes).dark(geometry)
+        at = x[tile], y[tile], z[tile]
+        outside[tile] |= mean_elevations(geometry, *at, passes=geometry.beam.passes(*at)).dark(geometry)
 
     _run_tiles(work, x.shape, threads)
 

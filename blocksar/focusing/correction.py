@@ -18,6 +18,7 @@ from numba import types
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.collection.grid import spacing
+from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.ground_map import GroundMap, tile_extent
 from blocksar.focusing.pixel_rows import (
     DOPPLER_UNIT,
@@ -125,21 +126,22 @@ def correct(
     """
     out = _correct(block, ground, x=x, y=y, z=z, tiles=tiles, threads=threads, out=out)
     if ground.geometry.collection.elevation_pattern is not None:
-        _divide_by_elevation(out, ground, x=x, y=y, z=z, threads=threads)
+        _divide_by_elevation(out, ground, x=x, y=y, threads=threads)
     return out
 
 
-def _divide_by_elevation(
-    image: ComplexArray, ground: GroundMap, *, x: FloatArray, y: FloatArray, z: FloatArray | None, threads: int
-) -> None:
-    """Divide pixels (n_y, n_x) in place by the mean of the pattern in elevation; NaN where that is too small."""
+def _divide_by_elevation(image: ComplexArray, ground: GroundMap, *, x: FloatArray, y: FloatArray, threads: int) -> None:
+    """Divide pixels (n_y, n_x) in place by the mean of the pattern in elevation; NaN where that is too small.
+
+    On the plane: plans on a terrain take no such pattern.
+    """
 
     def divide(rows: slice) -> None:
         part = image[rows]
         row, column = np.nonzero(np.isfinite(part.real))
         if not row.size:
             return
-        at = x[column], y[rows][row], None if z is None else z[rows][row, column]
+        at = x[column], y[rows][row]
         means = ground.elevation_means(*at)
         dark = means.dark(ground.geometry)
         shares = np.where(dark, 1.0, means.weighed * ground.tilted_gain(*at, means.tilt)).astype(np.float32)
@@ -154,40 +156,46 @@ def _correct(
 ) -> ComplexArray:  # fmt: skip
     """`correct` without a pattern in elevation."""
     out = np.empty((y.size, x.size), np.complex64) if out is None else out
-    tiles = tiles or tiles_of(ground, [(x, y)], [z])[0]
-    side, places, polynomials, _ = tiles
+    side, places, polynomials, heights = tiles or tiles_of(ground, [(x, y)], [z])[0]
     _blank_others(out, places, side)
     if places.shape[0] == 0:
         return out
-    if ground.relief is not None:
-        assert z is not None
-        _correct_on_relief(block, ground, out, tiles, x=x, y=y, z=z, threads=threads)
-        return out
-    n_taps = ground.range_taps[0], ground.doppler_taps[0]
-    range_taps, doppler_taps = _range_taps(*ground.range_taps), _doppler_taps(*ground.doppler_taps)
-    widths = -(-n_taps[0] // RANGE_UNIT) * RANGE_UNIT, doppler_taps.shape[1] // 2
-    carriers = _carriers(widths[1])
-    px, py, pz = ground.geometry.epoch_position
-    nx, ny = ground.geometry.nadir
-    height2 = float((pz - ground.geometry.collection.ground_height) ** 2)
+    numbers, across = out.view(np.float32).reshape(-1), place_across(side)
     # The sides of the two seam rays decide on ownership: the neighbouring block computes the same products from the
     # same numbers, so every pixel has exactly one owner.
     rays = np.array([np.cos(ground.low), np.sin(ground.low), np.cos(ground.high), np.sin(ground.high)])
-    frame = np.array([nx, ny, px, py, height2, ground.near, ground.far, ground.least_lit])
-    yaw_start = float(ground.yaw_axis[0] - ground.middle_yaw)
-    yaw_step = float(ground.yaw_axis[1] - ground.yaw_axis[0])
-    weight = ground.weight
-    x, y, near_limit, far_limit = (np.ascontiguousarray(v) for v in (x, y, ground.near_limit, ground.far_limit))
-    floats, numbers = _with_room(block, *widths).view(np.float32), out.view(np.float32).reshape(-1)
-    across = place_across(side)
+    yaws = float(ground.yaw_axis[0] - ground.middle_yaw), float(ground.yaw_axis[1] - ground.yaw_axis[0])
+    # Contiguous: a loop is compiled for one layout of its arrays.
+    x, y, *limits = map(np.ascontiguousarray, (x, y, ground.near_limit, ground.far_limit, ground.weight))
+    in_range, n_range = _range_taps(*ground.range_taps), ground.range_taps[0]
+    width, sizes = -(-n_range // RANGE_UNIT) * RANGE_UNIT, (ground.rows.size, ground.doppler.size)
+    px, py, pz = ground.geometry.epoch_position
+    if (relief := ground.relief) is None:
+        in_doppler, n_doppler = _doppler_taps(*ground.doppler_taps), ground.doppler_taps[0]
+        widest, depth = in_doppler.shape[1] // 2, (pz - ground.levels[0]) ** 2
 
-    def resample(group: slice) -> None:
-        _resample(
-            floats, numbers, places[group], polynomials[group], x, y, across, range_taps, doppler_taps, carriers,
-            n_taps, widths, (ground.rows.size, ground.doppler.size), rays, frame, yaw_start, yaw_step, near_limit,
-            far_limit, weight,
-        )  # fmt: skip
+        def resample(group: slice) -> None:
+            _resample(
+                floats, numbers, places[group], polynomials[group], x, y, across, in_range, in_doppler, carriers,
+                (n_range, n_doppler), (width, widest), sizes, rays, frame, *yaws, *limits,
+            )  # fmt: skip
 
+    else:
+        assert z is not None and heights is not None
+        z, (bent, most) = np.ascontiguousarray(z), bent_taps_of(ground, relief)
+        widest, depth, per_bend = bent.width[0], pz, (bent.n_bend[0] - 1) / (2 * most) if most else 0.0
+        carrier = -2 * ground.geometry.collection.carrier / SPEED_OF_LIGHT
+        scales = carrier, 1 / ground.rows.step, ground.origin
+
+        def resample(group: slice) -> None:
+            resample_on_relief(
+                floats, numbers, places[group], polynomials[group], heights[group], x, y, z, across, in_range,
+                bent.real, bent.imag, carriers, (n_range, *bent.n_tap), (width, *bent.width), sizes, rays, frame,
+                scales, (per_bend, *bent.n_bend), *yaws, *limits,
+            )  # fmt: skip
+
+    floats, carriers = _with_room(block, width, widest).view(np.float32), _carriers(widest)
+    frame = np.array([*ground.geometry.nadir, px, py, depth, ground.near, ground.far, ground.least_lit])
     # Python threads over groups of tiles, not numba's own: a dask worker may run several tasks in one process.
     run_groups(resample, [slice(i, i + TILE_GROUP) for i in range(0, places.shape[0], TILE_GROUP)], threads)
     return out
@@ -219,8 +227,8 @@ def tiles_of(
     sides = _tile_sides(ground, windows)
     places, owner = _owned(ground, windows, [(side, side) for side in sides])
     side, spans = np.array(sides)[owner], None
-    if ground.relief is not None:
-        polynomials, spans = tile_polynomials(ground, windows, heights, side, places, owner)
+    if (relief := ground.relief) is not None:
+        polynomials, spans = tile_polynomials(ground, relief, windows, heights, side, places, owner)
     else:
         if ground.lit.ndim > 1:
             places[:, 2] = 0  # so that the range of every pixel is at hand
@@ -230,25 +238,6 @@ def tiles_of(
         Tiles(one, places[first:end], polynomials[first:end], None if spans is None else spans[first:end])
         for one, first, end in zip(sides, ends[:-1], ends[1:], strict=True)
     ]
-
-
-def _correct_on_relief(
-    block: ComplexArray, ground: GroundMap, out: ComplexArray, tiles: Tiles, *, x: FloatArray, y: FloatArray,
-    z: FloatArray, threads: int,
-) -> None:  # fmt: skip
-    """Write the owned pixels to `out`, by a ground map with relief."""
-    assert tiles.heights is not None
-    doppler_taps, most_bend = bent_taps_of(ground)
-    widths = -(-ground.range_taps[0] // RANGE_UNIT) * RANGE_UNIT, doppler_taps.width[0]
-    floats = _with_room(block, *widths).view(np.float32)
-    floats.flags.writeable = False
-    near_limit, far_limit = np.array(ground.near_limit), np.array(ground.far_limit)
-    resample_on_relief(
-        ground, floats, out, tiles.places, (tiles.polynomials, tiles.heights), x=np.array(x), y=np.array(y), z=z,
-        tile=tiles.side, group=TILE_GROUP, threads=threads,
-        range_taps=(_range_taps(*ground.range_taps), ground.range_taps[0], widths[0]), doppler_taps=doppler_taps,
-        most_bend=most_bend, carriers=_carriers(widths[1]), limits=(near_limit, far_limit), weight=ground.weight,
-    )  # fmt: skip
 
 
 def _tile_sides(ground: GroundMap, windows: Sequence[tuple[FloatArray, FloatArray]]) -> list[int]:

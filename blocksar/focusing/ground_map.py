@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -87,8 +86,6 @@ class ReliefMap:
     smooth : SmoothGround
     low, high : float
         Least and greatest height over the smooth ground, m.
-    lowest, highest : float
-        Least and greatest z, m.
     layers : tuple of tuples of Surface
         For range offset, Doppler, phase, gain and time as in `GroundMap`, and the bend: the terms of a Chebyshev series
         in the height over the smooth ground, each a surface; all have one domain and one shape. The bend is the phase
@@ -103,8 +100,6 @@ class ReliefMap:
     smooth: SmoothGround
     low: float
     high: float
-    lowest: float
-    highest: float
     layers: tuple[tuple[Surface, ...], ...]
     most_bend: float
     turns: tuple[Surface, ...] = ()
@@ -196,6 +191,8 @@ class GroundMap:
         Yaw interval of this block, [low, high), rad.
     near, far : float
         Epoch ranges of this block, [near, far), m.
+    levels : (float, float)
+        Least and greatest z of its ground, m.
     origin : float
         Range origin, m.
     rows, doppler : Axis
@@ -238,6 +235,7 @@ class GroundMap:
     high: float
     near: float
     far: float
+    levels: tuple[float, float]
     origin: float
     rows: Axis
     doppler: Axis
@@ -278,13 +276,6 @@ class GroundMap:
         return geometry.beam.lit_total(ranges, self.yaw_axis, valid, taper)
 
     @property
-    def levels(self) -> tuple[float, float]:
-        """Least and greatest z of the block's ground, m."""
-        if self.relief is None:
-            return self.geometry.collection.ground_height, self.geometry.collection.ground_height
-        return self.relief.lowest, self.relief.highest
-
-    @property
     def least_lit(self) -> float:
         """The sum over lit pulses below which a pixel is not lit."""
         return LEAST_LIT * self.geometry.collection.peak_gain
@@ -315,27 +306,26 @@ class GroundMap:
         """Yaw less the block's middle, wrapped to +-pi."""
         return wrapped(self.geometry.yaw(x, y) - self.middle_yaw)
 
-    def elevation_means(self, x: FloatArray, y: FloatArray, z: FloatArray | None) -> ElevationMeans:
+    def elevation_means(self, x: FloatArray, y: FloatArray) -> ElevationMeans:
         """Means over lit pulses of the pattern in elevation at ground points (...), m: `lit` is multiplied by them."""
-        flat, shape = [np.ravel(axis)[None] for axis in (x, y, *([] if z is None else [z]))], np.shape(x)
+        flat, shape = [np.ravel(axis)[None] for axis in (x, y)], np.shape(x)
         means = np.empty((len(ElevationMeans._fields), flat[0].size))
         for part in (slice(first, first + ELEVATIONS_AT_ONCE) for first in range(0, flat[0].size, ELEVATIONS_AT_ONCE)):
             means[:, part] = self._elevation_means(*(axis[:, part] for axis in flat))
         return ElevationMeans(*(each.reshape(shape) for each in means))
 
-    def _elevation_means(self, x: FloatArray, y: FloatArray, z: FloatArray | None = None) -> FloatArray:
+    def _elevation_means(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Means of points (1, n) under a pattern in elevation: (3, n)."""
-        geometry, settings = self.geometry, dict[str, Any](valid=self.valid, taper=self.taper)
-        at: Any = x, y, None if z is None else z - geometry.collection.ground_height
-        means = mean_elevations(geometry, *at, passes=geometry.beam.passes(x, y, z), **settings)
-        return np.concatenate(means)
+        geometry, (z, _) = self.geometry, self.geometry.known_height(x, y)
+        passes = geometry.beam.passes(x, y, z)
+        return np.concatenate(mean_elevations(geometry, x, y, z, passes=passes, valid=self.valid, taper=self.taper))
 
-    def tilted_gain(self, x: FloatArray, y: FloatArray, z: FloatArray | None, tilt: FloatArray) -> FloatArray:
+    def tilted_gain(self, x: FloatArray, y: FloatArray, tilt: FloatArray) -> FloatArray:
         """Say what the gain is multiplied by at ground points (...), m, whose dwells a pattern in elevation tilts."""
         if self.tilt is None:
             return np.ones(np.shape(x))
         yaw = self.middle_yaw + self.relative_yaw(x, y)
-        return 1 + self.tilt(self.geometry.epoch_range(x, y, z), yaw) * tilt
+        return 1 + self.tilt(self.geometry.epoch_range(x, y), yaw) * tilt
 
     def widened(self, region: Region, room: float) -> GroundMap:
         """Copy with limits and sums over lit pulses known `room`, rad, beyond the block."""

@@ -89,10 +89,10 @@ def _outline(geometry: Geometry, x: FloatArray, y: FloatArray, window: Window) -
     """
     rows, columns = (np.unique(np.linspace(part.start, part.stop - 1, SAMPLED).astype(int)) for part in window)
     mesh_x, mesh_y = np.meshgrid(x[columns], y[rows])
-    z = geometry.height(mesh_x, mesh_y)
+    z, _ = geometry.known_height(mesh_x, mesh_y)
     parts = []
     for first, last in zip(*geometry.beam.passes(mesh_x, mesh_y), strict=True):
-        seen = Part(x=x[columns], y=y[rows], z=np.asarray(z), first=first, last=last)
+        seen = Part(x=x[columns], y=y[rows], z=z, first=first, last=last)
         leave_outside(geometry, seen)
         (begin, end), (start, stop) = seen.lit()
         lit, apart = begin < end, 2 + max(_apart(ends, last > first) for ends in (first, last))
@@ -104,7 +104,7 @@ def _outline(geometry: Geometry, x: FloatArray, y: FloatArray, window: Window) -
         ends = [(begin, end), (start, stop)] if start < stop else [(begin, begin + 1), (end - 1, end)]
         ends = ends if lit else [(0, 0)]
         places = np.array(ends).T
-        parts.append(Part(x=x[columns], y=y[rows], z=np.atleast_1d(z).ravel(), first=places[0], last=places[1]))
+        parts.append(Part(x=x[columns], y=y[rows], z=z.ravel(), first=places[0], last=places[1]))
     return parts
 
 
@@ -220,11 +220,9 @@ class _Former:
         """The image (n_row, n_column) on columns x and rows y, m."""
         geometry = self.geometry
         sums = PixelSums(geometry, *np.meshgrid(x, y), self.weighting, threads)
-        plane = geometry.collection.ground_height
-        z = np.array(plane) if sums.height is None else sums.height + plane
         image = self.device.put(sums.image)
         for number, (first, last) in enumerate(_whole_passes(sums)):
-            part = Part(x=x, y=y, z=z, first=first, last=last)
+            part = Part(x=x, y=y, z=sums.z, first=first, last=last)
             sums.outside |= leave_outside(geometry, part)
             top, echoes = tops[number] if number < len(tops) else (part, None)
             if _holds(echoes, part):
@@ -276,23 +274,20 @@ class _Former:
         last = np.where(lit, part.last + (before + n - frame.inside[1] if n else -begin), 0)
         put, period = self.device.put, fast_length(self.hierarchy.levels.upsampling * frame.columns)
         window, middle = SPEED_OF_LIGHT / (2 * frame.step), frame.columns // 2
-        antenna = path.at(rows).T
-        antenna[2] -= collection.ground_height
         sights = Sights(
             start=0,
             values=self._profiles(values, period, scratch),
             middle=period // 2 + MARGIN,
             bins_per_metre=period / window,
             cycles_per_metre=2 * (collection.carrier + frame.start + middle * frame.step) / SPEED_OF_LIGHT,
-            antenna=np.ascontiguousarray(antenna),
+            antenna=path.at(rows).T,
             reference_range=path.ranges(rows, part.centre),
             half_window=np.inf if frame.reach < SAFE * window else window / 2,
             taper=None if self.taper.uniform else self._beam_taper(rows),
         )
         x, y = np.meshgrid(part.x, part.y)
-        height = put(part.z - collection.ground_height) if part.z.ndim else None
         beyond, weight = put(np.zeros(part.shape, np.bool_)), put(np.zeros(part.shape, np.float32))
-        self.device.project(image, beyond, sights, put(x), put(y), put(first), put(last), weight, height)
+        self.device.project(image, beyond, sights, put(x), put(y), put(part.z), put(first), put(last), weight)
 
     def _profiles(self, values: Sequence[ComplexArray], period: int, scratch: Scratch) -> ComplexArray:
         """Coefficients (n, period + 2 MARGIN) of splines through the range profiles of rows (k, m), n in all.
@@ -324,14 +319,12 @@ class _Former:
         geometry, n = self.geometry, self.geometry.collection.n_pulse
         half = (geometry.collection.beam_width or np.inf) / 2
 
-        def place(x: FloatArray, y: FloatArray, some: slice, over: FloatArray | None) -> FloatArray:
-            z = geometry.collection.ground_height + (0.0 if over is None else over[:, None])
-            pulses = rows[some]
-            known = np.clip(pulses, 0, n - 1)
-            v = geometry.beam.offset(x[:, None], y[:, None], known, z) / half
+        def place(x: FloatArray, y: FloatArray, z: FloatArray, some: slice) -> FloatArray:
+            x, y, z, pulses = x[:, None], y[:, None], z[:, None], rows[some]
+            v = geometry.beam.offset(x, y, np.clip(pulses, 0, n - 1), z) / half
             for beyond, end, inner in ((pulses < 0, 0, 1), (pulses >= n, n - 1, n - 2)):
                 if beyond.any():
-                    at = [geometry.beam.offset(x[:, None], y[:, None], np.array([p]), z) / half for p in (end, inner)]
+                    at = [geometry.beam.offset(x, y, np.array([p]), z) / half for p in (end, inner)]
                     v[:, beyond] = at[0] + (at[0] - at[1]) * np.abs(pulses[beyond] - end)
             return v
 
@@ -396,7 +389,7 @@ def mark_outside(geometry: Geometry, part: Part, outside: BoolArray) -> None:
             mark_outside(geometry, part.within(window), outside[window])
     else:
         x, y = np.meshgrid(part.x, part.y)
-        ground = np.stack([x, y, np.broadcast_to(part.z, part.shape)], axis=-1)
+        ground = np.stack([x, y, part.z], axis=-1)
         ranges = np.sqrt(sum(np.square(ground[..., k, None] - position[:, k]) for k in range(3)))
         pulses = np.arange(begin, end)
         lit = (pulses >= part.first[..., None]) & (pulses < part.last[..., None])

@@ -139,8 +139,8 @@ class Part:
     ----------
     x, y : (n_column,), (n_row,) float
         m, scene frame.
-    z : (n_row, n_column) float, or of no dimension
-        m, absolute.
+    z : (n_row, n_column) float
+        m
     first, last : (n_row, n_column) int
     """
 
@@ -153,8 +153,8 @@ class Part:
     def within(self, window: tuple[slice, slice]) -> Part:
         """The part of some rows and columns."""
         rows, columns = window
-        z = self.z[window] if self.z.ndim else self.z
-        return Part(x=self.x[columns], y=self.y[rows], z=z, first=self.first[window], last=self.last[window])
+        ends = {"first": self.first[window], "last": self.last[window]}
+        return Part(x=self.x[columns], y=self.y[rows], z=self.z[window], **ends)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -178,7 +178,7 @@ class Part:
 
         Close by, the nearest point of a side is not one of its ends.
         """
-        nodes = BORDER if self.z.ndim else BORDER[:9]  # on a plane its lower half is all of it
+        nodes = BORDER if self._box[0, 2] < self._box[2, 2] else BORDER[:9]  # of a level part the lower half is all
         return self._box[nodes, np.arange(3)]
 
     @property

@@ -147,12 +147,11 @@ class NoiseMap:
 
     def _elevation(self, x: FloatArray, y: FloatArray, z: FloatArray | None) -> FloatArray:
         """Means of the pattern in elevation at pixels (n_y, n_x); 0 where they are too small for an image."""
-        geometry, (mesh_x, mesh_y) = self.geometry, np.meshgrid(x, y)
-        over = None if z is None else z - geometry.collection.ground_height
+        geometry, mesh = self.geometry, np.meshgrid(x, y)
+        at = *mesh, geometry.known_height(*mesh)[0] if z is None else z
         means = mean_elevations(
-            geometry, mesh_x, mesh_y, over, passes=geometry.beam.passes(mesh_x, mesh_y, z), valid=self.valid,
-            taper=self.weighting.azimuth,
-        )  # fmt: skip
+            geometry, *at, passes=geometry.beam.passes(*at), valid=self.valid, taper=self.weighting.azimuth
+        )
         return np.where(means.dark(geometry), 0.0, means.weighed)
 
 

@@ -85,7 +85,7 @@ def add_gains(
     geometry: Geometry,
     x: FloatArray,
     y: FloatArray,
-    height: FloatArray | None = None,
+    z: FloatArray,
     *,
     first: IntArray,
     last: IntArray,
@@ -100,10 +100,8 @@ def add_gains(
     Parameters
     ----------
     total : (n_row, n_column) float
-    x, y : (n_row, n_column) float
+    x, y, z : (n_row, n_column) float
         m, scene frame.
-    height : (n_row, n_column) float, optional
-        Over the plane z = ground_height, m. None: on it.
     first, last : (n_row, n_column) int
         Lit pulses, of the collection.
     pulses : slice
@@ -118,7 +116,7 @@ def add_gains(
     lit = [np.array(values, np.int64, order="C") for values in (first, last)]
     sums = np.array(total, order="C")
     _add_gains(
-        sums, *_places(geometry, x, y, height), *lit, over.beam, pulses.start, geometry.collection.has_axis,
+        sums, *_places(geometry, x, y, z), *lit, over.beam, pulses.start, geometry.collection.has_axis,
         *over.across, *over.down, over.middle, over.terms, over.per_rad,
     )  # fmt: skip
     total[...] = sums
@@ -153,7 +151,7 @@ def mean_elevations(
     geometry: Geometry,
     x: FloatArray,
     y: FloatArray,
-    height: FloatArray | None = None,
+    z: FloatArray,
     *,
     passes: tuple[IntArray, IntArray] | None = None,
     valid: FloatArray | None = None,
@@ -165,10 +163,8 @@ def mean_elevations(
     ----------
     geometry : Geometry
         With a pattern in elevation.
-    x, y : (n_row, n_column) float
-        m, scene frame.
-    height : (n_row, n_column) float, optional
-        Over the plane z = ground_height, m; finite. None: on it.
+    x, y, z : (n_row, n_column) float
+        m, scene frame; finite.
     passes : pair of (n_pass, n_row, n_column) int, optional
         The pulses first <= p < last that light each pixel, as from `Beam.passes`; None: all pulses.
     valid : (n_pulse,) float, optional
@@ -186,19 +182,16 @@ def mean_elevations(
     lit = [np.array(values, np.int64, order="C") for values in passes]
     means = ElevationMeans(*np.empty((3, *x.shape)))
     _mean_elevations(
-        *means, *_places(geometry, x, y, height), *lit, over.beam, geometry.collection.has_axis, *over.across,
+        *means, *_places(geometry, x, y, z), *lit, over.beam, geometry.collection.has_axis, *over.across,
         *over.down, over.middle, over.terms, over.per_rad,
     )  # fmt: skip
     return means
 
 
-def _places(geometry: Geometry, x: FloatArray, y: FloatArray, height: FloatArray | None) -> list[FloatArray]:
-    """Copies of x, y, heights and, of a beam that is described by them, yaws of pixels (n_row, n_column)."""
-    level = np.zeros(np.shape(x))
-    over = level if height is None else height
-    return [
-        np.array(values, order="C") for values in (x, y, over, geometry.yaw(x, y) if geometry.beam.by_yaw else level)
-    ]
+def _places(geometry: Geometry, x: FloatArray, y: FloatArray, z: FloatArray) -> list[FloatArray]:
+    """Copies of x, y, z and, of a beam that is described by them, yaws of pixels (n_row, n_column)."""
+    yaw = geometry.yaw(x, y) if geometry.beam.by_yaw else np.zeros(np.shape(x))
+    return [np.array(values, order="C") for values in (x, y, z, yaw)]
 
 
 class _Patterns(NamedTuple):
@@ -207,7 +200,7 @@ class _Patterns(NamedTuple):
     Attributes
     ----------
     beam : (n, 10) float
-        Of each pulse the antenna's place over the ground, the beam's axis, cosine and sine of its steering, its
+        Of each pulse the antenna's place, the beam's axis, cosine and sine of its steering, its
         azimuth, and the number of valid samples.
     across, down : _Cut
         The pattern over the beam and that in elevation.
@@ -235,8 +228,8 @@ class _Patterns(NamedTuple):
         width = collection.beam_width or np.inf
         lowest, highest = (0.0, 0.0) if collection.elevation is None else collection.elevation[[0, -1]].tolist()
         middle = (lowest + highest) / 2
-        antenna = collection.antenna_position[pulses] - np.array([0.0, 0.0, collection.ground_height])
-        beam = [antenna, axis, np.cos(steering), np.sin(steering), azimuth, np.array(valid, np.float64)]
+        position, valid = collection.antenna_position[pulses], np.array(valid, np.float64)
+        beam = [position, axis, np.cos(steering), np.sin(steering), azimuth, valid]
         terms, frequency = taper.series
         return cls(
             np.ascontiguousarray(np.column_stack(beam)),
@@ -312,7 +305,7 @@ def _weigh(gain: FloatArray, angle: FloatArray, n: int, terms: FloatArray, per_r
     **COMPILED, **UNCHECKED,
 )  # fmt: skip
 def _add_gains(  # type: ignore[no-untyped-def]
-    total, x, y, over, yaw, first, last, beam, start, has_axis, offsets, pattern, per_offset, of_offset, most_offset,
+    total, x, y, z, yaw, first, last, beam, start, has_axis, offsets, pattern, per_offset, of_offset, most_offset,
     elevations, elevation_pattern, per_elevation, of_elevation, most_elevation, middle, terms, per_rad,
 ):  # fmt: skip
     """The sum of `add_gains`; `beam` as in `_Patterns`."""
@@ -334,7 +327,7 @@ def _add_gains(  # type: ignore[no-untyped-def]
                     ax, ay, az, cos, sin = beam[p, 3], beam[p, 4], beam[p, 5], beam[p, 6], beam[p, 7]
                     for k in range(n):
                         at = np.uint64(begin + k)
-                        dx, dy, height = x[row, at] - px, y[row, at] - py, pz - over[row, at]
+                        dx, dy, height = x[row, at] - px, y[row, at] - py, pz - z[row, at]
                         s = (dx * ax + dy * ay - height * az) / np.sqrt(dx * dx + dy * dy + height * height)
                         angle[k] = s * cos - np.sqrt(max(1.0 - s * s, 0.0)) * sin
                     _angles(angle, of_offset, most_offset, n)
@@ -349,7 +342,7 @@ def _add_gains(  # type: ignore[no-untyped-def]
                 if elevation_pattern.size > 1:
                     for k in range(n):
                         at = np.uint64(begin + k)
-                        dx, dy, height = x[row, at] - px, y[row, at] - py, pz - over[row, at]
+                        dx, dy, height = x[row, at] - px, y[row, at] - py, pz - z[row, at]
                         ground = dx * dx + dy * dy
                         across = height * cos_middle - np.sqrt(ground) * sin_middle
                         angle[k] = across / np.sqrt(ground + height * height)
@@ -386,7 +379,7 @@ def _choose_pulses(firsts, lasts, row: int, begin: int, n: int, share: float, pu
     **COMPILED, **UNCHECKED,
 )  # fmt: skip
 def _mean_elevations(  # type: ignore[no-untyped-def]
-    plain, weighed, tilt, x, y, over, yaw, firsts, lasts, beam, has_axis, offsets, pattern, per_offset, of_offset,
+    plain, weighed, tilt, x, y, z, yaw, firsts, lasts, beam, has_axis, offsets, pattern, per_offset, of_offset,
     most_offset, elevations, elevation_pattern, per_elevation, of_elevation, most_elevation, middle, terms, per_rad,
 ):  # fmt: skip
     """The means of `mean_elevations`; `beam` as in `_Patterns`."""
@@ -402,7 +395,7 @@ def _mean_elevations(  # type: ignore[no-untyped-def]
                 _choose_pulses(firsts, lasts, row, begin, n, (node + 0.5) / ELEVATIONS, pulses)
                 for k in range(n):
                     p, at = max(pulses[k], 0), begin + k
-                    dx, dy, height = x[row, at] - beam[p, 0], y[row, at] - beam[p, 1], beam[p, 2] - over[row, at]
+                    dx, dy, height = x[row, at] - beam[p, 0], y[row, at] - beam[p, 1], beam[p, 2] - z[row, at]
                     ground = dx * dx + dy * dy
                     across = height * cos_middle - np.sqrt(ground) * sin_middle
                     angle[k], gain[k] = across / np.sqrt(ground + height * height), 1.0
@@ -414,7 +407,7 @@ def _mean_elevations(  # type: ignore[no-untyped-def]
                 if by_place:
                     for k in range(n):
                         p, at = max(pulses[k], 0), begin + k
-                        dx, dy, height = x[row, at] - beam[p, 0], y[row, at] - beam[p, 1], beam[p, 2] - over[row, at]
+                        dx, dy, height = x[row, at] - beam[p, 0], y[row, at] - beam[p, 1], beam[p, 2] - z[row, at]
                         if has_axis:
                             s = dx * beam[p, 3] + dy * beam[p, 4] - height * beam[p, 5]
                             s /= np.sqrt(dx * dx + dy * dy + height * height)

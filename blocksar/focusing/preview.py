@@ -196,7 +196,8 @@ def _add_look(
     weights /= weights.mean()
     np.multiply(profiles.values, weights.astype(np.float32)[:, None], out=profiles.values)
     image, outside = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.bool_)
-    accumulate(image, outside, profiles, geometry=geometry, x=x, y=y, first=first, last=last, threads=threads)
+    z, _ = geometry.known_height(x, y)
+    accumulate(image, outside, profiles, geometry=geometry, x=x, y=y, z=z, first=first, last=last, threads=threads)
     valid = np.concatenate(([0.0], np.cumsum(profiles.valid * weights))) / geometry.collection.n_range_frequency
     at = [np.clip(ends - pulses.start, 0, valid.size - 1) for ends in (first, last)]
     count = np.where(never | outside, 0.0, valid[at[1]] - valid[at[0]])

@@ -45,7 +45,7 @@ def recorded_means(
 
     NaN where the first is below LEAST_SHARE, or below 1 where only ground with whole pulses is imaged.
     """
-    recorded = geometry.collection.recorded
+    recorded, z = geometry.collection.recorded, geometry.height(x, y) if z is None else z
     assert recorded is not None
     with np.errstate(invalid="ignore", divide="ignore"):  # of points that are not lit
         time = _times(geometry, x, y, z)
@@ -82,12 +82,10 @@ def divide_by_recorded(
     """
     if geometry.collection.recorded is None:
         return
-    points = [None if axis is None else np.broadcast_to(axis, image.shape) for axis in (x, y, z)]
+    points = [np.broadcast_to(axis, image.shape) for axis in (x, y, geometry.height(x, y) if z is None else z)]
 
     def divide(tile: Tile) -> None:
-        of_x, of_y, of_z = (None if axis is None else axis[tile] for axis in points)
-        assert of_x is not None and of_y is not None
-        share = divisor(recorded_means(geometry, of_x, of_y, of_z, weighting=weighting))
+        share = divisor(recorded_means(geometry, *(axis[tile] for axis in points), weighting=weighting))
         with np.errstate(invalid="ignore"):
             image[tile] /= share.astype(np.float32)
 
@@ -96,45 +94,42 @@ def divide_by_recorded(
 
 
 def _doubtful(
-    image: ComplexArray | Float32Array, geometry: Geometry, points: Sequence[FloatArray | None], tile: Tile
+    image: ComplexArray | Float32Array, geometry: Geometry, points: Sequence[FloatArray], tile: Tile
 ) -> Iterator[Tile]:
     """Small tiles of a tile, with a pixel of the image in them, not all of which surely have whole pulses."""
-    x, y, z = (None if axis is None else axis[tile] for axis in points)
-    assert x is not None and y is not None
-    if not np.isfinite(image[tile]).any() or _all_whole(geometry, x, y, z):
+    shape = image[tile].shape
+    if not np.isfinite(image[tile]).any() or _all_whole(geometry, [axis[tile] for axis in points]):
         return
-    if x.size <= MOST:
+    if shape[0] * shape[1] <= MOST:
         yield tile
         return
-    longer = int(x.shape[1] > x.shape[0])
-    ends = tile[longer].start, tile[longer].start + x.shape[longer] // 2, tile[longer].stop
+    longer = int(shape[1] > shape[0])
+    ends = tile[longer].start, tile[longer].start + shape[longer] // 2, tile[longer].stop
     for first, last in pairwise(ends):
         part = slice(first, last)
         yield from _doubtful(image, geometry, points, (tile[0], part) if longer else (part, tile[1]))
 
 
-def _all_whole(geometry: Geometry, x: FloatArray, y: FloatArray, z: FloatArray | None = None) -> bool:
+def _all_whole(geometry: Geometry, points: Sequence[FloatArray]) -> bool:
     """Whether all points of a tile surely have whole pulses: no range differs from their middle's by more than they."""
     recorded = geometry.collection.recorded
     assert recorded is not None
-    if geometry.terrain is not None and z is None:
-        z = np.asarray(geometry.height(x, y))
-    ends = [np.array([np.nanmin(axis), np.nanmax(axis)]) for axis in ((x, y) if z is None else (x, y, z))]
+    ends = [np.array([np.nanmin(axis), np.nanmax(axis)]) for axis in points]
     away = float(np.linalg.norm([np.ptp(end) for end in ends])) / 2
-    corners = np.meshgrid(*ends)
+    x, y, z = np.meshgrid(*ends)
     with np.errstate(invalid="ignore"):
-        first, last = geometry.beam.dwell(corners[0], corners[1], z=None if z is None else corners[2])
+        first, last = geometry.beam.dwell(x, y, z=z)
     if not (np.isfinite(first).all() and np.isfinite(last).all()):
         return False
-    middle = [np.full((), end.mean()) for end in ends]
     time = np.linspace(first.min(), last.max(), TIMES)
-    distance = _distances(geometry, middle[0], middle[1], None if z is None else middle[2], time)
+    x, y, z = (end.mean() for end in ends)
+    distance = _distances(geometry, x, y, z, time)
     away += float(np.abs(np.diff(distance)).max())  # between two times
     nearest, farthest = recorded.whole
     return bool(distance.min() - away >= nearest and distance.max() + away <= farthest)
 
 
-def _times(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height | None) -> FloatArray:
+def _times(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height) -> FloatArray:
     """TIMES of the dwells of points (...), s: (TIMES, ...)."""
     time = geometry.collection.time
     first, last = (
@@ -143,16 +138,13 @@ def _times(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height | None) -
     return np.asarray(np.linspace(first, last, TIMES))
 
 
-def _distances(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height | None, time: FloatArray) -> FloatArray:
+def _distances(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height, time: FloatArray) -> FloatArray:
     """Ranges of points (...) at times (TIMES, ...), m."""
     px, py, pz = np.moveaxis(geometry.track.position(time), -1, 0)
-    height = geometry.height(x, y) if z is None else z
-    return np.asarray(np.sqrt((x - px) ** 2 + (y - py) ** 2 + (height - pz) ** 2))
+    return np.asarray(np.sqrt((x - px) ** 2 + (y - py) ** 2 + (z - pz) ** 2))
 
 
-def _weights(
-    geometry: Geometry, x: FloatArray, y: FloatArray, z: Height | None, time: FloatArray, taper: Taper
-) -> FloatArray:
+def _weights(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height, time: FloatArray, taper: Taper) -> FloatArray:
     """Weights of times (TIMES, ...) in the sum to the image of points (...): a trapezoid's, times w g."""
     collection = geometry.collection
     weight = np.ones(time.shape)

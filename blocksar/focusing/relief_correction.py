@@ -18,10 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, types
 
-from blocksar.arrays import ComplexArray, FloatArray, IntArray
+from blocksar.arrays import FloatArray, IntArray
 from blocksar.collection.grid import spacing
-from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.focusing.ground_map import GroundMap
+from blocksar.focusing.ground_map import GroundMap, ReliefMap
 from blocksar.focusing.pixel_rows import (
     DOPPLER_UNIT,
     N_PHASE,
@@ -32,14 +31,12 @@ from blocksar.focusing.pixel_rows import (
     find_limits,
     left_of,
     phasors_of,
-    place_across,
     place_windows,
     sum_windows_bent,
     turn_windows,
     write_row,
 )
 from blocksar.kernels import interpolation
-from blocksar.kernels.groups import run_groups
 from blocksar.kernels.interpolation import bent_errors
 from blocksar.kernels.loops import (
     COMPILED,
@@ -93,11 +90,10 @@ def bend_scale(ground: GroundMap) -> float:
     return (ground.doppler_taps[1] / 2 / ground.doppler.step) ** 2
 
 
-def bent_taps_of(ground: GroundMap) -> tuple[BentTaps, float]:
+def bent_taps_of(ground: GroundMap, relief: ReliefMap) -> tuple[BentTaps, float]:
     """The taps of a block, and its largest bend, cycles at the dwell's ends."""
-    assert ground.relief is not None
     n_tap, occupancy = ground.doppler_taps
-    most = ground.relief.most_bend * bend_scale(ground)
+    most = relief.most_bend * bend_scale(ground)
     most = 0.0 if most < LEAST_BEND else most
     # A bend spreads a response over 4 q / occupancy samples on either side.
     reach = int(np.ceil(4 * most / max(occupancy, 0.05)))
@@ -132,7 +128,9 @@ def _table(n_tap: int, occupancy: float, bends: FloatArray) -> list[Float32Array
     return parts
 
 
-def locate_on_relief(ground: GroundMap, x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[FloatArray, ...]:
+def locate_on_relief(
+    ground: GroundMap, relief: ReliefMap, x: FloatArray, y: FloatArray, z: FloatArray
+) -> tuple[FloatArray, ...]:
     """Row and Doppler index, phase (cycles), 1 / gain, relative yaw, dwell time and bend of points (...), m.
 
     x and y may lack the first axis of z: these points lie above each other.
@@ -140,10 +138,8 @@ def locate_on_relief(ground: GroundMap, x: FloatArray, y: FloatArray, z: FloatAr
     (range - origin) / step, the phase without the carrier's. The dwell time is in cycles per Doppler sample, the bend
     in cycles at the dwell's ends.
     """
-    assert ground.relief is not None
-    geometry = ground.geometry
-    epoch_range, turn = geometry.epoch_range(x, y, z), ground.relative_yaw(x, y)
-    offset, doppler, cycles, gain, time, bend, beyond = ground.relief(epoch_range, ground.middle_yaw + turn, z)
+    epoch_range, turn = ground.geometry.epoch_range(x, y, z), ground.relative_yaw(x, y)
+    offset, doppler, cycles, gain, time, bend, beyond = relief(epoch_range, ground.middle_yaw + turn, z)
     if ground.common is not None:
         common, rate, _ = ground.common.evaluate(epoch_range - ground.origin + offset, doppler[..., None])
         cycles, time = cycles + common[..., 0], time - rate[..., 0]
@@ -152,7 +148,7 @@ def locate_on_relief(ground: GroundMap, x: FloatArray, y: FloatArray, z: FloatAr
         ground.doppler.position(doppler),
         cycles,
         1 / gain,
-        turn + beyond if ground.relief.turns else np.broadcast_to(turn, epoch_range.shape),
+        turn + beyond if relief.turns else np.broadcast_to(turn, epoch_range.shape),
         time * ground.doppler.step,
         bend * bend_scale(ground),
     )
@@ -167,8 +163,8 @@ def nodes_of(degree: int) -> tuple[FloatArray, FloatArray]:
 
 
 def tile_polynomials(
-    ground: GroundMap, windows: Sequence[tuple[FloatArray, FloatArray]], heights: Sequence[FloatArray | None],
-    side: IntArray, places: IntArray, owner: IntArray,
+    ground: GroundMap, relief: ReliefMap, windows: Sequence[tuple[FloatArray, FloatArray]],
+    heights: Sequence[FloatArray | None], side: IntArray, places: IntArray, owner: IntArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Polynomials and heights of tiles: of sides `side` (n,), at `places` (n, 3) of the windows `owner` (n,).
 
@@ -201,7 +197,7 @@ def tile_polynomials(
             assert z is not None
             _find_spans(np.ascontiguousarray(z), places[first:end], int(side[first]), spans[first:end])
     pz = spans[:, 0, None, None] + spans[:, 1, None, None] * levels[:, None, None, None]  # (height, n_tile, 1, 1)
-    values = np.stack(locate_on_relief(ground, px, py, pz))  # (quantity, height, n_tile, y, x)
+    values = np.stack(locate_on_relief(ground, relief, px, py, pz))  # (quantity, height, n_tile, y, x)
     coefficients = np.empty((places.shape[0], nodes.size, levels.size * QUANTITIES * nodes.size))
     _to_powers(values, to_level, to_power, coefficients)
     return coefficients, spans
@@ -259,53 +255,6 @@ def _find_spans(z: FloatArray, tiles: IntArray, tile: int, spans: FloatArray) ->
         if low > high:
             low = high = 0.0
         spans[t, 0], spans[t, 1] = (low + high) / 2, max((high - low) / 2, LEVEL)
-
-
-def resample_on_relief(
-    ground: GroundMap,
-    block: Float32Array,
-    out: ComplexArray,
-    tiles: IntArray,
-    polynomials: tuple[FloatArray, FloatArray],
-    *,
-    x: FloatArray,
-    y: FloatArray,
-    z: FloatArray,
-    tile: int,
-    group: int,
-    threads: int,
-    range_taps: tuple[Float32Array, int, int],
-    doppler_taps: BentTaps,
-    most_bend: float,
-    carriers: Float32Array,
-    limits: tuple[FloatArray, FloatArray],
-    weight: FloatArray,
-) -> None:
-    """Write the owned pixels to `out`.
-
-    `polynomials` are those of `tile_polynomials`; `range_taps` has the table, the number of taps and the padded width.
-    """
-    geometry, (coefficients, spans) = ground.geometry, polynomials
-    rays = np.array([np.cos(ground.low), np.sin(ground.low), np.cos(ground.high), np.sin(ground.high)])
-    frame = np.array([*geometry.nadir, *geometry.epoch_position, ground.near, ground.far, ground.least_lit])
-    carrier = -2 * geometry.collection.carrier / SPEED_OF_LIGHT
-    yaw_start = float(ground.yaw_axis[0] - ground.middle_yaw)
-    yaw_step = float(ground.yaw_axis[1] - ground.yaw_axis[0])
-    table, n_range, range_width = range_taps
-    per_bend = (doppler_taps.n_bend[0] - 1) / (2 * most_bend) if most_bend else 0.0
-    # Contiguous copies: a loop is compiled for each layout of its arrays.
-    z, weight = np.ascontiguousarray(z), np.ascontiguousarray(weight)
-    numbers, across = out.view(np.float32).reshape(-1), place_across(tile)
-
-    def work(part: slice) -> None:
-        _resample(
-            block, numbers, tiles[part], coefficients[part], spans[part], x, y, z, across, table, doppler_taps.real,
-            doppler_taps.imag, carriers, (n_range, *doppler_taps.n_tap), (range_width, *doppler_taps.width),
-            (ground.rows.size, ground.doppler.size), rays, frame, (carrier, 1 / ground.rows.step, ground.origin),
-            (per_bend, *doppler_taps.n_bend), yaw_start, yaw_step, *limits, weight,
-        )  # fmt: skip
-
-    run_groups(work, [slice(i, i + group) for i in range(0, tiles.shape[0], group)], threads)
 
 
 @njit(**PART, **UNCONTRACTED)
@@ -402,7 +351,7 @@ def _choose_taps(  # type: ignore[no-untyped-def]
     TUPLE((types.float64, types.int64, types.int64)), types.float64, types.float64, REAL_ROW, REAL_ROW, REAL_ROWS,
     **COMPILED,
 )  # fmt: skip
-def _resample(  # type: ignore[no-untyped-def]
+def resample_on_relief(  # type: ignore[no-untyped-def]
     floats, numbers, tiles, coefficients, spans, x, y, z, across, range_taps, real_taps, imag_taps, carriers, n_taps,
     widths, sizes, rays, frame, scales, bends, yaw_start, yaw_step, near_limit, far_limit, weight,
 ):  # fmt: skip

@@ -144,11 +144,11 @@ class Echo(NamedTuple):
 
 
 class Seeds(NamedTuple):
-    """Points of the ground, x, y and height over the plane (n,), m, and the depth of their region in range, m."""
+    """Points of the ground, x, y and z (n,), m, and the depth of their region in range, m."""
 
     x: FloatArray
     y: FloatArray
-    height: FloatArray
+    z: FloatArray
     depth: float
 
 
@@ -281,8 +281,8 @@ class Lines:
         first, last = np.full(x.shape, pulses.start, np.int64), np.full(x.shape, pulses.stop, np.int64)
         profiles = self.samples.profiles(pulses.start, pulses.stop)
         accumulate(
-            image, outside, profiles, geometry=geometry, x=x, y=y, first=first, last=last,
-            threads=self.samples.threads, height=None if geometry.terrain is None else self._height(x, y),
+            image, outside, profiles, geometry=geometry, x=x, y=y, z=geometry.known_height(x, y)[0], first=first,
+            last=last, threads=self.samples.threads,
         )  # fmt: skip
         if collection.has_axis:  # its edges are no yaws: beyond them lie only ambiguities of what it lights
             away = geometry.beam.offset(x, y, (pulses.start + pulses.stop) // 2)
@@ -398,18 +398,18 @@ class Lines:
         near, far = region.at(yaw)
         point = self.geometry.ground_point(near + (far - near) * np.linspace(0, 1, SEEDS[0])[:, None], yaw)
         x, y = (point[..., axis][np.isfinite(point).all(axis=-1)] for axis in (0, 1))
-        return Seeds(x, y, np.broadcast_to(self._height(x, y), x.shape), float((far - near).max()))
+        return Seeds(x, y, self.geometry.known_height(x, y)[0], float((far - near).max()))
 
     def place(self, echo: Echo, seeds: Seeds) -> Place | None:
         """Where an echo comes from: lit ground of its range and Doppler, near a seed; None if there is none."""
         geometry, prf = self.geometry, self.geometry.collection.prf
-        x, y, height, depth = seeds
+        x, y, z, depth = seeds
         if (width := geometry.collection.beam_width) is not None:
             lit = np.abs(geometry.beam.offset(x, y, echo.pulse)) <= width / 2
-            x, y, height = x[lit], y[lit], height[lit]
+            x, y, z = x[lit], y[lit], z[lit]
         if not x.size:
             return None
-        offset, doppler = self._seen(x, y, echo.pulse, height)
+        offset, doppler = self._seen(x, y, echo.pulse, z)
         further = echo.doppler - doppler
         further -= prf * np.rint(further / prf)
         best = int(np.argmin(((echo.offset - offset) / depth) ** 2 + (further / prf) ** 2))
@@ -436,17 +436,10 @@ class Lines:
     def _interval(self) -> float:
         return self.geometry.collection.pulse_interval
 
-    def _distance(
-        self, x: FloatArray, y: FloatArray, pulses: slice | int, height: FloatArray | None = None
-    ) -> FloatArray:
-        collection = self.geometry.collection
-        height = self._height(x, y) if height is None else height
-        px, py, pz = np.moveaxis(collection.antenna_position[pulses], -1, 0)
-        return np.sqrt((px - x) ** 2 + (py - y) ** 2 + (pz - collection.ground_height - height) ** 2)
-
-    def _height(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Height over the plane z = ground_height, m; 0 where it is unknown."""
-        return np.nan_to_num(np.asarray(self.geometry.height(x, y)) - self.geometry.collection.ground_height)
+    def _distance(self, x: FloatArray, y: FloatArray, pulses: slice | int, z: FloatArray | None = None) -> FloatArray:
+        z = self.geometry.known_height(x, y)[0] if z is None else z
+        px, py, pz = np.moveaxis(self.geometry.collection.antenna_position[pulses], -1, 0)
+        return np.sqrt((px - x) ** 2 + (py - y) ** 2 + (pz - z) ** 2)
 
     def _rows(self, place: Place, pulses: slice, offsets: FloatArray) -> Complex128Array:
         """(n, n_row): the samples at offsets (n_row,) in range cells from a place, with its phase removed."""
@@ -470,12 +463,12 @@ class Lines:
         x, y = solvers.newton(lambda moved: self._seen(moved[0], moved[1], pulse), wanted, at, steps=1)
         return place._replace(x=float(x), y=float(y)) if np.isfinite([x, y]).all() else place
 
-    def _seen(self, x: FloatArray, y: FloatArray, pulse: int, height: FloatArray | None = None) -> FloatArray:
+    def _seen(self, x: FloatArray, y: FloatArray, pulse: int, z: FloatArray | None = None) -> FloatArray:
         """R - reference_range (m) and Doppler (Hz) of points, m, about a pulse: (2, ...)."""
         collection = self.geometry.collection
         first, last = max(pulse - BASE, 0), min(pulse + BASE, collection.n_pulse - 1)
-        height = self._height(x, y) if height is None else height
-        before, after = (self._distance(x, y, p, height) - collection.reference_range[p] for p in (first, last))
+        z = self.geometry.known_height(x, y)[0] if z is None else z
+        before, after = (self._distance(x, y, p, z) - collection.reference_range[p] for p in (first, last))
         return np.stack([(before + after) / 2, -self.turns * (after - before) / ((last - first) * self._interval)])
 
 

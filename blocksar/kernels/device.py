@@ -70,7 +70,7 @@ class Device(Protocol):
         """`decimation.add_decimated`."""
 
     def project(
-        self, image: Any, outside: Any, sights: Sights, x: Any, y: Any, first: Any, last: Any, weight: Any, height: Any,
+        self, image: Any, outside: Any, sights: Sights, x: Any, y: Any, z: Any, first: Any, last: Any, weight: Any,
         threads: int = 1,
     ) -> None:  # fmt: skip
         """`projection.project`, whose arrays of pixels are the device's; `weight` is None without weights."""
@@ -109,16 +109,15 @@ class Cpu:
         add_decimated(rows, decimation, at, out)
 
     def project(
-        self, image: Any, outside: Any, sights: Sights, x: Any, y: Any, first: Any, last: Any, weight: Any, height: Any,
+        self, image: Any, outside: Any, sights: Sights, x: Any, y: Any, z: Any, first: Any, last: Any, weight: Any,
         threads: int = 1,
     ) -> None:  # fmt: skip
         weight = np.empty(image.shape, np.float32) if weight is None else weight
 
         def work(tile: Tile) -> None:
             project(
-                image[tile], outside[tile], sights, x[tile], y[tile], first[tile], last[tile], weight[tile],
-                None if height is None else height[tile],
-            )  # fmt: skip
+                image[tile], outside[tile], sights, x[tile], y[tile], z[tile], first[tile], last[tile], weight[tile]
+            )
 
         run_groups(work, tiles(image.shape), threads)
 

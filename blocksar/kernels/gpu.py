@@ -14,7 +14,7 @@ The same source runs in numba's simulator, in which tests without a GPU compare 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from importlib import import_module
 from typing import Any
@@ -168,7 +168,7 @@ def _adder(side: int, weighted: bool, hilly: bool) -> Any:
 
     @cuda.jit(fastmath=True, cache=True)
     def add(
-        image: Any, outside: Any, weight: Any, samples: Any, x: Any, y: Any, height: Any, first: Any, last: Any,
+        image: Any, outside: Any, weight: Any, samples: Any, x: Any, y: Any, z: Any, first: Any, last: Any,
         begin: Any, end: Any, sights: Any, scales: Any, places: Any, terms: Any,
     ) -> None:  # fmt: skip
         column, row = cuda.grid(2)
@@ -182,11 +182,11 @@ def _adder(side: int, weighted: bool, hilly: bool) -> Any:
         # Pixels beyond the image are those at its end, and are not written.
         bottom, right = min(row + side, image.shape[0]) - 1, min(column + side, image.shape[1]) - 1
         mx, my = (x[row, column] + x[bottom, right]) / 2, (y[row, column] + y[bottom, right]) / 2
-        mz = (height[row, column] + height[bottom, right]) / 2 if hilly else 0.0
+        mz = (z[row, column] + z[bottom, right]) / 2 if hilly else scales[6]
         low, high = end, begin
         for i in range(count):
             r, c = min(row + i // side, bottom), min(column + i % side, right)
-            ux[i], uy[i], uz[i] = x[r, c] - mx, y[r, c] - my, (height[r, c] - mz if hilly else 0.0)
+            ux[i], uy[i], uz[i] = x[r, c] - mx, y[r, c] - my, (z[r, c] - mz if hilly else 0.0)
             lit[i], unlit[i] = max(first[r, c], begin), min(last[r, c], end)
             low, high = min(low, lit[i]), max(high, unlit[i])
             re[i], im[i], total[i], far[i] = 0, 0, 0, 0
@@ -196,9 +196,9 @@ def _adder(side: int, weighted: bool, hilly: bool) -> Any:
             k = p - begin
             away, turn, whole, offset, ex, ey, ez, g = _see(sights, k, mx, my, mz, scales)
             for i in range(count):
-                z = ex * ux[i] + ey * uy[i] + ez * uz[i] + g * (ux[i] * ux[i] + uy[i] * uy[i] + uz[i] * uz[i])
-                q = g * z
-                more = z + z * (q * (q + q - one))
+                w = ex * ux[i] + ey * uy[i] + ez * uz[i] + g * (ux[i] * ux[i] + uy[i] * uy[i] + uz[i] * uz[i])
+                q = g * w
+                more = w + w * (q * (q + q - one))
                 place = offset + more * bins
                 nearest = math.floor(place + half)
                 bin_ = min(max(whole + int(nearest), 1), samples.shape[1] - 2)
@@ -252,7 +252,7 @@ class Gpu:
             raise MemoryError(f"{size_text(memory)} are needed, {size_text(free)} are free")
 
     def put(self, values: Any) -> Any:
-        return None if values is None else xp.asarray(values)
+        return None if values is None else xp.array(values)
 
     def take(self, values: Any) -> Any:
         return values if SIMULATED or values is None else xp.asnumpy(values)
@@ -292,21 +292,19 @@ class Gpu:
         _launch(_add_decimated_columns, out.shape, rows, taps, decimation.factor, at - decimation.half, out)
 
     def project(
-        self, image: Any, outside: Any, sights: Sights, x: Any, y: Any, first: Any, last: Any, weight: Any, height: Any,
+        self, image: Any, outside: Any, sights: Sights, x: Any, y: Any, z: Any, first: Any, last: Any, weight: Any,
         threads: int = 1,
     ) -> None:  # fmt: skip
         """Sum; under a taper over the beam by parts over which the place in it is a polynomial."""
-        n, weighted, hilly = sights.reference_range.size, sights.taper is not None, height is not None
-        low, high = (np.array([float(f(axis)) for axis in (x, y)]) for f in (np.min, np.max))
-        top = (float(height.min()), float(height.max())) if hilly else (0.0, 0.0)
-        middle, reach = (top[0] + top[1]) / 2, (top[1] - top[0]) / 2
-        places, precise = place_tables(sights.taper, slice(0, n), low, high, (middle, reach) if hilly else None)
+        n, weighted = sights.reference_range.size, sights.taper is not None
+        low, high = self.take(xp.stack([f(axis) for f in (xp.min, xp.max) for axis in (x, y, z)])).reshape(2, 3)
+        hilly = bool(high[2] > low[2])
+        places, precise = place_tables(sights.taper, slice(0, n), low, high)
         if image.size > 1 and not precise:
             for part in halves(image.shape):
                 over = None if weight is None else weight[part]
-                up = height[part] if hilly else None
-                pixels = x[part], y[part], first[part], last[part]
-                self.project(image[part], outside[part], sights, *pixels, over, up)
+                ends = first[part], last[part]
+                self.project(image[part], outside[part], sights, x[part], y[part], z[part], *ends, over)
             return
         none = xp.zeros((1, 1))
         table = np.column_stack([sights.antenna.T, sights.reference_range])
@@ -314,25 +312,27 @@ class Gpu:
             (sights.taper.terms.astype(np.float32), sights.taper.frequency) if sights.taper else (np.zeros(1), 0.0)
         )
         of_pulses = sights.middle, sights.cycles_per_metre, sights.bins_per_metre, min(sights.half_window, FAR)
-        scales = np.array([*of_pulses, *((low + high) / 2), middle, frequency / 2])
-        side = SIDE if _near(sights, image.shape, x, y, height) else 1
+        scales = np.array([*of_pulses, *((low + high) / 2), frequency / 2])
+        side = SIDE if _near(sights, [x, y, z] if hilly else [x, y], high[2]) else 1
         _launch(
             _adder(side, weighted, hilly), (-(-image.shape[0] // side), -(-image.shape[1] // side)), image, outside,
-            weight if weighted else none, sights.values.view(np.float64), x, y, height if hilly else none, first, last,
+            weight if weighted else none, sights.values.view(np.float64), x, y, z if hilly else none, first, last,
             sights.start, sights.start + n, xp.asarray(table), xp.asarray(scales),
             xp.asarray(places) if weighted else none, xp.asarray(terms, np.float32), threads=THREADS,
         )  # fmt: skip
 
 
-def _near(sights: Sights, shape: tuple[int, ...], x: Any, y: Any, height: Any) -> bool:
-    """Whether pixels of a thread are so close together that their ranges follow from their middle's in float32."""
-    if min(shape) < SIDE:
+def _near(sights: Sights, axes: Sequence[Any], top: float) -> bool:
+    """Whether pixels of a thread are so close together that their ranges follow from their middle's in float32.
+
+    They lie at coordinates (n_row, n_column) along axes, m, and no higher than `top`.
+    """
+    if min(axes[0].shape) < SIDE:
         return False
-    axes = [x, y] if height is None else [x, y, height]
     squared = sum(np.square(axis[1:, 1:] - axis[:-1, :-1]) + np.square(axis[1:, :-1] - axis[:-1, 1:]) for axis in axes)
     apart = math.sqrt(float(np.max(squared)))  # no less than the longer diagonal
     nearest = float(np.min(np.abs(sights.reference_range))) if math.isinf(sights.half_window) else 0.0
-    nearest = max(nearest, float(sights.antenna[2].min()))
+    nearest = max(nearest, float(sights.antenna[2].min() - top))
     return apart * sights.cycles_per_metre < MOST_CYCLES and apart < NEAR * nearest
 
 

@@ -9,7 +9,7 @@ a pixel's range is R sqrt(1 + 4 q), without approximation, and that is a series 
 
     range - R = z (1 - q + 2 q^2 - 5 q^3 + 14 q^4 - 42 q^5 + ...).
 
-On a terrain, z has ez dz and g dz^2 besides, with dz the pixel's height above that of the centre.
+Where pixels differ in height, z has ez dz and g dz^2 besides, with dz the pixel's height above that of the centre.
 
 The loop sums it to 14 q^4, in float64. `series_error` bounds the rest. Where that exceeds SERIES_ERROR, or the tile may
 reach beyond the unambiguous window, the loop takes the square root instead. Either way ranges are rounded to a few
@@ -32,7 +32,7 @@ less than PLACE_ERROR.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,43 +59,34 @@ class BeamTaper:
     valid : (n,) float
         Fraction of each pulse's samples that are there.
     place : callable
-        v (n_point, n) of points x, y (n_point,), m, for some pulses of the block: -1 .. 1 where they light them. Last
-        their heights (n_point,) over the ground, m; None: they lie on it.
+        v (n_point, n) of points x, y, z (n_point,), m, for some pulses of the block: -1 .. 1 where they light them.
     """
 
     terms: FloatArray
     frequency: float
     valid: FloatArray
-    place: Callable[[FloatArray, FloatArray, slice, FloatArray | None], FloatArray]
+    place: Callable[[FloatArray, FloatArray, FloatArray, slice], FloatArray]
 
 
-def place_tables(
-    taper: BeamTaper | None,
-    pulses: slice,
-    low: FloatArray,
-    high: FloatArray,
-    relief: tuple[float, float] | None = None,
-) -> tuple[FloatArray, bool]:
-    """For each pulse the polynomial of the place in the beam over a tile from `low` to `high` (2,), m.
-
-    `relief` is the middle of the heights over it, and how far they reach from there, m.
+def place_tables(taper: BeamTaper | None, pulses: slice, low: FloatArray, high: FloatArray) -> tuple[FloatArray, bool]:
+    """For each pulse the polynomial of the place in the beam over a tile from `low` to `high` (3,), m.
 
     Returns
     -------
     places : (n, 7) or (n, 11) float
-        Coefficients of 1, dx, dy, dx^2, dx dy and dy^2, from the tile's centre, and the fraction of valid samples; with
-        relief those of dz, dx dz, dy dz and dz^2 besides; without a taper none.
+        Coefficients of 1, dx, dy, dx^2, dx dy and dy^2, from the tile's centre, and the fraction of valid samples; of a
+        tile that is not level those of dz, dx dz, dy dz and dz^2 besides; without a taper none.
     precise : bool
         Whether it errs by less than PLACE_ERROR, where the pulse lights any of the tile.
     """
     if taper is None:
         return np.empty((0, 7)), True
-    if relief is not None:
-        return _places_on_relief(taper, pulses, low, high, relief)
+    centre, half = (low + high) / 2, np.maximum((high - low) / 2, 1e-6)
+    if high[2] > low[2]:
+        return _places_on_relief(taper, pulses, centre, half)
     at = np.linspace(-1, 1, 5)
-    half = np.maximum((high - low) / 2, 1e-6)
     u, w = (axis.ravel() for axis in np.meshgrid(at, at))
-    exact = taper.place((low + high)[0] / 2 + half[0] * u, (low + high)[1] / 2 + half[1] * w, pulses, None)
+    exact = taper.place(centre[0] + half[0] * u, centre[1] + half[1] * w, np.full_like(u, centre[2]), pulses)
     grid = exact.reshape(5, 5, -1)[::2, ::2]  # rows along y
     middle, (left, right), (below, above) = grid[1, 1], grid[1, ::2], grid[::2, 1]
     mixed = (grid[2, 2] - grid[2, 0] - grid[0, 2] + grid[0, 0]) / 4
@@ -109,15 +100,11 @@ def place_tables(
     return np.column_stack([places / scale, taper.valid[pulses]]), precise
 
 
-def _places_on_relief(
-    taper: BeamTaper, pulses: slice, low: FloatArray, high: FloatArray, relief: tuple[float, float]
-) -> tuple[FloatArray, bool]:
+def _places_on_relief(taper: BeamTaper, pulses: slice, centre: FloatArray, half: FloatArray) -> tuple[FloatArray, bool]:
     """`place_tables` with the height as third coordinate: the quadratic polynomial closest to 3 x 3 x 3 places."""
-    half = np.maximum(np.array([*(high - low) / 2, relief[1]]), 1e-6)
-    centre = [*(low + high) / 2, relief[0]]
     nodes = np.array([axis.ravel() for axis in np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3)])
     x, y, z = (c + h * u for c, h, u in zip(centre, half, nodes, strict=True))
-    exact = taper.place(x, y, pulses, z)
+    exact = taper.place(x, y, z, pulses)
     exponents = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (2, 0, 0), (1, 1, 0), (0, 2, 0), (0, 0, 1), (1, 0, 1),
                           (0, 1, 1), (0, 0, 2)])  # fmt: skip
     terms = np.prod(nodes.T[:, None, :] ** exponents, axis=-1)
@@ -153,7 +140,7 @@ class Sights:
     bins_per_metre, cycles_per_metre : float
         How fast bins and phases go by with range.
     antenna : (3, n) float
-        x, y and height over the ground, m.
+        x, y and z, m.
     reference_range : (n,) float
         m
     half_window : float
@@ -188,10 +175,10 @@ def project(
     sights: Sights,
     x: FloatArray,
     y: FloatArray,
+    z: FloatArray,
     first: IntArray,
     last: IntArray,
     weight: Float32Array,
-    height: FloatArray | None = None,
 ) -> None:
     """Add the pulses first <= p < last of a block to a tile of the image, in place.
 
@@ -202,43 +189,33 @@ def project(
     image : (n_row, n_column) complex64
     outside : (n_row, n_column) bool
         Set where a lit pulse sees the pixel outside the unambiguous window.
-    x, y : (n_row, n_column) float
-        m
+    x, y, z : (n_row, n_column) float
+        m; finite.
     first, last : (n_row, n_column) int
         Of the collection's pulses.
     weight : (n_row, n_column) float32
         Rises by the sum of weights under a taper; unchanged without one.
-    height : (n_row, n_column) float, optional
-        Of the pixels, over the ground that `sights.antenna` is over, m; finite. None: they lie on it.
     """
     size, n_bin, stop = x.size, sights.values.shape[1], sights.start + sights.reference_range.size
     begin, end = max(int(first.min()), sights.start), min(int(last.max()), stop)
     if begin >= end:
         return
     side = _group_side(x.shape)
-    place = np.stack([_in_groups(axis, side) for axis in (x, y)])
-    lit = np.stack([_in_groups(axis, side) for axis in (first, last)], dtype=np.int32)
+    place = _in_groups(np.stack([x, y, z]), side)
+    lit = _in_groups(np.stack([first, last], dtype=np.int32), side)
     spans = np.clip(np.stack([lit[0].min(axis=1), lit[1].max(axis=1)], axis=1, dtype=np.int64), begin, end)
     pulses = slice(begin - sights.start, end - sights.start)
     low, high = place.min(axis=(1, 2)), place.max(axis=(1, 2))
     centre = (low + high) / 2
-    reach, middle, relief = float(np.hypot(*(high - low)) / 2), 0.0, np.empty((0, FEW))
-    if height is not None:
-        relief = _in_groups(height, side)
-        middle = float(relief.min() + relief.max()) / 2
-        relief = relief - middle
-        reach = float(np.hypot(reach, relief.max()))
-    series, roots = pulse_tables(sights, pulses, centre, reach=reach, height=middle)
-    over = None if height is None else (middle, float(relief.max()))
-    places, precise = place_tables(sights.taper, pulses, low, high, over)
+    series, roots = pulse_tables(sights, pulses, centre, reach=float(np.linalg.norm(high - low)) / 2)
+    places, precise = place_tables(sights.taper, pulses, low, high)
     if (size > SMALL and not series[0, :-FEW].all()) or (size > 1 and not precise):
         for part in halves(x.shape):
-            of_part = None if height is None else height[part]
             project(
-                image[part], outside[part], sights, x[part], y[part], first[part], last[part], weight[part], of_part
+                image[part], outside[part], sights, x[part], y[part], z[part], first[part], last[part], weight[part]
             )
         return
-    middles, close = _middles([*place, relief] if relief.size else [*place], sights)
+    middles, close = _middles(place, sights)
     close &= bool(series[0, :-FEW].all())
     sums, farthest = np.zeros((3, place[0].size), np.float32), np.zeros(place[0].size)
     terms = np.zeros(0, np.float32) if sights.taper is None else sights.taper.terms.astype(np.float32)
@@ -249,9 +226,9 @@ def project(
         np.arange(pulses.start, pulses.stop) * n_bin + sights.middle,
     )
     add_pulses(
-        *sums, farthest, samples, origins, *(axis.ravel() for axis in place), *centre, *(axis.ravel() for axis in lit),
-        spans, close, middles, begin, series, roots, sights.cycles_per_metre, sights.bins_per_metre,
-        sights.half_window, places, terms, frequency / 2, relief.ravel(),
+        *sums, farthest, samples, origins, *(axis.ravel() for axis in place), high[2] > low[2], *centre,
+        *(axis.ravel() for axis in lit), spans, close, middles, begin, series, roots, sights.cycles_per_metre,
+        sights.bins_per_metre, sights.half_window, places, terms, frequency / 2,
     )  # fmt: skip
     if sights.taper is not None:
         weight += _from_groups(sums[2], side, image.shape)
@@ -268,11 +245,12 @@ def _group_side(shape: tuple[int, ...]) -> tuple[int, int]:
 
 
 def _in_groups(values: NDArray[Any], side: tuple[int, int]) -> NDArray[Any]:
-    """Pixels (n_row, n_column) as groups (n, FEW), the last pixels repeated to make them whole."""
-    values = values.reshape(1, -1) if side[0] == 1 else values
-    fill = [(0, -n % k) for n, k in zip(values.shape, side, strict=True)]
+    """Pixels (k, n_row, n_column) as groups (k, n, FEW), the last pixels repeated to make them whole."""
+    k = values.shape[0]
+    values = values.reshape(k, 1, -1) if side[0] == 1 else values
+    fill = [(0, 0), *((0, -n % each) for n, each in zip(values.shape[1:], side, strict=True))]
     filled = np.pad(values, fill, mode="edge") if any(after for _, after in fill) else values
-    return filled.reshape(filled.shape[0] // side[0], side[0], -1, side[1]).swapaxes(1, 2).reshape(-1, FEW)
+    return filled.reshape(k, filled.shape[1] // side[0], side[0], -1, side[1]).swapaxes(2, 3).reshape(k, -1, FEW)
 
 
 def _from_groups(values: NDArray[Any], side: tuple[int, int], shape: tuple[int, ...]) -> NDArray[Any]:
@@ -284,17 +262,14 @@ def _from_groups(values: NDArray[Any], side: tuple[int, int], shape: tuple[int, 
     return pixels[: shape[0], : shape[1]]
 
 
-def _middles(axes: Sequence[FloatArray], sights: Sights) -> tuple[FloatArray, BoolArray]:
-    """The middles of groups whose pixels lie at coordinates (n, FEW), m, each: (3, n) float, the third 0 on a plane.
+def _middles(place: FloatArray, sights: Sights) -> tuple[FloatArray, BoolArray]:
+    """The middles (3, n) float of groups whose pixels lie at `place` (3, n, FEW), m.
 
     And whether their ranges differ by so little that those from the middle may be found in float32, and the samples
     by `load_near`.
     """
-    middles, squared = np.zeros((3, axes[0].shape[0])), 0.0
-    for middle, axis in zip(middles, axes, strict=False):
-        middle[:] = (axis.min(axis=1) + axis.max(axis=1)) / 2
-        squared = squared + np.square(axis - middle[:, None]).max(axis=1)
-    apart = np.sqrt(squared)
+    middles = (place.min(axis=2) + place.max(axis=2)) / 2
+    apart = np.sqrt(np.square(place - middles[..., None]).max(axis=2).sum(axis=0))
     return middles, (apart * sights.bins_per_metre < NEAR[1] - 1) & (apart * sights.cycles_per_metre < MOST_CYCLES)
 
 
@@ -306,16 +281,13 @@ def halves(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
     return [(slice(None), slice(0, columns // 2)), (slice(None), slice(columns // 2, None))]
 
 
-def pulse_tables(
-    sights: Sights, pulses: slice, centre: FloatArray, *, reach: float, height: float = 0.0
-) -> tuple[FloatArray, FloatArray]:
+def pulse_tables(sights: Sights, pulses: slice, centre: FloatArray, *, reach: float) -> tuple[FloatArray, FloatArray]:
     """For each pulse, what the series needs, first whether it may be used; and what the square root needs.
 
-    The last of each is for pixels that lie over or under the centre, which is at a height, m. Of the first table, (8,
-    n + FEW), each row is of one kind, and goes on with zeros; the second is (n, 5).
+    The last of each is for pixels that lie over or under the centre (3,), m. Of the first table, (8, n + FEW), each row
+    is of one kind, and goes on with zeros; the second is (n, 5).
     """
-    x, y = centre[:, None] - sights.antenna[:2, pulses]
-    up = height - sights.antenna[2, pulses]
+    x, y, up = centre[:, None] - sights.antenna[:, pulses]
     over, reference = up**2, sights.reference_range[pulses]
     distance = np.maximum(np.sqrt(x**2 + y**2 + over), NEAREST)
     away, per_metre = distance - reference, sights.cycles_per_metre

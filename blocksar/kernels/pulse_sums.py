@@ -142,9 +142,9 @@ def _added(re: Any, im: Any, a: Any, b: Any, turn: Any) -> Any:
 
 @loop(
     types.float32[::1], types.float32[::1], types.float32[::1], types.float64[::1], REAL_ROW, ORIGINS,
-    REAL_ROW, REAL_ROW, types.float64, types.float64, PULSES, PULSES, types.int64[:, ::1], types.boolean[::1],
+    *[REAL_ROW] * 3, types.boolean, *[types.float64] * 3, PULSES, PULSES, types.int64[:, ::1], types.boolean[::1],
     REAL_ROWS, types.int64, REAL_ROWS, REAL_ROWS, types.float64, types.float64, types.float64, REAL_ROWS, WEIGHTS,
-    types.float64, REAL_ROW, **COMPILED,
+    types.float64, **COMPILED,
 )  # fmt: skip
 def add_pulses(
     real: NDArray[np.float32],
@@ -155,8 +155,11 @@ def add_pulses(
     origins: IntArray,
     x: FloatArray,
     y: FloatArray,
+    z: FloatArray,
+    hilly: bool,
     centre_x: float,
     centre_y: float,
+    centre_z: float,
     first: NDArray[np.int32],
     last: NDArray[np.int32],
     spans: IntArray,
@@ -171,7 +174,6 @@ def add_pulses(
     places: FloatArray,
     terms: NDArray[np.float32],
     half_frequency: float,
-    relief: FloatArray,
 ) -> None:  # longer than most: arrays that inlined functions take have their references counted for every pulse
     """Sum the lit pulses, in ascending order, at pixels (n,).
 
@@ -190,9 +192,11 @@ def add_pulses(
         Spline coefficients of the profiles, each a complex64 as 64 bits.
     origins : (n_pulse,) int64
         The sample of each pulse at its reference range.
-    x, y : (n,) float
+    x, y, z : (n,) float
         m
-    centre_x, centre_y : float
+    hilly : bool
+        Whether any z differs from the centre's; otherwise z are not read.
+    centre_x, centre_y, centre_z : float
         Of the tile, m.
     first, last : (n,) int32
         Pulses first <= p < last light a pixel.
@@ -202,7 +206,7 @@ def add_pulses(
         Groups that are seen from their middle: its range and direction are found in float64, for FEW pulses at a time,
         and those of its pixels from there in float32.
     middles : (3, n_group) float
-        m; the third over the height of the tile's centre.
+        m
     start : int
         Pulse at which tables begin.
     series, roots : (8, n_pulse + FEW), (n_pulse, 5) float
@@ -217,13 +221,11 @@ def add_pulses(
         Of the weight as a function of v; empty without weights.
     half_frequency : float
         Cosines of the weight have k half_frequency v turns.
-    relief : (n,) float
-        Heights of the pixels over the tile's centre, m; empty on a plane.
     """
     turns, rights = np.empty(CHUNK * FEW, np.float32), np.empty(CHUNK * FEW, np.float32)
     bins, shares = np.empty(CHUNK * FEW, np.int32), np.empty(CHUNK * FEW, np.float32)
     seen, per_cycle = np.empty((7, CHUNK + FEW), np.float32), bins_per_metre / cycles_per_metre
-    hilly, weighted = relief.size > 0, terms.size > 0
+    weighted = terms.size > 0
     for begin in range(start, start + series.shape[1] - FEW, CHUNK):
         for group in range(spans.shape[0]):
             i = group * FEW
@@ -231,7 +233,7 @@ def add_pulses(
             dz = dx - dx
             square, lit, unlit = dx * dx + dy * dy, load_few(first, i), load_few(last, i)
             if hilly:
-                dz = load_few(relief, i)
+                dz = load_few(z, i) - centre_z
                 square = square + dz * dz
             low, high = max(spans[group, 0], begin), min(spans[group, 1], begin + CHUNK)
             if weighted:
@@ -246,15 +248,16 @@ def add_pulses(
                 store(weight, i, share)
             re, im = load_few(real, i), load_few(imag, i)
             if close[group]:
-                mx, my, mz = middles[0, group] - centre_x, middles[1, group] - centre_y, middles[2, group]
+                mx, my = middles[0, group] - centre_x, middles[1, group] - centre_y
+                mz = middles[2, group] - centre_z
                 for p in range(low, high, FEW):
                     _see_middle(seen, bins, series, p - start, p - low, mx, my, mz, per_cycle)
                 ux, uy, uz, square_u = _about_middle(dx - mx, dy - my, dz - mz)
                 for p in range(low, high):
                     j = p - low
-                    z = seen[3, j] * ux + (seen[4, j] * uy + seen[2, j] * square_u) + seen[5, j] * uz
-                    q = seen[6, j] * z
-                    away = z + z * (q * (q + q - np.float32(1.0)))
+                    w = seen[3, j] * ux + (seen[4, j] * uy + seen[2, j] * square_u) + seen[5, j] * uz
+                    q = seen[6, j] * w
+                    away = w + w * (q * (q + q - np.float32(1.0)))
                     _, turn = nearest(away + seen[0, j])
                     offset, right = nearest(away * np.float32(per_cycle) + seen[1, j])
                     a, b = _sample(load_near(samples, origins[p - start] + bins[j], offset), right)

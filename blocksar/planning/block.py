@@ -53,7 +53,7 @@ from blocksar.planning.dwell_ends import ImageEdges, LitTimes, Moments, band_spr
 from blocksar.planning.dwell_weights import beam_moves
 from blocksar.planning.memory import RELIEF_MEMORY, block_memory
 from blocksar.planning.prediction import Judged, Prediction, predict, worst_lobes
-from blocksar.planning.relief import FINE_DEGREE, Layer, map_relief, turns_of
+from blocksar.planning.relief import FINE_DEGREE, Layer, Relief, map_relief, turns_of
 from blocksar.planning.sector import Sector
 from blocksar.planning.target_lines import TracedTargets, tail_margin
 
@@ -67,11 +67,11 @@ STEPS_BY_RANGE = 512  # of yaw, where the sum over lit pulses is a table over ra
 def plan_ground(sector: Sector, azimuth: AzimuthPart, sampling: Sampling, lines: FineLines) -> GroundMap:
     """The map of a block with its sampling; lines (n_range, n_yaw) are through the whole chain."""
     ground = _on_smooth_ground(sector, sampling, lines)
-    return ground if sector.relief is None else _raise(sector, azimuth, ground, lines)
+    return ground if sector.relief is None else _raise(sector, sector.relief, azimuth, ground, lines)
 
 
 def _on_smooth_ground(sector: Sector, sampling: Sampling, lines: FineLines) -> GroundMap:
-    collection = sector.geometry.collection
+    collection, z = sector.geometry.collection, sector.geometry.collection.ground_height
     offset, doppler_focus, phase, gain, dwell_time = _surfaces(sector, lines, lines.spots)
     yaw_axis = np.linspace(sector.low, sector.high, _yaw_steps(sector))
     near_limit, far_limit = sector.region.at(yaw_axis)
@@ -84,6 +84,7 @@ def _on_smooth_ground(sector: Sector, sampling: Sampling, lines: FineLines) -> G
         high=sector.high,
         near=sector.near,
         far=sector.far,
+        levels=(z, z),
         origin=sector.recovery.origin,
         rows=sampling.rows,
         doppler=sampling.image_doppler,
@@ -207,40 +208,36 @@ def _yaw_steps(sector: Sector) -> int:
     return math.ceil(min(max(share, LEAST_STEPS), STEPS_BY_RANGE if by_range(sector.geometry) else YAW_STEPS))
 
 
-def _raise(sector: Sector, azimuth: AzimuthPart, ground: GroundMap, lines: FineLines) -> GroundMap:
+def _raise(sector: Sector, relief: Relief, azimuth: AzimuthPart, ground: GroundMap, lines: FineLines) -> GroundMap:
     """The map with the terrain's heights, from lines over the smooth ground at several heights."""
-    relief, rng, yaw = sector.relief, lines.epoch_range, lines.yaw
-    assert relief is not None
-    layers = [_layer(sector, azimuth, lines, sector.over(offset).geometry) for offset in relief.offsets.tolist()]
+    geometry, rng, yaw = sector.geometry, lines.epoch_range, lines.yaw
+    layers = [_layer(sector, azimuth, lines, relief.over(geometry, offset)) for offset in relief.offsets.tolist()]
     turns = []
-    if sector.geometry.collection.has_axis:
-        turns = [turns_of(layer.geometry, sector.geometry, rng, yaw) for layer in layers]
+    if geometry.collection.has_axis:
+        turns = [turns_of(layer.geometry, geometry, rng, yaw) for layer in layers]
         ground = ground.widened(sector.region, float(np.abs(turns).max()))
     by_height = map_relief(
         relief, layers, lambda spots: _surfaces(sector, lines, spots), along=sector.ground_range, yaw=yaw,
         degree=_degree(sector, lines), turns=turns,
     )  # fmt: skip
-    return replace(ground, relief=by_height)
+    return replace(ground, relief=by_height, levels=(relief.lowest, relief.highest))
 
 
-def usual_layer(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> tuple[Layer, BoolArray]:
-    """Lines of targets at usual heights of a terrain, and which (n_range, n_yaw) of them there are."""
-    assert sector.relief is not None
-    usual, known = sector.relief.usual(lines.epoch_range.size, lines.yaw.size)
-    return _at_heights(sector, azimuth, lines, usual), known if known.any() else np.ones_like(known)
+def _usual_layers(
+    sector: Sector, relief: Relief, azimuth: AzimuthPart, lines: FineLines
+) -> tuple[list[Layer], BoolArray]:
+    """Lines of targets at usual heights of a terrain, low ones and high ones, and where (n_range, n_yaw) there are any.
 
-
-def end_layers(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> list[Layer]:
-    """Lines of targets that lie low and of such that lie high on a terrain."""
-    assert sector.relief is not None
-    ends = sector.relief.usual_ends(lines.epoch_range.size, lines.yaw.size)
-    return [_at_heights(sector, azimuth, lines, heights) for heights in ends]
-
-
-def _at_heights(sector: Sector, azimuth: AzimuthPart, lines: FineLines, over: FloatArray) -> Layer:
-    """Lines of targets at heights (n_range, n_yaw), m, over the finer smooth ground."""
-    assert sector.relief is not None
-    return _layer(sector, azimuth, lines, sector.geometry.over(None, NodeHeights(smooth=sector.relief.fine, over=over)))
+    Heights are over the finer smooth ground.
+    """
+    shape = lines.epoch_range.size, lines.yaw.size
+    usual, known = relief.usual(*shape)
+    grounds = (
+        sector.geometry.over(None, NodeHeights(smooth=relief.fine, over=heights))
+        for heights in (usual, *relief.usual_ends(*shape))
+    )
+    layers = [_layer(sector, azimuth, lines, ground) for ground in grounds]
+    return layers, known if known.any() else np.ones_like(known)
 
 
 def _layer(sector: Sector, azimuth: AzimuthPart, lines: FineLines, geometry: Geometry) -> Layer:
@@ -663,21 +660,21 @@ def _predict(
 
     Side lobes also from those of targets that lie low, and of such that lie high.
     """
-    targets, reached, layers = lines.targets(sector.geometry), None, []
+    targets, reached = lines.targets(sector.geometry), None
+    layers: list[Layer] = []
     if sector.relief is not None:
-        usual, reached = usual_layer(sector, azimuth, lines)
-        targets, layers = _on(targets, usual), end_layers(sector, azimuth, lines)
+        layers, reached = _usual_layers(sector, sector.relief, azimuth, lines)
+        targets = _on(targets, layers[0])
     imaged = _imaged(sector, lines)
     predicted = predict(
         targets, sampling.gate, reached=reached, imaged=imaged, band=sector.weighting.range,
     )  # fmt: skip
-    for layer in layers:
+    for layer in layers[1:]:
         others = _on(targets, layer)
         judged = Judged.of(others, reached, imaged)
         predicted = predicted.or_lobes(worst_lobes(others, sampling.gate, judged, band=sector.weighting.range))
     seen = np.logical_and.reduce([lines.ends.full, *(each.held for each in imaged)])
-    if reached is not None:
-        seen, layers = seen & reached, [usual, *layers]
+    seen = seen if reached is None else seen & reached
     return predicted.less(sector.beam_loss, map_loss(ground, lines, seen, layers))
 
 

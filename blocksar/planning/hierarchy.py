@@ -157,7 +157,7 @@ class Ladders:
         mesh = np.meshgrid(x, y)
         first, last = self.geometry.beam.passes(*mesh)
         longest = int((last - first).sum(axis=(1, 2)).argmax())
-        z = np.nan_to_num(np.asarray(self.geometry.height(*mesh)), nan=self.geometry.collection.ground_height)
+        z, _ = self.geometry.known_height(*mesh)
         part = Part(x=x, y=y, z=z, first=first[longest], last=last[longest])
         leave_outside(self.geometry, part)
         return part

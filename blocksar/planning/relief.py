@@ -349,7 +349,7 @@ def map_relief(
         series = solvers.node_series(values.reshape(len(layers), -1), len(layers) - 1).reshape(values.shape)
         terms.append(tuple(replace(quantity[0], series=np.ascontiguousarray(part)) for part in series))
     return ReliefMap(
-        smooth=relief.smooth, low=relief.low, high=relief.high, lowest=relief.lowest, highest=relief.highest,
-        layers=tuple(terms[:QUANTITIES]), turns=terms[QUANTITIES] if turns else (),
+        smooth=relief.smooth, low=relief.low, high=relief.high, layers=tuple(terms[:QUANTITIES]),
+        turns=terms[QUANTITIES] if turns else (),
         most_bend=max(float(np.abs(layer.bend).max()) for layer in layers),
     )  # fmt: skip

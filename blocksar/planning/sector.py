@@ -115,11 +115,6 @@ class Sector:
         """
         return self.relief is not None and not self.geometry.beam.by_range
 
-    def over(self, offset: float) -> Sector:
-        """Copy of the sector with the smooth ground raised by an offset, m."""
-        assert self.relief is not None
-        return replace(self, geometry=self.relief.over(self.geometry, offset))
-
     def refined(self) -> Sector:
         """Copy of the sector, on a terrain over its finer smooth ground."""
         return self if self.relief is None else replace(self, geometry=self.geometry.over(None, self.relief.fine))
@@ -128,7 +123,8 @@ class Sector:
         """Lines of targets on the smooth ground; on a terrain followed by those of the lowest and the highest ones."""
         if self.relief is None:
             return line
-        return stacked([line, *(trace(self.over(offset)) for offset in (self.relief.low, self.relief.high))])
+        ends = (self.relief.over(self.geometry, offset) for offset in (self.relief.low, self.relief.high))
+        return stacked([line, *(trace(replace(self, geometry=ground)) for ground in ends)])
 
     def reference(self) -> FloatArray:
         """Range series of the sector's centre, m/s^n, less the common range that recovery removes."""

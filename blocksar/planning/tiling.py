@@ -60,12 +60,8 @@ def patch_window(ground: GroundMap, grid: Grid) -> tuple[int, int, int, int]:
     """First row, first column, rows and columns of a block's patch: the whole image chunks around its sector."""
     yaw = np.linspace(ground.low, ground.high, 257)
     geometry = ground.geometry
-    if ground.relief is None:
-        corners = geometry.ground_point(np.array([[ground.near], [ground.far]]), yaw)
-    else:
-        planes = [geometry.over(None, Level(level)) for level in ground.levels]
-        ends = np.array([[ground.near], [ground.far]])
-        corners = np.concatenate([plane.ground_point(ends, yaw) for plane in planes])
+    planes, ends = [geometry.over(None, Level(z)) for z in {*ground.levels}], np.array([[ground.near], [ground.far]])
+    corners = np.concatenate([plane.ground_point(ends, yaw) for plane in planes])
     side = image_chunk(grid)
     spans = []
     for axis, values, chunk, step in ((1, grid.y, side[0], grid.dy), (0, grid.x, side[1], grid.dx)):

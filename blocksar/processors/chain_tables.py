@@ -58,11 +58,9 @@ def _relief_table(plans: Sequence[Plan]) -> Table:
     """The terrain of each block, and what it does to the phase of targets far above or below its smooth part."""
     header = ("block", "z (m)", "over the smooth ground (m)", "bend taken out (rad)", "predicted coherence")
     rows = []
-    for block in (block for plan in plans for block in plan.blocks):
-        relief = block.ground.relief
-        assert relief is not None
-        heights = f"{relief.lowest:.1f} .. {relief.highest:.1f}", f"{relief.low:.1f} .. {relief.high:.1f}"
-        bend = 2 * np.pi * relief.most_bend * bend_scale(block.ground)
+    for block, relief in ((b, b.ground.relief) for plan in plans for b in plan.blocks if b.ground.relief is not None):
+        (lowest, highest), bend = block.ground.levels, 2 * np.pi * relief.most_bend * bend_scale(block.ground)
+        heights = f"{lowest:.1f} .. {highest:.1f}", f"{relief.low:.1f} .. {relief.high:.1f}"
         rows.append([block.name, *heights, f"{bend:.2f}", digits(block.prediction.coherence)])
     return header, rows
 

@@ -101,11 +101,13 @@ def test_a_beam_that_turns_back_passes_places_several_times() -> None:
     assert error(found, exact) < -62
 
 
-def test_terrain() -> None:
+@pytest.mark.parametrize("unknown", [slice(0), slice(5, 6)])  # rows without heights
+def test_terrain(unknown: slice) -> None:
     c = collection(n_pulse=900, n_frequency=256)
     x, y = grid_about(c)
     east, north = (np.arange(0.0, 145.0, 10.0) for _ in "xy")
     heights = 20 * np.sin(east / 15) * np.cos(north / 20)[:, None]
+    heights[unknown] = np.nan
     terrain = Terrain(x0=x[0] - 50, dx=10.0, y0=y[0] - 50, dy=10.0, heights=heights)
     found, exact = both(c, x, y, terrain=terrain, weighting="hamming")
     assert error(found, exact) < -62

@@ -35,7 +35,7 @@ def test_sums_are_those_of_the_definitions(width: float, angles: str, text: str)
     assert (expected > 0).any()
     total = np.ones(x.shape)
     for first, last in zip(*geometry.beam.passes(x, y, z), strict=True):
-        add_gains(total, geometry, x, y, over, first=first, last=last, pulses=pulses, valid=valid[pulses], taper=taper)
+        add_gains(total, geometry, x, y, z, first=first, last=last, pulses=pulses, valid=valid[pulses], taper=taper)
     np.testing.assert_allclose(total - 1, expected, rtol=0, atol=1e-8 * expected.max())
 
 
@@ -64,7 +64,7 @@ def test_means_of_a_pattern_in_elevation_are_those_of_the_definition(kind: str, 
     place = (2 * np.cumsum(lit, axis=-1) - 1) / np.maximum(lit.sum(axis=-1), 1)[..., None] - 1
     seen = lit.sum(axis=-1) > 60
 
-    means = mean_elevations(geometry, x, y, over, passes=geometry.beam.passes(x, y, z), valid=valid, taper=taper)
+    means = mean_elevations(geometry, x, y, z, passes=geometry.beam.passes(x, y, z), valid=valid, taper=taper)
     assert seen.mean() > 0.2
     total, level = both.sum(axis=-1)[seen], weight.sum(axis=-1)[seen]
     np.testing.assert_allclose(means.weighed[seen], total / level, atol=0.004)
@@ -84,8 +84,8 @@ def test_a_mean_over_a_few_pulses_and_over_all_pulses() -> None:
     collection = axis_collection(n_pulse=60, **pattern)
     geometry, none = Geometry(collection=collection), np.zeros((1, 1, 3), np.int64)
     x, y, few = np.full((1, 3), 9000.0), np.zeros((1, 3)), none + np.array([0, 1, 5])
-    means = mean_elevations(geometry, x, y, passes=(none, few))
+    means = mean_elevations(geometry, x, y, 0 * y, passes=(none, few))
     np.testing.assert_allclose(means.plain, [[0.0, 1.0, 1.0]])
     assert means.dark(geometry).tolist() == [[True, False, False]]
-    every = mean_elevations(geometry, x, y)
+    every = mean_elevations(geometry, x, y, 0 * y)
     np.testing.assert_allclose([every.plain, every.weighed], 1.0)

@@ -141,9 +141,9 @@ def test_slight_bends_take_fewer_taps() -> None:
     assert ground.relief is not None
     few = replace(ground, doppler_taps=(8, occupancy))
     few = replace(few, relief=replace(ground.relief, most_bend=most / bend_scale(few)))
-    taps, many = bent_taps_of(few)[0], replace(few, doppler_taps=(14, occupancy))
+    taps, many = bent_taps_of(few, few.relief)[0], replace(few, doppler_taps=(14, occupancy))
     assert taps.width == (16, 8) and 1 < taps.n_bend[1] < taps.n_bend[0] / 2
-    *_, middle, bend = locate_on_relief(few, *np.meshgrid(x, y), z)
+    *_, middle, bend = locate_on_relief(few, few.relief, *np.meshgrid(x, y), z)
     assert (np.abs(bend) < taps.n_bend[1] / taps.n_bend[0] * most).all()
     n = ground.doppler.size
     band = np.abs((np.arange(n) / n - middle.mean() + 0.5) % 1 - 0.5) < 0.45 * occupancy
@@ -160,7 +160,7 @@ def test_polynomials_of_a_tile_are_what_they_stand_for(swath: list[float]) -> No
     ground, terrain, x, y = on_hills(swath)
     z = terrain.on_grid(x, y)
     tile = np.array([128]), np.zeros((1, 3), np.int64), np.zeros(1, np.int64)
-    coefficients, spans = tile_polynomials(ground, [(x, y)], [z], *tile)
+    coefficients, spans = tile_polynomials(ground, ground.relief, [(x, y)], [z], *tile)
     rows, columns = np.random.default_rng(2).integers(0, 128, (2, 300))
     u, v, w = columns / 63.5 - 1, rows / 63.5 - 1, (z[rows, columns] - spans[0, 0]) / spans[0, 1]
     assert np.abs(w).max() <= 1 + 1e-12
@@ -169,10 +169,11 @@ def test_polynomials_of_a_tile_are_what_they_stand_for(swath: list[float]) -> No
     found = np.einsum(
         "bhqa,nb,nh,na->qn", powers, *(np.vander(t, n, increasing=True) for t, n in ((v, 4), (w, 3), (u, 4)))
     )
-    exact = np.stack(locate_on_relief(ground, x[columns], y[rows], z[rows, columns]))
+    exact = np.stack(locate_on_relief(ground, ground.relief, x[columns], y[rows], z[rows, columns]))
     error = np.abs(found - exact).max(axis=1)
     assert (error[:3] < 1e-4).all() and (error[3:] < 1e-6).all()
-    alone, _ = tile_polynomials(ground, [(x[:1], y)], [z[:, :1]], *tile)  # a single column extends nowhere
+    # A single column extends nowhere.
+    alone, _ = tile_polynomials(ground, ground.relief, [(x[:1], y)], [z[:, :1]], *tile)
     assert np.abs(alone.reshape(powers.shape)[..., 1:]).max() < 1e-6
 
 

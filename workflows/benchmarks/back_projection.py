@@ -87,7 +87,7 @@ def back_project(history: stores.PhaseHistory, geometry: Geometry, chips: Chips,
     collection = geometry.collection
     profiling, accumulation = 0.0, 0.0
     started = time.perf_counter()
-    first, last = geometry.beam.longest_pass(chips.x, chips.y)
+    (z, _), (first, last) = geometry.known_height(chips.x, chips.y), geometry.beam.longest_pass(chips.x, chips.y)
     image, outside = np.zeros(chips.x.shape, np.complex64), np.zeros(chips.x.shape, np.bool_)
     accumulation += time.perf_counter() - started
     step = pulse_block_size(collection)
@@ -98,8 +98,9 @@ def back_project(history: stores.PhaseHistory, geometry: Geometry, chips: Chips,
         profiles = range_profiles(samples, collection=collection, pulses=pulses, threads=threads)
         ready = time.perf_counter()
         accumulate(
-            image, outside, profiles, geometry=geometry, x=chips.x, y=chips.y, first=first, last=last, threads=threads
-        )
+            image, outside, profiles, geometry=geometry, x=chips.x, y=chips.y, z=z, first=first, last=last,
+            threads=threads,
+        )  # fmt: skip
         profiling += ready - started
         accumulation += time.perf_counter() - ready
     return Projected(profiling, accumulation, int((last - first).sum()))
