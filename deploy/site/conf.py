@@ -148,8 +148,7 @@ def cells(notebook: str) -> Iterator[str]:
 
 def scene_tables() -> str:
     """The shipped scenes, and the tables and keys of a scene file from the model that checks them."""
-    from blocksar.simulation.shipped import shipped_scenes
-
+    from blocksar.simulation import shipped_scenes
     from blocksar.simulation.scene import Scene
 
     tables = list(tables_of(Scene))
