@@ -147,12 +147,12 @@ def test_what_would_make_a_run_fit_does(store: Path, needs: list[int], free: Any
 
 
 def test_a_rehearsal_says_the_same(store: Path, needs: list[int], free: Any, tmp_path: Path) -> None:
-    free(14 << 20)
+    free(12 << 20)
     said = refusal(store, tmp_path / "run")
     rehearsed = blocksar.focus(store, tmp_path / "run", dry_run=True, **SETTINGS).summary
     (line,) = [line for line in rehearsed if line.startswith("would write")]
     figure, remedy = re.search(r"needs (.*) of disk.*?; (.*)", said).groups()  # type: ignore[union-attr]
-    assert f"about {figure}, of 14.0 MiB free, which is too little: discard=True (" in in_python(line)
+    assert f"about {figure}, of 12.0 MiB free, which is too little: discard=True (" in in_python(line)
     assert in_python(line).endswith(remedy)
 
 
