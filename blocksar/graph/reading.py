@@ -18,7 +18,6 @@ from blocksar.focusing.recovery import Recovery, recover_columns
 from blocksar.graph.spectrum import SpectrumChunks, Window, WritesBehind, chunk_spans, stays_cached
 from blocksar.graph.tasks import naming_failures, sign
 from blocksar.inspection.samples import inspect
-from blocksar.kernels import buffers
 from blocksar.kernels.rows import Program
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Receipt, Written
@@ -73,7 +72,7 @@ def gate_bins(
     reading = time.perf_counter() - started
     transform, group = targets[0].gate.to_delay, targets[0].chunk[0]
     to_delay = Program([transform], source=transform.source, n_row=group)
-    delays = buffers.empty((group, transform.period))
+    delays = np.empty((group, transform.period), np.complex64)
     with WritesBehind() as behind:
         for first, last in chunk_spans(*bins, group):
             touched = [target for target in targets if target.common(first, last)[1] > target.common(first, last)[0]]
@@ -99,7 +98,7 @@ def _gate(target: Gated, delays: ComplexArray, bins: tuple[int, int], *, threads
     rows = target.gate.from_delay.run(part, first=first - target.first_bin, threads=threads)
     if (first, last) == bins:
         return rows
-    whole = buffers.empty((bins[1] - bins[0], rows.shape[1]))
+    whole = np.empty((bins[1] - bins[0], rows.shape[1]), np.complex64)
     whole[: first - bins[0]] = 0
     whole[first - bins[0] : last - bins[0]] = rows
     whole[last - bins[0] :] = 0
@@ -164,7 +163,9 @@ def recover_group(
         threads=run.threads,
     )  # fmt: skip
     cached = stays_cached((recovery.doppler.size, source.collection.n_range_frequency))
-    memories = [buffers.empty((recovery.doppler.size * width,)) for _ in range(min(2, -(-signal.shape[1] // width)))]
+    memories = [
+        np.empty(recovery.doppler.size * width, np.complex64) for _ in range(min(2, -(-signal.shape[1] // width)))
+    ]
     with WritesBehind(len(memories)) as behind:
         for first in range(columns[0], columns[1], width):
             turn, part = behind.turn(), slice(first, min(first + width, columns[1]))

@@ -14,12 +14,13 @@ from math import prod
 from types import TracebackType
 from typing import Any, TypeVar
 
+import numpy as np
+
 from blocksar import stores
 from blocksar.arrays import ComplexArray
 from blocksar.chunks import SPECTRUM_BYTES, WRITES_AT_ONCE, WRITES_PER_THREAD
 from blocksar.errors import ProcessingError
 from blocksar.graph.machine import machine
-from blocksar.kernels import buffers
 from blocksar.places.place import Place
 from blocksar.runs.record import Written
 
@@ -197,15 +198,14 @@ class SpectrumChunks:
         at_once = max(SPECTRUM_BYTES // (8 * (last - first) * width), 1) * width
         if columns.stop - columns.start <= at_once:
             return self._checked((first, last), (columns.start, columns.stop))[rows]
-        values = buffers.empty((stop - start, columns.stop - columns.start))
+        values = np.empty((stop - start, columns.stop - columns.start), np.complex64)
         for c, d in chunk_spans(columns.start, columns.stop, at_once):
             values[:, c - columns.start : d - columns.start] = self._checked((first, last), (c, d))[rows]
         return values
 
     def _checked(self, rows: tuple[int, int], columns: tuple[int, int]) -> ComplexArray:
         """Read whole chunks, and compare their checksums."""
-        # Not memory of malloc, which would keep parts of it: their size is close to the threshold for that.
-        values = buffers.empty((rows[1] - rows[0], columns[1] - columns[0]))
+        values = np.empty((rows[1] - rows[0], columns[1] - columns[0]), np.complex64)
         cached = self.recovered and stays_cached(self.shape)
         stores.read_region(self.store, "spectrum", (slice(*rows), slice(*columns)), values, cached=cached)
         for a, b in chunk_spans(*rows, self.chunk[0]):

@@ -35,7 +35,6 @@ from blocksar.graph.layers import (
 from blocksar.graph.segments import Merged
 from blocksar.graph.spectrum import SpectrumChunks, Window, WritesBehind, chunk_spans, read_ahead
 from blocksar.inspection.samples import Inspection, mask_outliers
-from blocksar.kernels import buffers
 from blocksar.kernels.halving import halve
 from blocksar.places.place import Place
 from blocksar.places.posix import resource
@@ -154,7 +153,7 @@ def read_slab(run: Run, block: BlockPlan, stage: Stage, spectrum: SpectrumChunks
     """Run a block's first stage on its part of the spectrum, which is read by chunks' columns."""
     started, reading = time.perf_counter(), 0.0
     program, bins = stage.program, slice(block.first_bin, block.first_bin + block.n_bin)
-    out = buffers.empty((block.sampling.n_buffer_row, program.target.size))
+    out = np.empty((block.sampling.n_buffer_row, program.target.size), np.complex64)
     parts = [(bins, slice(a, b)) for a, b in chunk_spans(0, program.n_row, spectrum.chunk[1])]
     for region, part, waited in read_ahead(spectrum, parts):
         reading += waited
@@ -178,7 +177,7 @@ def run_stage(run: Run, block: BlockPlan, stage: Stage, samples: Samples) -> Sam
         # The later stages need a buffer where rows become longer.
         inner = out is None and stage.steps[-1].name != block.chain[-1].name
         if inner:
-            out = buffers.empty((block.sampling.n_buffer_row, program.target.size))
+            out = np.empty((block.sampling.n_buffer_row, program.target.size), np.complex64)
         result = program.run(values[: program.n_row], out=out, threads=run.threads)
     return Samples(result, samples.seconds | {stage.name: time.perf_counter() - started})
 

@@ -18,7 +18,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
-from blocksar.kernels import blending, buffers, interpolation, phase
+from blocksar.kernels import blending, interpolation, phase
 from blocksar.kernels.fourier import Axis, fft_rows
 from blocksar.kernels.groups import row_groups, run_groups
 from blocksar.kernels.operations import Blend, Cut, Operation, Resample, ScaledTurn, Stretch, Transform, Turn, Window
@@ -159,7 +159,7 @@ class Program:
         destination = first  # row of `out` that receives the first row
         if out is None:
             shape = (n, self.target.size) if store == "rows" else (self.target.size, n)
-            out, destination = buffers.empty(shape), 0
+            out, destination = np.empty(shape, np.complex64), 0
 
         def work(rows: slice) -> None:
             target = slice(rows.start - first + destination, rows.stop - first + destination)
