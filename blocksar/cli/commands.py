@@ -183,11 +183,6 @@ def autofocus(
 
     from blocksar import api
 
-    if settings["scheduler"] is None:
-        from blocksar.graph.starting import start_early
-
-        start_early([source], out, workers=settings["workers"], threads=settings["threads"])
-
     with listening(context) as progress:
         report = api.autofocus(source, out, progress=progress, **settings)
     show(report, context)

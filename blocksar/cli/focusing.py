@@ -227,11 +227,6 @@ def focus(
 
     from blocksar import api
 
-    if settings["scheduler"] is None and not settings["dry_run"]:
-        from blocksar.graph.starting import start_early
-
-        start_early(source, out, workers=settings["workers"], threads=settings["threads"])
-
     with listening(context) as progress:
         report = api.focus(one_or_all(source), out, progress=progress, **settings)
     show(report)

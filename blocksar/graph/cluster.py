@@ -19,6 +19,8 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
+from multiprocessing import forkserver, resource_tracker
+from multiprocessing.util import get_temp_dir
 from pathlib import Path
 from typing import Any, cast
 
@@ -31,7 +33,6 @@ from blocksar.errors import InputError, ProcessingError
 from blocksar.graph.compiling import By, compile_kernels, kernels_cached
 from blocksar.graph.machine import machine
 from blocksar.graph.recording import serve_dashboard
-from blocksar.graph.starting import start_fork_server, worker_environment
 from blocksar.graph.units import GPU, NO_WORKER, Here, await_workers, waiting_for_workers, workers_of
 from blocksar.progress import Listener
 from blocksar.version import __version__
@@ -40,9 +41,11 @@ WORKER_TTL = 60.0  # s without a message from a worker of the local cluster befo
 HUNG = 8.0  # s after which a worker that has been given up, but lives, is killed
 CONNECT = 20.0  # s for a running scheduler to answer
 PRE_SPAWN = "distributed.nanny.pre-spawn-environ"
-# `starting` says what the fork server imports. Otherwise dask would import pandas here to say so.
+# `start_fork_server` says what the fork server imports. Otherwise dask would import pandas here to say so.
 distributed.utils._forkserver_preload_set = True
 SETTINGS = {"distributed.admin.low-level-log-length": 10}  # dask would keep the last 1000 messages to workers
+LONGEST_FOLDER, SHORT_FOLDER = 70, "/tmp"  # characters that leave room for the name of a socket
+WORKER_MODULE = "blocksar.graph.worker"
 
 
 class OwnCluster(LocalCluster):
@@ -94,6 +97,60 @@ def workers_with_gpu(client: Client) -> int:
 def _own_cluster(client: Client) -> OwnCluster | None:
     cluster = getattr(client, "cluster", None)
     return cluster if isinstance(cluster, OwnCluster) else None
+
+
+def worker_environment(threads: int) -> dict[str, str]:
+    """Variables that libraries of a worker read when they are loaded."""
+    return {
+        "NUMBA_NUM_THREADS": str(threads),
+        # Each thread of a worker runs loops of its own.
+        "OMP_NUM_THREADS": "1",
+        "MKL_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        # Blocks are returned to the system at once; malloc keeps groups of rows and chunks, which stay in the cache.
+        "MALLOC_MMAP_THRESHOLD_": str(24 * 2**20),
+        "MALLOC_TRIM_THRESHOLD_": str(64 * 2**20),
+    }
+
+
+def start_fork_server(threads: int) -> None:
+    """Start the process that workers are forked from, if it does not run yet.
+
+    A terminal sends Ctrl-C to all processes of a command, and the main process ends the others: they inherit that it is
+    blocked.
+    """
+    multiprocessing.get_context("forkserver").set_forkserver_preload([WORKER_MODULE])
+    resource_tracker.ensure_running()  # otherwise the next line starts it, and that unblocks SIGINT
+    wanted = worker_environment(threads)
+    own = {name: os.environ.get(name) for name in wanted}
+    os.environ.update(wanted)
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        with _short_sockets():
+            forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        for name, value in own.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+@contextmanager
+def _short_sockets() -> Iterator[None]:
+    """Let the sockets of `multiprocessing` lie in /tmp where the temporary folder's path is too long for them.
+
+    A socket's path has at most 107 characters. `get_temp_dir` makes the folder once for the life of this process.
+    """
+    usual = tempfile.tempdir
+    if len(tempfile.gettempdir()) > LONGEST_FOLDER and os.access(SHORT_FOLDER, os.W_OK):
+        tempfile.tempdir = SHORT_FOLDER
+    try:
+        get_temp_dir()
+        yield
+    finally:
+        tempfile.tempdir = usual
 
 
 def prepare_workers(threads: int, listener: Listener) -> None:

@@ -7,7 +7,6 @@ import io
 import signal
 import subprocess
 import sys
-from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -23,7 +22,6 @@ from blocksar.api.settings import options_taken
 from blocksar.cli import commands, display, endings
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.method import ChainOptions
-from blocksar.graph import starting
 from blocksar.options import options_of
 from blocksar.progress import PLAIN_STEPS, Progress
 
@@ -92,46 +90,6 @@ def api(monkeypatch: pytest.MonkeyPatch) -> Calls:
 
 def run(*words: str) -> Result:
     return CliRunner().invoke(commands.app, words, prog_name="blocksar")
-
-
-@pytest.mark.parametrize("command", ["focus", "autofocus"])
-def test_workers_begin_to_start_with_the_command(
-    command: str, api: Calls, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    begun: list[int] = []
-    monkeypatch.setattr(starting, "kernels_cached", lambda: True)
-    monkeypatch.setattr(starting, "start_fork_server", begun.append)
-    run(command, str(tmp_path), "--out", str(tmp_path / "out"), "--threads", "3")
-    assert begun == [3]
-    run(command, str(tmp_path / "none"), "--out", str(tmp_path / "out"))
-    assert begun == [3]
-
-
-@pytest.mark.parametrize(
-    ("words", "threads"),
-    [
-        ("SOURCE --out NEW --threads 3", [3]),
-        ("--out=NEW --workers=1 --threads=2 SOURCE", [2]),
-        ("SOURCE --threads 3", []),
-        ("SOURCE --out SOURCE --threads 3", []),
-        ("nothing --out NEW --threads 3", []),
-        ("SOURCE --out NEW --threads 0", []),
-        ("SOURCE --out NEW --threads x", []),
-        ("SOURCE --out NEW --threads 3 --workers 0", []),
-        ("SOURCE --out NEW --threads 3 --scheduler=tcp://a:1", []),
-        ("SOURCE --out NEW --threads 3 --config a.toml", []),
-        ("SOURCE --out NEW --threads 3 --dry-run", []),
-    ],
-)
-def test_workers_begin_to_start_before_the_command_line_is_imported(
-    words: str, threads: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    begun: list[int] = []
-    monkeypatch.setattr(starting, "kernels_cached", lambda: True)
-    monkeypatch.setattr(starting, "start_fork_server", begun.append)
-    source, new = str(tmp_path), str(tmp_path / "new")
-    starting.start_at_once(words.replace("SOURCE", source).replace("NEW", new).split())
-    assert begun == threads
 
 
 # Arguments
