@@ -40,7 +40,8 @@ INSPECT = 2e-8  # per sample
 GPU_UPDATE = 6e-12  # per lit pulse and pixel, on a GPU
 GPU_PIXEL = 1.7e-7  # per pixel, besides, and per sample that is read, sent and transformed: work of the CPU
 GPU_SAMPLE = 2e-9
-BACK_PROJECT = 2.2e-9  # per lit pulse and pixel: the sum, and range profiles of a chunk's pulses
+BACK_PROJECT = 2.2e-9  # per lit pulse and pixel
+PROFILES = 7e-8  # per sample of the pulses that light a chunk: range profiles, which each chunk has of its own
 GAINS = 7e-9  # more under an antenna's pattern, whose sums it divides by
 FINISH = 0.4  # to end the cluster and flush files to the disk
 
@@ -189,6 +190,15 @@ def projection_seconds(geometry: Geometry, x: FloatArray, y: FloatArray, update:
     lit = np.maximum(end - start, 0.0).mean() / collection.pulse_interval
     per_pulse = update + (GAINS if collection.has_pattern else 0.0)
     return per_pulse * x.size * y.size * max(float(lit), 1.0)
+
+
+def profile_seconds(geometry: Geometry, x: FloatArray, y: FloatArray) -> float:
+    """Seconds to form the range profiles of all pulses that light any of a chunk at x (n_x,) and y (n_y,), m."""
+    collection = geometry.collection
+    start, end = geometry.beam.dwell(*np.meshgrid(x[[0, -1]], y[[0, -1]]))
+    lit = end > start
+    pulses = (end[lit].max() - start[lit].min()) / collection.pulse_interval if lit.any() else 0.0
+    return float(PROFILES * pulses * collection.n_range_frequency)
 
 
 def gpu_seconds(geometry: Geometry, grid: Grid, windows: Sequence[tuple[slice, slice]]) -> float:
