@@ -183,27 +183,25 @@ def of_preparation(echoes: Iterable[tuple[int, int]], *, raw: bool) -> Work:
     return {"range-compress" if raw else "interference": units} if units else {}
 
 
-def projection_seconds(geometry: Geometry, x: FloatArray, y: FloatArray, update: float = BACK_PROJECT) -> float:
-    """Seconds of back-projection of a chunk at x (n_x,) and y (n_y,), by the lit pulses of a few of its pixels."""
+def projection_seconds(
+    geometry: Geometry, x: FloatArray, y: FloatArray, update: float = BACK_PROJECT, profiles: float = PROFILES
+) -> float:
+    """Seconds of back-projection of a chunk at x (n_x,) and y (n_y,), by the lit pulses of a few of its pixels.
+
+    Range profiles are formed of all pulses that light any of them, `profiles` seconds a sample.
+    """
     collection = geometry.collection
     start, end = geometry.beam.dwell(*np.meshgrid(x[:: max(x.size // 8, 1)], y[:: max(y.size // 8, 1)]))
-    lit = np.maximum(end - start, 0.0).mean() / collection.pulse_interval
+    dwell, lit = np.maximum(end - start, 0.0), end > start
+    spread = float(end[lit].max() - start[lit].min()) if lit.any() else 0.0
     per_pulse = update + (GAINS if collection.has_pattern else 0.0)
-    return per_pulse * x.size * y.size * max(float(lit), 1.0)
-
-
-def profile_seconds(geometry: Geometry, x: FloatArray, y: FloatArray) -> float:
-    """Seconds to form the range profiles of all pulses that light any of a chunk at x (n_x,) and y (n_y,), m."""
-    collection = geometry.collection
-    start, end = geometry.beam.dwell(*np.meshgrid(x[[0, -1]], y[[0, -1]]))
-    lit = end > start
-    pulses = (end[lit].max() - start[lit].min()) / collection.pulse_interval if lit.any() else 0.0
-    return float(PROFILES * pulses * collection.n_range_frequency)
+    sums = per_pulse * x.size * y.size * max(float(dwell.mean()) / collection.pulse_interval, 1.0)
+    return sums + profiles * collection.n_range_frequency * spread / collection.pulse_interval
 
 
 def gpu_seconds(geometry: Geometry, grid: Grid, windows: Sequence[tuple[slice, slice]]) -> float:
     """Seconds to form windows of the image together on a GPU, from one reading of the samples."""
     rows, columns = box_of(windows)
     collection, pixels = geometry.collection, (rows.stop - rows.start) * (columns.stop - columns.start)
-    sums = projection_seconds(geometry, grid.x[columns], grid.y[rows], GPU_UPDATE)
+    sums = projection_seconds(geometry, grid.x[columns], grid.y[rows], GPU_UPDATE, profiles=0.0)
     return sums + GPU_PIXEL * pixels + GPU_SAMPLE * collection.n_pulse * collection.n_range_frequency

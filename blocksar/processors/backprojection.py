@@ -93,7 +93,7 @@ class BackprojectionPlan(ChunkPlan):
         return self.grid
 
     def seconds(self, geometry: Geometry, x: FloatArray, y: FloatArray) -> float:
-        return effort.projection_seconds(geometry, x, y) + effort.profile_seconds(geometry, x, y)
+        return effort.projection_seconds(geometry, x, y)
 
     def work(self) -> Work:
         geometries = [piece.geometry for piece in self.pieces]
