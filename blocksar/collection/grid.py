@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from blocksar.arrays import FloatArray
+from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SINC_WIDTH, SPEED_OF_LIGHT
 from blocksar.errors import InputError
@@ -77,18 +78,23 @@ def ground_spectrum(geometry: Geometry, epoch_range: float, yaw: float) -> tuple
 
     The spectrum is the parallelogram that they span about 2 / wavelength times the mean gradient of range.
     """
-    collection = geometry.collection
-    first, _, last = _gradients(geometry, epoch_range, yaw)
+    first, _, last = _gradients(geometry, np.array(epoch_range), np.array(yaw))
+    return _sides(geometry.collection, first, last)
+
+
+def _gradients(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
+    """Gradients (3, ..., 2) of targets' ranges on the ground at the begin, the middle and the end of their dwells."""
+    first, last = geometry.beam.dwell_at(yaw, epoch_range)
+    sight = geometry.ground_point(epoch_range, yaw) - geometry.track.position(
+        np.stack([first, (first + last) / 2, last])
+    )
+    return np.asarray((sight / np.linalg.norm(sight, axis=-1, keepdims=True))[..., :2])
+
+
+def _sides(collection: Collection, first: FloatArray, last: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Sides of the spectrum by band and dwell, cycles/m, from the gradients of range at the ends of the dwell."""
     by_band = collection.bandwidth / SPEED_OF_LIGHT * (first + last)
     return by_band, 2 / collection.wavelength * (last - first)
-
-
-def _gradients(geometry: Geometry, epoch_range: float, yaw: float) -> FloatArray:
-    """Gradients (3, 2) of a target's range on the ground at the begin, the middle and the end of its dwell."""
-    point = geometry.ground_point(np.array(epoch_range), np.array(yaw))
-    first, last = geometry.beam.dwell_at(np.array(yaw), np.array(epoch_range))
-    sight = point - geometry.track.position(np.array([first, (first + last) / 2, last]))
-    return np.asarray((sight / np.linalg.norm(sight, axis=1, keepdims=True))[:, :2])
 
 
 def ground_resolution(geometry: Geometry, epoch_range: float, yaw: float) -> tuple[float, float]:
@@ -106,13 +112,10 @@ def ground_steps(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray) -
     of the bow of the dwell between them: the width where band and dwell lie along the axes, and for a square spectrum
     the same whichever way it is turned.
     """
-    extents = []
-    for place in zip(epoch_range.tolist(), yaw.tolist(), strict=True):
-        by_band, by_dwell = ground_spectrum(geometry, *place)
-        first, middle, last = _gradients(geometry, *place)
-        bow = 2 / geometry.collection.wavelength * (middle - (first + last) / 2)
-        extents.append(np.sqrt(by_band**2 + by_dwell**2 + bow**2))
-    x, y = SINC_WIDTH / 2 / np.max(extents, axis=0)
+    first, middle, last = _gradients(geometry, epoch_range, yaw)
+    by_band, by_dwell = _sides(geometry.collection, first, last)
+    bow = 2 / geometry.collection.wavelength * (middle - (first + last) / 2)
+    x, y = SINC_WIDTH / 2 / np.sqrt(by_band**2 + by_dwell**2 + bow**2).max(axis=0)
     return float(x), float(y)
 
 

@@ -587,8 +587,7 @@ def on_terrain(
 
 
 def default_grid(geometry: Geometry, region: Region) -> Grid:
-    """The bounding box of the lit sector, sampled at about half the resolution along x and along y, on round
-    coordinates.
+    """The bounding box of the lit sector, sampled at half the resolution along x and along y, on round coordinates.
 
     Under a beam about its axis that of the ground with full dwell.
     """
@@ -597,12 +596,12 @@ def default_grid(geometry: Geometry, region: Region) -> Grid:
     yaw = np.concatenate([region.yaw, region.yaw])
     point = geometry.ground_point(np.concatenate([region.near, region.far]), yaw)
     x, y = point[:, 0], point[:, 1]
-    steps = ground_steps(geometry, (region.near + region.far) / 2, region.yaw)
+    dx, dy = map(_round_step, ground_steps(geometry, (region.near + region.far) / 2, region.yaw))
 
     def box(values: FloatArray, step: float) -> tuple[float, float, float]:
         return float(np.floor(values.min() / step) * step), float(np.ceil(values.max() / step + 1) * step), step
 
-    return Grid(*(side for axis, step in zip((x, y), map(_round_step, steps), strict=True) for side in box(axis, step)))
+    return Grid(*box(x, dx), *box(y, dy))
 
 
 def _full_grid(geometry: Geometry, region: Region) -> Grid:
@@ -625,15 +624,13 @@ def _full_grid(geometry: Geometry, region: Region) -> Grid:
     rows, columns = np.nonzero(full)
     centre = np.argmin(np.hypot(rows - rows.mean(), (columns - columns.mean()) * FULL_RANGES / FULL_YAWS))
     at = rows[centre], columns[centre]
-    steps = ground_steps(geometry, ranges[at][None], yaw[at[1]][None])
+    dx, dy = map(_round_step, ground_steps(geometry, ranges[at][None], yaw[at[1]][None]))
 
     def box(values: FloatArray, step: float) -> tuple[float, float, float]:
         low, high = np.ceil(values.min() / step), np.floor(values.max() / step)
         return float(low * step), float(max(high, low + 1) * step), step
 
-    return Grid(
-        *(side for axis, step in zip((x, y), map(_round_step, steps), strict=True) for side in box(axis[full], step))
-    )
+    return Grid(*box(x[full], dx), *box(y[full], dy))
 
 
 def facing_grid(geometry: Geometry) -> Grid:

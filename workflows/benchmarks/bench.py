@@ -130,13 +130,10 @@ class Bench:
         compiling = starts.compilation()
         result["starts"] = starts.describe(planning, shell, compiling)
         warm = result["seconds"]["end_to_end"]["median"]
-        for name, seconds in {
-            "shell_over_warm": shell["blocksar focus"],
-            "planning_over_warm": [planning[key] for key in ("200 blocks",) if key in planning],
-            "compilation_over_warm": [compiling["plain run"]],
-        }.items():
-            if seconds:
-                result["ratios"][name] = spread([each / warm for each in seconds])
+        measured = {"shell_over_warm": shell["blocksar focus"], "compilation_over_warm": [compiling["plain run"]]}
+        if "200 blocks" in planning:
+            measured["planning_over_warm"] = [planning["200 blocks"]]
+        result["ratios"] |= {name: spread([each / warm for each in seconds]) for name, seconds in measured.items()}
 
     def start_other(self, stack: ExitStack, case: Case, store: Path) -> OtherVersion | None:
         """The version to compare with, warmed up; None without --against."""
