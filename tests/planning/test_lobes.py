@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from axis_beams import axis_collection
+from exact_scenes import exact_scene, lit
 from summed_response import summed_response
 
 import blocksar
@@ -16,6 +17,7 @@ from blocksar.measurement.axes import response_axes
 from blocksar.measurement.targets import Target
 from blocksar.planning.planner import plan_collection
 from blocksar.planning.prediction import LOBES, SAMPLES, side_lobe, side_lobe_as_in
+from blocksar.processors.chain import plan_lines
 
 TAYLOR = "taylor:4:-35"
 RADAR = """
@@ -103,6 +105,16 @@ def test_a_plan_says_where_all_dwells_are_cut(tmp_path: Path) -> None:
     assert any(f"no full dwell: the weighting of cut dwells is cut as well, with side lobes of up to {side:.2f} dB" in
                line for line in report.summary)  # fmt: skip
     assert not any("no full dwell" in line for line in blocksar.plan(path, grid=grid, blocks=1).summary)
+
+
+def test_a_plan_says_on_which_share_of_the_grid_its_prediction_holds() -> None:
+    collection = exact_scene(5).collection
+    plan = plan_collection(collection, blocks=1)
+    x, y = plan.grid.x[::12], plan.grid.y[::12]
+    places = [np.array([east, north, 0.0]) for north in y for east in x]
+    uncut = [seen.any() and not (seen[0] or seen[-1]) for seen in (lit(collection, each) for each in places)]
+    said = next(line for line in plan_lines(plan) if "targets with full dwell" in line)
+    assert float(said.rpartition("(")[2].partition(" %")[0]) == pytest.approx(100 * np.mean(uncut), abs=2)
 
 
 def test_targets_that_a_beam_never_reaches_have_no_weights_that_move() -> None:
