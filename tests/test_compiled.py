@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import pickle
 import pkgutil
 import stat
 import subprocess
@@ -14,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numba import config
+from numba import config, types
 from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher
 
@@ -67,6 +68,32 @@ def test_the_second_compilation_finds_all_loops_in_the_cache() -> None:
     compiled, loops, summary = run.stdout.split(maxsplit=2)
     assert int(compiled) == 0 and int(loops) == first["loops"] > 15
     assert summary.startswith(f"all {loops} loops are compiled already, in ")
+
+
+@pytest.mark.parametrize("damage", ["torn index", "torn loop", "a class that is gone"])
+def test_files_of_the_cache_that_cannot_be_read_are_made_anew(
+    damage: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+
+    def product() -> tuple[float, int]:
+        made = Loop(times, (types.float64, types.float64), {"cache": True})
+        return made(3.0, 2.0), sum(made.dispatcher.stats.cache_misses.values())
+
+    assert product() == (6.0, 1)
+    (index,), (loop,) = tmp_path.rglob("*.nbi"), tmp_path.rglob("*.nbc")
+    version = pickle.loads(index.read_bytes())
+    torn = {"torn index": index, "torn loop": loop}.get(damage)
+    if torn is not None:
+        torn.write_bytes(torn.read_bytes()[:-20])
+    else:  # protocol 0: the global "Gone" of this module
+        index.write_bytes(pickle.dumps(version) + b"c" + __name__.encode() + b"\nGone\n.")
+    assert product() == (6.0, 1)
+    assert product() == (6.0, 0)
+
+
+def times(a: float, b: float) -> float:
+    return a * b
 
 
 def test_all_loops_are_compiled_ahead() -> None:

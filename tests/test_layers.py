@@ -28,7 +28,7 @@ PACKAGE = ROOT / "blocksar"
 LAYERS = (
     {"errors", "constants", "budget", "garbage", "loop_cache", "version"},
     {"texts"},
-    {"places", "progress", "arrays", "solvers", "chunks", "options", "plugins", "spans", "tables"},
+    {"places", "progress", "arrays", "solvers", "chunks", "options", "plugins", "spans", "table"},
     {"kernels"},
     {"collection"},
     {"stores", "measurement", "focusing"},

@@ -46,7 +46,7 @@ from distributed.security import Security
 
 import blocksar
 from blocksar.api.settings import Settings
-from blocksar.cli.options import taking
+from blocksar.cli.option_groups import taking
 from blocksar.graph.units import await_workers, waiting_for_workers
 from blocksar.options import options_of, read_values
 from blocksar.progress import Listener

@@ -48,7 +48,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from blocksar.api.settings import Settings as FocusSettings
-from blocksar.cli import endings, options
+from blocksar.cli import endings, option_groups
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.method import ChainOptions
 from blocksar.options import options_of, read_values
@@ -67,8 +67,8 @@ from inbox.sweeping import Sweep
 OPTIONS = options_of(FocusSettings, "processor", "blocks", "grid", "workers", "threads", "memory_limit", "wait_workers")
 
 
-@options.taking(OPTIONS)
-@options.taking(options_of(ChainOptions, "coefficients"), options.ALTERNATIVES)
+@option_groups.taking(OPTIONS)
+@option_groups.taking(options_of(ChainOptions, "coefficients"), option_groups.ALTERNATIVES)
 def main(
     inbox: Annotated[str, typer.Argument(metavar="INBOX", help="Folder of phase-history stores; only read.")],
     outbox: Annotated[str, typer.Argument(metavar="OUTBOX", help="Folder of runs, records, status and log.")],
@@ -84,7 +84,7 @@ def main(
             metavar="PATTERN", help="Regular expression: names with the same first group are one acquisition."
         ),
     ] = None,
-    quiet: options.Quiet = False,
+    quiet: option_groups.Quiet = False,
     **given: Any,
 ) -> None:
     """Focus every collection of an inbox exactly once, oldest first, and end; a timer starts the next sweep.

@@ -3,7 +3,7 @@ info, preview, view, demo, compile; and collection, scene_centre and write, for 
 
 One module for each stage: `sources`, `datasets`, `describing`, `previewing`, `checking`, `autofocusing`
 (with `tracks`), `planning`, `focusing` (with `jobs`), `measuring`, `reporting`, `exporting`, `comparing`, `viewing`,
-`demonstrating`, `compiling`. They share `settings`, which states every option once, `arguments` and `reports`.
+`demonstrating`, `compile_ahead`. They share `settings`, which states every option once, `arguments` and `reports`.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from blocksar.api.autofocusing import autofocus
     from blocksar.api.checking import check
     from blocksar.api.comparing import compare
-    from blocksar.api.compiling import compile
-    from blocksar.api.datasets import collection, scene_centre, write
+    from blocksar.api.compile_ahead import compile
     from blocksar.api.demonstrating import demo
     from blocksar.api.describing import info
     from blocksar.api.exporting import export, open
     from blocksar.api.focusing import focus
+    from blocksar.api.from_arrays import collection, scene_centre, write
     from blocksar.api.measuring import quality
     from blocksar.api.planning import plan
     from blocksar.api.previewing import preview
@@ -44,12 +44,12 @@ if TYPE_CHECKING:
 # The module of each function: it is loaded on first use, since a command needs one of them.
 _HOMES = {
     "PlanReport": "shown", "Report": "reports", "RunReport": "shown", "autofocus": "autofocusing", "check": "checking",
-    "collection": "datasets", "compare": "comparing", "compile": "compiling", "demo": "demonstrating",
+    "collection": "from_arrays", "compare": "comparing", "compile": "compile_ahead", "demo": "demonstrating",
     "export": "exporting", "focus": "focusing", "info": "describing", "ingest": "sources", "ingest_cphd": "sources",
     "ingest_crsd": "sources", "ingest_gotcha": "sources", "ingest_nisar": "sources", "ingest_palsar": "sources",
     "ingest_sentinel1": "sources", "open": "exporting", "plan": "planning", "preview": "previewing",
-    "quality": "measuring", "report": "reporting", "scene_centre": "datasets", "simulate": "sources",
-    "view": "viewing", "write": "datasets",
+    "quality": "measuring", "report": "reporting", "scene_centre": "from_arrays", "simulate": "sources",
+    "view": "viewing", "write": "from_arrays",
 }  # fmt: skip
 __all__ = [
     "PlanReport",

@@ -22,7 +22,7 @@ from blocksar.collection.surface import Surface
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
 from blocksar.graph.machine import resources
-from blocksar.ingestion.terrain import Ground
+from blocksar.ingestion.heights import Ground
 from blocksar.inspection import check as samples_check
 from blocksar.inspection.verdict import Findings
 from blocksar.places import Location

@@ -12,8 +12,8 @@ from blocksar.errors import InputError, in_the_way, library_for, quoted
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place, check_room
-from blocksar.products.options import parse_looks
 from blocksar.products.pair import PIXEL_BYTES, Made, Pair, displacement, write_pair
+from blocksar.products.shared_options import parse_looks
 from blocksar.products.writing import refuse_parts
 from blocksar.progress import Wanted as Progress
 from blocksar.progress import as_listener

@@ -30,7 +30,7 @@ from blocksar.errors import InputError
 from blocksar.focusing.method import Coefficients, Cutting, Derotation, Perturbation, RangeModel
 from blocksar.graph import cluster, recording
 from blocksar.graph.machine import Resources, resources
-from blocksar.ingestion.terrain import terrain_notes
+from blocksar.ingestion.heights import terrain_notes
 from blocksar.loop_cache import compilation_seconds
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place

@@ -17,10 +17,10 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.region import check_seen, default_grid, plan_region
 from blocksar.collection.terrain import Terrain
 from blocksar.focusing.terrain_layers import Box, Sight, box_of, reach
-from blocksar.ingestion.terrain import Ground
+from blocksar.ingestion.heights import Ground
 from blocksar.ingestion.terrain_earth import read_around
 from blocksar.places.place import Place
-from blocksar.planning.segments import joint_grid
+from blocksar.planning.strip_segments import joint_grid
 
 PLANE = Ground()
 

@@ -37,13 +37,13 @@ from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_gate import RawCompression
 from blocksar.graph.machine import Resources
 from blocksar.graph.segments import Segment
-from blocksar.ingestion.terrain import Ground
+from blocksar.ingestion.heights import Ground
 from blocksar.measurement.targets import Target
 from blocksar.places import place
 from blocksar.places.place import Place
 from blocksar.planning import effort
 from blocksar.planning.memory import checked_memory, compression_memory, interference_memory
-from blocksar.planning.segments import joint_grid
+from blocksar.planning.strip_segments import joint_grid
 from blocksar.processors import HIERARCHY, PROCESSORS, device_for, options_for
 from blocksar.processors.base import ImagePlan, Problem
 from blocksar.progress import Work

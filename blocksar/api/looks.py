@@ -26,7 +26,7 @@ from blocksar.planning import effort
 from blocksar.planning.planner import beam_stays
 from blocksar.processors.base import ImagePlan
 from blocksar.processors.chain_tables import digits
-from blocksar.processors.lines import time_line
+from blocksar.processors.sentences import time_line
 
 
 @dataclass(frozen=True)

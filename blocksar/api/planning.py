@@ -27,13 +27,13 @@ from blocksar.focusing.method import (
     RangeModel,
 )
 from blocksar.graph.machine import Resources, resources
-from blocksar.ingestion.terrain import terrain_notes
+from blocksar.ingestion.heights import terrain_notes
 from blocksar.places import Location
 from blocksar.planning import effort
-from blocksar.planning.segments import joint_grid
+from blocksar.planning.strip_segments import joint_grid
 from blocksar.processors import PROCESSORS, OwnDevice, OwnProcessor, device_for, options_for
 from blocksar.processors.base import ImagePlan, Problem
-from blocksar.processors.lines import time_line
+from blocksar.processors.sentences import time_line
 
 
 def plan(

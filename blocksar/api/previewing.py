@@ -24,10 +24,10 @@ from blocksar.focusing import preview as coarse
 from blocksar.graph.machine import resources
 from blocksar.kernels.phase import Float32Array
 from blocksar.places import Location, place
-from blocksar.planning.segments import joint_grid
-from blocksar.products.options import parse_range
+from blocksar.planning.strip_segments import joint_grid
 from blocksar.products.pictures.overview import Overview, cell_edges, range_notes
 from blocksar.products.registry import check_ending
+from blocksar.products.shared_options import parse_range
 from blocksar.products.writing import replacing
 from blocksar.progress import Wanted as Progress
 from blocksar.progress.listening import Callback

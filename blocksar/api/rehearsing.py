@@ -17,7 +17,7 @@ from blocksar.graph.machine import Resources
 from blocksar.places.place import no_room_for
 from blocksar.planning.disk import Room, room_of_run, with_pyramid
 from blocksar.processors import HIERARCHY, PROCESSORS, REFERENCE
-from blocksar.processors.lines import time_line, workforce
+from blocksar.processors.sentences import time_line, workforce
 from blocksar.runs import folder as run_folder
 from blocksar.runs.folder import is_begun
 from blocksar.runs.record import RECORD, RunRecord

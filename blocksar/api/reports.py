@@ -13,7 +13,7 @@ from typing import Any
 from blocksar.errors import in_python
 from blocksar.progress import Wanted as Progress
 from blocksar.progress import as_listener
-from blocksar.tables import Table
+from blocksar.table import Table
 
 __all__ = ["Report", "Table", "finite", "html_report", "only_stage", "rounded", "text_table"]
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from blocksar.api.parsing import GridLike
     from blocksar.collection.grid import Grid
     from blocksar.collection.weighting import Weighting
-    from blocksar.ingestion.terrain import Ground
+    from blocksar.ingestion.heights import Ground
     from blocksar.measurement.targets import Target
     from blocksar.places import Location
 
@@ -191,7 +191,7 @@ class Settings(Output, Machine, Imaging):  # whose fields stand in the opposite 
     @property
     def ground(self) -> Ground:
         """Say what is said of the ground."""
-        from blocksar.ingestion.terrain import Ground
+        from blocksar.ingestion.heights import Ground
 
         return Ground(terrain=self.terrain, surface=self.surface, vertical=self.vertical)
 

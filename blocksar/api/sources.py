@@ -20,7 +20,7 @@ from blocksar.places import Location, readable
 from blocksar.places.place import Place
 from blocksar.progress import Listener, as_listener
 from blocksar.progress import Wanted as Progress
-from blocksar.simulation import phase_history
+from blocksar.simulation import simulate as simulation
 from blocksar.simulation.scene import Scene
 
 Reads = TypeVar("Reads", bound=Callable[..., Report])
@@ -87,7 +87,7 @@ def simulate(
             scene, out, origin=origin, threads=threads, overwrite=overwrite, progress=callback
         )
     else:
-        written = phase_history.simulate(scene, out, raw=raw, threads=threads, overwrite=overwrite, progress=callback)
+        written = simulation.simulate(scene, out, raw=raw, threads=threads, overwrite=overwrite, progress=callback)
     _note_unlit(scene, listener)
     return written
 

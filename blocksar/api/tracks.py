@@ -27,7 +27,7 @@ from blocksar.focusing.method import Cutting
 from blocksar.graph import cluster, compiling
 from blocksar.graph.machine import Resources
 from blocksar.graph.track_stages import Estimated, estimate_track, tie_tracks
-from blocksar.ingestion.terrain import Ground
+from blocksar.ingestion.heights import Ground
 from blocksar.measurement.targets import Target
 from blocksar.places.place import Place
 from blocksar.planning.memory import checked_memory, compression_memory, interference_memory, track_memory

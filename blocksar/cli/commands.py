@@ -19,10 +19,8 @@ import typer
 
 from blocksar.api.parsing import parse_origin
 from blocksar.api.settings import options_taken
-from blocksar.cli.display import hint, listening, show
 from blocksar.cli.endings import catch_signals, open_streams
-from blocksar.cli.focusing import OfProcessors, focus, plan
-from blocksar.cli.options import (
+from blocksar.cli.option_groups import (
     Channel,
     ColourMap,
     ColourRange,
@@ -39,6 +37,8 @@ from blocksar.cli.options import (
     taking,
     with_options,
 )
+from blocksar.cli.plan_and_focus import OfProcessors, focus, plan
+from blocksar.cli.printing import hint, listening, show
 from blocksar.garbage import collect_seldom
 from blocksar.options import options_of, read_values
 from blocksar.products.registry import PRODUCTS

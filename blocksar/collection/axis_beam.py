@@ -29,21 +29,21 @@ LEAST_SLOPE = 1e-12  # rad/s
 Height = FloatArray | float
 
 
-class Points(NamedTuple):
+class GroundPoints(NamedTuple):
     """Places x, y (n,) and z (n,) or one for all, m."""
 
     x: FloatArray
     y: FloatArray
     z: Height
 
-    def some(self, which: IntArray | BoolArray) -> Points:
+    def some(self, which: IntArray | BoolArray) -> GroundPoints:
         """The points at some indices."""
-        return Points(self.x[which], self.y[which], self.z[which] if isinstance(self.z, np.ndarray) else self.z)
+        return GroundPoints(self.x[which], self.y[which], self.z[which] if isinstance(self.z, np.ndarray) else self.z)
 
-    def each(self) -> Points:
+    def each(self) -> GroundPoints:
         """Broadcast to contiguous arrays, with a height for each point."""
         z = np.broadcast_to(np.asarray(self.z, np.float64), self.x.shape)
-        return Points(*(np.ascontiguousarray(part, np.float64) for part in (self.x, self.y, z)))
+        return GroundPoints(*(np.ascontiguousarray(part, np.float64) for part in (self.x, self.y, z)))
 
 
 def axis_offset(
@@ -58,7 +58,7 @@ def axis_offset(
     return np.asarray(np.arcsin(np.clip(sine, -1.0, 1.0)) - collection.beam_steering[pulses])
 
 
-def axis_passes(collection: Collection, points: Points) -> tuple[IntArray, IntArray]:
+def axis_passes(collection: Collection, points: GroundPoints) -> tuple[IntArray, IntArray]:
     """Pulses first <= p < last that light points (n,): exactly those with |offset| <= beam_width / 2.
 
     Several passes where the beam turns back or wobbles, leaves a point and comes to it again: (n_pass, n), in the order
@@ -95,7 +95,7 @@ def _table(collection: Collection, half: float) -> FloatArray:
     return table
 
 
-def axis_dwell(collection: Collection, points: Points, *, uncut: bool) -> tuple[FloatArray, FloatArray]:
+def axis_dwell(collection: Collection, points: GroundPoints, *, uncut: bool) -> tuple[FloatArray, FloatArray]:
     """Times at which points (n,) enter and leave the beam, s, as a continuous function of time.
 
     Of the steady beam where it wobbles. Between pulses, offsets are interpolated linearly; beyond the ends of the
@@ -125,7 +125,7 @@ def axis_dwell(collection: Collection, points: Points, *, uncut: bool) -> tuple[
     return np.maximum(first, time[0] - half_pulse), np.minimum(last, time[-1] + half_pulse)
 
 
-def axis_passing(collection: Collection, points: Points, place: float) -> FloatArray:
+def axis_passing(collection: Collection, points: GroundPoints, place: float) -> FloatArray:
     """Times at which points (n,) are at a place in the beam, s: -1 where they enter, 1 where they leave it.
 
     As `axis_dwell`, as if the collection did not cut dwells; in proportion where offsets turn back. From the nearer end
@@ -150,7 +150,7 @@ def _half(collection: Collection) -> float:
     return (collection.beam_width or 0.0) / 2
 
 
-def _turning(collection: Collection, points: Points) -> tuple[IntArray, BoolArray]:
+def _turning(collection: Collection, points: GroundPoints) -> tuple[IntArray, BoolArray]:
     """The pulse at which the offset of each point (n,) turns back, and whether it rises before that.
 
     The pulse is 0 where it never turns, -1 where it does so more than once.
@@ -165,12 +165,12 @@ def _turning(collection: Collection, points: Points) -> tuple[IntArray, BoolArra
     return turning, rises
 
 
-def _at(collection: Collection, points: Points, pulses: IntArray) -> FloatArray:
+def _at(collection: Collection, points: GroundPoints, pulses: IntArray) -> FloatArray:
     """Offsets of points (n,) at a pulse each (n,)."""
     return axis_offset(collection, *points, pulses)
 
 
-def _edge_times(collection: Collection, points: Points, sign: FloatArray, level: float) -> FloatArray:
+def _edge_times(collection: Collection, points: GroundPoints, sign: FloatArray, level: float) -> FloatArray:
     """Times at which sign offset, which rises, passes the level, s."""
     from blocksar.kernels.beam_passes import find_first
 

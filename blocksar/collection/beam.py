@@ -28,7 +28,7 @@ from typing import ClassVar, Protocol, TypeVar
 import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray, IntArray
-from blocksar.collection.axis_beam import Height, Points, axis_dwell, axis_offset, axis_passes, axis_passing
+from blocksar.collection.axis_beam import GroundPoints, Height, axis_dwell, axis_offset, axis_passes, axis_passing
 from blocksar.collection.collection import Collection
 from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import TURN
@@ -471,10 +471,10 @@ class AxisScan(Beam):
         return math.ceil(float(lasts.max(initial=0.0)) * self.collection.prf)
 
 
-def _raveled(x: FloatArray, y: FloatArray, z: Height) -> Points:
+def _raveled(x: FloatArray, y: FloatArray, z: Height) -> GroundPoints:
     """Points (n,), whose height may be one number."""
     along_x, along_y = (np.ravel(np.asarray(axis, np.float64)) for axis in (x, y))
-    return Points(along_x, along_y, np.ravel(z) if isinstance(z, np.ndarray) else z)
+    return GroundPoints(along_x, along_y, np.ravel(z) if isinstance(z, np.ndarray) else z)
 
 
 # ---------------------------------------------------------------- pulses and yaws

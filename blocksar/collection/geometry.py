@@ -34,7 +34,7 @@ SAME_MISFIT = 1.1  # times the misfit of the finest spline: a coarser one with l
 MAX_EXTRAPOLATION = 2.0  # aperture lengths by which t = 0 may lie outside the collection
 
 
-class Motion(NamedTuple):
+class AntennaState(NamedTuple):
     """Position (m), velocity (m/s) and acceleration (m/s^2) of the antenna, each (3, ...): axes first."""
 
     position: FloatArray
@@ -88,9 +88,9 @@ class Track:
         """Antenna acceleration, (..., 3) m/s^2, at slow times of any shape."""
         return np.ascontiguousarray(np.moveaxis(self._derivative(time, 2), 0, -1))
 
-    def motion(self, time: FloatArray) -> Motion:
+    def motion(self, time: FloatArray) -> AntennaState:
         """Position, velocity and acceleration at slow times of any shape."""
-        return Motion(*(self._derivative(time, n) for n in range(3)))
+        return AntennaState(*(self._derivative(time, n) for n in range(3)))
 
     @cached_property
     def base(self) -> Track:
@@ -366,7 +366,7 @@ def over_terrain(collection: Collection, terrain: Terrain) -> Geometry:
 
 
 def range_motion(
-    point: tuple[FloatArray, FloatArray, FloatArray | float], antenna: Motion
+    point: tuple[FloatArray, FloatArray, FloatArray | float], antenna: AntennaState
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Range (m) of points, its rate (m/s), and the rate of that (m/s^2), as the antenna moves.
 

@@ -170,7 +170,7 @@ def form_points(
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise ValueError("x and y must be finite")
     sums = PixelSums(geometry, x, y, weighting, threads)
-    pixels = Pixels(sums, device)
+    pixels = DevicePixels(sums, device)
     for pulses in pulse_blocks(
         sums.lit(), pulse_block or (pulse_block_size if device.name == "cpu" else gpu_pulse_block)(collection)
     ):
@@ -188,7 +188,7 @@ def form_points(
     return sums.mean(pixels.take()).reshape(shape)
 
 
-class Pixels:
+class DevicePixels:
     """Pixels on a device, to which profiles are added; `take` gives them back to `sums`."""
 
     def __init__(self, sums: PixelSums, device: Device) -> None:

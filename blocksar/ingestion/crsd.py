@@ -25,11 +25,11 @@ from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, library_for, printable, quoted
+from blocksar.ingestion.ingested import reading
 from blocksar.ingestion.kinds import Kind, begins
 from blocksar.ingestion.orbit import Antenna, OrbitTrack, epoch_of
 from blocksar.ingestion.readers import refuse_others
-from blocksar.ingestion.reading import reading
-from blocksar.ingestion.strips import Even, PartOptions, Strip, StripReader, even_pulses
+from blocksar.ingestion.strips import Even, PartOptions, RawStrip, StripReader, even_pulses
 from blocksar.options import Option
 from blocksar.places.ranges import Readable
 
@@ -78,7 +78,7 @@ def opened(path: Readable) -> Iterator[tuple[Any, Any]]:
             yield stream, sarkit.crsd.Reader(stream)
 
 
-def begin(files: Sequence[Readable], options: CrsdOptions) -> Strip:
+def begin(files: Sequence[Readable], options: CrsdOptions) -> RawStrip:
     """Read all but the samples.
 
     Raises
@@ -147,7 +147,7 @@ class _Layout:
             raise InputError(f"has the channels {listed}, {which} of which are meant; give --channel NAME")
         return next(iter(wanted.values()))
 
-    def strip(self) -> Strip:
+    def strip(self) -> RawStrip:
         name = self.said("Identifier", self.parameters)
         data = next(
             each for each in self.root.findall("{*}Data/{*}Receive/{*}Channel") if self.said("ChId", each) == name
@@ -197,7 +197,7 @@ class _Layout:
         self.stream.seek(0, 2)
         if self.stream.tell() < samples.first_byte + vectors.size * count * 2 * samples.dtype.itemsize:
             raise InputError("ends before its samples do; get it again")
-        return Strip(
+        return RawStrip(
             title=self.said("ProductInfo/ProductName"), format="CRSD 1.0",
             collector=self.said("ReceiveInfo/SensorName"),
             epoch=start + timedelta(seconds=origin), even=even, tags="middle", orbit=track, antenna=axis,

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, library_for, quoted
+from blocksar.ingestion.ingested import reading
 from blocksar.ingestion.kinds import Kind, hdf5
 from blocksar.ingestion.orbit import Antenna, Orbit, epoch_of
 from blocksar.ingestion.readers import refuse_others
-from blocksar.ingestion.reading import reading
-from blocksar.ingestion.strips import Even, Strip, StripOptions, StripReader, TimeTags, common_window, even_pulses
+from blocksar.ingestion.strips import Even, RawStrip, StripOptions, StripReader, TimeTags, common_window, even_pulses
 from blocksar.options import Option
 from blocksar.places.ranges import Readable
 
@@ -83,7 +83,7 @@ def opened(path: Readable) -> Iterator[Any]:
             raise ValueError(str(error)) from error  # the library's own: a file that is cut
 
 
-def begin(files: Sequence[Readable], options: NisarOptions) -> Strip:
+def begin(files: Sequence[Readable], options: NisarOptions) -> RawStrip:
     """Read all but the samples.
 
     Raises
@@ -152,7 +152,7 @@ class _Layout:
         """A number of the transmitter's group."""
         return float(np.asarray(self.transmitter[name][()]).ravel()[0])
 
-    def strip(self) -> Strip:
+    def strip(self) -> RawStrip:
         time, seconds = self.transmitter["UTCtime"], self._seconds
         pulses = slice(*slice(*self.options.pulses).indices(time.shape[0]))
         epoch = epoch_of(seconds(time), "units of UTCtime")
@@ -176,7 +176,7 @@ class _Layout:
         if side not in ("left", "right"):
             raise InputError(f"lookDirection is {quoted(side)}; it must be left or right")
         later = (epoch - epoch_of(seconds(telemetry["orbit/time"]), "units of orbit/time")).total_seconds()
-        return Strip(
+        return RawStrip(
             title=f"{mission} {', '.join(self.channels)}".strip(), format=f"NISAR RRSD {self._said('productVersion')}",
             collector=mission, epoch=epoch, even=even, tags=tags, orbit=self._orbit(telemetry["orbit"], later),
             antenna=self._antenna(telemetry, epoch), length=LENGTHS.get(mission.upper()), side=side, delay=delay,

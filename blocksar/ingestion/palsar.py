@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, quoted
+from blocksar.ingestion.ingested import reading
 from blocksar.ingestion.kinds import ECHOES, Kind, Start, begins, ceos
 from blocksar.ingestion.orbit import Antenna, Orbit, inertial
 from blocksar.ingestion.readers import found_at
-from blocksar.ingestion.reading import reading
-from blocksar.ingestion.strips import LEAST, Even, Strip, StripOptions, StripReader, common_window
+from blocksar.ingestion.strips import LEAST, Even, RawStrip, StripOptions, StripReader, common_window
 from blocksar.places.local import LocalPlace
 from blocksar.places.ranges import Readable
 
@@ -383,7 +383,7 @@ class Image:
             raise InputError(f"{self.path}: its echoes are range-compressed; give level 1.0")
 
 
-def begin(sources: Sequence[Readable], options: StripOptions) -> Strip:
+def begin(sources: Sequence[Readable], options: StripOptions) -> RawStrip:
     """Read all but the samples.
 
     Raises
@@ -425,7 +425,7 @@ def _chosen(images: Sequence[Image], options: StripOptions) -> tuple[list[Image]
     return same, [note] if others else []
 
 
-def _strip(leader: Leader, images: list[Image], options: StripOptions, notes: list[str]) -> Strip:
+def _strip(leader: Leader, images: list[Image], options: StripOptions, notes: list[str]) -> RawStrip:
     fields = images[0].fields
     epoch = datetime(int(fields["year"][0]), 1, 1, tzinfo=UTC) + timedelta(days=int(fields["day of year"][0]) - 1)
     even = _even(images[0], options, leader.known("number of SAR channels") == 4, notes)
@@ -442,7 +442,7 @@ def _strip(leader: Leader, images: list[Image], options: StripOptions, notes: li
     delay = first[0] + np.arange(window.start, window.stop) / sampling_rate
     pulse_width = float(fields["pulse length"][0]) * 1e-9 or 1e-6 * leader.number("pulse length")
     bias = complex(leader.known("DC bias of I"), leader.known("DC bias of Q"))
-    return Strip(
+    return RawStrip(
         title=f"ALOS PALSAR {leader.text('scene identifier')}".strip(), format="CEOS level 1.0",
         collector="ALOS PALSAR", epoch=epoch, even=even, tags="receive", orbit=(orbit := leader.orbit(epoch)),
         antenna=leader.antenna(epoch, orbit), length=LENGTH, side=leader.side, delay=delay,

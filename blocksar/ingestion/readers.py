@@ -20,8 +20,8 @@ from blocksar import stores
 from blocksar.collection.collection import Collection
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.errors import InputError
+from blocksar.ingestion.ingested import Ingested
 from blocksar.ingestion.kinds import NOTHING, OTHERS, SAFE_IMAGES, SCENE, START, Kind, Start
-from blocksar.ingestion.reading import Ingested
 from blocksar.options import Option
 from blocksar.places import Location, place, readable
 from blocksar.places.local import LocalPlace
@@ -226,7 +226,7 @@ READERS: Registry[Reader] = Registry("blocksar.readers", "reader", {
     "nisar": "blocksar.ingestion.nisar:NISAR",
     "palsar": "blocksar.ingestion.palsar:PALSAR",
     "gotcha": "blocksar.ingestion.gotcha:GOTCHA",
-    "sentinel1": "blocksar.ingestion.sentinel1.reader:SENTINEL1",
+    "sentinel1": "blocksar.ingestion.sentinel1.level0:SENTINEL1",
 })  # fmt: skip
 
 

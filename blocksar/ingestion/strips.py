@@ -5,7 +5,7 @@ of such a format.
 
 *Time.* While a pulse travels the antenna moves on, by v 2 R / c, some 40 m. Its echo is that of a still antenna at the
 middle of this way: the sum of both distances exceeds twice that from there by (v R / c)^2 / R, half a millimetre. A
-pulse sent at t belongs to the position at t + R / c (`Strip.moment`), with R that of the swath's middle; ground at
+pulse sent at t belongs to the position at t + R / c (`RawStrip.moment`), with R that of the swath's middle; ground at
 another range lies off by v (R - R_middle) / c along the track, which is told.
 
 *Delays* in files count from the beginning of the transmission, as the samples do: the pulse's centre comes half its
@@ -230,7 +230,7 @@ Rows = Callable[[int, IntArray], ComplexArray]  # samples of a channel at some p
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Strip:
+class RawStrip:
     """Strip as a format states it: a raw echo with its orbit, attitude and radar.
 
     Attributes
@@ -282,7 +282,7 @@ class Strip:
     steering: FloatArray | None = None
     origin: Georeference | None = None
 
-    def taking(self, tags: TimeTags | None) -> Strip:
+    def taking(self, tags: TimeTags | None) -> RawStrip:
         """Copy with what a user says of its times."""
         return self if tags is None else replace(self, tags=tags)
 
@@ -463,13 +463,13 @@ def _polarization(text: str) -> dict[str, str]:
     return {"transmit": transmit, "receive": receive}
 
 
-def _pieces(strip: Strip) -> Iterator[Piece]:
+def _pieces(strip: RawStrip) -> Iterator[Piece]:
     for channel in range(len(strip.polarizations)):
         for pulses in blocks_of(strip.even.time.size, strip.delay.size):
             yield Piece(channel, pulses, partial(_read, strip, channel, pulses))
 
 
-def _read(strip: Strip, channel: int, pulses: slice) -> ComplexArray:
+def _read(strip: RawStrip, channel: int, pulses: slice) -> ComplexArray:
     """Samples of some slots, NaN where one is lost."""
     samples = np.full((pulses.stop - pulses.start, strip.delay.size), np.nan, np.complex64)
     slots, taken = strip.even.part(pulses.start, pulses.stop)
@@ -523,7 +523,7 @@ class StripReader:
     source: tuple[str, str]
     kind: Kind
     options: type[PartOptions]
-    begin: Callable[[Sequence[Readable], Any], Strip]
+    begin: Callable[[Sequence[Readable], Any], RawStrip]
     several: bool = False
 
     def read(self, sources: Sequence[Location], options: PartOptions) -> Reading:

@@ -15,7 +15,7 @@ from blocksar.inspection.alternatives import IN_DEGREES, Alternative, alternativ
 from blocksar.inspection.comparison import (
     FEW_PATCHES,
     PATCHES,
-    Ground,
+    ClutterGround,
     Refocus,
     View,
     after_refocus,
@@ -28,8 +28,8 @@ from blocksar.inspection.comparison import (
     refocus,
 )
 from blocksar.inspection.pointing import beam_angle, point
-from blocksar.inspection.prominent import SHORT, SIGNIFICANT, Line, Samples
-from blocksar.inspection.verdict import FOCUSED, SHARP, Findings, Points, Trial
+from blocksar.inspection.prominent import SHORT, SIGNIFICANT, PointLine, ProfiledSamples
+from blocksar.inspection.verdict import FOCUSED, SHARP, Concentrations, Findings, Trial
 
 FEWEST = 2  # of these, from which the track is judged
 CLEAR = 0.65  # concentration that only points in focus have
@@ -100,8 +100,10 @@ def check(
         If the beam is not steered and there is no grid, or the grid lies outside the swath.
     """
     signal = _cleaned(signal)
-    ground = Ground(grid, terrain, PATCHES if thorough else FEW_PATCHES)
-    view = View(Alternative("as given", "", collection, None), Samples(signal, collection, threads=threads), ground)
+    ground = ClutterGround(grid, terrain, PATCHES if thorough else FEW_PATCHES)
+    view = View(
+        Alternative("as given", "", collection, None), ProfiledSamples(signal, collection, threads=threads), ground
+    )
     if not signal.any():
         return Findings((Trial("as given", ""),), empty="all samples are zeros or missing", steered=collection.steered)
     if view.outside is not None and not collection.steered:
@@ -148,7 +150,7 @@ def _of_the_track(view: View) -> tuple[Findings, FloatArray | None]:
     return findings, mended.phase
 
 
-def _points(lines: list[Line], mended: Refocus, n_pulse: int) -> Points:
+def _points(lines: list[PointLine], mended: Refocus, n_pulse: int) -> Concentrations:
     """Find what judges the track: places that are points if there are enough, else all."""
     given, others = np.array([concentration(line.values) for line in lines]), judged_by_others(lines, n_pulse)
     alone = np.where(mended.concentration >= CLEAR, mended.concentration, given)
@@ -156,7 +158,7 @@ def _points(lines: list[Line], mended: Refocus, n_pulse: int) -> Points:
     points = np.maximum(given, by_others) >= FOCUSED
     if points.sum() < max(FEWEST, POINTS * len(lines)):
         points[:] = True
-    return Points(*(float(np.median(values[points])) for values in (given, mended.concentration, by_others)))
+    return Concentrations(*(float(np.median(values[points])) for values in (given, mended.concentration, by_others)))
 
 
 def _cleaned(signal: ComplexArray) -> ComplexArray:

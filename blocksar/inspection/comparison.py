@@ -30,10 +30,10 @@ from blocksar.inspection.prominent import (
     UNLIT,
     Contrast,
     Echo,
-    Line,
     Lines,
-    Place,
-    Samples,
+    PointLine,
+    ProfiledSamples,
+    ProminentPoint,
     Seeds,
     deviations,
 )
@@ -70,7 +70,7 @@ def concentration(values: Complex128Array) -> float:
     return float(np.max(np.abs(fft_rows(padded[None], inverse=False)) ** 2) / (values.size * power))
 
 
-def refocus(lines: Sequence[Line], n_pulse: int) -> Refocus:
+def refocus(lines: Sequence[PointLine], n_pulse: int) -> Refocus:
     """Estimate the phase error that all lines share, and measure what is left without it."""
     phase = np.zeros(n_pulse)
     longest = max(line.values.size for line in lines)
@@ -91,7 +91,7 @@ def refocus(lines: Sequence[Line], n_pulse: int) -> Refocus:
     return best
 
 
-def judged_by_others(lines: Sequence[Line], n_pulse: int) -> Judged:
+def judged_by_others(lines: Sequence[PointLine], n_pulse: int) -> Judged:
     """Refocus every second line by the phase error of those in between, ordered by their dwells.
 
     An error of the track is common to all lines, so that others show it as well. What a refocus gains by fitting a
@@ -134,7 +134,7 @@ class TrackError(NamedTuple):
     explained: float
 
 
-def explain(lines: Sequence[Line], phase: FloatArray, collection: Collection) -> list[TrackError]:
+def explain(lines: Sequence[PointLine], phase: FloatArray, collection: Collection) -> list[TrackError]:
     """How well simple errors explain a phase error: of the velocity, of the carrier, or an offset along an axis.
 
     The phase of a line is 4 pi / lambda (d - e) . u, with the track's error e: a place is found where range and Doppler
@@ -194,7 +194,7 @@ def _level(phase: FloatArray) -> FloatArray:
     return np.asarray(phase - least_squares(terms, phase) @ terms)
 
 
-def blurring_phase(lines: Sequence[Line], phase: FloatArray) -> float:
+def blurring_phase(lines: Sequence[PointLine], phase: FloatArray) -> float:
     """Root mean square over the dwells of a phase error without its line, rad."""
     return float(np.sqrt(np.mean([np.mean(_level(phase[line.pulses]) ** 2) for line in lines])))
 
@@ -205,7 +205,7 @@ SETTLED = 3  # echoes that rule an alternative out, if they do beyond chance: no
 
 
 @dataclass(frozen=True)
-class Ground:
+class ClutterGround:
     """Where echoes come from, and the yaws and ranges at which clutter is compared."""
 
     grid: Grid | None
@@ -224,15 +224,15 @@ class View:
     """Samples and their ground under an alternative."""
 
     alternative: Alternative
-    samples: Samples
-    ground: Ground
+    samples: ProfiledSamples
+    ground: ClutterGround
 
     def under(self, other: Alternative) -> View:
         """The view under an alternative to this one; where only samples differ, of the same ground."""
         samples = self.samples
         if other.samples is not None:
             signal = np.ascontiguousarray(other.samples(samples.signal))
-            samples = Samples(signal, samples.collection, threads=samples.threads)
+            samples = ProfiledSamples(signal, samples.collection, threads=samples.threads)
         view = View(other, samples, self.ground)
         if other.collection is self.alternative.collection:
             vars(view)["lines"] = Lines(samples, self.lines.geometry)
@@ -267,9 +267,9 @@ class View:
                 return None, error
 
     @cached_property
-    def prominent(self) -> list[tuple[Echo, Line]]:
+    def prominent(self) -> list[tuple[Echo, PointLine]]:
         """The most prominent echoes that are lit, and their lines, each of a place of its own."""
-        found: list[tuple[Echo, Line]] = []
+        found: list[tuple[Echo, PointLine]] = []
         if self.region is None or self.outside is not None:
             return found
         for place in self.lines.places(self.region, CANDIDATES):
@@ -280,7 +280,7 @@ class View:
                 break
         return found
 
-    def line(self, echo: Echo) -> Line | None:
+    def line(self, echo: Echo) -> PointLine | None:
         """The line of an echo; None if nothing lit has its range and Doppler."""
         place = self._place(echo)
         return None if place is None else self.lines.line(place)
@@ -290,7 +290,7 @@ class View:
         place = self._place(echo)
         return (None if place is None else self.lines.surroundings(place)) or UNLIT
 
-    def _place(self, echo: Echo) -> Place | None:
+    def _place(self, echo: Echo) -> ProminentPoint | None:
         return None if self._seeds is None else self.lines.place(echo, self._seeds)
 
     @cached_property
@@ -311,7 +311,7 @@ class View:
         seen = [(place, self.lines.surroundings(place)) for place in places]
         return [(self.lines.echo(place), contrast) for place, contrast in seen if contrast is not None]
 
-    def _cover(self, region: Region) -> list[Place]:
+    def _cover(self, region: Region) -> list[ProminentPoint]:
         """Places over the region, in an order in which the first few cover it; each with a pulse amid its dwell."""
         geometry = self.lines.geometry
         yaws, shares = ((np.arange(n) + 0.5) / n for n in self.ground.patches)
@@ -320,7 +320,9 @@ class View:
         point = geometry.ground_point(near + (far - near) * shares[:, None], yaw).reshape(-1, 3)
         x, y = point[np.random.default_rng(0).permutation(len(point)), :2].T
         first, last = geometry.beam.longest_pass(x, y)
-        return [Place(float(a), float(b), 0.0, int(p)) for a, b, p in zip(x, y, (first + last) // 2, strict=True)]
+        return [
+            ProminentPoint(float(a), float(b), 0.0, int(p)) for a, b, p in zip(x, y, (first + last) // 2, strict=True)
+        ]
 
 
 @dataclass
@@ -329,9 +331,9 @@ class _Pairs:
 
     given: list[Contrast] = field(default_factory=list)
     other: list[Contrast] = field(default_factory=list)
-    lines: list[Line] = field(default_factory=list)
+    lines: list[PointLine] = field(default_factory=list)
 
-    def append(self, given: Contrast, other: Contrast, line: Line | None = None) -> None:
+    def append(self, given: Contrast, other: Contrast, line: PointLine | None = None) -> None:
         self.given.append(given)
         self.other.append(other)
         self.lines += [] if line is None else [line]

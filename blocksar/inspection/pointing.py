@@ -26,7 +26,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
 from blocksar.errors import InputError
 from blocksar.inspection.alternatives import Alternative, doppler_period
-from blocksar.inspection.prominent import EDGE, FEW_ROWS, SHORT, Line, Lines, Place, Samples
+from blocksar.inspection.prominent import EDGE, FEW_ROWS, SHORT, Lines, PointLine, ProfiledSamples, ProminentPoint
 
 CANDIDATES = 16  # places that are looked at
 FEWEST, ENOUGH = 3, 5  # of those in focus: on which anything is said, and that are enough beside a run
@@ -88,7 +88,7 @@ class _Hypotheses(NamedTuple):
 
 
 def point(
-    samples: Samples,
+    samples: ProfiledSamples,
     collection: Collection,
     geometry_of: Callable[[Collection], Geometry],
     region_of: Callable[[Geometry], Region],
@@ -128,7 +128,7 @@ def point(
     turns = [0] if period - furthest > reach else [0, -1, 1]
     scores: list[FloatArray] = []
     counts: list[FloatArray] = []
-    seen: list[Place] = []
+    seen: list[ProminentPoint] = []
     for place in places:
         if len(scores) == ENOUGH and not thorough:
             break
@@ -145,7 +145,7 @@ def point(
     return _judged(collection, hypotheses, np.stack(scores), np.stack(counts), period, reach)
 
 
-def _apart(one: Place, other: Place) -> float:
+def _apart(one: ProminentPoint, other: ProminentPoint) -> float:
     return float(np.hypot(one.x - other.x, one.y - other.y))
 
 
@@ -168,7 +168,7 @@ def _hypotheses(collection: Collection, reach: float) -> _Hypotheses:
     )
 
 
-def _line(source: Lines, place: Place, turns: int, collection: Collection) -> Line | None:
+def _line(source: Lines, place: ProminentPoint, turns: int, collection: Collection) -> PointLine | None:
     """The line of a place, or of what a PRF turns it into, over several dwells about the pulse that saw it."""
     geometry, n = source.geometry, collection.n_pulse
     if turns:
@@ -185,7 +185,7 @@ def _line(source: Lines, place: Place, turns: int, collection: Collection) -> Li
     return source.line_about(place, int(first), int(last), place.pulse, later=FEW_ROWS)
 
 
-def _captured(source: Lines, line: Line, collection: Collection, hypotheses: _Hypotheses) -> FloatArray:
+def _captured(source: Lines, line: PointLine, collection: Collection, hypotheses: _Hypotheses) -> FloatArray:
     """|sum|^2 / n of a line under each hypothesis, its concentration there, and n, (3, n_hypothesis)."""
     geometry, said = source.geometry, beam_angle(collection)[line.pulses]
     offset = geometry.beam.offset(np.array(line.place.x), np.array(line.place.y), line.pulses)

@@ -126,7 +126,7 @@ NEWTON, CONVERGED = 10, 1e-2  # steps to a place of another range and Doppler, a
 SEEDS = 33, 65  # ranges and yaws of the ground, from the best of which they start
 
 
-class Place(NamedTuple):
+class ProminentPoint(NamedTuple):
     """A point on the ground, m, its power over the median of its surroundings, and a pulse that saw it."""
 
     x: float
@@ -153,7 +153,7 @@ class Seeds(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class PointLine:
     """The deramped line of a place over its lit pulses.
 
     Attributes
@@ -168,14 +168,14 @@ class Line:
         Share of the energy near the peak, along the track or in range, that the peak holds: 1 for a lone point.
     """
 
-    place: Place
+    place: ProminentPoint
     pulses: slice
     values: Complex128Array
     contrast: Contrast = UNLIT
     focus: float = 0.0
 
 
-class Samples:
+class ProfiledSamples:
     """Samples of a phase history, and their range profiles, which are kept.
 
     They do not depend on track and beam, so that alternatives of these share them.
@@ -238,28 +238,28 @@ class Lines:
         Of these samples.
     """
 
-    def __init__(self, samples: Samples, geometry: Geometry) -> None:
+    def __init__(self, samples: ProfiledSamples, geometry: Geometry) -> None:
         self.samples, self.geometry = samples, geometry
         collection = geometry.collection
         self.cell = samples.cell
         middle = collection.range_frequency[collection.n_range_frequency // 2]
         self.turns = 2 * (collection.carrier + middle) / SPEED_OF_LIGHT
 
-    def places(self, region: Region, count: int) -> list[Place]:
+    def places(self, region: Region, count: int) -> list[ProminentPoint]:
         """The most prominent places, at most `count`, from all short apertures."""
-        found: list[Place] = []
+        found: list[ProminentPoint] = []
         for pulses in short_apertures(self.geometry.collection.n_pulse):
             found += self._bright(region, pulses)
         return sorted(found, key=lambda place: -place.prominence)[:count]
 
-    def known(self, line: Line, others: Sequence[Line]) -> bool:
+    def known(self, line: PointLine, others: Sequence[PointLine]) -> bool:
         """Whether a line is of a place that others are of."""
         return any(self._near(line.place, other.place) for other in others)
 
-    def _near(self, place: Place, other: Place) -> bool:
+    def _near(self, place: ProminentPoint, other: ProminentPoint) -> bool:
         return bool(np.hypot(place.x - other.x, place.y - other.y) < SAME * self.cell)
 
-    def _bright(self, region: Region, pulses: slice) -> list[Place]:
+    def _bright(self, region: Region, pulses: slice) -> list[ProminentPoint]:
         """Prominent places in the map of a short aperture."""
         geometry, collection = self.geometry, self.geometry.collection
         low, high = float(region.yaw[0]), float(region.yaw[-1])
@@ -291,14 +291,14 @@ class Lines:
         typical = float(np.median(power[power > 0])) if (power > 0).any() else 0.0
         strongest = float((np.abs(profiles.values).astype(np.float64) ** 2).sum(axis=0).max()) * len(position)
         least = max(STANDS_OUT * typical, SIDE_LOBES * strongest)
-        places: list[Place] = []
+        places: list[ProminentPoint] = []
         while typical > 0 and len(places) < EACH:
             row, column = np.unravel_index(int(np.argmax(power)), power.shape)
             if power[row, column] < least:
                 break
             prominence = float(power[row, column] / typical)
             middle = (pulses.start + pulses.stop) // 2
-            places.append(Place(float(x[row, column]), float(y[row, column]), prominence, middle))
+            places.append(ProminentPoint(float(x[row, column]), float(y[row, column]), prominence, middle))
             power[max(row - APART, 0) : row + APART + 1, max(column - APART, 0) : column + APART + 1] = 0.0
         return places
 
@@ -311,7 +311,7 @@ class Lines:
         change = np.diff(self._distance(x, y, self.geometry.collection.n_pulse // 2)) / np.diff(ranges)
         return float(np.clip(np.nanmax(np.abs(change), initial=1.0), 1.0, 3.0))
 
-    def line(self, place: Place, *, phase: FloatArray | None = None) -> Line | None:
+    def line(self, place: ProminentPoint, *, phase: FloatArray | None = None) -> PointLine | None:
         """The line of a place, moved to where it is brightest as the aperture grows about the pulse that saw it.
 
         None if it is not lit then. A phase error (n_pulse,), rad, is removed from its rows at last.
@@ -323,18 +323,20 @@ class Lines:
         if phase is not None:
             rows = rows * np.exp(-1j * phase[pulses])[:, None]
         image = _small_image(rows, shift, min(BINS, rows.shape[0] // 4))
-        line = Line(place, pulses, _demodulated(rows[:, row], shift))
+        line = PointLine(place, pulses, _demodulated(rows[:, row], shift))
         return replace(line, contrast=contrast(image, oversampling=2 / ROW), focus=_focus(image))
 
-    def line_about(self, place: Place, first: int, last: int, middle: int, *, later: FloatArray = ROWS) -> Line:
+    def line_about(
+        self, place: ProminentPoint, first: int, last: int, middle: int, *, later: FloatArray = ROWS
+    ) -> PointLine:
         """The line of a place over the pulses first .. last - 1, found by apertures that grow about `middle`.
 
         The first of them looks at all ROWS, and those after it at `later`.
         """
         place, pulses, rows, row, shift = self._grown(place, first, last, middle, later)
-        return Line(place, pulses, _demodulated(rows[:, row], shift))
+        return PointLine(place, pulses, _demodulated(rows[:, row], shift))
 
-    def surroundings(self, place: Place) -> Contrast | None:
+    def surroundings(self, place: ProminentPoint) -> Contrast | None:
         """Contrast of a wide image about a place amid clutter, over its dwell; None if it is not lit, or dark."""
         interval = self.lit(place)
         if interval is None:
@@ -348,14 +350,14 @@ class Lines:
         spectrum = fft_rows(np.ascontiguousarray(rows.T), inverse=False)
         return contrast(np.abs(np.r_["1", spectrum[:, -bins:], spectrum[:, :bins]]) ** 2, oversampling=1.0)
 
-    def lit(self, place: Place) -> tuple[int, int] | None:
+    def lit(self, place: ProminentPoint) -> tuple[int, int] | None:
         """First and last (exclusive) of the pulses that light a place, among them that which saw it; None otherwise."""
         first, last = (int(v) for v in self.geometry.beam.longest_pass(np.array(place.x), np.array(place.y)))
         return (first, last) if last - first >= SHORT and first - SHORT <= place.pulse <= last + SHORT else None
 
     def _grown(
-        self, place: Place, first: int, last: int, middle: int, later: FloatArray
-    ) -> tuple[Place, slice, Complex128Array, int, int]:
+        self, place: ProminentPoint, first: int, last: int, middle: int, later: FloatArray
+    ) -> tuple[ProminentPoint, slice, Complex128Array, int, int]:
         """A place moved by growing apertures; of the last its pulses, its rows, and the brightest's row and bin.
 
         Where the sight turns so far that a place half a cell away is out of focus, the last aperture is taken twice.
@@ -379,7 +381,7 @@ class Lines:
             place = self._moved(place, middle_pulse, np.array([away * self.cell, shift / (size * self._interval)]))
             offsets = later
 
-    def _turns(self, place: Place, first: int, last: int) -> bool:
+    def _turns(self, place: ProminentPoint, first: int, last: int) -> bool:
         """Whether a range cell off a place means more phase than MOST_PHASE over its dwell, as the sight turns."""
         position = self.geometry.collection.antenna_position[[first, (first + last) // 2, last - 1]]
         sight = np.array([place.x, place.y, self.geometry.collection.ground_height]) - position
@@ -387,7 +389,7 @@ class Lines:
         turn = np.linalg.norm(sight[2] - sight[0])
         return bool(2 * np.pi * self.turns * self.cell * turn**2 / 8 > MOST_PHASE)
 
-    def echo(self, place: Place) -> Echo:
+    def echo(self, place: ProminentPoint) -> Echo:
         """Find what the place's pulse sees of it."""
         offset, doppler = self._seen(np.array(place.x), np.array(place.y), place.pulse)
         return Echo(place.pulse, float(offset), float(doppler))
@@ -400,7 +402,7 @@ class Lines:
         x, y = (point[..., axis][np.isfinite(point).all(axis=-1)] for axis in (0, 1))
         return Seeds(x, y, self.geometry.known_height(x, y)[0], float((far - near).max()))
 
-    def place(self, echo: Echo, seeds: Seeds) -> Place | None:
+    def place(self, echo: Echo, seeds: Seeds) -> ProminentPoint | None:
         """Where an echo comes from: lit ground of its range and Doppler, near a seed; None if there is none."""
         geometry, prf = self.geometry, self.geometry.collection.prf
         x, y, z, depth = seeds
@@ -414,15 +416,15 @@ class Lines:
         further -= prf * np.rint(further / prf)
         best = int(np.argmin(((echo.offset - offset) / depth) ** 2 + (further / prf) ** 2))
         wanted = np.array([echo.offset, doppler[best] + further[best]])
-        return self._solved(Place(float(x[best]), float(y[best]), 0.0, echo.pulse), wanted)
+        return self._solved(ProminentPoint(float(x[best]), float(y[best]), 0.0, echo.pulse), wanted)
 
-    def ambiguous(self, place: Place, turns: int) -> Place:
+    def ambiguous(self, place: ProminentPoint, turns: int) -> ProminentPoint:
         """The place at the same range whose Doppler is `turns` times the PRF higher, seen from the place's pulse."""
         echo = self.echo(place)
         wanted = np.array([echo.offset, echo.doppler + turns * self.geometry.collection.prf])
         return self._solved(place, wanted) or place
 
-    def _solved(self, place: Place, wanted: FloatArray) -> Place | None:
+    def _solved(self, place: ProminentPoint, wanted: FloatArray) -> ProminentPoint | None:
         """The place of an offset (m) and a Doppler (Hz) at its pulse, by Newton's method from a place near it."""
         tolerance = np.array([self.cell, self.geometry.collection.prf / SHORT])  # what a short aperture tells apart
         for _ in range(NEWTON):
@@ -441,7 +443,7 @@ class Lines:
         px, py, pz = np.moveaxis(self.geometry.collection.antenna_position[pulses], -1, 0)
         return np.sqrt((px - x) ** 2 + (py - y) ** 2 + (pz - z) ** 2)
 
-    def _rows(self, place: Place, pulses: slice, offsets: FloatArray) -> Complex128Array:
+    def _rows(self, place: ProminentPoint, pulses: slice, offsets: FloatArray) -> Complex128Array:
         """(n, n_row): the samples at offsets (n_row,) in range cells from a place, with its phase removed."""
         collection = self.geometry.collection
         offset = self._distance(np.array(place.x), np.array(place.y), pulses) - collection.reference_range[pulses]
@@ -456,7 +458,7 @@ class Lines:
         cycles = self.turns * offset
         return np.asarray(rows * np.exp(2j * np.pi * (cycles - np.rint(cycles)))[:, None])
 
-    def _moved(self, place: Place, pulse: int, change: FloatArray) -> Place:
+    def _moved(self, place: ProminentPoint, pulse: int, change: FloatArray) -> ProminentPoint:
         """The place that at a pulse has a `change` of offset (m) and Doppler (Hz)."""
         at = np.array([place.x, place.y])
         wanted = self._seen(at[0], at[1], pulse) + change

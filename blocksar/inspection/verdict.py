@@ -92,7 +92,7 @@ class Trial:
         return "sharper" if self.deviations > 0 else "ruled out"
 
 
-class Points(NamedTuple):
+class Concentrations(NamedTuple):
     """Median concentrations of the places that judge the track, as points do and clutter does not.
 
     As given, after a refocus, and refocused by other places alone.
@@ -138,7 +138,7 @@ class Findings:
     cause: str = ""
     remedy: str = ""
     refocus: Trial | None = None
-    points: Points | None = None
+    points: Concentrations | None = None
     steered: bool = True
     mirrored: bool = False
     pointing: Pointing | None = None
@@ -154,9 +154,9 @@ class Findings:
         return not self.given.concentration
 
     @property
-    def judged(self) -> Points:
+    def judged(self) -> Concentrations:
         """Find what judges the track: the points, or else the median of all places."""
-        return self.points or Points(self.given.sharpness, self.refocused, self.refocused)
+        return self.points or Concentrations(self.given.sharpness, self.refocused, self.refocused)
 
     @property
     def in_focus(self) -> bool:

@@ -36,7 +36,7 @@ _NUMBERS = types.float64, types.float64, types.int64
 OPTIONS: Any = {"nogil": True, "fastmath": {"contract", "nsz", "reassoc"}}
 
 
-class Problem(NamedTuple):
+class LevellingProblem(NamedTuple):
     """Lines to level, and the unknowns to do it with.
 
     Attributes
@@ -65,8 +65,8 @@ class Problem(NamedTuple):
     pull: FloatArray
 
 
-@loop(_NAMED([_ROWS] * 6 + [_INDICES] * 2 + [_ROW] * 2, Problem), *_NUMBERS, **OPTIONS)
-def level_lines(problem: Problem, damping: float, enough: float, steps: int) -> FloatArray:
+@loop(_NAMED([_ROWS] * 6 + [_INDICES] * 2 + [_ROW] * 2, LevellingProblem), *_NUMBERS, **OPTIONS)
+def level_lines(problem: LevellingProblem, damping: float, enough: float, steps: int) -> FloatArray:
     """The unknowns that minimise the sum of squares; systems are solved by modified Gram-Schmidt.
 
     Parameters
@@ -144,7 +144,7 @@ def level_lines(problem: Problem, damping: float, enough: float, steps: int) -> 
 
 @njit(inline="always", **OPTIONS)
 def evaluate(
-    problem: Problem, x: FloatArray, residual: FloatArray, rows: FloatArray, derivatives: bool
+    problem: LevellingProblem, x: FloatArray, residual: FloatArray, rows: FloatArray, derivatives: bool
 ) -> bool:  # longer than most: the residuals and their derivatives are checked side by side
     """Write the residuals (m,) and, if asked for, their derivatives (n_unknown, m), one row an unknown.
 

@@ -15,8 +15,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
+from pickle import UnpicklingError
 from threading import Lock
 from time import perf_counter
 from types import ModuleType
@@ -48,6 +49,8 @@ UNCONTRACTED: dict[str, Any] = {"nogil": True, "fastmath": False}
 # Of a function that compiled loops call, and Python does not: no entry points for Python and C, each of which would be
 # compiled with a copy of the function.
 PART: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+# What files of numba's cache raise that were torn, or pickled with names that are gone.
+UNREADABLE = UnpicklingError, EOFError, AttributeError, ImportError, IndexError, KeyError, TypeError, ValueError
 UNCHECKED: dict[str, Any] = {"error_model": "numpy"}  # divisions by zero give infinity, without a test of each
 
 
@@ -123,16 +126,24 @@ def compile_as(dispatcher: Any, arguments: Sequence[Any], *, wait: bool = True) 
 def _load(cache: Any, held: ExitStack, wait: bool, signature: Any, context: Any) -> Any:
     """Find what numba's cache holds for a signature, else None. The dispatcher that calls this holds numba's lock.
 
-    Before None is returned, other processes are kept from compiling, until `held` ends.
+    Before None is returned, other processes are kept from compiling, until `held` ends. Then files of the cache that
+    cannot be read are dropped: a disk that was full leaves torn ones, and those of another version of this package may
+    name types that are gone.
     """
     context.refresh = lambda: None
     try:
-        found = type(cache).load_overload(cache, signature, context)
-        if found is None and not isinstance(cache, NullCache):
-            # One index of the cache serves all signatures of a function.
-            held.enter_context(locked(cache.cache_path, cache._py_func.__qualname__, wait=wait))
-            found = type(cache).load_overload(cache, signature, context)
-        return found
+        with suppress(*UNREADABLE):
+            if (found := type(cache).load_overload(cache, signature, context)) is not None:
+                return found
+        if isinstance(cache, NullCache):
+            return None
+        # One index of the cache serves all signatures of a function.
+        held.enter_context(locked(cache.cache_path, cache._py_func.__qualname__, wait=wait))
+        try:
+            return type(cache).load_overload(cache, signature, context)
+        except UNREADABLE:
+            cache.flush()
+            return None
     finally:
         del context.refresh
 

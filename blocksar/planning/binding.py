@@ -41,7 +41,7 @@ from blocksar.focusing.range_gate import RangeGate
 from blocksar.focusing.step import Constants, Motion, Sampling, Step, trace
 from blocksar.kernels import fourier
 from blocksar.kernels.fourier import Axis
-from blocksar.kernels.levelling import Problem, level_lines
+from blocksar.kernels.levelling import LevellingProblem, level_lines
 from blocksar.planning.target_lines import middle_line
 
 RANGE_GUARD = 48  # range cells on either side of a sub-block, for side lobes of targets at its ends
@@ -149,7 +149,7 @@ class Freedom(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Candidate:
+class ChainKind:
     """A kind of chain to try: a bias chirp (m/s^2), whether to perturb in time, and orders of a Doppler resampling."""
 
     bias: float
@@ -157,26 +157,26 @@ class Candidate:
     resampling: int = len(RESAMPLING_ORDERS)
 
 
-def candidates(line: Line, *, wavelength: float, freedom: Freedom) -> list[Candidate]:
+def candidates(line: Line, *, wavelength: float, freedom: Freedom) -> list[ChainKind]:
     """Kinds of chain worth trying, cheapest first: the printed one, with a time perturbation, with bias chirps too.
 
     A bias brings the range acceleration of the lines to a value, of either sign, that spreads each target's own line
     over TIME_BANDWIDTH or more. A chain without the time perturbation has the printed kind only.
     """
-    plain = Candidate(0.0, False)
+    plain = ChainKind(0.0, False)
     if not freedom.time:
         return [plain]
     duration = float(np.max(line.weight.sum(axis=-1)))
     acceleration = _acceleration(line, wavelength)
     least = TIME_BANDWIDTH * wavelength / (4 * duration**2)  # k_2 that gives a target this product, m/s^2
-    kinds = [plain, Candidate(0.0, True)]
+    kinds = [plain, ChainKind(0.0, True)]
     for factor in (1.25, 2.5, 5.0, 8.0):
         targets = sorted((factor * least, -factor * least), key=lambda k: abs(k - acceleration))
-        kinds += [Candidate(k - acceleration, True) for k in targets]
+        kinds += [ChainKind(k - acceleration, True) for k in targets]
     return kinds
 
 
-def with_spread(line: Line, candidate: Candidate, *, wavelength: float, factors: tuple[float, ...]) -> list[Candidate]:
+def with_spread(line: Line, candidate: ChainKind, *, wavelength: float, factors: tuple[float, ...]) -> list[ChainKind]:
     """The candidate with biases that bring the range acceleration of the lines to these multiples of its own."""
     if not candidate.perturb_time:
         return []
@@ -190,7 +190,7 @@ def _acceleration(line: Line, wavelength: float) -> float:
 
 
 def fit(
-    line: Line, *, ranges: FloatArray, candidate: Candidate, freedom: Freedom, wavelength: float, roughly: bool = False
+    line: Line, *, ranges: FloatArray, candidate: ChainKind, freedom: Freedom, wavelength: float, roughly: bool = False
 ) -> AzimuthPolynomials:
     """Fit the azimuth steps so that every line is level.
 
@@ -263,7 +263,7 @@ class _Unknowns(NamedTuple):
     deramp: tuple[int, ...]
 
     @classmethod
-    def of(cls, candidate: Candidate, freedom: Freedom) -> _Unknowns:
+    def of(cls, candidate: ChainKind, freedom: Freedom) -> _Unknowns:
         return cls(
             TIME_ORDERS if candidate.perturb_time else (),
             DOPPLER_ORDERS if freedom.doppler else (),
@@ -315,9 +315,9 @@ class _Rows(NamedTuple):
             stretch_weight=STRETCH_WEIGHT * root,
         )
 
-    def problem(self, i: int, unknowns: _Unknowns, *, start: FloatArray, pull: FloatArray) -> Problem:
+    def problem(self, i: int, unknowns: _Unknowns, *, start: FloatArray, pull: FloatArray) -> LevellingProblem:
         """Level the lines of range i; `pull` (n_unknown,), rad, penalises departures from `start`."""
-        return Problem(
+        return LevellingProblem(
             time=np.ascontiguousarray(self.time[i]),
             doppler=np.ascontiguousarray(self.doppler[i]),
             rate=np.ascontiguousarray(self.rate[i]),

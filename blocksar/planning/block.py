@@ -52,7 +52,7 @@ from blocksar.planning.coefficients import Choice, choose
 from blocksar.planning.dwell_ends import ImageEdges, LitTimes, Moments, band_spread, end_lift, end_smear, gate_blur
 from blocksar.planning.dwell_weights import beam_moves
 from blocksar.planning.memory import RELIEF_MEMORY, block_memory
-from blocksar.planning.prediction import Judged, Prediction, predict, worst_lobes
+from blocksar.planning.prediction import JudgedTargets, Prediction, predict, worst_lobes
 from blocksar.planning.relief import FINE_DEGREE, Layer, Relief, map_relief, turns_of
 from blocksar.planning.sector import Sector
 from blocksar.planning.target_lines import TracedTargets, tail_margin
@@ -671,7 +671,7 @@ def _predict(
     )  # fmt: skip
     for layer in layers[1:]:
         others = _on(targets, layer)
-        judged = Judged.of(others, reached, imaged)
+        judged = JudgedTargets.of(others, reached, imaged)
         predicted = predicted.or_lobes(worst_lobes(others, sampling.gate, judged, band=sector.weighting.range))
     seen = np.logical_and.reduce([lines.ends.full, *(each.held for each in imaged)])
     seen = seen if reached is None else seen & reached

@@ -75,7 +75,7 @@ from blocksar.collection.range_series import YAW_NODES, yaw_series
 from blocksar.focusing.lines import AzimuthPolynomials, Line, RowPolynomial, focus, row_polynomial
 from blocksar.focusing.method import Method, RangeModel
 from blocksar.planning import binding
-from blocksar.planning.binding import RESAMPLING_ORDERS, SERIES_DEGREE, AzimuthPart, Candidate, Freedom, RangePart
+from blocksar.planning.binding import RESAMPLING_ORDERS, SERIES_DEGREE, AzimuthPart, ChainKind, Freedom, RangePart
 from blocksar.planning.dwell_ends import full_dwells, smear_room
 from blocksar.planning.dwell_weights import beam_moves
 from blocksar.planning.prediction import smear_loss
@@ -280,7 +280,7 @@ def good_residual(fidelity: float) -> float:
 class Choice(NamedTuple):
     """A kind of chain, and the cost of its fit."""
 
-    candidate: Candidate
+    candidate: ChainKind
     cost: float
 
 
@@ -328,7 +328,7 @@ def choose(
             geometry, freedom, epoch_range=epoch_range, ranges=ranges, yaws=yaws, shift=shift,
             in_doppler=range_part.compression.in_doppler, range_model=method.range_model,
         )  # fmt: skip
-        return polynomials, Choice(Candidate(0.0, False), 0.0)
+        return polynomials, Choice(ChainKind(0.0, False), 0.0)
     full, good = full_dwells(line, geometry, epoch_range, yaws), good_residual(fidelity)
     if neighbour is not None and neighbour.candidate.resampling <= resampling:
         polynomials = binding.fit(line, ranges=ranges, candidate=neighbour.candidate, freedom=freedom, wavelength=lam)
@@ -359,7 +359,7 @@ def _find_cheapest(
     rows = np.array([0, ranges.size // 2, ranges.size - 1])
     subset = Line(**{name: _pick(getattr(line, name), rows, ranges.size) for name in Line.__dataclass_fields__})
 
-    def fit(candidate: Candidate) -> AzimuthPolynomials:
+    def fit(candidate: ChainKind) -> AzimuthPolynomials:
         return binding.fit(line, ranges=ranges, candidate=candidate, freedom=freedom, wavelength=wavelength)
 
     kinds = [
@@ -368,9 +368,9 @@ def _find_cheapest(
     ]
     if len(kinds) == 1:
         return fit(kinds[0]), Choice(kinds[0], np.inf)
-    costs: dict[Candidate, float] = {}
+    costs: dict[ChainKind, float] = {}
 
-    def cheapest(candidates: list[Candidate]) -> float:
+    def cheapest(candidates: list[ChainKind]) -> float:
         for candidate in candidates:
             polynomials = binding.fit(
                 subset, ranges=ranges[rows], candidate=candidate, freedom=freedom, wavelength=wavelength, roughly=True
@@ -386,7 +386,7 @@ def _find_cheapest(
             cheapest(binding.with_spread(line, best, wavelength=wavelength, factors=(1 / factor, factor)))
     fitted: list[tuple[AzimuthPolynomials, Choice]] = []
 
-    def keeps(candidate: Candidate, promised: float) -> bool:
+    def keeps(candidate: ChainKind, promised: float) -> bool:
         polynomials = fit(candidate)
         cost = _cost(polynomials, line, range_part, geometry, full, good)
         fitted.append((polynomials, Choice(candidate, cost)))

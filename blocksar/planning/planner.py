@@ -62,10 +62,10 @@ from blocksar.planning.block import BlockPlan, plan_block
 from blocksar.planning.coefficients import Choice
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY
 from blocksar.planning.plan import Plan
-from blocksar.planning.relief import Relief, Samples, find_relief, sample_terrain
+from blocksar.planning.relief import Relief, ReliefPoints, find_relief, sample_terrain
 from blocksar.planning.sector import Sector, ground_range
-from blocksar.planning.segments import Divided, Planner
 from blocksar.planning.steadiness import Smoothed, smoothed_beam
+from blocksar.planning.strip_segments import Divided, Planner
 from blocksar.planning.target_lines import find_dwells, middle_line, tail_margin
 
 COMMON_ORDER = 5  # range history from this order on is removed from all targets alike: azimuth steps end at order 4
@@ -684,5 +684,5 @@ class DivisionPlanner:
         return find_relief(self._samples, self.geometry, low=low, high=high, along=along)
 
     @cached_property
-    def _samples(self) -> Samples:
+    def _samples(self) -> ReliefPoints:
         return sample_terrain(self.geometry, *((float(at[0]), float(at[-1])) for at in (self.grid.x, self.grid.y)))

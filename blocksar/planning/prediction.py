@@ -483,7 +483,7 @@ def predict(
     rng, yaw = targets.epoch_range, targets.yaw
     range_cell = SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
     residual = spots.residual
-    judged = Judged.of(targets, reached, imaged or ())
+    judged = JudgedTargets.of(targets, reached, imaged or ())
     lobes = worst_lobes(targets, gate, judged, band=band)
     slope = np.gradient(spots.doppler, yaw, axis=1)
     dwell = (line.weight * line.stretch).sum(axis=-1)
@@ -543,7 +543,7 @@ class Lobes(NamedTuple):
         return Lobes(self.target, *(a + share * (b - a) for a, b in zip(self[1:], other[1:], strict=True)))
 
 
-class Judged(NamedTuple):
+class JudgedTargets(NamedTuple):
     """Mask of the targets that are judged."""
 
     there: BoolArray  # (n_range, n_yaw): those that there are
@@ -551,7 +551,7 @@ class Judged(NamedTuple):
     edges: list[ImageEdges]  # of the image between targets with full dwell
 
     @classmethod
-    def of(cls, targets: TracedTargets, reached: BoolArray | None, imaged: Sequence[ImageEdges]) -> Judged:
+    def of(cls, targets: TracedTargets, reached: BoolArray | None, imaged: Sequence[ImageEdges]) -> JudgedTargets:
         """Select the targets that an image shows; on a terrain, that are `reached`."""
         # Cut dwells have other side lobes under weights: of those with full dwell, where there are any.
         line = targets.line
@@ -567,7 +567,7 @@ class Judged(NamedTuple):
         return cls(there, full, [each for each in edges if each.before.any() or each.behind.any()])
 
 
-def worst_lobes(targets: TracedTargets, gate: DwellGate | None, judged: Judged, *, band: Taper = FLAT) -> Lobes:
+def worst_lobes(targets: TracedTargets, gate: DwellGate | None, judged: JudgedTargets, *, band: Taper = FLAT) -> Lobes:
     """Of the target with the worst phase, and of those at the edges of the image beside it; see `predict`."""
     full, uniform = judged.full, targets.weights.uniform
     residual = np.where(judged.there if uniform else full & judged.there, targets.spots.residual, -1.0)

@@ -59,7 +59,7 @@ class Relief:
     lowest: float
     highest: float
     points: tuple[FloatArray, FloatArray, FloatArray]
-    samples: Samples
+    samples: ReliefPoints
 
     @property
     def offsets(self) -> FloatArray:
@@ -126,7 +126,7 @@ def _bins_about(n: int) -> tuple[IntArray, IntArray]:
     return low, high
 
 
-class Samples(NamedTuple):
+class ReliefPoints(NamedTuple):
     """Some points of a terrain, (n,): yaw (rad), epoch range and z (m).
 
     All of the terrain is within `apart`, m, of one of them; `turn` (n,), rad, is as far as seen from the nadir.
@@ -139,7 +139,7 @@ class Samples(NamedTuple):
     turn: FloatArray
 
 
-def sample_terrain(geometry: Geometry, x: tuple[float, float], y: tuple[float, float]) -> Samples:
+def sample_terrain(geometry: Geometry, x: tuple[float, float], y: tuple[float, float]) -> ReliefPoints:
     """Every n-th sample of the geometry's terrain in a box, x and y from .. to, m, and the box's own edges."""
     terrain = geometry.terrain
     assert terrain is not None
@@ -155,12 +155,12 @@ def sample_terrain(geometry: Geometry, x: tuple[float, float], y: tuple[float, f
     px, py, heights = mesh_x[known], mesh_y[known], z[known]
     apart = float(np.hypot(np.diff(along_x).max(initial=0.0), np.diff(along_y).max(initial=0.0)))
     distance = np.hypot(px - geometry.nadir[0], py - geometry.nadir[1])
-    return Samples(
+    return ReliefPoints(
         geometry.yaw(px, py), geometry.epoch_range(px, py, heights), heights, apart, apart / np.maximum(distance, apart)
     )
 
 
-def find_relief(samples: Samples, geometry: Geometry, *, low: float, high: float, along: GroundRange) -> Relief:
+def find_relief(samples: ReliefPoints, geometry: Geometry, *, low: float, high: float, along: GroundRange) -> Relief:
     """The relief between two yaws, rad, and two epoch ranges; where nothing is known, the plane z = ground_height."""
     x, y = geometry.epoch_position[:2] - geometry.nadir
     depth = Depth(x=float(x), y=float(y), z=float(geometry.epoch_position[2]))
@@ -186,7 +186,7 @@ def find_relief(samples: Samples, geometry: Geometry, *, low: float, high: float
     )  # fmt: skip
 
 
-def _beside(samples: Samples, turn: FloatArray, half: float, along: GroundRange) -> BoolArray:
+def _beside(samples: ReliefPoints, turn: FloatArray, half: float, along: GroundRange) -> BoolArray:
     """Find which samples (n,) lie in a block or so close to it that they bound its heights.
 
     A block has yaws of at most `half` from its middle, rad, and the ranges `along`; `turn` (n,) are the samples' yaws

@@ -11,7 +11,7 @@ import numpy as np
 
 from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray
-from blocksar.collection.geometry import Geometry, Motion, range_motion
+from blocksar.collection.geometry import AntennaState, Geometry, range_motion
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Focus, Line
 from blocksar.focusing.recovery import NO_COMMON_RANGE, CommonRange
@@ -103,7 +103,7 @@ class Nodes(NamedTuple):
 
     slow: FloatArray
     weight: FloatArray
-    antenna: Motion
+    antenna: AntennaState
     removed: tuple[FloatArray, FloatArray, FloatArray]
 
 

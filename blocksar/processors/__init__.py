@@ -36,7 +36,7 @@ PROCESSORS: Registry[Processor] = Registry(
         "keystone-resampling": f"{CHAINS}:KEYSTONE_RESAMPLING",
         "high-order-phase": f"{CHAINS}:HIGH_ORDER_PHASE",
         "hierarchical-backprojection": "blocksar.processors.hierarchical:HIERARCHICAL",
-        "backprojection": "blocksar.processors.backprojection:EXACT",
+        "backprojection": "blocksar.processors.exact:EXACT",
         "auto": "blocksar.processors.auto:CHOICE",
     },
     _check,

@@ -18,10 +18,10 @@ from blocksar.collection.weighting import Weighting
 from blocksar.planning import effort
 from blocksar.planning.ambiguity import azimuth_ambiguities
 from blocksar.planning.disk import exact_bytes
-from blocksar.planning.segments import PlannedSegment, joint_grid
+from blocksar.planning.strip_segments import PlannedSegment, joint_grid
 from blocksar.planning.tiling import units_of
 from blocksar.progress import Listener, Work
-from blocksar.tables import Table
+from blocksar.table import Table
 from blocksar.texts import size_text
 
 if TYPE_CHECKING:

@@ -30,13 +30,13 @@ from blocksar.planning.disk import run_bytes
 from blocksar.planning.dwell_ends import reaches_full
 from blocksar.planning.plan import Plan
 from blocksar.planning.planner import planner_of
-from blocksar.planning.segments import PlannedSegment, plan_segments
+from blocksar.planning.strip_segments import PlannedSegment, plan_segments
 from blocksar.processors.base import Execution, ImagePlan, Problem
 from blocksar.processors.chain_tables import block_table, digits, plan_details
-from blocksar.processors.lines import lit_pulses
+from blocksar.processors.sentences import lit_pulses
 from blocksar.progress import Work
 from blocksar.runs.record import PredictedBlock, Receipt
-from blocksar.tables import Table
+from blocksar.table import Table
 from blocksar.texts import count, size_text
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from blocksar.focusing.relief_correction import bend_scale
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.plan import Plan
 from blocksar.planning.prediction import Prediction
-from blocksar.tables import Table
+from blocksar.table import Table
 
 FEW_BLOCKS, WORST = 12, 10  # most blocks that are all shown, and how many are of more
 RANGE = "range"  # whose unit the ranges decide

@@ -13,7 +13,7 @@ from blocksar.focusing.hierarchical_backprojection import form_windows
 from blocksar.graph import compiling
 from blocksar.inspection.samples import doubts_of_track
 from blocksar.planning import effort
-from blocksar.planning.hierarchy import Division, coherence_of, divide
+from blocksar.planning.hierarchical_division import Division, coherence_of, divide
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY, checked_memory
 from blocksar.processors.base import ImagePlan, NoOptions, PartPlan, Problem
 from blocksar.progress import Work

@@ -26,8 +26,8 @@ from blocksar.measurement.figures import DEFINITIONS, PointResponse
 from blocksar.measurement.multilooking import checked_looks, power_of
 from blocksar.measurement.response import MIN_HALF_TAPS, interpolate
 from blocksar.places.place import Place
-from blocksar.products.options import parse_looks
 from blocksar.products.page.facts import responses_of
+from blocksar.products.shared_options import parse_looks
 from blocksar.runs.finished import finished_record
 from blocksar.runs.folder import member
 from blocksar.runs.record import RECORD, PredictedBlock

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from blocksar.errors import InputError, library_for
 from blocksar.options import Option
-from blocksar.products.options import COLOUR_MAP, COLOUR_RANGE, Content, Crop, Decibels, Looks, Scale, decibels
+from blocksar.products.shared_options import COLOUR_MAP, COLOUR_RANGE, Content, Crop, Decibels, Looks, Scale, decibels
 
 if TYPE_CHECKING:
     from blocksar.places import Location

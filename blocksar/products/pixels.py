@@ -25,9 +25,9 @@ from blocksar.errors import InputError, printable
 from blocksar.focusing.terrain_layers import Sight, box_of, by_owner, gamma_factor
 from blocksar.kernels.occlusion import UNKNOWN, VISIBLE
 from blocksar.measurement.multilooking import checked_looks, decibels, multilook, power_of
-from blocksar.products.options import Content, Decibels, Scale
 from blocksar.products.pictures.overview import overview, stretch
 from blocksar.products.plane_image import GroundImage
+from blocksar.products.shared_options import Content, Decibels, Scale
 from blocksar.runs.finished import STRIP, FinishedRun
 
 if TYPE_CHECKING:

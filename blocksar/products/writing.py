@@ -15,7 +15,7 @@ from blocksar.errors import InputError, ProcessingError, in_the_way, is_full, no
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace, flush_file, held_part, new_file
 from blocksar.places.place import Place, check_room
-from blocksar.products.options import Box
+from blocksar.products.shared_options import Box
 from blocksar.runs.finished import FinishedRun, folder_of, member_line
 from blocksar.runs.record import RECORD
 

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 from blocksar.constants import GIB
 from blocksar.errors import InputError
-from blocksar.progress.estimate import Estimate, Stage, clock_time, rate_text
+from blocksar.progress.estimate import Estimate, TimedStage, clock_time, rate_text
 from blocksar.progress.listening import NOBODY, Listener, Updated, UpdateListener, Work, Workers
 from blocksar.texts import time_text
 
@@ -235,7 +235,7 @@ class Progress(Listener):
             with suppress(OSError):  # a full disk, or a pipe that nobody reads: the command goes on
                 print(line, file=sys.stderr, flush=True)
 
-    def _print_stage(self, stage: Stage, left: float | None) -> None:
+    def _print_stage(self, stage: TimedStage, left: float | None) -> None:
         """Print a plain line if the stage has gained a step."""
         step = PLAIN_STEPS * stage.done // stage.total if stage.total else PLAIN_STEPS
         if stage.total == 1 and not stage.done:  # the line at its end is enough
@@ -247,14 +247,14 @@ class Progress(Listener):
                 f"{stage.name}: {stage.done} of {stage.total}, {clock_time(self.estimate.elapsed)} elapsed{remaining}"
             )
 
-    def _log_stage(self, stage: Stage, left: float | None) -> None:
+    def _log_stage(self, stage: TimedStage, left: float | None) -> None:
         now, last = self.estimate.clock(), self._logged.get(stage.name)
         if last is None:
             self._write_log("stage", stage=stage.name, total=stage.total, reused=stage.reused)
         if last is None or stage.finished or now - last >= LOG_SECONDS:
             self._log_progress(stage, left)
 
-    def _log_progress(self, stage: Stage, left: float | None) -> None:
+    def _log_progress(self, stage: TimedStage, left: float | None) -> None:
         self._logged[stage.name] = self.estimate.clock()
         workers = self._workers
         self._write_log(
@@ -369,7 +369,7 @@ def _visible_rows(rows: list[_Row], room: int) -> list[_Row]:
     return rows[dropped : dropped + max(room, 1)]
 
 
-def _row(stage: Stage, now: float) -> _Row:
+def _row(stage: TimedStage, now: float) -> _Row:
     if stage.begun is None:
         return _Row(stage.name, None, "", "", "", "dim")
     count = f"{stage.done}/{stage.total}" if stage.last_finished is not None else ""
@@ -469,7 +469,7 @@ class CellProgress(Progress):
         return f"<table>{rows}</table><div>{elapsed} elapsed{remaining}</div>{notes}"
 
 
-def _cell_row(stage: Stage, now: float) -> str:
+def _cell_row(stage: TimedStage, now: float) -> str:
     begun = stage.last_finished is not None
     value = (stage.done / stage.total if stage.total else 1.0) if begun else 0.0
     count = f"{stage.done}/{stage.total}" if begun else ""

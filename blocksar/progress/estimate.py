@@ -59,7 +59,7 @@ def finishing_times(costs: Sequence[float], workers: int) -> list[float]:
 
 
 @dataclass
-class Stage:
+class TimedStage:
     """A stage: its units, when they were finished, and when they were predicted to be.
 
     Attributes
@@ -194,7 +194,7 @@ class Estimate:
     """
 
     clock: Callable[[], float] = time.monotonic
-    stages: dict[str, Stage] = field(default_factory=dict)
+    stages: dict[str, TimedStage] = field(default_factory=dict)
     begun: float = math.nan
 
     def __post_init__(self) -> None:
@@ -209,14 +209,14 @@ class Estimate:
         first = next(iter(work), None)
         for name, costs in work.items():
             if costs:
-                self.stages[name] = Stage(name, costs=tuple(costs), workers=workers, cold=name == first)
+                self.stages[name] = TimedStage(name, costs=tuple(costs), workers=workers, cold=name == first)
             elif name in self.stages and self.stages[name].begun is None:
                 del self.stages[name]
 
-    def begin(self, name: str, reused: int = 0) -> Stage:
+    def begin(self, name: str, reused: int = 0) -> TimedStage:
         """Begin a stage, announced or not."""
         announced = self.stages.pop(name, None)
-        stage = Stage(name, reused=reused, begun=self.clock())
+        stage = TimedStage(name, reused=reused, begun=self.clock())
         if announced is not None:
             stage.costs, stage.workers, stage.cold = announced.costs, announced.workers, announced.cold
         # Stages are kept in the order in which they begin, before those that have not begun.
@@ -226,7 +226,7 @@ class Estimate:
         self.stages |= {name: stage} | waiting
         return stage
 
-    def update(self, name: str, done: int, total: int) -> Stage:
+    def update(self, name: str, done: int, total: int) -> TimedStage:
         """Record finished units; this begins the stage if needed."""
         stage = self.stages.get(name)
         if stage is None or stage.begun is None or (done < stage.done and stage.finished):
@@ -242,7 +242,7 @@ class Estimate:
         return sum(known) if known and len(known) == len(parts) else None
 
     @property
-    def current(self) -> Stage | None:
+    def current(self) -> TimedStage | None:
         """The stage in progress; the last if there are several."""
         return next((s for s in reversed(self.stages.values()) if s.begun is not None and not s.finished), None)
 

@@ -18,7 +18,7 @@ from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError
-from blocksar.measurement.noise import NoiseFigures
+from blocksar.measurement.noise_figures import NoiseFigures
 from blocksar.measurement.response import ReadChip
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place

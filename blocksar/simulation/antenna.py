@@ -15,7 +15,7 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import taylor_coefficients
 from blocksar.errors import InputError
-from blocksar.simulation.tables import BeamTable
+from blocksar.simulation.scene_fields import BeamTable
 
 SIDE, YAWS = 80, 641  # degrees of yaw on either side of the centre that a beam may light, and yaws that are asked
 PATTERN_SAMPLES = 257  # of a named pattern over its width

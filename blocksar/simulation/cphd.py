@@ -32,8 +32,8 @@ from blocksar.ingestion.cphd import NAMESPACE, library
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace, flush_file, held_part, new_file
 from blocksar.progress.listening import Callback
-from blocksar.simulation.phase_history import sampler, write_truth
 from blocksar.simulation.scene import RANGE_GUARD, Scene, next_smooth_even
+from blocksar.simulation.simulate import sampler, write_truth
 from blocksar.version import __version__
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from blocksar.constants import SPEED_OF_LIGHT, TURN
 from blocksar.kernels.fourier import chirp_spectrum
 from blocksar.kernels.lanes import cosine, sine
 from blocksar.kernels.loops import COMPILED, REAL_ROW, Loop, loop
-from blocksar.simulation.ground import Shadow, cast_shadow
+from blocksar.simulation.scene_ground import Shadow, cast_shadow
 
 _FIELD = (
     *(REAL_ROW, REAL_ROW, REAL_ROW, types.Array(types.complex128, 1, "C", readonly=True)),

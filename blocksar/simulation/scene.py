@@ -50,9 +50,9 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.simulation import shipped_scenes, shipped_text
 from blocksar.simulation.antenna import axis_beam, lit_yaws, patterns
-from blocksar.simulation.ground import hiding_terrain, terrain_of
+from blocksar.simulation.scene_fields import LARGEST, SMALLEST, ClutterTable, ReflectivityTable
+from blocksar.simulation.scene_ground import hiding_terrain, terrain_of
 from blocksar.simulation.scene_tables import SceneTables
-from blocksar.simulation.tables import LARGEST, SMALLEST, ClutterTable, ReflectivityTable
 from blocksar.texts import count
 
 

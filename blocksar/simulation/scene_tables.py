@@ -12,8 +12,7 @@ from pydantic import Field, model_validator
 
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
-from blocksar.simulation.ground import TerrainTable
-from blocksar.simulation.tables import (
+from blocksar.simulation.scene_fields import (
     MAX_PULSES,
     AreaTable,
     BeamTable,
@@ -28,6 +27,7 @@ from blocksar.simulation.tables import (
     TimeTable,
     TrackTable,
 )
+from blocksar.simulation.scene_ground import TerrainTable
 from blocksar.stores import check_channels
 
 # ---------------------------------------------------------------- channels

@@ -73,7 +73,7 @@ from blocksar.stores.pieces import Piece, Samples, blocks_of, write_pieces
 from blocksar.stores.pyramid import PYRAMID, Pyramid, level_name, level_shapes, levels_of, pyramid_of
 from blocksar.stores.records import checksum, checksum_bytes, file_checksum, json_checksum, read_json, write_json
 from blocksar.stores.regions import chunk_shape, read_region, share_region, write_region
-from blocksar.stores.terrain import StoredTerrain, read_terrain, terrain_fingerprint, write_terrain
+from blocksar.stores.terrain_store import StoredTerrain, read_terrain, terrain_fingerprint, write_terrain
 
 __all__ = [
     "COLLECTION",

@@ -28,7 +28,7 @@ import blocksar
 from blocksar import stores
 from blocksar.api import parsing
 from blocksar.api.settings import Settings
-from blocksar.cli import display, endings, options
+from blocksar.cli import endings, option_groups, printing
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.method import ChainOptions
 from blocksar.options import options_of, read_values
@@ -189,8 +189,8 @@ def wait_for_workers(client: Client, jobs: int, seconds: float) -> None:
 OPTIONS = options_of(Settings, "processor", "blocks", "grid", "overwrite")
 
 
-@options.taking(OPTIONS)
-@options.taking(options_of(ChainOptions, "coefficients"), options.ALTERNATIVES)
+@option_groups.taking(OPTIONS)
+@option_groups.taking(options_of(ChainOptions, "coefficients"), option_groups.ALTERNATIVES)
 def main(
     source: Annotated[str, typer.Argument(metavar="PH.zarr", help="Phase-history store; shared by all nodes.")],
     out: Annotated[str, typer.Option(metavar="RUN", help="Folder of the run; shared by all nodes.")],
@@ -212,7 +212,7 @@ def main(
         float,
         typer.Option(min=1, metavar="SECONDS", help="Time to wait for the jobs to start, and for others if all end."),
     ] = 3600,
-    quiet: options.Quiet = False,
+    quiet: option_groups.Quiet = False,
     job_script: Annotated[
         bool, typer.Option("--job-script", help="Print the job of a worker without submitting it.")
     ] = False,
@@ -260,7 +260,7 @@ def main(
                             progress=progress,
                             **settings,
                         )
-        display.show(report)
+        printing.show(report)
     except InputError as error:
         _end(str(error), endings.WRONG_INPUT)
     except (ProcessingError, OSError) as error:

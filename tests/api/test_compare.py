@@ -25,7 +25,7 @@ from blocksar.measurement.interferometry import LinesOfSight, over_window, verti
 from blocksar.places import place
 from blocksar.products.pair import Pair
 from blocksar.runs.finished import FinishedRun
-from blocksar.stores.terrain import write_terrain
+from blocksar.stores.terrain_store import write_terrain
 
 UP = (2.0, 1.5, 5.0)  # m, by which the second pass lies apart: 4.6 m of it across the line of sight
 WAVELENGTH = SPEED_OF_LIGHT / CARRIER

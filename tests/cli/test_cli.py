@@ -19,7 +19,7 @@ from typer.testing import CliRunner, Result
 import blocksar
 from blocksar.api import parsing
 from blocksar.api.settings import options_taken
-from blocksar.cli import commands, display, endings
+from blocksar.cli import commands, endings, printing
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.method import ChainOptions
 from blocksar.options import options_of
@@ -351,7 +351,7 @@ def test_a_terminal_shows_every_figure_of_a_wide_table() -> None:
     header = ["target", *(f"residual phase {i} (rad)" for i in range(14))]
     rows = [[f"T{j}", *(f"-{j}.{i:04d} .. 1" for i in range(14))] for j in range(2)]
     width, parts = 60, []
-    for table in display.tables(header, rows, width):
+    for table in printing.tables(header, rows, width):
         console = Console(width=width, file=io.StringIO())
         console.print(table)
         parts.append(console.file.getvalue())  # type: ignore[attr-defined]
@@ -360,13 +360,13 @@ def test_a_terminal_shows_every_figure_of_a_wide_table() -> None:
     assert all(cell in shown for row in rows for cell in row)
     assert all("T0" in part and "T1" in part and "target" in part for part in parts)
     assert len(parts) > 1 and max(map(len, shown.splitlines())) <= width
-    assert len(list(display.tables(header, rows, 1000))) == 1
+    assert len(list(printing.tables(header, rows, 1000))) == 1
 
 
 def test_a_terminal_that_says_it_has_no_columns_shows_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "0")
     monkeypatch.setattr(sys, "stdout", Terminal())
-    display.show(REPORT)
+    printing.show(REPORT)
     assert "1.89" in sys.stdout.getvalue()  # type: ignore[attr-defined]
 
 
@@ -392,7 +392,7 @@ def test_all_and_explain_show_what_is_left_out_at_first(api: Calls) -> None:
 
 def test_texts_are_folded_beside_their_names(api: Calls) -> None:
     text = "one word after the other, " * 8
-    (table,) = display.tables(["phase history", "a.zarr"], [["track", text], ["beam", "narrow"]], 60)
+    (table,) = printing.tables(["phase history", "a.zarr"], [["track", text], ["beam", "narrow"]], 60)
     console = Console(width=60, file=io.StringIO())
     console.print(table)
     lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
@@ -403,12 +403,12 @@ def test_texts_are_folded_beside_their_names(api: Calls) -> None:
 def test_a_wide_table_is_divided_evenly_and_its_titles_are_low() -> None:
     header = ["block", "lost by residual phase", "at the ends of the dwell", "by noise of the track", "one", "two"]
     rows = [["0", *["0.0000"] * 5]]
-    (table,) = display.tables(header, rows, 80)
+    (table,) = printing.tables(header, rows, 80)
     console = Console(width=80, file=io.StringIO())
     console.print(table)
     lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
     assert next(i for i, line in enumerate(lines) if "\N{BOX DRAWINGS LIGHT HORIZONTAL}" in line) <= 3
-    sizes = [len(table.columns) for table in display.tables(["t", *"abcdefghi"], [["0" * 8] * 10], 60)]
+    sizes = [len(table.columns) for table in printing.tables(["t", *"abcdefghi"], [["0" * 8] * 10], 60)]
     assert sizes == [4, 4, 4]  # not [5, 5, 2]
 
 
@@ -417,9 +417,9 @@ def test_sentences_wrap_between_words_on_a_terminal(api: Calls) -> None:
     line = f"  wrote {path} in 9.7 s (recover 8.0 s, focus 1.0 s, mosaic 0.2 s)"
     api.answer = SimpleNamespace(details=[], definitions=(), summary=[line], table=list, refusal=None)
     assert run("plan", "table1").stdout == f"{line}\n"
-    assert display.wrap_line(line, 40).split() == line.split()
-    assert path in display.wrap_line(line, 40) and "mosaic 0.2 s)" in display.wrap_line(line, 40).splitlines()[-1]
-    assert all(part.startswith("  ") for part in display.wrap_line(line, 40).splitlines())
+    assert printing.wrap_line(line, 40).split() == line.split()
+    assert path in printing.wrap_line(line, 40) and "mosaic 0.2 s)" in printing.wrap_line(line, 40).splitlines()[-1]
+    assert all(part.startswith("  ") for part in printing.wrap_line(line, 40).splitlines())
 
 
 def test_plain_progress_is_a_few_lines(api: Calls) -> None:

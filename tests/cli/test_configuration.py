@@ -17,7 +17,7 @@ from blocksar.api.jobs import Request
 from blocksar.api.rehearsing import RoomBeside, rehearse
 from blocksar.api.settings import Settings
 from blocksar.cli import commands
-from blocksar.cli.focusing import NOT_CONFIGURED
+from blocksar.cli.plan_and_focus import NOT_CONFIGURED
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError
 from blocksar.graph.machine import resources

@@ -22,7 +22,7 @@ from blocksar.focusing.backprojection import form_image
 from blocksar.graph import stages
 from blocksar.measurement.coherence import coherence
 from blocksar.measurement.targets import Target
-from blocksar.planning.segments import plan_segments
+from blocksar.planning.strip_segments import plan_segments
 
 DX, DY = 3.0, 3.0
 YAWS = CENTRE + STEP * np.array([-1.3, -1.0, -0.7, -0.52, -0.48, -0.1, 0.1, 0.48, 0.52, 1.0, 1.3])

@@ -21,7 +21,7 @@ from blocksar.graph import stages
 from blocksar.measurement.coherence import coherence
 from blocksar.planning.plan import Plan
 from blocksar.planning.planner import plan_collection
-from blocksar.planning.segments import Divided, PlannedSegment, Planner, number_blocks, owned_by, plan_segments
+from blocksar.planning.strip_segments import Divided, PlannedSegment, Planner, number_blocks, owned_by, plan_segments
 from blocksar.processors import chain
 
 SPANS = ((0, 3400), (2600, 6000))

@@ -11,7 +11,7 @@ from blocksar import stores
 from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.simulation.phase_history import truth_place
+from blocksar.simulation.simulate import truth_place
 
 GRID = ((-75.0, 75.0, 0.75), (-75.0, 75.0, 0.75))
 SCENE = """

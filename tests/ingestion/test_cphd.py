@@ -46,9 +46,9 @@ from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_image
-from blocksar.ingestion.cphd import channels, echoes, reader
+from blocksar.ingestion.cphd import channel_parts, echoes, reader
 from blocksar.ingestion.cphd.files import CphdFile, open_file
-from blocksar.ingestion.cphd.samples import ACCURACY
+from blocksar.ingestion.cphd.frequency_grid import ACCURACY
 from blocksar.simulation import cphd as cphd_simulation
 from blocksar.simulation.scene import Scene
 
@@ -535,7 +535,7 @@ def test_names_of_channels_are_fit_for_a_store(
     identifiers: list[str], polarizations: list[str | None], wanted: tuple[str, ...]
 ) -> None:
     known = [None if p is None else {"transmit": p[0], "receive": p[1]} for p in polarizations]
-    assert channels.names_of(identifiers, known) == wanted
+    assert channel_parts.names_of(identifiers, known) == wanted
 
 
 def shift(name: str, by: Any) -> Callable[[Array], None]:
@@ -576,15 +576,15 @@ def test_beams_and_patterns_of_channels_are_compared(base: Base) -> None:
         return replace(made.collection, beam_azimuth=np.full(n, azimuth), beam_width=width, **more), pulses
 
     first, angle = steered(0.3, 0.1), np.linspace(-0.06, 0.06, 9)
-    assert channels.check_same_geometry(["a", "b"], [first, steered(0.3005, 0.1)]) == []
+    assert channel_parts.check_same_geometry(["a", "b"], [first, steered(0.3005, 0.1)]) == []
     others = (steered(0.302, 0.1), steered(0.3, 0.102), (made.collection, pulses))
     for other in others:
         with pytest.raises(InputError, match="'a' and 'b' differ in their beams"):
-            channels.check_same_geometry(["a", "b"], [first, other])
+            channel_parts.check_same_geometry(["a", "b"], [first, other])
     shaped = steered(0.3, 0.1, beam_offset=angle, beam_pattern=1 - 50 * angle**2)
-    (note,) = channels.check_same_geometry(["a", "b"], [shaped, first])
+    (note,) = channel_parts.check_same_geometry(["a", "b"], [shaped, first])
     assert "pattern in channel b is not that of the first" in note
-    assert channels.check_same_geometry(["a", "b"], [shaped, shaped]) == []
+    assert channel_parts.check_same_geometry(["a", "b"], [shaped, shaped]) == []
 
 
 def test_a_surface_of_constant_height(base: Base, tmp_path: Path) -> None:

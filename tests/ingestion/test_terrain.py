@@ -18,7 +18,7 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
 from blocksar.ingestion import terrain_earth
-from blocksar.ingestion.terrain import Ground, read_frame_grid, terrain_notes
+from blocksar.ingestion.heights import Ground, read_frame_grid, terrain_notes
 from blocksar.ingestion.terrain_earth import datum_of, ellipsoid, read_geotiff, refuse_untagged
 from blocksar.places import place
 

@@ -21,7 +21,7 @@ import blocksar
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError
-from blocksar.ingestion.terrain import Ground, terrain_notes
+from blocksar.ingestion.heights import Ground, terrain_notes
 
 HERE = Georeference(latitude=36.0, longitude=-84.0, height=250.0)
 STEP, N = 1 / 3600, 61

@@ -24,9 +24,9 @@ from blocksar.collection.grid import Grid
 from blocksar.errors import InputError
 from blocksar.inspection.check import check, part_of, part_to_read
 from blocksar.inspection.prominent import Contrast
-from blocksar.inspection.verdict import Findings, Points, Trial
-from blocksar.simulation.phase_history import sampler
+from blocksar.inspection.verdict import Concentrations, Findings, Trial
 from blocksar.simulation.scene import Scene
+from blocksar.simulation.simulate import sampler
 
 Part = tuple[ComplexArray, Collection, Grid | None]
 GRID = wrong_tracks.GRID
@@ -260,10 +260,10 @@ def test_what_an_error_of_the_track_explains_better_is_not_believed(refocus: flo
 
 def test_a_beam_is_not_believed_where_a_phase_makes_points() -> None:
     """No phase error lights pulses of a dwell; of a blurred dwell a part is less blurred."""
-    mended, moved = Points(0.3, 0.9, 0.85), trial(5.0, of_beam=True)
+    mended, moved = Concentrations(0.3, 0.9, 0.85), trial(5.0, of_beam=True)
     assert Findings((given(sharpness=0.3), moved), 0.9, points=mended).better is None
     assert Findings((given(sharpness=0.3), replace(moved, of_beam=False)), 0.9, points=mended).better is not None
-    assert Findings((given(sharpness=0.3), moved), 0.4, points=Points(0.3, 0.4, 0.35)).better is not None
+    assert Findings((given(sharpness=0.3), moved), 0.4, points=Concentrations(0.3, 0.4, 0.35)).better is not None
 
 
 @pytest.mark.parametrize(("refocused", "doubted"), [(0.08, False), (0.3, True)])

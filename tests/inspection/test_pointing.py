@@ -16,10 +16,10 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import plan_region
 from blocksar.inspection.check import check
 from blocksar.inspection.pointing import Pointing, point
-from blocksar.inspection.prominent import Contrast, Samples
+from blocksar.inspection.prominent import Contrast, ProfiledSamples
 from blocksar.inspection.verdict import Findings, Trial
-from blocksar.simulation.phase_history import sampler
 from blocksar.simulation.scene import Scene
+from blocksar.simulation.simulate import sampler
 
 SLOW = pytest.mark.slow
 
@@ -165,7 +165,7 @@ def test_of_tied_alternatives_that_with_fewest_changes_is_believed() -> None:
 
 def judged(signal: ComplexArray, collection: Collection) -> Pointing | None:
     return point(
-        Samples(signal, collection, threads=2),
+        ProfiledSamples(signal, collection, threads=2),
         collection,
         lambda c: Geometry(collection=c),
         lambda geometry: plan_region(geometry, None),

@@ -17,8 +17,8 @@ from blocksar.focusing.method import Method
 from blocksar.measurement.coherence import coherence
 from blocksar.planning.plan import Plan
 from blocksar.planning.planner import plan_collection
-from blocksar.simulation.phase_history import sampler
 from blocksar.simulation.scene import Scene
+from blocksar.simulation.simulate import sampler
 
 SQUINTED = """
 [radar]

@@ -12,9 +12,9 @@ from straight_track import LAMBDA, levelled, straight_lines, straight_series
 from blocksar.arrays import FloatArray
 from blocksar.focusing.lines import Line, focus
 from blocksar.kernels import levelling
-from blocksar.kernels.levelling import Problem
+from blocksar.kernels.levelling import LevellingProblem
 from blocksar.planning import binding, coefficients
-from blocksar.planning.binding import Candidate, Freedom
+from blocksar.planning.binding import ChainKind, Freedom
 
 # ---------------------------------------------------------------- The fit
 
@@ -26,7 +26,7 @@ def test_the_fit_and_its_derivatives(freedom: Freedom, monkeypatch: pytest.Monke
     """Compare with finite differences of the residuals, at a place where no term is zero, and with MINPACK's fit."""
     checked = []
 
-    def check(problem: Problem, *limits: Any) -> FloatArray:
+    def check(problem: LevellingProblem, *limits: Any) -> FloatArray:
         start = problem.start
 
         def evaluated(x: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -53,7 +53,7 @@ def test_the_fit_and_its_derivatives(freedom: Freedom, monkeypatch: pytest.Monke
     line = straight_lines(15e3, np.linspace(-300, 300, 5))
     whole = Line(**{name: np.stack([getattr(line, name)] * 2) for name in Line.__dataclass_fields__})
     ranges = np.array([14.9e3, 15.1e3])
-    binding.fit(whole, ranges=ranges, candidate=Candidate(0.0, freedom.time), freedom=freedom, wavelength=LAMBDA)
+    binding.fit(whole, ranges=ranges, candidate=ChainKind(0.0, freedom.time), freedom=freedom, wavelength=LAMBDA)
     assert checked == [2 * freedom.time + 4 * freedom.doppler + 3 * freedom.resampling + 3] * 2
 
 
@@ -70,7 +70,7 @@ def test_the_fit_levels_lines_at_least_as_well_as_the_closed_form(freedom: Freed
     whole = whole.shift_range(np.array([-15e3, -14.9e3])[:, None, None])
     ranges = np.array([0.0, 100.0])
     fitted = binding.fit(
-        whole, ranges=ranges, candidate=Candidate(0.0, freedom.time), freedom=freedom, wavelength=LAMBDA
+        whole, ranges=ranges, candidate=ChainKind(0.0, freedom.time), freedom=freedom, wavelength=LAMBDA
     )
     row = whole.range.mean(axis=-1)
     after = whole.multiply_time(*fitted.time.evaluate(row, whole.time))

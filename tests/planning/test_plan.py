@@ -23,7 +23,7 @@ from blocksar.planning.block import plan_block
 from blocksar.planning.disk import run_bytes
 from blocksar.planning.planner import plan_collection, plan_recovery
 from blocksar.planning.sector import Sector
-from blocksar.processors import lines
+from blocksar.processors import sentences
 from blocksar.simulation.scene import Scene
 
 
@@ -55,8 +55,8 @@ def test_of_many_blocks_the_ten_worst_are_shown_and_all_are_at_hand() -> None:
 
 def test_a_plan_says_how_long_a_run_takes_and_all_else_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
     def summary(pace: float, told: float = math.inf) -> list[str]:
-        monkeypatch.setattr(lines, "pace", lambda: pace)
-        monkeypatch.setattr(lines, "PLANNING_TOLD", told)
+        monkeypatch.setattr(sentences, "pace", lambda: pace)
+        monkeypatch.setattr(sentences, "PLANNING_TOLD", told)
         return blocksar.plan("table1", blocks=3, workers=1).summary
 
     first, second = summary(1.0), summary(100.0)

@@ -13,9 +13,9 @@ from scipy.signal.windows import taylor
 from blocksar.collection.collection import Collection
 from blocksar.errors import InputError
 from blocksar.simulation.antenna import named_pattern
-from blocksar.simulation.phase_history import sampler
 from blocksar.simulation.scatterers import DIRECT_LIMIT, field, raw_echo, simulate_pulses
 from blocksar.simulation.scene import Scene
+from blocksar.simulation.simulate import sampler
 
 TRACK = {"velocity": [4.0, 200.0, -2.0], "acceleration": [0.5, 0.5, 0.0], "time": "pulses = 401"}
 TARGET = '[[targets]]\nname = "P"\nx = 9000.0\ny = 0.0\n'

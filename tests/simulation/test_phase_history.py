@@ -11,9 +11,9 @@ from echoes import SCENE, chirp
 
 from blocksar import stores
 from blocksar.errors import InputError
-from blocksar.simulation.phase_history import noise, simulate
 from blocksar.simulation.scatterers import simulate_pulses
 from blocksar.simulation.scene import Scene
+from blocksar.simulation.simulate import noise, simulate
 
 
 def test_noise_has_its_power_and_does_not_depend_on_the_cut_into_pulses() -> None:

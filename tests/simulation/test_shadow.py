@@ -15,10 +15,10 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.terrain import Terrain
 from blocksar.places import place
 from blocksar.simulation import cphd
-from blocksar.simulation.ground import cast_shadow
-from blocksar.simulation.phase_history import sampler
 from blocksar.simulation.scatterers import field, phase_history
 from blocksar.simulation.scene import Scene
+from blocksar.simulation.scene_ground import cast_shadow
+from blocksar.simulation.simulate import sampler
 
 N = 400  # pulses
 

@@ -13,8 +13,8 @@ import blocksar
 from blocksar import stores
 from blocksar.collection.collection import Collection
 from blocksar.errors import InputError
-from blocksar.simulation.phase_history import truth_place
 from blocksar.simulation.scene import Scene
+from blocksar.simulation.simulate import truth_place
 
 TARGET = '[[targets]]\nname = "one"\nrange = 9950.0\nyaw_deg = 47.0\n'
 ERROR = """

@@ -13,8 +13,8 @@ from scenes import scene
 import blocksar
 from blocksar import stores
 from blocksar.errors import InputError
-from blocksar.simulation.phase_history import simulate
 from blocksar.simulation.scene import Scene
+from blocksar.simulation.simulate import simulate
 
 TARGETS = """
 [[targets]]

@@ -21,7 +21,7 @@ def test_windows_are_those_of_the_whole_terrain(tmp_path: Path, monkeypatch: pyt
     assert stored.limits == terrain.limits
     boxes = [((300.0, 900.0), (0.0, 700.0)), ((400.0, 800.0), (10.0, 20.0)), ((2500.0, 5000.0), (900.0, 2700.0))]
     for kept in (1 << 30, 1 << 10):  # with and without chunks that are kept
-        monkeypatch.setattr("blocksar.stores.terrain.KEPT_BYTES", kept)
+        monkeypatch.setattr("blocksar.stores.terrain_store.KEPT_BYTES", kept)
         for box in boxes * 2:
             part, wanted = stored.read(*box), terrain.window(*box)
             np.testing.assert_array_equal(part.heights, wanted.heights)

@@ -20,7 +20,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.empty_pulses import missing_pulses
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.ingestion.cphd.files import CphdFile, reading_file
-from blocksar.ingestion.cphd.samples import Delays, Resampler, phasor
+from blocksar.ingestion.cphd.frequency_grid import Delays, Resampler, phasor
 from blocksar.ingestion.cphd.vectors import NOT_FINITE, ZEROS, Lost, Pulses, VectorResampling
 from blocksar.ingestion.readers import Piece
 from blocksar.ingestion.resampling import MOST_ERROR, Area, AreaCut, plan_cut

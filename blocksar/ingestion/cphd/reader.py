@@ -23,10 +23,10 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, printable
 from blocksar.ingestion.cphd.areas import ImageArea, ecef_of, read_area
 from blocksar.ingestion.cphd.beams import fit_beam
-from blocksar.ingestion.cphd.channels import check_same_geometry, names_of, open_channels
+from blocksar.ingestion.cphd.channel_parts import check_same_geometry, names_of, open_channels
 from blocksar.ingestion.cphd.echoes import ChannelEchoes, ChannelFindings, WindowEnergy, notes_of, read_samples
 from blocksar.ingestion.cphd.files import KIND, CphdFile, library, numbers_of, open_file, opened, reading_file
-from blocksar.ingestion.cphd.samples import (
+from blocksar.ingestion.cphd.frequency_grid import (
     Delays,
     Interpolated,
     RangeWindow,

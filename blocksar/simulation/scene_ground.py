@@ -30,10 +30,10 @@ from blocksar.collection.georeference import Georeference
 from blocksar.collection.terrain import MARGIN, Terrain
 from blocksar.constants import TURN
 from blocksar.errors import InputError
-from blocksar.ingestion.terrain import Ground
+from blocksar.ingestion.heights import Ground
 from blocksar.ingestion.terrain_earth import Box, ellipsoid, read_around
 from blocksar.kernels.occlusion import STEPS, block_extremes, find_shadow
-from blocksar.simulation.tables import Positive, Table
+from blocksar.simulation.scene_fields import Positive, Table
 
 RAYS = 1 << 18  # that are followed at a time
 ROOM = 1.0  # dwells on either side of one that are looked at, as the dwell of a raised point may lie beside the plane's

@@ -17,9 +17,9 @@ from typing import Annotated, Any
 import typer
 
 from blocksar.api.settings import options_taken
-from blocksar.cli.display import hint, listening, show
 from blocksar.cli.endings import FILE, WRONG_INPUT, Commands, UsageError, complain, plain
-from blocksar.cli.options import ALTERNATIVES, Everything, Explain, JsonLog, Quiet, given, single_command, taking
+from blocksar.cli.option_groups import ALTERNATIVES, Everything, Explain, JsonLog, Quiet, given, single_command, taking
+from blocksar.cli.printing import hint, listening, show
 from blocksar.errors import InputError, quoted
 from blocksar.focusing.method import ChainOptions
 from blocksar.options import Stated, options_of, read_values

@@ -16,7 +16,7 @@ from blocksar.api.settings import OVERWRITE
 from blocksar.cli.endings import Commands
 from blocksar.errors import InputError
 from blocksar.options import Option, Stated
-from blocksar.products.options import COLOUR_MAP, COLOUR_RANGE
+from blocksar.products.shared_options import COLOUR_MAP, COLOUR_RANGE
 
 
 class Plugged(Commands):

@@ -24,7 +24,7 @@ from blocksar.planning import effort
 from blocksar.planning.memory import checked_back_projection_memory, gpu_back_projection_memory
 from blocksar.planning.tiling import box_of
 from blocksar.processors.base import ChunkPlan, ImagePlan, Problem, Window
-from blocksar.processors.lines import lit_pulses
+from blocksar.processors.sentences import lit_pulses
 from blocksar.progress import Work
 from blocksar.texts import size_text
 
