@@ -68,7 +68,7 @@ def node_series(values: FloatArray, degree: int) -> FloatArray:
 
 @lru_cache(maxsize=64)
 def _node_weights(n: int, degree: int) -> FloatArray:
-    """Find what `node_series` multiplies values at nodes by, (degree + 1, n)."""
+    """Weights (degree + 1, n) by which `node_series` multiplies values at nodes."""
     weights = np.asarray(chebyshev.chebvander(end_nodes(n), degree).T, np.float64) * 2 / (n - 1)
     weights[:, [0, -1]] /= 2
     weights[0] /= 2

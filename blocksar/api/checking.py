@@ -9,13 +9,14 @@ import numpy as np
 
 from blocksar import stores
 from blocksar.api.arguments import history_of, on_ground
-from blocksar.api.ground import geometry_over, read_ground
+from blocksar.api.ground import read_ground
 from blocksar.api.parsing import GridLike, grid_of
 from blocksar.api.pulses import imaging_parts, pulse_reader
 from blocksar.api.reports import CHECK_COLUMNS, Report, Table
 from blocksar.arrays import ComplexArray
 from blocksar.chunks import TILE
 from blocksar.collection.empty_pulses import find_real
+from blocksar.collection.geometry import over_terrain
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import grid_extent, plan_region
 from blocksar.collection.surface import Surface
@@ -92,7 +93,7 @@ def check(
     heights = read_ground(ground, collection, points, source)
     findings = check_samples(history, points, threads=count, thorough=True, terrain=heights)
     if points is not None and findings.warning() is None:
-        geometry = geometry_over(collection, heights)
+        geometry = over_terrain(collection, heights)
         grid_extent(geometry, plan_region(geometry, points), points)  # refuses a grid outside the swath
     pointing = findings.pointing
     result = {

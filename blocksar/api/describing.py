@@ -231,7 +231,7 @@ def _told(name: str, value: Any) -> bool:
 
 
 def made_row(made: Sequence[str]) -> Rows:
-    """Find what else lies in a run folder."""
+    """Describe the other parts of a run folder."""
     return [("also made", ", ".join(made))] if made else []
 
 

@@ -68,11 +68,6 @@ def image_grid(collection: Collection, grid: Grid | None) -> Grid:
     return default_grid(geometry, plan_region(geometry, None))
 
 
-def geometry_over(collection: Collection, terrain: Terrain | None) -> Geometry:
-    """A collection over its ground."""
-    return Geometry(collection=collection) if terrain is None else over_terrain(collection, terrain)
-
-
 def ground_settings(ground: Ground, terrain: Terrain | None, surroundings: Terrain | None) -> dict[str, Any]:
     """The ground in the settings of a run: its source, and a fingerprint of its heights."""
     named, heights = ground.terrain, [each for each in (terrain, surroundings) if each is not None]
@@ -126,7 +121,7 @@ def read_surroundings(
     if ground.terrain is None:
         return None
     own = box_of(grid.x, grid.y)
-    sights = [Sight.of(geometry_over(each, terrain), own, terrain.limits) for each in collections]
+    sights = [Sight.of(over_terrain(each, terrain), own, terrain.limits) for each in collections]
 
     def needed(limits: tuple[float, float]) -> Box:
         boxes = np.array([reach(sight, grid.x, grid.y, limits) for sight in sights])

@@ -165,7 +165,7 @@ class Request:
 
     @cached_property
     def device(self) -> str:
-        """Find what back-projection runs on, "cpu" or "gpu"."""
+        """Device of back-projection, "cpu" or "gpu"."""
         return device_for(self.asked.processor, self.asked.device)
 
     @cached_property

@@ -382,7 +382,7 @@ def _join(
 
 
 def _parts(record: RunRecord, variable: str) -> Iterator[Written]:
-    """Find what a run wrote of a variable of its image."""
+    """Chunks that a run wrote of a variable of its image."""
     for receipt in record.receipts:
         yield from (part for part in receipt.written if part.store == "image.zarr" and part.variable == variable)
 

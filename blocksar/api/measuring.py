@@ -577,7 +577,7 @@ def _table3(responses: Sequence[PointResponse]) -> Table:
 
 
 def _track_table(track: TrackCorrection) -> Table:
-    """Say what was taken off the track, axis by axis, mm."""
+    """Describe what was taken off the track, axis by axis, mm."""
     header = ("track's error", "at the first pulse (mm)", "in the middle (mm)", "at the last pulse (mm)", "r.m.s. (mm)",
               "largest uncertainty (mm)")  # fmt: skip
     middle = track.time.size // 2

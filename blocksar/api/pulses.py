@@ -9,12 +9,11 @@ import numpy as np
 
 from blocksar import stores
 from blocksar.api.arguments import Source, history_of, on_ground, sources_of
-from blocksar.api.ground import geometry_over
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.chunks import TILE
 from blocksar.collection.collection import Collection
 from blocksar.collection.empty_pulses import missing_pulses
-from blocksar.collection.geometry import Geometry
+from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
 from blocksar.collection.sublooks import whole_beam
 from blocksar.collection.terrain import Terrain
@@ -101,7 +100,7 @@ def pulses_of(histories: Sequence[stores.PhaseHistory]) -> str | None:
 def _has_parts(collection: Collection, grid: Grid, terrain: Terrain | None) -> bool:
     if collection.recorded is None:
         return False
-    share = _shares(geometry_over(collection, terrain), grid)
+    share = _shares(over_terrain(collection, terrain), grid)
     return bool((share < 1 - ROUNDING).any())
 
 

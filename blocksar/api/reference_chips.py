@@ -150,8 +150,7 @@ def whole_geometry(run: FinishedRun, history: stores.PhaseHistory) -> Geometry:
     """The geometry of a whole collection, of which a run may have segments."""
     if not run.segments:
         return run.geometry
-    collection, terrain = history.collection.centred(), run.segments[0].terrain
-    return Geometry(collection=collection) if terrain is None else over_terrain(collection, terrain)
+    return over_terrain(history.collection.centred(), run.segments[0].terrain)
 
 
 def _chips(run: FinishedRun, path: str, geometry: Geometry) -> Chips:

@@ -179,7 +179,7 @@ def _inspections(segments: Sequence[Segment], read: Sequence[Recovered]) -> list
 
 
 def _of_interference(segment: Segment, read: Sequence[Recovered]) -> list[str]:
-    """Say what interference was cut from a collection, if it was looked for."""
+    """Describe the interference that was cut from a collection, if it was looked for."""
     if segment.interference is None:
         return []
     found = [receipt.found or {} for each in read for receipt in each.receipts]
@@ -389,7 +389,7 @@ def _create_image(run: Run, job: Job, record: RunRecord) -> None:
 
 
 def _pyramid(job: Job) -> stores.Pyramid:
-    """Find what creates the pyramid of the image; with its map projection where the frame has one and PROJ is there."""
+    """Pyramid of the image, with its map projection where the frame has one and PROJ is there."""
     frame, terrain = Georeference.among(job.history.attrs), job.request.terrain
     wkt = None
     if frame is not None and not frame.rotation % 360:

@@ -190,7 +190,7 @@ class Settings(Output, Machine, Imaging):  # whose fields stand in the opposite 
 
     @property
     def ground(self) -> Ground:
-        """Say what is said of the ground."""
+        """Ground that the options name: a terrain's file, or a surface."""
         from blocksar.ingestion.heights import Ground
 
         return Ground(terrain=self.terrain, surface=self.surface, vertical=self.vertical)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from blocksar import stores
-from blocksar.api.ground import PLANE, geometry_over, ground_settings
+from blocksar.api.ground import PLANE, ground_settings
 from blocksar.api.jobs import Request, grid_numbers, records_of
 from blocksar.api.track_places import TrackPlace, channels_of_track, joint_fingerprint
 from blocksar.autofocusing.anchoring import Control
@@ -19,7 +19,7 @@ from blocksar.autofocusing.finishing import Result
 from blocksar.autofocusing.work import begin
 from blocksar.chunks import stored_bytes
 from blocksar.collection.collection import Collection
-from blocksar.collection.geometry import Geometry
+from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import FolderError, InputError, ProcessingError, changes_while_read
@@ -92,7 +92,7 @@ class TrackEstimate:
 
     @property
     def geometry(self) -> Geometry:
-        return geometry_over(self.history.collection.centred(), self.terrain)
+        return over_terrain(self.history.collection.centred(), self.terrain)
 
     @property
     def identity(self) -> str:
@@ -308,7 +308,7 @@ def _named(estimate: TrackEstimate | None) -> Iterator[None]:
 
 
 def estimates_of(request: Request, place: TrackPlace) -> list[TrackEstimate]:
-    """Find what each phase history of a run needs for its track."""
+    """Track estimates of a run: one for all channels, or of each phase history."""
     alone = len(place.channels) == 1
     return [
         TrackEstimate(

@@ -43,7 +43,9 @@ def view(run: Location, *, channel: str | None = None, port: int | None = None, 
         If the run is not finished, has no such channel, or the port cannot be used.
     """
     number: Any = port
-    if port is not None and (isinstance(number, bool) or not isinstance(number, int) or not _is_port(number)):
+    if port is not None and (
+        isinstance(number, bool) or not isinstance(number, int) or not PORTS[0] <= number <= PORTS[1]
+    ):
         raise InputError(f"port is {quoted(port)}; give a whole number from {PORTS[0]} to {PORTS[1]}, or leave it out")
     folder = place(run)
     source = FinishedRun.open(folder_of(folder, channel))
@@ -52,7 +54,3 @@ def view(run: Location, *, channel: str | None = None, port: int | None = None, 
         webbrowser.open(viewer.url)
     lines = [*member_line(folder, channel), f"{folder} is shown at {viewer.url}"]
     return Report(summary=lines, result=viewer)
-
-
-def _is_port(number: int) -> bool:
-    return PORTS[0] <= number <= PORTS[1]

@@ -54,7 +54,7 @@ class Printed(Protocol):
 
     @property
     def definitions(self) -> Sequence[str]:
-        """Find what the columns mean."""
+        """Definitions of the columns."""
 
     def table(self) -> Sequence[tuple[Sequence[str], Sequence[Sequence[str]]]]:
         """Return the tables as (header, rows), with cells as text."""

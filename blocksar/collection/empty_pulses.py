@@ -1,4 +1,4 @@
-"""Pulses whose samples are all zero: lost ones, which are missing, and those of a beam that lit nothing.
+"""Tell lost pulses from those of a beam that lit nothing: the samples of both are zero. Find real samples as well.
 
 Many files hold zeros where a pulse was lost. Such a pulse must not count as lit, or amplitudes are low. A pulse without
 noise whose beam lit no scatterer holds zeros as well; it must count, or places beside a target would be divided by the
@@ -20,9 +20,8 @@ to the depth in the beam. q is so far from p that the beam's half width makes HA
 share of the width, were lit for x dwells before: so many zeros beside them are missing, twice as many for a mean, since
 others lie deeper. Where phases disagree (noise), the whole run of zeros is; where echoes do not last until q, a dwell.
 
-Real samples where complex ones belong.
-
-Samples x over range frequency that are real are half the sum of those of the scene, s, and of their conjugate. As
+REAL SAMPLES where complex ones belong. Samples x over range frequency that are real are half the sum of those of the
+scene, s, and of their conjugate. As
 
     s = sum sigma exp(-4j pi (carrier + f) (R - reference) / c),
 

@@ -347,14 +347,18 @@ class Geometry:
         return distance, -_inner(sight, np.moveaxis(self.track.velocity(time), -1, 0)) / distance
 
 
-def over_terrain(collection: Collection, terrain: Terrain) -> Geometry:
-    """A collection over a terrain. The plane that stands for the terrain in the large lies at its mean height.
+def over_terrain(collection: Collection, terrain: Terrain | None) -> Geometry:
+    """Put a collection over a terrain; None: over the plane z = ground_height.
+
+    The plane that stands for the terrain in the large lies at its mean height.
 
     Raises
     ------
     InputError
         If that is not below the antenna.
     """
+    if terrain is None:
+        return Geometry(collection=collection)
     lowest = float(collection.antenna_position[:, 2].min())
     if terrain.mean >= lowest:
         raise InputError(

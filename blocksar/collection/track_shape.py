@@ -42,7 +42,7 @@ class Flaw(NamedTuple):
 
 
 def find_flaw(collection: Collection) -> Flaw | None:
-    """Find what makes a track unfit for a transform to Doppler, if anything."""
+    """Flaw of a track that no transform to Doppler can take; None if it has none."""
     every = math.ceil(collection.n_pulse / MOST_PULSES)
     position, step = (
         collection.antenna_position[::every],

@@ -324,7 +324,7 @@ def _doppler_taps(n_tap: int, occupancy: float) -> Float32Array:
 
 @lru_cache(maxsize=8)
 def _carriers(n_sample: int) -> Float32Array:
-    """Find what samples of a row of the block are multiplied by to remove a carrier: (2 N_CARRIER, 2 n_sample).
+    """Factors (2 N_CARRIER, 2 n_sample) that remove a carrier from the samples of a row of the block.
 
     Real and imaginary parts of samples alternate. Row 2 q has cos, -sin, cos, .. of the carrier q / N_CARRIER, for the
     real part of a sum, and row 2 q + 1 has sin, cos, sin, .. for its imaginary part.

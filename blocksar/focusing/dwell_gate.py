@@ -151,7 +151,7 @@ class DwellGate:
 
     Under a weighting, each window rises (or falls) as the taper does, from its end to the dwell's middle, and stays at
     the middle's weight beyond (`DwellTaper`). That scaling also moves the slopes of a taper, which windows do not
-    follow: `planning.fidelity` counts it.
+    follow: `planning.prediction` counts it.
 
     Attributes
     ----------

@@ -321,7 +321,7 @@ class GroundMap:
         return np.concatenate(mean_elevations(geometry, x, y, z, passes=passes, valid=self.valid, taper=self.taper))
 
     def tilted_gain(self, x: FloatArray, y: FloatArray, tilt: FloatArray) -> FloatArray:
-        """Say what the gain is multiplied by at ground points (...), m, whose dwells a pattern in elevation tilts."""
+        """Factor of the gain at ground points (...), m, whose dwells a pattern in elevation tilts."""
         if self.tilt is None:
             return np.ones(np.shape(x))
         yaw = self.middle_yaw + self.relative_yaw(x, y)

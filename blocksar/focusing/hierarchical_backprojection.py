@@ -82,7 +82,7 @@ def form_windows(
 
 
 def _outline(geometry: Geometry, x: FloatArray, y: FloatArray, window: Window) -> list[Part]:
-    """Find what lights a window, pass by pass, from a few places of it.
+    """Passes that light a window, from a few places of it.
 
     Between these, pulses may begin and end earlier and later by as much as from one to the next: so many are taken for
     edges besides. What that misses after all is noticed by `_Former.window`.

@@ -113,7 +113,7 @@ class Interference:
         )  # fmt: skip
 
     def sentence(self, method: str, frequency: FloatArray) -> str:
-        """Say what was cut; `frequency` (n_range_frequency,), Hz, on the carrier."""
+        """Describe what was cut; `frequency` (n_range_frequency,), Hz, on the carrier."""
         if not self.affected:
             return f"interference ({method}): none stands out, and nothing is cut"
         half, widest = (frequency[1] - frequency[0]) / 2, sorted(self.lines, key=lambda line: line[0] - line[1])[:NAMED]

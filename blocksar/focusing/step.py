@@ -161,7 +161,7 @@ class Motion:
         return replace(self, value=value, slope=slope, bend=bend)
 
     def factors(self, rng: FloatArray) -> FloatArray:
-        """Find what multiplies each psi_k at ranges (...): (..., n_term)."""
+        """Factors (..., n_term) of each psi_k at ranges (...)."""
         u = (2 * rng - self.near - self.far) / (self.far - self.near)
         return np.asarray(chebyshev.chebvander(u, self.n_term - 1), np.float64).reshape(*np.shape(rng), self.n_term)
 

@@ -39,7 +39,7 @@ from blocksar.kernels.halving import halve
 from blocksar.places.place import Place
 from blocksar.places.posix import resource
 from blocksar.planning.block import BlockPlan
-from blocksar.planning.tiling import box_of
+from blocksar.planning.tiling import window_around
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Receipt, Written
 
@@ -261,7 +261,7 @@ def form_chunks(
 ) -> Receipt:  # fmt: skip
     """Form output chunks straight from the samples, of all collections, on the terrain if there is one."""
     started = time.perf_counter()
-    terrain = local_terrain(run, grid, box_of(windows)) if on_terrain else None
+    terrain = local_terrain(run, grid, window_around(windows)) if on_terrain else None
     sources = [source._replace(geometry=source.geometry.over(terrain)) for source in sources]
     collections = {source.number: source.collection for source in sources if source.collection is not None}
     noises = {source.number: source.noise for source in sources if source.noise is not None}

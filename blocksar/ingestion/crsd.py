@@ -25,10 +25,10 @@ from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, library_for, printable, quoted
-from blocksar.ingestion.ingested import reading
 from blocksar.ingestion.kinds import Kind, begins
 from blocksar.ingestion.orbit import Antenna, OrbitTrack, epoch_of
 from blocksar.ingestion.readers import refuse_others
+from blocksar.ingestion.reading import reading
 from blocksar.ingestion.strips import Even, PartOptions, RawStrip, StripReader, even_pulses
 from blocksar.options import Option
 from blocksar.places.ranges import Readable
@@ -253,7 +253,7 @@ class _Layout:
         return Antenna(time=track.time, axis=towards * axes[which]), steering
 
     def _phase(self, pulses: NDArray[Any], vectors: NDArray[Any], begun: FloatArray) -> FloatArray:
-        """Find what to take off each vector, cycles (see the package)."""
+        """Phase to take off each vector, cycles (see the package)."""
         told = _whole(pulses["PhiX0"]) - _whole(vectors["RefPhi0"])
         return np.asarray(np.mod(told + np.mod(vectors["RefFreq"].astype(float) * begun, 1), 1))
 

@@ -30,9 +30,9 @@ from blocksar.arrays import UNIFORM_TOLERANCE, ComplexArray, FloatArray
 from blocksar.collection.beam import wrapped
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.ingestion.ingested import reading
 from blocksar.ingestion.kinds import ARRAYS, Kind
 from blocksar.ingestion.readers import refuse_others
+from blocksar.ingestion.reading import reading
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 
@@ -339,7 +339,7 @@ def _numbers(fields: dict[str, Value], name: str, count: int | None = None) -> F
 
 
 def _describe(values: Value) -> str:
-    """Find what a field holds, in words."""
+    """Describe the contents of a field."""
     if isinstance(values, str):
         return values
     return "complex" if values.dtype.kind == "c" else f"of type {values.dtype}"

@@ -15,7 +15,7 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.surface import Surface
 from blocksar.collection.terrain import LEAST, Terrain
 from blocksar.errors import InputError
-from blocksar.ingestion.ingested import reading
+from blocksar.ingestion.reading import reading
 from blocksar.ingestion.terrain_earth import MOST_HEIGHTS, ellipsoid, read_geotiff, refuse_untagged
 from blocksar.places import Location, place
 from blocksar.places.place import Place

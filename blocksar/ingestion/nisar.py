@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, library_for, quoted
-from blocksar.ingestion.ingested import reading
 from blocksar.ingestion.kinds import Kind, hdf5
 from blocksar.ingestion.orbit import Antenna, Orbit, epoch_of
 from blocksar.ingestion.readers import refuse_others
+from blocksar.ingestion.reading import reading
 from blocksar.ingestion.strips import Even, RawStrip, StripOptions, StripReader, TimeTags, common_window, even_pulses
 from blocksar.options import Option
 from blocksar.places.ranges import Readable

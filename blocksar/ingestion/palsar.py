@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, quoted
-from blocksar.ingestion.ingested import reading
 from blocksar.ingestion.kinds import ECHOES, Kind, Start, begins, ceos
 from blocksar.ingestion.orbit import Antenna, Orbit, inertial
 from blocksar.ingestion.readers import found_at
+from blocksar.ingestion.reading import reading
 from blocksar.ingestion.strips import LEAST, Even, RawStrip, StripOptions, StripReader, common_window
 from blocksar.places.local import LocalPlace
 from blocksar.places.ranges import Readable

@@ -20,8 +20,8 @@ from blocksar import stores
 from blocksar.collection.collection import Collection
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.errors import InputError
-from blocksar.ingestion.ingested import Ingested
 from blocksar.ingestion.kinds import NOTHING, OTHERS, SAFE_IMAGES, SCENE, START, Kind, Start
+from blocksar.ingestion.reading import Ingested
 from blocksar.options import Option
 from blocksar.places import Location, place, readable
 from blocksar.places.local import LocalPlace

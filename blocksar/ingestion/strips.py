@@ -428,7 +428,7 @@ class RawStrip:
         )
 
     def remarks(self, options: PartOptions) -> list[str]:
-        """Find what a user should know, a sentence each."""
+        """Warnings for the user, a sentence each."""
         interval, n = self.even.interval, self.even.time.size
         taken = "taken out" if options.troposphere else "in the samples; --troposphere standard takes it out"
         note = self.axis[1]
@@ -448,7 +448,7 @@ class RawStrip:
         ]  # fmt: skip
 
     def reading(self, options: PartOptions) -> Reading:
-        """Find what is still to be read."""
+        """Pieces that are still to be read."""
         collection, raw = self.collection(options)
         several = len(self.polarizations) > 1
         return Reading(

@@ -16,7 +16,7 @@ from blocksar.collection.georeference import Georeference, datum_tie
 from blocksar.collection.terrain import LEAST, MARGIN, Terrain
 from blocksar.constants import TURN
 from blocksar.errors import InputError
-from blocksar.ingestion.ingested import reading
+from blocksar.ingestion.reading import reading
 from blocksar.places import Location, place
 from blocksar.places.place import Place
 

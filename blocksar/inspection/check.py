@@ -151,7 +151,7 @@ def _of_the_track(view: View) -> tuple[Findings, FloatArray | None]:
 
 
 def _points(lines: list[PointLine], mended: Refocus, n_pulse: int) -> Concentrations:
-    """Find what judges the track: places that are points if there are enough, else all."""
+    """Concentrations that judge the track: of places that are points if there are enough, else of all."""
     given, others = np.array([concentration(line.values) for line in lines]), judged_by_others(lines, n_pulse)
     alone = np.where(mended.concentration >= CLEAR, mended.concentration, given)
     by_others = np.where(others.covered >= COVERED, others.concentration, alone)

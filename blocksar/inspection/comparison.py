@@ -213,7 +213,7 @@ class ClutterGround:
     patches: tuple[int, int] = PATCHES
 
     def geometry(self, collection: Collection) -> Geometry:
-        return Geometry(collection=collection) if self.terrain is None else over_terrain(collection, self.terrain)
+        return over_terrain(collection, self.terrain)
 
     def region(self, geometry: Geometry) -> Region:
         return plan_region(geometry, self.grid)

@@ -390,7 +390,7 @@ class Lines:
         return bool(2 * np.pi * self.turns * self.cell * turn**2 / 8 > MOST_PHASE)
 
     def echo(self, place: ProminentPoint) -> Echo:
-        """Find what the place's pulse sees of it."""
+        """Echo of the place in the pulse that saw it."""
         offset, doppler = self._seen(np.array(place.x), np.array(place.y), place.pulse)
         return Echo(place.pulse, float(offset), float(doppler))
 

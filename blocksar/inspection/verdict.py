@@ -84,7 +84,7 @@ class Trial:
 
     @property
     def verdict(self) -> str:
-        """Say what the gain says."""
+        """Describe the gain."""
         if not self.echoes:
             return "nothing to compare"
         if abs(self.deviations) < SIGNIFICANT:
@@ -155,7 +155,7 @@ class Findings:
 
     @property
     def judged(self) -> Concentrations:
-        """Find what judges the track: the points, or else the median of all places."""
+        """Concentrations that judge the track: of the points, or else the median of all places."""
         return self.points or Concentrations(self.given.sharpness, self.refocused, self.refocused)
 
     @property

@@ -1,9 +1,7 @@
-"""Compiled loops with one fixed signature, which are compiled, or loaded from numba's cache, when first called.
+"""Compile loops when first called, for one fixed signature each, or load them from numba's cache.
 
 A decorator with signatures compiles when the module is imported, also in a process that never calls the loop; one
 without compiles again for each type of argument, read-only arrays and writable ones included.
-
-Argument types and compiler options of the compiled loops over rows of samples.
 
 A compiled function that is called by others is compiled with `inline="always"`, or with `forceinline=True` where it has
 compiler options of its own. A call left standing is resolved differently in the process that compiles (to the callee's
@@ -32,6 +30,7 @@ from blocksar.errors import InputError
 from blocksar.loop_cache import note_compilation
 from blocksar.places.locks import locked
 
+# Argument types and compiler options of loops over rows of samples.
 SAMPLES_IN = types.Array(types.complex64, 2, "C", readonly=True)
 SAMPLES_OUT = types.complex64[:, ::1]
 REAL_ROW = types.Array(types.float64, 1, "C", readonly=True)
@@ -124,7 +123,7 @@ def compile_as(dispatcher: Any, arguments: Sequence[Any], *, wait: bool = True) 
 
 
 def _load(cache: Any, held: ExitStack, wait: bool, signature: Any, context: Any) -> Any:
-    """Find what numba's cache holds for a signature, else None. The dispatcher that calls this holds numba's lock.
+    """Load a loop from numba's cache; None if it is not there. The dispatcher that calls this holds numba's lock.
 
     Before None is returned, other processes are kept from compiling, until `held` ends. Then files of the cache that
     cannot be read are dropped: a disk that was full leaves torn ones, and those of another version of this package may

@@ -117,7 +117,7 @@ def _place(places: Any, k: Any, dx: Any, dy: Any) -> Any:
 
 @njit(inline="always")
 def _rise(places: Any, k: Any, dx: Any, dy: Any, dz: Any) -> Any:
-    """Find what heights dz over the centre's add to it."""
+    """Term of a series that heights dz over the centre's add."""
     return (places[k, 7] + places[k, 8] * dx + places[k, 9] * dy + places[k, 10] * dz) * dz
 
 

@@ -22,5 +22,5 @@ def of_folder(path: Path) -> StorePath:
 
 
 def of_objects(bucket: S3Store, key: str) -> StorePath:
-    """Find what lies below a key of a bucket."""
+    """List what lies below a key of a bucket."""
     return StorePath(ObjectStore(bucket), key)

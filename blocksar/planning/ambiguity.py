@@ -78,7 +78,7 @@ def _sources(geometry: Geometry, x: float, y: float) -> list[tuple[float, float]
 
 
 def _ghost(geometry: Geometry, at: tuple[float, float], source: tuple[float, float]) -> Ambiguity:
-    """Find what the echo of a source comes to at a place, by the pulses that light both."""
+    """Amplitude of a source's echo at a place, by the pulses that light both."""
     collection, z = geometry.collection, np.array([_height(geometry, *at)])
     pulses, (x, y) = slice(None), (np.array([a, b]) for a, b in zip(at, source, strict=True))
     lit = geometry.beam.is_lit(x, y, z=np.repeat(z, 2))

@@ -1,4 +1,4 @@
-"""A block's chain in three frozen stages: range part, azimuth part, sampled chain. Each traces lines further.
+"""Bind a block's steps in three stages, each of which traces lines further, and fit the azimuth coefficients.
 
     RangePart    steps up to range compression, bound to the block's own lines
     AzimuthPart  steps after it, bound to fitted or closed-form polynomials
@@ -7,13 +7,12 @@
 Lines do not depend on how time, Doppler and range are sampled, so they pass through the parts before the sampling is
 planned. Steps bind their own constants (`Step.bind`), and declare what divides the chain.
 
-Coefficients of the azimuth steps, fitted on time-frequency lines; `coefficients` has the papers' formulas.
-
-The fit has two aims for a block's lines after the last step. They must be level: what remains is phase error. And the
-steps in Doppler must hardly stretch them in time: stretching is dispersion, which blurs the sharp ends of a dwell over
-sqrt(|stretch - 1| / rate) seconds, and that part of the dwell is lost to the focus. Lines alone do not show this loss,
-since they are the stationary phase. Many sets of coefficients level the lines to a milliradian, so the second aim costs
-nothing of the first.
+FIT of the azimuth coefficients on time-frequency lines; `coefficients` has the papers' formulas. It has two aims for a
+block's lines after the last step. They must be level: what remains is phase error. And the steps in Doppler must hardly
+stretch them in time: stretching is dispersion, which blurs the sharp ends of a dwell over sqrt(|stretch - 1| / rate)
+seconds, and that part of the dwell is lost to the focus. Lines alone do not show this loss, since they are the
+stationary phase. Many sets of coefficients level the lines to a milliradian, so the second aim costs nothing of the
+first.
 
 The unknowns per range depend on the steps of the chain: a time perturbation of orders 3 and 4 (with a bias chirp of
 order 2, tried at a few values), a frequency perturbation of orders 2 to 5, a Doppler resampling of orders 2 to 4, a
@@ -140,8 +139,8 @@ STRETCH_WEIGHT = 0.5  # rad of phase error that count as much as a stretch of 2 
 TIME_BANDWIDTH = 100.0  # product of a target's line: stationary phase and a sharp spectrum need about this
 
 
-class Freedom(NamedTuple):
-    """The steps of a chain with coefficients to fit, besides the deramp, which every chain has."""
+class FittedSteps(NamedTuple):
+    """Azimuth steps, besides the deramp, whose coefficients are fitted."""
 
     time: bool
     doppler: bool
@@ -157,7 +156,7 @@ class ChainKind:
     resampling: int = len(RESAMPLING_ORDERS)
 
 
-def candidates(line: Line, *, wavelength: float, freedom: Freedom) -> list[ChainKind]:
+def candidates(line: Line, *, wavelength: float, freedom: FittedSteps) -> list[ChainKind]:
     """Kinds of chain worth trying, cheapest first: the printed one, with a time perturbation, with bias chirps too.
 
     A bias brings the range acceleration of the lines to a value, of either sign, that spreads each target's own line
@@ -190,7 +189,13 @@ def _acceleration(line: Line, wavelength: float) -> float:
 
 
 def fit(
-    line: Line, *, ranges: FloatArray, candidate: ChainKind, freedom: Freedom, wavelength: float, roughly: bool = False
+    line: Line,
+    *,
+    ranges: FloatArray,
+    candidate: ChainKind,
+    freedom: FittedSteps,
+    wavelength: float,
+    roughly: bool = False,
 ) -> AzimuthPolynomials:
     """Fit the azimuth steps so that every line is level.
 
@@ -200,8 +205,8 @@ def fit(
         (n_range, n_yaw, n) after range compression; row i belongs to apparent range ranges[i].
     ranges : (n_range,) float
         Ascending, m from the origin.
-    candidate : Candidate
-    freedom : Freedom
+    candidate : ChainKind
+    freedom : FittedSteps
     wavelength : float
         m.
     roughly : bool
@@ -263,7 +268,7 @@ class _Unknowns(NamedTuple):
     deramp: tuple[int, ...]
 
     @classmethod
-    def of(cls, candidate: ChainKind, freedom: Freedom) -> _Unknowns:
+    def of(cls, candidate: ChainKind, freedom: FittedSteps) -> _Unknowns:
         return cls(
             TIME_ORDERS if candidate.perturb_time else (),
             DOPPLER_ORDERS if freedom.doppler else (),
@@ -289,7 +294,7 @@ class _Scales(NamedTuple):
 
 
 class _Rows(NamedTuple):
-    """Lines (n_range, n_yaw, n) as `Problem` takes those of one range."""
+    """Lines (n_range, n_yaw, n) as `LevellingProblem` takes those of one range."""
 
     time: FloatArray
     doppler: FloatArray
@@ -382,10 +387,10 @@ class RangePart:
         return next((about for step in self.steps if (about := step.scales_time_about) is not None), None)
 
     @property
-    def freedom(self) -> Freedom:
+    def freedom(self) -> FittedSteps:
         """The fitted polynomials that the steps after range compression need."""
         fitted = {kind.fitted for kind in self.azimuth_kinds}
-        return Freedom("time" in fitted, "doppler" in fitted, "resampling" in fitted)
+        return FittedSteps("time" in fitted, "doppler" in fitted, "resampling" in fitted)
 
 
 class Traced(NamedTuple):

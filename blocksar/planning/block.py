@@ -1,8 +1,7 @@
-"""Planning of one angular block: slab, chain of steps, coefficients, sampling and ground map.
+"""Plan one angular block: slab, chain of steps, coefficients, sampling, dwell gate and ground map.
 
-The map from the ground to a focused block, by where the lines of targets focus; on a terrain also by height.
-
-Planning of the dwell gate of a block, from the lines of its targets.
+The dwell gate follows the lines of targets. The ground map leads from the ground to the focused block, to where those
+lines focus; on a terrain also by height.
 """
 
 from __future__ import annotations
@@ -120,7 +119,7 @@ def _tilt(sector: Sector, lines: FineLines) -> Surface:
 
 
 def _surfaces(sector: Sector, lines: FineLines, spots: Focus) -> tuple[Surface, ...]:
-    """Find what the map knows of a focus, over range and yaw."""
+    """Surfaces of the map over range and yaw, from the places where lines focus."""
     return surfaces(
         spots, time=_carrier_time(sector, lines, spots), along=sector.ground_range, epoch_range=lines.epoch_range,
         yaw=lines.yaw, origin=sector.recovery.origin, carrier=sector.geometry.collection.carrier,
@@ -589,7 +588,7 @@ def _plan_block(
 
 
 def _constants(sector: Sector, slab: Slab, band: Axis, line: Line) -> Constants:
-    """Find what the steps are bound to besides the lines of the block."""
+    """Constants of the block that its steps bind."""
     recovery = sector.recovery
     return Constants(
         carrier=sector.geometry.collection.carrier,

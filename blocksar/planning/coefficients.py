@@ -1,6 +1,6 @@
-"""Choice of a block's coefficients: several kinds of chain are fitted, and the cheapest good one is chosen.
+"""Choose a block's coefficients: the cheapest good one of several kinds of chain that are fitted, or closed forms.
 
-Coefficients of the azimuth steps in closed form: expanded about the centre of a block, as in the papers.
+CLOSED FORMS of the azimuth steps, expanded about the centre of a block, as in the papers.
 
 After range-walk correction and RCMC a target at yaw offset D from the block's centre has the azimuth phase
 -(4 pi / lambda) [k_1'' t + k_2 t^2 + k_3 t^3 + k_4 t^4], k_n = k_n0 + k_n1 D + k_n2 D^2 (paper A (2), (21)), which
@@ -75,7 +75,7 @@ from blocksar.collection.range_series import YAW_NODES, yaw_series
 from blocksar.focusing.lines import AzimuthPolynomials, Line, RowPolynomial, focus, row_polynomial
 from blocksar.focusing.method import Method, RangeModel
 from blocksar.planning import binding
-from blocksar.planning.binding import RESAMPLING_ORDERS, SERIES_DEGREE, AzimuthPart, ChainKind, Freedom, RangePart
+from blocksar.planning.binding import RESAMPLING_ORDERS, SERIES_DEGREE, AzimuthPart, ChainKind, FittedSteps, RangePart
 from blocksar.planning.dwell_ends import full_dwells, smear_room
 from blocksar.planning.dwell_weights import beam_moves
 from blocksar.planning.prediction import smear_loss
@@ -83,7 +83,7 @@ from blocksar.planning.prediction import smear_loss
 STEEPEST = 0.5  # times r0: the largest change of a line's slope by the time perturbation, anywhere along its dwell
 
 
-class Levelling(NamedTuple):
+class ClosedForm(NamedTuple):
     """Coefficients per range: phases (n_range, 5) in cycles/s^n and cycles/Hz^n, h(f) - f (n_range, 5) in Hz^(1-n)."""
 
     time: FloatArray
@@ -94,7 +94,7 @@ class Levelling(NamedTuple):
 
 def levelling(
     geometry: Geometry,
-    freedom: Freedom,
+    freedom: FittedSteps,
     *,
     epoch_range: FloatArray,
     ranges: FloatArray,
@@ -153,7 +153,7 @@ def levelling(
     )
 
 
-def printed(k: FloatArray, *, wavelength: float, beta: bool = True) -> Levelling:
+def printed(k: FloatArray, *, wavelength: float, beta: bool = True) -> ClosedForm:
     """Frequency perturbation (30) and deramp (31) of paper A; without beta, the paper's reference method.
 
     Parameters
@@ -178,17 +178,17 @@ def printed(k: FloatArray, *, wavelength: float, beta: bool = True) -> Levelling
         d3=2 * k[:, 3, 0] / lam + 32 * k20**3 * alpha / lam**3,
         d4=2 * k[:, 4, 0] / lam - 128 * k20**4 * quartic / lam**4,
     )
-    return Levelling(_orders(n), _orders(n, p3=alpha / 2, p4=quartic / 2), _orders(n), deramp)
+    return ClosedForm(_orders(n), _orders(n, p3=alpha / 2, p4=quartic / 2), _orders(n), deramp)
 
 
-def deramped(k: FloatArray, *, wavelength: float) -> Levelling:
+def deramped(k: FloatArray, *, wavelength: float) -> ClosedForm:
     """The deramp of the block's centre only."""
     n, to_cycles = k.shape[0], 2 / wavelength
     deramp = _orders(n, d2=to_cycles * k[:, 2, 0], d3=to_cycles * k[:, 3, 0], d4=to_cycles * k[:, 4, 0])
-    return Levelling(_orders(n), _orders(n), _orders(n), deramp)
+    return ClosedForm(_orders(n), _orders(n), _orders(n), deramp)
 
 
-def resampled(k: FloatArray, *, wavelength: float, half_dwell: float) -> Levelling:
+def resampled(k: FloatArray, *, wavelength: float, half_dwell: float) -> ClosedForm:
     """Time perturbation, Doppler resampling and deramp of paper B's chain.
 
     `half_dwell` (s) bounds the change of slope by the time perturbation.
@@ -209,10 +209,10 @@ def resampled(k: FloatArray, *, wavelength: float, half_dwell: float) -> Levelli
         d3=-(c0 + 3 * e2 * r0**2) / 3,
         d4=-(q0 + 8 * e2 * c0 * r0 + 8 * e2**2 * r0**3 + 4 * e3 * r0**3) / 4,
     )
-    return Levelling(_orders(n, p3=p3, p4=p4), _orders(n), _orders(n, e2=e2, e3=e3), deramp)
+    return ClosedForm(_orders(n, p3=p3, p4=p4), _orders(n), _orders(n, e2=e2, e3=e3), deramp)
 
 
-def corrected(k: FloatArray, *, wavelength: float) -> Levelling:
+def corrected(k: FloatArray, *, wavelength: float) -> ClosedForm:
     """Frequency perturbation and deramp of paper C's chain, consistent to second order in f0."""
     n, (r0, r1, r2, c0, _, q0, _) = k.shape[0], _Rates.of(k, wavelength)
     p3 = -r1 / (6 * r0**2)
@@ -220,7 +220,7 @@ def corrected(k: FloatArray, *, wavelength: float) -> Levelling:
     a1, a2 = 1 / r0, -c0 / r0**3 - 3 * p3  # t = a1 f + a2 f^2 + a3 f^3: the line of D = 0, perturbed
     a3 = (2 * c0**2 - r0 * q0) / r0**5 - 4 * p4
     deramp = _orders(n, d2=-r0 / 2, d3=a2 / (3 * a1**3), d4=-(2 * a2**2 - a1 * a3) / (4 * a1**5))
-    return Levelling(_orders(n), _orders(n, p3=p3, p4=p4), _orders(n), deramp)
+    return ClosedForm(_orders(n), _orders(n, p3=p3, p4=p4), _orders(n), deramp)
 
 
 class _Rates(NamedTuple):

@@ -1,13 +1,12 @@
-"""Ends of dwells along traced lines: when targets are lit, when their lines then are, and what smears the ends.
+"""Find the ends of dwells after a chain's steps: when targets are lit, when their lines are, smear, and lost energy.
 
 Steps in Doppler delay a signal, and the more the farther its Doppler is from the block's: a dwell begins and ends at
 other times after the steps of a chain than when its target was lit, and its ends are no longer sharp.
 
-Windows at the ends of whole dwells: how far a keystone spreads these over the band, and what targets lose by it.
-
-A keystone scales time with range frequency, so that ends of dwells lie at +-`spread` at the edges of the band. Windows
-rise there as the mean of steps over +-`blur` does. At range frequencies where a target is lit beyond its window it
-loses, and where the window reaches beyond the target it gains nothing: for an end at d, |d| < b, the mean step S loses
+WINDOWS at the ends of whole dwells are spread over the band by a keystone, and targets lose by it. A keystone scales
+time with range frequency, so that ends of dwells lie at +-`spread` at the edges of the band. Windows rise there as the
+mean of steps over +-`blur` does. At range frequencies where a target is lit beyond its window it loses, and where the
+window reaches beyond the target it gains nothing: for an end at d, |d| < b, the mean step S loses
 
     integral of 1 - S beyond d = (b - d)^2 / 4 b,    on average over the band (b^2 + mean of d^2) / 4 b,
 
@@ -17,16 +16,15 @@ from 0 to 4 b. With the height h its area is 2 b h, of which half of the ends, t
 remains is that the middle of the triangle lies 2 b inside the end, and its energy, h^2 4 b / 3, which is a tenth of
 that by which the ends differ.
 
-What ends of whole dwells lose in the echoes of what is lit there.
-
-At the begin of a pixel's dwell its own Doppler has just entered the beam. The echoes of that moment come from there to
-the other edge of the beam: in the signal without the pixel's own phase they have Dopplers from 0 to B, the band that is
-lit at a time, all to one side. An error e(t) of the weights at that end then has the energy
+LOSS at the ends of whole dwells in the echoes of what is lit there. At the begin of a pixel's dwell its own Doppler has
+just entered the beam. The echoes of that moment come from there to the other edge of the beam: in the signal without
+the pixel's own phase they have Dopplers from 0 to B, the band that is lit at a time, all to one side. An error e(t) of
+the weights at that end then has the energy
 
     integral from 0 to B of g(f / B)^2 |E(f)|^2 df
 
 with E the spectrum of e and g the antenna's pattern over the beam, from the edge at the pixel. Only if a pulse's echoes
-filled all Dopplers was it that of e itself, which `fidelity.blurred_energy` has: at most half of that, and much less
+filled all Dopplers was it that of e itself, which `prediction.blurred_energy` has: at most half of that, and much less
 where the PRF is high over the band.
 
 The definition sums pulses, an interval p apart: from the first one in a dwell on, the sum of exp(2j pi f t) p is that
@@ -81,7 +79,7 @@ def end_lift(blur: float, spread: float, band: Taper = FLAT) -> float:
 
 
 def at_ends(blur: float, lift: float, time: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Find what raised windows change in sums over dwells whose pulses count `weight` (..., 2) at the ends, at `time`.
+    """Nodes and weights that raised end windows add to sums over dwells with weights (..., 2) at the ends, at `time`.
 
     Times (..., 4), s, and weights (..., 4), s, to be summed like the nodes of a quadrature.
     """
@@ -168,7 +166,7 @@ class ImageEdges(NamedTuple):
 
     @classmethod
     def between(cls, places: FloatArray, first: FloatArray, last: FloatArray, *, axis: int) -> ImageEdges:
-        """Of places (n,) along an axis and, at each place (m,) along the other, the first and the last imaged."""
+        """Edges of the imaged interval [first, last] (m,) among places (n,) along one axis, at m along the other."""
         at, step = places[:, None], np.diff(places)[:, None]
         held = (at >= first) & (at <= last)
         before, behind, share = np.zeros_like(held), np.zeros_like(held), np.zeros(held.shape)
@@ -241,7 +239,7 @@ class LitTimes(NamedTuple):
 
     @classmethod
     def of(cls, lit: Line, line: Line) -> LitTimes:
-        """Of the same targets before and after all steps."""
+        """Times of targets from their lines before and after all steps."""
         return cls(line, *dwell_ends(lit))
 
     def after(self, moment: FloatArray) -> FloatArray:
@@ -272,7 +270,7 @@ def dwell_ends(line: Line) -> tuple[FloatArray, FloatArray]:
 
 
 def reaches_full(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray) -> bool:
-    """Whether the collection cuts not all of the dwells at epoch ranges (n), m, and yaws (m), rad.
+    """Whether any target is lit over its full dwell, at epoch ranges (n), m, and yaws (m), rad.
 
     Not where it begins and ends while the beam is over a target: such a dwell is a part of a full one.
     """

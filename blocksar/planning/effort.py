@@ -22,7 +22,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.planning.disk import has_pyramid
 from blocksar.planning.plan import Plan, block_work
-from blocksar.planning.tiling import box_of, chunks_of, image_chunk, inspection_width, touched_chunks
+from blocksar.planning.tiling import chunks_of, image_chunk, inspection_width, touched_chunks, window_around
 from blocksar.progress import Work
 from blocksar.progress.estimate import finishing_times
 
@@ -122,11 +122,6 @@ def _gating(plan: Plan) -> dict[str, list[float]]:
     return {"gate": [seconds / len(groups)] * len(groups)} if groups else {}
 
 
-def of_backprojection(geometries: Sequence[Geometry], grid: Grid) -> Work:
-    """Work of exact back-projection, without that of raw echoes."""
-    return of_chunks(geometries, grid, "backprojection", projection_seconds)
-
-
 def of_chunks(
     geometries: Sequence[Geometry], grid: Grid, stage: str, seconds: Callable[[Geometry, FloatArray, FloatArray], float]
 ) -> Work:
@@ -201,7 +196,7 @@ def projection_seconds(
 
 def gpu_seconds(geometry: Geometry, grid: Grid, windows: Sequence[tuple[slice, slice]]) -> float:
     """Seconds to form windows of the image together on a GPU, from one reading of the samples."""
-    rows, columns = box_of(windows)
+    rows, columns = window_around(windows)
     collection, pixels = geometry.collection, (rows.stop - rows.start) * (columns.stop - columns.start)
     sums = projection_seconds(geometry, grid.x[columns], grid.y[rows], GPU_UPDATE, profiles=0.0)
     return sums + GPU_PIXEL * pixels + GPU_SAMPLE * collection.n_pulse * collection.n_range_frequency

@@ -1,21 +1,16 @@
-"""Plan a collection for a method: choose the beam that gates follow, the edges and the division, and plan each block.
+"""Plan a collection for a chain: the beam of its gates, recovery, division into blocks, and reasons to refuse.
 
-Everything follows from metadata; no sample is read.
+No sample is read.
 
-Whether a staring beam stays on the ground of a plan, as in a spotlight, which chains do not focus.
+Division: the fewest angular blocks that keep the fidelity. Blocks reduce all errors that vary with angle; where they do
+not suffice, hierarchical back-projection does.
 
-A dwell gate follows the ends of dwells as smooth functions of range and Doppler. Near the point on which a beam turns,
-ground passes it ever more slowly, and on the far side the other way: no such function exists.
+Refused are beams that stay on their ground, as in a spotlight: a dwell gate follows the ends of dwells as smooth
+functions of range and Doppler, but near the point on which a beam turns, ground passes it ever more slowly, and on the
+far side the other way, and no such function exists. Refused are also targets that share their Doppler, or that stay
+blurred. Exact back-projection has none of these limits; who shows a reason adds that, with its time.
 
-Reasons to refuse a plan: targets that share their Doppler, or that stay blurred.
-
-Exact back-projection has none of them; who shows a reason adds that, with its time.
-
-Division of the scene: the fewest angular blocks that keep the fidelity.
-
-Blocks reduce all errors that vary with angle. Where they do not suffice, hierarchical back-projection does.
-
-Planning of the recovery: unified walk, derotation and padding, and whether the PRF suffices.
+Recovery: unified walk, derotation and padding, and whether the PRF suffices.
 """
 
 from __future__ import annotations
@@ -65,7 +60,6 @@ from blocksar.planning.plan import Plan
 from blocksar.planning.relief import Relief, ReliefPoints, find_relief, sample_terrain
 from blocksar.planning.sector import Sector, ground_range
 from blocksar.planning.steadiness import Smoothed, smoothed_beam
-from blocksar.planning.strip_segments import Divided, Planner
 from blocksar.planning.target_lines import find_dwells, middle_line, tail_margin
 
 COMMON_ORDER = 5  # range history from this order on is removed from all targets alike: azimuth steps end at order 4
@@ -486,7 +480,7 @@ def plan_collection(
     """
     if blocks != "auto" and not 1 <= blocks <= MOST_BLOCKS:
         raise InputError(f"blocks = {blocks}: ask for 1 to {MOST_BLOCKS}, or for 'auto'")
-    geometry = Geometry(collection=collection) if terrain is None else over_terrain(collection, terrain)
+    geometry = over_terrain(collection, terrain)
     region = plan_region(geometry, grid)
     grid = grid or default_grid(geometry, region)
     extent = grid_extent(geometry, region, grid, owned)
@@ -532,30 +526,6 @@ def _explain(refused: Plan, planner: DivisionPlanner) -> str:
     if finest_is_refused(lambda count, probe: planner.plan(count, 1, probe)):
         return f"{reason}, and too much of it with {MAX_BLOCKS} blocks"
     return f"{reason}; ask for more --blocks, or for --blocks auto"
-
-
-def planner_of(
-    method: Method,
-    *,
-    blocks: int | Literal["auto"],
-    fidelity: float,
-    weighting: Weighting,
-    terrain: Terrain | None,
-    workers: int,
-    memory_limit: int,
-) -> Planner:
-    """`plan_collection` with the settings of a run; a division that is given has its numbers of blocks and parts."""
-
-    def plan(
-        collection: Collection, *, grid: Grid | None, like: Divided | None = None, owned: Owned | None = None
-    ) -> Plan:
-        return plan_collection(
-            collection, blocks=blocks if like is None else like.blocks, parts="auto" if like is None else like.parts,
-            method=method, fidelity=fidelity, weighting=weighting, grid=grid, owned=owned, terrain=terrain,
-            workers=workers, memory_limit=memory_limit,
-        )  # fmt: skip
-
-    return plan
 
 
 def _fewest_parts(plan: Callable[[int], Plan], first: Plan, memory_limit: int, *, fixed: bool) -> Plan:

@@ -22,7 +22,7 @@ Predicted coherence of a block's image with exact back-projection, from traced l
 On clutter every pulse holds the echoes of all that is lit, so a pixel of back-projection and of a processor's image are
 two weighted sums over the same uncorrelated samples: their coherence is the normalised inner product of the weights.
 Back-projection's weights are those of the pixel's echo over its lit pulses. A processor's differ in four ways, each of
-which takes its loss, 1 - coherence (what the map from the ground misses is `block_ground.map_loss`):
+which takes its loss, 1 - coherence (what the map from the ground misses is `block.map_loss`):
 
     phase        the residual phase of the line over the dwell
     range        its range migration, as a phase across the band: sinc(2 B dr / c)
@@ -535,7 +535,7 @@ class Lobes(NamedTuple):
         return self.width / self.ideal_width
 
     def change(self) -> float:
-        """Find what the side lobes differ by from those in back-projection, dB."""
+        """Difference of the side lobes from those in back-projection, dB."""
         return abs(self.side - self.ideal_side)
 
     def towards(self, other: Lobes, share: float) -> Lobes:

@@ -10,10 +10,9 @@ two share has its full dwell in both, and there the seam runs.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -89,19 +88,7 @@ ALIKE = 1.05  # times the excess of the segment that was tried, that others may 
 MOST_NUMBERS = 1 << 15  # of blocks, which the image holds as int16
 
 
-class Divided(NamedTuple):
-    """How another segment was divided: numbers of its blocks, and of range sub-blocks in each."""
-
-    blocks: int
-    parts: int
-
-
-class Planner(Protocol):
-    """Plans one collection: `plan_collection` with the settings of a run."""
-
-    def __call__(
-        self, collection: Collection, *, grid: Grid | None, like: Divided | None = None, owned: Owned | None = None
-    ) -> Plan: ...
+Planner = Callable[..., Plan]  # of one collection: `plan_collection` with the settings of a run
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -176,7 +163,7 @@ def plan_segments(
     outside: list[OutsideSwath] = []
     for number, collection in enumerate(collections):
         try:
-            whole = plan(collection, grid=grid, like=None, owned=None)
+            whole = plan(collection, grid=grid)
         except OutsideSwath as error:
             outside.append(error)
             continue
@@ -212,12 +199,11 @@ def _cut(plan: Planner, collection: Collection, whole: Plan, number: int) -> lis
         return []
     segments = []
     for k, span in enumerate(spans):
-        alike = Divided(probe.n_blocks, probe.parts)
         own, owned = collection.segment(*span), owned_by(collection, spans, k)
         try:
-            planned = plan(own, grid=whole.grid, like=alike, owned=owned)
+            planned = plan(own, grid=whole.grid, owned=owned, blocks=probe.n_blocks, parts=probe.parts)
             if _excess(planned) > (1.0 if best <= 1.0 else ALIKE * best):
-                planned = plan(own, grid=whole.grid, like=None, owned=owned)
+                planned = plan(own, grid=whole.grid, owned=owned)
         except OutsideSwath:
             continue
         segments.append(PlannedSegment(collection=number, pulses=span, geometry=planned.geometry, plan=planned))
@@ -233,7 +219,7 @@ def _first_inside(plan: Planner, collection: Collection, grid: Grid, spans: Sequ
     for k in sorted(range(len(spans)), key=lambda k: abs(k - len(spans) // 2)):
         with suppress(OutsideSwath):
             own = collection.segment(*spans[k])
-            return plan(own, grid=grid, like=None, owned=owned_by(collection, spans, k))
+            return plan(own, grid=grid, owned=owned_by(collection, spans, k))
     return None
 
 

@@ -43,7 +43,7 @@ def units_of(grid: Grid, chunks: tuple[int, int]) -> list[list[tuple[slice, slic
     return [[(row, column) for row in some for column in others] for some in rows for others in columns]
 
 
-def box_of(windows: Sequence[tuple[slice, slice]]) -> tuple[slice, slice]:
+def window_around(windows: Sequence[tuple[slice, slice]]) -> tuple[slice, slice]:
     """The window around some."""
     spans = [slice(min(w[k].start for w in windows), max(w[k].stop for w in windows)) for k in (0, 1)]
     return spans[0], spans[1]

@@ -87,10 +87,7 @@ class Problem:
         OutsideSwath
             If none sees any of the grid.
         """
-        ground = [
-            Geometry(collection=each) if self.terrain is None else over_terrain(each, self.terrain)
-            for each in self.collections
-        ]
+        ground = [over_terrain(each, self.terrain) for each in self.collections]
         check_seen(ground, self.points)
         return tuple(PlannedSegment(collection=i, geometry=each, first_block=i) for i, each in enumerate(ground))
 
@@ -156,7 +153,7 @@ class ImagePlan(ABC):
         return f"<{type(self).__name__}: {self.headline()}>"
 
     def blocks(self) -> tuple[PredictedBlock, ...]:
-        """Find what is predicted of each block."""
+        """Predictions of each block."""
         return ()
 
     def loops(self) -> Sequence[str]:
@@ -164,7 +161,7 @@ class ImagePlan(ABC):
         return ()
 
     def notes(self) -> list[str]:
-        """Find what a user of the image should know."""
+        """Warnings for the user of the image."""
         return []
 
     def lines(self) -> list[str]:
@@ -196,7 +193,7 @@ class ImagePlan(ABC):
 
     @property
     def result(self) -> Any:
-        """Find what Python gets as the result of `plan`."""
+        """Value of `plan(...).result` in Python."""
         return self
 
 
@@ -229,7 +226,7 @@ class PartPlan(ImagePlan):
         return {f"part-{number}": windows for number, windows in enumerate(units_of(self.grid, self.chunks))}
 
     def memory_lines(self) -> list[str]:
-        """Find what a worker needs."""
+        """Describe the memory of a worker."""
         gpu = f", and {size_text(self.on_gpu)} of its GPU" if self.on_gpu else ""
         return [f"peak memory of a worker {size_text(self.needed)}{gpu}"]
 

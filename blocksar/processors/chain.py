@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import chain, product
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +29,7 @@ from blocksar.planning.block import BlockPlan
 from blocksar.planning.disk import run_bytes
 from blocksar.planning.dwell_ends import reaches_full
 from blocksar.planning.plan import Plan
-from blocksar.planning.planner import planner_of
+from blocksar.planning.planner import plan_collection
 from blocksar.planning.strip_segments import PlannedSegment, plan_segments
 from blocksar.processors.base import Execution, ImagePlan, Problem
 from blocksar.processors.chain_tables import block_table, digits, plan_details
@@ -303,11 +303,11 @@ class Chain:
         Raises
         ------
         InputError
-            As `planning.segments.plan_segments`.
+            As `planning.strip_segments.plan_segments`.
         """
         machine, grid, collections = problem.machine, problem.grid, problem.collections
-        plan = planner_of(
-            self.method(problem.options), blocks=problem.blocks, fidelity=problem.fidelity,
+        plan = partial(
+            plan_collection, method=self.method(problem.options), blocks=problem.blocks, fidelity=problem.fidelity,
             weighting=problem.weighting, terrain=problem.terrain, workers=machine.workers,
             memory_limit=machine.memory_limit,
         )  # fmt: skip
@@ -428,7 +428,7 @@ class ChainPlan(ImagePlan):
 
 
 def predicted_blocks(plan: Plan) -> tuple[PredictedBlock, ...]:
-    """Find what a plan predicts of each block."""
+    """Predictions of each block of a plan."""
     return tuple(
         PredictedBlock(
             block=block.index,

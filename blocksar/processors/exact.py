@@ -22,7 +22,7 @@ from blocksar.inspection.samples import doubts_of_track
 from blocksar.kernels.device import on_device
 from blocksar.planning import effort
 from blocksar.planning.memory import checked_back_projection_memory, gpu_back_projection_memory
-from blocksar.planning.tiling import box_of
+from blocksar.planning.tiling import window_around
 from blocksar.processors.base import ChunkPlan, ImagePlan, Problem, Window
 from blocksar.processors.sentences import lit_pulses
 from blocksar.progress import Work
@@ -149,7 +149,7 @@ def form_together(
     weighting: Weighting, device: str, memory: int,
 ) -> Iterator[tuple[Window, ComplexArray]]:  # fmt: skip
     """Form the box around windows in one pass over the samples."""
-    rows, columns = box_of(windows)
+    rows, columns = window_around(windows)
     with on_device(device, memory) as opened:
         image = form_image(read, geometry, x[columns], y[rows], threads=threads, weighting=weighting, device=opened)
     for window in windows:

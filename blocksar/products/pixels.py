@@ -90,7 +90,7 @@ class Pixels:
 
     @property
     def nodata(self) -> float:
-        """Find what a pixel that is not covered holds."""
+        """Value of a pixel that is not covered."""
         if self.content == "visibility":
             return UNKNOWN
         return np.nan if self.scale is None else 0
@@ -132,7 +132,7 @@ class Pixels:
         return multilook(power, self.looks)
 
     def coded(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Find what the product holds of values that were measured."""
+        """Convert measured values to those of the product."""
         if self.content == "db":
             return self._scaled(decibels(values))
         return np.sqrt(values) if self.content == "amplitude" else values
@@ -146,7 +146,7 @@ class Pixels:
         return [Sight.of(geometry, box, terrain.limits) for geometry in source.segments or (source.geometry,)]
 
     def _gamma_factor(self, rows: slice) -> NDArray[np.float32]:
-        """Find what the power of whole rows is multiplied by; NaN in layover and shadow."""
+        """Factors of the power of whole rows; NaN in layover and shadow."""
         terrain = self.source.geometry.terrain
         assert terrain is not None
         owner = self.source.read_block(rows, slice(None))

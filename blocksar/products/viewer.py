@@ -114,7 +114,7 @@ class ViewerTiles:
         return np.concatenate(parts).astype(np.int16)
 
     def pixel(self, row: int, column: int) -> dict[str, Any]:
-        """Find what a pixel holds, for people.
+        """Describe a pixel.
 
         Raises
         ------

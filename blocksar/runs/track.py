@@ -146,7 +146,7 @@ class TrackCorrection:
         )  # fmt: skip
 
     def sentences(self) -> list[str]:
-        """Say what was done, with figures."""
+        """Describe the correction, with figures."""
         f, n = self.figures, self.figures["points"]
         few = f", {f['distinct']} of which stand out of noise and clutter," if f.get("distinct", n) < n else ""
         size = np.sqrt((self.error * self.error).sum(axis=1))
@@ -176,7 +176,7 @@ def _tied(tied: Mapping[str, Any]) -> str:
 
 
 def _anchored(control: Mapping[str, Any]) -> str:
-    """Say what control points did, with figures."""
+    """Describe the effect of control points, with figures."""
     out = ", ".join(control.get("left_out") or [])
     n = control["points"]
     points, move = ("control points anchor", "move") if n != 1 else ("control point anchors", "moves")

@@ -215,12 +215,12 @@ class TerrainTable(Table):
 
     @property
     def asked(self) -> Ground:
-        """Say what is said of the ground beneath hills."""
+        """Describe the ground beneath hills."""
         return Ground(terrain=self.file, surface=self.surface, vertical=self.vertical)
 
     @property
     def needs_earth(self) -> str:
-        """Find what of it needs to know where on the Earth the frame lies; empty if nothing does."""
+        """Parts that need the place of the frame on the Earth; empty if none does."""
         if self.surface == "ellipsoid":
             return "terrain.surface = 'ellipsoid'"
         return f"terrain.file = {self.file!r}" if self.file is not None and self.asked.geotiff else ""

@@ -439,7 +439,7 @@ def chunk_files_of(path: Place, name: str) -> ChunkFiles | None:
 
 @lru_cache(maxsize=256)
 def _layout_in(metadata: str, version: str) -> VariableLayout | None:
-    """Find what a metadata file of a version states."""
+    """Fields of a metadata file of a version."""
     with open(metadata, "rb") as file:
         return layout_of(file.read())
 

@@ -96,7 +96,7 @@ class PhaseHistory:
 
     @property
     def label(self) -> str:
-        """Say what messages call it."""
+        """Name in messages."""
         return str(self.path)
 
     @property

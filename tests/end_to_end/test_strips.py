@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,8 @@ from blocksar.collection.grid import Grid
 from blocksar.focusing.backprojection import form_image
 from blocksar.graph import stages
 from blocksar.measurement.coherence import coherence
-from blocksar.planning.plan import Plan
 from blocksar.planning.planner import plan_collection
-from blocksar.planning.strip_segments import Divided, PlannedSegment, Planner, number_blocks, owned_by, plan_segments
+from blocksar.planning.strip_segments import PlannedSegment, Planner, number_blocks, owned_by, plan_segments
 from blocksar.processors import chain
 
 SPANS = ((0, 3400), (2600, 6000))
@@ -38,9 +38,9 @@ def cut(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two segments, whatever one epoch would serve."""
 
     def forced(plan: Planner, collections: Sequence[Collection], *, grid: Grid, cut: bool) -> Any:
-        whole, like = collections[0], Divided(4, 1)
+        whole = collections[0]
         plans = [
-            plan(whole.segment(*span), grid=grid, like=like, owned=owned_by(whole, SPANS, k))
+            plan(whole.segment(*span), grid=grid, blocks=4, parts=1, owned=owned_by(whole, SPANS, k))
             for k, span in enumerate(SPANS)
         ]
         return number_blocks(
@@ -102,9 +102,6 @@ def test_a_long_strip_is_cut_by_plan() -> None:
     grid = Grid(DISTANCE - 30, DISTANCE + 30, 0.8, -1185.0, 1185.0, 0.45)
     assert plan_collection(collection, grid=grid, blocks=8).refusal is not None
 
-    def plan(own: Collection, *, like: Divided | None, **how: Any) -> Plan:
-        return plan_collection(own, **how, blocks=like.blocks if like else "auto", fidelity=0.997)
-
-    segments = plan_segments(plan, [collection], grid=grid)
+    segments = plan_segments(partial(plan_collection, fidelity=0.997), [collection], grid=grid)
     assert len(segments) > 1
     assert all(segment.plan.refusal is None and segment.plan.coherence > 0.996 for segment in segments)

@@ -22,7 +22,7 @@ from blocksar.errors import InputError
 from blocksar.ingestion import readers
 from blocksar.ingestion.cphd import Choices
 from blocksar.ingestion.cphd.reader import CPHD
-from blocksar.ingestion.ingested import Ingested
+from blocksar.ingestion.reading import Ingested
 from blocksar.simulation import cphd as cphd_simulation
 from blocksar.simulation.scatterers import simulate_pulses
 from blocksar.simulation.scene import Scene

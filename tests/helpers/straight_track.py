@@ -63,7 +63,7 @@ def straight_series(cell: float, *, half: float = 500.0) -> FloatArray:
     return powers.T[None]
 
 
-def levelled(line: Line, found: coefficients.Levelling) -> Line:
+def levelled(line: Line, found: coefficients.ClosedForm) -> Line:
     """Apply the steps that closed-form coefficients (of one range) define to the lines."""
 
     def polynomial(powers: FloatArray, values: FloatArray) -> Any:

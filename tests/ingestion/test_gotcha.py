@@ -32,8 +32,8 @@ from blocksar.focusing.backprojection import form_image
 from blocksar.ingestion import gotcha, gotcha_files, readers
 from blocksar.ingestion.gotcha import GOTCHA
 from blocksar.ingestion.gotcha_files import read_struct
-from blocksar.ingestion.ingested import Ingested
 from blocksar.ingestion.readers import ReaderOptions
+from blocksar.ingestion.reading import Ingested
 from blocksar.ingestion.resampling import plan_resampling
 from blocksar.measurement.coherence import coherence
 from blocksar.measurement.targets import Target

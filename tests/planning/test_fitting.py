@@ -14,15 +14,15 @@ from blocksar.focusing.lines import Line, focus
 from blocksar.kernels import levelling
 from blocksar.kernels.levelling import LevellingProblem
 from blocksar.planning import binding, coefficients
-from blocksar.planning.binding import ChainKind, Freedom
+from blocksar.planning.binding import ChainKind, FittedSteps
 
 # ---------------------------------------------------------------- The fit
 
 
 @pytest.mark.parametrize(
-    "freedom", [Freedom(True, True, False), Freedom(False, False, False), Freedom(True, True, True)]
+    "freedom", [FittedSteps(True, True, False), FittedSteps(False, False, False), FittedSteps(True, True, True)]
 )
-def test_the_fit_and_its_derivatives(freedom: Freedom, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_fit_and_its_derivatives(freedom: FittedSteps, monkeypatch: pytest.MonkeyPatch) -> None:
     """Compare with finite differences of the residuals, at a place where no term is zero, and with MINPACK's fit."""
     checked = []
 
@@ -57,8 +57,8 @@ def test_the_fit_and_its_derivatives(freedom: Freedom, monkeypatch: pytest.Monke
     assert checked == [2 * freedom.time + 4 * freedom.doppler + 3 * freedom.resampling + 3] * 2
 
 
-@pytest.mark.parametrize("freedom", [Freedom(False, True, False), Freedom(True, False, True)])
-def test_the_fit_levels_lines_at_least_as_well_as_the_closed_form(freedom: Freedom) -> None:
+@pytest.mark.parametrize("freedom", [FittedSteps(False, True, False), FittedSteps(True, False, True)])
+def test_the_fit_levels_lines_at_least_as_well_as_the_closed_form(freedom: FittedSteps) -> None:
     line = straight_lines(15e3, np.linspace(-300, 300, 7))
     k = straight_series(15e3)
     found = (

@@ -154,7 +154,7 @@ def _corner_points(file: CphdFile) -> FloatArray | None:
 
 
 def describe_turn(turn: FloatArray) -> str:
-    """Say what is wrong with turned coordinates, in words."""
+    """Describe the fault of turned coordinates."""
     wrong = ["x and y were swapped"] if turn[0, 0] == 0 else []
     return " and ".join([*wrong, *(["an axis were reversed"] if turn.sum() < 2 else [])])
 

@@ -94,7 +94,7 @@ def check_same_geometry(identifiers: Sequence[str], prepared: Sequence[Prepared]
 
 
 def _differences(first: Prepared, second: Prepared) -> Iterator[str]:
-    """Say what differs, in words. Those after the first may fail to be computed, as shapes may differ."""
+    """Describe what differs. Those after the first may fail to be computed, as shapes may differ."""
     (one, pulses), (two, others) = first, second
     if one.n_pulse != two.n_pulse:
         yield f"their numbers of pulses, {one.n_pulse} and {two.n_pulse}"

@@ -275,7 +275,7 @@ class ChannelFindings:
 
     lost: list[Lost]
     missing: int  # pulses
-    sign: WindowEnergy | None  # see `signs`
+    sign: WindowEnergy | None  # see `describe_sign`
 
 
 def notes_of(echoes: ChannelEchoes) -> BoolArray:

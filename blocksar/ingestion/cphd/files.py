@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.errors import InputError, library_for
-from blocksar.ingestion.ingested import reading
 from blocksar.ingestion.kinds import Kind, matches
 from blocksar.ingestion.readers import refuse_others
+from blocksar.ingestion.reading import reading
 from blocksar.places.ranges import Readable
 
 if TYPE_CHECKING:

@@ -213,7 +213,7 @@ class Prepared:
         return self.echoes.stored
 
     def sign(self, energy: WindowEnergy | None, choices: Choices) -> str | None:
-        """A sentence if the sign is wrong or doubtful, see `signs`; without `energy` by the maker alone."""
+        """A sentence if the sign is wrong or doubtful, see `describe_sign`; without `energy` by the maker alone."""
         collector = str(self.attributes.get("collector", "this maker"))
         return describe_sign(energy, self.echoes.file.sign, collector, given=choices.sgn is not None)
 

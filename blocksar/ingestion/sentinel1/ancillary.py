@@ -20,8 +20,8 @@ import numpy as np
 
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.errors import InputError
-from blocksar.ingestion.ingested import reading
 from blocksar.ingestion.orbit import Orbit, States
+from blocksar.ingestion.reading import reading
 from blocksar.ingestion.sentinel1.packets import Packets
 from blocksar.places import Location, readable
 

@@ -14,8 +14,8 @@ import numpy as np
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, quoted
-from blocksar.ingestion.ingested import reading
 from blocksar.ingestion.readers import ReaderOptions, refuse_others
+from blocksar.ingestion.reading import reading
 from blocksar.ingestion.sentinel1.packets import KIND, REFERENCE, SUPPRESSED, SWATHS, Packets, Radar, read_headers
 from blocksar.options import Option
 from blocksar.places import Location, readable

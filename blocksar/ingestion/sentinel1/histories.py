@@ -39,9 +39,9 @@ from blocksar.collection.georeference import Georeference, find_scene_centre
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.constants import MIB, SPEED_OF_LIGHT
 from blocksar.ingestion.atmosphere import slant_delay
-from blocksar.ingestion.ingested import reading
 from blocksar.ingestion.orbit import Orbit
 from blocksar.ingestion.readers import Piece, Reading
+from blocksar.ingestion.reading import reading
 from blocksar.ingestion.sentinel1.ancillary import TILTED, Attitude, utc
 from blocksar.ingestion.sentinel1.bursts import DAMAGED, REMEDY, Burst, PacketFile, Sentinel1Options, Steering
 from blocksar.ingestion.sentinel1.packets import CARRIER, COMPRESSIONS, Packets, read_samples

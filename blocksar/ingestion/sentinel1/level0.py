@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from blocksar.errors import InputError
-from blocksar.ingestion.ingested import reading
 from blocksar.ingestion.kinds import Kind
 from blocksar.ingestion.readers import Described, Reading
+from blocksar.ingestion.reading import reading
 from blocksar.ingestion.sentinel1.ancillary import read_attitude, read_orbit_file, read_states, utc
 from blocksar.ingestion.sentinel1.bursts import (
     DAMAGED,

@@ -139,7 +139,7 @@ class Packets:
 
     @property
     def radar(self) -> Radar:
-        """Find what the first packet says of the pulse."""
+        """Pulse as the first packet states it."""
         return Radar.of(int(self.ramp[0]), int(self.start[0]), int(self.length[0]), int(self.decimation[0]))
 
     def times(self, zero: int) -> FloatArray:

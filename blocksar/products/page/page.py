@@ -331,7 +331,7 @@ def provenance(run: Facts) -> list[tuple[str, str]]:
 
 
 def _segments(run: Facts) -> str:
-    """Find what each segment of a run is of, and its blocks; empty in a run of one."""
+    """Collection and blocks of each segment of a run; empty in a run of one."""
     texts = []
     for index, segment in enumerate(run.record.segments):
         last = segment.first_block + (segment.blocks or 1) - 1

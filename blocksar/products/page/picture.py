@@ -287,7 +287,7 @@ class ReliefPicture(NamedTuple):
     share: dict[int, float]
 
     def sentences(self) -> list[str]:
-        """Say what a page says of it."""
+        """Describe it on a page."""
         low, mean, high = (minus(f"{figure(self.height):.1f}") for figure in (np.nanmin, np.nanmean, np.nanmax))
         lines = [
             f"The image lies on a terrain between z = {low} m and {high} m, {mean} m on average, with slopes of up to "

@@ -173,7 +173,7 @@ def draw(
 
 
 def labels_of(sources: Mapping[str, FinishedRun]) -> list[str]:
-    """Find what red, green and blue stand for."""
+    """Meanings of red, green and blue."""
     green = _green(sources)
     middle = f"|HV + VH|/{ROOT}" if len(green) == 2 else f"{ROOT}|{next(iter(green))}|"
     return [f"|HH {MINUS} VV|/{ROOT}", middle, f"|HH + VV|/{ROOT}"]

@@ -11,9 +11,9 @@ import numpy as np
 
 from blocksar.collection.collection import Collection
 from blocksar.errors import InputError
-from blocksar.ingestion.ingested import reading
 from blocksar.ingestion.kinds import Kind, begins
 from blocksar.ingestion.readers import Described, Piece, ReaderOptions, Reading
+from blocksar.ingestion.reading import reading
 from blocksar.options import Option
 from blocksar.places import readable
 
