@@ -205,14 +205,19 @@ class _Former:
             for window, _ in outlines:
                 yield window, self.window(read, x[window[1]], y[window[0]], tops, threads)
             return
-        for some in _halves(outlines):
-            parts = _joined([outline for _, outline in some])
-            # Of passes that a half lacks, as of tops that have no echoes, nothing is left.
-            left = [
-                (part, None if echoes is None else self.hierarchy.divide(top, echoes, part, self._scratch(), -1))
-                for part, (top, echoes) in zip(parts, tops, strict=False)
-            ]
-            yield from self.windows(read, x, y, some, left, threads)
+        for some in _halves(outlines):  # the echoes of one are gone before those of the other are found
+            yield from self.windows(read, x, y, some, self._divided(some, tops), threads)
+
+    def _divided(
+        self, outlines: Sequence[Outlined], tops: Sequence[tuple[Part, Echoes | None]]
+    ) -> list[tuple[Part, Echoes | None]]:
+        """Some of the windows as parts, pass by pass, with their echoes out of those of all."""
+        parts = _joined([outline for _, outline in outlines])
+        # Of passes that these lack, as of tops that have no echoes, nothing is left.
+        return [
+            (part, None if echoes is None else self.hierarchy.divide(top, echoes, part, self._scratch(), -1))
+            for part, (top, echoes) in zip(parts, tops, strict=False)
+        ]
 
     def window(
         self, read: ReadPulses, x: FloatArray, y: FloatArray, tops: Sequence[tuple[Part, Echoes | None]], threads: int

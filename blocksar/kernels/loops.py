@@ -15,7 +15,6 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
-from pickle import UnpicklingError
 from threading import Lock
 from time import perf_counter
 from types import ModuleType
@@ -48,8 +47,6 @@ UNCONTRACTED: dict[str, Any] = {"nogil": True, "fastmath": False}
 # Of a function that compiled loops call, and Python does not: no entry points for Python and C, each of which would be
 # compiled with a copy of the function.
 PART: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-# What files of numba's cache raise that were torn, or pickled with names that are gone.
-UNREADABLE = UnpicklingError, EOFError, AttributeError, ImportError, IndexError, KeyError, TypeError, ValueError
 UNCHECKED: dict[str, Any] = {"error_model": "numpy"}  # divisions by zero give infinity, without a test of each
 
 
@@ -131,7 +128,7 @@ def _load(cache: Any, held: ExitStack, wait: bool, signature: Any, context: Any)
     """
     context.refresh = lambda: None
     try:
-        with suppress(*UNREADABLE):
+        with suppress(Exception):  # whatever a file raises that is torn, or names what is gone
             if (found := type(cache).load_overload(cache, signature, context)) is not None:
                 return found
         if isinstance(cache, NullCache):
@@ -140,7 +137,7 @@ def _load(cache: Any, held: ExitStack, wait: bool, signature: Any, context: Any)
         held.enter_context(locked(cache.cache_path, cache._py_func.__qualname__, wait=wait))
         try:
             return type(cache).load_overload(cache, signature, context)
-        except UNREADABLE:
+        except Exception:
             cache.flush()
             return None
     finally:

@@ -43,6 +43,7 @@ DIVISIONS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # of the image along eit
 PLACES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the image, along either side, at which costs are found
 FEW = 3  # of so many places one, by which divisions are ranked
 PIXEL_BYTES = 72  # of a window's pixel while it is formed
+PROFILES = 2  # arrays of range profiles at once: transformed in place, and with margins
 GPU_PIXEL_BYTES = 64  # of it on a GPU
 
 
@@ -128,7 +129,8 @@ class Cost:
     seconds : float
         Of one thread, where the pace is 1.
     samples : int
-        That are kept at once, at all levels together.
+        That are kept at once: those of all levels from the first to one, and either of the rows that lead to this one,
+        which are filtered along frequency only, or of the last level's range profiles, while these are formed.
     """
 
     seconds: float
@@ -170,10 +172,10 @@ class Ladders:
             return None
         (begin, end), _ = part.lit()
         n_frequency = self.geometry.collection.n_range_frequency
-        seconds, samples = READ * (end - begin) * n_frequency, 0
+        seconds = READ * (end - begin) * n_frequency
         filters, frame = entered
         seconds += self._filtering(filters, frame, end - begin, 0, n_frequency)
-        samples += _samples(frame)
+        kept = samples = _samples(frame)
         count = 1.0
         for above, below in pairwise(sides):
             part = self.part(place, below)
@@ -187,19 +189,21 @@ class Ladders:
             filters, left = descended
             edges = len(range(*filters.kept.indices(frame.pulses.size)))
             seconds += count * (self.rates.part + self._filtering(filters, left, edges, frame.size, frame.columns))
+            kept += _samples(left)
+            samples = max(samples, kept + max(frame.size, edges) * left.columns)
             frame = left
-            samples += _samples(frame)
-        return Cost(seconds=seconds + count * self._last(frame, part, sides[-1]), samples=samples)
+        rows, bins = frame.size + frame.pulses.size, fast_length(self.hierarchy.levels.upsampling * frame.columns)
+        samples = max(samples, kept + PROFILES * rows * bins)
+        seconds += count * (self.rates.profile * rows * bins + self._last(frame, part, sides[-1]))
+        return Cost(seconds=seconds, samples=samples)
 
     def _last(self, frame: Frame, part: Part, side: tuple[float, float]) -> float:
-        """Seconds to back-project a last part from what is left."""
+        """Seconds to back-project a last part from the range profiles of what is left."""
         pixels = max(side[0] / self.grid.dx, 1) * max(side[1] / self.grid.dy, 1)
-        rows = frame.size + frame.pulses.size
         lit = float((part.last - part.first).mean())
         each = frame.size + lit - (frame.inside[1] - frame.inside[0]) if frame.size else lit
-        bins = fast_length(self.hierarchy.levels.upsampling * frame.columns)
         pixel = self.rates.pixel + self.rates.update * max(each, 1) + self.gains * lit
-        return self.rates.part + self.rates.profile * rows * bins + pixels * pixel
+        return self.rates.part + pixels * pixel
 
     def _filtering(self, filters: Filters, left: Frame, edges: int, interior: int, columns: int) -> float:
         """Seconds to turn and filter rows of `columns` samples, so many edges and of the interior, to a frame."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 from typing import Any
 
@@ -14,11 +15,17 @@ from turning_beam import around, collection
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
-from blocksar.collection.weighting import Weighting
+from blocksar.collection.weighting import UNIFORM, Weighting
+from blocksar.focusing import hierarchical_backprojection
 from blocksar.focusing.backprojection import form_image
 from blocksar.focusing.hierarchical_backprojection import MOST_WINDOWS, form_windows
 from blocksar.focusing.hierarchy import Levels
+from blocksar.planning import hierarchical_division, tiling
+from blocksar.planning.hierarchical_division import divide
+from blocksar.planning.memory import PROCESS_MEMORY
+from blocksar.planning.tiling import units_of
 
 LEVELS = Levels(sides=(32.0, 8.0), attenuation=70.0, edge=0.38, upsampling=6)
 
@@ -67,6 +74,33 @@ def grid_about(c: Collection, n: int = 44, spacing: float = 1.0, **away: float) 
     x, y = around(c, away.get("along", 0.0), away.get("across", 0.0))
     steps = spacing * (np.arange(n) - n // 2)
     return float(x) + steps, float(y) + steps[: n - 7]
+
+
+def test_memory_is_that_of_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of arrays, where samples outweigh all else: 48 windows are formed from halves of halves of what is left."""
+    c = collection(steered=False, n_pulse=3000, n_frequency=1024, reference="tracked")
+    x, y = grid_about(c, n=512, spacing=1.0)
+    grid = Grid(x[0], x[-1], 1.0, y[0], y[-1], 1.0)
+    x, y = grid.x, grid.y
+    geometry, samples = Geometry(collection=c), noise(c, missing=False)
+    for module in (hierarchical_backprojection, hierarchical_division):
+        monkeypatch.setattr(module, "PULSE_BLOCK_BYTES", 1 << 20)
+    for module in (tiling, hierarchical_division):
+        monkeypatch.setattr(module, "image_chunk", lambda grid: (64, 64))
+    monkeypatch.setattr(hierarchical_division, "DIVISIONS", (1,))
+    plan = divide(geometry, grid, fidelity=0.999, weighting=UNIFORM, workers=1, memory_limit=1e12)
+    (windows,) = units_of(grid, plan.chunks)
+
+    def form() -> None:
+        for _ in form_windows(lambda some: samples[some], geometry, x, y, windows, levels=plan.levels, threads=1):
+            pass
+
+    form()  # which loads compiled loops
+    tracemalloc.start()
+    form()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert 0.5 < peak / (plan.memory - PROCESS_MEMORY) < 1
 
 
 @pytest.mark.parametrize("weighting", ["uniform", "taylor:4:-35", "kaiser:4"])
