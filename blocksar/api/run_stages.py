@@ -9,7 +9,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import cache, partial
 from itertools import chain
@@ -389,11 +389,8 @@ def _create_image(run: Run, job: Job, record: RunRecord) -> None:
 
 
 def _pyramid(job: Job) -> stores.Pyramid:
-    """Pyramid of the image, with its map projection where the frame has one and PROJ is there."""
+    """Pyramid of the image, with its map projection where the frame has one."""
     frame, terrain = Georeference.among(job.history.attrs), job.request.terrain
-    wkt = None
-    if frame is not None and not frame.rotation % 360:
-        height = job.history.collection.ground_height if terrain is None else terrain.mean
-        with suppress(InputError, ImportError):  # PROJ is optional
-            wkt = frame.projection(0.0, 0.0, height).to_wkt("WKT2_2019")
-    return stores.pyramid_of(job.grid.x, job.grid.y, wkt)
+    height = job.history.collection.ground_height if terrain is None else terrain.mean
+    projection = None if frame is None else frame.map_projection(height)
+    return stores.pyramid_of(job.grid.x, job.grid.y, projection)
