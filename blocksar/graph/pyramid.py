@@ -92,7 +92,7 @@ def _doubled(window: Window, shape: tuple[int, int]) -> Window:
 
 
 def _read(run: Run, level: int, window: Window) -> Power:
-    return stores.read_region(run.image, stores.level_name(level), window, cached=False)
+    return stores.read_region(run.image, stores.level_name(level), window)
 
 
 def _laid(parts: dict[tuple[int, int], Power], window: Window) -> Power:
@@ -110,4 +110,4 @@ def _write(run: Run, level: int, window: Window, power: Power) -> list[Written]:
     """Write a chunk of a level, if any of it is covered."""
     if not np.isfinite(power).any():
         return []
-    return [write(run, run.image, stores.level_name(level), window, power)]
+    return [write(run, run.image, stores.level_name(level), window, power, cached=True)]

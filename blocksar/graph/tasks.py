@@ -215,7 +215,7 @@ def write_level(run: Run, window: Window, pixels: ComplexArray) -> list[Written]
     if not run.pyramid:
         return []
     half = slice(window[0].start // 2, -(-window[0].stop // 2)), slice(window[1].start // 2, -(-window[1].stop // 2))
-    return [write(run, run.image, stores.level_name(1), half, halve(pixels))]
+    return [write(run, run.image, stores.level_name(1), half, halve(pixels), cached=True)]
 
 
 def write_owner(

@@ -364,7 +364,7 @@ class ChunkFiles:
             raise OSError(f"a compressed chunk of {size} bytes has {length}")
         data = np.empty(length, np.uint8)
         _read_into(stream, data)
-        if (declared := _declared_size(data.tobytes()[:18])) > size:
+        if (declared := _declared_size(data[:18].tobytes())) > size:
             # Not left to zarr, which would allocate so much.
             raise InputError(f"{self.folder} has a chunk of {declared} bytes instead of {size}; write it again")
         try:
