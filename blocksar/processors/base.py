@@ -20,12 +20,11 @@ from blocksar.planning.ambiguity import azimuth_ambiguities
 from blocksar.planning.disk import exact_bytes
 from blocksar.planning.strip_segments import PlannedSegment, joint_grid
 from blocksar.planning.tiling import units_of
-from blocksar.progress import Listener, Work
+from blocksar.progress import Work
 from blocksar.table import Table
 from blocksar.texts import size_text
 
 if TYPE_CHECKING:
-    from distributed import Client
     from matplotlib.axes import Axes
 
     from blocksar.focusing.noise import NoiseMap
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from blocksar.graph.segments import Segment
     from blocksar.graph.stages import Recovered
     from blocksar.graph.tasks import Form, FormParts
+    from blocksar.graph.units import Engine
     from blocksar.runs.receipts import Run
     from blocksar.runs.record import PredictedBlock, Receipt
 
@@ -251,20 +251,12 @@ class PartPlan(ImagePlan):
     def form(self, execution: Execution) -> list[Receipt]:
         from blocksar.graph import stages  # with dask
 
-        client, run, listener, segments = execution.client, execution.run, execution.listener, execution.segments
-        read = execution.joined(stages.inspect_samples(client, segments, run, listener))
-        execution.end("inspect")
-        execution.accept(read)
-        execution.input_read()
-        inspections = [each.inspection for each in read]
-        noises = execution.noises([inspection.lit for inspection in inspections])
+        engine, run, segments = execution.engine, execution.run, execution.segments
+        read = execution.accept_read("inspect", stages.inspect_samples(engine, segments, run))
         forms = [self.forming_parts(number, execution.weighting) for number in range(len(segments))]
-        formed = stages.form_parts(
-            client, self.processor, forms, self.parts(), segments, self.grid, inspections, noises, run, listener,
-            on=self.device,
-        )  # fmt: skip
+        formed = stages.form_parts(engine, self.processor, forms, self.parts(), read, self.grid, run, on=self.device)
         execution.end(self.processor)
-        layers = stages.layers_of_parts(client, segments, run, self.grid, formed, listener)
+        layers = stages.layers_of_parts(engine, segments, run, self.grid, formed)
         if layers:
             execution.end("layers")
         return [*(receipt for each in read for receipt in each.receipts), *formed, *layers]
@@ -346,13 +338,12 @@ class NoOptions:
 
 @dataclass(kw_only=True)
 class Execution:
-    """Execution of the stages of a run: where they run, on what, and who listens.
+    """Execution of the stages of a run: where they run, and on what.
 
     Attributes
     ----------
-    client : Client
+    engine : Engine
     run : Run
-    listener : Listener
     segments : sequence of Segment
         The pieces of the plan with their samples, range-compressed.
     compressed : sequence of sequence of Receipt
@@ -371,9 +362,8 @@ class Execution:
         Noise of the image from each segment, from the valid fraction of its pulses.
     """
 
-    client: Client
+    engine: Engine
     run: Run
-    listener: Listener
     segments: Sequence[Segment]
     compressed: Sequence[Sequence[Receipt]]
     workers: int
@@ -384,8 +374,19 @@ class Execution:
     end: Callable[[str], None]
     noises: Callable[[Sequence[FloatArray]], list[NoiseMap | None]]
 
-    def joined(self, read: Sequence[Recovered]) -> list[Recovered]:
-        """Inspections with the receipts of range compression before their own."""
-        return [
+    def accept_read(self, stage: str, read: Sequence[Recovered]) -> list[Recovered]:
+        """End the stage that has read all samples; return its findings with receipts of range compression, and noise.
+
+        Raises
+        ------
+        InputError
+            If no sample of a collection is valid.
+        """
+        joined = [
             each._replace(receipts=[*some, *each.receipts]) for some, each in zip(self.compressed, read, strict=True)
         ]
+        self.end(stage)
+        self.accept(joined)
+        self.input_read()
+        noises = self.noises([each.inspection.lit for each in joined])
+        return [each._replace(noise=noise) for each, noise in zip(joined, noises, strict=True)]
