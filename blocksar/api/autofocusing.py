@@ -27,7 +27,7 @@ from blocksar.errors import InputError
 from blocksar.graph import cluster
 from blocksar.graph.machine import resources
 from blocksar.graph.track_stages import copy_store
-from blocksar.graph.units import Engine, OnCluster
+from blocksar.graph.units import Executor, OnCluster
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, lies_in, place
 from blocksar.places.place import Place, check_room
@@ -148,13 +148,14 @@ def autofocus(
     run_folder.refuse_foreign(work.folder)
     limit = settings.memory_limit
     with ExitStack() as stack:
-        engine: Engine | None = None
+        executor: Executor | None = None
         if client is not None or scheduler is not None:
             opened = cluster.open_client(scheduler=scheduler, client=client, wait_workers=wait_workers)
-            engine = OnCluster(stack.enter_context(opened), listener)
-            workers, limit = cluster.cluster_size(engine.client, workers=workers, memory_limit=limit, listener=listener)
+            client = stack.enter_context(opened)
+            executor = OnCluster(client, listener)
+            workers, limit = cluster.cluster_size(client, workers=workers, memory_limit=limit, listener=listener)
         elif workers == 0:
-            engine = cluster.open_here(listener)
+            executor = cluster.open_here(listener)
         machine = resources(workers, threads, limit)
         memory = estimate.checked_memory(machine)
         if target.free() is not None:
@@ -165,11 +166,11 @@ def autofocus(
         with (
             work.removed_if_wrong(),
             run_folder.resumable(),
-            estimate.opened(machine, engine, listener) as opened_,
+            estimate.opened(machine, executor, listener) as at_work,
         ):
-            made = estimate.carry_out(opened_, machine, local=engine is None)
+            made = estimate.carry_out(at_work, machine, local=executor is None)
             run = estimate.run(machine.threads)
-            copied, attribute = _write(estimate, made.result, run, target, opened_, overwrite=overwrite)
+            copied, attribute = _write(estimate, made.result, run, target, at_work, overwrite=overwrite)
         run_folder.remove_estimate(work.folder)
         summary = estimate.summary([*made.receipts, *copied], attribute, memory)
         return Report(
@@ -200,14 +201,14 @@ def _write(
     result: Result,
     run: Run,
     target: Place,
-    engine: Engine,
+    executor: Executor,
     *,
     overwrite: bool,
 ) -> tuple[Sequence[Receipt], dict[str, Any]]:
     """Write the store with its track corrected, in a folder that this process has claimed; receipts and attribute."""
     source, made = estimate.stored()[0], estimate.folder / STORE
-    receipts = copy_store(engine, source.path, made, run)
-    engine.listener.begin("finish")
+    receipts = copy_store(executor, source.path, made, run)
+    executor.listener.begin("finish")
     attribute = estimate.attribute(result)
     line = stores.history_line(f"track corrected by blocksar {__version__}", source.attrs.get("history"))
     stores.write_track(
@@ -216,5 +217,5 @@ def _write(
     )  # fmt: skip
     estimate.check_unchanged()
     stores.publish(made, target, overwrite=overwrite)
-    engine.listener.update("finish", 1, 1)
+    executor.listener.update("finish", 1, 1)
     return receipts, attribute

@@ -30,7 +30,7 @@ from blocksar.errors import InputError
 from blocksar.focusing.method import Coefficients, Cutting, Derotation, Perturbation, RangeModel
 from blocksar.graph import cluster, recording
 from blocksar.graph.machine import Resources, resources
-from blocksar.graph.units import Engine, OnCluster, ThisProcess
+from blocksar.graph.units import Executor, OnCluster, ThisProcess
 from blocksar.ingestion.heights import terrain_notes
 from blocksar.loop_cache import compilation_seconds
 from blocksar.measurement.targets import Target
@@ -252,7 +252,7 @@ def _focus_image(
             listener.note(f"nothing was done, so there is no performance report at {profile}")
         return _report_finished(request.folder, record, discard=discard)
     with ExitStack() as stack:
-        engine: Engine | None = None
+        executor: Executor | None = None
         here = (
             client is None
             and settings.scheduler is None
@@ -271,7 +271,7 @@ def _focus_image(
                 scheduler=settings.scheduler, client=client, wait_workers=settings.wait_workers
             )
             client = stack.enter_context(opened)
-            engine = OnCluster(client, listener)
+            executor = OnCluster(client, listener)
             workers, memory_limit = cluster.cluster_size(
                 client, workers=workers, memory_limit=memory_limit, listener=listener
             )
@@ -287,15 +287,15 @@ def _focus_image(
         if record is not None and record.finished:
             return _report_finished(request.folder, record, discard=discard, claimed=True)
         if here:
-            engine = cluster.open_here(listener)
+            executor = cluster.open_here(listener)
         said: list[str] = []
         if request.track is not None:
             from blocksar.api.tracks import track_corrected  # with all of `autofocusing`, which takes 20 ms to load
 
             _check_room_before_track(request, record, machine, following)
-            corrected = track_corrected(request, machine, engine, listener)
-            request, said, engine = stack.enter_context(corrected)
-        report = _focus(request, record, machine, engine, listener, profile, following, compiled)
+            corrected = track_corrected(request, machine, executor, listener)
+            request, said, executor = stack.enter_context(corrected)
+        report = _focus(request, record, machine, executor, listener, profile, following, compiled)
         return replace(report, summary=[*said, *report.summary])
 
 
@@ -358,7 +358,7 @@ def _focus(
     request: Request,
     earlier: RunRecord | None,
     machine: Resources,
-    engine: Engine | None,
+    executor: Executor | None,
     listener: Listener,
     profile: Path | None,
     following: int,
@@ -366,7 +366,7 @@ def _focus(
 ) -> RunReport:
     """Plan and carry out a run in a folder that this process has claimed."""
     listener.update("plan", 0, 1)
-    with _start_workers(request, earlier, machine, listener) if engine is None else nullcontext(engine) as workers:
+    with _start_workers(request, earlier, machine, listener) if executor is None else nullcontext(executor) as workers:
         job = Job.of(request, earlier, machine)
         listener.expect(job.predict_effort(), machine.workers)
         listener.update("plan", 1, 1)
@@ -384,7 +384,7 @@ def _focus(
     if not (measurable := is_measurable(finished)):
         found.append("quality, report and export take images of at least 2 x 2 pixels; this one opens in Python only")
     notes = [f"note: {line}" for line in found]
-    worker = "this process" if isinstance(engine, ThisProcess) else "a worker"
+    worker = "this process" if isinstance(executor, ThisProcess) else "a worker"
     lines = [*_summary(request.folder, finished, job.memory, worker), *notes]
     return RunReport(summary=lines, result=finished.as_json(), folder=request.folder, measurable=measurable)
 

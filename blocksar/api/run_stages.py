@@ -28,7 +28,7 @@ from blocksar.graph.pyramid import build_pyramid
 from blocksar.graph.reading import CUT
 from blocksar.graph.segments import Segment, by_collection
 from blocksar.graph.stages import Recovered
-from blocksar.graph.units import Engine, OnCluster, ThisProcess
+from blocksar.graph.units import Executor, OnCluster, ThisProcess
 from blocksar.inspection import centroid, samples
 from blocksar.inspection.samples import Inspection
 from blocksar.loop_cache import compilation_seconds
@@ -237,14 +237,14 @@ def carry_out(
     job: Job,
     run: Run,
     record: RunRecord,
-    workers: Engine | cluster.Starting | None,
+    workers: Executor | cluster.Starting | None,
     listener: Listener,
     profile: Path | None,
     *,
     resumed: bool,
     compiled: float,
 ) -> RunRecord:
-    """Carry out a run and return its final record, by an engine, or a local cluster: one that is starting, or its own.
+    """Carry out a run and return its final record, by an executor, or a local cluster, which is starting or its own.
 
     The local cluster has ended when the record is written. Loops that were compiled since `compilation_seconds` was
     `compiled` count in its time, also those from before.
@@ -299,7 +299,7 @@ def _form(
     job: Job,
     run: Run,
     record: RunRecord,
-    engine: Engine,
+    executor: Executor,
     checked: Callable[[], list[Check]],
     input_read: Callable[[], None],
 ) -> RunRecord:
@@ -316,26 +316,31 @@ def _form(
         begun.append(time.perf_counter())
         timings[stage] = begun[-1] - begun[-2]
 
-    def accept(read: Sequence[Recovered]) -> None:
-        nonlocal record
-        record = found = add_findings(job, record, read, checked, engine.listener)
-        run.establish(run.image, lambda: _create_image(run, job, found))
-        end("check")
-
-    segments, compressed = stages.prepare_samples(engine, job.segments, run)
+    segments, compressed = stages.prepare_samples(executor, job.segments, run)
     if job.request.asked.interference is not None:  # the check is of what is imaged
         checked = check_later(replace(job, segments=tuple(segments)))
+
+    def accept_read(stage: str, read: Sequence[Recovered]) -> list[Recovered]:
+        nonlocal record
+        end(stage)
+        joined = [each._replace(receipts=[*some, *each.receipts]) for some, each in zip(compressed, read, strict=True)]
+        record = found = add_findings(job, record, joined, checked, executor.listener)
+        run.establish(run.image, lambda: _create_image(run, job, found))
+        end("check")
+        input_read()
+        noises = job.noises([each.inspection.lit for each in joined])
+        return [each._replace(noise=noise) for each, noise in zip(joined, noises, strict=True)]
+
     execution = Execution(
-        engine=engine, run=run, segments=segments, compressed=compressed,
-        workers=job.machine.workers, weighting=job.request.weighting, discard=job.request.asked.discard, accept=accept,
-        input_read=input_read, end=end, noises=job.noises,
+        executor=executor, run=run, segments=segments, weighting=job.request.weighting,
+        discard=job.request.asked.discard, accept_read=accept_read, end=end,
     )  # fmt: skip
     receipts = tuple(job.plan.form(execution))
-    if levels := build_pyramid(engine, run, job.grid.shape):
+    if levels := build_pyramid(executor, run, job.grid.shape):
         receipts = (*receipts, *levels)
         end("pyramid")
     if not any_covered(receipts, run.name_of(run.image)):
-        engine.listener.note(UNCOVERED, again=True)
+        executor.listener.note(UNCOVERED, again=True)
         record = replace(record, warnings=(*record.warnings, UNCOVERED))
     return replace(record, receipts=receipts, timings=timings)
 

@@ -27,7 +27,7 @@ from blocksar.focusing.method import Cutting
 from blocksar.graph import cluster, compiling
 from blocksar.graph.machine import Resources
 from blocksar.graph.track_stages import Estimated, estimate_track, tie_tracks
-from blocksar.graph.units import Engine, OnCluster
+from blocksar.graph.units import Executor, OnCluster
 from blocksar.ingestion.heights import Ground
 from blocksar.measurement.targets import Target
 from blocksar.places.place import Place
@@ -136,17 +136,17 @@ class TrackEstimate:
         return max(first + chips + store - self.folder.taken(), 0)
 
     @contextmanager
-    def opened(self, machine: Resources, engine: Engine | None, listener: Listener) -> Iterator[Engine]:
-        """An engine: the one given, or a new local cluster, whose temporary files lie in the folder."""
-        if engine is not None:
-            yield engine
+    def opened(self, machine: Resources, executor: Executor | None, listener: Listener) -> Iterator[Executor]:
+        """An executor: the one given, or a new local cluster, whose temporary files lie in the folder."""
+        if executor is not None:
+            yield executor
             return
         compiling.compile_missing(compiling.TRACKS)
         scratch = run_folder.scratch(self.folder)
         with cluster.open_client(**machine._asdict(), scratch=scratch, listener=listener) as own:
             yield OnCluster(own, listener)
 
-    def carry_out(self, engine: Engine, machine: Resources, *, local: bool) -> Estimated:
+    def carry_out(self, executor: Executor, machine: Resources, *, local: bool) -> Estimated:
         """Estimate the track in the folder, or go on with an estimate there.
 
         With a `local` cluster of its own, a task that runs alone has the threads of all workers.
@@ -159,7 +159,9 @@ class TrackEstimate:
         self._begin()
         control = self._control() if self.control else None
         run, threads = self.run(machine.threads), machine.threads * (machine.workers if local else 1)
-        return estimate_track(engine, self.stored(), run, self.grid, control, threads, self.terrain, self.interference)
+        return estimate_track(
+            executor, self.stored(), run, self.grid, control, threads, self.terrain, self.interference
+        )
 
     def _control(self) -> Control:
         """The control points; those without a height of their own stand on the ground."""
@@ -244,11 +246,11 @@ class TrackEstimate:
 
 @contextmanager
 def track_corrected(
-    request: Request, machine: Resources, engine: Engine | None, listener: Listener
-) -> Iterator[tuple[Request, list[str], Engine | None]]:
-    """Correct the track of a run's input, in the request's `TrackPlace`: the request, sentences and an engine.
+    request: Request, machine: Resources, executor: Executor | None, listener: Listener
+) -> Iterator[tuple[Request, list[str], Executor | None]]:
+    """Correct the track of a run's input, in the request's `TrackPlace`: the request, sentences and an executor.
 
-    The engine is the local cluster which the correction started, if it needed one: the run goes on with it. The
+    The executor is the local cluster which the correction started, if it needed one: the run goes on with it. The
     folder stays until the run is finished, for runs that are resumed; an InputError removes it.
 
     Raises
@@ -258,7 +260,7 @@ def track_corrected(
     ProcessingError
         If processing fails.
     """
-    local, place = engine is None, request.track
+    local, place = executor is None, request.track
     assert place is not None
     with ExitStack() as stack:
         stack.enter_context(place.removed_if_wrong())
@@ -270,11 +272,11 @@ def track_corrected(
                 with _named(estimate if len(estimates) > 1 else None):
                     memory = max(memory, estimate.checked_memory(machine))
             with run_folder.resumable():
-                engine = stack.enter_context(estimates[0].opened(machine, engine, listener))
+                executor = stack.enter_context(estimates[0].opened(machine, executor, listener))
                 found = []
                 for estimate in estimates:
                     with _named(estimate if len(estimates) > 1 else None):
-                        found.append(estimate.carry_out(engine, machine, local=local))
+                        found.append(estimate.carry_out(executor, machine, local=local))
                 if len(found) > 1 and not request.control:
                     labels = [str(history.path) for history in request.histories]
                     found = tie_tracks(found, labels)
@@ -287,7 +289,7 @@ def track_corrected(
             result = place.results[estimate.key]
             attrs = {**history.attrs, ATTRIBUTE: estimate.attribute(result)}
             histories.append(replace(history, collection=estimate.corrected(history, result), attrs=attrs))
-        yield replace(request, histories=tuple(histories)), said, engine
+        yield replace(request, histories=tuple(histories)), said, executor
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from blocksar import stores
 from blocksar.chunks import IMAGE_CHUNK, PYRAMID_LEVELS
 from blocksar.graph.spectrum import Window
-from blocksar.graph.units import Engine, Unit
+from blocksar.graph.units import Executor, Unit
 from blocksar.kernels.halving import halve
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Receipt, Written
@@ -19,7 +19,7 @@ from blocksar.runs.record import Receipt, Written
 Power = NDArray[np.float32]
 
 
-def build_pyramid(engine: Engine, run: Run, shape: tuple[int, int]) -> list[Receipt]:
+def build_pyramid(executor: Executor, run: Run, shape: tuple[int, int]) -> list[Receipt]:
     """Write the levels after the first of the image's pyramid, (n_y, n_x) pixels, if it has one; return the receipts.
 
     The first is written with the image, by `tasks.write_level`. A unit makes those up to PYRAMID_LEVELS of as much as
@@ -35,11 +35,11 @@ def build_pyramid(engine: Engine, run: Run, shape: tuple[int, int]) -> list[Rece
         Unit("pyramid", run, name, reduce_part, (first, shape), title=f"pyramid of {name}")
         for name, first in parts.items()
     ]
-    receipts = engine.run_units("pyramid", units, per_worker=2)
+    receipts = executor.run_units("pyramid", units, per_worker=2)
     if levels > PYRAMID_LEVELS:
         top = Unit("pyramid-top", run, "pyramid-top", reduce_levels, (shape,), title="top of the pyramid")
-        receipts |= engine.run_units("pyramid-top", [top])
-    return list(receipts.values())
+        receipts += executor.run_units("pyramid-top", [top])
+    return receipts
 
 
 def reduce_part(run: Run, unit: str, first: tuple[int, int], shape: tuple[int, int]) -> Receipt:

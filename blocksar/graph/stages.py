@@ -33,7 +33,7 @@ from blocksar.graph.reading import Gated, gate_bins, inspect_group, prepare_puls
 from blocksar.graph.segments import Segment, by_collection
 from blocksar.graph.spectrum import SpectrumChunks, Window, chunk_spans
 from blocksar.graph.tasks import FormParts, Projected, add_layers, form_chunks, read_slab, run_stage
-from blocksar.graph.units import Engine, Unit
+from blocksar.graph.units import Executor, Unit
 from blocksar.inspection.samples import Inspection, merge, refusal
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.plan import Plan
@@ -53,7 +53,7 @@ class Recovered(NamedTuple):
     noise: NoiseMap | None = None
 
 
-def recover(engine: Engine, segments: Sequence[Segment], run: Run) -> list[Recovered]:
+def recover(executor: Executor, segments: Sequence[Segment], run: Run) -> list[Recovered]:
     """Recover the spectrum of every segment into its spectrum.zarr.
 
     Raises
@@ -61,24 +61,13 @@ def recover(engine: Engine, segments: Sequence[Segment], run: Run) -> list[Recov
     InputError
         If the samples are not those of a radar.
     """
-    units: list[list[Unit]] = []
+    units: list[Unit] = []
     for segment in segments:
-        plan, own, history = segment.planned, segment.of(run), segment.history
+        plan, own = segment.planned, segment.of(run)
         run.establish(own.spectrum, partial(_create_spectrum, own, plan), volatile=["lit"])
-        units.append(
-            [
-                Unit(
-                    "recover",
-                    own,
-                    own.unit_of_segment(f"columns-{columns[0]}"),
-                    recover_group,
-                    (history.within(columns=slice(*columns)), columns, plan.recovery, plan.spectrum_chunk),
-                    reads_input=_reads_input(segment, run),
-                )
-                for columns in chunk_spans(0, plan.geometry.collection.n_range_frequency, plan.column_group)
-            ]
-        )
-    recovered = _run_read(engine, "recover", segments, units)
+        more = plan.recovery, plan.spectrum_chunk
+        units += _column_groups("recover", segment, run, plan.column_group, recover_group, *more)
+    recovered = _read(executor, "recover", segments, units)
     for each in recovered:
         stores.write_region(each.segment.of(run).spectrum, "lit", (slice(None),), each.inspection.lit)
     return recovered
@@ -99,18 +88,43 @@ def _create_spectrum(run: Run, plan: Plan) -> None:
     )  # fmt: skip
 
 
-def _run_read(
-    engine: Engine, stage: str, segments: Sequence[Segment], units: Sequence[Sequence[Unit]]
-) -> list[Recovered]:
+def inspect_samples(executor: Executor, segments: Sequence[Segment], run: Run) -> list[Recovered]:
+    """Inspect phase histories that are not recovered.
+
+    Raises
+    ------
+    InputError
+        If the samples are not those of a radar.
+    """
+    units: list[Unit] = []
+    for segment in segments:
+        width = inspection_width(segment.history.collection)
+        units += _column_groups("inspect", segment, run, width, inspect_group)
+    return _read(executor, "inspect", segments, units)
+
+
+def _column_groups(
+    step: str, segment: Segment, run: Run, width: int, task: Callable[..., Receipt], *more: object
+) -> list[Unit]:
+    """Return the units that read a segment's samples, so many columns each; `more` is what else the task takes."""
+    own, history, units = segment.of(run), segment.history, []
+    for columns in chunk_spans(0, history.collection.n_range_frequency, width):
+        name = own.unit_of_segment(f"columns-{columns[0]}")
+        arguments = history.within(columns=slice(*columns)), columns, *more
+        units.append(Unit(step, own, name, task, arguments, reads_input=_reads_input(segment, run)))
+    return units
+
+
+def _read(executor: Executor, stage: str, segments: Sequence[Segment], units: Sequence[Unit]) -> list[Recovered]:
     """Run units that read the samples of segments, and merge the inspections of each segment."""
-    done, read = engine.run_units(stage, list(chain(*units)), ahead=True), []
-    for segment, some in zip(segments, units, strict=True):
-        receipts = [done[unit.name] for unit in some]
-        read.append(Recovered(segment, receipts, without_lost(segment.history, merge_inspections(receipts))))
+    receipts, read = executor.run_units(stage, units, ahead=True), []
+    for segment in segments:
+        some = [receipt for unit, receipt in zip(units, receipts, strict=True) if unit.run.segment == segment.number]
+        read.append(Recovered(segment, some, without_lost(segment.history, merge_inspections(some))))
     return read
 
 
-def gate_ranges(engine: Engine, recovered: Sequence[Recovered], run: Run) -> list[Receipt]:
+def gate_ranges(executor: Executor, recovered: Sequence[Recovered], run: Run) -> list[Receipt]:
     """Gate the spectra in range for all sub-blocks, into gated/; nothing without sub-blocks."""
     units: list[Unit] = []
     for segment, receipts, *_ in recovered:
@@ -130,7 +144,7 @@ def gate_ranges(engine: Engine, recovered: Sequence[Recovered], run: Run) -> lis
             name = own.unit_of_segment(f"bins-{bins[0]}")
             arguments = bins, spectrum.within(*bins), some
             units.append(Unit("gate", own, name, gate_bins, arguments, title=f"range-gate of {name}"))
-    return list(engine.run_units("gate", units, per_worker=2).values()) if units else []
+    return executor.run_units("gate", units, per_worker=2) if units else []
 
 
 def _create_gated(run: Run, plan: Plan, block: BlockPlan) -> None:
@@ -169,7 +183,7 @@ def _gated_spectrum(plan: Plan, run: Run, block: BlockPlan, parts: Parts) -> Spe
 
 
 def focus_blocks(
-    engine: Engine, recovered: Sequence[Recovered], run: Run, receipts: Sequence[Receipt]
+    executor: Executor, recovered: Sequence[Recovered], run: Run, receipts: Sequence[Receipt]
 ) -> list[Receipt]:
     """Focus every block, from its segment's spectrum to patches/<block>, by a chain of tasks of its own.
 
@@ -196,7 +210,7 @@ def focus_blocks(
         ground = replace(block.ground, valid=each.inspection.lit)
         patch = Patch(ground=ground, grid=plan.grid, own=alone, noise=each.noise)
         units.append(_chain(own, block, slab, patch, -position))
-    return list(engine.run_units("focus", units).values())
+    return executor.run_units("focus", units)
 
 
 def _create_patch(run: Run, block: BlockPlan, grid: Grid) -> None:
@@ -237,7 +251,7 @@ def discard_spectra(segments: Sequence[Segment], run: Run, receipts: Sequence[Re
                 own.discard(own.gated(block.name), receipts)
 
 
-def mosaic(engine: Engine, recovered: Sequence[Recovered], run: Run, patches: Sequence[Receipt]) -> list[Receipt]:
+def mosaic(executor: Executor, recovered: Sequence[Recovered], run: Run, patches: Sequence[Receipt]) -> list[Receipt]:
     """Merge the patches into image.zarr, by output chunk, where several blocks may own pixels.
 
     Chunks that only one block touches are there already; those that no block covers are not written.
@@ -259,11 +273,11 @@ def mosaic(engine: Engine, recovered: Sequence[Recovered], run: Run, patches: Se
         name = "chunk-{}-{}".format(*ordered[first])
         arguments = group, grid, margins, known, on_terrain
         units.append(Unit("mosaic", run, name, merge_chunks, arguments, title=f"mosaic of {name}"))
-    return list(engine.run_units("mosaic", units, per_worker=2).values())
+    return executor.run_units("mosaic", units, per_worker=2)
 
 
 def layers_of_blocks(
-    engine: Engine, segments: Sequence[Segment], run: Run, patches: Sequence[Receipt]
+    executor: Executor, segments: Sequence[Segment], run: Run, patches: Sequence[Receipt]
 ) -> list[Receipt]:
     """Add the layers of a terrain to the chunks of the image that blocks cover; nothing on the plane."""
     seen_by = {block.index: segment.number or 0 for segment in segments for block in segment.planned.blocks}
@@ -271,22 +285,22 @@ def layers_of_blocks(
         cell: {part.block: seen_by[part.block] for part, _ in parts}
         for cell, parts in _patch_chunks(segments, run, patches).items()
     }
-    return _add_layers(engine, segments, run, segments[0].planned.grid, cells)
+    return _add_layers(executor, segments, run, segments[0].planned.grid, cells)
 
 
 def layers_of_parts(
-    engine: Engine, segments: Sequence[Segment], run: Run, grid: Grid, formed: Sequence[Receipt]
+    executor: Executor, segments: Sequence[Segment], run: Run, grid: Grid, formed: Sequence[Receipt]
 ) -> list[Receipt]:
     """Add the layers of a terrain to the chunks of the image that `form_parts` wrote; nothing on the plane."""
     every = {segment.number or 0: segment.number or 0 for segment in segments}
     side = image_chunk(grid)
     regions = [part.region for part in _parts(formed)[run.name_of(run.image)] if part.variable == "block"]
     cells = {(rows[0] // side[0], columns[0] // side[1]): every for rows, columns in regions}
-    return _add_layers(engine, segments, run, grid, cells)
+    return _add_layers(executor, segments, run, grid, cells)
 
 
 def _add_layers(
-    engine: Engine,
+    executor: Executor,
     segments: Sequence[Segment],
     run: Run,
     grid: Grid,
@@ -302,7 +316,7 @@ def _add_layers(
         owners = {owner: sights[number] for cell in group for owner, number in cells[cell].items()}
         name = "layers-{}-{}".format(*group[0])
         units.append(Unit("layers", run, name, add_layers, (group, grid, owners), title=f"layers of {name}"))
-    return list(engine.run_units("layers", units, per_worker=2).values())
+    return executor.run_units("layers", units, per_worker=2)
 
 
 def _patch_chunks(
@@ -345,27 +359,8 @@ def _margins(
     }
 
 
-def inspect_samples(engine: Engine, segments: Sequence[Segment], run: Run) -> list[Recovered]:
-    """Inspect phase histories that are not recovered.
-
-    Raises
-    ------
-    InputError
-        If the samples are not those of a radar.
-    """
-    units: list[list[Unit]] = []
-    for segment in segments:
-        own, history, group = segment.of(run), segment.history, []
-        for columns in chunk_spans(0, history.collection.n_range_frequency, inspection_width(history.collection)):
-            name, part = own.unit_of_segment(f"columns-{columns[0]}"), history.within(columns=slice(*columns))
-            reads = _reads_input(segment, run)
-            group.append(Unit("inspect", own, name, inspect_group, (part, columns), reads_input=reads))
-        units.append(group)
-    return _run_read(engine, "inspect", segments, units)
-
-
 def form_parts(
-    engine: Engine,
+    executor: Executor,
     stage: str,
     forms: Sequence[FormParts],
     parts: Mapping[str, Sequence[Window]],
@@ -392,7 +387,7 @@ def form_parts(
         Unit(stage, run, name, form_chunks, (stage, sources, windows, grid, on_terrain), on=on, reads_input=reads)
         for name, windows in parts.items()
     ]
-    return list(engine.run_units(stage, units).values())
+    return executor.run_units(stage, units)
 
 
 def merge_inspections(receipts: Sequence[Receipt]) -> Inspection:
@@ -418,42 +413,39 @@ def without_lost(history: stores.PhaseHistory, inspection: Inspection) -> Inspec
     return inspection.without(lost)
 
 
-def prepare_samples(engine: Engine, segments: Sequence[Segment], run: Run) -> tuple[list[Segment], list[list[Receipt]]]:
+def prepare_samples(
+    executor: Executor, segments: Sequence[Segment], run: Run
+) -> tuple[list[Segment], list[list[Receipt]]]:
     """Range-compress raw echoes and cut interference, each collection once, where there is something to do.
 
     Returns the segments as they are then read, and receipts of each.
 
     The receipts are those of the segment's whole collection, with its first segment only.
     """
-    units: dict[int | None, list[Unit]] = {}
-    for number, (first, *_) in by_collection(segments).items():
+    units: list[Unit] = []
+    for first, *_ in by_collection(segments).values():
         raw = first.source.raw
         if raw is None and first.interference is None:
             continue
         own, whole = first.of(run), first.source
         run.establish(own.compressed, partial(_create_compressed, own, whole.collection, raw is not None))
         compression = None if raw is None else RawCompression.of_echo(raw, whole.collection)
-        units[number] = [
-            Unit(
-                "interference" if compression is None else "compress",
-                own,
-                own.unit_of_collection(f"pulses-{pulses[0]}"),
-                prepare_pulses,
-                (whole.within(pulses=slice(*pulses)), pulses, compression, first.interference),
-                reads_input=True,
-            )
-            for pulses in chunk_spans(0, whole.collection.n_pulse, TILE[0])
-        ]
+        step = "interference" if compression is None else "compress"
+        for pulses in chunk_spans(0, whole.collection.n_pulse, TILE[0]):
+            arguments = whole.within(pulses=slice(*pulses)), pulses, compression, first.interference
+            name = own.unit_of_collection(f"pulses-{pulses[0]}")
+            units.append(Unit(step, own, name, prepare_pulses, arguments, reads_input=True))
     if not units:
         return list(segments), [[] for _ in segments]
     stage = "interference" if all(segment.source.raw is None for segment in segments) else "range-compress"
-    done = engine.run_units(stage, list(chain(*units.values())), per_worker=2)
-    receipts = {number: [done[unit.name] for unit in some] for number, some in units.items()}
+    receipts: dict[int | None, list[Receipt]] = {unit.run.collection: [] for unit in units}
+    for unit, receipt in zip(units, executor.run_units(stage, units, per_worker=2), strict=True):
+        receipts[unit.run.collection].append(receipt)
     try:
         opened = {
             number: replace(stores.open_phase_history(group[0].of(run).compressed).pinned(), look=group[0].source.look)
             for number, group in by_collection(segments).items()
-            if number in units
+            if number in receipts
         }
     except InputError as error:  # about the run's own store, not about the input
         raise ProcessingError(str(error)) from error

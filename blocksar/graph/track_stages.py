@@ -46,7 +46,7 @@ from blocksar.focusing.method import Cutting
 from blocksar.graph.segments import Segment
 from blocksar.graph.spectrum import chunk_spans
 from blocksar.graph.stages import prepare_samples
-from blocksar.graph.units import Engine, Unit
+from blocksar.graph.units import Executor, Unit
 from blocksar.places import place
 from blocksar.places.place import Place
 from blocksar.runs.folder import KEPT
@@ -256,8 +256,8 @@ class Stages:
     Points are looked for in the grid.
     """
 
-    def __init__(self, engine: Engine, run: Run, grid: Grid | None) -> None:
-        self.engine, self.run, self.grid = engine, run, grid
+    def __init__(self, executor: Executor, run: Run, grid: Grid | None) -> None:
+        self.executor, self.run, self.grid = executor, run, grid
         self.receipts: list[Receipt] = []
 
     @cached_property
@@ -272,7 +272,7 @@ class Stages:
 
     def units(self, stage: str, *units: Unit) -> list[Receipt]:
         """Run a stage; return its receipts."""
-        done = list(self.engine.run_units(stage, units, per_worker=2).values())
+        done = self.executor.run_units(stage, units, per_worker=2)
         self.receipts.extend(done)
         return done
 
@@ -325,7 +325,7 @@ class Estimated:
 
 
 def estimate_track(
-    engine: Engine,
+    executor: Executor,
     channels: Sequence[stores.PhaseHistory],
     run: Run,
     grid: Grid | None,
@@ -349,7 +349,7 @@ def estimate_track(
     run.establish(store, lambda: stores.write_collection(store, collection))
     if terrain is not None:
         run.establish(run.terrain, partial(stores.write_terrain, run.terrain, terrain))
-    stages = Stages(engine, run, grid)
+    stages = Stages(executor, run, grid)
     sources = _prepare(stages, channels, interference)
     chosen, points = _select(stages, sources)
     source = sources[chosen].source
@@ -382,7 +382,7 @@ def _prepare(stages: Stages, channels: Sequence[stores.PhaseHistory], interferen
     """Range-compress channels, and cut interference; each is a segment then, with its number as `collection`."""
     numbers = range(len(channels)) if len(channels) > 1 else [None]
     segments, compressed = prepare_samples(
-        stages.engine,
+        stages.executor,
         [
             Segment(collection=number, source=source, geometry=stages.work.geometry, interference=interference)
             for number, source in zip(numbers, channels, strict=True)
@@ -396,17 +396,25 @@ def _prepare(stages: Stages, channels: Sequence[stores.PhaseHistory], interferen
 def _select(stages: Stages, channels: Sequence[Segment]) -> tuple[int, Files]:
     """Select points and the channel that they are of: its number, and the file of the points."""
     searches = [
-        [
+        (
+            number,
             stages.unit(
-                "search", f"candidates-{first}" + ("" if number is None else f"-of-channel-{number}"), search_pulses,
-                source.within(pulses=slice(pulses[0][0], pulses[-1][1])), pulses, stages.grid,
-            )
-            for first, pulses in _searched(stages.work)
-        ]
-        for number, source in ((channel.collection, channel.source) for channel in channels)
-    ]  # fmt: skip
-    files = {receipt.unit: receipt.files for receipt in stages.units("search", *chain(*searches))}
-    candidates = [dict(chain.from_iterable(files[unit.name].items() for unit in some)) for some in searches]
+                "search",
+                f"candidates-{first}" + ("" if channel.collection is None else f"-of-channel-{channel.collection}"),
+                search_pulses,
+                channel.source.within(pulses=slice(pulses[0][0], pulses[-1][1])),
+                pulses,
+                stages.grid,
+            ),
+        )
+        for number, channel in enumerate(channels)
+        for first, pulses in _searched(stages.work)
+    ]
+    found = stages.units("search", *(unit for _, unit in searches))
+    candidates = [
+        files_of(receipt for (number, _), receipt in zip(searches, found, strict=True) if number == channel)
+        for channel in range(len(channels))
+    ]
     selected = stages.one("select", "points", select, candidates, stages.grid)
     return (selected.found or {})["channel"], selected.files
 
@@ -432,9 +440,9 @@ def _refuse_gaps(receipts: Sequence[Receipt], n_pulse: int) -> None:
         )
 
 
-def copy_store(engine: Engine, source: Place, target: Place, run: Run) -> list[Receipt]:
+def copy_store(executor: Executor, source: Place, target: Place, run: Run) -> list[Receipt]:
     """Copy the files of a store, all but its metadata and positions, to a place in the run's folder."""
-    versions, stages = stores.files_to_copy(source), Stages(engine, run, None)
+    versions, stages = stores.files_to_copy(source), Stages(executor, run, None)
     units = []
     for group in stores.groups_of(versions, COPY_BYTES):
         some: dict[str, Any] = {name: versions[name] for name in group}

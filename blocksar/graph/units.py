@@ -1,9 +1,9 @@
-"""The engine of a run: units of work, plain records of tasks, and the two ways to run them.
+"""Units of work, plain records of tasks, and the two executors that run them: this process, or a dask cluster.
 
-`Engine.run_units` is the way of every unit: units that have a valid receipt are left out, the others are submitted, at
-most so many at a time as were planned for, and each signs a receipt where it runs, once its data are written. Receipts
-are the log: what is killed goes on from them. Tasks receive paths and small constants and write their samples to
-stores; samples pass from one task to the next within a worker only, and never through the scheduler.
+Every stage of a run or of an estimate is a list of units for `Executor.run_units`. Those that have a valid receipt are
+left out. The others are submitted, no more at a time than were planned for; each signs a receipt where it runs, once
+its data are written. Receipts are the log, from which a killed run goes on. Tasks receive paths and small constants,
+and write samples to stores; these pass from one task to the next within a worker, but never through the scheduler.
 """
 
 from __future__ import annotations
@@ -99,8 +99,8 @@ def _intact(run: Run, _: str, receipt: Receipt) -> bool:
     return run.intact(receipt)
 
 
-class Engine(ABC):
-    """Runs units of work; `listener` receives their progress."""
+class Executor(ABC):
+    """Runs units of work, and reports their progress to `listener`."""
 
     def __init__(self, listener: Listener) -> None:
         self.listener = listener
@@ -119,8 +119,8 @@ class Engine(ABC):
 
     def run_units(
         self, stage: str, units: Sequence[Unit], *, per_worker: int = 1, ahead: bool = False
-    ) -> dict[str, Receipt]:
-        """Run the units that have no valid receipt; return the receipts of all units, in order, by name.
+    ) -> list[Receipt]:
+        """Run the units that have no valid receipt; return the receipts of all units in order.
 
         Parameters
         ----------
@@ -134,7 +134,7 @@ class Engine(ABC):
 
         Returns
         -------
-        dict of str to Receipt
+        list of Receipt
             `reused` if the unit was not run again; `damaged` if it was, because its data were damaged.
 
         Raises
@@ -167,7 +167,7 @@ class Engine(ABC):
         for name, receipt in self.results(stage, missing, per_worker=per_worker, ahead=ahead):
             receipts[name] = replace(receipt, damaged=name in damaged)
             self.listener.update(stage, len(receipts), len(units))
-        return {unit.name: receipts[unit.name] for unit in units}
+        return [receipts[unit.name] for unit in units]
 
 
 def _fail(error: BaseException, stage: str, unit: Unit) -> NoReturn:
@@ -183,7 +183,7 @@ def _fail(error: BaseException, stage: str, unit: Unit) -> NoReturn:
     raise ProcessingError(f"{stage} of {unit.name} failed: {type(error).__name__}: {error}") from error
 
 
-class ThisProcess(Engine):
+class ThisProcess(Executor):
     """Runs units in this process, one after the other."""
 
     def results(
@@ -268,7 +268,7 @@ def _note_waiting(listener: Listener, what: str) -> None:
     listener.note(f"{what}: waiting for one, at most {_patience_seconds():g} s")
 
 
-class OnCluster(Engine):
+class OnCluster(Executor):
     """Runs units on a dask cluster: each is a task, or a chain of them, submitted by the client."""
 
     def __init__(self, client: Client, listener: Listener) -> None:

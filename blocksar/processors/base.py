@@ -27,12 +27,11 @@ from blocksar.texts import size_text
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from blocksar.focusing.noise import NoiseMap
     from blocksar.graph.machine import Resources
     from blocksar.graph.segments import Segment
     from blocksar.graph.stages import Recovered
     from blocksar.graph.tasks import Form, FormParts
-    from blocksar.graph.units import Engine
+    from blocksar.graph.units import Executor
     from blocksar.runs.receipts import Run
     from blocksar.runs.record import PredictedBlock, Receipt
 
@@ -251,12 +250,12 @@ class PartPlan(ImagePlan):
     def form(self, execution: Execution) -> list[Receipt]:
         from blocksar.graph import stages  # with dask
 
-        engine, run, segments = execution.engine, execution.run, execution.segments
-        read = execution.accept_read("inspect", stages.inspect_samples(engine, segments, run))
+        executor, run, segments = execution.executor, execution.run, execution.segments
+        read = execution.accept_read("inspect", stages.inspect_samples(executor, segments, run))
         forms = [self.forming_parts(number, execution.weighting) for number in range(len(segments))]
-        formed = stages.form_parts(engine, self.processor, forms, self.parts(), read, self.grid, run, on=self.device)
+        formed = stages.form_parts(executor, self.processor, forms, self.parts(), read, self.grid, run, on=self.device)
         execution.end(self.processor)
-        layers = stages.layers_of_parts(engine, segments, run, self.grid, formed)
+        layers = stages.layers_of_parts(executor, segments, run, self.grid, formed)
         if layers:
             execution.end("layers")
         return [*(receipt for each in read for receipt in each.receipts), *formed, *layers]
@@ -342,51 +341,24 @@ class Execution:
 
     Attributes
     ----------
-    engine : Engine
+    executor : Executor
     run : Run
     segments : sequence of Segment
         The pieces of the plan with their samples, range-compressed.
-    compressed : sequence of sequence of Receipt
-        Of the range compression of each.
-    workers : int
     weighting : Weighting
     discard : bool
         Whether what is not read any more is to be removed.
-    accept : callable
-        Takes the inspections of all segments as soon as they are known, and creates the image without pixels.
-    input_read : callable
-        To be called once all of the input has been read.
+    accept_read : callable
+        Takes the name of the stage that has read all samples, and what it has found; ends the stage, and creates the
+        image without pixels. Returns the findings with receipts of what came before, and with the noise of the image.
     end : callable
         Takes the name of a stage at its end.
-    noises : callable
-        Noise of the image from each segment, from the valid fraction of its pulses.
     """
 
-    engine: Engine
+    executor: Executor
     run: Run
     segments: Sequence[Segment]
-    compressed: Sequence[Sequence[Receipt]]
-    workers: int
     weighting: Weighting
     discard: bool
-    accept: Callable[[Sequence[Recovered]], None]
-    input_read: Callable[[], None]
+    accept_read: Callable[[str, Sequence[Recovered]], list[Recovered]]
     end: Callable[[str], None]
-    noises: Callable[[Sequence[FloatArray]], list[NoiseMap | None]]
-
-    def accept_read(self, stage: str, read: Sequence[Recovered]) -> list[Recovered]:
-        """End the stage that has read all samples; return its findings with receipts of range compression, and noise.
-
-        Raises
-        ------
-        InputError
-            If no sample of a collection is valid.
-        """
-        joined = [
-            each._replace(receipts=[*some, *each.receipts]) for some, each in zip(self.compressed, read, strict=True)
-        ]
-        self.end(stage)
-        self.accept(joined)
-        self.input_read()
-        noises = self.noises([each.inspection.lit for each in joined])
-        return [each._replace(noise=noise) for each, noise in zip(joined, noises, strict=True)]

@@ -403,19 +403,19 @@ class ChainPlan(ImagePlan):
         """
         from blocksar.graph import stages  # with dask
 
-        engine, run, segments = execution.engine, execution.run, execution.segments
-        recovered = execution.accept_read("recover", stages.recover(engine, segments, run))
-        gated = stages.gate_ranges(engine, recovered, run)
+        executor, run, segments = execution.executor, execution.run, execution.segments
+        recovered = execution.accept_read("recover", stages.recover(executor, segments, run))
+        gated = stages.gate_ranges(executor, recovered, run)
         if gated:
             execution.end("gate")
         spectra = [*chain.from_iterable(each.receipts for each in recovered), *gated]
-        patches = stages.focus_blocks(engine, recovered, run, spectra)
+        patches = stages.focus_blocks(executor, recovered, run, spectra)
         execution.end("focus")
         if execution.discard:
             stages.discard_spectra(segments, run, spectra)
-        merged = stages.mosaic(engine, recovered, run, patches)
+        merged = stages.mosaic(executor, recovered, run, patches)
         execution.end("mosaic")
-        layers = stages.layers_of_blocks(engine, segments, run, patches)
+        layers = stages.layers_of_blocks(executor, segments, run, patches)
         if layers:
             execution.end("layers")
         return [*spectra, *patches, *merged, *layers]
