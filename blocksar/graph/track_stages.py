@@ -148,8 +148,8 @@ def _samples(run: Run, source: stores.PhaseHistory, pulses: slice) -> ComplexArr
     return signal
 
 
-class Chipped(NamedTuple):
-    """Files of points and of their chips, and of the correction that is known; points are looked for in the grid."""
+class ChipFiles(NamedTuple):
+    """Files of points, of their chips and of the correction so far; points are looked for in the grid."""
 
     points: Files
     chips: Files
@@ -185,7 +185,7 @@ def select(run: Run, unit: str, candidates: Sequence[Files], grid: Grid | None) 
     return _kept(run, unit, "select", [chosen.points], channel=chosen.channel)
 
 
-def chips_of_pulses(run: Run, unit: str, source: stores.PhaseHistory, pulses: Span, given: Chipped) -> Receipt:
+def chips_of_pulses(run: Run, unit: str, source: stores.PhaseHistory, pulses: Span, given: ChipFiles) -> Receipt:
     """Take the points' chips of a block of pulses, along the track as corrected so far."""
     signal, (work, points, _, known) = _samples(run, source, slice(*pulses)), given.read(run)
     missing = int(np.isnan(signal).all(axis=1).sum())
@@ -193,23 +193,23 @@ def chips_of_pulses(run: Run, unit: str, source: stores.PhaseHistory, pulses: Sp
     return _kept(run, unit, "chips", [part], missing=missing)
 
 
-def estimate_error(run: Run, unit: str, given: Chipped) -> Receipt:
+def estimate_error(run: Run, unit: str, given: ChipFiles) -> Receipt:
     """Estimate the correction once more."""
     better = estimate(*given.read(run), run.threads)
     return _kept(run, unit, "estimate", [better], finished=better.finished, loop=better.history[-1])
 
 
-def estimate_from_half(run: Run, unit: str, given: Chipped, number: int) -> Receipt:
+def estimate_from_half(run: Run, unit: str, given: ChipFiles, number: int) -> Receipt:
     """Estimate the correction from half of the points alone."""
     return _kept(run, unit, "halves", [estimate_half(*given.read(run), number, run.threads)])
 
 
-def finish_estimate(run: Run, unit: str, given: Chipped, halves: Files) -> Receipt:
+def finish_estimate(run: Run, unit: str, given: ChipFiles, halves: Files) -> Receipt:
     """Test the estimate by halves of the points, and keep the corrected track."""
     return _kept(run, unit, "finish", [finish(*given.read(run), kept(run, HalfEstimate, halves))])
 
 
-def anchor_track(run: Run, unit: str, given: Chipped, result: Files, control: Control) -> Receipt:
+def anchor_track(run: Run, unit: str, given: ChipFiles, result: Files, control: Control) -> Receipt:
     """Anchor a corrected track by control points."""
     work, _, parts, last = given.read(run)
     return _kept(run, unit, "anchor", [anchor(work, kept(run, Result, result)[0], control, parts, last)])
@@ -220,12 +220,12 @@ def keep_points(run: Run, unit: str, stage: str, points: Points) -> Receipt:
     return _kept(run, unit, stage, [points])
 
 
-def find_shared_places(run: Run, unit: str, given: Chipped) -> Receipt:
+def find_shared_places(run: Run, unit: str, given: ChipFiles) -> Receipt:
     """Find where a collection sees the responses in the chips of points that another one sees too."""
     return _kept(run, unit, "tie", [find_places(*given.read(run))])
 
 
-def tie_track(run: Run, unit: str, given: Chipped, result: Files, places: Places) -> Receipt:
+def tie_track(run: Run, unit: str, given: ChipFiles, result: Files, places: Places) -> Receipt:
     """Tie a corrected track to that of another collection; keep the result, and the correction as it is then."""
     work, _, parts, last = given.read(run)
     tied = tie(work, kept(run, Result, result)[0], places, parts, last)
@@ -270,21 +270,25 @@ class Stages:
         # A refusal by any stage is about the samples, also where they are those of a raw echo, compressed.
         return Unit(step, run, name, task, arguments, reads_input=True)
 
-    def units(self, stage: str, *units: Unit) -> list[Receipt]:
+    def run_units(self, stage: str, *units: Unit) -> list[Receipt]:
         """Run a stage; return its receipts."""
         done = self.executor.run_units(stage, units, per_worker=2)
         self.receipts.extend(done)
         return done
 
-    def one(self, stage: str, name: str, task: Callable[..., Receipt], *arguments: object, threads: int = 0) -> Receipt:
+    def run_one(
+        self, stage: str, name: str, task: Callable[..., Receipt], *arguments: object, threads: int = 0
+    ) -> Receipt:
         """Run a stage of one unit; return its receipt."""
-        [done] = self.units(stage, self.unit(stage, name, task, *arguments, threads=threads))
+        [done] = self.run_units(stage, self.unit(stage, name, task, *arguments, threads=threads))
         return done
 
-    def chips(self, stage: str, name: str, source: stores.PhaseHistory, points: Files, correction: Files) -> Chipped:
+    def take_chips(
+        self, stage: str, name: str, source: stores.PhaseHistory, points: Files, correction: Files
+    ) -> ChipFiles:
         """Take chips of points along a corrected track; `name` tells them apart."""
-        given = Chipped(points, {}, correction, self.grid)
-        done = self.units(
+        given = ChipFiles(points, {}, correction, self.grid)
+        done = self.run_units(
             stage,
             *(
                 self.unit(
@@ -355,20 +359,20 @@ def estimate_track(
     source = sources[chosen].source
     correction: Files = {}
     for loop in range(1, stages.work.settings.loops + 1):
-        given = stages.chips(f"chips-{loop}", f"chips-{loop}", source, points, correction)
+        given = stages.take_chips(f"chips-{loop}", f"chips-{loop}", source, points, correction)
         if loop == 1:
             _refuse_gaps(stages.receipts, collection.n_pulse)
-        better = stages.one(f"estimate-{loop}", f"correction-{loop}", estimate_error, given, threads=threads)
+        better = stages.run_one(f"estimate-{loop}", f"correction-{loop}", estimate_error, given, threads=threads)
         correction = better.files
         if (better.found or {})["finished"]:
             break
     last = given._replace(correction=correction)
     halves = [stages.unit("halves", f"half-{n}", estimate_from_half, last, n) for n in (0, 1)]
-    finished = stages.one("test", "track", finish_estimate, last, files_of(stages.units("halves", *halves)))
+    finished = stages.run_one("test", "track", finish_estimate, last, files_of(stages.run_units("halves", *halves)))
     if control is not None:
-        known = stages.one("control", "control", keep_points, "control", control.points(stages.work))
-        given = stages.chips("control-chips", "chips-control", source, known.files, correction)
-        finished = stages.one("anchor", "anchored", anchor_track, given, finished.files, control)
+        known = stages.run_one("control", "control", keep_points, "control", control.points(stages.work))
+        given = stages.take_chips("control-chips", "chips-control", source, known.files, correction)
+        finished = stages.run_one("anchor", "anchored", anchor_track, given, finished.files, control)
     result = kept(run, Result, finished.files)[0]
     if len(channels) > 1:
         result = replace(result, figures={**result.figures, "channel": channels[0].channels[chosen]})
@@ -408,18 +412,18 @@ def _select(stages: Stages, channels: Sequence[Segment]) -> tuple[int, Files]:
             ),
         )
         for number, channel in enumerate(channels)
-        for first, pulses in _searched(stages.work)
+        for first, pulses in _search_spans(stages.work)
     ]
-    found = stages.units("search", *(unit for _, unit in searches))
+    found = stages.run_units("search", *(unit for _, unit in searches))
     candidates = [
         files_of(receipt for (number, _), receipt in zip(searches, found, strict=True) if number == channel)
         for channel in range(len(channels))
     ]
-    selected = stages.one("select", "points", select, candidates, stages.grid)
+    selected = stages.run_one("select", "points", select, candidates, stages.grid)
     return (selected.found or {})["channel"], selected.files
 
 
-def _searched(work: Work) -> list[tuple[int, list[Span]]]:
+def _search_spans(work: Work) -> list[tuple[int, list[Span]]]:
     """The short apertures that each task of a search takes, with the number of the first."""
     apertures = [(one.start, one.stop) for one in work.apertures]
     return [(first, apertures[first:end]) for first, end in chunk_spans(0, len(apertures), SEARCHED)]
@@ -447,7 +451,7 @@ def copy_store(executor: Executor, source: Place, target: Place, run: Run) -> li
     for group in stores.groups_of(versions, COPY_BYTES):
         some: dict[str, Any] = {name: versions[name] for name in group}
         units.append(stages.unit("copy", f"copy-{group[0].replace('/', '-')}", copy_group, source, target, some))
-    return stages.units("copy", *units)
+    return stages.run_units("copy", *units)
 
 
 def tie_tracks(estimates: Sequence[Estimated], labels: Sequence[str]) -> list[Estimated]:
@@ -484,26 +488,26 @@ def _noted(result: Result, tied: dict[str, object]) -> Result:
 def _tie(one: Estimated, other: Estimated, shared: Points, label: str) -> Estimated:
     """Tie the track of another collection to that of the first by the points that both see."""
     first, second = one.stages, other.stages
-    begun, begun_ = len(first.receipts), len(second.receipts)
+    before = len(first.receipts), len(second.receipts)
     # What is found depends on both, and on what the first is tied to.
     token = stores.checksum_bytes(f"{one.token} {second.run.identity}".encode())[:12]
-    known = first.one("tie", f"shared-{token}", keep_points, "tie", shared)
-    given = first.chips("tie", f"chips-shared-{token}", one.source, known.files, one.correction)
-    found = first.one("tie", f"places-{token}", find_shared_places, given)
-    receipts = [*other.receipts, *first.receipts[begun:]]
+    known = first.run_one("tie", f"shared-{token}", keep_points, "tie", shared)
+    given = first.take_chips("tie", f"chips-shared-{token}", one.source, known.files, one.correction)
+    found = first.run_one("tie", f"places-{token}", find_shared_places, given)
+    receipts = [*other.receipts, *first.receipts[before[0] :]]
     places = places_seen(second.work, kept(first.run, Places, found.files)[0])
     if places.x.size < LEAST:
         return _alone(replace(other, receipts=receipts))
     control = control_of(places).points(second.work)
-    points = second.one("tie", f"tied-points-{token}", keep_points, "control", control)
-    given = second.chips("tie", f"chips-tied-{token}", other.source, points.files, other.correction)
-    done = second.one("tie", f"tied-{token}", tie_track, given, other.finished, places)
+    points = second.run_one("tie", f"tied-points-{token}", keep_points, "control", control)
+    given = second.take_chips("tie", f"chips-tied-{token}", other.source, points.files, other.correction)
+    done = second.run_one("tie", f"tied-{token}", tie_track, given, other.finished, places)
     result, correction = (_named(done.files, name) for name in ("result", "correction"))
     moved = kept(second.run, Result, result)[0]
     figures = {**other.result.figures, **moved.figures}
     figures["tied"] = {**figures["tied"], "to": label}
     return replace(
-        other, receipts=[*receipts, *second.receipts[begun_:]], token=token, correction=correction,
+        other, receipts=[*receipts, *second.receipts[before[1] :]], token=token, correction=correction,
         result=replace(moved, figures=figures),
     )  # fmt: skip
 

@@ -106,7 +106,7 @@ class Executor(ABC):
         self.listener = listener
 
     @abstractmethod
-    def results(
+    def execute(
         self, stage: str, units: Sequence[Unit], *, per_worker: int = 1, ahead: bool = False
     ) -> Iterator[tuple[str, Any]]:
         """Run units, whatever receipts there are; yield the name of each, once it has ended, and what it has made.
@@ -155,7 +155,7 @@ class Executor(ABC):
         ]
         if checks:
             self.listener.begin(f"check-{stage}")
-        for number, (name, intact) in enumerate(self.results(stage, checks, per_worker=2), 1):
+        for number, (name, intact) in enumerate(self.execute(stage, checks, per_worker=2), 1):
             if intact:
                 receipts[name] = replace(earlier[name], reused=True)
             else:
@@ -164,7 +164,7 @@ class Executor(ABC):
         self.listener.begin(stage, reused=len(receipts))
         self.listener.update(stage, len(receipts), len(units))
         missing = [unit for unit in units if unit.name not in receipts]
-        for name, receipt in self.results(stage, missing, per_worker=per_worker, ahead=ahead):
+        for name, receipt in self.execute(stage, missing, per_worker=per_worker, ahead=ahead):
             receipts[name] = replace(receipt, damaged=name in damaged)
             self.listener.update(stage, len(receipts), len(units))
         return [receipts[unit.name] for unit in units]
@@ -186,7 +186,7 @@ def _fail(error: BaseException, stage: str, unit: Unit) -> NoReturn:
 class ThisProcess(Executor):
     """Runs units in this process, one after the other."""
 
-    def results(
+    def execute(
         self, stage: str, units: Sequence[Unit], *, per_worker: int = 1, ahead: bool = False
     ) -> Iterator[tuple[str, Any]]:
         for unit in units:
@@ -275,7 +275,7 @@ class OnCluster(Executor):
         super().__init__(listener)
         self.client = client
 
-    def results(
+    def execute(
         self, stage: str, units: Sequence[Unit], *, per_worker: int = 1, ahead: bool = False
     ) -> Iterator[tuple[str, Any]]:
         """Submit units, at most `per_worker` in flight for each worker; yield each once it has ended.

@@ -75,7 +75,7 @@ def test_units_lost_by_the_scheduler_are_started_again(
 
     monkeypatch.setattr(client, "submit", start)
     todo = [units.Unit("forgotten", run, name, lambda _, name: time.sleep(0.2) or name) for name in "abcd"]
-    outcomes = dict(units.OnCluster(client, Listener()).results("focus", todo, per_worker=2))
+    outcomes = dict(units.OnCluster(client, Listener()).execute("focus", todo, per_worker=2))
     assert outcomes == {unit: unit for unit in "abcd"}
     assert [started.count(unit) for unit in "ad"] == [1, 1] and min(started.count(unit) for unit in "bc") >= 3
 

@@ -128,6 +128,6 @@ def test_the_scheduler_sees_units_in_flight_only(client: Client, run: Run, monke
     events, flight = Events(), []
     monkeypatch.setattr(events, "watch", lambda units, workers: flight.append((len(units), workers.number)))
     units = [Unit("give", run, f"{number}", give, (number,)) for number in range(12)]
-    found = dict(OnCluster(client, events).results("giving", units, per_worker=2))
+    found = dict(OnCluster(client, events).execute("giving", units, per_worker=2))
     assert found == {f"{number}": number for number in range(12)}
     assert max(n for n, _ in flight) == 4 and flight[-1] == (0, 2)

@@ -25,7 +25,7 @@ def seconds_a_task(client: Client, n_task: int) -> dict[str, float]:
     ends = []
     started = time.perf_counter()
     chains = [_chain(number) for number in range(units)]
-    for _ in OnCluster(client, Listener()).results("chains", chains, per_worker=IN_FLIGHT):
+    for _ in OnCluster(client, Listener()).execute("chains", chains, per_worker=IN_FLIGHT):
         ends.append(time.perf_counter() - started)
     tenth = units // 10
     return {
