@@ -30,7 +30,7 @@ from blocksar.runs.record import Receipt
 
 @dataclass(frozen=True, eq=False)
 class Unit:
-    """A unit of work: `task(run, name, *results, *arguments)`, which returns its receipt, unsigned.
+    """A unit of work: `task(run, name, *results, *arguments)`, which returns its receipt, not signed yet.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Unit:
         Tasks before this one, whose `results` stay in the worker that has made them. They leave no receipts, and are
         done with the unit: again, if it is.
     title : str
-        What an error of the task is said to have failed, whatever the error; empty: that depends on it, see `_fail`.
+        What has failed if the task does, as its error says; empty: that depends on the error, see `_fail`.
     priority : int
         On a cluster; units of a higher one come first.
     on : str
@@ -69,7 +69,10 @@ class Unit:
 
 
 def perform(unit: Unit, *results: Any) -> Any:
-    """Do the task of a unit, in the process that runs it, and sign its receipt."""
+    """Do the task of a unit, where it runs; sign its receipt, if it returns one.
+
+    The seconds of the receipt are those of the task, and those that it has counted itself, of tasks before it.
+    """
     started = time.perf_counter()
     try:
         made = unit.task(unit.run, unit.name, *results, *unit.arguments)
