@@ -55,7 +55,7 @@ HOMES: dict[str, set[str] | None] = {
     "xxhash": {"stores"},
     "xarray": {"stores", "products", "api", "ingestion"},
     "dask": {"graph"},
-    "distributed": {"graph", "processors", "api"},  # processors, api: types
+    "distributed": {"graph", "api"},  # api: types
     "typer": {"cli"},
     "rich": {"cli", "progress"},
     "matplotlib": {"products", "processors", "api"},  # processors, api: types

@@ -27,11 +27,12 @@ from blocksar.errors import InputError
 from blocksar.graph import cluster
 from blocksar.graph.machine import resources
 from blocksar.graph.track_stages import copy_store
+from blocksar.graph.units import Executor, OnCluster
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, lies_in, place
 from blocksar.places.place import Place, check_room
-from blocksar.progress import Listener, as_listener
 from blocksar.progress import Wanted as Progress
+from blocksar.progress import as_listener
 from blocksar.runs import folder as run_folder
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import Receipt
@@ -147,13 +148,14 @@ def autofocus(
     run_folder.refuse_foreign(work.folder)
     limit = settings.memory_limit
     with ExitStack() as stack:
-        connected = None
+        executor: Executor | None = None
         if client is not None or scheduler is not None:
             opened = cluster.open_client(scheduler=scheduler, client=client, wait_workers=wait_workers)
-            connected = stack.enter_context(opened)
-            workers, limit = cluster.cluster_size(connected, workers=workers, memory_limit=limit, listener=listener)
+            client = stack.enter_context(opened)
+            executor = OnCluster(client, listener)
+            workers, limit = cluster.cluster_size(client, workers=workers, memory_limit=limit, listener=listener)
         elif workers == 0:
-            connected = cluster.open_here(listener)
+            executor = cluster.open_here(listener)
         machine = resources(workers, threads, limit)
         memory = estimate.checked_memory(machine)
         if target.free() is not None:
@@ -164,11 +166,11 @@ def autofocus(
         with (
             work.removed_if_wrong(),
             run_folder.resumable(),
-            estimate.connected(machine, connected, listener) as client_,
+            estimate.opened(machine, executor, listener) as at_work,
         ):
-            made = estimate.carry_out(client_, machine, listener, local=connected is None)
+            made = estimate.carry_out(at_work, machine, local=executor is None)
             run = estimate.run(machine.threads)
-            copied, attribute = _write(estimate, made.result, run, target, client_, listener, overwrite=overwrite)
+            copied, attribute = _write(estimate, made.result, run, target, at_work, overwrite=overwrite)
         run_folder.remove_estimate(work.folder)
         summary = estimate.summary([*made.receipts, *copied], attribute, memory)
         return Report(
@@ -199,15 +201,14 @@ def _write(
     result: Result,
     run: Run,
     target: Place,
-    client: Client,
-    listener: Listener,
+    executor: Executor,
     *,
     overwrite: bool,
 ) -> tuple[Sequence[Receipt], dict[str, Any]]:
     """Write the store with its track corrected, in a folder that this process has claimed; receipts and attribute."""
     source, made = estimate.stored()[0], estimate.folder / STORE
-    receipts = copy_store(client, source.path, made, run, listener)
-    listener.begin("finish")
+    receipts = copy_store(executor, source.path, made, run)
+    executor.listener.begin("finish")
     attribute = estimate.attribute(result)
     line = stores.history_line(f"track corrected by blocksar {__version__}", source.attrs.get("history"))
     stores.write_track(
@@ -216,5 +217,5 @@ def _write(
     )  # fmt: skip
     estimate.check_unchanged()
     stores.publish(made, target, overwrite=overwrite)
-    listener.update("finish", 1, 1)
+    executor.listener.update("finish", 1, 1)
     return receipts, attribute

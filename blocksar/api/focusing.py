@@ -30,6 +30,7 @@ from blocksar.errors import InputError
 from blocksar.focusing.method import Coefficients, Cutting, Derotation, Perturbation, RangeModel
 from blocksar.graph import cluster, recording
 from blocksar.graph.machine import Resources, resources
+from blocksar.graph.units import Executor, OnCluster, ThisProcess
 from blocksar.ingestion.heights import terrain_notes
 from blocksar.loop_cache import compilation_seconds
 from blocksar.measurement.targets import Target
@@ -251,7 +252,7 @@ def _focus_image(
             listener.note(f"nothing was done, so there is no performance report at {profile}")
         return _report_finished(request.folder, record, discard=discard)
     with ExitStack() as stack:
-        connected = None
+        executor: Executor | None = None
         here = (
             client is None
             and settings.scheduler is None
@@ -269,14 +270,15 @@ def _focus_image(
             opened = cluster.open_client(
                 scheduler=settings.scheduler, client=client, wait_workers=settings.wait_workers
             )
-            connected = stack.enter_context(opened)
+            client = stack.enter_context(opened)
+            executor = OnCluster(client, listener)
             workers, memory_limit = cluster.cluster_size(
-                connected, workers=workers, memory_limit=memory_limit, listener=listener
+                client, workers=workers, memory_limit=memory_limit, listener=listener
             )
             if request.device == "gpu":
-                workers = min(workers, cluster.workers_with_gpu(connected))
+                workers = min(workers, cluster.workers_with_gpu(client))
             if profile is not None:
-                recording.check_recordable(profile, connected)
+                recording.check_recordable(profile, client)
         machine = resources(workers, settings.threads, memory_limit)
         if settings.dry_run:
             return rehearse(request, record, machine, _beside(request, following))
@@ -285,15 +287,15 @@ def _focus_image(
         if record is not None and record.finished:
             return _report_finished(request.folder, record, discard=discard, claimed=True)
         if here:
-            connected = cluster.open_here(listener)
+            executor = cluster.open_here(listener)
         said: list[str] = []
         if request.track is not None:
             from blocksar.api.tracks import track_corrected  # with all of `autofocusing`, which takes 20 ms to load
 
             _check_room_before_track(request, record, machine, following)
-            corrected = track_corrected(request, machine, connected, listener)
-            request, said, connected = stack.enter_context(corrected)
-        report = _focus(request, record, machine, connected, listener, profile, following, compiled)
+            corrected = track_corrected(request, machine, executor, listener)
+            request, said, executor = stack.enter_context(corrected)
+        report = _focus(request, record, machine, executor, listener, profile, following, compiled)
         return replace(report, summary=[*said, *report.summary])
 
 
@@ -356,7 +358,7 @@ def _focus(
     request: Request,
     earlier: RunRecord | None,
     machine: Resources,
-    client: Client | None,
+    executor: Executor | None,
     listener: Listener,
     profile: Path | None,
     following: int,
@@ -364,7 +366,7 @@ def _focus(
 ) -> RunReport:
     """Plan and carry out a run in a folder that this process has claimed."""
     listener.update("plan", 0, 1)
-    with _start_workers(request, earlier, machine, listener) if client is None else nullcontext(client) as workers:
+    with _start_workers(request, earlier, machine, listener) if executor is None else nullcontext(executor) as workers:
         job = Job.of(request, earlier, machine)
         listener.expect(job.predict_effort(), machine.workers)
         listener.update("plan", 1, 1)
@@ -382,7 +384,7 @@ def _focus(
     if not (measurable := is_measurable(finished)):
         found.append("quality, report and export take images of at least 2 x 2 pixels; this one opens in Python only")
     notes = [f"note: {line}" for line in found]
-    worker = "this process" if cluster.is_here(client) else "a worker"
+    worker = "this process" if isinstance(executor, ThisProcess) else "a worker"
     lines = [*_summary(request.folder, finished, job.memory, worker), *notes]
     return RunReport(summary=lines, result=finished.as_json(), folder=request.folder, measurable=measurable)
 

@@ -28,6 +28,7 @@ from blocksar.api.settings import Settings
 from blocksar.api.shown import RunReport, is_measurable
 from blocksar.api.track_places import TrackPlace, fingerprint_of_members, joint_fingerprint
 from blocksar.chunks import TILE
+from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.errors import FolderError, InputError, NoRoom
 from blocksar.graph import cluster
@@ -346,10 +347,12 @@ def _join(
         for name in (*own, *same, "x", "y")
     }, *own, dimension=dimension)  # fmt: skip
     side = stores.chunk_shape(first / "image.zarr", "image")
-    attrs, wkt = _attributes(first)
+    attrs = _attributes(first)
     pyramid, levels = stores.Pyramid({}, {}), len(stores.level_shapes((y.size, x.size)))
     if levels and all(stores.levels_of(path / "image.zarr") == levels for path in members.values()):
-        pyramid = stores.pyramid_of(x, y, wkt, members=tuple(members), dimension=dimension)
+        frame = Georeference.among(attrs)
+        projection = None if frame is None else frame.map_projection(attrs["ground_height"])
+        pyramid = stores.pyramid_of(x, y, projection, members=tuple(members), dimension=dimension)
         own += map(stores.level_name, range(1, levels + 1))
     written: dict[str, list[Written]] = {name: [] for name in members}
 
@@ -397,8 +400,7 @@ def share_chunk(source: Place, image: Place, part: Written, lead: tuple[slice, .
     return replace(part, region=(*((s.start, s.stop) for s in lead), *part.region))
 
 
-def _attributes(member: Place) -> tuple[dict[str, Any], str | None]:
-    """Attributes of a channel's image that hold for all channels, and the map projection that its pyramid states."""
-    attrs = dict(stores.open_dataset(member / "image.zarr").attrs)
-    shared = {name: value for name, value in attrs.items() if name not in NOT_SHARED and ":" not in name}
-    return shared, attrs.get("proj:wkt2")
+def _attributes(member: Place) -> dict[str, Any]:
+    """Attributes of a channel's image that hold for all channels."""
+    attrs = stores.open_dataset(member / "image.zarr").attrs
+    return {name: value for name, value in attrs.items() if name not in NOT_SHARED and ":" not in name}

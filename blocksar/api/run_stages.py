@@ -9,12 +9,12 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import cache, partial
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from blocksar import stores
 from blocksar.api.checking import check_samples, refuse_real
@@ -28,6 +28,7 @@ from blocksar.graph.pyramid import build_pyramid
 from blocksar.graph.reading import CUT
 from blocksar.graph.segments import Segment, by_collection
 from blocksar.graph.stages import Recovered
+from blocksar.graph.units import Executor, OnCluster, ThisProcess
 from blocksar.inspection import centroid, samples
 from blocksar.inspection.samples import Inspection
 from blocksar.loop_cache import compilation_seconds
@@ -40,9 +41,6 @@ from blocksar.runs import stored_plan
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import FINISHED, CentroidError, Receipt, RunRecord, SampleCounts
 from blocksar.version import __version__
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 MANY_MISSING = 0.02  # of the samples, from which on the image may be worse than predicted
 Check = tuple[str | None, str]  # of a collection's samples: a warning, or a sentence that all is well
@@ -239,14 +237,14 @@ def carry_out(
     job: Job,
     run: Run,
     record: RunRecord,
-    client: Client | cluster.Starting | None,
+    workers: Executor | cluster.Starting | None,
     listener: Listener,
     profile: Path | None,
     *,
     resumed: bool,
     compiled: float,
 ) -> RunRecord:
-    """Carry out a run and return its final record, by a client, or a local cluster: one that is starting, or its own.
+    """Carry out a run and return its final record, by an executor, or a local cluster, which is starting or its own.
 
     The local cluster has ended when the record is written. Loops that were compiled since `compilation_seconds` was
     `compiled` count in its time, also those from before.
@@ -261,20 +259,21 @@ def carry_out(
         on_terrain = compiling.TERRAIN if job.request.terrain is not None else ()
         pyramid = compiling.PYRAMID if run.pyramid else ()
         compiling.compile_missing(
-            [*job.plan.loops(), *on_terrain, *pyramid], by="others" if cluster.is_here(client) else "all"
+            [*job.plan.loops(), *on_terrain, *pyramid], by="others" if isinstance(workers, ThisProcess) else "all"
         )
-        if client is None:
+        if workers is None:
             scratch = run_folder.scratch(run.folder)
-            client = cluster.Starting(**job.machine._asdict(), scratch=scratch, listener=listener)
-        if isinstance(client, cluster.Starting):
-            client = stack.enter_context(client).client()
+            workers = cluster.Starting(**job.machine._asdict(), scratch=scratch, listener=listener)
+        if isinstance(workers, cluster.Starting):
+            workers = OnCluster(stack.enter_context(workers).client(), listener)
+        client = workers.client if isinstance(workers, OnCluster) else None
         if (address := recording.dashboard(client)) is not None:
             listener.dashboard(address)
         with recording.record_performance(client, profile, listener):
             # Beside the first stage: the check takes a few samples, and the stage's tasks run in other processes.
-            beside = not cluster.is_here(client) and job.request.asked.interference is None
+            beside = client is not None and job.request.asked.interference is None
             checked = stack.enter_context(checking(job, beside=beside))
-            record = _form(job, run, record, client, checked, listener, input_read)
+            record = _form(job, run, record, workers, checked, input_read)
         listener.watch((), NOBODY)
         listener.begin("finish")
     record = replace(
@@ -297,9 +296,13 @@ def _compilation(compiled: float) -> dict[str, float]:
 
 
 def _form(
-    job: Job, run: Run, record: RunRecord, client: Client, checked: Callable[[], list[Check]], listener: Listener,
+    job: Job,
+    run: Run,
+    record: RunRecord,
+    executor: Executor,
+    checked: Callable[[], list[Check]],
     input_read: Callable[[], None],
-) -> RunRecord:  # fmt: skip
+) -> RunRecord:
     """Form the image; return the record with receipts and durations of all stages, and findings in the samples."""
     for segment in job.segments:
         own = segment.of(run)
@@ -313,26 +316,31 @@ def _form(
         begun.append(time.perf_counter())
         timings[stage] = begun[-1] - begun[-2]
 
-    def accept(read: Sequence[Recovered]) -> None:
-        nonlocal record
-        record = found = add_findings(job, record, read, checked, listener)
-        run.establish(run.image, lambda: _create_image(run, job, found))
-        end("check")
-
-    segments, compressed = stages.prepare_samples(client, job.segments, run, listener)
+    segments, compressed = stages.prepare_samples(executor, job.segments, run)
     if job.request.asked.interference is not None:  # the check is of what is imaged
         checked = check_later(replace(job, segments=tuple(segments)))
+
+    def accept_read(stage: str, read: Sequence[Recovered]) -> list[Recovered]:
+        nonlocal record
+        end(stage)
+        joined = [each._replace(receipts=[*some, *each.receipts]) for some, each in zip(compressed, read, strict=True)]
+        record = found = add_findings(job, record, joined, checked, executor.listener)
+        run.establish(run.image, lambda: _create_image(run, job, found))
+        end("check")
+        input_read()
+        noises = job.noises([each.inspection.lit for each in joined])
+        return [each._replace(noise=noise) for each, noise in zip(joined, noises, strict=True)]
+
     execution = Execution(
-        client=client, run=run, listener=listener, segments=segments, compressed=compressed,
-        workers=job.machine.workers, weighting=job.request.weighting, discard=job.request.asked.discard, accept=accept,
-        input_read=input_read, end=end, noises=job.noises,
+        executor=executor, run=run, segments=segments, weighting=job.request.weighting,
+        discard=job.request.asked.discard, accept_read=accept_read, end=end,
     )  # fmt: skip
     receipts = tuple(job.plan.form(execution))
-    if levels := build_pyramid(client, run, job.grid.shape, listener):
+    if levels := build_pyramid(executor, run, job.grid.shape):
         receipts = (*receipts, *levels)
         end("pyramid")
     if not any_covered(receipts, run.name_of(run.image)):
-        listener.note(UNCOVERED, again=True)
+        executor.listener.note(UNCOVERED, again=True)
         record = replace(record, warnings=(*record.warnings, UNCOVERED))
     return replace(record, receipts=receipts, timings=timings)
 
@@ -389,11 +397,8 @@ def _create_image(run: Run, job: Job, record: RunRecord) -> None:
 
 
 def _pyramid(job: Job) -> stores.Pyramid:
-    """Pyramid of the image, with its map projection where the frame has one and PROJ is there."""
+    """Pyramid of the image, with its map projection where the frame has one."""
     frame, terrain = Georeference.among(job.history.attrs), job.request.terrain
-    wkt = None
-    if frame is not None and not frame.rotation % 360:
-        height = job.history.collection.ground_height if terrain is None else terrain.mean
-        with suppress(InputError, ImportError):  # PROJ is optional
-            wkt = frame.projection(0.0, 0.0, height).to_wkt("WKT2_2019")
-    return stores.pyramid_of(job.grid.x, job.grid.y, wkt)
+    height = job.history.collection.ground_height if terrain is None else terrain.mean
+    projection = None if frame is None else frame.map_projection(height)
+    return stores.pyramid_of(job.grid.x, job.grid.y, projection)

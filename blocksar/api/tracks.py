@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from blocksar.focusing.method import Cutting
 from blocksar.graph import cluster, compiling
 from blocksar.graph.machine import Resources
 from blocksar.graph.track_stages import Estimated, estimate_track, tie_tracks
+from blocksar.graph.units import Executor, OnCluster
 from blocksar.ingestion.heights import Ground
 from blocksar.measurement.targets import Target
 from blocksar.places.place import Place
@@ -38,9 +39,6 @@ from blocksar.runs.record import RECORD, Receipt
 from blocksar.runs.track import ATTRIBUTE, SHOWN, TrackCorrection, levels
 from blocksar.texts import size_text
 from blocksar.version import __version__
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 FORMAT = 4  # of the folder of an estimate
 
@@ -138,17 +136,17 @@ class TrackEstimate:
         return max(first + chips + store - self.folder.taken(), 0)
 
     @contextmanager
-    def connected(self, machine: Resources, client: Client | None, listener: Listener) -> Iterator[Client]:
-        """A client: the one given, or that of a new local cluster, whose temporary files lie in the folder."""
-        if client is not None:
-            yield client
+    def opened(self, machine: Resources, executor: Executor | None, listener: Listener) -> Iterator[Executor]:
+        """An executor: the one given, or a new local cluster, whose temporary files lie in the folder."""
+        if executor is not None:
+            yield executor
             return
         compiling.compile_missing(compiling.TRACKS)
         scratch = run_folder.scratch(self.folder)
         with cluster.open_client(**machine._asdict(), scratch=scratch, listener=listener) as own:
-            yield own
+            yield OnCluster(own, listener)
 
-    def carry_out(self, client: Client, machine: Resources, listener: Listener, *, local: bool) -> Estimated:
+    def carry_out(self, executor: Executor, machine: Resources, *, local: bool) -> Estimated:
         """Estimate the track in the folder, or go on with an estimate there.
 
         With a `local` cluster of its own, a task that runs alone has the threads of all workers.
@@ -162,7 +160,7 @@ class TrackEstimate:
         control = self._control() if self.control else None
         run, threads = self.run(machine.threads), machine.threads * (machine.workers if local else 1)
         return estimate_track(
-            client, self.stored(), run, self.grid, control, listener, threads, self.terrain, self.interference
+            executor, self.stored(), run, self.grid, control, threads, self.terrain, self.interference
         )
 
     def _control(self) -> Control:
@@ -248,11 +246,11 @@ class TrackEstimate:
 
 @contextmanager
 def track_corrected(
-    request: Request, machine: Resources, client: Client | None, listener: Listener
-) -> Iterator[tuple[Request, list[str], Client | None]]:
-    """Correct the track of a run's input, in the request's `TrackPlace`: the request, sentences and a client.
+    request: Request, machine: Resources, executor: Executor | None, listener: Listener
+) -> Iterator[tuple[Request, list[str], Executor | None]]:
+    """Correct the track of a run's input, in the request's `TrackPlace`: the request, sentences and an executor.
 
-    The client is that of the local cluster which the correction started, if it needed one: the run goes on with it. The
+    The executor is the local cluster which the correction started, if it needed one: the run goes on with it. The
     folder stays until the run is finished, for runs that are resumed; an InputError removes it.
 
     Raises
@@ -262,7 +260,7 @@ def track_corrected(
     ProcessingError
         If processing fails.
     """
-    local, place = client is None, request.track
+    local, place = executor is None, request.track
     assert place is not None
     with ExitStack() as stack:
         stack.enter_context(place.removed_if_wrong())
@@ -274,14 +272,14 @@ def track_corrected(
                 with _named(estimate if len(estimates) > 1 else None):
                     memory = max(memory, estimate.checked_memory(machine))
             with run_folder.resumable():
-                client = stack.enter_context(estimates[0].connected(machine, client, listener))
+                executor = stack.enter_context(estimates[0].opened(machine, executor, listener))
                 found = []
                 for estimate in estimates:
                     with _named(estimate if len(estimates) > 1 else None):
-                        found.append(estimate.carry_out(client, machine, listener, local=local))
+                        found.append(estimate.carry_out(executor, machine, local=local))
                 if len(found) > 1 and not request.control:
                     labels = [str(history.path) for history in request.histories]
-                    found = tie_tracks(client, found, labels, request.grid, listener)
+                    found = tie_tracks(found, labels)
             for estimate, one in zip(estimates, found, strict=True):
                 place.results[estimate.key] = one.result
                 lines = estimate.summary(one.receipts, estimate.attribute(one.result), memory)
@@ -291,7 +289,7 @@ def track_corrected(
             result = place.results[estimate.key]
             attrs = {**history.attrs, ATTRIBUTE: estimate.attribute(result)}
             histories.append(replace(history, collection=estimate.corrected(history, result), attrs=attrs))
-        yield replace(request, histories=tuple(histories)), said, client
+        yield replace(request, histories=tuple(histories)), said, executor
 
 
 @contextmanager

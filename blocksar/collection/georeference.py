@@ -18,6 +18,7 @@ from __future__ import annotations
 import reprlib
 import warnings
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any
@@ -195,6 +196,14 @@ class Georeference:
             return _crs(_mercator(self.latitude, self.longitude, self.height + ground_height))
         latitude, longitude, height = self.to_geodetic(np.array([x, y, ground_height]))
         return _crs(_mercator(float(latitude), float(longitude), float(height)))
+
+    def map_projection(self, ground_height: float) -> dict[str, Any] | None:
+        """The CF grid mapping, with its WKT 2 (`crs_wkt`) where PROJ, which is optional, is there."""
+        mapping = self.grid_mapping(ground_height)
+        if mapping is not None:
+            with suppress(InputError, ImportError):
+                mapping["crs_wkt"] = self.projection(0.0, 0.0, ground_height).to_wkt("WKT2_2019")
+        return mapping
 
     def project(self, crs: CRS, points: FloatArray) -> FloatArray:
         """Easting and northing (..., 2), m, of points (..., 3) of the frame in a map projection."""

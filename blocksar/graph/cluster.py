@@ -22,7 +22,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.util import get_temp_dir
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import dask
 import distributed.utils
@@ -33,7 +33,7 @@ from blocksar.errors import InputError, ProcessingError
 from blocksar.graph.compiling import By, compile_kernels, kernels_cached
 from blocksar.graph.machine import machine
 from blocksar.graph.recording import serve_dashboard
-from blocksar.graph.units import GPU, NO_WORKER, Here, await_workers, waiting_for_workers, workers_of
+from blocksar.graph.units import GPU, NO_WORKER, ThisProcess, await_workers, waiting_for_workers, workers_of
 from blocksar.progress import Listener
 from blocksar.version import __version__
 
@@ -160,15 +160,10 @@ def prepare_workers(threads: int, listener: Listener) -> None:
     start_fork_server(threads)
 
 
-def open_here(listener: Listener) -> Client:
+def open_here(listener: Listener) -> ThisProcess:
     """Return what runs the tasks of a run in this process, after the loops are compiled by others."""
     _compile_once(listener, by="others")
-    return cast(Client, Here())
-
-
-def is_here(client: object) -> bool:
-    """Tell whether a client is that of `open_here`."""
-    return isinstance(client, Here)
+    return ThisProcess(listener)
 
 
 def _compile_once(listener: Listener, by: By = "all") -> None:
@@ -221,12 +216,12 @@ def open_client(
         If the workers of a local cluster do not start.
     """
     if client is not None:
-        if not isinstance(client, Client | Here):
+        if not isinstance(client, Client):
             raise InputError(
                 f"client is a {type(client).__name__}; give a distributed.Client, or the address of a scheduler as "
                 "scheduler"
             )
-        if not is_here(client) and client.asynchronous:
+        if client.asynchronous:
             raise InputError(
                 "client is asynchronous, and nothing here awaits it; give a distributed.Client without "
                 "asynchronous=True, or the address of a scheduler as scheduler"
@@ -281,7 +276,7 @@ class Starting:
         return enter(_local_cluster(workers, threads, memory_limit, scratch))
 
     def client(self) -> Client:
-        """Wait for the workers; the client of the cluster.
+        """Wait for the workers; return the client of the cluster.
 
         Raises
         ------

@@ -26,7 +26,7 @@ from blocksar.focusing.recorded_pulses import divide_by_recorded
 from blocksar.graph.layers import AlikeChunks, GroundHeights, strips_of, write_noise
 from blocksar.graph.segments import Margins, Merged
 from blocksar.graph.spectrum import Turn, Window, WritesBehind, ahead, in_threads
-from blocksar.graph.tasks import Samples, naming_failures, shifted, sign, write_image
+from blocksar.graph.tasks import Samples, shifted, write_image
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.tiling import chunk_window, image_chunk, patch_window, touched_chunks
 from blocksar.runs.receipts import Run, write
@@ -48,7 +48,6 @@ class PatchChunk(NamedTuple):
     collection: int | None
 
 
-@naming_failures(lambda run, unit, *_: f"mosaic of {unit}")
 def merge_chunks(
     run: Run,
     unit: str,
@@ -62,7 +61,6 @@ def merge_chunks(
 
     Where several segments cover some of a chunk, `margins` has theirs; `noises` has those of segments, if known.
     """
-    started = time.perf_counter()
     heights, alike = GroundHeights(run, grid, on_terrain=on_terrain), AlikeChunks(run)
     pool = ThreadPoolExecutor(READS_AT_ONCE)
     with pool, WritesBehind() as behind:
@@ -78,7 +76,7 @@ def merge_chunks(
             height = heights.over(window) if of_blocks else None
             turn.submit(write_image, run, window, image, owner, collections, source, patches[0].checksum, alike)
             turn.submit(write_noise, run, window, owner, grid, of_blocks, height)
-    return sign(run, Receipt(unit=unit, stage="mosaic", written=behind.written), started)
+    return Receipt(unit=unit, stage="mosaic", written=behind.written)
 
 
 def _read_ahead(
@@ -160,8 +158,7 @@ class Patch:
     noise: NoiseMap | None
 
 
-@naming_failures(lambda run, unit, block, *_: f"geometric-correction of block {block.name}")
-def write_patch(run: Run, unit: str, block: BlockPlan, samples: Samples, patch: Patch) -> Receipt:
+def write_patch(run: Run, unit: str, samples: Samples, block: BlockPlan, patch: Patch) -> Receipt:
     """Correct a focused block geometrically, and write its patch in chunks of the image's grid.
 
     Chunks are written by other threads while the next ones are computed.
@@ -185,8 +182,8 @@ def write_patch(run: Run, unit: str, block: BlockPlan, samples: Samples, patch: 
                 turn.submit(writer.write, pixels, owner, chunk_window(cell, grid), z, merged=cell not in patch.own)
     seconds = samples.seconds | {"geometric-correction": time.perf_counter() - started}
     # The receipt covers the whole block: the tasks before this one have no receipts.
-    receipt = Receipt(unit=unit, stage="focus", written=behind.written, origin=origin, steps=seconds)
-    return sign(run, receipt, started - sum(samples.seconds.values()))
+    before = sum(samples.seconds.values())
+    return Receipt(unit=unit, stage="focus", seconds=before, written=behind.written, origin=origin, steps=seconds)
 
 
 class _Corrected(NamedTuple):

@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from itertools import product
 
 import numpy as np
-from distributed import Client
 from numpy.typing import NDArray
 
 from blocksar import stores
 from blocksar.chunks import IMAGE_CHUNK, PYRAMID_LEVELS
 from blocksar.graph.spectrum import Window
-from blocksar.graph.tasks import naming_failures, sign
-from blocksar.graph.units import run_units, single_task
+from blocksar.graph.units import Executor, Unit
 from blocksar.kernels.halving import halve
-from blocksar.progress import Listener
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Receipt, Written
 
 Power = NDArray[np.float32]
 
 
-def build_pyramid(client: Client, run: Run, shape: tuple[int, int], listener: Listener) -> list[Receipt]:
+def build_pyramid(executor: Executor, run: Run, shape: tuple[int, int]) -> list[Receipt]:
     """Write the levels after the first of the image's pyramid, (n_y, n_x) pixels, if it has one; return the receipts.
 
     The first is written with the image, by `tasks.write_level`. A unit makes those up to PYRAMID_LEVELS of as much as
@@ -34,21 +30,20 @@ def build_pyramid(client: Client, run: Run, shape: tuple[int, int], listener: Li
         return []
     side = IMAGE_CHUNK * 2 ** (PYRAMID_LEVELS - 1)  # cells of the first level
     n_y, n_x = stores.level_shapes(shape)[0]
+    parts = {f"pyramid-{y // side}-{x // side}": (y, x) for y, x in product(range(0, n_y, side), range(0, n_x, side))}
     units = [
-        single_task(client, run, "pyramid", f"pyramid-{y // side}-{x // side}", reduce_part, (y, x), shape)
-        for y, x in product(range(0, n_y, side), range(0, n_x, side))
+        Unit("pyramid", run, name, reduce_part, (first, shape), title=f"pyramid of {name}")
+        for name, first in parts.items()
     ]
-    receipts = run_units(client, "pyramid", units, run, listener, per_worker=2)
-    if levels <= PYRAMID_LEVELS:
-        return receipts
-    top = single_task(client, run, "pyramid-top", "pyramid-top", reduce_levels, shape)
-    return [*receipts, *run_units(client, "pyramid-top", [top], run, listener)]
+    receipts = executor.run_units("pyramid", units, per_worker=2)
+    if levels > PYRAMID_LEVELS:
+        top = Unit("pyramid-top", run, "pyramid-top", reduce_levels, (shape,), title="top of the pyramid")
+        receipts += executor.run_units("pyramid-top", [top])
+    return receipts
 
 
-@naming_failures(lambda run, unit, *_: f"pyramid of {unit}")
 def reduce_part(run: Run, unit: str, first: tuple[int, int], shape: tuple[int, int]) -> Receipt:
     """Write levels from 2 on of the part of the first level that begins at row and column `first`."""
-    started = time.perf_counter()
     shapes = stores.level_shapes(shape)[:PYRAMID_LEVELS]
     written: list[Written] = []
     finer: dict[tuple[int, int], Power] = {}
@@ -61,19 +56,17 @@ def reduce_part(run: Run, unit: str, first: tuple[int, int], shape: tuple[int, i
             coarser[window[0].start, window[1].start] = power = halve(before)
             written += _write(run, level, window, power)
         finer = coarser
-    return sign(run, Receipt(unit=unit, stage="pyramid", written=tuple(written)), started)
+    return Receipt(unit=unit, stage="pyramid", written=tuple(written))
 
 
-@naming_failures(lambda *_: "top of the pyramid")
 def reduce_levels(run: Run, unit: str, shape: tuple[int, int]) -> Receipt:
     """Write the levels after the first, each a chunk at a time from that before it."""
-    started = time.perf_counter()
     shapes, written = stores.level_shapes(shape), list[Written]()
     for level in range(PYRAMID_LEVELS + 1, len(shapes) + 1):
         for window in _windows((0, 0), shapes[level - 1], None):
             source = _doubled(window, shapes[level - 2])
             written += _write(run, level, window, halve(_read(run, level - 1, source)))
-    return sign(run, Receipt(unit=unit, stage="pyramid-top", written=tuple(written)), started)
+    return Receipt(unit=unit, stage="pyramid-top", written=tuple(written))
 
 
 def _windows(first: tuple[int, int], shape: tuple[int, int], count: int | None) -> Iterator[Window]:
@@ -92,7 +85,7 @@ def _doubled(window: Window, shape: tuple[int, int]) -> Window:
 
 
 def _read(run: Run, level: int, window: Window) -> Power:
-    return stores.read_region(run.image, stores.level_name(level), window, cached=False)
+    return stores.read_region(run.image, stores.level_name(level), window)
 
 
 def _laid(parts: dict[tuple[int, int], Power], window: Window) -> Power:
@@ -110,4 +103,4 @@ def _write(run: Run, level: int, window: Window, power: Power) -> list[Written]:
     """Write a chunk of a level, if any of it is covered."""
     if not np.isfinite(power).any():
         return []
-    return [write(run, run.image, stores.level_name(level), window, power)]
+    return [write(run, run.image, stores.level_name(level), window, power, cached=True)]

@@ -16,7 +16,6 @@ from blocksar.focusing.method import Cutting
 from blocksar.focusing.range_gate import RangeGate, RawCompression
 from blocksar.focusing.recovery import Recovery, recover_columns
 from blocksar.graph.spectrum import SpectrumChunks, Window, WritesBehind, chunk_spans, stays_cached
-from blocksar.graph.tasks import naming_failures, sign
 from blocksar.inspection.samples import inspect
 from blocksar.kernels.rows import Program
 from blocksar.runs.receipts import Run, write
@@ -59,7 +58,6 @@ class Gated:
         return replace(self, gate=gate, first_bin=first)
 
 
-@naming_failures(lambda run, unit, *_: f"range-gate of {unit}")
 def gate_bins(
     run: Run, unit: str, bins: tuple[int, int], spectrum: SpectrumChunks, targets: Sequence[Gated]
 ) -> Receipt:
@@ -88,7 +86,7 @@ def gate_bins(
         RangeGate.name: computed - started - reading - behind.waited,
         "write-gated": time.perf_counter() - computed + behind.waited,
     }
-    return sign(run, Receipt(unit=unit, stage="gate", written=behind.written, steps=steps), started)
+    return Receipt(unit=unit, stage="gate", written=behind.written, steps=steps)
 
 
 def _gate(target: Gated, delays: ComplexArray, bins: tuple[int, int], *, threads: int) -> ComplexArray:
@@ -126,8 +124,7 @@ def prepare_pulses(
 
     A pulse of an echo with a gap becomes missing.
     """
-    started, found = time.perf_counter(), dict[str, Any]()
-    signal, cycles = source.read(slice(*pulses), slice(None)), None
+    signal, found, cycles = source.read(slice(*pulses), slice(None)), dict[str, Any](), None
     if compression is not None:
         inspection = inspect(signal, range_frequency=np.zeros(signal.shape[1]), recovery=None, threads=run.threads)
         signal = compression.apply(signal, pulses=slice(*pulses), threads=run.threads)
@@ -139,7 +136,7 @@ def prepare_pulses(
     region = (slice(*pulses), slice(0, signal.shape[1]))
     part = write(run, run.compressed, "signal", region, signal)
     stage = "interference" if compression is None else "range-compress"
-    return sign(run, Receipt(unit=unit, stage=stage, written=(part,), found=found), started)
+    return Receipt(unit=unit, stage=stage, written=(part,), found=found)
 
 
 def recover_group(
@@ -154,7 +151,6 @@ def recover_group(
 
     Chunks are written by other threads while the next columns are recovered.
     """
-    started = time.perf_counter()
     height, width = chunk
     signal = source.read(slice(None), slice(*columns))
     frequency = source.collection.carrier + source.collection.range_frequency - recovery.carrier
@@ -180,8 +176,7 @@ def recover_group(
             # One entry for each chunk, so that a block can check those that it reads.
             for bins in chunk_spans(0, shape[0], height):
                 turn.submit(_write_bins, run, (slice(*bins), part), spectrum[slice(*bins)], cached=cached)
-    receipt = Receipt(unit=unit, stage="recover", written=behind.written, found=inspection.as_dict())
-    return sign(run, receipt, started)
+    return Receipt(unit=unit, stage="recover", written=behind.written, found=inspection.as_dict())
 
 
 def _write_bins(run: Run, region: Window, values: ComplexArray, *, cached: bool) -> list[Written]:
@@ -191,8 +186,7 @@ def _write_bins(run: Run, region: Window, values: ComplexArray, *, cached: bool)
 
 def inspect_group(run: Run, unit: str, source: stores.PhaseHistory, columns: tuple[int, int]) -> Receipt:
     """Inspect a column group without recovery, for back-projection, which reads the samples by pulse."""
-    started = time.perf_counter()
     signal = source.read(slice(None), slice(*columns))
     frequency = source.collection.range_frequency[slice(*columns)]
     inspection = inspect(signal, range_frequency=frequency, recovery=None, first_column=columns[0], threads=run.threads)
-    return sign(run, Receipt(unit=unit, stage="inspect", found=inspection.as_dict()), started)
+    return Receipt(unit=unit, stage="inspect", found=inspection.as_dict())

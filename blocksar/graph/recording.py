@@ -22,10 +22,10 @@ REPORT_TIME = 60.0  # s, time for the scheduler to make a performance report
 INTERRUPTED_REPORT_TIME = 5.0  # s, the same after an interruption: the user is waiting for the end
 
 
-def dashboard(client: Client) -> str | None:
+def dashboard(client: Client | None) -> str | None:
     """Return the address of a cluster's dashboard; None without bokeh, where it would show metrics only."""
     with suppress(Exception):  # a broken scheduler is reported by the run itself
-        return client.dashboard_link if _has_bokeh(client) else None
+        return client.dashboard_link if client is not None and _has_bokeh(client) else None
     return None
 
 
@@ -75,12 +75,12 @@ def _has_bokeh(client: Client) -> bool:
 
 
 @contextmanager
-def record_performance(client: Client, path: Path | None, listener: Listener) -> Iterator[None]:
-    """Write dask's performance report of the work done in the block, even if it fails; no report if `path` is None.
+def record_performance(client: Client | None, path: Path | None, listener: Listener) -> Iterator[None]:
+    """Write dask's performance report of the work done in the block, even if it fails; none without `path` or cluster.
 
     A file at `path` is replaced only by a complete report. A report that cannot be made is a note to the listener.
     """
-    if path is None:
+    if path is None or client is None:
         yield
         return
     temporary = path.with_name(f".{path.name}.part")

@@ -139,8 +139,7 @@ def stays_cached(shape: tuple[int, int]) -> bool:
 
 def chunk_spans(first: int, last: int, size: int) -> Iterator[tuple[int, int]]:
     """Divide first .. last at multiples of `size`, the borders of a store's chunks."""
-    edges = [first, *range(first - first % size + size, last, size), last]
-    return pairwise(edges)
+    return pairwise(sorted({first, *range(first - first % size + size, last, size), last}))
 
 
 @dataclass(frozen=True)

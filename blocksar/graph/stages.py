@@ -1,22 +1,20 @@
-"""The stages of a run as task graphs: recovery by column group, focusing by block, the mosaic by output chunk.
+"""The stages of a run as lists of units: recovery by column group, focusing by block, the mosaic by output chunk.
 
-Tasks receive paths and small constants, write their samples to zarr and return receipts. Keys have the form
-`step-run-block`: the dashboard is readable, and no result of another run is reused. A unit of work writes whole chunks
-that no other unit writes, then its receipt. A lost worker therefore costs time only, and an interrupted run resumes
-from its receipts.
+Keys have the form `step-run-block`: the dashboard is readable, and no result of another run is reused. A unit of work
+writes whole chunks that no other unit writes, then its receipt. A lost worker therefore costs time only, and an
+interrupted run resumes from its receipts.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import chain, islice
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
-from distributed import Client, Future
 
 from blocksar import stores
 from blocksar.arrays import FloatArray
@@ -33,58 +31,51 @@ from blocksar.graph.layers import sights_of
 from blocksar.graph.patching import Patch, PatchChunk, merge_chunks, write_patch
 from blocksar.graph.reading import Gated, gate_bins, inspect_group, prepare_pulses, recover_group
 from blocksar.graph.segments import Segment, by_collection
-from blocksar.graph.spectrum import SpectrumChunks, Window
+from blocksar.graph.spectrum import SpectrumChunks, Window, chunk_spans
 from blocksar.graph.tasks import FormParts, Projected, add_layers, form_chunks, read_slab, run_stage
-from blocksar.graph.units import Unit, run_units, single_task, spans
+from blocksar.graph.units import Executor, Unit
 from blocksar.inspection.samples import Inspection, merge, refusal
-from blocksar.places.place import Place
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.plan import Plan
 from blocksar.planning.tiling import chunk_window, image_chunk, inspection_width, patch_window, touched_chunks
-from blocksar.progress import Listener
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import Receipt, Written, block_unit
 
+Parts = defaultdict[str, list[Written]]  # what units have written, by store
+
 
 class Recovered(NamedTuple):
-    """Receipts of a segment's recovered or inspected samples, and their inspection."""
+    """A segment whose samples were recovered or inspected: receipts, their inspection, and its noise, where known."""
 
+    segment: Segment
     receipts: list[Receipt]
     inspection: Inspection
+    noise: NoiseMap | None = None
 
 
-def recover(client: Client, segments: Sequence[Segment], run: Run, listener: Listener) -> list[Recovered]:
-    """Recover the spectrum of every segment into its spectrum.zarr; return receipts and inspection of each.
+def recover(executor: Executor, segments: Sequence[Segment], run: Run) -> list[Recovered]:
+    """Recover the spectrum of every segment into its spectrum.zarr.
 
     Raises
     ------
     InputError
         If the samples are not those of a radar.
     """
-    units: list[list[Unit]] = []
+    units: list[Unit] = []
     for segment in segments:
         plan, own = segment.planned, segment.of(run)
         run.establish(own.spectrum, partial(_create_spectrum, own, plan), volatile=["lit"])
-        units.append(
-            [
-                single_task(
-                    client,
-                    own,
-                    "recover",
-                    own.unit_of_segment(f"columns-{columns[0]}"),
-                    recover_group,
-                    segment.history.within(columns=slice(*columns)),
-                    columns,
-                    plan.recovery,
-                    plan.spectrum_chunk,
-                )
-                for columns in spans(plan.geometry.collection.n_range_frequency, plan.column_group)
-            ]
-        )
-    recovered = _run_read(client, "recover", segments, units, run, listener)
-    for segment, each in zip(segments, recovered, strict=True):
-        stores.write_region(segment.of(run).spectrum, "lit", (slice(None),), each.inspection.lit)
+        more = plan.recovery, plan.spectrum_chunk
+        units += _column_groups("recover", segment, run, plan.column_group, recover_group, *more)
+    recovered = _read(executor, "recover", segments, units)
+    for each in recovered:
+        stores.write_region(each.segment.of(run).spectrum, "lit", (slice(None),), each.inspection.lit)
     return recovered
+
+
+def _reads_input(segment: Segment, run: Run) -> bool:
+    """Whether a segment's samples are those of the input, rather than range-compressed in the run's own store."""
+    return segment.history.path != segment.of(run).compressed
 
 
 def _create_spectrum(run: Run, plan: Plan) -> None:
@@ -97,54 +88,63 @@ def _create_spectrum(run: Run, plan: Plan) -> None:
     )  # fmt: skip
 
 
-def _run_read(
-    client: Client,
-    stage: str,
-    segments: Sequence[Segment],
-    units: Sequence[Sequence[Unit]],
-    run: Run,
-    listener: Listener,
-) -> list[Recovered]:
+def inspect_samples(executor: Executor, segments: Sequence[Segment], run: Run) -> list[Recovered]:
+    """Inspect phase histories that are not recovered.
+
+    Raises
+    ------
+    InputError
+        If the samples are not those of a radar.
+    """
+    units: list[Unit] = []
+    for segment in segments:
+        width = inspection_width(segment.history.collection)
+        units += _column_groups("inspect", segment, run, width, inspect_group)
+    return _read(executor, "inspect", segments, units)
+
+
+def _column_groups(
+    step: str, segment: Segment, run: Run, width: int, task: Callable[..., Receipt], *more: object
+) -> list[Unit]:
+    """Return the units that read a segment's samples, so many columns each; `more` is what else the task takes."""
+    own, history, units = segment.of(run), segment.history, []
+    for columns in chunk_spans(0, history.collection.n_range_frequency, width):
+        name = own.unit_of_segment(f"columns-{columns[0]}")
+        arguments = history.within(columns=slice(*columns)), columns, *more
+        units.append(Unit(step, own, name, task, arguments, reads_input=_reads_input(segment, run)))
+    return units
+
+
+def _read(executor: Executor, stage: str, segments: Sequence[Segment], units: Sequence[Unit]) -> list[Recovered]:
     """Run units that read the samples of segments, and merge the inspections of each segment."""
-    reading = [
-        unit
-        for segment, some in zip(segments, units, strict=True)
-        for unit, _ in some
-        if segment.history.path != segment.of(run).compressed
-    ]
-    receipts = iter(run_units(client, stage, list(chain(*units)), run, listener, ahead=True, reading_input=reading))
-    groups = [list(islice(receipts, len(some))) for some in units]
-    return [
-        Recovered(group, without_lost(segment.history, merge_inspections(group)))
-        for segment, group in zip(segments, groups, strict=True)
-    ]
+    receipts, read = executor.run_units(stage, units, ahead=True), []
+    for segment in segments:
+        some = [receipt for unit, receipt in zip(units, receipts, strict=True) if unit.run.segment == segment.number]
+        read.append(Recovered(segment, some, without_lost(segment.history, merge_inspections(some))))
+    return read
 
 
-def gate_ranges(
-    client: Client, segments: Sequence[Segment], run: Run, recovered: Sequence[Recovered], listener: Listener
-) -> list[list[Receipt]]:
-    """Gate the spectra in range for all sub-blocks, into gated/; nothing without sub-blocks. Receipts by segment."""
-    units: list[list[Unit]] = []
-    for segment, (receipts, _) in zip(segments, recovered, strict=True):
+def gate_ranges(executor: Executor, recovered: Sequence[Recovered], run: Run) -> list[Receipt]:
+    """Gate the spectra in range for all sub-blocks, into gated/; nothing without sub-blocks."""
+    units: list[Unit] = []
+    for segment, receipts, *_ in recovered:
         plan, own = segment.planned, segment.of(run)
         targets = [
             Gated(block.name, block.range_gate, block.first_bin, plan.gated_bins(block)[0], plan.gated_chunk(block))
             for block in plan.blocks
             if block.range_gate is not None
         ]
-        units.append([])
         if not targets:
             continue
         for block in plan.blocks:
             run.establish(own.gated(block.name), partial(_create_gated, own, plan, block))
-        spectrum = _whole_spectrum(plan, own, receipts)
+        spectrum = _whole_spectrum(plan, own, _parts(receipts))
         for bins in plan.gate_spans():
             some = [target.within(*bins) for target in targets if target.common(*bins)[0] < target.common(*bins)[1]]
-            unit = own.unit_of_segment(f"bins-{bins[0]}")
-            units[-1].append(single_task(client, own, "gate", unit, gate_bins, bins, spectrum.within(*bins), some))
-    flat = list(chain(*units))
-    gated = iter(run_units(client, "gate", flat, run, listener, per_worker=2) if flat else [])
-    return [list(islice(gated, len(some))) for some in units]
+            name = own.unit_of_segment(f"bins-{bins[0]}")
+            arguments = bins, spectrum.within(*bins), some
+            units.append(Unit("gate", own, name, gate_bins, arguments, title=f"range-gate of {name}"))
+    return executor.run_units("gate", units, per_worker=2) if units else []
 
 
 def _create_gated(run: Run, plan: Plan, block: BlockPlan) -> None:
@@ -159,68 +159,58 @@ def _create_gated(run: Run, plan: Plan, block: BlockPlan) -> None:
     )  # fmt: skip
 
 
-def _written(run: Run, store: Place, receipts: Sequence[Receipt]) -> list[Written]:
-    """Find what receipts say was written to a store's spectrum."""
-    name = run.name_of(store)
-    return [part for receipt in receipts for part in receipt.written if part.store == name]
+def _parts(receipts: Iterable[Receipt]) -> Parts:
+    """Find what receipts say was written to each store."""
+    parts = Parts(list)
+    for part in chain.from_iterable(receipt.written for receipt in receipts):
+        parts[part.store].append(part)
+    return parts
 
 
-def _whole_spectrum(plan: Plan, run: Run, receipts: Sequence[Receipt]) -> SpectrumChunks:
+def _whole_spectrum(plan: Plan, run: Run, parts: Parts) -> SpectrumChunks:
     shape = plan.recovery.doppler.size, plan.geometry.collection.n_range_frequency
-    written = _written(run, run.spectrum, receipts)
+    written = parts[run.name_of(run.spectrum)]
     return SpectrumChunks.of(run.spectrum, written, shape=shape, chunk=plan.spectrum_chunk, recovered=True)
 
 
-def _gated_spectrum(plan: Plan, run: Run, block: BlockPlan, receipts: Sequence[Receipt]) -> SpectrumChunks:
+def _gated_spectrum(plan: Plan, run: Run, block: BlockPlan, parts: Parts) -> SpectrumChunks:
     first, last = plan.gated_bins(block)
     store = run.gated(block.name)
     return SpectrumChunks.of(
-        store, _written(run, store, receipts), first_bin=first, chunk=plan.gated_chunk(block),
+        store, parts[run.name_of(store)], first_bin=first, chunk=plan.gated_chunk(block),
         shape=(last - first, block.sampling.range_frequency.size),
     )  # fmt: skip
 
 
 def focus_blocks(
-    client: Client,
-    segments: Sequence[Segment],
-    run: Run,
-    receipts: Sequence[Sequence[Receipt]],
-    inspections: Sequence[Inspection],
-    noises: Sequence[NoiseMap | None],
-    listener: Listener,
+    executor: Executor, recovered: Sequence[Recovered], run: Run, receipts: Sequence[Receipt]
 ) -> list[Receipt]:
     """Focus every block, from its segment's spectrum to patches/<block>, by a chain of tasks of its own.
 
-    For every segment, the receipts of recovery and of the range gates have the checksums of spectra, and the inspection
-    the valid fraction of each pulse.
+    The receipts of recovery and of the range gates have the checksums of spectra.
     """
     # Create all patches here, before the first task: a late task of a lost worker must not empty a store that another
     # task has written to.
-    blocks = [(number, block) for number, segment in enumerate(segments) for block in segment.planned.blocks]
-    for number, block in blocks:
-        run.establish(run.patch(block.name), partial(_create_patch, run, block, segments[number].planned.grid))
-    chunks = [touched_chunks(block.ground, segments[number].planned.grid) for number, block in blocks]
+    blocks = [(each, block) for each in recovered for block in each.segment.planned.blocks]
+    grid = recovered[0].segment.planned.grid
+    for _, block in blocks:
+        run.establish(run.patch(block.name), partial(_create_patch, run, block, grid))
+    chunks = [touched_chunks(block.ground, grid) for _, block in blocks]
     touching = Counter(cell for cells in chunks for cell in cells)
-    spectra = [
-        _whole_spectrum(segment.planned, segment.of(run), some)
-        for segment, some in zip(segments, receipts, strict=True)
-    ]
+    parts, spectra = _parts(receipts), dict[int | None, SpectrumChunks]()
     units: list[Unit] = []
-    for position, ((number, block), cells) in enumerate(zip(blocks, chunks, strict=True)):
-        segment, inspection = segments[number], inspections[number]
-        plan, own = segment.planned, segment.of(run)
+    for position, ((each, block), cells) in enumerate(zip(blocks, chunks, strict=True)):
+        segment = each.segment
+        plan, own, number = segment.planned, segment.of(run), segment.number
+        if block.range_gate is not None:
+            slab = _gated_spectrum(plan, own, block, parts)
+        else:
+            slab = spectra[number] = spectra.get(number) or _whole_spectrum(plan, own, parts)
         alone = frozenset(cell for cell in cells if touching[cell] == 1)
-        slab = spectra[number] if block.range_gate is None else _gated_spectrum(plan, own, block, receipts[number])
-        patch = Patch(
-            ground=replace(block.ground, valid=inspection.lit), grid=plan.grid, own=alone, noise=noises[number]
-        )
-        units.append(
-            (
-                block_unit(block.name),
-                partial(_submit_chain, client, own, block, slab, patch, -position),
-            )
-        )
-    return run_units(client, "focus", units, run, listener)
+        ground = replace(block.ground, valid=each.inspection.lit)
+        patch = Patch(ground=ground, grid=plan.grid, own=alone, noise=each.noise)
+        units.append(_chain(own, block, slab, patch, -position))
+    return executor.run_units("focus", units)
 
 
 def _create_patch(run: Run, block: BlockPlan, grid: Grid) -> None:
@@ -233,47 +223,40 @@ def _create_patch(run: Run, block: BlockPlan, grid: Grid) -> None:
     )  # fmt: skip
 
 
-def _submit_chain(
-    client: Client, run: Run, block: BlockPlan, spectrum: SpectrumChunks, patch: Patch, priority: int
-) -> Future[Any]:
-    """Submit the tasks of a block; return the future of the last one.
+def _chain(run: Run, block: BlockPlan, spectrum: SpectrumChunks, patch: Patch, priority: int) -> Unit:
+    """Return the unit of a block: its last task, after the others.
 
     All have the priority of the block: a worker finishes the chain that it has begun before it starts another.
     """
-    unit = block_unit(block.name)
-    tail = f"{run.token}-{unit}"
-    submit = partial(client.submit, pure=False, priority=priority)
+
+    def task(step: str, function: Callable[..., Any], *arguments: Any, after: tuple[Unit, ...] = ()) -> Unit:
+        title = f"{step} of block {block.name}"
+        return Unit(step, run, block_unit(block.name), function, arguments, after, title=title, priority=priority)
+
     first, *rest = block.stages
     slab = spectrum.within(block.first_bin, block.first_bin + block.n_bin)
-    node = submit(read_slab, run, block, first, slab, key=f"read-slab+{first.name}-{tail}")
+    node = task(f"read-slab+{first.name}", read_slab, block, first, slab)
     for stage in rest:
-        node = submit(run_stage, run, block, stage, node, key=f"{stage.name}-{tail}")
-    key = f"geometric-correction-{tail}"
-    return submit(write_patch, run, unit, block, node, patch, key=key)
+        node = task(stage.name, run_stage, block, stage, after=(node,))
+    return task("geometric-correction", write_patch, block, patch, after=(node,))
 
 
-def discard_spectra(segments: Sequence[Segment], run: Run, receipts: Sequence[Sequence[Receipt]]) -> None:
+def discard_spectra(segments: Sequence[Segment], run: Run, receipts: Sequence[Receipt]) -> None:
     """Remove the spectra of the whole scene, and what range gates kept of them."""
-    for segment, some in zip(segments, receipts, strict=True):
+    for segment in segments:
         own = segment.of(run)
-        own.discard(own.spectrum, some)
+        own.discard(own.spectrum, receipts)
         for block in segment.planned.blocks:
             if block.range_gate is not None:
-                own.discard(own.gated(block.name), some)
+                own.discard(own.gated(block.name), receipts)
 
 
-def mosaic(
-    client: Client,
-    segments: Sequence[Segment],
-    run: Run,
-    patches: Sequence[Receipt],
-    noises: Sequence[NoiseMap | None],
-    listener: Listener,
-) -> list[Receipt]:
+def mosaic(executor: Executor, recovered: Sequence[Recovered], run: Run, patches: Sequence[Receipt]) -> list[Receipt]:
     """Merge the patches into image.zarr, by output chunk, where several blocks may own pixels.
 
     Chunks that only one block touches are there already; those that no block covers are not written.
     """
+    segments = [each.segment for each in recovered]
     grid = segments[0].planned.grid
     cells = {
         cell: [part for part, _ in parts]
@@ -281,21 +264,20 @@ def mosaic(
         if not all(complete for _, complete in parts)
     }
     on_terrain = segments[0].geometry.terrain is not None
-    known = {segment.number or 0: noise for segment, noise in zip(segments, noises, strict=True) if noise is not None}
+    known = {each.segment.number or 0: each.noise for each in recovered if each.noise is not None}
     ordered = sorted(cells)
     units = []
-    for first, end in spans(len(ordered), MOSAIC_CHUNKS):
+    for first, end in chunk_spans(0, len(ordered), MOSAIC_CHUNKS):
         group = {cell: cells[cell] for cell in ordered[first:end]}
         margins = {cell: _margins(segments, cell, grid, parts) for cell, parts in group.items()}
-        row, column = ordered[first]
-        unit = f"chunk-{row}-{column}"
-        task = merge_chunks, group, grid, margins, known, on_terrain
-        units.append(single_task(client, run, "mosaic", unit, *task))
-    return run_units(client, "mosaic", units, run, listener, per_worker=2)
+        name = "chunk-{}-{}".format(*ordered[first])
+        arguments = group, grid, margins, known, on_terrain
+        units.append(Unit("mosaic", run, name, merge_chunks, arguments, title=f"mosaic of {name}"))
+    return executor.run_units("mosaic", units, per_worker=2)
 
 
 def layers_of_blocks(
-    client: Client, segments: Sequence[Segment], run: Run, patches: Sequence[Receipt], listener: Listener
+    executor: Executor, segments: Sequence[Segment], run: Run, patches: Sequence[Receipt]
 ) -> list[Receipt]:
     """Add the layers of a terrain to the chunks of the image that blocks cover; nothing on the plane."""
     seen_by = {block.index: segment.number or 0 for segment in segments for block in segment.planned.blocks}
@@ -303,41 +285,38 @@ def layers_of_blocks(
         cell: {part.block: seen_by[part.block] for part, _ in parts}
         for cell, parts in _patch_chunks(segments, run, patches).items()
     }
-    return _add_layers(client, segments, run, segments[0].planned.grid, cells, listener)
+    return _add_layers(executor, segments, run, segments[0].planned.grid, cells)
 
 
 def layers_of_parts(
-    client: Client, segments: Sequence[Segment], run: Run, grid: Grid, formed: Sequence[Receipt], listener: Listener
+    executor: Executor, segments: Sequence[Segment], run: Run, grid: Grid, formed: Sequence[Receipt]
 ) -> list[Receipt]:
     """Add the layers of a terrain to the chunks of the image that `form_parts` wrote; nothing on the plane."""
     every = {segment.number or 0: segment.number or 0 for segment in segments}
-    image, side = run.name_of(run.image), image_chunk(grid)
-    regions = [
-        part.region for receipt in formed for part in receipt.written if (part.store, part.variable) == (image, "block")
-    ]
+    side = image_chunk(grid)
+    regions = [part.region for part in _parts(formed)[run.name_of(run.image)] if part.variable == "block"]
     cells = {(rows[0] // side[0], columns[0] // side[1]): every for rows, columns in regions}
-    return _add_layers(client, segments, run, grid, cells, listener)
+    return _add_layers(executor, segments, run, grid, cells)
 
 
 def _add_layers(
-    client: Client,
+    executor: Executor,
     segments: Sequence[Segment],
     run: Run,
     grid: Grid,
     cells: Mapping[tuple[int, int], Mapping[int, int]],
-    listener: Listener,
 ) -> list[Receipt]:
     """Add layers to chunks of the image, by row and column; of each, the segments that see what owns its pixels."""
     seen = [(segment.number or 0, segment.geometry) for segment in segments if segment.geometry.terrain is not None]
     if not seen:
         return []
     sights, ordered, units = sights_of(run, grid, seen), sorted(cells), []
-    for first, end in spans(len(ordered), LAYER_CHUNKS):
+    for first, end in chunk_spans(0, len(ordered), LAYER_CHUNKS):
         group = ordered[first:end]
         owners = {owner: sights[number] for cell in group for owner, number in cells[cell].items()}
-        unit = "layers-{}-{}".format(*group[0])
-        units.append(single_task(client, run, "layers", unit, add_layers, group, grid, owners))
-    return run_units(client, "layers", units, run, listener, per_worker=2)
+        name = "layers-{}-{}".format(*group[0])
+        units.append(Unit("layers", run, name, add_layers, (group, grid, owners), title=f"layers of {name}"))
+    return executor.run_units("layers", units, per_worker=2)
 
 
 def _patch_chunks(
@@ -380,35 +359,14 @@ def _margins(
     }
 
 
-def inspect_samples(client: Client, segments: Sequence[Segment], run: Run, listener: Listener) -> list[Recovered]:
-    """Inspect phase histories that are not recovered.
-
-    Raises
-    ------
-    InputError
-        If the samples are not those of a radar.
-    """
-    units: list[list[Unit]] = []
-    for segment in segments:
-        own, history, group = segment.of(run), segment.history, []
-        for columns in spans(history.collection.n_range_frequency, inspection_width(history.collection)):
-            unit, part = own.unit_of_segment(f"columns-{columns[0]}"), history.within(columns=slice(*columns))
-            group.append(single_task(client, own, "inspect", unit, inspect_group, part, columns))
-        units.append(group)
-    return _run_read(client, "inspect", segments, units, run, listener)
-
-
 def form_parts(
-    client: Client,
+    executor: Executor,
     stage: str,
     forms: Sequence[FormParts],
     parts: Mapping[str, Sequence[Window]],
-    segments: Sequence[Segment],
+    read: Sequence[Recovered],
     grid: Grid,
-    inspections: Sequence[Inspection],
-    noises: Sequence[NoiseMap | None],
     run: Run,
-    listener: Listener,
     *,
     on: str,
 ) -> list[Receipt]:
@@ -421,16 +379,15 @@ def form_parts(
             segment.history, segment.geometry.over(None), inspection, noise, segment.number or 0, segment.collection,
             form,
         )
-        for segment, inspection, noise, form in zip(segments, inspections, noises, forms, strict=True)
+        for (segment, _, inspection, noise), form in zip(read, forms, strict=True)
     ]  # fmt: skip
-    on_terrain = segments[0].geometry.terrain is not None
+    on_terrain = read[0].segment.geometry.terrain is not None
+    reads = all(_reads_input(each.segment, run) for each in read)
     units = [
-        single_task(client, run, stage, unit, form_chunks, stage, sources, windows, grid, on_terrain, on=on)
-        for unit, windows in parts.items()
+        Unit(stage, run, name, form_chunks, (stage, sources, windows, grid, on_terrain), on=on, reads_input=reads)
+        for name, windows in parts.items()
     ]
-    raw = any(segment.history.path == segment.of(run).compressed for segment in segments)
-    reading = [] if raw else [unit for unit, _ in units]
-    return run_units(client, stage, units, run, listener, reading_input=reading)
+    return executor.run_units(stage, units)
 
 
 def merge_inspections(receipts: Sequence[Receipt]) -> Inspection:
@@ -457,7 +414,7 @@ def without_lost(history: stores.PhaseHistory, inspection: Inspection) -> Inspec
 
 
 def prepare_samples(
-    client: Client, segments: Sequence[Segment], run: Run, listener: Listener
+    executor: Executor, segments: Sequence[Segment], run: Run
 ) -> tuple[list[Segment], list[list[Receipt]]]:
     """Range-compress raw echoes and cut interference, each collection once, where there is something to do.
 
@@ -465,39 +422,30 @@ def prepare_samples(
 
     The receipts are those of the segment's whole collection, with its first segment only.
     """
-    units: dict[int | None, list[Unit]] = {}
-    for number, (first, *_) in by_collection(segments).items():
+    units: list[Unit] = []
+    for first, *_ in by_collection(segments).values():
         raw = first.source.raw
         if raw is None and first.interference is None:
             continue
         own, whole = first.of(run), first.source
         run.establish(own.compressed, partial(_create_compressed, own, whole.collection, raw is not None))
         compression = None if raw is None else RawCompression.of_echo(raw, whole.collection)
-        units[number] = [
-            single_task(
-                client,
-                own,
-                "interference" if compression is None else "compress",
-                own.unit_of_collection(f"pulses-{pulses[0]}"),
-                prepare_pulses,
-                whole.within(pulses=slice(*pulses)),
-                pulses,
-                compression,
-                first.interference,
-            )
-            for pulses in spans(whole.collection.n_pulse, TILE[0])
-        ]
+        step = "interference" if compression is None else "compress"
+        for pulses in chunk_spans(0, whole.collection.n_pulse, TILE[0]):
+            arguments = whole.within(pulses=slice(*pulses)), pulses, compression, first.interference
+            name = own.unit_of_collection(f"pulses-{pulses[0]}")
+            units.append(Unit(step, own, name, prepare_pulses, arguments, reads_input=True))
     if not units:
         return list(segments), [[] for _ in segments]
-    flat = list(chain(*units.values()))
     stage = "interference" if all(segment.source.raw is None for segment in segments) else "range-compress"
-    done = iter(run_units(client, stage, flat, run, listener, per_worker=2, reading_input=[unit for unit, _ in flat]))
-    receipts = {number: list(islice(done, len(some))) for number, some in units.items()}
+    receipts: dict[int | None, list[Receipt]] = {unit.run.collection: [] for unit in units}
+    for unit, receipt in zip(units, executor.run_units(stage, units, per_worker=2), strict=True):
+        receipts[unit.run.collection].append(receipt)
     try:
         opened = {
             number: replace(stores.open_phase_history(group[0].of(run).compressed).pinned(), look=group[0].source.look)
             for number, group in by_collection(segments).items()
-            if number in units
+            if number in receipts
         }
     except InputError as error:  # about the run's own store, not about the input
         raise ProcessingError(str(error)) from error

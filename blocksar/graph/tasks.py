@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import wraps
-from typing import NamedTuple, ParamSpec, Protocol, TypeVar
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +15,7 @@ from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.beam import margins_over
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.errors import InputError, ProcessingError
+from blocksar.errors import ProcessingError
 from blocksar.focusing.backprojection import ReadPulses
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.step import Stage
@@ -37,14 +34,10 @@ from blocksar.graph.spectrum import SpectrumChunks, Window, WritesBehind, chunk_
 from blocksar.inspection.samples import Inspection, mask_outliers
 from blocksar.kernels.halving import halve
 from blocksar.places.place import Place
-from blocksar.places.posix import resource
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.tiling import window_around
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Receipt, Written
-
-P = ParamSpec("P")
-R = TypeVar("R")
 
 
 class Form(Protocol):
@@ -92,40 +85,6 @@ class Projected(NamedTuple):
     form: FormParts
 
 
-def peak_memory() -> int:
-    """Return the peak memory of this process since its start, bytes.
-
-    Linux's high-water mark, where there is one: getrusage also counts the memory of the parent at the fork.
-    """
-    with suppress(OSError), open("/proc/self/status", encoding="ascii") as status:
-        for line in status:
-            if line.startswith("VmHWM:"):
-                return int(line.split()[1]) * 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-
-
-def sign(run: Run, receipt: Receipt, started: float) -> Receipt:
-    """Add the peak memory to a receipt, and sign it."""
-    return run.sign(replace(receipt, peak_memory=peak_memory()), started)
-
-
-def naming_failures(describe: Callable[..., str]) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Decorate a task to name its step and block in errors; `describe` derives both from the task's arguments."""
-
-    def decorate(task: Callable[P, R]) -> Callable[P, R]:
-        @wraps(task)
-        def run(*args: P.args, **kwargs: P.kwargs) -> R:
-            try:
-                return task(*args, **kwargs)
-            except Exception as error:
-                kind = "" if isinstance(error, InputError | ProcessingError) else f"{type(error).__name__}: "
-                raise ProcessingError(f"{describe(*args)} failed: {kind}{error}") from error
-
-        return run
-
-    return decorate
-
-
 @dataclass
 class Samples:
     """The samples of a block between two tasks, and the seconds of each step so far."""
@@ -148,8 +107,7 @@ class Samples:
         return values if values.flags.writeable else values.copy()
 
 
-@naming_failures(lambda run, block, stage, *_: f"read-slab+{stage.name} of block {block.name}")
-def read_slab(run: Run, block: BlockPlan, stage: Stage, spectrum: SpectrumChunks) -> Samples:
+def read_slab(run: Run, unit: str, block: BlockPlan, stage: Stage, spectrum: SpectrumChunks) -> Samples:
     """Run a block's first stage on its part of the spectrum, which is read by chunks' columns."""
     started, reading = time.perf_counter(), 0.0
     program, bins = stage.program, slice(block.first_bin, block.first_bin + block.n_bin)
@@ -161,8 +119,7 @@ def read_slab(run: Run, block: BlockPlan, stage: Stage, spectrum: SpectrumChunks
     return Samples(out, {"read-slab": reading, stage.name: time.perf_counter() - started - reading})
 
 
-@naming_failures(lambda run, block, stage, *_: f"{stage.name} of block {block.name}")
-def run_stage(run: Run, block: BlockPlan, stage: Stage, samples: Samples) -> Samples:
+def run_stage(run: Run, unit: str, samples: Samples, block: BlockPlan, stage: Stage) -> Samples:
     """Run a stage on a block, in place where the result fits: no other task uses the input."""
     started = time.perf_counter()
     values, program = samples.take(), stage.program
@@ -215,7 +172,7 @@ def write_level(run: Run, window: Window, pixels: ComplexArray) -> list[Written]
     if not run.pyramid:
         return []
     half = slice(window[0].start // 2, -(-window[0].stop // 2)), slice(window[1].start // 2, -(-window[1].stop // 2))
-    return [write(run, run.image, stores.level_name(1), half, halve(pixels))]
+    return [write(run, run.image, stores.level_name(1), half, halve(pixels), cached=True)]
 
 
 def write_owner(
@@ -234,7 +191,6 @@ def write_owner(
     return written
 
 
-@naming_failures(lambda run, unit, *_: f"layers of {unit}")
 def add_layers(
     run: Run, unit: str, cells: Sequence[tuple[int, int]], grid: Grid, sights: Mapping[int, Sight]
 ) -> Receipt:
@@ -243,7 +199,6 @@ def add_layers(
     `sights` has the antenna as the pixels of each owner see it. Chunks are written by other threads while the next ones
     are computed.
     """
-    started = time.perf_counter()
     layers, alike = TerrainLayers(run, grid, sights), AlikeChunks(run)
     with WritesBehind() as behind:
         for _, strip in strips_of(cells, grid):
@@ -252,7 +207,7 @@ def add_layers(
                 turn, window = behind.turn(), (strip.rows, columns)
                 owner = stores.read_region(run.image, "block", window, cached=False)
                 turn.submit(write_layers, alike, window, found.over(number, owner))
-    return sign(run, Receipt(unit=unit, stage="layers", written=behind.written), started)
+    return Receipt(unit=unit, stage="layers", written=behind.written)
 
 
 def form_chunks(
@@ -260,7 +215,6 @@ def form_chunks(
     on_terrain: bool = False,
 ) -> Receipt:  # fmt: skip
     """Form output chunks straight from the samples, of all collections, on the terrain if there is one."""
-    started = time.perf_counter()
     terrain = local_terrain(run, grid, window_around(windows)) if on_terrain else None
     sources = [source._replace(geometry=source.geometry.over(terrain)) for source in sources]
     collections = {source.number: source.collection for source in sources if source.collection is not None}
@@ -283,7 +237,7 @@ def form_chunks(
                 *write_owner(alike, window, owner, collections),
                 *write_noise(run, window, owner, grid, noises, heights.over(window) if noises else None),
             ]
-    return sign(run, Receipt(unit=unit, stage=stage, written=tuple(written)), started)
+    return Receipt(unit=unit, stage=stage, written=tuple(written))
 
 
 def _form(run: Run, source: Projected, windows: Sequence[Window], grid: Grid) -> Iterator[tuple[Window, ComplexArray]]:

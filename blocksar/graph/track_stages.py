@@ -1,32 +1,22 @@
-"""The stages of an estimate of the track's error, and of the store that it corrects, as task graphs.
+"""The stages of an estimate of the track's error, and of the store that it corrects, as lists of units.
 
-What each step writes lies in the folder of the estimate, with receipts as in a run, so that a killed estimate goes on
-where it was.
-
-The tasks of an estimate of the track's error: each reads samples or small files, and writes one small file.
-
-Receipts have the files' checksums; what a task reads is compared with them. Samples, and chips of them, do not travel
-through the scheduler.
-
-Frozen objects of arrays and numbers, kept in files of a run's folder between tasks.
-
-Arrays are written as numpy does, everything else as JSON in bytes; nothing is unpickled. The same object gives the same
-bytes.
+Each task reads samples or small files, and writes a small file in the folder of the estimate: frozen objects of arrays
+and numbers. Arrays are written as numpy does, everything else as JSON in bytes; nothing is unpickled. The same object
+gives the same bytes. Receipts have the files' checksums, and what a task reads is compared with them: neither samples
+nor chips of them travel through the scheduler, and a killed estimate goes on where it was.
 """
 
 from __future__ import annotations
 
 import io
 import json
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache, partial
-from itertools import chain, combinations, islice
-from typing import Any, TypeVar, get_origin, get_type_hints
+from functools import cached_property, lru_cache, partial
+from itertools import chain, combinations
+from typing import Any, NamedTuple, TypeVar, get_origin, get_type_hints
 
 import numpy as np
-from distributed import Client
 
 from blocksar import stores
 from blocksar.arrays import ComplexArray
@@ -54,12 +44,11 @@ from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.method import Cutting
 from blocksar.graph.segments import Segment
+from blocksar.graph.spectrum import chunk_spans
 from blocksar.graph.stages import prepare_samples
-from blocksar.graph.tasks import sign
-from blocksar.graph.units import Unit, run_units, single_task, spans
+from blocksar.graph.units import Executor, Unit
 from blocksar.places import place
 from blocksar.places.place import Place
-from blocksar.progress import Listener
 from blocksar.runs.folder import KEPT
 from blocksar.runs.receipts import Run, refuse_replaced
 from blocksar.runs.record import Receipt
@@ -159,18 +148,33 @@ def _samples(run: Run, source: stores.PhaseHistory, pulses: slice) -> ComplexArr
     return signal
 
 
+class ChipFiles(NamedTuple):
+    """Files of points, of their chips and of the correction so far; points are looked for in the grid."""
+
+    points: Files
+    chips: Files
+    correction: Files
+    grid: Grid | None
+
+    def read(self, run: Run) -> tuple[Work, Points, list[ChipPart], Correction]:
+        """Read them, for an estimate that lies in a run's folder."""
+        work = work_of(str(run.folder), run.identity, self.grid)
+        known = kept(run, Correction, self.correction)[0] if self.correction else Correction.none(work)
+        return work, kept(run, Points, self.points)[0], kept(run, ChipPart, self.chips), known
+
+
 def search_pulses(
     run: Run, unit: str, source: stores.PhaseHistory, spans: Sequence[Span], grid: Grid | None
 ) -> Receipt:
     """Look for prominent places in some short apertures."""
-    started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
+    work = work_of(str(run.folder), run.identity, grid)
     found = [find_candidates(_samples(run, source, slice(*s)), work, slice(*s), threads=run.threads) for s in spans]
-    return _kept(run, unit, "search", found, started)
+    return _kept(run, unit, "search", found)
 
 
 def select(run: Run, unit: str, candidates: Sequence[Files], grid: Grid | None) -> Receipt:
     """Select the points of the estimate from the candidates of each channel, and the channel that they are of."""
-    started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
+    work = work_of(str(run.folder), run.identity, grid)
     found = [kept(run, Candidates, files) for files in candidates]
     if not any(one.x.size for some in found for one in some):
         raise InputError(
@@ -178,124 +182,123 @@ def select(run: Run, unit: str, candidates: Sequence[Files], grid: Grid | None) 
             "give another --grid, or another collection"
         )
     chosen = select_points(found, work)
-    return _kept(run, unit, "select", [chosen.points], started, channel=chosen.channel)
+    return _kept(run, unit, "select", [chosen.points], channel=chosen.channel)
 
 
-def chips_of_pulses(
-    run: Run,
-    unit: str,
-    source: stores.PhaseHistory,
-    pulses: Span,
-    points: Files,
-    correction: Files,
-    grid: Grid | None,
-) -> Receipt:
+def chips_of_pulses(run: Run, unit: str, source: stores.PhaseHistory, pulses: Span, given: ChipFiles) -> Receipt:
     """Take the points' chips of a block of pulses, along the track as corrected so far."""
-    started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
-    signal = _samples(run, source, slice(*pulses))
+    signal, (work, points, _, known) = _samples(run, source, slice(*pulses)), given.read(run)
     missing = int(np.isnan(signal).all(axis=1).sum())
-    along = _correction(run, work, correction).displacement
-    part = take_chips(signal, work, _points(run, points), along, slice(*pulses), threads=run.threads)
-    return _kept(run, unit, "chips", [part], started, missing=missing)
+    part = take_chips(signal, work, points, known.displacement, slice(*pulses), threads=run.threads)
+    return _kept(run, unit, "chips", [part], missing=missing)
 
 
-def estimate_error(run: Run, unit: str, points: Files, chips: Files, correction: Files, grid: Grid | None) -> Receipt:
+def estimate_error(run: Run, unit: str, given: ChipFiles) -> Receipt:
     """Estimate the correction once more."""
-    started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
-    parts, last = kept(run, ChipPart, chips), _correction(run, work, correction)
-    better = estimate(work, _points(run, points), parts, last, run.threads)
-    return _kept(run, unit, "estimate", [better], started, finished=better.finished, loop=better.history[-1])
+    better = estimate(*given.read(run), run.threads)
+    return _kept(run, unit, "estimate", [better], finished=better.finished, loop=better.history[-1])
 
 
-def estimate_from_half(
-    run: Run, unit: str, number: int, points: Files, chips: Files, correction: Files, grid: Grid | None
-) -> Receipt:
+def estimate_from_half(run: Run, unit: str, given: ChipFiles, number: int) -> Receipt:
     """Estimate the correction from half of the points alone."""
-    started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
-    parts, last = kept(run, ChipPart, chips), _correction(run, work, correction)
-    half = estimate_half(work, _points(run, points), parts, last, number, run.threads)
-    return _kept(run, unit, "halves", [half], started)
+    return _kept(run, unit, "halves", [estimate_half(*given.read(run), number, run.threads)])
 
 
-def finish_estimate(
-    run: Run, unit: str, points: Files, chips: Files, correction: Files, halves: Files, grid: Grid | None
-) -> Receipt:
+def finish_estimate(run: Run, unit: str, given: ChipFiles, halves: Files) -> Receipt:
     """Test the estimate by halves of the points, and keep the corrected track."""
-    started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
-    parts, last = kept(run, ChipPart, chips), _correction(run, work, correction)
-    result = finish(work, _points(run, points), parts, last, kept(run, HalfEstimate, halves))
-    return _kept(run, unit, "finish", [result], started)
+    return _kept(run, unit, "finish", [finish(*given.read(run), kept(run, HalfEstimate, halves))])
 
 
-def anchor_track(
-    run: Run, unit: str, result: Files, control: Control, chips: Files, correction: Files, grid: Grid | None
-) -> Receipt:
+def anchor_track(run: Run, unit: str, given: ChipFiles, result: Files, control: Control) -> Receipt:
     """Anchor a corrected track by control points."""
-    started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
-    parts, last = kept(run, ChipPart, chips), _correction(run, work, correction)
-    anchored = anchor(work, kept(run, Result, result)[0], control, parts, last)
-    return _kept(run, unit, "anchor", [anchored], started)
+    work, _, parts, last = given.read(run)
+    return _kept(run, unit, "anchor", [anchor(work, kept(run, Result, result)[0], control, parts, last)])
 
 
-def keep_points(run: Run, unit: str, control: Control, grid: Grid | None) -> Receipt:
-    """Keep the control points as points of chips."""
-    started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
-    return _kept(run, unit, "control", [control.points(work)], started)
+def keep_points(run: Run, unit: str, stage: str, points: Points) -> Receipt:
+    """Keep control points, or those that two collections see, as points of chips."""
+    return _kept(run, unit, stage, [points])
 
 
-def keep_shared(run: Run, unit: str, points: Points) -> Receipt:
-    """Keep the points that two collections see."""
-    started = time.perf_counter()
-    return _kept(run, unit, "tie", [points], started)
-
-
-def find_shared_places(
-    run: Run, unit: str, points: Files, chips: Files, correction: Files, grid: Grid | None
-) -> Receipt:
+def find_shared_places(run: Run, unit: str, given: ChipFiles) -> Receipt:
     """Find where a collection sees the responses in the chips of points that another one sees too."""
-    started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
-    parts, last = kept(run, ChipPart, chips), _correction(run, work, correction)
-    places = find_places(work, _points(run, points), parts, last)
-    return _kept(run, unit, "tie", [places], started)
+    return _kept(run, unit, "tie", [find_places(*given.read(run))])
 
 
-def tie_track(
-    run: Run, unit: str, result: Files, places: Places, chips: Files, correction: Files, grid: Grid | None
-) -> Receipt:
+def tie_track(run: Run, unit: str, given: ChipFiles, result: Files, places: Places) -> Receipt:
     """Tie a corrected track to that of another collection; keep the result, and the correction as it is then."""
-    started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
-    parts, last = kept(run, ChipPart, chips), _correction(run, work, correction)
+    work, _, parts, last = given.read(run)
     tied = tie(work, kept(run, Result, result)[0], places, parts, last)
     files = keep(run, f"{unit}-result.npz", [tied])
     files |= keep(run, f"{unit}-correction.npz", [replace(last, displacement=-tied.track_error)])
-    return sign(run, Receipt(unit=unit, stage="tie", files=files), started)
+    return Receipt(unit=unit, stage="tie", files=files)
 
 
-def _kept(run: Run, unit: str, stage: str, made: Sequence[object], started: float, **found: object) -> Receipt:
-    """Keep what a task has made in one file, and sign its receipt."""
-    return sign(
-        run, Receipt(unit=unit, stage=stage, files=keep(run, f"{unit}.npz", made), found=found or None), started
-    )
-
-
-def _points(run: Run, files: Files) -> Points:
-    return kept(run, Points, files)[0]
-
-
-def _correction(run: Run, work: Work, files: Files) -> Correction:
-    return kept(run, Correction, files)[0] if files else Correction.none(work)
+def _kept(run: Run, unit: str, stage: str, made: Sequence[object], **found: object) -> Receipt:
+    """Keep what a task has made in one file."""
+    return Receipt(unit=unit, stage=stage, files=keep(run, f"{unit}.npz", made), found=found or None)
 
 
 def copy_group(run: Run, unit: str, source: Place, target: Place, versions: Mapping[str, str]) -> Receipt:
     """Copy files of the phase history to the corrected store."""
-    started = time.perf_counter()
     checksums = stores.copy_files(source, target, versions)
     files = {f"{run.name_of(target)}/{name}": checksum for name, checksum in checksums.items()}
-    return sign(run, Receipt(unit=unit, stage="copy", files=files), started)
+    return Receipt(unit=unit, stage="copy", files=files)
 
 
 SEARCHED = 4  # short apertures that a task searches
 MISSING = 1 / 3  # of the pulses; with more of them missing, the error cannot be followed across the gaps
+
+
+class Stages:
+    """Runs the stages of an estimate, which lies in a run's folder, and keeps the receipts of all units.
+
+    Points are looked for in the grid.
+    """
+
+    def __init__(self, executor: Executor, run: Run, grid: Grid | None) -> None:
+        self.executor, self.run, self.grid = executor, run, grid
+        self.receipts: list[Receipt] = []
+
+    @cached_property
+    def work(self) -> Work:
+        return work_of(str(self.run.folder), self.run.identity, self.grid)
+
+    def unit(self, step: str, name: str, task: Callable[..., Receipt], *arguments: object, threads: int = 0) -> Unit:
+        """Return a unit of the estimate, with the threads of a task if it is to have no other number."""
+        run = replace(self.run, threads=threads or self.run.threads)
+        # A refusal by any stage is about the samples, also where they are those of a raw echo, compressed.
+        return Unit(step, run, name, task, arguments, reads_input=True)
+
+    def run_units(self, stage: str, *units: Unit) -> list[Receipt]:
+        """Run a stage; return its receipts."""
+        done = self.executor.run_units(stage, units, per_worker=2)
+        self.receipts.extend(done)
+        return done
+
+    def run_one(
+        self, stage: str, name: str, task: Callable[..., Receipt], *arguments: object, threads: int = 0
+    ) -> Receipt:
+        """Run a stage of one unit; return its receipt."""
+        [done] = self.run_units(stage, self.unit(stage, name, task, *arguments, threads=threads))
+        return done
+
+    def take_chips(
+        self, stage: str, name: str, source: stores.PhaseHistory, points: Files, correction: Files
+    ) -> ChipFiles:
+        """Take chips of points along a corrected track; `name` tells them apart."""
+        given = ChipFiles(points, {}, correction, self.grid)
+        done = self.run_units(
+            stage,
+            *(
+                self.unit(
+                    "chips", f"{name}-{pulses.start}", chips_of_pulses, source.within(pulses=pulses),
+                    (pulses.start, pulses.stop), given,
+                )
+                for pulses in self.work.blocks
+            ),
+        )  # fmt: skip
+        return given._replace(chips=files_of(done))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -306,8 +309,7 @@ class Estimated:
     ----------
     receipts : list of Receipt
     result : Result
-    run : Run
-        Of the estimate.
+    stages : Stages
     source : PhaseHistory
         The samples of the channel that was taken, range-compressed.
     points, correction, finished : mapping of str to str
@@ -318,7 +320,7 @@ class Estimated:
 
     receipts: list[Receipt]
     result: Result
-    run: Run
+    stages: Stages
     source: stores.PhaseHistory
     points: Files
     correction: Files
@@ -327,12 +329,11 @@ class Estimated:
 
 
 def estimate_track(
-    client: Client,
+    executor: Executor,
     channels: Sequence[stores.PhaseHistory],
     run: Run,
     grid: Grid | None,
     control: Control | None,
-    listener: Listener,
     threads: int,
     terrain: Terrain | None = None,
     interference: Cutting | None = None,
@@ -352,126 +353,90 @@ def estimate_track(
     run.establish(store, lambda: stores.write_collection(store, collection))
     if terrain is not None:
         run.establish(run.terrain, partial(stores.write_terrain, run.terrain, terrain))
-    work = work_of(str(run.folder), run.identity, grid)
-    chosen, source, receipts = _select(client, channels, run, work, grid, listener, interference)
-    points, stage = files_of(receipts[-1:]), partial(run_stage, client, run, listener)
-    alone = replace(run, threads=threads)
+    stages = Stages(executor, run, grid)
+    sources = _prepare(stages, channels, interference)
+    chosen, points = _select(stages, sources)
+    source = sources[chosen].source
     correction: Files = {}
-    for loop in range(1, work.settings.loops + 1):
-        chips = stage(f"chips-{loop}", _chips(client, run, source, work, points, correction, str(loop), grid))
+    for loop in range(1, stages.work.settings.loops + 1):
+        given = stages.take_chips(f"chips-{loop}", f"chips-{loop}", source, points, correction)
         if loop == 1:
-            _refuse_gaps(chips, collection.n_pulse)
-        arguments = (points, files_of(chips), correction, grid)
-        estimated = stage(
-            f"estimate-{loop}",
-            [single_task(client, alone, "estimate", f"correction-{loop}", estimate_error, *arguments)],
-        )
-        receipts += [*chips, *estimated]
-        correction = estimated[0].files
-        if (estimated[0].found or {})["finished"]:
+            _refuse_gaps(stages.receipts, collection.n_pulse)
+        better = stages.run_one(f"estimate-{loop}", f"correction-{loop}", estimate_error, given, threads=threads)
+        correction = better.files
+        if (better.found or {})["finished"]:
             break
-    last = (points, files_of(chips), correction)
-    halves = stage(
-        "halves", [single_task(client, run, "halves", f"half-{n}", estimate_from_half, n, *last, grid) for n in (0, 1)]
-    )
-    finished = stage(
-        "test", [single_task(client, run, "test", "track", finish_estimate, *last, files_of(halves), grid)]
-    )
-    receipts += [*halves, *finished]
+    last = given._replace(correction=correction)
+    halves = [stages.unit("halves", f"half-{n}", estimate_from_half, last, n) for n in (0, 1)]
+    finished = stages.run_one("test", "track", finish_estimate, last, files_of(stages.run_units("halves", *halves)))
     if control is not None:
-        known = stage("control", [single_task(client, run, "control", "control", keep_points, control, grid)])
-        chips = stage("control-chips", _chips(client, run, source, work, files_of(known), correction, "control", grid))
-        given = (files_of(finished), control, files_of(chips), correction, grid)
-        finished = stage("anchor", [single_task(client, run, "anchor", "anchored", anchor_track, *given)])
-        receipts += [*known, *chips, *finished]
-    result = kept(run, Result, finished[0].files)[0]
+        known = stages.run_one("control", "control", keep_points, "control", control.points(stages.work))
+        given = stages.take_chips("control-chips", "chips-control", source, known.files, correction)
+        finished = stages.run_one("anchor", "anchored", anchor_track, given, finished.files, control)
+    result = kept(run, Result, finished.files)[0]
     if len(channels) > 1:
         result = replace(result, figures={**result.figures, "channel": channels[0].channels[chosen]})
     return Estimated(
-        receipts=receipts, result=result, run=run, source=source, points=points, correction=correction,
-        finished=files_of(finished), token=run.identity,
+        receipts=stages.receipts[:], result=result, stages=stages, source=source, points=points, correction=correction,
+        finished=finished.files, token=run.identity,
     )  # fmt: skip
 
 
-def _select(
-    client: Client,
-    channels: Sequence[stores.PhaseHistory],
-    run: Run,
-    work: Work,
-    grid: Grid | None,
-    listener: Listener,
-    interference: Cutting | None,
-) -> tuple[int, stores.PhaseHistory, list[Receipt]]:
-    """Select points and the channel that they are of: its number, its samples, and receipts, the last of the points."""
+def _prepare(stages: Stages, channels: Sequence[stores.PhaseHistory], interference: Cutting | None) -> list[Segment]:
+    """Range-compress channels, and cut interference; each is a segment then, with its number as `collection`."""
     numbers = range(len(channels)) if len(channels) > 1 else [None]
     segments, compressed = prepare_samples(
-        client,
+        stages.executor,
         [
-            Segment(collection=number, source=source, geometry=work.geometry, plan=None, interference=interference)
+            Segment(collection=number, source=source, geometry=stages.work.geometry, interference=interference)
             for number, source in zip(numbers, channels, strict=True)
         ],
-        run,
-        listener,
+        stages.run,
     )
-    stage = partial(run_stage, client, run, listener)
-    searches = [_search(client, run, segment, work, grid) for segment in segments]
-    searched = stage("search", list(chain(*searches)))
-    done = iter(searched)
-    candidates = [files_of(list(islice(done, len(some)))) for some in searches]
-    selected = stage("select", [single_task(client, run, "select", "points", select, candidates, grid)])
-    chosen = (selected[0].found or {})["channel"]
-    return chosen, segments[chosen].source, [*chain(*compressed), *searched, *selected]
+    stages.receipts.extend(chain(*compressed))
+    return segments
 
 
-def run_stage(client: Client, run: Run, listener: Listener, name: str, units: Sequence[Unit]) -> list[Receipt]:
-    """Run the units of a stage, which read samples of the input."""
-    # A refusal by any stage is about the samples, also where they are those of a raw echo, compressed.
-    return run_units(client, name, units, run, listener, per_worker=2, reading_input=[unit for unit, _ in units])
+def _select(stages: Stages, channels: Sequence[Segment]) -> tuple[int, Files]:
+    """Select points and the channel that they are of: its number, and the file of the points."""
+    searches = [
+        (
+            number,
+            stages.unit(
+                "search",
+                f"candidates-{first}" + ("" if channel.collection is None else f"-of-channel-{channel.collection}"),
+                search_pulses,
+                channel.source.within(pulses=slice(pulses[0][0], pulses[-1][1])),
+                pulses,
+                stages.grid,
+            ),
+        )
+        for number, channel in enumerate(channels)
+        for first, pulses in _search_spans(stages.work)
+    ]
+    found = stages.run_units("search", *(unit for _, unit in searches))
+    candidates = [
+        files_of(receipt for (number, _), receipt in zip(searches, found, strict=True) if number == channel)
+        for channel in range(len(channels))
+    ]
+    selected = stages.run_one("select", "points", select, candidates, stages.grid)
+    return (selected.found or {})["channel"], selected.files
 
 
-def files_of(receipts: Sequence[Receipt]) -> Files:
+def _search_spans(work: Work) -> list[tuple[int, list[Span]]]:
+    """The short apertures that each task of a search takes, with the number of the first."""
+    apertures = [(one.start, one.stop) for one in work.apertures]
+    return [(first, apertures[first:end]) for first, end in chunk_spans(0, len(apertures), SEARCHED)]
+
+
+def files_of(receipts: Iterable[Receipt]) -> Files:
     """The files of units, with their checksums."""
     return {name: checksum for receipt in receipts for name, checksum in receipt.files.items()}
 
 
-def _search(client: Client, run: Run, segment: Segment, work: Work, grid: Grid | None) -> list[Unit]:
-    """The search in the short apertures of a channel, which is a segment's source and has its `collection` number."""
-    units, source = [], segment.source
-    of = "" if segment.collection is None else f"-of-channel-{segment.collection}"
-    for first, end in spans(len(work.apertures), SEARCHED):
-        pulses = [(one.start, one.stop) for one in work.apertures[first:end]]
-        within = source.within(pulses=slice(pulses[0][0], pulses[-1][1]))
-        units.append(single_task(client, run, "search", f"candidates-{first}{of}", search_pulses, within, pulses, grid))
-    return units
-
-
-def chip_units(client: Client, one: Estimated, points: Files, name: str, grid: Grid | None) -> list[Unit]:
-    """The units that take chips of other points along a corrected track; `name` tells them apart."""
-    work = work_of(str(one.run.folder), one.run.identity, grid)
-    return _chips(client, one.run, one.source, work, points, one.correction, name, grid)
-
-
-def _chips(
-    client: Client,
-    run: Run,
-    source: stores.PhaseHistory,
-    work: Work,
-    points: Files,
-    correction: Files,
-    name: str,
-    grid: Grid | None,
-) -> list[Unit]:
-    return [
-        single_task(
-            client, run, "chips", f"chips-{name}-{pulses.start}", chips_of_pulses, source.within(pulses=pulses),
-            (pulses.start, pulses.stop), points, correction, grid,
-        )
-        for pulses in work.blocks
-    ]  # fmt: skip
-
-
-def _refuse_gaps(chips: Sequence[Receipt], n_pulse: int) -> None:
-    missing = sum(int((receipt.found or {}).get("missing", 0)) for receipt in chips)
+def _refuse_gaps(receipts: Sequence[Receipt], n_pulse: int) -> None:
+    """Refuse samples of which too many pulses are missing, as the receipts of chips have found."""
+    missing = sum(int((receipt.found or {}).get("missing", 0)) for receipt in receipts if receipt.stage == "chips")
     if missing > MISSING * n_pulse:
         raise InputError(
             f"signal is NaN in {missing} of {n_pulse} pulses, and the track's error cannot be followed where more than "
@@ -479,36 +444,32 @@ def _refuse_gaps(chips: Sequence[Receipt], n_pulse: int) -> None:
         )
 
 
-def copy_store(client: Client, source: Place, target: Place, run: Run, listener: Listener) -> list[Receipt]:
+def copy_store(executor: Executor, source: Place, target: Place, run: Run) -> list[Receipt]:
     """Copy the files of a store, all but its metadata and positions, to a place in the run's folder."""
-    versions = stores.files_to_copy(source)
+    versions, stages = stores.files_to_copy(source), Stages(executor, run, None)
     units = []
     for group in stores.groups_of(versions, COPY_BYTES):
         some: dict[str, Any] = {name: versions[name] for name in group}
-        units.append(
-            single_task(client, run, "copy", f"copy-{group[0].replace('/', '-')}", copy_group, source, target, some)
-        )
-    return run_stage(client, run, listener, "copy", units)
+        units.append(stages.unit("copy", f"copy-{group[0].replace('/', '-')}", copy_group, source, target, some))
+    return stages.run_units("copy", *units)
 
 
-def tie_tracks(
-    client: Client, estimates: Sequence[Estimated], labels: Sequence[str], grid: Grid | None, listener: Listener
-) -> list[Estimated]:
+def tie_tracks(estimates: Sequence[Estimated], labels: Sequence[str]) -> list[Estimated]:
     """Move the tracks of several collections, so that their images agree in place where they overlap.
 
     The order is that of `tie_in_turn`. `labels` are what the results' figures call the collections.
     """
-    works = [work_of(str(one.run.folder), one.run.identity, grid) for one in estimates]
-    points = [kept(one.run, Points, one.points)[0] for one in estimates]
-    shared = {
-        (i, j): shared_points(works[i], works[j], [points[i], points[j]]).x.size
-        for i, j in combinations(range(len(estimates)), 2)
-    }
+    works = [one.stages.work for one in estimates]
+    points = [kept(one.stages.run, Points, one.points)[0] for one in estimates]
+
+    def common(i: int, j: int) -> Points:
+        return shared_points(works[i], works[j], [points[i], points[j]])
+
+    shared = {(i, j): common(i, j).x.size for i, j in combinations(range(len(estimates)), 2)}
     tied = list(estimates)
 
     def attempt(one: int, other: int) -> bool:
-        known = shared_points(works[one], works[other], [points[one], points[other]])
-        tied[other] = _tie(client, tied[one], tied[other], works[other], known, labels[one], grid, listener)
+        tied[other] = _tie(tied[one], tied[other], common(one, other), labels[one])
         return bool(tied[other].result.figures["tied"]["points"])
 
     for apart in tie_in_turn(len(estimates), shared, attempt):
@@ -524,50 +485,31 @@ def _noted(result: Result, tied: dict[str, object]) -> Result:
     return replace(result, figures={**result.figures, "tied": tied})
 
 
-def _tie(
-    client: Client,
-    one: Estimated,
-    other: Estimated,
-    work: Work,
-    shared: Points,
-    label: str,
-    grid: Grid | None,
-    listener: Listener,
-) -> Estimated:
-    """Tie the track of another collection, with this `work`, to that of the first by the points that both see."""
+def _tie(one: Estimated, other: Estimated, shared: Points, label: str) -> Estimated:
+    """Tie the track of another collection to that of the first by the points that both see."""
+    first, second = one.stages, other.stages
+    before = len(first.receipts), len(second.receipts)
     # What is found depends on both, and on what the first is tied to.
-    token = stores.checksum_bytes(f"{one.token} {other.run.identity}".encode())[:12]
-    known = _one(client, one.run, listener, f"shared-{token}", keep_shared, shared)
-    chips = run_stage(
-        client, one.run, listener, "tie", chip_units(client, one, files_of([known]), f"shared-{token}", grid)
-    )
-    given = (files_of([known]), files_of(chips), one.correction, grid)
-    found = _one(client, one.run, listener, f"places-{token}", find_shared_places, *given)
-    receipts = [*other.receipts, known, *chips, found]
-    places = places_seen(work, kept(one.run, Places, found.files)[0])
+    token = stores.checksum_bytes(f"{one.token} {second.run.identity}".encode())[:12]
+    known = first.run_one("tie", f"shared-{token}", keep_points, "tie", shared)
+    given = first.take_chips("tie", f"chips-shared-{token}", one.source, known.files, one.correction)
+    found = first.run_one("tie", f"places-{token}", find_shared_places, given)
+    receipts = [*other.receipts, *first.receipts[before[0] :]]
+    places = places_seen(second.work, kept(first.run, Places, found.files)[0])
     if places.x.size < LEAST:
         return _alone(replace(other, receipts=receipts))
-    points = _one(client, other.run, listener, f"tied-points-{token}", keep_points, control_of(places), grid)
-    chips = run_stage(
-        client, other.run, listener, "tie", chip_units(client, other, files_of([points]), f"tied-{token}", grid)
-    )
-    given_ = (other.finished, places, files_of(chips), other.correction, grid)
-    done = _one(client, other.run, listener, f"tied-{token}", tie_track, *given_)
+    control = control_of(places).points(second.work)
+    points = second.run_one("tie", f"tied-points-{token}", keep_points, "control", control)
+    given = second.take_chips("tie", f"chips-tied-{token}", other.source, points.files, other.correction)
+    done = second.run_one("tie", f"tied-{token}", tie_track, given, other.finished, places)
     result, correction = (_named(done.files, name) for name in ("result", "correction"))
-    moved = kept(other.run, Result, result)[0]
+    moved = kept(second.run, Result, result)[0]
     figures = {**other.result.figures, **moved.figures}
     figures["tied"] = {**figures["tied"], "to": label}
     return replace(
-        other, receipts=[*receipts, points, *chips, done], token=token, correction=correction,
+        other, receipts=[*receipts, *second.receipts[before[1] :]], token=token, correction=correction,
         result=replace(moved, figures=figures),
     )  # fmt: skip
-
-
-def _one(
-    client: Client, run: Run, listener: Listener, unit: str, task: Callable[..., Receipt], *given: object
-) -> Receipt:
-    """Run a single task."""
-    return run_stage(client, run, listener, "tie", [single_task(client, run, "tie", unit, task, *given)])[0]
 
 
 def _named(files: Files, word: str) -> Files:

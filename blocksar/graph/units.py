@@ -1,66 +1,213 @@
-"""Units of work: single tasks, and running those that have no valid receipt."""
+"""Units of work, plain records of tasks, and the two executors that run them: this process, or a dask cluster.
+
+Every stage of a run or of an estimate is a list of units for `Executor.run_units`. Those that have a valid receipt are
+left out. The others are submitted, no more at a time than were planned for; each signs a receipt where it runs, once
+its data are written. Receipts are the log, from which a killed run goes on. Tasks receive paths and small constants,
+and write samples to stores; these pass from one task to the next within a worker, but never through the scheduler.
+"""
 
 from __future__ import annotations
 
+import sys
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from dataclasses import replace
-from functools import partial
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NoReturn
 
 from distributed import Client, Future, KilledWorker, wait
 
 from blocksar.errors import InputError, ProcessingError
+from blocksar.places.posix import resource
 from blocksar.progress import NOBODY, Listener, Workers
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import Receipt
 
 
-class Done:
-    """Result or error of a task in this process, with the methods of dask's futures that stages call."""
+@dataclass(frozen=True, eq=False)
+class Unit:
+    """A unit of work: `task(run, name, *results, *arguments)`, which returns its receipt, not signed yet.
 
-    def __init__(self, key: str, result: Any = None, error: Exception | None = None) -> None:
-        self.key = key
-        self.status = "finished" if error is None else "error"
-        self._result, self._error = result, error
+    Attributes
+    ----------
+    step : str
+        Begins the key of its task on a cluster.
+    run : Run
+        As the task sees it.
+    name : str
+        Of its receipt; unique in a run.
+    task : callable
+    arguments : tuple
+        Paths and small constants.
+    after : tuple of Unit
+        Tasks before this one, whose `results` stay in the worker that has made them. They leave no receipts, and are
+        done with the unit: again, if it is.
+    title : str
+        What has failed if the task does, as its error says; empty: that depends on the error, see `_fail`.
+    priority : int
+        On a cluster; units of a higher one come first.
+    on : str
+        "gpu": it has a worker's GPU for itself.
+    reads_input : bool
+        Whether its InputErrors are about the input of the run, and raised as such.
+    """
 
-    def result(self) -> Any:
-        if self._error is not None:
-            raise self._error
-        return self._result
+    step: str
+    run: Run
+    name: str
+    task: Callable[..., Any]
+    arguments: tuple[Any, ...] = ()
+    after: tuple[Unit, ...] = ()
+    title: str = ""
+    priority: int = 0
+    on: str = "cpu"
+    reads_input: bool = False
 
-    def exception(self) -> Exception | None:
-        return self._error
+
+def perform(unit: Unit, *results: Any) -> Any:
+    """Do the task of a unit, where it runs; sign its receipt, if it returns one.
+
+    The seconds of the receipt are those of the task, and those that it has counted itself, of tasks before it.
+    """
+    started = time.perf_counter()
+    try:
+        made = unit.task(unit.run, unit.name, *results, *unit.arguments)
+        if not isinstance(made, Receipt):
+            return made
+        return unit.run.sign(replace(made, peak_memory=peak_memory()), started - made.seconds)
+    except Exception as error:
+        if not unit.title:
+            raise
+        kind = "" if isinstance(error, InputError | ProcessingError) else f"{type(error).__name__}: "
+        raise ProcessingError(f"{unit.title} failed: {kind}{error}") from error
 
 
-class Here:
-    """Runs each task when it is submitted. It has those methods of dask's clients that the stages call."""
+def peak_memory() -> int:
+    """Return the peak memory of this process since its start, bytes.
 
-    def submit(self, task: Callable[..., Any], *arguments: Any, key: str = "", **_: Any) -> Done:
-        """Run a task now; futures among its arguments become their results, or their error that of the task."""
-        try:
-            return Done(key, task(*(item.result() if isinstance(item, Done) else item for item in arguments)))
-        except Exception as error:
-            return Done(key, error=error)
+    Linux's high-water mark, where there is one: getrusage also counts the memory of the parent at the fork.
+    """
+    with suppress(OSError), open("/proc/self/status", encoding="ascii") as status:
+        for line in status:
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
-    def as_completed(
-        self, units: deque[tuple[str, Callable[[], Any]]], listener: Listener
+
+def _intact(run: Run, _: str, receipt: Receipt) -> bool:
+    return run.intact(receipt)
+
+
+class Executor(ABC):
+    """Runs units of work, and reports their progress to `listener`."""
+
+    def __init__(self, listener: Listener) -> None:
+        self.listener = listener
+
+    @abstractmethod
+    def execute(
+        self, stage: str, units: Sequence[Unit], *, per_worker: int = 1, ahead: bool = False
     ) -> Iterator[tuple[str, Any]]:
-        """Take units one after another, run them, and yield each with what it has left."""
-        while units:
-            unit, start = units.popleft()
-            listener.watch([unit], NOBODY)
-            yield unit, start()
+        """Run units, whatever receipts there are; yield the name of each, once it has ended, and what it has made.
+
+        Raises
+        ------
+        ProcessingError, InputError
+            As `run_units`.
+        """
+
+    def run_units(
+        self, stage: str, units: Sequence[Unit], *, per_worker: int = 1, ahead: bool = False
+    ) -> list[Receipt]:
+        """Run the units that have no valid receipt; return the receipts of all units in order.
+
+        Parameters
+        ----------
+        stage : str
+            What listeners and errors call them.
+        units : sequence of Unit
+        per_worker : int
+            Units in flight for each worker.
+        ahead : bool
+            One more for each worker of one thread, to follow at once; for units of one task.
+
+        Returns
+        -------
+        list of Receipt
+            `reused` if the unit was not run again; `damaged` if it was, because its data were damaged.
+
+        Raises
+        ------
+        ProcessingError
+            If a unit or the cluster fails for good; finished units stay.
+        InputError
+            If a unit finds the input wrong.
+        """
+        earlier = {unit.name: receipt for unit in units if (receipt := unit.run.receipt(unit.name)) is not None}
+        receipts: dict[str, Receipt] = {}
+        damaged = set()
+        # Workers check the data: this process never loads samples.
+        checks = [
+            Unit("verify", unit.run, unit.name, _intact, (earlier[unit.name],))
+            for unit in units
+            if unit.name in earlier
+        ]
+        if checks:
+            self.listener.begin(f"check-{stage}")
+        for number, (name, intact) in enumerate(self.execute(stage, checks, per_worker=2), 1):
+            if intact:
+                receipts[name] = replace(earlier[name], reused=True)
+            else:
+                damaged.add(name)
+            self.listener.update(f"check-{stage}", number, len(checks))
+        self.listener.begin(stage, reused=len(receipts))
+        self.listener.update(stage, len(receipts), len(units))
+        missing = [unit for unit in units if unit.name not in receipts]
+        for name, receipt in self.execute(stage, missing, per_worker=per_worker, ahead=ahead):
+            receipts[name] = replace(receipt, damaged=name in damaged)
+            self.listener.update(stage, len(receipts), len(units))
+        return [receipts[unit.name] for unit in units]
 
 
-Unit = tuple[str, Callable[[], Future[Any]]]  # name of a unit of work, and the function that submits it
+def _fail(error: BaseException, stage: str, unit: Unit) -> NoReturn:
+    """Raise the error of a unit, with the stage and the unit."""
+    # A defect in the run's own stores is not an error in the user's input.
+    if isinstance(error, ProcessingError) or (unit.reads_input and isinstance(error, InputError)):
+        raise error
+    if isinstance(error, KilledWorker):
+        raise ProcessingError(
+            f"{stage} of {unit.name} failed: {error.allowed_failures + 1} workers died of it, perhaps for lack of "
+            "memory; give them more with --memory-limit"
+        )
+    raise ProcessingError(f"{stage} of {unit.name} failed: {type(error).__name__}: {error}") from error
+
+
+class ThisProcess(Executor):
+    """Runs units in this process, one after the other."""
+
+    def execute(
+        self, stage: str, units: Sequence[Unit], *, per_worker: int = 1, ahead: bool = False
+    ) -> Iterator[tuple[str, Any]]:
+        for unit in units:
+            self.listener.watch([unit.name], NOBODY)
+            try:
+                made = self._perform(unit)
+            except Exception as error:
+                _fail(error, stage, unit)
+            yield unit.name, made
+
+    def _perform(self, unit: Unit) -> Any:
+        return perform(unit, *map(self._perform, unit.after))
+
+
 NO_WORKER = 120.0  # s without any worker before a run fails, where workers are started again by themselves
 STALL = 3600.0  # s without a finished unit before a run fails
 DONE = ("finished", "error")  # final states of a future; one lost with its worker becomes pending again
+GPU = {"GPU": 1}  # dask's resources of a worker that has one
 POLL = 2.0  # s between two checks of the cluster while no unit finishes
 REMEDY = "start some, or wait longer for them (--wait-workers)"
 
@@ -80,60 +227,6 @@ def waiting_for_workers(seconds: float | None) -> Iterator[None]:
 def _patience_seconds() -> float:
     seconds = _patience.get()
     return NO_WORKER if seconds is None else seconds
-
-
-def as_completed(
-    client: Client, stage: str, units: Iterable[Unit], per_worker: int, listener: Listener, *, ahead: bool = False
-) -> Iterator[tuple[str, Future[Any]]]:
-    """Submit units, at most `per_worker` in flight for each worker, and yield each with its future once it has ended.
-
-    The client limits the number in flight, so that no worker holds more data than was planned for it. With `ahead`, for
-    units of one task, workers of one thread each have one more, which waits for that thread and holds nothing. A result
-    that is lost with its worker is computed again; a unit that the scheduler has forgotten is submitted again.
-
-    Raises
-    ------
-    ProcessingError
-        If the scheduler is gone, no worker is left, or no unit finishes any more.
-    """
-    waiting = units if isinstance(units, deque) else deque(units)
-    if isinstance(client, Here):
-        yield from client.as_completed(waiting, listener)
-        return
-    starts: dict[str, Callable[[], Future[Any]]] = {}
-    running: dict[Future[Any], str] = {}
-    watch = Watch(client, listener)
-    try:
-        while True:
-            places = watch.count_workers() * (per_worker + (ahead and watch.one_thread_each))
-            for _ in range(min(places - len(running), len(waiting))):
-                unit, starts[unit] = waiting.popleft()
-                running[starts[unit]()] = unit
-            watch.notify(running)
-            if not running:
-                return
-            for future in watch.wait_for_any(running, stage):
-                if future.status in DONE:
-                    watch.notify({other: unit for other, unit in running.items() if other is not future})
-                    yield running[future], future
-                elif future.status == "cancelled" and client.status == "running":
-                    waiting.append((running[future], starts[running[future]]))
-                else:
-                    continue
-                del running[future]
-                _release(client, future)
-    finally:
-        # After a failure or an interruption: a shared cluster must neither go on with the units nor keep the failure.
-        if running and client.status == "running":
-            client.cancel(list(running), force=True)
-
-
-def _release(client: Client, future: Future[Any]) -> None:
-    """Release a future; wait until a cancelled one is forgotten, so that its key can be submitted again."""
-    future.release()
-    until = time.monotonic() + POLL
-    while future.status == "cancelled" and future.key in client.futures and time.monotonic() < until:
-        time.sleep(0.01)
 
 
 def workers_of(client: Client) -> dict[str, dict[str, Any]]:
@@ -178,6 +271,74 @@ def _note_waiting(listener: Listener, what: str) -> None:
     listener.note(f"{what}: waiting for one, at most {_patience_seconds():g} s")
 
 
+class OnCluster(Executor):
+    """Runs units on a dask cluster: each is a task, or a chain of them, submitted by the client."""
+
+    def __init__(self, client: Client, listener: Listener) -> None:
+        super().__init__(listener)
+        self.client = client
+
+    def execute(
+        self, stage: str, units: Sequence[Unit], *, per_worker: int = 1, ahead: bool = False
+    ) -> Iterator[tuple[str, Any]]:
+        """Submit units, at most `per_worker` in flight for each worker; yield each once it has ended.
+
+        The client limits the number in flight, so that no worker holds more data than was planned for it. With `ahead`,
+        workers of one thread each have one more, which waits for that thread and holds nothing. A result that is lost
+        with its worker is computed again; a unit that the scheduler has forgotten is submitted again.
+
+        Raises
+        ------
+        ProcessingError
+            Also if the scheduler is gone, no worker is left, or no unit finishes any more.
+        """
+        waiting, running = deque(units), dict[Future[Any], Unit]()
+        watch = Watch(self.client, self.listener)
+        try:
+            while True:
+                places = watch.count_workers() * (per_worker + (ahead and watch.one_thread_each))
+                for _ in range(min(places - len(running), len(waiting))):
+                    unit = waiting.popleft()
+                    running[self._submit(unit)] = unit
+                watch.notify(running.values())
+                if not running:
+                    return
+                for future in watch.wait_for_any(running, stage):
+                    unit = running[future]
+                    if future.status in DONE:
+                        watch.notify(other for other in running.values() if other is not unit)
+                        if future.status == "error" and (error := future.exception()) is not None:
+                            _fail(error, stage, unit)
+                        yield unit.name, future.result()
+                    elif future.status == "cancelled" and self.client.status == "running":
+                        waiting.append(unit)
+                    else:
+                        continue
+                    del running[future]
+                    self._release(future)
+        finally:
+            # After a failure or an interruption: a shared cluster must neither go on with the units nor keep the
+            # failure.
+            if running and self.client.status == "running":
+                self.client.cancel(list(running), force=True)
+
+    def _submit(self, unit: Unit) -> Future[Any]:
+        """Submit the task of a unit, and those before it; a worker goes on with what it has begun by `priority`."""
+        before = [self._submit(one) for one in unit.after]
+        needed = {"resources": GPU} if unit.on == "gpu" else {}
+        key = f"{unit.step}-{unit.run.token}-{unit.name}"
+        return self.client.submit(
+            perform, replace(unit, after=()), *before, key=key, pure=False, priority=unit.priority, **needed
+        )
+
+    def _release(self, future: Future[Any]) -> None:
+        """Release a future; wait until a cancelled one is forgotten, so that its key can be submitted again."""
+        future.release()
+        until = time.monotonic() + POLL
+        while future.status == "cancelled" and future.key in self.client.futures and time.monotonic() < until:
+            time.sleep(0.01)
+
+
 class Watch:
     """Waits for futures, and fails if the cluster makes no progress."""
 
@@ -198,11 +359,11 @@ class Watch:
             self._workers = Workers(len(workers), int(memory), int(limit or 0))
         return max(self._workers.number, 1)
 
-    def notify(self, running: Mapping[Future[Any], str]) -> None:
-        """Tell the listener the units in flight and the last known state of the workers; the scheduler is not asked."""
-        self._listener.watch(list(running.values()), self._workers)
+    def notify(self, units: Iterable[Unit]) -> None:
+        """Report the units in flight and the last known state of the workers; the scheduler is not asked."""
+        self._listener.watch([unit.name for unit in units], self._workers)
 
-    def wait_for_any(self, running: Mapping[Future[Any], str], stage: str) -> list[Future[Any]]:
+    def wait_for_any(self, running: Mapping[Future[Any], Unit], stage: str) -> list[Future[Any]]:
         """Wait until a future is done or cancelled; return all that are.
 
         Raises
@@ -221,13 +382,13 @@ class Watch:
                     self._last_finished = time.monotonic()
                 return ended
 
-    def _check(self, running: Mapping[Future[Any], str], stage: str) -> None:
-        units = ", ".join(running.values())
+    def _check(self, running: Mapping[Future[Any], Unit], stage: str) -> None:
+        units = ", ".join(unit.name for unit in running.values())
         if self._client.status != "running":
             raise ProcessingError(f"{stage} of {units} was cut short: the dask scheduler is gone")
         before = time.monotonic()
         self.count_workers()
-        self.notify(running)
+        self.notify(running.values())
         if self._last_worker < before:
             self._miss_workers(f"{stage} of {units}")
         elif before - self._last_finished > STALL:
@@ -243,99 +404,3 @@ class Watch:
         if others and not self._missed:
             _note_waiting(self._listener, "no worker is left")
         self._missed = True
-
-
-GPU = {"GPU": 1}  # dask's resources of a worker that has one
-
-
-def spans(n: int, size: int) -> list[tuple[int, int]]:
-    """Divide 0 .. n into spans (first, end) of `size`; the last may be shorter."""
-    return [(first, min(first + size, n)) for first in range(0, n, size)]
-
-
-def single_task(
-    client: Client, run: Run, step: str, unit: str, task: Callable[..., Receipt], *arguments: Any, on: str = "cpu"
-) -> Unit:
-    """Return a unit of work that is a single task, `task(run, unit, *arguments)`; on a GPU it has one for itself."""
-    key = f"{step}-{run.token}-{unit}"
-    needed = {"resources": GPU} if on == "gpu" else {}
-    return unit, partial(client.submit, task, run, unit, *arguments, key=key, pure=False, **needed)
-
-
-def run_units(
-    client: Client,
-    stage: str,
-    units: Sequence[Unit],
-    run: Run,
-    listener: Listener,
-    *,
-    per_worker: int = 1,
-    ahead: bool = False,
-    reading_input: Iterable[str] = (),
-) -> list[Receipt]:
-    """Run the units that have no valid receipt; return the receipts of all units in order.
-
-    Parameters
-    ----------
-    per_worker : int
-        Units in flight for each worker.
-    ahead : bool
-        One more for each worker of one thread, to follow at once; for units of one task.
-    reading_input : iterable of str
-        Units that read the input of the run: their InputErrors are raised as such.
-
-    Returns
-    -------
-    list of Receipt
-        `reused` if the unit was not run again; `damaged` if it was, because its data were damaged.
-
-    Raises
-    ------
-    ProcessingError
-        If a unit or the cluster fails for good; finished units stay.
-    InputError
-        If a unit finds the input wrong.
-    """
-    readers = frozenset(reading_input)
-    earlier = {unit: receipt for unit, _ in units if (receipt := run.receipt(unit)) is not None}
-    receipts: dict[str, Receipt] = {}
-    damaged = set()
-    # Workers check the data: this process never loads samples.
-    checks = [(unit, _submit_check(client, run, receipt)) for unit, receipt in earlier.items()]
-    if checks:
-        listener.begin(f"check-{stage}")
-    for number, (unit, future) in enumerate(as_completed(client, stage, checks, 2, listener), 1):
-        if _result(future, stage, unit):
-            receipts[unit] = replace(earlier[unit], reused=True)
-        else:
-            damaged.add(unit)
-        listener.update(f"check-{stage}", number, len(checks))
-    listener.begin(stage, reused=len(receipts))
-    listener.update(stage, len(receipts), len(units))
-    waiting = deque(unit for unit in units if unit[0] not in receipts)
-    for unit, future in as_completed(client, stage, waiting, per_worker, listener, ahead=ahead):
-        signed: Receipt = _result(future, stage, unit, reads_input=unit in readers)
-        receipts[unit] = replace(signed, damaged=unit in damaged)
-        listener.update(stage, len(receipts), len(units))
-    return [receipts[unit] for unit, _ in units]
-
-
-def _submit_check(client: Client, run: Run, receipt: Receipt) -> Callable[[], Future[Any]]:
-    key = f"verify-{run.token}-{receipt.unit}"
-    return partial(client.submit, run.intact, receipt, key=key, pure=False)
-
-
-def _result(future: Future[Any], stage: str, unit: str, *, reads_input: bool = False) -> Any:
-    """Return the result of a unit, or raise its error with the stage and the unit."""
-    if future.status == "finished":
-        return future.result()
-    error = future.exception()
-    # A defect in the run's own stores is not an error in the user's input.
-    if isinstance(error, ProcessingError) or (reads_input and isinstance(error, InputError)):
-        raise error
-    if isinstance(error, KilledWorker):
-        raise ProcessingError(
-            f"{stage} of {unit} failed: {error.allowed_failures + 1} workers died of it, perhaps for lack of memory; "
-            "give them more with --memory-limit"
-        )
-    raise ProcessingError(f"{stage} of {unit} failed: {type(error).__name__}: {error}") from error

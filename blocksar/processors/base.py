@@ -20,19 +20,18 @@ from blocksar.planning.ambiguity import azimuth_ambiguities
 from blocksar.planning.disk import exact_bytes
 from blocksar.planning.strip_segments import PlannedSegment, joint_grid
 from blocksar.planning.tiling import units_of
-from blocksar.progress import Listener, Work
+from blocksar.progress import Work
 from blocksar.table import Table
 from blocksar.texts import size_text
 
 if TYPE_CHECKING:
-    from distributed import Client
     from matplotlib.axes import Axes
 
-    from blocksar.focusing.noise import NoiseMap
     from blocksar.graph.machine import Resources
     from blocksar.graph.segments import Segment
     from blocksar.graph.stages import Recovered
     from blocksar.graph.tasks import Form, FormParts
+    from blocksar.graph.units import Executor
     from blocksar.runs.receipts import Run
     from blocksar.runs.record import PredictedBlock, Receipt
 
@@ -251,20 +250,12 @@ class PartPlan(ImagePlan):
     def form(self, execution: Execution) -> list[Receipt]:
         from blocksar.graph import stages  # with dask
 
-        client, run, listener, segments = execution.client, execution.run, execution.listener, execution.segments
-        read = execution.joined(stages.inspect_samples(client, segments, run, listener))
-        execution.end("inspect")
-        execution.accept(read)
-        execution.input_read()
-        inspections = [each.inspection for each in read]
-        noises = execution.noises([inspection.lit for inspection in inspections])
+        executor, run, segments = execution.executor, execution.run, execution.segments
+        read = execution.accept_read("inspect", stages.inspect_samples(executor, segments, run))
         forms = [self.forming_parts(number, execution.weighting) for number in range(len(segments))]
-        formed = stages.form_parts(
-            client, self.processor, forms, self.parts(), segments, self.grid, inspections, noises, run, listener,
-            on=self.device,
-        )  # fmt: skip
+        formed = stages.form_parts(executor, self.processor, forms, self.parts(), read, self.grid, run, on=self.device)
         execution.end(self.processor)
-        layers = stages.layers_of_parts(client, segments, run, self.grid, formed, listener)
+        layers = stages.layers_of_parts(executor, segments, run, self.grid, formed)
         if layers:
             execution.end("layers")
         return [*(receipt for each in read for receipt in each.receipts), *formed, *layers]
@@ -346,46 +337,28 @@ class NoOptions:
 
 @dataclass(kw_only=True)
 class Execution:
-    """Execution of the stages of a run: where they run, on what, and who listens.
+    """Execution of the stages of a run: where they run, and on what.
 
     Attributes
     ----------
-    client : Client
+    executor : Executor
     run : Run
-    listener : Listener
     segments : sequence of Segment
         The pieces of the plan with their samples, range-compressed.
-    compressed : sequence of sequence of Receipt
-        Of the range compression of each.
-    workers : int
     weighting : Weighting
     discard : bool
         Whether what is not read any more is to be removed.
-    accept : callable
-        Takes the inspections of all segments as soon as they are known, and creates the image without pixels.
-    input_read : callable
-        To be called once all of the input has been read.
+    accept_read : callable
+        Takes the name of the stage that has read all samples, and what it has found; ends the stage, and creates the
+        image without pixels. Returns the findings with receipts of what came before, and with the noise of the image.
     end : callable
         Takes the name of a stage at its end.
-    noises : callable
-        Noise of the image from each segment, from the valid fraction of its pulses.
     """
 
-    client: Client
+    executor: Executor
     run: Run
-    listener: Listener
     segments: Sequence[Segment]
-    compressed: Sequence[Sequence[Receipt]]
-    workers: int
     weighting: Weighting
     discard: bool
-    accept: Callable[[Sequence[Recovered]], None]
-    input_read: Callable[[], None]
+    accept_read: Callable[[str, Sequence[Recovered]], list[Recovered]]
     end: Callable[[str], None]
-    noises: Callable[[Sequence[FloatArray]], list[NoiseMap | None]]
-
-    def joined(self, read: Sequence[Recovered]) -> list[Recovered]:
-        """Inspections with the receipts of range compression before their own."""
-        return [
-            each._replace(receipts=[*some, *each.receipts]) for some, each in zip(self.compressed, read, strict=True)
-        ]

@@ -403,28 +403,22 @@ class ChainPlan(ImagePlan):
         """
         from blocksar.graph import stages  # with dask
 
-        client, run, listener, segments = execution.client, execution.run, execution.listener, execution.segments
-        recovered = execution.joined(stages.recover(client, segments, run, listener))
-        execution.end("recover")
-        execution.accept(recovered)
-        execution.input_read()
-        gated = stages.gate_ranges(client, segments, run, recovered, listener)
-        if any(gated):
+        executor, run, segments = execution.executor, execution.run, execution.segments
+        recovered = execution.accept_read("recover", stages.recover(executor, segments, run))
+        gated = stages.gate_ranges(executor, recovered, run)
+        if gated:
             execution.end("gate")
-        receipts = [(*each.receipts, *some) for each, some in zip(recovered, gated, strict=True)]
-        inspections = [each.inspection for each in recovered]
-        noises = execution.noises([inspection.lit for inspection in inspections])
-        patches = stages.focus_blocks(client, segments, run, receipts, inspections, noises, listener)
+        spectra = [*chain.from_iterable(each.receipts for each in recovered), *gated]
+        patches = stages.focus_blocks(executor, recovered, run, spectra)
         execution.end("focus")
         if execution.discard:
-            stages.discard_spectra(segments, run, receipts)
-        merged = stages.mosaic(client, segments, run, patches, noises, listener)
+            stages.discard_spectra(segments, run, spectra)
+        merged = stages.mosaic(executor, recovered, run, patches)
         execution.end("mosaic")
-        layers = stages.layers_of_blocks(client, segments, run, patches, listener)
+        layers = stages.layers_of_blocks(executor, segments, run, patches)
         if layers:
             execution.end("layers")
-        read = chain.from_iterable(each.receipts for each in recovered)
-        return [*read, *chain(*gated), *patches, *merged, *layers]
+        return [*spectra, *patches, *merged, *layers]
 
 
 def predicted_blocks(plan: Plan) -> tuple[PredictedBlock, ...]:

@@ -35,8 +35,10 @@ if TYPE_CHECKING:
 METADATA = (".zarray", ".zattrs", ".zgroup", ".zmetadata", "zarr.json")  # all names of files of metadata
 NODE_METADATA = ("zarr.json", ".zgroup", ".zarray")  # one of which each group and array has
 # Images: noise does not compress, and passes at the speed of memory; what is not covered takes no room. The checksum
-# lets every reader notice an altered chunk.
-COMPRESSION: dict[str, Any] = {"name": "zstd", "configuration": {"level": -5, "checksum": True}}
+# lets every reader notice an altered chunk. Chunks are written at ZSTD_LEVEL. Readers do not need the level, but GDAL
+# (3.12) refuses arrays that state a negative one, so the metadata state the level of a writer who appends.
+ZSTD_LEVEL = -5
+COMPRESSION: dict[str, Any] = {"name": "zstd", "configuration": {"level": 1, "checksum": True}}
 HIGHEST_LEVEL = 22  # of zstd
 # Fill values by data type, as in the metadata; numpy's names are the same, except that of text.
 FILLS = {"complex64": ["NaN", "NaN"], "float64": "NaN", "float32": "NaN", "int16": -1, "uint8": 255, "string": ""}
@@ -362,7 +364,7 @@ class ChunkFiles:
             raise OSError(f"a compressed chunk of {size} bytes has {length}")
         data = np.empty(length, np.uint8)
         _read_into(stream, data)
-        if (declared := _declared_size(data.tobytes()[:18])) > size:
+        if (declared := _declared_size(data[:18].tobytes())) > size:
             # Not left to zarr, which would allocate so much.
             raise InputError(f"{self.folder} has a chunk of {declared} bytes instead of {size}; write it again")
         try:
@@ -476,7 +478,7 @@ def zstd() -> Zstd:
     """The codec of compressed chunks; the first call imports it."""
     from numcodecs.zstd import Zstd  # zarr's own
 
-    return Zstd(**COMPRESSION["configuration"])
+    return Zstd(level=ZSTD_LEVEL, checksum=COMPRESSION["configuration"]["checksum"])
 
 
 def _is_dense(chunk: Array) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import prod
 from typing import TYPE_CHECKING, Any
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 class Variable:
     """One variable of a store: its dimensions, numpy dtype, units and long name, and whether it is compressed.
 
-    `flags` has the meanings of 0, 1, 2 ... where the numbers are flags.
+    `flags` has the meanings of 0, 1, 2 ... where the numbers are flags; `attrs` what it states besides.
     Samples are noise, which does not compress; images are compressed for their pixels that are not covered.
     """
 
@@ -46,6 +46,7 @@ class Variable:
     long_name: str
     compressed: bool = False
     flags: tuple[str, ...] = ()
+    attrs: Mapping[str, Any] = field(default_factory=dict)
 
 
 TIME = Variable(("pulse",), "float64", "s", "slow time")
@@ -119,6 +120,8 @@ LEVEL = {
     "x": X,
     "y": Y,
 }
+# Of a level whose map projection is known: its attributes are a CF grid mapping.
+SPATIAL_REF = Variable((), "int16", "1", "map projection whose easting and northing are x and y")
 # Of images of collections whose noise is known.
 NOISE = {
     "noise_equivalent": Variable(

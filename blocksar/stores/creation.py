@@ -220,7 +220,7 @@ def _lengths(schema: Mapping[str, Variable], sizes: Mapping[str, int], arrays: M
 def _variable_attrs(
     name: str, variable: Variable, schema: Mapping[str, Variable], coords: Mapping[str, Array]
 ) -> dict[str, Any]:
-    attrs: dict[str, Any] = {"units": variable.units, "long_name": variable.long_name}
+    attrs: dict[str, Any] = {"units": variable.units, "long_name": variable.long_name, **variable.attrs}
     if variable.flags:  # CF conventions, 3.5
         attrs["flag_values"], attrs["flag_meanings"] = list(range(len(variable.flags))), " ".join(variable.flags)
     # xarray recognises a coordinate that is named as its dimension; others (time over pulse) must be listed.

@@ -6,11 +6,14 @@ image.zarr/pyramid/k, as `power` (y, x) over x and y. The attributes follow thes
 - multiscales, https://github.com/zarr-conventions/multiscales/blob/v0.1/README.md
 - spatial, https://github.com/zarr-conventions/spatial/blob/v0.1/README.md
 - proj, https://github.com/zarr-conventions/proj/blob/v0.1/README.md, where the frame points east and north
+
+There each level has a CF grid mapping, `spatial_ref`, too, for programs that do not know these conventions.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,11 +22,12 @@ from blocksar.arrays import FloatArray
 from blocksar.chunks import IMAGE_CHUNK
 from blocksar.places.place import Place
 from blocksar.stores.channels import with_channels
-from blocksar.stores.contract import LEVEL
+from blocksar.stores.contract import LEVEL, SPATIAL_REF, Variable
 from blocksar.stores.creation import Group
 
 PYRAMID = "pyramid"
 METHOD = "mean power of covered pixels"
+GRID_MAPPING = "spatial_ref"  # the name that programs look up first
 _CONVENTIONS = {
     "multiscales": ("d35379db-88df-4056-af3a-620245f8e347", "Multiscale layout of zarr datasets"),
     "spatial": ("689b58e2-cf7b-45e0-9fff-9cfc0883d6b4", "Spatial coordinate information"),
@@ -70,13 +74,18 @@ class Pyramid(NamedTuple):
 
 
 def pyramid_of(
-    x: FloatArray, y: FloatArray, wkt: str | None, *, members: Sequence[str] = (), dimension: str = "channel"
-) -> Pyramid:
-    """The pyramid of an image over x and y, m; `wkt` is its coordinate reference system, in WKT 2, if known.
+    x: FloatArray, y: FloatArray, projection: Mapping[str, Any] | None, *, members: Sequence[str] = (),
+    dimension: str = "channel",
+) -> Pyramid:  # fmt: skip
+    """The pyramid of an image over x and y, m; `projection` is its CF grid mapping, if it has one.
 
     Of several channels or looks, the `members`, levels have that leading dimension, as their image has.
     """
-    schema = with_channels(LEVEL, "power", dimension=dimension) if members else LEVEL
+    schema = _schema(projection)
+    if members:
+        schema = with_channels(schema, "power", dimension=dimension)
+    wkt = (projection or {}).get("crs_wkt")
+    variables = {GRID_MAPPING: np.zeros((), np.int16)} if projection else {}
     named, lead = ({dimension: np.asarray(members, "T")}, {dimension: 1}) if members else ({}, {})
     shapes = level_shapes((y.size, x.size))
     names = ["multiscales", "spatial", *(["proj"] if wkt else [])]
@@ -95,8 +104,16 @@ def pyramid_of(
         # A chunk of the first level is that of a single chunk of the image.
         sides = [min(n, IMAGE_CHUNK) for n in ((y.size, x.size) if level == 1 else (n_y, n_x))]
         chunks = dict(zip("yx", [-(-n // 2) for n in sides] if level == 1 else sides, strict=True))
-        groups[f"{PYRAMID}/{level}"] = Group(schema, axes | named, attrs, lead | chunks)
+        groups[f"{PYRAMID}/{level}"] = Group(schema, axes | named, attrs, lead | chunks, variables)
     return Pyramid(groups, {**_declared(names), **shared, "multiscales": _multiscales(whole)})
+
+
+def _schema(projection: Mapping[str, Any] | None) -> dict[str, Variable]:
+    """The variables of a level, which names its grid mapping if it has one."""
+    if not projection:
+        return LEVEL
+    power = replace(LEVEL["power"], attrs={"grid_mapping": GRID_MAPPING})
+    return {**LEVEL, "power": power, GRID_MAPPING: replace(SPATIAL_REF, attrs=projection)}
 
 
 def _declared(names: Sequence[str]) -> dict[str, Any]:

@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +25,9 @@ from blocksar.places.local import LocalPlace
 from blocksar.places.objects import ObjectPlace, os_errors
 from blocksar.places.place import Place
 from blocksar.stores.chunk_files import (
+    COMPRESSION,
     NODE_METADATA,
+    ZSTD_LEVEL,
     Array,
     ChunkFiles,
     Region,
@@ -232,11 +235,24 @@ def write_region(path: Location, name: str, region: Sequence[slice], values: Arr
             array[whole] = values
         else:
             with os_errors(place):
-                for_each_chunk(
-                    whole, chunks, lambda in_array, in_region: array.__setitem__(in_array, values[in_region])
-                )
+                fast = _at_own_level(array)
+                for_each_chunk(whole, chunks, lambda in_array, in_region: fast.__setitem__(in_array, values[in_region]))
     except OSError as error:
         raise ProcessingError(f"{name} in {place} cannot be written ({error.strerror or error})") from error
+
+
+def _at_own_level(array: zarr.Array[Any]) -> zarr.Array[Any]:
+    """The array, whose chunks are then written at ZSTD_LEVEL, as those in files, if its metadata are our own."""
+    import zarr
+    from zarr.codecs import ZstdCodec
+
+    metadata: Any = array.metadata
+    stated = ZstdCodec(**COMPRESSION["configuration"])
+    if metadata.zarr_format != 3 or stated not in metadata.codecs:
+        return array
+    own = replace(stated, level=ZSTD_LEVEL)
+    fast = replace(metadata, codecs=tuple(own if codec == stated else codec for codec in metadata.codecs))
+    return zarr.Array(zarr.AsyncArray(fast, array.store_path, {"write_empty_chunks": True}))
 
 
 def read_region(

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -22,7 +22,6 @@ from blocksar import stores
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
 from blocksar.graph import cluster
-from blocksar.graph.units import Here
 from blocksar.measurement.targets import Target
 from blocksar.places import place
 from blocksar.places.place import Place
@@ -192,7 +191,7 @@ def test_samples_that_do_not_tell_are_refused_and_nothing_is_left(case: str, tmp
 
 
 def test_focus_with_autofocus_is_the_two_in_one(
-    corrected: Corrected, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    corrected: Corrected, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     started = []
 
@@ -201,7 +200,7 @@ def test_focus_with_autofocus_is_the_two_in_one(
             started.append(workers)
 
         def client(self) -> Client:
-            return cast(Client, Here())
+            return client
 
         def __exit__(self, *_: Any) -> None:
             pass

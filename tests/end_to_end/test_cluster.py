@@ -10,7 +10,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,9 @@ from scenes import write_store
 import blocksar
 from blocksar.errors import InputError, ProcessingError
 from blocksar.graph import cluster, units
+from blocksar.places import place
 from blocksar.progress import Listener
+from blocksar.runs.receipts import Run
 
 SCENE: dict[str, Any] = {
     "swath": [29900.0, 30100.0],
@@ -59,19 +60,22 @@ def test_workers_are_counted_while_the_client_asks_for_something_else(
     assert cluster.cluster_size(client, workers=8, memory_limit=2**40) == (2, 3 * 2**30)
 
 
-def test_units_lost_by_the_scheduler_are_started_again(client: Client) -> None:
+def test_units_lost_by_the_scheduler_are_started_again(
+    client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A worker may die with a result that has not been fetched yet."""
-    started: list[str] = []
+    started, submit, run = [], client.submit, Run(folder=place(tmp_path), identity="x", threads=1)
 
-    def start(unit: str) -> Future[str]:
-        started.append(unit)
-        future = client.submit(lambda: time.sleep(0.2) or unit, key=f"forgotten-{unit}", pure=False)
-        if started.count(unit) < 3 and unit in "bc":
+    def start(task: Any, unit: units.Unit, **how: Any) -> Future[Any]:
+        started.append(unit.name)
+        future = submit(task, unit, **how)
+        if started.count(unit.name) < 3 and unit.name in "bc":
             client.cancel([future], force=True)
         return future
 
-    todo = [(unit, partial(start, unit)) for unit in "abcd"]
-    outcomes = {unit: future.result() for unit, future in units.as_completed(client, "focus", todo, 2, Listener())}
+    monkeypatch.setattr(client, "submit", start)
+    todo = [units.Unit("forgotten", run, name, lambda _, name: time.sleep(0.2) or name) for name in "abcd"]
+    outcomes = dict(units.OnCluster(client, Listener()).execute("focus", todo, per_worker=2))
     assert outcomes == {unit: unit for unit in "abcd"}
     assert [started.count(unit) for unit in "ad"] == [1, 1] and min(started.count(unit) for unit in "bc") >= 3
 

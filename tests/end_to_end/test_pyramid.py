@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
+import rioxarray  # noqa: F401
 import xarray as xr
 import zarr
 from passes import fly, focus, points
@@ -20,6 +22,7 @@ from blocksar.places import place
 from blocksar.planning.disk import has_pyramid, with_pyramid
 from blocksar.runs.record import RunRecord
 
+AFFINE = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # by affine, in rioxarray
 GRID = ((-70.0, 60.05, 0.05), (-40.0, 40.25, 0.15))  # 2601 x 535 pixels: partly outside the swath, and odd levels
 FRAME = {"kind": "ENU", "latitude": 39.8, "longitude": -84.1, "height": 250.0}
 
@@ -92,6 +95,32 @@ def test_metadata_follow_the_conventions(run: Path) -> None:
     inner = group["pyramid"].attrs["multiscales"]["layout"]
     assert [each["asset"] for each in inner] == ["1", "2", "3"] and inner[1]["derived_from"] == "1"
     assert all(each.get("transform", {}).get("scale", [2.0, 2.0]) == [2.0, 2.0] for each in (*layout, *inner))
+
+
+@AFFINE
+def test_levels_have_a_grid_mapping_for_programs_without_the_conventions(run: Path) -> None:
+    group = zarr.open_group(run / "image.zarr" / "pyramid", mode="r")
+    for level in (1, 2, 3):
+        power = xr.open_zarr(run / "image.zarr", group=f"pyramid/{level}", decode_coords="all").power
+        assert power.rio.crs == rasterio.CRS.from_wkt(group.attrs["proj:wkt2"])
+        assert power.rio.transform().almost_equals(rasterio.Affine(*group[f"{level}"].attrs["spatial:transform"]), 1e-9)
+        # GDAL refuses others, though zstd has negative ones.
+        assert 0 <= group[f"{level}/power"].metadata.codecs[-1].level <= 22
+
+
+@AFFINE
+def test_levels_open_in_gdal(run: Path) -> None:
+    gdal = tuple(map(int, rasterio.__gdal_version__.split(".")[:2]))
+    with rasterio.Env() as environment:
+        if gdal < (3, 11) or "Zarr" not in environment.drivers():
+            pytest.skip(f"GDAL {rasterio.__gdal_version__} does not read zarr 3")
+    image = run / "image.zarr"
+    for level in (1, 2, 3):
+        with rasterio.open(f'ZARR:"{image}":/pyramid/{level}/power') as file:
+            own = xr.open_zarr(image, group=f"pyramid/{level}", decode_coords="all").power
+            np.testing.assert_array_equal(file.read(1), own.values)
+            assert file.crs == own.rio.crs and file.transform.almost_equals(own.rio.transform(), 1e-9)
+            assert np.isnan(file.nodata)
 
 
 def test_an_interrupted_pyramid_is_resumed_to_the_same_bytes(

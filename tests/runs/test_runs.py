@@ -25,7 +25,7 @@ from blocksar.api.run_stages import any_covered
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.focusing import step
-from blocksar.graph import stages, tasks
+from blocksar.graph import stages, tasks, units
 from blocksar.places import place
 from blocksar.planning import memory
 from blocksar.runs import folder
@@ -180,9 +180,9 @@ def test_folders_that_are_not_runs_are_not_changed(store: Path, tmp_path: Path) 
 def test_peak_memory_is_that_of_the_process() -> None:
     """A small process started by a large one does not report its parent's peak."""
     ballast = np.ones(400 * 2**20, np.uint8)
-    script = "from blocksar.graph.tasks import peak_memory; print(peak_memory())"
+    script = "from blocksar.graph.units import peak_memory; print(peak_memory())"
     child = int(subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True).stdout)
-    assert tasks.peak_memory() > ballast.size
+    assert units.peak_memory() > ballast.size
     assert child < ballast.size
 
 
@@ -196,8 +196,8 @@ def test_a_block_from_another_worker_gives_the_same_result(store: Path, tmp_path
     fixed = samples.copy()
     fixed.flags.writeable = False
     run = Run(folder=place(tmp_path), identity="x", threads=1)
-    here = tasks.run_stage(run, block, stage, tasks.Samples(samples, {}))
-    there = tasks.run_stage(run, block, stage, tasks.Samples(fixed, {}))
+    here = tasks.run_stage(run, "", tasks.Samples(samples, {}), block, stage)
+    there = tasks.run_stage(run, "", tasks.Samples(fixed, {}), block, stage)
     assert here.values is samples
     np.testing.assert_array_equal(here.values, there.values)
 

@@ -82,6 +82,8 @@ def create_with_zarr(path: Path, variables: Mapping[str, Variable], small: Mappi
     inline = {name: json.loads((path / name / "zarr.json").read_bytes()) for name in variables}
     metadata["consolidated_metadata"] = {"kind": "inline", "must_understand": False, "metadata": inline}
     (path / "zarr.json").write_text(json.dumps(metadata, indent=2))
+    for file in path.rglob("zarr.json"):  # GDAL refuses arrays that state a negative level
+        file.write_text(file.read_text().replace('"level": -5', '"level": 1'))
 
 
 def files_of(path: Path) -> dict[str, bytes]:

@@ -28,7 +28,7 @@ from benchmarks.scenes import Blocks, Case, Scale, plan_case
 from blocksar import stores
 from blocksar.graph.cluster import open_client
 from blocksar.graph.machine import machine
-from blocksar.graph.tasks import peak_memory
+from blocksar.graph.units import peak_memory
 from blocksar.runs.record import RunRecord
 
 

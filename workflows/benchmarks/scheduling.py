@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import time
-from functools import partial
-from typing import Any
 
-from distributed import Client, Future
+from distributed import Client
 
-from blocksar.graph.units import Unit, as_completed
+from blocksar.graph.units import OnCluster, Unit
+from blocksar.places import place
 from blocksar.progress import Listener
+from blocksar.runs.receipts import Run
 
 CHAIN = 5  # tasks of a block: three stages with the slab's reading, the geometric correction, and one of the mosaic
 IN_FLIGHT = 50  # units for each worker: with two workers, as many as 100 workers have
@@ -24,8 +24,8 @@ def seconds_a_task(client: Client, n_task: int) -> dict[str, float]:
     units = max(n_task // CHAIN, 10)
     ends = []
     started = time.perf_counter()
-    chains: list[Unit] = [(f"chain-{number}", partial(_submit, client, number)) for number in range(units)]
-    for _, _ in as_completed(client, "chains", chains, IN_FLIGHT, Listener()):
+    chains = [_chain(number) for number in range(units)]
+    for _ in OnCluster(client, Listener()).execute("chains", chains, per_worker=IN_FLIGHT):
         ends.append(time.perf_counter() - started)
     tenth = units // 10
     return {
@@ -36,8 +36,12 @@ def seconds_a_task(client: Client, n_task: int) -> dict[str, float]:
     }
 
 
-def _submit(client: Client, number: int) -> Future[Any]:
-    node = client.submit(str, key=f"task-0-{number}", pure=False, priority=-number)
-    for step in range(1, CHAIN):
-        node = client.submit(str, node, key=f"task-{step}-{number}", pure=False, priority=-number)
-    return node
+def _chain(number: int) -> Unit:
+    run, after = Run(folder=place("."), identity="", threads=1), tuple[Unit, ...]()
+    for step in range(CHAIN):
+        after = (Unit(f"task-{step}", run, f"chain-{number}", _pass_on, after=after, priority=-number),)
+    return after[0]
+
+
+def _pass_on(_: Run, name: str, *__: str) -> str:
+    return name
