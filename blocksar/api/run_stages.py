@@ -24,10 +24,10 @@ from blocksar.collection.track_shape import find_flaw
 from blocksar.errors import InputError
 from blocksar.focusing.interference import Interference
 from blocksar.graph import cluster, compiling, recording, stages
-from blocksar.graph.pyramid import build_pyramid
-from blocksar.graph.reading import CUT
+from blocksar.graph.pyramid_levels import build_pyramid
+from blocksar.graph.sample_tasks import CUT
 from blocksar.graph.segments import Segment, by_collection
-from blocksar.graph.stages import Recovered
+from blocksar.graph.stages import ReadSegment
 from blocksar.graph.units import Executor, OnCluster, ThisProcess
 from blocksar.inspection import centroid, samples
 from blocksar.inspection.samples import Inspection
@@ -65,7 +65,7 @@ def check_later(job: Job) -> Callable[[], list[Check]]:
 
 
 def add_findings(
-    job: Job, record: RunRecord, read: Sequence[Recovered], checked: Callable[[], list[Check]], listener: Listener
+    job: Job, record: RunRecord, read: Sequence[ReadSegment], checked: Callable[[], list[Check]], listener: Listener
 ) -> RunRecord:
     """Add the findings of the inspections of all segments to the record, and those of the checks.
 
@@ -105,7 +105,7 @@ class _Told(NamedTuple):
 
 def _of_collection(
     number: int,
-    read: Sequence[tuple[Segment, Recovered]],
+    read: Sequence[tuple[Segment, ReadSegment]],
     checked: Callable[[], list[Check]],
     *,
     several: bool,
@@ -160,7 +160,7 @@ def without_samples(history: stores.PhaseHistory, *, zeros: bool) -> str:
     return f"{history.variable} in {history.label} {wrong}"
 
 
-def _inspections(segments: Sequence[Segment], read: Sequence[Recovered]) -> list[Inspection]:
+def _inspections(segments: Sequence[Segment], read: Sequence[ReadSegment]) -> list[Inspection]:
     """The inspections of a collection: of its raw echo, if it is one, and of its samples."""
     echoes = [
         Inspection.from_dict({name: value for name, value in receipt.found.items() if name != CUT})
@@ -176,7 +176,7 @@ def _inspections(segments: Sequence[Segment], read: Sequence[Recovered]) -> list
     return [samples.merge_echoes(echoes), inspection] if echoes else [inspection]
 
 
-def _of_interference(segment: Segment, read: Sequence[Recovered]) -> list[str]:
+def _of_interference(segment: Segment, read: Sequence[ReadSegment]) -> list[str]:
     """Describe the interference that was cut from a collection, if it was looked for."""
     if segment.interference is None:
         return []
@@ -320,7 +320,7 @@ def _form(
     if job.request.asked.interference is not None:  # the check is of what is imaged
         checked = check_later(replace(job, segments=tuple(segments)))
 
-    def accept_read(stage: str, read: Sequence[Recovered]) -> list[Recovered]:
+    def accept_read(stage: str, read: Sequence[ReadSegment]) -> list[ReadSegment]:
         nonlocal record
         end(stage)
         joined = [each._replace(receipts=[*some, *each.receipts]) for some, each in zip(compressed, read, strict=True)]

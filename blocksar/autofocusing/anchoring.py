@@ -26,9 +26,9 @@ import numpy as np
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.autofocusing.chips import ChipPart, Chips, join_chips
-from blocksar.autofocusing.correction import Correction
 from blocksar.autofocusing.finishing import Result
 from blocksar.autofocusing.selection import Points
+from blocksar.autofocusing.track_correction import Correction
 from blocksar.autofocusing.work import Work
 from blocksar.errors import InputError
 from blocksar.kernels.fourier import fast_length, fft_rows

@@ -16,8 +16,8 @@ from numba import types
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.autofocusing import range_lines
-from blocksar.autofocusing.correction import between_samples
 from blocksar.autofocusing.selection import Points
+from blocksar.autofocusing.track_correction import between_samples
 from blocksar.autofocusing.work import Work, low_pass
 from blocksar.kernels.fourier import fast_length, fft_rows
 from blocksar.kernels.groups import run_groups

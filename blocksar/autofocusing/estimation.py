@@ -13,7 +13,6 @@ from blocksar import solvers
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.autofocusing.bridging import bridged, refuse_gaps, stitched
 from blocksar.autofocusing.chips import ChipPart, Chips, join_chips, mean_sight
-from blocksar.autofocusing.correction import Correction, Knots, intervals, narrowing
 from blocksar.autofocusing.fine_phase import believed, by_least_squares, is_pattern, shared_samples, standing_alone
 from blocksar.autofocusing.information import bending, factor, information
 from blocksar.autofocusing.phase_gradient import (
@@ -26,6 +25,7 @@ from blocksar.autofocusing.phase_gradient import (
 )
 from blocksar.autofocusing.selection import Points
 from blocksar.autofocusing.spectral_drift import phase_of_drift
+from blocksar.autofocusing.track_correction import Correction, Knots, intervals, narrowing
 from blocksar.autofocusing.work import Work
 from blocksar.kernels.fourier import fast_length, fft_rows
 from blocksar.kernels.groups import GROUP_BYTES, run_groups
@@ -230,7 +230,7 @@ class Polish:
 
     @property
     def _far(self) -> float:
-        """Displacement that costs `Settings.prior`, rad."""
+        """Displacement that costs `EstimatorSettings.prior`, rad."""
         return self.chips.work.settings.displacement * self.chips.work.wavenumber
 
     @cached_property

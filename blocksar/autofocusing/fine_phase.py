@@ -23,9 +23,9 @@ import numpy as np
 
 from blocksar.arrays import BoolArray, Complex128Array, ComplexArray, FloatArray
 from blocksar.autofocusing.chips import Chips, mean_sight
-from blocksar.autofocusing.correction import Knots, intervals, narrowing
 from blocksar.autofocusing.information import bending, information, solve, told_within_sides
 from blocksar.autofocusing.phase_gradient import centred_rows
+from blocksar.autofocusing.track_correction import Knots, intervals, narrowing
 from blocksar.kernels.fourier import fft_rows
 
 TURNS = 4  # of points' own phases and the shared one
@@ -188,9 +188,9 @@ def by_least_squares(chips: Chips, start: FloatArray, before: FloatArray, weight
     """Refine a displacement (n_sample, 3), m, that makes chips sharp which were taken with `before` (n_sample, 3).
 
     Minimises sum_i w_i sum_t (phase_it - k u_it . e(t) - line_i)^2 + the prior of e by Gauss-Newton steps, with
-    w_i = weights_i / variance_i. The prior: displacements of `Settings.displacement`, and accelerations of
-    `Settings.roughness` and of what is seen along the line of sight already, since errors are alike in all directions.
-    And `start` itself, as far as entropy tells it: not how both sides of a gap fit.
+    w_i = weights_i / variance_i. The prior: displacements of `EstimatorSettings.displacement`, and accelerations of
+    `EstimatorSettings.roughness` and of what is seen along the line of sight already, since errors are alike in all
+    directions. And `start` itself, as far as entropy tells it: not how both sides of a gap fit.
     """
     work, wavenumber, settings = chips.work, chips.work.wavenumber, chips.work.settings
     count = intervals(work)

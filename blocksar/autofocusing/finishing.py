@@ -17,11 +17,11 @@ from blocksar import solvers
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray
 from blocksar.autofocusing.bridging import long_gaps, straddling
 from blocksar.autofocusing.chips import SHORT_GAP, ChipPart, Chips, join_chips, mean_sight, missing_runs
-from blocksar.autofocusing.correction import Correction, Knots, between_samples, intervals
 from blocksar.autofocusing.estimation import defocus, halves, phase_step, shared_error, without_line
 from blocksar.autofocusing.fine_phase import point_phases, point_shares, rms, shared_samples
 from blocksar.autofocusing.information import factor, information
 from blocksar.autofocusing.selection import Points, Refused
+from blocksar.autofocusing.track_correction import Correction, Knots, between_samples, intervals
 from blocksar.autofocusing.work import FILTER_LENGTH, Work
 from blocksar.kernels.fourier import fft_rows
 
@@ -216,7 +216,7 @@ class Result:
     track_error : (n, 3) float
         Stated minus corrected position, m.
     uncertainty : (n, 3) float
-        Standard deviation of that, m. What the samples do not tell at all has `Settings.displacement`.
+        Standard deviation of that, m. What the samples do not tell at all has `EstimatorSettings.displacement`.
     x, y : (n_picture,) float
         Places of some points, m.
     chips_before, chips_after : (n_picture, n_line, n_doppler) float32
@@ -270,8 +270,8 @@ def finish(
     Raises
     ------
     Refused
-        If the halves differ by more than `Settings.halves`, that is predicted, the loops have not settled, or whole
-        turns of the phase remain unknown.
+        If the halves differ by more than `EstimatorSettings.halves`, that is predicted, the loops have not settled, or
+        whole turns of the phase remain unknown.
     """
     chips = join_chips(work, points, parts, correction.previous)
     between = found[0].displacement - found[1].displacement

@@ -16,7 +16,7 @@ from numba import types
 
 from blocksar.arrays import FloatArray
 from blocksar.autofocusing.chips import Chips, add_to_form, collect_squares, flat_parts, missing_runs
-from blocksar.autofocusing.correction import Knots
+from blocksar.autofocusing.track_correction import Knots
 from blocksar.kernels.loops import REAL_ROWS, UNCHECKED, loop
 
 SUMS = types.float64[:, ::1]

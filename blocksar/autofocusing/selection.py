@@ -288,7 +288,7 @@ def select_points(channels: Sequence[Sequence[Candidates]], work: Work) -> Chose
     Raises
     ------
     Refused
-        If no channel has as many as `Settings.least_points`.
+        If no channel has as many as `EstimatorSettings.least_points`.
     """
     places, told = [], []
     for candidates in channels:

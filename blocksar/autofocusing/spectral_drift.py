@@ -19,7 +19,7 @@ from blocksar.kernels.fourier import fast_length, fft_rows
 PADDING = 4.0  # cells of a spectrum for each sample of its window
 TURNS = 6  # of spectra in common and their shifts
 SETTLED = 0.05  # cells: shifts that change by less are final
-STEP = 2.5  # cells from window to window by an acceleration of `Settings.acceleration`
+STEP = 2.5  # cells from window to window by an acceleration of `EstimatorSettings.acceleration`
 REACH = 8  # cells from window to window, at most
 
 

@@ -18,9 +18,9 @@ import numpy as np
 from blocksar.arrays import BoolArray, FloatArray, IntArray
 from blocksar.autofocusing.anchoring import Control, Seen, anchored, responses_of
 from blocksar.autofocusing.chips import ChipPart, Chips, join_chips
-from blocksar.autofocusing.correction import Correction
 from blocksar.autofocusing.finishing import Result
 from blocksar.autofocusing.selection import Points
+from blocksar.autofocusing.track_correction import Correction
 from blocksar.autofocusing.work import Work
 from blocksar.errors import InputError
 from blocksar.solvers import newton

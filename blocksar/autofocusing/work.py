@@ -17,7 +17,7 @@ from blocksar.errors import InputError
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class EstimatorSettings:
     """Settings of the estimator.
 
     Attributes
@@ -88,12 +88,12 @@ class Work:
         With the track as stated. On a terrain points stand on it; they are looked for on the plane z = ground_height.
     region : Region
         In which points are looked for.
-    settings : Settings
+    settings : EstimatorSettings
     """
 
     geometry: Geometry
     region: Region
-    settings: Settings = field(default_factory=Settings)
+    settings: EstimatorSettings = field(default_factory=EstimatorSettings)
 
     @cached_property
     def wavenumber(self) -> float:
@@ -155,7 +155,7 @@ class Work:
 
     @property
     def _rate(self) -> float:
-        """Samples a second that hold `Settings.speed`, Hz."""
+        """Samples a second that hold `EstimatorSettings.speed`, Hz."""
         return self.settings.speed * self.wavenumber / np.pi / FILTER_BAND
 
     @cached_property
@@ -190,7 +190,7 @@ def low_pass(decimation: int) -> FloatArray:
     return weights / float(weights.sum())
 
 
-def begin(geometry: Geometry, grid: Grid | None = None, settings: Settings | None = None) -> Work:
+def begin(geometry: Geometry, grid: Grid | None = None, settings: EstimatorSettings | None = None) -> Work:
     """Prepare an estimate from a collection's geometry.
 
     Raises
@@ -201,4 +201,6 @@ def begin(geometry: Geometry, grid: Grid | None = None, settings: Settings | Non
     n = geometry.collection.n_pulse
     if n < LEAST_PULSES:
         raise InputError(f"time has {n} pulses, but the track's error cannot be told from fewer than {LEAST_PULSES}")
-    return Work(geometry=geometry, region=plan_region(geometry.over(None), grid), settings=settings or Settings())
+    return Work(
+        geometry=geometry, region=plan_region(geometry.over(None), grid), settings=settings or EstimatorSettings()
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
@@ -25,8 +25,8 @@ from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.recorded_pulses import divide_by_recorded
 from blocksar.graph.layers import AlikeChunks, GroundHeights, strips_of, write_noise
 from blocksar.graph.segments import Margins, Merged
-from blocksar.graph.spectrum import Turn, Window, WritesBehind, ahead, in_threads
-from blocksar.graph.tasks import Samples, shifted, write_image
+from blocksar.graph.spectrum import ComputeTurn, Window, WritesBehind, ahead, in_threads
+from blocksar.graph.tasks import BlockSamples, shifted, write_image
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.tiling import chunk_window, image_chunk, patch_window, touched_chunks
 from blocksar.runs.receipts import Run, write
@@ -80,7 +80,7 @@ def merge_chunks(
 
 
 def _read_ahead(
-    pool: Executor, run: Run, cells: Mapping[tuple[int, int], Sequence[PatchChunk]], grid: Grid
+    pool: ThreadPoolExecutor, run: Run, cells: Mapping[tuple[int, int], Sequence[PatchChunk]], grid: Grid
 ) -> Iterator[ComplexArray]:
     """The pixels of all parts of output chunks, in their order; a few are read while those before are merged."""
     windows = ((chunk_window(cell, grid), part) for cell, parts in cells.items() for part in parts)
@@ -158,7 +158,7 @@ class Patch:
     noise: NoiseMap | None
 
 
-def write_patch(run: Run, unit: str, samples: Samples, block: BlockPlan, patch: Patch) -> Receipt:
+def write_patch(run: Run, unit: str, samples: BlockSamples, block: BlockPlan, patch: Patch) -> Receipt:
     """Correct a focused block geometrically, and write its patch in chunks of the image's grid.
 
     Chunks are written by other threads while the next ones are computed.
@@ -189,7 +189,7 @@ def write_patch(run: Run, unit: str, samples: Samples, block: BlockPlan, patch: 
 class _Corrected(NamedTuple):
     """A chunk of a patch: its pixels (n_y, n_x), and the block of each as `_owner` has it."""
 
-    turn: Turn
+    turn: ComputeTurn
     cell: tuple[int, int]
     height: FloatArray | None
     pixels: ComplexArray
@@ -206,7 +206,12 @@ class _Corrector:
     patch: Patch
 
     def pixels(
-        self, turn: Turn, chunks: Sequence[ComplexArray], cell: tuple[int, int], z: FloatArray | None, tiles: Tiles
+        self,
+        turn: ComputeTurn,
+        chunks: Sequence[ComplexArray],
+        cell: tuple[int, int],
+        z: FloatArray | None,
+        tiles: Tiles,
     ) -> _Corrected:
         """Compute a chunk's pixels, in the memory that its turn has of `chunks`."""
         ground, grid = self.patch.ground, self.patch.grid

@@ -6,7 +6,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -49,7 +49,7 @@ class WritesBehind:
         writers = writes_at_once(threads)
         self.held, self.waited = held or turns_at_once(threads) + writers, 0.0
         self._pool = ThreadPoolExecutor(writers)
-        self._turns: list[Turn] = []
+        self._turns: list[ComputeTurn] = []
 
     def __enter__(self) -> WritesBehind:
         return self
@@ -57,13 +57,13 @@ class WritesBehind:
     def __exit__(self, *error: type[BaseException] | BaseException | TracebackType | None) -> None:
         self._pool.shutdown(wait=True)
 
-    def turn(self) -> Turn:
+    def turn(self) -> ComputeTurn:
         """Begin a turn when the one whose memory it takes is written."""
         if len(self._turns) >= self.held:
             began = time.perf_counter()
             self._turns[-self.held].wait()
             self.waited += time.perf_counter() - began
-        self._turns.append(Turn(self._pool, len(self._turns) % self.held))
+        self._turns.append(ComputeTurn(self._pool, len(self._turns) % self.held))
         return self._turns[-1]
 
     @property
@@ -72,7 +72,7 @@ class WritesBehind:
         return tuple(part for turn in self._turns for part in turn.wait())
 
 
-class Turn:
+class ComputeTurn:
     """Piece of work that is computed at a time, and written behind.
 
     Attributes
@@ -81,7 +81,7 @@ class Turn:
         Number of the memory that its results may take: 0 .. held - 1.
     """
 
-    def __init__(self, pool: Executor, memory: int) -> None:
+    def __init__(self, pool: ThreadPoolExecutor, memory: int) -> None:
         self.memory = memory
         self._pool, self._writes = pool, list[Future[Sequence[Written]]]()
 
@@ -117,7 +117,7 @@ def in_threads(jobs: Iterable[Callable[[], T]], threads: int) -> Iterator[T]:
         yield from ahead(pool, jobs, threads)
 
 
-def ahead(pool: Executor, jobs: Iterable[Callable[[], T]], count: int) -> Iterator[T]:
+def ahead(pool: ThreadPoolExecutor, jobs: Iterable[Callable[[], T]], count: int) -> Iterator[T]:
     """The results of jobs in their order; up to `count` are done in the pool while the one before them is used."""
     coming: deque[Future[T]] = deque()
     for job in jobs:

@@ -29,10 +29,10 @@ from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_gate import RawCompression
 from blocksar.graph.layers import sights_of
 from blocksar.graph.patching import Patch, PatchChunk, merge_chunks, write_patch
-from blocksar.graph.reading import Gated, gate_bins, inspect_group, prepare_pulses, recover_group
+from blocksar.graph.sample_tasks import Gated, gate_bins, inspect_group, prepare_pulses, recover_group
 from blocksar.graph.segments import Segment, by_collection
 from blocksar.graph.spectrum import SpectrumChunks, Window, chunk_spans
-from blocksar.graph.tasks import FormParts, Projected, add_layers, form_chunks, read_slab, run_stage
+from blocksar.graph.tasks import FormParts, PixelSource, add_layers, form_chunks, read_slab, run_stage
 from blocksar.graph.units import Executor, Unit
 from blocksar.inspection.samples import Inspection, merge, refusal
 from blocksar.planning.block import BlockPlan
@@ -44,8 +44,8 @@ from blocksar.runs.record import Receipt, Written, block_unit
 Parts = defaultdict[str, list[Written]]  # what units have written, by store
 
 
-class Recovered(NamedTuple):
-    """A segment whose samples were recovered or inspected: receipts, their inspection, and its noise, where known."""
+class ReadSegment(NamedTuple):
+    """A segment whose samples have been read, recovered to a spectrum or inspected, with its noise where known."""
 
     segment: Segment
     receipts: list[Receipt]
@@ -53,7 +53,7 @@ class Recovered(NamedTuple):
     noise: NoiseMap | None = None
 
 
-def recover(executor: Executor, segments: Sequence[Segment], run: Run) -> list[Recovered]:
+def recover(executor: Executor, segments: Sequence[Segment], run: Run) -> list[ReadSegment]:
     """Recover the spectrum of every segment into its spectrum.zarr.
 
     Raises
@@ -88,7 +88,7 @@ def _create_spectrum(run: Run, plan: Plan) -> None:
     )  # fmt: skip
 
 
-def inspect_samples(executor: Executor, segments: Sequence[Segment], run: Run) -> list[Recovered]:
+def inspect_samples(executor: Executor, segments: Sequence[Segment], run: Run) -> list[ReadSegment]:
     """Inspect phase histories that are not recovered.
 
     Raises
@@ -115,16 +115,16 @@ def _column_groups(
     return units
 
 
-def _read(executor: Executor, stage: str, segments: Sequence[Segment], units: Sequence[Unit]) -> list[Recovered]:
+def _read(executor: Executor, stage: str, segments: Sequence[Segment], units: Sequence[Unit]) -> list[ReadSegment]:
     """Run units that read the samples of segments, and merge the inspections of each segment."""
     receipts, read = executor.run_units(stage, units, ahead=True), []
     for segment in segments:
         some = [receipt for unit, receipt in zip(units, receipts, strict=True) if unit.run.segment == segment.number]
-        read.append(Recovered(segment, some, without_lost(segment.history, merge_inspections(some))))
+        read.append(ReadSegment(segment, some, without_lost(segment.history, merge_inspections(some))))
     return read
 
 
-def gate_ranges(executor: Executor, recovered: Sequence[Recovered], run: Run) -> list[Receipt]:
+def gate_ranges(executor: Executor, recovered: Sequence[ReadSegment], run: Run) -> list[Receipt]:
     """Gate the spectra in range for all sub-blocks, into gated/; nothing without sub-blocks."""
     units: list[Unit] = []
     for segment, receipts, *_ in recovered:
@@ -183,7 +183,7 @@ def _gated_spectrum(plan: Plan, run: Run, block: BlockPlan, parts: Parts) -> Spe
 
 
 def focus_blocks(
-    executor: Executor, recovered: Sequence[Recovered], run: Run, receipts: Sequence[Receipt]
+    executor: Executor, recovered: Sequence[ReadSegment], run: Run, receipts: Sequence[Receipt]
 ) -> list[Receipt]:
     """Focus every block, from its segment's spectrum to patches/<block>, by a chain of tasks of its own.
 
@@ -251,7 +251,7 @@ def discard_spectra(segments: Sequence[Segment], run: Run, receipts: Sequence[Re
                 own.discard(own.gated(block.name), receipts)
 
 
-def mosaic(executor: Executor, recovered: Sequence[Recovered], run: Run, patches: Sequence[Receipt]) -> list[Receipt]:
+def mosaic(executor: Executor, recovered: Sequence[ReadSegment], run: Run, patches: Sequence[Receipt]) -> list[Receipt]:
     """Merge the patches into image.zarr, by output chunk, where several blocks may own pixels.
 
     Chunks that only one block touches are there already; those that no block covers are not written.
@@ -364,7 +364,7 @@ def form_parts(
     stage: str,
     forms: Sequence[FormParts],
     parts: Mapping[str, Sequence[Window]],
-    read: Sequence[Recovered],
+    read: Sequence[ReadSegment],
     grid: Grid,
     run: Run,
     *,
@@ -375,7 +375,7 @@ def form_parts(
     A unit has a CPU for itself, or a worker's GPU: `on` says which.
     """
     sources = [
-        Projected(
+        PixelSource(
             segment.history, segment.geometry.over(None), inspection, noise, segment.number or 0, segment.collection,
             form,
         )

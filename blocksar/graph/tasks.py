@@ -73,8 +73,8 @@ def each_alone(
         yield window, form(read, geometry, x[window[1]], y[window[0]], threads=threads)
 
 
-class Projected(NamedTuple):
-    """A collection of which pixels are formed straight from the samples, and how."""
+class PixelSource(NamedTuple):
+    """Samples from which pixels are formed directly, and the function that forms them."""
 
     source: stores.PhaseHistory
     geometry: Geometry
@@ -86,7 +86,7 @@ class Projected(NamedTuple):
 
 
 @dataclass
-class Samples:
+class BlockSamples:
     """The samples of a block between two tasks, and the seconds of each step so far."""
 
     values: ComplexArray | None
@@ -107,7 +107,7 @@ class Samples:
         return values if values.flags.writeable else values.copy()
 
 
-def read_slab(run: Run, unit: str, block: BlockPlan, stage: Stage, spectrum: SpectrumChunks) -> Samples:
+def read_slab(run: Run, unit: str, block: BlockPlan, stage: Stage, spectrum: SpectrumChunks) -> BlockSamples:
     """Run a block's first stage on its part of the spectrum, which is read by chunks' columns."""
     started, reading = time.perf_counter(), 0.0
     program, bins = stage.program, slice(block.first_bin, block.first_bin + block.n_bin)
@@ -116,10 +116,10 @@ def read_slab(run: Run, unit: str, block: BlockPlan, stage: Stage, spectrum: Spe
     for region, part, waited in read_ahead(spectrum, parts):
         reading += waited
         program.run(part, out=out, first=region[1].start, load="columns", threads=run.threads)
-    return Samples(out, {"read-slab": reading, stage.name: time.perf_counter() - started - reading})
+    return BlockSamples(out, {"read-slab": reading, stage.name: time.perf_counter() - started - reading})
 
 
-def run_stage(run: Run, unit: str, samples: Samples, block: BlockPlan, stage: Stage) -> Samples:
+def run_stage(run: Run, unit: str, samples: BlockSamples, block: BlockPlan, stage: Stage) -> BlockSamples:
     """Run a stage on a block, in place where the result fits: no other task uses the input."""
     started = time.perf_counter()
     values, program = samples.take(), stage.program
@@ -136,7 +136,7 @@ def run_stage(run: Run, unit: str, samples: Samples, block: BlockPlan, stage: St
         if inner:
             out = np.empty((block.sampling.n_buffer_row, program.target.size), np.complex64)
         result = program.run(values[: program.n_row], out=out, threads=run.threads)
-    return Samples(result, samples.seconds | {stage.name: time.perf_counter() - started})
+    return BlockSamples(result, samples.seconds | {stage.name: time.perf_counter() - started})
 
 
 def shifted(window: Window, origin: Sequence[int]) -> Window:
@@ -211,7 +211,7 @@ def add_layers(
 
 
 def form_chunks(
-    run: Run, unit: str, stage: str, sources: Sequence[Projected], windows: Sequence[Window], grid: Grid,
+    run: Run, unit: str, stage: str, sources: Sequence[PixelSource], windows: Sequence[Window], grid: Grid,
     on_terrain: bool = False,
 ) -> Receipt:  # fmt: skip
     """Form output chunks straight from the samples, of all collections, on the terrain if there is one."""
@@ -240,7 +240,9 @@ def form_chunks(
     return Receipt(unit=unit, stage=stage, written=tuple(written))
 
 
-def _form(run: Run, source: Projected, windows: Sequence[Window], grid: Grid) -> Iterator[tuple[Window, ComplexArray]]:
+def _form(
+    run: Run, source: PixelSource, windows: Sequence[Window], grid: Grid
+) -> Iterator[tuple[Window, ComplexArray]]:
     """Form output chunks of one collection."""
 
     def read(pulses: slice) -> ComplexArray:

@@ -22,10 +22,10 @@ from blocksar import stores
 from blocksar.arrays import ComplexArray
 from blocksar.autofocusing.anchoring import Control, anchor
 from blocksar.autofocusing.chips import ChipPart, take_chips
-from blocksar.autofocusing.correction import Correction
 from blocksar.autofocusing.estimation import estimate
 from blocksar.autofocusing.finishing import HalfEstimate, Result, estimate_half, finish
 from blocksar.autofocusing.selection import Candidates, Points, find_candidates, select_points
+from blocksar.autofocusing.track_correction import Correction
 from blocksar.autofocusing.tying import (
     LEAST,
     Places,

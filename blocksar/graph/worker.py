@@ -9,7 +9,7 @@ gc.disable()  # imports create many objects and no garbage
 import distributed  # noqa: E402, F401
 import numpy as np  # noqa: E402
 
-from blocksar.graph import patching, reading  # noqa: E402, F401
+from blocksar.graph import patching, sample_tasks  # noqa: E402, F401
 from blocksar.graph.compiling import compile_kernels  # noqa: E402
 from blocksar.kernels.fourier import fft_rows  # noqa: E402
 from blocksar.kernels.fresnel import fresnel_integral  # noqa: E402

@@ -199,7 +199,7 @@ def join_segments(parts: Sequence[tuple[int, Inspection]], n_pulse: int) -> Insp
     )
 
 
-def inspect(
+def zero_impossible(
     signal: ComplexArray,
     *,
     range_frequency: FloatArray,

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from blocksar.graph.machine import Resources
     from blocksar.graph.segments import Segment
-    from blocksar.graph.stages import Recovered
+    from blocksar.graph.stages import ReadSegment
     from blocksar.graph.tasks import Form, FormParts
     from blocksar.graph.units import Executor
     from blocksar.runs.receipts import Run
@@ -360,5 +360,5 @@ class Execution:
     segments: Sequence[Segment]
     weighting: Weighting
     discard: bool
-    accept_read: Callable[[str, Sequence[Recovered]], list[Recovered]]
+    accept_read: Callable[[str, Sequence[ReadSegment]], list[ReadSegment]]
     end: Callable[[str], None]

@@ -9,8 +9,8 @@ import wrong_tracks
 from blocksar.autofocusing import anchoring
 from blocksar.autofocusing.anchoring import Control, anchor
 from blocksar.autofocusing.chips import take_chips
-from blocksar.autofocusing.correction import Correction
 from blocksar.autofocusing.finishing import Result
+from blocksar.autofocusing.track_correction import Correction
 from blocksar.autofocusing.work import Work, begin
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry

@@ -20,11 +20,11 @@ from blocksar.autofocusing.bridging import (
     whole_turns,
 )
 from blocksar.autofocusing.chips import Chips, mean_sight
-from blocksar.autofocusing.correction import Correction, Knots
 from blocksar.autofocusing.fine_phase import own_phase, point_phases, strongest_rows
 from blocksar.autofocusing.finishing import told_across_gaps
 from blocksar.autofocusing.information import information, told_within_sides
 from blocksar.autofocusing.selection import best_points, find_candidates, gaps_between
+from blocksar.autofocusing.track_correction import Correction, Knots
 from blocksar.autofocusing.work import Work, begin
 from blocksar.collection.beam import Beam
 from blocksar.collection.geometry import Geometry

@@ -12,7 +12,7 @@ from blocksar.autofocusing import estimation
 from blocksar.autofocusing.estimation import coarse_error
 from blocksar.autofocusing.finishing import Result
 from blocksar.autofocusing.selection import Refused, stands_out
-from blocksar.autofocusing.work import Settings
+from blocksar.autofocusing.work import EstimatorSettings
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
@@ -53,7 +53,7 @@ def test_the_track_is_mended(result: Result) -> None:
 def test_what_is_known_of_it(result: Result) -> None:
     assert result.track_error.shape == result.uncertainty.shape == (result.time.size, 3)
     assert (result.uncertainty > 0).all()
-    assert (result.uncertainty <= 1.01 * Settings().displacement).all()
+    assert (result.uncertainty <= 1.01 * EstimatorSettings().displacement).all()
     assert result.chips_after.max(axis=(1, 2)) == pytest.approx(1)
     assert (result.chips_before.max(axis=(1, 2)) < 0.9).all()
 
@@ -93,7 +93,9 @@ def test_noise_is_refused() -> None:
     stated = spotlight(n_pulse=256)
     signal = noise(stated.n_pulse, stated.n_range_frequency)
     with pytest.raises(Refused, match=r": 0 of \d\d points stand out of noise and clutter, and 20 tell .* differ by"):
-        find_track_error(lambda pulses: signal[pulses], Geometry(collection=stated), GRID, settings=Settings(loops=2))
+        find_track_error(
+            lambda pulses: signal[pulses], Geometry(collection=stated), GRID, settings=EstimatorSettings(loops=2)
+        )
 
 
 @pytest.mark.parametrize(("amplitude", "points"), [(0.0, 1), (1.0, 1), (1.0, 18)])

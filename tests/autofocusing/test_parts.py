@@ -11,7 +11,6 @@ from scipy.interpolate import BSpline
 
 from blocksar.arrays import FloatArray
 from blocksar.autofocusing.chips import Chips, brightest_places, fill, gaps, join_chips
-from blocksar.autofocusing.correction import Correction, Knots, between_samples, intervals
 from blocksar.autofocusing.estimation import PADDING, Polish, coarse_error, entropies, minimise, without_line
 from blocksar.autofocusing.fine_phase import believed, by_least_squares, is_pattern, own_phase, point_phases
 from blocksar.autofocusing.finishing import alike_nearby, bends, far_from_gaps, fine_samples, unfollowed, unknown_turns
@@ -20,6 +19,7 @@ from blocksar.autofocusing.phase_gradient import add_rows, line_of_sight, own_er
 from blocksar.autofocusing.range_lines import range_profiles, take_chips, take_lines, taps
 from blocksar.autofocusing.selection import Points, find_candidates
 from blocksar.autofocusing.spectral_drift import STEP, Spectra, phase_of_drift, products_with_others, smooth_path
+from blocksar.autofocusing.track_correction import Correction, Knots, between_samples, intervals
 from blocksar.autofocusing.work import Work, begin, low_pass
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain

@@ -8,9 +8,9 @@ import wrong_tracks
 
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.autofocusing.chips import ChipPart, take_chips
-from blocksar.autofocusing.correction import Correction
 from blocksar.autofocusing.finishing import Result
 from blocksar.autofocusing.selection import Points
+from blocksar.autofocusing.track_correction import Correction
 from blocksar.autofocusing.tying import Places, control_of, find_places, places_seen, shared_points, tie, tie_in_turn
 from blocksar.autofocusing.work import Work, begin
 from blocksar.collection.collection import Collection

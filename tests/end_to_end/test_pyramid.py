@@ -17,7 +17,7 @@ from passes import fly, focus, points
 
 import blocksar
 from blocksar.collection.grid import Grid
-from blocksar.graph import pyramid
+from blocksar.graph import pyramid_levels
 from blocksar.places import place
 from blocksar.planning.disk import has_pyramid, with_pyramid
 from blocksar.runs.record import RunRecord
@@ -126,7 +126,7 @@ def test_levels_open_in_gdal(run: Path) -> None:
 def test_an_interrupted_pyramid_is_resumed_to_the_same_bytes(
     run: Path, history: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    written, calls = pyramid.write, []
+    written, calls = pyramid_levels.write, []
 
     def failing(*arguments: Any, **more: Any) -> Any:
         calls.append(arguments[2])
@@ -134,11 +134,11 @@ def test_an_interrupted_pyramid_is_resumed_to_the_same_bytes(
             raise OSError(5, "Input/output error")
         return written(*arguments, **more)
 
-    monkeypatch.setattr(pyramid, "PYRAMID_LEVELS", 2)  # so that one task makes the last level
-    monkeypatch.setattr(pyramid, "write", failing)
+    monkeypatch.setattr(pyramid_levels, "PYRAMID_LEVELS", 2)  # so that one task makes the last level
+    monkeypatch.setattr(pyramid_levels, "write", failing)
     with pytest.raises(blocksar.ProcessingError, match="pyramid"):
         focus(history, tmp_path / "run", grid=GRID, pyramid=True)
-    monkeypatch.setattr(pyramid, "write", written)
+    monkeypatch.setattr(pyramid_levels, "write", written)
     focus(history, tmp_path / "run", grid=GRID)  # what it began with stays
     files = [each for each in (run / "image.zarr" / "pyramid").rglob("*") if each.is_file()]
     assert files

@@ -8,7 +8,7 @@ from threading import Event, Timer, get_ident
 
 import pytest
 
-from blocksar.graph.spectrum import Turn, WritesBehind, in_threads, turns_at_once
+from blocksar.graph.spectrum import ComputeTurn, WritesBehind, in_threads, turns_at_once
 from blocksar.runs.record import Written
 
 
@@ -50,18 +50,18 @@ def test_chunks_are_computed_in_threads_and_written_in_their_order(threads: int)
     """No turn takes memory whose content is not written yet."""
     held, by, together = set[int](), set[int](), Event()
 
-    def compute(turn: Turn, number: int) -> tuple[Turn, int]:
+    def compute(turn: ComputeTurn, number: int) -> tuple[ComputeTurn, int]:
         by.add(get_ident())
         if number == threads - 1:
             together.set()
         assert together.wait()  # as many as there are threads are computed at once
         return turn, number
 
-    def write(turn: Turn, number: int) -> list[Written]:
+    def write(turn: ComputeTurn, number: int) -> list[Written]:
         held.remove(turn.memory)
         return [part(number)]
 
-    def jobs(behind: WritesBehind) -> Iterator[Callable[[], tuple[Turn, int]]]:
+    def jobs(behind: WritesBehind) -> Iterator[Callable[[], tuple[ComputeTurn, int]]]:
         for number in range(20):
             turn = behind.turn()
             assert turn.memory not in held

@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 from blocksar.arrays import ComplexArray
 from blocksar.autofocusing.chips import take_chips
-from blocksar.autofocusing.correction import Correction
 from blocksar.autofocusing.estimation import estimate
 from blocksar.autofocusing.finishing import Result, estimate_half, finish
 from blocksar.autofocusing.selection import find_candidates, select_points
-from blocksar.autofocusing.work import Settings, begin
+from blocksar.autofocusing.track_correction import Correction
+from blocksar.autofocusing.work import EstimatorSettings, begin
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 
@@ -19,7 +19,7 @@ def find_track_error(
     read: Callable[[slice], ComplexArray],
     geometry: Geometry,
     grid: Grid | None = None,
-    settings: Settings | None = None,
+    settings: EstimatorSettings | None = None,
     *,
     threads: int = 1,
 ) -> Result:
@@ -33,7 +33,7 @@ def find_track_error(
         With the track as stated.
     grid : Grid, optional
         Ground in which points are looked for; needed where the beam is not steered, or has an axis.
-    settings : Settings, optional
+    settings : EstimatorSettings, optional
     threads : int
         The result does not depend on it.
 

@@ -18,7 +18,7 @@ from blocksar.collection.region import Region, plan_region
 from blocksar.errors import InputError
 from blocksar.focusing.recovery import Recovery
 from blocksar.inspection.centroid import Expectation, disagreement, expect, measure_centroid
-from blocksar.inspection.samples import SEGMENTS, Inspection, inspect
+from blocksar.inspection.samples import SEGMENTS, Inspection, zero_impossible
 from blocksar.planning.planner import plan_recovery
 from blocksar.simulation.scatterers import simulate_pulses
 from blocksar.simulation.scene import Scene
@@ -96,7 +96,7 @@ def table1() -> Case:
 
 
 def judge(signal: ComplexArray, thin: Collection, plan: Plan) -> str | None:
-    found = inspect(signal.copy(), range_frequency=thin.range_frequency, recovery=plan.recovery, threads=2)
+    found = zero_impossible(signal.copy(), range_frequency=thin.range_frequency, recovery=plan.recovery, threads=2)
     assert not found.outliers
     return disagreement(found, plan.expectation())
 
@@ -169,7 +169,7 @@ def test_the_measured_offset_is_the_doppler_shift(table1: Case) -> None:
     for shift in (0.0, -900.0, 1800.0, 1800.0 + prf, -2500.0):
         turn = np.exp(2j * np.pi * shift * thin.time)[:, None].astype(np.complex64)
         signal = table1.clutter * turn
-        found = inspect(signal, range_frequency=thin.range_frequency, recovery=plan.recovery)
+        found = zero_impossible(signal, range_frequency=thin.range_frequency, recovery=plan.recovery)
         measured = measure_centroid(found, prf=prf)
         offsets[shift] = measured.mean_offset
         assert measured.offset.shape == measured.coherence.shape == (SEGMENTS,)
@@ -194,7 +194,7 @@ def test_expectations_hold_for_targets_anywhere(table1: Case) -> None:
     for yaw in np.linspace(low + 1.001 * width, high - 1.001 * width, 4):
         for place in (0.0, 0.5, 1.0):
             signal = echoes(plan, thin, np.array([yaw]), np.array([place]), 1.0)
-            found = inspect(signal, range_frequency=thin.range_frequency, recovery=plan.recovery)
+            found = zero_impossible(signal, range_frequency=thin.range_frequency, recovery=plan.recovery)
             pairs = np.array(found.pairs)
             vectors.append((pairs[:, 0].sum() + 1j * pairs[:, 1].sum()) / pairs[:, 2].sum())
             lit = np.flatnonzero(pairs[:, 2])
@@ -205,7 +205,7 @@ def test_expectations_hold_for_targets_anywhere(table1: Case) -> None:
     # Targets whose dwell the ends cut are lit outside the whole segments, and reach at least to their edge.
     for yaw, side in ((low + 0.999 * width, 0), (high - 0.999 * width, -1)):
         signal = echoes(plan, thin, np.array([yaw]), np.array([0.5]), 1.0)
-        found = inspect(signal, range_frequency=thin.range_frequency, recovery=plan.recovery)
+        found = zero_impossible(signal, range_frequency=thin.range_frequency, recovery=plan.recovery)
         lit = np.flatnonzero(np.array(found.pairs)[:, 2])
         assert lit[side] == (0, SEGMENTS - 1)[side]
         assert not set(lit) & set(range(*wanted.whole))

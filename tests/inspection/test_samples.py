@@ -20,11 +20,11 @@ from blocksar.inspection.samples import (
     SEGMENTS,
     Inspection,
     describe,
-    inspect,
     is_saturated,
     mask_outliers,
     merge,
     refusal,
+    zero_impossible,
 )
 from blocksar.kernels.fourier import Axis
 
@@ -56,7 +56,7 @@ def look(signal: ComplexArray, **options: Any) -> tuple[Inspection, ComplexArray
     """Return the inspection and the samples as it leaves them."""
     left = signal.copy()
     options = {"recovery": recovery_of(signal.shape[0]), "range_frequency": frequency(signal.shape[1])} | options
-    return inspect(left, **options), left
+    return zero_impossible(left, **options), left
 
 
 # ---------------------------------------------------------------- The pass against explicit loops
@@ -236,11 +236,11 @@ def test_mismatched_arguments_raise() -> None:
     signal = clutter(64, 8)
     for wrong in (signal[:, ::2], signal.T, signal.astype(np.complex128)):
         with pytest.raises(ValueError, match="contiguous"):
-            inspect(wrong, range_frequency=frequency(wrong.shape[1]), recovery=None)
+            zero_impossible(wrong, range_frequency=frequency(wrong.shape[1]), recovery=None)
     with pytest.raises(ValueError, match="contiguous"):
-        inspect(signal, range_frequency=frequency(7), recovery=None)
+        zero_impossible(signal, range_frequency=frequency(7), recovery=None)
     with pytest.raises(ValueError, match="recovery is of 65"):
-        inspect(signal, range_frequency=frequency(8), recovery=recovery_of(65))
+        zero_impossible(signal, range_frequency=frequency(8), recovery=recovery_of(65))
     with pytest.raises(ValueError, match="one phase history"):
         merge([Inspection(n_pulse=64, n_column=1), Inspection(n_pulse=65, n_column=1)])
 

@@ -35,7 +35,7 @@ class Correction:
     history : tuple of dict
         Figures of each loop.
     finished : bool
-        The last loop changed the phases by less than `Settings.step`, or was the last one allowed.
+        The last loop changed the phases by less than `EstimatorSettings.step`, or was the last one allowed.
     """
 
     displacement: FloatArray

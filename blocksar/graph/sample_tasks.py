@@ -16,7 +16,7 @@ from blocksar.focusing.method import Cutting
 from blocksar.focusing.range_gate import RangeGate, RawCompression
 from blocksar.focusing.recovery import Recovery, recover_columns
 from blocksar.graph.spectrum import SpectrumChunks, Window, WritesBehind, chunk_spans, stays_cached
-from blocksar.inspection.samples import inspect
+from blocksar.inspection.samples import zero_impossible
 from blocksar.kernels.rows import Program
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Receipt, Written
@@ -126,7 +126,9 @@ def prepare_pulses(
     """
     signal, found, cycles = source.read(slice(*pulses), slice(None)), dict[str, Any](), None
     if compression is not None:
-        inspection = inspect(signal, range_frequency=np.zeros(signal.shape[1]), recovery=None, threads=run.threads)
+        inspection = zero_impossible(
+            signal, range_frequency=np.zeros(signal.shape[1]), recovery=None, threads=run.threads
+        )
         signal = compression.apply(signal, pulses=slice(*pulses), threads=run.threads)
         signal[list(inspection.missing)] = np.nan
         found, cycles = inspection.as_dict(), compression.cycles(slice(*pulses))
@@ -154,7 +156,7 @@ def recover_group(
     height, width = chunk
     signal = source.read(slice(None), slice(*columns))
     frequency = source.collection.carrier + source.collection.range_frequency - recovery.carrier
-    inspection = inspect(
+    inspection = zero_impossible(
         signal, range_frequency=frequency[slice(*columns)], recovery=recovery, first_column=columns[0],
         threads=run.threads,
     )  # fmt: skip
@@ -188,5 +190,7 @@ def inspect_group(run: Run, unit: str, source: stores.PhaseHistory, columns: tup
     """Inspect a column group without recovery, for back-projection, which reads the samples by pulse."""
     signal = source.read(slice(None), slice(*columns))
     frequency = source.collection.range_frequency[slice(*columns)]
-    inspection = inspect(signal, range_frequency=frequency, recovery=None, first_column=columns[0], threads=run.threads)
+    inspection = zero_impossible(
+        signal, range_frequency=frequency, recovery=None, first_column=columns[0], threads=run.threads
+    )
     return Receipt(unit=unit, stage="inspect", found=inspection.as_dict())
