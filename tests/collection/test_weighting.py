@@ -59,16 +59,12 @@ def test_ideal_figures_are_those_of_the_response(text: str) -> None:
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("blackman", "weighting 'blackman' is unknown; give uniform, taylor:NBAR:SLL"),
         ("", "weighting '' is unknown"),
         ("taylor", "weighting 'taylor' has 0 parameters, but taylor takes 2"),
-        ("taylor:4", "has 1 parameters, but taylor takes 2"),
-        ("hamming:1", "has 1 parameters, but hamming takes 0"),
         ("taylor:4:x", "has a parameter that is no number"),
         ("taylor:4.5:-35", "NBAR = 4.5; give a whole number from 2 to 12"),
         ("taylor:4:35", "SLL = 35 dB; give a level from -80 to -15 dB"),
         ("kaiser:-1", "BETA = -1; give one above 0"),
-        ("kaiser:inf", "no number"),
     ],
 )
 def test_wrong_tapers_are_refused(text: str, reason: str) -> None:

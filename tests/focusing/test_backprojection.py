@@ -319,18 +319,6 @@ def test_memory_stays_within_the_stated_bound() -> None:
     assert image_memory(0, c) < 4 * 8 * pulse_block_size(c) * 6 * c.n_range_frequency
 
 
-def test_wrong_shapes_are_refused() -> None:
-    c = collection(n_frequency=64)
-    geometry = Geometry(collection=c)
-    x, y = around(c, np.zeros(4), np.zeros(4))
-    with pytest.raises(ValueError, match=r"shape\(x\)"):
-        form(c, noise(c), x, y[:3])
-    with pytest.raises(ValueError, match="finite"):
-        form(c, noise(c), np.full(4, np.nan), y)
-    with pytest.raises(ValueError, match="range frequencies"):
-        form_points(lambda p: noise(c)[p, :5], geometry, x, y, threads=1)
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(platform.machine() not in {"x86_64", "AMD64"}, reason="reads x86 assembly")
 def test_the_inner_loop_is_vectorised() -> None:

@@ -232,38 +232,7 @@ def test_without_a_recovery_there_are_no_pairs() -> None:
         merge([with_pairs, without])
 
 
-def test_mismatched_arguments_raise() -> None:
-    signal = clutter(64, 8)
-    for wrong in (signal[:, ::2], signal.T, signal.astype(np.complex128)):
-        with pytest.raises(ValueError, match="contiguous"):
-            zero_impossible(wrong, range_frequency=frequency(wrong.shape[1]), recovery=None)
-    with pytest.raises(ValueError, match="contiguous"):
-        zero_impossible(signal, range_frequency=frequency(7), recovery=None)
-    with pytest.raises(ValueError, match="recovery is of 65"):
-        zero_impossible(signal, range_frequency=frequency(8), recovery=recovery_of(65))
-    with pytest.raises(ValueError, match="one phase history"):
-        merge([Inspection(n_pulse=64, n_column=1), Inspection(n_pulse=65, n_column=1)])
-
-
 # ---------------------------------------------------------------- Impossible and possible samples
-
-
-@pytest.mark.parametrize("bit", [26, 27, 28, 29, 30])
-def test_a_flipped_high_bit_of_the_exponent_is_found(bit: int) -> None:
-    """Where the flip makes a sample larger; 2^4 = 16-fold (bit 25) may pass for a target."""
-    signal = clutter(300, 4, seed=bit)
-    clean = signal.copy()
-    bits = signal.view(np.uint32)
-    place = next(k for k in range(200, bits.size) if not bits.flat[k] >> bit & 1 and abs(clean.flat[k // 2]) > 0.5)
-    bits.flat[place] |= np.uint32(1 << bit)
-    found, left = look(signal)
-    if np.isfinite(signal.flat[place // 2]):
-        assert found.outliers == {place // 8: [place // 2 % 4]}
-        assert not found.missing
-    else:
-        assert found.missing == {place // 8: 1}
-    clean.flat[place // 2] = 0
-    np.testing.assert_array_equal(left, clean)
 
 
 @pytest.mark.parametrize(("times", "found"), [(99.0, False), (101.0, True)])

@@ -170,13 +170,6 @@ def test_a_stretched_row_does_not_depend_on_the_others() -> None:
         np.testing.assert_array_equal(alone[0], together[row])
 
 
-@pytest.mark.parametrize("scale", [-1.0, 0.4, 2.1, np.nan])
-def test_a_scale_far_from_one_is_refused(scale: float) -> None:
-    taps = interpolation.tap_polynomials(4, occupancy=0.5)
-    with pytest.raises(ValueError, match="scale"):
-        interpolation.stretch_rows(noise(1, 50), np.empty((1, 50), np.complex64), np.array([scale]), 25.0, taps)
-
-
 def curve(n: int, slopes: FloatArray) -> FloatArray:
     """Positions (1, order + 1) that start at 0.3; the slope is a polynomial of u through these values at even steps."""
     u, at = (np.array([0, n - 1]) - n // 2) * (2 / n), np.linspace(-1, 1, slopes.size)
@@ -289,24 +282,3 @@ def test_a_resampled_row_does_not_depend_on_the_others() -> None:
         interpolation.resample_rows(values[row : row + 1], alone, positions[row : row + 1], taps)
         np.testing.assert_array_equal(alone[0, :1500], together[row])
         assert (alone[0, 1500:] == 7).all()
-
-
-@pytest.mark.parametrize(
-    "slopes", [[-1.0, -1.0], [0.49, 0.49], [2.01, 2.01], [1.0, 1.0, 2.2], [0.4, 1.0, 1.0], [1.0, np.nan]]
-)
-@pytest.mark.parametrize("n", [50, 3000])
-def test_a_curve_that_is_too_steep_or_too_flat_is_refused(n: int, slopes: list[float]) -> None:
-    taps = interpolation.tap_polynomials(4, occupancy=0.5)
-    positions = np.full((1, 3), np.nan) if np.isnan(slopes[-1]) else curve(n, np.array(slopes))
-    with pytest.raises(ValueError, match="positions"):
-        interpolation.resample_rows(noise(1, n), np.empty((1, n), np.complex64), positions, taps)
-
-
-def test_positions_that_do_not_fit_the_rows_are_refused() -> None:
-    taps, values, out = interpolation.tap_polynomials(4, occupancy=0.5), noise(2, 50), np.empty((2, 50), np.complex64)
-    for positions in ([[25.0, 25.0]], [[25.0, 25.0]] * 3, [[25.0], [25.0]]):
-        with pytest.raises(ValueError, match="one polynomial per row"):
-            interpolation.resample_rows(values, out, np.array(positions), taps)
-    for place in (np.nan, np.inf, -1e12):
-        with pytest.raises(ValueError, match="near the row"):
-            interpolation.resample_rows(values, out, np.array([[25.0, 25.0], [place, 25.0]]), taps)

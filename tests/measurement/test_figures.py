@@ -377,15 +377,6 @@ def test_only_the_chip_needed_is_read() -> None:
     assert max(asked[0]) < 120  # +-16 widths
 
 
-def test_a_full_dwell_requires_the_whole_beam_to_sweep_over() -> None:
-    # The beam runs from 42.13 to 57.87 degrees and is 4.25 degrees wide.
-    inside, outside = (44.26, 55.73), (44.2, 55.8, 42.5, 10.0)
-    at = {yaw: target_at(yaw) for yaw in inside + outside}
-    assert all(STEERED.beam.has_full_dwell(at[yaw].x, at[yaw].y) for yaw in inside)
-    assert not any(STEERED.beam.has_full_dwell(at[yaw].x, at[yaw].y) for yaw in outside)
-    assert UNSTEERED.beam.has_full_dwell(at[10.0].x, at[10.0].y)
-
-
 def test_a_target_that_is_never_lit_is_reported_but_not_measured() -> None:
     target = target_at(10.0)
     image_x, image_y = grid_about(target)
@@ -407,16 +398,6 @@ def test_a_grid_too_coarse_is_refused_with_the_spacing_needed() -> None:
     image_x, image_y = grid_about(target, spacing=2.0)
     with pytest.raises(InputError, match=r"spacing is 2 m in x and 2 m in y.*T; focus on a grid of at most 1\.5"):
         measure_target(reader(np.ones((112, 112), np.complex64)), image_x, image_y, UNSTEERED, target)
-
-
-def test_target_records() -> None:
-    assert Target.from_record({"name": "A1", "x": 1, "y": 2.0, "reflectivity": [0, 1]}) == Target("A1", 1.0, 2.0, 1j)
-    assert Target.from_record({"name": "A1", "x": 1, "y": 2}).reflectivity == 1
-    for record in ({"name": "A"}, {"name": "A", "x": "far", "y": 0}, {"name": "A", "x": np.nan, "y": 0}):
-        with pytest.raises(InputError, match="target"):
-            Target.from_record(record)
-    with pytest.raises(InputError, match="reflectivity 0"):
-        Target.from_record({"name": "A", "x": 1, "y": 2, "reflectivity": [0, 0]})
 
 
 # ---- Tables

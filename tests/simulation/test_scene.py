@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import blocksar
@@ -284,15 +284,11 @@ def test_every_wrong_field_is_named_with_its_value_and_a_remedy() -> None:
     [
         ({"range_sampling": "range_sampling = 90e6"}, "radar.range_sampling = 9e+07: must be at least the bandwidth"),
         ({"swath": "swath = [10500.0, 9500.0]"}, "scene.swath = [10500, 9500]: must be [near, far]"),
-        ({"swath": "swath = [2500.0, 9500.0]"}, "scene.swath = 2500: must exceed the height above ground"),
         ({"width_deg": "width_deg = 8\ndwell = 0.1"}, "beam: both given: give either dwell (s) or width_deg"),
         ({"pulses": "pulses = 101\nduration = 1.0"}, "time: both given: give either duration (s) or pulses"),
         ({"pulses": "duration = 1e-3"}, "time.duration = 0.001: gives 1 pulses; must give 8"),
         ({"velocity": ""}, "track.velocity missing: a track needs position and velocity"),
-        ({"velocity": "velocity = [1.0, inf, 2.0]"}, "track.velocity[1] = inf: must be a finite number"),
-        ({"position": "position = [1.0, 2.0]"}, "track.position = [1.0, 2.0]: has too few elements ([x, y, z] at"),
         ({"title": 'name = "x"'}, "name = 'x': unknown key"),
-        ({"title": '"" = 1'}, " = 1: unknown key"),
     ],
 )
 def test_wrong_field(replaced: dict[str, str], expected: str) -> None:
@@ -309,43 +305,6 @@ def test_syntax_errors_missing_files_and_unknown_scenes_raise_input_errors(tmp_p
     with pytest.raises(InputError, match="cannot be read"):
         Scene.read(tmp_path / "binary.toml")
     assert "table1" in shipped_scenes()
-
-
-TABLES = ["", "radar", "track", "time", "beam", "scene"]
-KEYS = st.from_regex(r"[a-z]{1,12}_[a-z]{1,6}", fullmatch=True).filter(
-    lambda key: key not in PLAIN and key not in ("centre_range", "centre_yaw", "ground_height", "reference_range")
-)
-
-
-@settings(max_examples=60, deadline=None)
-@given(unknown=st.dictionaries(st.tuples(st.sampled_from(TABLES), KEYS), st.integers(-9, 9), min_size=1, max_size=6))
-def test_unknown_keys_are_refused_at_every_level(unknown: dict[tuple[str, str], int]) -> None:
-    blocks: dict[str, list[str]] = {table: [] for table in TABLES}
-    for (table, key), value in unknown.items():
-        blocks[table].append(f"{key} = {value}")
-    text = "\n".join(blocks[""]) + PLAIN
-    for table in TABLES[1:]:
-        text = text.replace(f"[{table}]", "\n".join([f"[{table}]", *blocks[table]]))
-    found = problems(text)
-    for (table, key), value in unknown.items():
-        name = f"{table}.{key}" if table else key
-        assert sum(problem.startswith(f"{name} = {value}: unknown key; ") for problem in found) == 1
-    assert len(found) == len(unknown)
-
-
-NUMBERS = ["radar.carrier", "radar.bandwidth", "radar.range_sampling", "radar.prf", "beam.start_deg", "beam.stop_deg"]
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    fields=st.sets(st.sampled_from(NUMBERS), min_size=1),
-    wrong=st.sampled_from(['"7"', "true", "[1.0]", "nan", "inf", "2026-01-01", "{}"]),
-)
-def test_each_of_many_wrong_numbers_is_reported(fields: set[str], wrong: str) -> None:
-    replaced = {field.split(".")[1]: f"{field.split('.')[1]} = {wrong}" for field in fields}
-    found = problems(plain(**replaced))
-    assert {problem.split(" = ")[0] for problem in found} == fields
-    assert len(found) == len(fields)
 
 
 @given(least=st.integers(0, 200_000))
