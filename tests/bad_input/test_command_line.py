@@ -1,17 +1,15 @@
-"""Command-line options with arbitrary text, and commands in separate processes."""
+"""Command-line options with arbitrary text and extreme values."""
 
 from __future__ import annotations
 
 import contextlib
 import resource
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from bad_input import MANY, Bench, seeded, truncated
+from bad_input import MANY, Bench
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
@@ -99,30 +97,6 @@ def test_extreme_settings(bench: Bench) -> None:
             for name, more in words.items()
         }
     )
-
-
-def test_processes_end_with_one_message_and_status_2(bench: Bench) -> None:
-    """Test `python -m blocksar` in its own process, including samples that its own workers read."""
-    damaged = bench.copy()
-    truncated(damaged / "signal/c/0/0", seeded("process"))
-    small = ["--processor=backprojection", "--grid=4040:4120:4,-40:40:4", "--workers=1", "--threads=1"]
-    out = bench.fresh()
-    words: list[list[str | bytes]] = [
-        ["focus", str(damaged), "--out", str(out), "--quiet", *small],
-        ["plan", b"\xff\xfe"],
-    ]
-    for each in words:
-        done = subprocess.run(
-            [sys.executable, "-m", "blocksar", *each],
-            capture_output=True,
-            text=True,
-            check=False,
-            errors="surrogateescape",
-        )
-        assert done.returncode == 2, done
-        assert done.stderr.startswith("blocksar: ") and done.stderr.count("\n") == 1, done.stderr
-        assert not out.exists()
-        bench.tally["processes", "refused"] += 1
 
 
 def test_the_number_and_outcomes_of_cases_are_as_expected(bench: Bench, request: pytest.FixtureRequest) -> None:

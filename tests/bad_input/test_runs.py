@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -151,25 +150,6 @@ def measure(bench: Bench, targets: Path) -> None:
             one_sentence(error)
         outcome = "refused"
     bench.tally["targets", outcome] += 1
-
-
-def test_invalid_targets_files(bench: Bench) -> None:
-    made = {
-        "empty.json": b"", "text.json": b"targets", "latin.json": b'[{"name": "\xff"}]', "deep.json": b"[" * 100_000,
-        "empty.toml": b"", "text.toml": b"targets", "bytes.toml": b"\xff\xfe", "none": b"[]", "nan.json": b"[NaN]",
-        "inf.json": b'[{"name": "a", "x": Infinity, "y": 1e400}]', "far.json": b'[{"name": "a", "x": 1e300, "y": 0}]',
-    }  # fmt: skip
-    folder = bench.fresh()
-    folder.mkdir()
-    for name, content in made.items():
-        (folder / name).write_bytes(content)
-    os.mkfifo(folder / "pipe.json")
-    os.mkfifo(folder / "pipe.toml")
-    (folder / "zeros.json").symlink_to("/dev/zero")
-    (folder / "zeros.toml").symlink_to("/dev/zero")
-    (folder / "folder.json").mkdir()
-    names = [*made, "pipe.json", "pipe.toml", "zeros.json", "zeros.toml", "folder.json", "absent.json", "absent.toml"]
-    bench.all({name: lambda name=name: measure(bench, folder / name) for name in names})
 
 
 def test_the_number_and_outcomes_of_cases_are_as_expected(bench: Bench, request: pytest.FixtureRequest) -> None:

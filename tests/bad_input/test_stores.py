@@ -27,7 +27,6 @@ from bad_input import (
     OUTCOMES,
     REPLACED,
     ROUNDING,
-    SCENE,
     Bench,
     Bomb,
     flipped,
@@ -418,22 +417,6 @@ def test_malformed_or_unusual_metadata_text(bench: Bench) -> None:
     bench.all({what: lambda what=what: case(what) for what in TEXTS})
 
 
-def test_metadata_in_other_encodings(bench: Bench) -> None:
-    def case(change: Callable[[bytes], bytes]) -> None:
-        store = bench.copy()
-        (store / "zarr.json").write_bytes(change((store / "zarr.json").read_bytes()))
-        bench.attempt("metadata as text", store)
-
-    bench.all(
-        {
-            "UTF-16": lambda: case(lambda data: data.decode().encode("utf-16")),
-            "a byte-order mark": lambda: case(lambda data: b"\xef\xbb\xbf" + data),
-            "latin-1": lambda: case(lambda data: data.replace(b"tiny", b"t\xefny")),
-            "zeros": lambda: case(lambda data: bytes(len(data))),
-        }
-    )
-
-
 def test_a_metadata_file_of_a_terabyte_is_refused(bench: Bench) -> None:
     for name in ("zarr.json", "time/zarr.json"):
         store = bench.copy()
@@ -442,41 +425,6 @@ def test_a_metadata_file_of_a_terabyte_is_refused(bench: Bench) -> None:
 
 
 # Stores of other kinds
-
-
-def foreign(bench: Bench) -> dict[str, Callable[[Path], Any]]:
-    """Return functions that each make a foreign store, or something that resembles a store."""
-    example = xr.Dataset({"air": (("lat", "lon"), np.ones((4, 5)))}, {"lat": np.arange(4.0), "lon": np.arange(5.0)})
-    return {
-        "xarray's example": lambda path: example.to_zarr(path, zarr_format=3, consolidated=False),
-        "xarray's example, version 2": lambda path: example.to_zarr(path, zarr_format=2, consolidated=True),
-        "an empty group": lambda path: zarr.create_group(str(path)),
-        "an empty group, version 2": lambda path: zarr.create_group(str(path), zarr_format=2),
-        "a single array": lambda path: zarr.create_array(str(path), shape=(8, 8), dtype="c8"),
-        "a single array, version 2": lambda path: zarr.create_array(str(path), shape=(8, 8), dtype="c8", zarr_format=2),
-        "a variable of a store": lambda path: shutil.copytree(bench.store / "signal", path),
-        "an image": lambda path: shutil.copytree(bench.run(**EXACT) / "image.zarr", path),
-        "a collection without samples": lambda path: shutil.copytree(bench.run(**EXACT) / "collection.zarr", path),
-        "a run": lambda path: shutil.copytree(bench.run(**EXACT), path),
-        "groups for variables": lambda path: [zarr.create_group(str(path / n)) for n in ("", *stores.PHASE_HISTORY)],
-        "an empty folder": lambda path: path.mkdir(),
-        "a file": lambda path: path.write_text("not a store"),
-        "an empty file": lambda path: path.write_bytes(b""),
-        "a pipe": os.mkfifo,
-        "nothing": lambda path: None,
-        "a link to nothing": lambda path: path.symlink_to("nowhere"),
-        "a link to itself": lambda path: path.symlink_to(path.name),
-        "below a file": lambda path: path.write_text("x"),
-    }
-
-
-def test_foreign_stores(bench: Bench) -> None:
-    def case(name: str, make: Callable[[Path], Any]) -> None:
-        path = bench.fresh(".zarr")
-        make(path)
-        assert bench.attempt("foreign stores", path / "x" if name == "below a file" else path) == "refused"
-
-    bench.all({name: lambda name=name, make=make: case(name, make) for name, make in foreign(bench).items()})
 
 
 @pytest.mark.parametrize("version", [2, 3])
@@ -624,25 +572,6 @@ def test_relative_names(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
         bench.attempt("relative names", Path(name))
 
     bench.all({repr(name): lambda name=name: case(name) for name in ["--help", "~", "$HOME", *URLS]})
-
-
-def test_unusual_names_of_simulated_stores(bench: Bench) -> None:
-    def case(name: str) -> None:
-        folder = bench.fresh()
-        (folder / "in").mkdir(parents=True)
-        scene = folder / "in" / (name[:200] + ".toml")
-        scene.write_text(SCENE)
-        try:
-            blocksar.simulate(scene, folder / "out" / name)
-        except InputError as error:
-            one_sentence(error)
-            assert name not in PLAIN and not (folder / "out" / name).exists()
-            outcome = "refused"
-        else:
-            outcome = bench.attempt("names of sources", folder / "out" / name)
-        bench.tally["names of scenes", outcome] += 1
-
-    bench.all({repr(name): lambda name=name: case(name) for name in ["per%cent", "x" * 255, "a\nb"]})
 
 
 def test_impossible_names_of_runs_are_refused(bench: Bench) -> None:

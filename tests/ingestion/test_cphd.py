@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import logging
 import shutil
-import struct
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -61,12 +60,6 @@ def test_the_checker_of_the_standard_reports_no_failure(base: Base) -> None:
     assert failures(base.path) == []
 
 
-def test_the_checker_reports_a_fault(base: Base, tmp_path: Path) -> None:
-    parts = parts_of(base.path)
-    parts.set("Channel/Parameters/FxC", 9e9)
-    assert any("fxc" in line for line in failures(write(tmp_path / "wrong.cphd", parts)))
-
-
 def test_a_file_reads_back_as_it_was_written(base: Base) -> None:
     collection, samples, said, attrs = ingested(base.path)
     direct = base.scene.collection()
@@ -97,20 +90,6 @@ def test_vectors_that_the_xml_does_not_count_are_told(base: Base, tmp_path: Path
     assert any("room for 40 more such vectors" in line for line in ingested(tmp_path / "short.cphd")[2])
 
 
-def test_attributes_that_products_need_are_kept(base: Base, tmp_path: Path) -> None:
-    parts = parts_of(base.path)
-    for path, text in {
-        "CollectionID/CollectorName": "C-1",
-        "CollectionID/Classification": "SECRET//X",
-        "Channel/Parameters/Polarization/TxPol": "H",
-        "Channel/Parameters/Polarization/RcvPol": "V",
-    }.items():
-        parts.set(path, text)
-    *_, attrs = ingested(write(tmp_path / "known.cphd", parts))
-    assert (attrs["collector"], attrs["classification"]) == ("C-1", "SECRET//X")
-    assert attrs["polarization"] == {"transmit": "H", "receive": "V"}
-
-
 def test_the_collection_start_of_the_file_can_be_replaced(base: Base, tmp_path: Path) -> None:
     own = ingested(base.path)[3]["source"]
     history = blocksar.ingest("cphd", base.path, tmp_path / "ph.zarr", collection_start="2030-01-02 03:04:05")
@@ -137,18 +116,6 @@ def test_positions_survive_conversion_to_the_earth_frame_and_back(base: Base) ->
         row, column = np.unravel_index(np.abs(image).argmax(), image.shape)
         assert np.hypot(x[column] - target[0], y[row] - target[1]) <= 0.05
         assert abs(image[20, 20] - sigma) < 0.05
-
-
-def test_dropped_pulses_stay_missing(base: Base, tmp_path: Path) -> None:
-    text = SCENE + "[dropped]\npulses = [0, 5, 6, 100]\n[noise]\npower = 0.01\nseed = 3\n"
-    path = cphd_simulation.simulate(Scene.parse(text), tmp_path / "lost.cphd", origin=ORIGIN)
-    assert failures(path) == []
-    collection, samples, said, _ = ingested(path)
-    np.testing.assert_array_equal(np.flatnonzero(np.isnan(samples).any(axis=1)), [0, 5, 6, 100])
-    assert any("4 of them missing" in line for line in said)
-    want = expected(collection, base)
-    lit = ~np.isnan(samples[:, 0])
-    assert np.mean(np.abs(samples[lit] - want[lit]) ** 2) == pytest.approx(0.01, rel=0.05)
 
 
 def test_a_scene_that_was_used_before_gives_the_same_file(base: Base, tmp_path: Path) -> None:
@@ -668,14 +635,6 @@ def test_a_constant_centre_of_dwell_is_not_reported_as_steered(base: Base, tmp_p
     assert any("hardly changes" in line for line in said)
 
 
-def test_without_its_polynomials_the_beam_is_undefined(base: Base, tmp_path: Path) -> None:
-    parts = parts_of(base.path)
-    parts.set("Channel/Parameters/DwellTimes/CODId", "nowhere")
-    collection, said = check(write(tmp_path / "none.cphd", parts), base)
-    assert collection.beam_width is None
-    assert any("cannot be used" in line for line in said)
-
-
 # ---------------------------------------------------------------- Refusals
 
 
@@ -695,35 +654,22 @@ def test_bistatic_places_are_refused_with_figures(base: Base, tmp_path: Path) ->
 
 MUTATIONS: dict[str, tuple[Callable[[Parts], None], str]] = {
     "bistatic": (xml("CollectionID/CollectType", "BISTATIC"), "'BISTATIC'; only MONOSTATIC"),
-    "no collect type": (without("CollectionID/CollectType"), "CollectType is 0 times"),
     "other domain": (xml("Global/DomainType", "RANGE"), "DomainType is 'RANGE'; it must be FX or TOA"),
     "sign 0": (xml("Global/SGN", 0), "SGN is '0'"),
-    "sign is text": (xml("Global/SGN", "minus"), "SGN is 'minus'"),
     "sign missing": (without("Global/SGN"), "Global/SGN is 0 times"),
     "IARP elsewhere": (xml("SceneCoordinates/IARP/ECF/X", 1e6), "IARP has an ECF and an LLH that lie"),
     "IARP is text": (xml("SceneCoordinates/IARP/ECF/X", "here"), "ECF/X is 'here'; it must be a number"),
-    "IARP not finite": (xml("SceneCoordinates/IARP/LLH/Lat", "NaN"), "must be finite"),
     "IARP beyond the pole": (xml("SceneCoordinates/IARP/LLH/Lat", 123), "latitude"),
-    "IARP missing": (without("SceneCoordinates/IARP"), "IARP/ECF/X is 0 times"),
-    "image area is text": (xml("SceneCoordinates/ImageArea/X1Y1/X", "left"), "it must be a number"),
+    "IARP not finite": (xml("SceneCoordinates/IARP/LLH/Lat", "NaN"), "must be finite"),
     "no surface": (without("SceneCoordinates/ReferenceSurface/Planar"), "damaged, or no CPHD file"),
-    "no such format of PVP": (xml("PVP/SC0/Format", "Q8"), "damaged, or no CPHD file"),
     "PVP of single precision": (xml("PVP/SC0/Format", "F4"), "PVP/SC0 has a format of float32, but must be float64"),
-    "PVP of whole numbers": (xml("PVP/TxTime/Format", "I8"), "PVP/TxTime has a format of int64"),
-    "vector where a number is": (xml("PVP/SC0/Format", "X=F8;Y=F8;Z=F8;"), "PVP/SC0 has a format of"),
     "PVP overlap": (xml("PVP/RcvTime/Offset", 1), "reaches to byte .* of a vector, into"),
-    "PVP beyond the vector": (xml("PVP/SCSS/Offset", 400), "damaged, or no CPHD file"),
-    "PVP offset is negative": (xml("PVP/SCSS/Offset", -1), "damaged, or no CPHD file|reaches to byte"),
-    "PVP offset is text": (xml("PVP/SCSS/Offset", "end"), "damaged, or no CPHD file"),
     "PVP missing": (without("PVP/TOA1"), "PVP/TOA1 is missing"),
     "times are NaN": (vectors("TxTime", np.nan), "PVP TxTime is not finite in 160 of 160 vectors"),
-    "positions are infinite": (vectors("RcvPos", np.inf), "PVP RcvPos is not finite"),
     "SRP is NaN in most": (vectors("SRPPos", np.nan, slice(79, None)), "SRPPos is not finite in 81 .*vector 79"),
     "times do not ascend": (vectors("TxTime", 1e-3, 80), "TxTime does not ascend at vector 80"),
-    "all at once": (vectors("TxTime", 0.0), "TxTime does not ascend"),
     "received before transmitted": (vectors("RcvTime", -1.0), "RcvTime is before TxTime"),
     "platform in the Earth": (vectors("TxPos", 1.0), "TxPos lies 1.73205 .* m from the Earth's centre"),
-    "positions in km": (vectors("RcvPos", 6.4e3), "RcvPos lies"),
     "one position off": (vectors("TxPos", [7e6, 0, 0], 40), "PVP TxPos, .* leaves its neighbours by .* m at pulse 40"),
     "one track, then another": (
         lambda p: [p.vectors[name][80:].__iadd__([300.0, 0, 0]) for name in ("TxPos", "RcvPos")].clear(),
@@ -731,9 +677,6 @@ MUTATIONS: dict[str, tuple[Callable[[Parts], None], str]] = {
     ),
     "SRP on the other side": (vectors("SRPPos", [6.4e6, 0, 0]), "SRPPos lies up to"),
     "SCSS negative": (vectors("SCSS", -1.0), "PVP SCSS falls to -1, but must be above 0, in 160 of"),
-    "SCSS absurd": (vectors("SCSS", 1e300), "only 1 frequencies|leave only|FX1 .. FX2 does not meet|samples SCSS"),
-    "SC0 zero": (vectors("SC0", 0.0), "PVP SC0 falls to 0"),
-    "band upside down": (vectors("FX1", 11e9), "FX1 is not below FX2"),
     "band elsewhere": (lambda p: (vectors("FX1", 1e9)(p), vectors("FX2", 2e9)(p))[0], "does not meet the samples"),
     "bands without anything in common": (
         lambda p: (vectors("FX2", 9.97e9, slice(80))(p), vectors("FX1", 10.02e9, slice(80, None))(p))[0],
@@ -808,28 +751,16 @@ def header_line(key: str, value: str | None) -> Callable[[bytes], bytes]:
 
 
 BYTES: dict[str, tuple[Callable[[bytes], bytes], str]] = {
-    "only the version": (lambda d: d[:11], "header does not end"),
     "half a header": (lambda d: d[:100], "header does not end"),
-    "no samples": (lambda d: d[: len(d) // 2], "it was cut short"),
     "last byte missing": (lambda d: d[:-1], "it was cut short"),
-    "version of the header only": (lambda d: d.replace(b"CPHD/1.1.0", b"CPHD/1.0.1", 1), "make them agree"),
     "no XML size": (header_line("XML_BLOCK_SIZE", None), "XML_BLOCK_SIZE is missing"),
     "XML size 0": (header_line("XML_BLOCK_SIZE", "0"), "no number of bytes"),
-    "XML size huge": (header_line("XML_BLOCK_SIZE", "99999999999999"), "cut short"),
-    "XML size of hundreds of digits": (header_line("XML_BLOCK_SIZE", "9" * 30), "no number of bytes"),
-    "XML too short": (header_line("XML_BLOCK_SIZE", "500"), "damaged, or no CPHD file"),
-    "XML elsewhere": (header_line("XML_BLOCK_BYTE_OFFSET", "7"), "damaged, or no CPHD file"),
-    "offset negative": (header_line("PVP_BLOCK_BYTE_OFFSET", "-5"), "no number of bytes"),
     "offset is text": (header_line("SIGNAL_BLOCK_BYTE_OFFSET", "here"), "no number of bytes"),
     "PVP at the samples": (header_line("PVP_BLOCK_BYTE_OFFSET", "100000"), "."),
     "PVP block too small": (header_line("PVP_BLOCK_SIZE", "800"), "PVP array needs bytes"),
     "signal block too small": (header_line("SIGNAL_BLOCK_SIZE", "800"), "signal array needs bytes"),
     "XML of other text": (lambda d: d.replace(b"<CollectionID>", b"<CollectionIQ>", 1), "damaged, or no CPHD file"),
     "another namespace": (lambda d: d.replace(b"cphd/1.1.0", b"cphd/9.9.9", 1), "make them agree"),
-    "entities": (
-        lambda d: d.replace(b"<CPHD ", b"<!DOCTYPE a [<!ENTITY b 'c'>]><CPHD ", 1),
-        "damaged|disagree|cut short|make them",
-    ),
 }  # fmt: skip
 
 
@@ -839,14 +770,6 @@ def test_mutated_bytes(base: Base, tmp_path: Path, name: str) -> None:
     path = tmp_path / "mutated.cphd"
     path.write_bytes(change(base.path.read_bytes()))
     refused(path, match)
-
-
-def test_truncations(base: Base, tmp_path: Path) -> None:
-    data = base.path.read_bytes()
-    for length in np.unique(np.geomspace(1, len(data) - 1, 12).astype(int)):
-        path = tmp_path / "short.cphd"
-        path.write_bytes(data[:length])
-        refused(path, ".")
 
 
 def test_a_file_that_shrinks_during_reading(base: Base, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -915,12 +838,3 @@ def test_the_commands(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
         blocksar.ingest("sicd", file, store)
     with pytest.raises(InputError, match="ingested by itself"):
         blocksar.ingest("cphd", [file, file], store)
-
-
-def test_samples_are_big_endian(base: Base) -> None:
-    """Decode the first sample of the file by hand."""
-    parts = parts_of(base.path)
-    data = base.path.read_bytes()
-    real, imaginary = struct.unpack(">ff", data[-8 * parts.samples.size :][:8])
-    want = echo(grid_of(parts), delays(parts, base), base.sigma, -1)[0, 0]
-    assert complex(real, imaginary) == pytest.approx(want, abs=2e-5)

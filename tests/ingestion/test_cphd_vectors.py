@@ -138,17 +138,6 @@ def test_vectors_of_zeros_are_missing(base: Base, tmp_path: Path, where: str) ->
     assert any(f"160 pulses, {lost.size} of them missing" in line for line in said)
 
 
-def test_samples_that_are_not_finite_are_missing(base: Base, tmp_path: Path) -> None:
-    parts = parts_of(base.path)
-    parts.samples[20], parts.samples[30, 17], parts.samples[31, 18] = np.nan, np.nan, np.inf
-    collection, samples, said, _ = ingested(write(tmp_path / "holes.cphd", parts))
-    wrong = ~np.isfinite(samples)
-    assert wrong[20].all()
-    assert np.argwhere(wrong[21:]).tolist() == [[9, 17], [10, 18]]
-    np.testing.assert_allclose(samples[~wrong], expected(collection, base)[~wrong], atol=2e-5)
-    assert any("lost vectors: 20 (samples are not finite)" in line for line in said)
-
-
 def test_lost_vectors_at_uneven_times_spoil_no_others(base: Base, tmp_path: Path) -> None:
     """Pulses are sums of vectors there: those that lean on a lost one are missing, and the others as they were."""
     parts = parts_of(base.path)

@@ -102,6 +102,16 @@ def test_a_failed_task_is_named_in_the_error(store: Path, tmp_path: Path, monkey
     assert (tmp_path / "run" / "receipts").exists()
 
 
+def test_samples_that_workers_cannot_read_are_wrong_input(store: Path, client: Client, tmp_path: Path) -> None:
+    bad = damaged(store, tmp_path)
+    for chunk in (bad / "signal" / "c").rglob("*"):
+        if chunk.is_file():
+            chunk.write_bytes(chunk.read_bytes()[:-8])
+    with pytest.raises(InputError, match=r"signal .*damaged"):
+        blocksar.focus(bad, tmp_path / "run", blocks=1, grid=GRID, client=client)
+    assert not (tmp_path / "run").exists()
+
+
 def test_a_given_scheduler_is_used_and_left_running(store: Path, client: Client, tmp_path: Path) -> None:
     address = client.scheduler.address
     report = blocksar.focus(store, tmp_path / "run", blocks=2, grid=GRID, scheduler=address, threads=1)

@@ -63,14 +63,6 @@ def test_the_fingerprint_covers_the_beam(tmp_path: Path) -> None:
     assert one != other
 
 
-def test_both_kinds_of_beam_are_refused(tmp_path: Path) -> None:
-    path = write(tmp_path / "phase_history.zarr", axis_collection())
-    group = zarr.open_group(path, mode="r+")
-    group.create_array("beam_azimuth", data=np.zeros(400), dimension_names=("pulse",))
-    with pytest.raises(InputError, match=r"phase_history\.zarr: beam_azimuth and beam_axis are both given"):
-        stores.open_phase_history(path)
-
-
 def test_an_axis_of_other_dimensions_is_refused(tmp_path: Path) -> None:
     path = write(tmp_path / "phase_history.zarr", axis_collection())
     group = zarr.open_group(path, mode="r+")

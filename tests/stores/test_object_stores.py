@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import pickle
-import re
 import secrets
 import signal
 import socket
@@ -146,18 +145,6 @@ def test_regions_are_read_as_from_a_folder(small_collection: Collection, there: 
         stores.read_region(there, "signal", np.s_[:3, :3], out=np.zeros((3, 4), np.complex64))
 
 
-def test_json_is_read_back_as_written(there: Place) -> None:
-    for value in (1, [2.5, None]):
-        stores.write_json(f"{there}/run.json", {"value": value, "where": there})
-        assert stores.read_json(there / "run.json") == {"value": value, "where": str(there)}
-    assert there.names() == ["run.json"]
-    (there / "run.json").write_bytes(b'{"value": ')
-    for name in ("run.json", "missing.json"):
-        with pytest.raises(InputError, match="damaged" if name == "run.json" else "does not exist") as error:
-            stores.read_json(there / name)
-        assert str(there / name) in one_sentence(error)
-
-
 def test_a_phase_history_can_be_pickled_for_other_processes(small_collection: Collection, there: Place) -> None:
     pickled = pickle.dumps(history(there, small_collection))
     assert len(pickled) < 50_000  # axes and track, but no samples
@@ -174,19 +161,6 @@ def test_unusual_names_are_used_as_given(name: str, there: Place, tmp_path: Path
         assert where.names()[-1] == "zarr.json"
         assert stores.read_collection(again)[0].title == small_collection.title
         assert stores.open_dataset(again).sizes["pulse"] == 256
-
-
-@pytest.mark.parametrize("name", ["s3:/a", "memory://a", "a\nb", "file::zip", "https://x", os.fsdecode(b"\xff\xfe")])
-def test_libraries_do_not_interpret_local_names(name: str, tmp_path: Path, small_collection: Collection) -> None:
-    path = f"{tmp_path}/{name}"
-    found = history(path, small_collection)
-    try:
-        (Path(path) / "signal" / "c" / "0" / os.fsdecode(b"\xff")).write_bytes(b"")
-    except OSError:
-        pytest.skip("this file system wants names in UTF-8")
-    assert len(found.fingerprint()) == 32
-    assert np.array_equal(found.read(*ALL), noise((256, 128)))
-    assert stores.open_dataset(path)["signal"].shape == (256, 128)
 
 
 def test_chunks_of_object_stores_are_not_shared(there: Place, tmp_path: Path) -> None:
@@ -297,16 +271,6 @@ def test_a_failed_creation_leaves_nothing(error: BaseException, there: Place, tm
             make(where, 1, fill=fill)
         assert not where.exists()
     assert os.listdir(tmp_path) == []
-
-
-def test_an_existing_store_is_kept_without_overwrite(there: Place) -> None:
-    make(there, 1)
-    before = contents(there)
-    with pytest.raises(InputError, match=f"{re.escape(str(there))} exists"):
-        make(there, 2)
-    assert contents(there) == before
-    make(there, 2, overwrite=True)
-    assert (stores.read_region(there, "image", ALL) == 2).all() and contents(there).keys() == before.keys()
 
 
 @pytest.mark.parametrize("name", ["thesis/chapter1.tex", "thesis"])
@@ -567,15 +531,6 @@ def test_missing_credentials_are_reported(there: Place, unreached: str, monkeypa
     monkeypatch.setenv("AWS_METADATA_ENDPOINT", unreached)  # credentials of the machine itself, which has none
     refused(lambda: stores.open_phase_history(there), InputError, r"no credentials.*AWS_ACCESS_KEY_ID")
     refused(lambda: finished_record(there), InputError, r"no credentials.*AWS_ACCESS_KEY_ID")
-
-
-def test_a_damaged_chunk_is_named(small_collection: Collection, there: Place) -> None:
-    found = history(there, small_collection)
-    (there / "signal" / "c" / "1" / "0").write_bytes(b"garbage")
-    assert found.read(slice(0, 128), slice(None)).shape == (128, 128)
-    with pytest.raises(InputError, match=r"pulse 128\.\.255, range_frequency 0\.\.63") as error:
-        found.read(slice(100, 256), slice(0, 128))
-    assert str(there) in one_sentence(error)
 
 
 @pytest.mark.parametrize("url", ["s3://", "s3:///a", "s3://b/../c", "s3://b/a//c", "s3://b/./c"])
