@@ -89,13 +89,6 @@ def test_an_unsteered_phase_history_needs_a_grid(store: Path) -> None:
     assert following[-1] == ["plan", str(store), "--grid", "x0:x1:dx,y0:y1:dy"]
 
 
-def test_a_raw_echo_is_named_as_such(scene: Path) -> None:
-    text = UNSTEERED_SCENE.replace("prf = 400.0", "prf = 400.0\npulse_width = 1e-6")
-    scene.with_name("raw.toml").write_text(text)
-    path = Path(blocksar.simulate(scene.with_name("raw.toml"), scene.with_name("raw.zarr"), raw=True))
-    assert "a raw echo, not range-compressed" in facts_of(path)[1]["samples"]
-
-
 def test_a_run_says_what_was_done_and_what_is_next(run: Path) -> None:
     kind, facts, following = facts_of(run)
     assert (kind, facts["state"]) == ("run", "finished")

@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 import s3
 from matplotlib.image import imread
-from missing_library import hide
 from passes import fly, focus, points
 from report_page import HOSTILE, borrowed, changed, read, source_of
 from typer.testing import CliRunner
@@ -484,16 +483,3 @@ def test_damaged_records_are_reported_by_name(name: str, text: str, message: str
     with pytest.raises(InputError, match=message):
         blocksar.report(run)
     assert not (run / "report.html").exists()
-
-
-def test_a_damaged_georeference_is_reported(run: Path, quick: None) -> None:
-    where = {"kind": "ENU", "rotation_deg": "east"}
-    changed(run / "collection.zarr" / "zarr.json", lambda metadata: metadata["attributes"].update(georeference=where))
-    with pytest.raises(InputError, match=r"collection.zarr: georeference: latitude is None instead of a number"):
-        blocksar.report(run)
-
-
-def test_a_missing_library_is_reported_with_its_extra(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    hide("jinja2", "blocksar.products.page", "blocksar.products.pictures", patch=monkeypatch)
-    with pytest.raises(InputError, match=r"jinja2 is not installed.*install blocksar\[plots\]$"):
-        blocksar.report(run)

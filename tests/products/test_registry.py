@@ -11,32 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from extension import PARTS, Ended, install
+from extension import Ended, install
 from matplotlib.image import imread
 from small_run import DAYTON, TARGETS, Made
 
 from blocksar.options import options_of
 from blocksar.products.registry import PRODUCTS
 
-BROKEN = {
-    "lost": "blocksar_extension.nowhere:Lost",
-    "nameless": "blocksar_extension.product:Nameless",
-    "number": "blocksar_extension.product:KML_TEXT",
-}
-# An option that no command can have beside its own.
-CLASH = """
-from dataclasses import dataclass
-from typing import Annotated
-from blocksar.options import Option
-from blocksar_extension.product import KML
-
-@dataclass(frozen=True, kw_only=True)
-class Options:
-    out: Annotated[str, Option("Twice.")] = ""
-
-class Clash(KML):
-    options = Options
-"""
 # What a session in Python says of calls, each a list of arguments and keywords, and whether the package is loaded then;
 # and what commands leave after them.
 SESSION = """
@@ -106,39 +87,6 @@ def test_a_product_of_another_package_has_a_command_and_is_one_in_python(made: M
         latitude, longitude, _ = DAYTON.to_geodetic(np.array([target.x, target.y, 0.0]))
         row, column = (north - latitude) / (north - south) * rows, (longitude - west) / (east - west) * columns
         assert picture[int(row), int(column)] > 0.95
-
-
-def test_a_broken_package_breaks_nothing_else(made: Made, tmp_path: Path) -> None:
-    group = "blocksar.products"
-    environment = install(tmp_path / "site", {group: PARTS[group] | BROKEN | {"clash": "clash:Clash"}})
-    (tmp_path / "site" / "clash.py").write_text(CLASH)
-    run, out = str(made.folder), str(tmp_path / "a")
-    (_, unknown, *said), (listed, tried) = session(
-        environment,
-        [
-            (("png", run, f"{out}.whatever"), {"size": 200}),
-            (("png", run, f"{out}.png"), {"opacities": 1}),
-            *(((name, run, out), {}) for name in BROKEN),
-        ],
-        [("export", "--help"), ("export", "lost", "run", "--out", "a.lost")],
-    )
-    assert (listed.returncode, listed.stderr) == (0, "")
-    assert "│ kml       Lay the image over" in listed.stdout
-    for name in BROKEN:
-        assert f"Product {name} of package blocksar_extension cannot be loaded" in " ".join(listed.stdout.split())
-    assert "Clash has no command (ValueError: duplicate parameter name: 'out')" in listed.stdout
-    assert (tried.returncode, tried.stdout) == (2, "")
-    assert tried.stderr == (
-        "blocksar: product lost of package blocksar_extension cannot be loaded (ModuleNotFoundError: No module named "
-        "'blocksar_extension.nowhere'); repair or remove that package\n"
-    )
-    assert (
-        unknown[0]
-        == "opacities is 1, but png has no such option; known are range, colour_map, size, crop, looks, composite"
-    )
-    for name, (sentence, _) in zip(BROKEN, said, strict=True):
-        assert sentence.startswith(f"product {name} of package blocksar_extension cannot be loaded (")
-        assert sentence.endswith("); repair or remove that package")
 
 
 @pytest.mark.parametrize("name", PRODUCTS.own)

@@ -270,17 +270,6 @@ def test_sicd_track_and_times_match_the_collection(exported: tuple[Made, Sicd]) 
     assert found.load("Timeline/CollectDuration") == pytest.approx(160 / 60)
 
 
-def test_sicd_collection_start_comes_from_the_source(tmp_path: Path) -> None:
-    date = {"collection_start": "2024-05-06T07:08:09.5Z", "time_zero": 1.25}
-    run = make(tmp_path, size=(60, 50), more={"source": date})
-    blocksar.export("sicd", run.folder, tmp_path / "a.nitf")
-    start = read_sicd(tmp_path / "a.nitf").load("Timeline/CollectStart")
-    first = 7 * 3600 + 8 * 60 + 9.5 + 1.25 + run.collection.time[0]
-    assert start.hour * 3600 + start.minute * 60 + start.second + start.microsecond / 1e6 == pytest.approx(
-        first, abs=1e-5
-    )
-
-
 def turning(run: Made, kind: str) -> Collection:
     """The collection of a run whose beam turns about an axis, as it would be in another mode."""
     collection = run.collection

@@ -164,14 +164,11 @@ def test_the_page_pans_and_zooms(chromium: Any, url: str, large: Made, size: tup
         column, row, scale = map(float, shown.get_attribute("#scene", "data-view").split())
         return [column, row, scale], int(shown.get_attribute("#scene", "data-level"))
 
-    def brightest() -> int:
-        return int(shown.evaluate(BRIGHTEST))
-
     try:
         (column, row, scale), _ = settled()
         assert (column, row) == (701 / 2, 590 / 2) and shown.is_disabled("#zoom-out")
         assert scale == pytest.approx(min(size[0] / 701, size[1] / 590))
-        assert brightest() > 200  # the target in the middle
+        shown.wait_for_function(f"() => ({BRIGHTEST})() > 200")  # the target in the middle
         assert shown.evaluate("window.pwned") is None
         assert shown.evaluate("facts.targets[0].name") == HOSTILE
         for _ in range(4):

@@ -183,16 +183,6 @@ def test_a_folder_without_write_permission_is_wrong_input_for_every_format(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_export_of_an_image_of_one_row_is_refused(tmp_path: Path) -> None:
-    run = make(tmp_path, size=(40, 30))
-    stores.create(
-        run.folder / "image.zarr", stores.IMAGE, sizes={}, coords={"x": run.x, "y": run.y[:1]}, attrs={},
-        chunks={"y": 1, "x": 40}, overwrite=True,
-    )  # fmt: skip
-    with pytest.raises(InputError, match=r"has 1 x 40 pixels \(y, x\).*larger grid$"):
-        blocksar.export("png", run.folder, tmp_path / "a.png")
-
-
 def test_invalid_sources_are_refused(made: Made, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"holds no run\.json"):
         blocksar.export("png", tmp_path, tmp_path / "a.png")
