@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import re
@@ -247,29 +246,6 @@ def test_the_dask_cluster_has_the_fields_the_operator_expects() -> None:
     # Labels that the operator sets, and port names that it requires.
     assert service["selector"] == {"dask.org/cluster-name": "blocksar", "dask.org/component": "scheduler"}
     assert {port["name"] for port in service["ports"]} == {"tcp-comm", "http-dashboard"}
-
-
-def test_the_dask_cluster_matches_the_operators_schema() -> None:
-    if (found := importlib.util.find_spec("dask_kubernetes")) is None or not found.submodule_search_locations:
-        pytest.skip("dask-kubernetes is not installed")
-    import jsonschema
-
-    chart = Path(found.submodule_search_locations[0], "operator/deployment/helm/dask-kubernetes-operator/crds")
-    definition = yaml.load((chart / "daskcluster.yaml").read_text(), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-    (version,) = (v for v in definition["spec"]["versions"] if v["name"] == "v1")
-    jsonschema.validate(manifest("DaskCluster", "blocksar"), version["schema"]["openAPIV3Schema"])
-
-
-def test_kustomize_builds_every_object() -> None:
-    done = subprocess.run([tool("kubectl"), "kustomize", DEPLOY / "kubernetes"], capture_output=True, check=False)
-    assert done.returncode == 0, done.stderr.decode()
-    built = list(yaml.safe_load_all(done.stdout))
-    assert {(b["kind"], b["metadata"]["name"]) for b in built} == {
-        (m["kind"], m["metadata"]["name"]) for m in manifests()
-    }
-    images = set(re.findall(r"image: (\S+)", done.stdout.decode()))
-    assert images == {f"registry.example.org/radar/blocksar:{blocksar.__version__}"}
-    assert {b["metadata"].get("namespace") for b in built if b["kind"] != "Namespace"} == {"blocksar"}
 
 
 def test_systemd_accepts_the_units(tmp_path: Path) -> None:

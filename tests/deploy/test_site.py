@@ -79,19 +79,6 @@ def test_the_site_contains_every_page(site: Path) -> None:
     assert all((site / name).is_file() for name in [*expected, "index.html"])
 
 
-def test_links_of_the_site_are_valid(site: Path) -> None:
-    found, wrong = pages(site), []
-    for path, links in found.items():
-        for target in links.targets:
-            if re.match(r"[a-z]+:", target):
-                continue
-            place, _, anchor = target.partition("#")
-            page = (path.parent / place).resolve() if place else path
-            if not page.is_file() or (anchor and page in found and anchor not in found[page].anchors):
-                wrong.append(f"{path.relative_to(site)}: {target}")
-    assert not wrong, "\n".join(wrong)
-
-
 def test_the_site_loads_nothing_from_the_network(site: Path) -> None:
     for links in pages(site).values():
         assert not [target for target in links.loaded if re.match(r"(https?:)?//", target)]

@@ -5,9 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import signal
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +12,6 @@ import numpy as np
 import pytest
 import wrong_tracks
 from distributed import Client
-from faults import until
 
 import blocksar
 from blocksar import stores
@@ -100,22 +96,6 @@ def test_the_same_command_again_does_nothing_and_another_is_refused(corrected: C
         blocksar.autofocus(source, store.with_name("other.zarr"), workers=0)
     assert files(store) == before
     assert not [path.name for path in store.parent.iterdir() if path.name.endswith(".autofocus")]
-
-
-@pytest.mark.slow  # the next test interrupts one in this process, test_faults.py kills runs
-def test_a_killed_command_goes_on_to_the_same_bytes(corrected: Corrected, tmp_path: Path) -> None:
-    out, receipts = tmp_path / "again.zarr", tmp_path / "again.zarr.autofocus" / "receipts"
-    grid = ",".join(f"{low}:{high}:{step}" for low, high, step in wrong_tracks.GRID)
-    words = [str(corrected.source), "--out", str(out), f"--grid={grid}", "--workers=0"]
-    words += ["--control", str(corrected.control)]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "blocksar", "autofocus", *words, "--quiet"], stdout=subprocess.DEVNULL
-    )
-    until(lambda: process.poll() is not None or any(receipts.glob("correction-1*")), "correction-1")
-    os.kill(process.pid, signal.SIGKILL)
-    assert process.wait() == -signal.SIGKILL and not out.exists()
-    blocksar.autofocus(corrected.source, out, grid=wrong_tracks.GRID, control=corrected.control, workers=0)
-    assert files(out) == files(corrected.store)
 
 
 def test_an_interrupted_command_goes_on_to_the_same_bytes(

@@ -321,14 +321,6 @@ def test_a_run_resumes_after_the_disk_was_full(
     assert again(disk.folder / "run") == set()
 
 
-def test_a_run_that_does_not_fit_the_disk_is_refused(launcher: Launcher, store: Path, disk: Disk) -> None:
-    disk.resize(1 << 20)
-    process = launcher.start("blocksar", *words(store, disk.folder / "run", "--workers", "0"))
-    assert process.wait() == 2, process.stderr
-    assert re.search(r"run needs .* MiB of disk, and 1\.0 MiB are free there; ", one_sentence(process))
-    assert not list(disk.view.iterdir())
-
-
 # ---------------------------------------------------------------- read-only disks
 
 

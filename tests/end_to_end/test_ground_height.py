@@ -7,11 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import blocksar
 from blocksar import stores
-from blocksar.cli import commands
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import FolderError, InputError
 
@@ -106,11 +104,3 @@ def test_wrong_heights_are_refused(store: Path, tmp_path: Path, options: dict[st
     with pytest.raises(InputError, match="a scene on z = 0"):
         blocksar.plan("table1", ground_height=30.0)
     assert not list(tmp_path.iterdir())
-
-
-def test_the_commands_take_it(store: Path) -> None:
-    for command in ("plan", "check"):
-        done = CliRunner().invoke(commands.app, [command, str(store), f"--grid={GRID}", "--ground-height", "30"])
-        assert done.exit_code == 0, done.stderr
-    for command in ("focus", "autofocus", "ingest cphd", "ingest gotcha"):
-        assert "--ground-height" in CliRunner().invoke(commands.app, [*command.split(), "--help"]).stdout

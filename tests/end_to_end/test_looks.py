@@ -103,7 +103,7 @@ def test_looks_of_a_beam_about_its_axis_sum_up_to_the_image(strip: Path, tmp_pat
 
 def test_a_plan_of_looks_is_the_one_that_focus_makes(strip: Path, tmp_path: Path) -> None:
     settings: dict[str, Any] = {**SETTINGS, "grid": ((8980.0, 9020.0, 1.0), (-20.0, 20.0, 0.5)), "looks": 2}
-    settings["processor"] = "angular-division"
+    settings |= {"processor": "angular-division", "blocks": 1}
     plan = blocksar.plan(strip, **settings)
     rehearsed = blocksar.focus(strip, tmp_path / "run", dry_run=True, **settings)
     assert list(map(predicted_blocks, rehearsed.result)) == list(map(predicted_blocks, plan.result))
@@ -122,7 +122,7 @@ def test_a_plan_of_looks_is_the_one_that_focus_makes(strip: Path, tmp_path: Path
     assert plan.summary[0] == "each look sees 0.4 of the beam's 0.8 degrees, the first in time first"
     assert len(plan.details) == 1 + 2 * len(whole.details)
     # Of exact back-projection, the pulses of each.
-    exact = blocksar.plan(strip, **settings | {"processor": "backprojection"}).summary
+    exact = blocksar.plan(strip, **settings | {"processor": "backprojection", "blocks": "auto"}).summary
     pulses = [int(line.split(" lit pulses")[0].split()[-1]) for line in exact[1:4]]
     assert pulses[0] == pytest.approx(sum(pulses[1:]), abs=2)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import os
 import pty
-import re
 import signal
 import subprocess
 import sys
@@ -19,7 +18,7 @@ from typing import Any
 import pytest
 from distributed import Client
 from fake_clock import HIDDEN, SHOWN, strictly
-from faults import make_store, until, words
+from faults import make_store, until
 
 import blocksar
 from blocksar.errors import InputError
@@ -60,47 +59,6 @@ def in_terminal(*command: str) -> Iterator[tuple[subprocess.Popen[bytes], Callab
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
             os.close(ours)
-
-
-BLOCKSAR = (
-    sys.executable, "-c",
-    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # background jobs ignore SIGINT
-    "from blocksar import cli; cli.main()",
-)  # fmt: skip
-
-
-def frames(written: bytes) -> list[list[str]]:
-    """Frames shown in a terminal; rich erases the lines of a frame to return to its first line."""
-    texts = re.split(r"(?:\r?\x1b\[2K(?:\x1b\[1A)?)+", written.decode())
-    plain = [re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text) for text in texts]
-    return [text.replace("\r", "").splitlines() for text in plain if text.strip()]
-
-
-@needs_bokeh
-@pytest.mark.slow
-def test_a_run_shows_its_progress_in_a_terminal(store: Path, tmp_path: Path) -> None:
-    log, page = tmp_path / "log.jsonl", tmp_path / "page.html"
-    typed = words(store, tmp_path / "run", "--workers", "1", "--json-log", str(log), "--performance-report", str(page))
-    with in_terminal(*BLOCKSAR, *typed) as (process, read):
-        until(lambda: (read(), process.poll() is not None)[1], "the run to end")
-        written = read()
-    assert process.returncode == 0, written.decode()
-    assert written.count(HIDDEN) == written.count(SHOWN) == 1 and written.find(HIDDEN) < written.find(SHOWN)
-    shown = frames(written)
-    drawn = [line for frame in shown for line in frame if not line.startswith("next: ")]  # commands are not folded
-    assert max(map(len, drawn)) <= 80
-    names = ["plan", "compile", "start-workers", "recover", "focus", "mosaic", "finish"]
-    assert [line.split()[0] for line in shown[-1][:7]] == names
-    assert re.fullmatch(r"focus +━+ +3/3 .*\d:\d\d *", shown[-1][4])
-    assert any("the worker holds 0." in line for frame in shown for line in frame)
-    addresses = {line for frame in shown for line in frame if line.startswith("dashboard: ")}
-    events = strictly(log.read_text())
-    assert addresses == {f"dashboard: {line['address']}" for line in events if line["event"] == "dashboard"}
-    assert [line["stage"] for line in events if line["event"] == "stage"] == names
-    memory = [line["memory"] for line in events if line.get("memory")]
-    assert memory and all(2**20 < each < 2**40 for each in memory)
-    assert events[-1]["status"] == 0
-    assert "<html" in page.read_text() and [p.name for p in tmp_path.glob(".*")] == []
 
 
 HANGING = """

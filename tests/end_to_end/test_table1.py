@@ -77,12 +77,6 @@ def test_a_low_memory_limit_divides_blocks_in_range_and_is_kept(table1: Path, tm
     assert "nothing to do" in resumed.summary[0]
 
 
-def test_a_memory_limit_that_is_too_low_is_refused(table1: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"memory limit 330 MiB .* is too low"):
-        blocksar.focus(table1, tmp_path / "tight", blocks=1, workers=1, memory_limit=330 * 2**20)
-    assert not (tmp_path / "tight").exists()
-
-
 def test_memory_of_back_projection_is_predicted_and_kept(table1: Path, tmp_path: Path) -> None:
     grid = ((15900.0, 16900.0, 2.0), (19000.0, 20000.0, 2.0))
     settings: dict[str, Any] = {"processor": "backprojection", "grid": grid, "workers": 1, "threads": 2}

@@ -338,18 +338,6 @@ def test_sweeps_do_not_depend_on_the_clock(post: Post, image: dict[str, str]) ->
     assert set(map(str, post.images().values())) == {str(image)}
 
 
-@pytest.mark.slow
-def test_any_collection_name_is_accepted(post: Post) -> None:
-    names = ["a b", 'it\'s "so"\n', "ü%41#?&", "-rf", "x::y", "~", "done", os.fsdecode(b"\xff"), "n" * 250, "a.2"]
-    post.deliver(*names)
-    assert post.sweep() == post.module.DONE
-    assert post.names("done") == names
-    assert {record["name"] for record in post.records("done").values()} == {f"{name}.zarr" for name in names}
-    assert sorted(os.listdir(post.outbox / "runs")) == sorted(names)
-    assert post.sweep() == post.module.DONE
-    assert post.names("done") == names
-
-
 def test_foreign_folders_in_the_outbox_are_kept(post: Post) -> None:
     post.deliver("a")
     thesis = post.outbox / "runs" / "a" / "thesis.tex"
