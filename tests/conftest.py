@@ -29,6 +29,8 @@ from blocksar.places.local import LocalPlace
 # Files that take longest, first: two processes that share the files then end at about the same time.
 FIRST = (
     "end_to_end",
+    "processors",
+    "tests",  # pages, layers, compiled loops
     "bad_input",
     "workflows",
     "inspection",

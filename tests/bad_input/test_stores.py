@@ -171,42 +171,6 @@ def rows(value: complex, pulses: Any) -> Callable[[Any], None]:
     return change
 
 
-def columns(value: complex, some: Any) -> Callable[[Any], None]:
-    def change(samples: Any) -> None:
-        samples[:, some] = value
-
-    return change
-
-
-MISSING: dict[str, tuple[Callable[[Any], None], float]] = {
-    "three pulses of NaN": (rows(np.nan, [95, 100, 101]), 3 / LIT),
-    "a pulse of infinity": (rows(complex(np.inf, -np.inf), [99]), 1 / LIT),
-    "a pulse with a NaN imaginary part": (rows(complex(1, np.nan), [99]), 1 / LIT),
-    "every other pulse of NaN": (rows(np.nan, slice(0, None, 2)), 1.0),
-    "a column of NaN": (columns(np.nan, [7]), 1 / 50),
-    "half of the columns NaN": (columns(np.nan, slice(0, 26)), 1.0),
-}
-
-
-@pytest.mark.parametrize("processor", [EXACT, CHAIN], ids=["exact", "chain"])
-def test_missing_samples_change_the_image_by_their_share(processor: dict[str, Any], bench: Bench) -> None:
-    bench.all(
-        {
-            name: lambda change=change, share=share: bench.attempt(
-                "missing samples", with_samples(bench, change), error=2 * share + ROUNDING, **processor
-            )
-            for name, (change, share) in MISSING.items()
-        }
-    )
-
-
-@pytest.mark.parametrize("processor", [EXACT, CHAIN], ids=["exact", "chain"])
-def test_a_store_without_valid_samples_is_refused(processor: dict[str, Any], bench: Bench) -> None:
-    for value in (np.nan, np.inf):
-        store = with_samples(bench, rows(value, slice(None)))
-        assert bench.attempt("missing samples", store, **processor) == "refused"
-
-
 # Arrays that violate the contract
 
 

@@ -25,6 +25,7 @@ pytestmark = pytest.mark.usefixtures("unchecked")
 
 HIERARCHICAL, EXACT = "hierarchical-backprojection", "backprojection"
 GRID = ((15800.0, 16400.0, 1.0), (18900.0, 19500.0, 1.0))
+SMALL = ((16100.0, 16164.0, 1.0), (19200.0, 19264.0, 1.0))
 SCENE = """
 [noise]
 power = 1e-3
@@ -124,16 +125,15 @@ def test_another_process_goes_on_with_what_auto_has_chosen(hills: Path, tmp_path
     """It has not loaded the processor, of whose types the plan in the folder is made."""
     run = tmp_path / "run"
     with pytest.raises(KeyboardInterrupt):
-        blocksar.focus(hills, run, grid=GRID, workers=0, progress=Begun())
-    again = f"import blocksar; blocksar.focus({str(hills)!r}, {str(run)!r}, grid={GRID!r}, workers=0, progress=False)"
+        blocksar.focus(hills, run, grid=SMALL, workers=0, progress=Begun())
+    again = f"import blocksar; blocksar.focus({str(hills)!r}, {str(run)!r}, grid={SMALL!r}, workers=0, progress=False)"
     done = subprocess.run([sys.executable, "-c", again], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert RunRecord.from_json(json.loads((run / "run.json").read_text())).finished
 
 
 def test_the_choice_of_auto_is_recorded(hills: Path, tmp_path: Path) -> None:
-    small = ((16100.0, 16164.0, 1.0), (19200.0, 19264.0, 1.0))
-    report = blocksar.focus(hills, tmp_path / "run", processor="auto", grid=small, workers=0)
+    report = blocksar.focus(hills, tmp_path / "run", processor="auto", grid=SMALL, workers=0)
     chosen = report.result["plan"]["processor"]
     assert chosen in (HIERARCHICAL, EXACT, "angular-division")
     assert report.result["settings"]["processor"] == "auto"

@@ -1,4 +1,4 @@
-"""Several channels, and several collections, of hills: each as it would be alone, and targets where they stand."""
+"""Several collections of hills: each as it would be alone, and targets where they stand."""
 
 from __future__ import annotations
 
@@ -7,11 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bursts import CENTRE, SLANT, STEP, ground, write_bursts
-from scenes import scene
 
 import blocksar
 from blocksar import stores
-from blocksar.arrays import ComplexArray
 from blocksar.places import place
 from blocksar.simulation.scene import Scene
 
@@ -59,20 +57,3 @@ def test_a_mosaic_of_bursts_lies_on_the_hills(tmp_path: Path) -> None:
     alone, own = blocksar.open(tmp_path / "alone"), image.collection.values == 1
     for name in ("image", "incidence_angle", "visibility", "height"):
         np.testing.assert_array_equal(image[name].values[own], alone[name].values[own])
-
-
-def test_channels_lie_on_the_hills(tmp_path: Path) -> None:
-    x, y = on_grid(SLANT, CENTRE)
-    more = (
-        hill(x, y) + f'[[targets]]\nname = "T"\nx = {x}\ny = {y}\nscattering = {{HH = [1.0, 0.0], HV = [0.5, 90.0]}}\n'
-    )
-    text = scene(pulses=400, steering=(49.5, 50.5), dwell=0.02, swath=[29900.0, 30100.0], more=more)
-    (tmp_path / "scene.toml").write_text(f'channels = ["HH", "HV"]\n{text}')
-    store = Path(blocksar.simulate(tmp_path / "scene.toml", tmp_path / "ph.zarr"))
-    settings = {**ALL_HERE, "grid": box(x, y, 60.0), "terrain": keep_ground(tmp_path / "scene.toml")}
-    blocksar.focus(store, tmp_path / "run", **settings)
-    image = blocksar.open(tmp_path / "run")
-    assert image.image.dims == ("channel", "y", "x") and image.height.dims == ("y", "x")
-    assert float(image.height.sel(x=x, y=y)) > 100
-    peaks: ComplexArray = image.image.sel(x=x, y=y).values
-    assert np.abs(peaks - [1, 0.5j]).max() < 0.05

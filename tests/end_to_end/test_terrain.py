@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import slow_twins
 from quality_bar import check_targets, planned
 from scenes import write_store
 
@@ -141,27 +140,3 @@ def test_clutter_on_hills_is_that_of_back_projection(tmp_path: Path) -> None:
     for rows in (slice(0, 19), slice(19, 38)):
         for columns in (slice(0, 19), slice(19, 38)):
             assert abs(coherence(one[rows, columns], other[rows, columns]).coherence) >= 0.998
-
-
-def test_a_mountain_outside_the_grid_casts_its_shadow_into_it(store: Path, tmp_path: Path) -> None:
-    """Nearer to the radar than the image, and higher than anything in it: against rays to the antenna, one by one."""
-    toward = -MIDDLE / np.linalg.norm(MIDDLE)
-    top = MIDDLE + 900 * toward
-    x, y = (c + 20.0 * np.arange(-110, 60) for c in MIDDLE)
-    away = (x - top[0]) ** 2 + (y[:, None] - top[1]) ** 2
-    ground = Terrain(x0=float(x[0]), dx=20.0, y0=float(y[0]), dy=20.0, heights=620 * np.exp(-away / 400**2))
-    stores.write_terrain(place(tmp_path / "ground.zarr"), ground)
-    settings = {"grid": grid_about(240.0, 48.0), "processor": "backprojection", "workers": 0}
-    blocksar.focus(store, tmp_path / "run", terrain=tmp_path / "ground.zarr", **settings)
-    image = blocksar.open(tmp_path / "run")
-    geometry = Geometry(collection=stores.open_phase_history(store).collection.centred()).over(ground)
-    shadow = np.zeros(image.visibility.shape, bool)
-    for row, column in np.ndindex(*shadow.shape):
-        at = float(image.x[column]), float(image.y[row])
-        lit = np.flatnonzero(geometry.beam.is_lit(*map(np.array, at)))
-        antenna = geometry.collection.antenna_position[[lit[0], lit[-1]]].mean(axis=0)
-        point = np.array([*at, float(ground(*map(np.array, at)))])
-        shadow[row, column] = slow_twins.ray_clearance(ground, antenna, point) < 0
-    assert 0.1 < shadow.mean() < 0.9
-    assert ((image.visibility.values == 2) != shadow).mean() < 0.02
-    assert float(image.height.max()) < 100  # what casts it stands elsewhere

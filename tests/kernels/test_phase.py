@@ -109,17 +109,6 @@ def test_rotation_by_a_scaled_phase_of_millions_of_cycles(n: int) -> None:
         np.testing.assert_array_equal(alone[0], found[row, :n])
 
 
-def test_rotation_at_whole_half_and_quarter_cycles() -> None:
-    cycles = np.arange(-8, 9) / 4
-    wanted = np.array([1, 1j, -1, -1j] * 4 + [1])
-    ones, out = np.ones((1, cycles.size), np.complex64), np.empty((1, cycles.size), np.complex64)
-    phase.rotate_scaled(ones, out, phase.unit(cycles.size), np.zeros((1, 2)), np.ones(1), cycles)
-    assert largest(out[0] - wanted) < SINGLE
-    rows = np.ones((cycles.size, 40), np.complex64)
-    phase.rotate(rows, 40, cycles[:, None])
-    assert largest(rows - wanted[:, None]) < SINGLE
-
-
 def test_sine_and_cosine_meet_their_stated_error() -> None:
     x = np.linspace(-0.5, 0.5, 20_001).astype(np.float32)
     wanted = np.exp(2j * np.pi * x.astype(np.float64))
@@ -139,36 +128,4 @@ def test_missing_samples_stay_missing_and_do_not_spread() -> None:
 # -- Columns ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("n", "first", "count"), [(1, 0, 1), (5, 2, 8), (130, 3, 7), (64, 40, 16), (300, 1, 33)])
-def test_columns_become_rows_and_back(n: int, first: int, count: int) -> None:
-    values = noise(n, first + count + 2)
-    rows = np.empty((count, n), np.complex64)
-    wanted = values[:, first : first + count].T
-    for array in (values, np.asfortranarray(values), np.repeat(values, 2, axis=1)[:, ::2]):
-        rows[:] = 0
-        phase.gather_columns(array, first, rows)
-        np.testing.assert_array_equal(rows, wanted)
-
-    back = np.full((n + 3, first + count + 2), 7, np.complex64)
-    rows.flags.writeable = False
-    phase.scatter_columns(rows, n, first, back)
-    np.testing.assert_array_equal(back[:n, first : first + count], wanted.T)
-    back[:n, first : first + count] = 7
-    assert (back == 7).all()
-    short = np.full((n, first + count), 7, np.complex64)
-    phase.scatter_columns(rows, n // 2, first, short)
-    np.testing.assert_array_equal(short[: n // 2, first:], wanted.T[: n // 2])
-    assert (short[n // 2 :] == 7).all()
-
-
 # -- Compilation --------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("n", [1, 31, 64, 101])
-def test_each_row_is_multiplied_by_its_window(n: int) -> None:
-    values, windows, which = noise(5, n + 3).copy(), noise(3, n, seed=2), np.array([2, 0, 0, 1, 2])
-    wanted = values.copy()
-    wanted[:, :n] *= windows[which]
-    phase.multiply_windows(values, windows, which)
-    assert np.abs(values - wanted).max() < 4 * SINGLE
-    np.testing.assert_array_equal(values[:, n:], wanted[:, n:])

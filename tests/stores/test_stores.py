@@ -511,22 +511,6 @@ def test_a_beam_azimuth_of_nan_means_not_steered(small_collection: Collection, t
     assert not stores.open_phase_history(written(ds, tmp_path / "ph.zarr")).collection.steered
 
 
-def test_unwritten_chunks_are_read_as_their_fill_value(small_collection: Collection, tmp_path: Path) -> None:
-    group = zarr.open_group(written(dataset(small_collection), tmp_path / "ph.zarr"), mode="r+")
-    del group["signal"]
-    array = group.create_array(
-        "signal",
-        shape=(256, 128),
-        chunks=(64, 128),
-        dtype="complex64",
-        fill_value=0,
-        dimension_names=("pulse", "range_frequency"),
-    )
-    array[:64] = noise((64, 128))
-    read = stores.open_phase_history(tmp_path / "ph.zarr").read(slice(None), slice(None))
-    assert np.array_equal(read[:64], noise((64, 128))) and (read[64:] == 0).all()
-
-
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "no track": ({"antenna_position": None}, "antenna_position .* is missing"),
     "no carrier": ({"carrier_frequency": None}, "carrier_frequency is missing"),
