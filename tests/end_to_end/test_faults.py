@@ -45,7 +45,7 @@ from faults import (
 )
 
 import blocksar
-from blocksar.planning import planner
+from blocksar.processors import chain
 from blocksar.runs import stored_plan
 
 OWN, ALONE = ("--workers", "1", "--memory-limit", "2GiB"), ("--workers", "0")  # the smallest local cluster, and none
@@ -197,8 +197,8 @@ def test_a_killed_worker_does_not_change_the_result(
     """Every other worker is killed as soon as it has the task, and certainly at work; the others some time later."""
     source, expected = store, undisturbed.left
     if stage == "gate":  # only blocks that are divided in range are gated on their own
-        whole = planner.plan_collection
-        monkeypatch.setattr(planner, "plan_collection", lambda *given, **more: whole(*given, **more | {"parts": 2}))
+        whole = chain.plan_collection
+        monkeypatch.setattr(chain, "plan_collection", lambda *given, **more: whole(*given, **more | {"parts": 2}))
     raw = stage == "range-compress"
     if raw:
         source = make_store(tmp_path / "raw", raw=True)

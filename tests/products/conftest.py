@@ -14,8 +14,8 @@ from small_run import Made, make
 import blocksar
 from blocksar import stores
 from blocksar.graph.cluster import open_client
-from blocksar.planning import planner
 from blocksar.planning.planner import plan_collection
+from blocksar.processors import chain
 from blocksar.products.page import page
 
 matplotlib.use("Agg")
@@ -65,7 +65,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def focus_and_report(folder: Path) -> None:
     store = write_scene(folder)
     with pytest.MonkeyPatch.context() as patch, open_client(workers=1, threads=1, memory_limit=3 * 2**30) as client:
-        patch.setattr(planner, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 2}))
+        patch.setattr(chain, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 2}))
         wide = ((15000.0, 17200.0, 1.2), (18000.0, 20400.0, 1.2))
         blocksar.focus(store, folder / "run", blocks=2, grid=wide, client=client)
         coarse = ((16000.0, 16400.0, 4.0), (19100.0, 19500.0, 4.0))

@@ -22,7 +22,7 @@ import blocksar
 from blocksar import stores
 from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.graph import stages
-from blocksar.planning import planner
+from blocksar.processors import chain
 
 GRID = ((15900.0, 16300.0, 4.0), (19000.0, 19400.0, 4.0))
 
@@ -140,8 +140,8 @@ def test_a_damaged_chunk_of_a_gated_spectrum_is_noticed_and_computed_again(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Range sub-blocks read what range gates have kept for them; only what is damaged is gated again."""
-    real = planner.plan_collection
-    monkeypatch.setattr(planner, "plan_collection", lambda *args, **how: real(*args, **how | {"parts": 2}))
+    real = chain.plan_collection
+    monkeypatch.setattr(chain, "plan_collection", lambda *args, **how: real(*args, **how | {"parts": 2}))
     run, settings = tmp_path / "run", {"blocks": 2, "grid": GRID, "workers": 0}
     whole = blocksar.focus(store, tmp_path / "whole", **settings)
     assert whole.result["plan"]["parts"] == 2 and "gate" in whole.result["timings"]
