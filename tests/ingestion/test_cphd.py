@@ -60,6 +60,12 @@ def test_the_checker_of_the_standard_reports_no_failure(base: Base) -> None:
     assert failures(base.path) == []
 
 
+def test_the_checker_reports_a_fault(base: Base, tmp_path: Path) -> None:
+    parts = parts_of(base.path)
+    parts.set("Channel/Parameters/FxC", 9e9)
+    assert any("fxc" in line for line in failures(write(tmp_path / "wrong.cphd", parts)))
+
+
 def test_a_file_reads_back_as_it_was_written(base: Base) -> None:
     collection, samples, said, attrs = ingested(base.path)
     direct = base.scene.collection()

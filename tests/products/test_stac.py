@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pystac
@@ -112,6 +113,18 @@ def test_channels_have_their_polarizations_together_or_alone(polarised: Path, tm
     one = checked(tmp_path / "one.json")
     assert SarExtension.ext(one).polarizations == ["HV"]
     assert (tmp_path / one.assets["image"].href).resolve() == (polarised / "channels/HV/image.zarr").resolve()
+
+
+def test_the_validator_finds_what_is_wrong(tmp_path: Path, made: Made) -> None:
+    blocksar.export("stac", made.folder, tmp_path / "item.json")
+    item = json.loads((tmp_path / "item.json").read_text(encoding="utf-8"))
+    wrongs: list[dict[str, Any]] = [
+        {"sar:frequency_band": "X-band"}, {"sar:resolution": 1.0}, {"processing:software": "blocksar"}, {"datetime": 7},
+    ]  # fmt: skip
+    for wrong in wrongs:
+        (tmp_path / "wrong.json").write_text(json.dumps({**item, "properties": {**item["properties"], **wrong}}))
+        with pytest.raises((pystac.STACValidationError, TypeError)):
+            checked(tmp_path / "wrong.json")
 
 
 def test_what_makes_no_item_is_refused(made: Made, unplaced: Made, tmp_path: Path) -> None:
