@@ -206,8 +206,8 @@ def test_a_block_from_another_worker_gives_the_same_result(store: Path, tmp_path
     fixed = samples.copy()
     fixed.flags.writeable = False
     run = Run(folder=place(tmp_path), identity="x", threads=1)
-    here = tasks.run_stage(run, "", tasks.Samples(samples, {}), block, stage)
-    there = tasks.run_stage(run, "", tasks.Samples(fixed, {}), block, stage)
+    here = tasks.run_stage(run, "", tasks.BlockSamples(samples, {}), block, stage)
+    there = tasks.run_stage(run, "", tasks.BlockSamples(fixed, {}), block, stage)
     assert here.values is samples
     np.testing.assert_array_equal(here.values, there.values)
 
