@@ -92,6 +92,19 @@ def test_files_of_the_cache_that_cannot_be_read_are_made_anew(
     assert product() == (6.0, 0)
 
 
+def test_sources_that_are_written_again_as_they_were_are_compiled_at_most_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Numba finds their loops, by the contents; what looks at the age of files must not say for ever that they lack."""
+    monkeypatch.setenv(loop_cache.VARIABLE, str(tmp_path))
+    index = tmp_path / "blending.blend-1.py311.nbi"
+    index.touch()
+    os.utime(index, (0, 0))
+    assert compiling.missing(["kernels.blending"]) == ["kernels.blending"]
+    compiling.compile_modules(["kernels.blending"], by="all")
+    assert compiling.missing(["kernels.blending"]) == []
+
+
 def times(a: float, b: float) -> float:
     return a * b
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from importlib import import_module
@@ -49,9 +49,15 @@ HELP = "import sys; from blocksar.graph import compiling; print(compiling.help_t
 
 def missing(names: Iterable[str]) -> list[str]:
     """List the loops that numba's cache does not have, by its files: none of them is younger than the source."""
+    return [
+        name for name, changed, indices in _indices(names) if not any(_is_younger(file, changed) for file in indices)
+    ]
+
+
+def _indices(names: Iterable[str]) -> Iterator[tuple[str, float, list[Path]]]:
+    """Loops, when the source of each was changed, and its indices in numba's cache."""
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     found: dict[Path, list[Path]] = {}
-    lacking = []
     for name in names:
         module, _, loop = name.partition(":")
         spec = find_spec(f"blocksar.{module}")  # does not load it
@@ -60,10 +66,19 @@ def missing(names: Iterable[str]) -> list[str]:
         folder = Path(chosen) if chosen else source.parent / "__pycache__"
         if folder not in found:
             found[folder] = list(folder.rglob("*.nbi"))
-        begin, changed = f"{source.stem}.{loop}", source.stat().st_mtime
-        if not any(_is_younger(file, changed) for file in found[folder] if file.name.startswith(begin)):
-            lacking.append(name)
-    return lacking
+        begin = f"{source.stem}.{loop}"
+        yield name, source.stat().st_mtime, [file for file in found[folder] if file.name.startswith(begin)]
+
+
+def _keep_young(names: Iterable[str]) -> None:
+    """Let indices be younger than sources that were written again as they were, by an installation or a checkout.
+
+    Numba goes by the contents of a source: such loops are loaded, but `missing` would list them for ever.
+    """
+    for _, _, indices in _indices(names):
+        for file in indices:
+            with suppress(OSError):
+                file.touch()
 
 
 def _is_younger(file: Path, changed: float) -> bool:
@@ -108,6 +123,7 @@ def compile_modules(names: Sequence[str], by: By = "this") -> Tally:
             for loop in _compile_free(names):
                 loop.compile()
         printed = [helper.communicate()[0].strip() for helper in helpers]
+        _keep_young(lacking)
     finally:
         for helper in helpers:
             helper.kill()
