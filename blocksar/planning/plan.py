@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import chain
 
 import numpy as np
@@ -61,6 +62,9 @@ def block_work(block: BlockPlan) -> float:
 def fft_work(length: int) -> float:
     """Of one FFT."""
     return 5 * length * math.log2(length)
+
+
+LOOKED_AT = 64  # points along a side of a grid at which full dwells are looked for
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -122,6 +126,12 @@ class Plan:
     def numbered(self, first: int) -> Plan:
         """Copy with its blocks numbered from `first` on, after those of other segments."""
         return replace(self, blocks=tuple(replace(block, index=first + block.index) for block in self.blocks))
+
+    @cached_property
+    def full_dwell_share(self) -> float:
+        """Share of the grid's points that are lit for a full dwell, for which the predicted coherence holds."""
+        x, y = (axis[:: math.ceil(axis.size / LOOKED_AT)] for axis in (self.grid.x, self.grid.y))
+        return float(np.mean(self.geometry.beam.has_full_dwell(x, y[:, None])))
 
     @property
     def spectrum_chunk(self) -> tuple[int, int]:

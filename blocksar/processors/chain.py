@@ -92,7 +92,6 @@ def describe_shortfall(plan: Plan, *, compared: bool = False) -> str:
 TRACK_TOLD = 0.01  # rad: noise of the track that leaves less is not mentioned
 PLACES = 9  # of a block along range and yaw, at which full dwells are looked for
 MEASURED_AT = 5  # points along a side of a grid, whose responses tell which steps they are measured on
-LOOKED_AT = 64  # points along a side of a grid at which full dwells are looked for
 SHORT_DWELL = 12  # pulses, below which a coherence of up to 0.002 less than is predicted was measured
 
 
@@ -115,7 +114,7 @@ def plan_lines(plan: Plan, *, compared: bool = False) -> list[str]:
     if plan.geometry.terrain is not None:
         low, high = plan.geometry.terrain.limits
         lines.append(f"terrain: z = {low:.5g} .. {high:.5g} m; blocks are fitted on its smooth part")
-    share = full_dwell_share(plan)
+    share = plan.full_dwell_share
     lines.append(
         f"predicted coherence with exact back-projection: at least {digits(plan.coherence)} for targets with full dwell"
         + (f" ({100 * share:.0f} % of the grid)" if 0 < share < 1 else "")
@@ -145,15 +144,9 @@ def missed_fidelity(plan: Plan) -> str | None:
     return describe_shortfall(plan) if plan.searched and not plan.faithful and plan.refusal is None else None
 
 
-def full_dwell_share(plan: Plan) -> float:
-    """Share of the grid's points that are lit for a full dwell, for which the prediction holds."""
-    x, y = (axis[:: math.ceil(axis.size / LOOKED_AT)] for axis in (plan.grid.x, plan.grid.y))
-    return float(np.mean(plan.geometry.beam.has_full_dwell(x, y[:, None])))
-
-
 def cut_dwells(plan: Plan) -> str | None:
     """A sentence if no point of the grid has a full dwell, for which the prediction holds, else None."""
-    if full_dwell_share(plan) > 0:
+    if plan.full_dwell_share > 0:
         return None
     return (
         "no point of the grid is lit for a full dwell: the prediction holds for none, and cut dwells differ more from "
