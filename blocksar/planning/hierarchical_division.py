@@ -29,6 +29,7 @@ from blocksar.focusing.hierarchical_backprojection import MOST_WINDOWS, PULSE_BL
 from blocksar.focusing.hierarchy import Filters, Frame, Hierarchy, Levels, Part, Path
 from blocksar.focusing.profiles import spline_error
 from blocksar.kernels.fourier import fast_length
+from blocksar.kernels.groups import ROOM
 from blocksar.planning import effort
 from blocksar.planning.memory import GPU_PROCESS_MEMORY, PROCESS_MEMORY
 from blocksar.planning.tiling import image_chunk, units_of
@@ -44,6 +45,7 @@ PLACES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the image, along either side, at which 
 FEW = 3  # of so many places one, by which divisions are ranked
 PIXEL_BYTES = 72  # of a window's pixel while it is formed
 PROFILES = 2  # arrays of range profiles at once: transformed in place, and with margins
+GPU_PROFILES = 3  # besides, on a GPU: transformed out of place, with work areas of two lengths
 GPU_PIXEL_BYTES = 64  # of it on a GPU
 
 
@@ -131,10 +133,13 @@ class Cost:
     samples : int
         That are kept at once: those of all levels from the first to one, and either of the rows that lead to this one,
         which are filtered along frequency only, or of the last level's range profiles, while these are formed.
+    on_gpu : int
+        The same on a GPU, which turns all rows before it filters them.
     """
 
     seconds: float
     samples: int
+    on_gpu: int
 
 
 class Ladders:
@@ -175,7 +180,7 @@ class Ladders:
         seconds = READ * (end - begin) * n_frequency
         filters, frame = entered
         seconds += self._filtering(filters, frame, end - begin, 0, n_frequency)
-        kept = samples = _samples(frame)
+        kept = samples = on_gpu = _samples(frame)
         count = 1.0
         for above, below in pairwise(sides):
             part = self.part(place, below)
@@ -190,12 +195,15 @@ class Ladders:
             edges = len(range(*filters.kept.indices(frame.pulses.size)))
             seconds += count * (self.rates.part + self._filtering(filters, left, edges, frame.size, frame.columns))
             kept += _samples(left)
-            samples = max(samples, kept + max(frame.size, edges) * left.columns)
+            between = max(frame.size, edges)
+            samples = max(samples, kept + between * left.columns)
+            on_gpu = max(on_gpu, kept + between * (frame.columns + left.columns))
             frame = left
         rows, bins = frame.size + frame.pulses.size, fast_length(self.hierarchy.levels.upsampling * frame.columns)
         samples = max(samples, kept + PROFILES * rows * bins)
+        on_gpu = max(on_gpu, kept + (PROFILES + GPU_PROFILES) * rows * bins)
         seconds += count * (self.rates.profile * rows * bins + self._last(frame, part, sides[-1]))
-        return Cost(seconds=seconds, samples=samples)
+        return Cost(seconds=seconds, samples=samples, on_gpu=on_gpu)
 
     def _last(self, frame: Frame, part: Part, side: tuple[float, float]) -> float:
         """Seconds to back-project a last part from the range profiles of what is left."""
@@ -323,7 +331,7 @@ class _Trial:
         below = _ladder(sides[-1], (last * grid.dx, last * grid.dy), ratio)
         levels = levels_for(self.fidelity, tuple(max(side) for side in below), stages=len(sides) + len(below))
         ladders = Ladders(Hierarchy(geometry, levels, waves=self.waves, path=self.path), geometry, grid, rates)
-        unlit = Cost(seconds=rates.pixel * unit[0] * unit[1], samples=0)
+        unlit = Cost(seconds=rates.pixel * unit[0] * unit[1], samples=0, on_gpu=0)
         each_place = (ladders.cost(place, [*sides, *below]) for place in places)
         if first_lit:
             costs = [next((cost for cost in each_place if cost is not None), unlit)]
@@ -334,7 +342,7 @@ class _Trial:
         return Division(
             chunks=division, levels=levels, seconds=area * float(np.mean([cost.seconds for cost in costs])),
             memory=_memory(geometry, samples, self.chunk, self.device),
-            on_gpu=_gpu_memory(geometry, samples, self.chunk, levels) if self.device == "gpu" else 0,
+            on_gpu=_gpu_memory(geometry, max(cost.on_gpu for cost in costs), self.chunk) if self.device == "gpu" else 0,
             stages=len(sides) + len(below),
         )  # fmt: skip
 
@@ -367,13 +375,11 @@ def _memory(geometry: Geometry, samples: int, chunk: tuple[int, int], device: st
     """Peak memory of a worker of one thread, bytes; a GPU has the samples for itself."""
     block = max(PULSE_BLOCK_BYTES, 8 * geometry.collection.n_range_frequency)
     path = 2 * 3 * 3 * 8 * 3 * geometry.collection.n_pulse
-    own = 8 * int(1.25 * samples) if device == "cpu" else GPU_PROCESS_MEMORY
+    own = 8 * int(ROOM * samples) if device == "cpu" else GPU_PROCESS_MEMORY
     return PROCESS_MEMORY + 4 * block + own + PIXEL_BYTES * chunk[0] * chunk[1] + path
 
 
-def _gpu_memory(geometry: Geometry, samples: int, chunk: tuple[int, int], levels: Levels) -> int:
-    """Memory of a GPU, bytes: samples of all levels, a block that is read and turned, profiles, and a window."""
-    n = geometry.collection.n_range_frequency
-    block = max(PULSE_BLOCK_BYTES, 8 * n)
-    profiles = 4 * 8 * samples * levels.upsampling // max(len(levels.sides), 1)
-    return 8 * int(1.25 * 2 * samples) + 4 * block + profiles + GPU_PIXEL_BYTES * chunk[0] * chunk[1]
+def _gpu_memory(geometry: Geometry, samples: int, chunk: tuple[int, int]) -> int:
+    """Memory of a GPU, bytes: its samples, a block that is read, turned and filtered, and a window."""
+    block = max(PULSE_BLOCK_BYTES, 8 * geometry.collection.n_range_frequency)
+    return 8 * int(ROOM * samples) + 4 * block + GPU_PIXEL_BYTES * chunk[0] * chunk[1]

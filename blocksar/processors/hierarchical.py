@@ -93,13 +93,13 @@ class HierarchicalPlan(PartPlan):
 
     def lines(self) -> list[str]:
         worst = max(self.divisions, key=lambda each: each.error)
-        sides = " > ".join(f"{side:.3g}" for side in worst.levels.sides) or "none"
+        sides = " > ".join(f"{side:.3g}" for side in worst.levels.sides)
+        divided = f"divided into parts of at most {sides} m" if sides else "each summed as a whole"
         error = -10 * math.log10(worst.error)
         doubts = (line for piece in self.pieces for line in doubts_of_track(piece.geometry.collection, exact=True))
         return [
             f"hierarchical back-projection of {self.grid.shape[1]} x {self.grid.shape[0]} pixels in "
-            f"{len(self.parts())} parts of {self.chunks[1]} x {self.chunks[0]} chunks, divided into parts of at most "
-            f"{sides} m",
+            f"{len(self.parts())} parts of {self.chunks[1]} x {self.chunks[0]} chunks, {divided}",
             f"predicted coherence with exact back-projection: at least {self.coherence:.8f}; errors are "
             f"{error:.0f} dB below the power of all that a part's data hold, bright places beside it as well",
             *self.memory_lines(),
