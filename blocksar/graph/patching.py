@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -164,30 +165,28 @@ def write_patch(run: Run, unit: str, samples: BlockSamples, block: BlockPlan, pa
     Chunks are written by other threads while the next ones are computed.
     """
     started = time.perf_counter()
-    ground, grid = patch.ground, patch.grid
-    origin, side = patch_window(ground, grid)[:2], image_chunk(grid)
-    heights, alike = GroundHeights(run, grid, on_terrain=ground.relief is not None), AlikeChunks(run)
-    writer = _PatchWriter(run=run, block=block, grid=grid, origin=origin, noise=patch.noise, alike=alike)
     assert samples.values is not None
-    corrector = _Corrector(run=run, block=block, values=samples.values, patch=patch)
+    chunks = _PatchChunks(run=run, block=block, values=samples.values, patch=patch)
     with WritesBehind(threads=run.threads) as behind:
-        chunks = [np.empty(side[0] * side[1], np.complex64) for _ in range(behind.held)]
-        batches = _batches(touched_chunks(ground, grid), grid, heights)
-        jobs = (
-            partial(corrector.pixels, behind.turn(), chunks, cell, z, tiles)
-            for cell, z, tiles in _tiled(batches, ground, grid)
-        )
-        for turn, cell, z, pixels, owner in in_threads(jobs, run.threads):
-            if owner is not None:
-                turn.submit(writer.write, pixels, owner, chunk_window(cell, grid), z, merged=cell not in patch.own)
+        memories = [np.empty(chunks.largest, np.complex64) for _ in range(behind.held)]
+        jobs = (partial(chunks.correct, behind.turn(), memories, *each) for each in chunks.tiled())
+        for corrected in in_threads(jobs, run.threads):
+            if corrected.owner is not None:
+                corrected.turn.submit(chunks.write, corrected)
     seconds = samples.seconds | {"geometric-correction": time.perf_counter() - started}
     # The receipt covers the whole block: the tasks before this one have no receipts.
     before = sum(samples.seconds.values())
-    return Receipt(unit=unit, stage="focus", seconds=before, written=behind.written, origin=origin, steps=seconds)
+    return Receipt(
+        unit=unit, stage="focus", seconds=before, written=behind.written, origin=chunks.origin, steps=seconds
+    )
 
 
 class _Corrected(NamedTuple):
-    """A chunk of a patch: its pixels (n_y, n_x), and the block of each as `_owner` has it."""
+    """A chunk of a patch.
+
+    Pixels (n_y, n_x) of a window of the image, their z, m, or None on the plane, and the block that each comes from:
+    one for all, or None if none is covered.
+    """
 
     turn: ComputeTurn
     cell: tuple[int, int]
@@ -196,110 +195,62 @@ class _Corrected(NamedTuple):
     owner: NDArray[np.int16] | int | None
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Corrector:
-    """Computes the chunks of a patch: several at once, each in a thread."""
+class _PatchChunks:
+    """The chunks of a block's patch, and the image's where no other block touches them."""
 
-    run: Run
-    block: BlockPlan
-    values: ComplexArray
-    patch: Patch
+    def __init__(self, *, run: Run, block: BlockPlan, values: ComplexArray, patch: Patch) -> None:
+        self.run, self.block, self.values, self.patch = run, block, values, patch
+        self.ground, self.grid = patch.ground, patch.grid
+        self.largest = math.prod(image_chunk(self.grid))  # pixels
+        self.origin = patch_window(self.ground, self.grid)[:2]  # first row and column in the image
+        self.heights = GroundHeights(run, self.grid, on_terrain=self.ground.relief is not None)
+        self.alike = AlikeChunks(run)
 
-    def pixels(
-        self,
-        turn: ComputeTurn,
-        chunks: Sequence[ComplexArray],
-        cell: tuple[int, int],
-        z: FloatArray | None,
+    def tiled(self) -> Iterator[tuple[tuple[int, int], FloatArray | None, Tiles]]:
+        """Chunks with their heights and tiles, which are found together for some that are not too many, or a strip."""
+        for cells, heights in self._batches():
+            windows = [chunk_window(cell, self.grid) for cell in cells]
+            tiles = tiles_of(self.ground, [(self.grid.x[x], self.grid.y[y]) for y, x in windows], heights)
+            yield from zip(cells, heights, tiles, strict=True)
+
+    def _batches(self) -> Iterator[tuple[Sequence[tuple[int, int]], Sequence[FloatArray | None]]]:
+        cells = touched_chunks(self.ground, self.grid)
+        if not self.heights.on_terrain:
+            for first in range(0, len(cells), TILED_CHUNKS):
+                some = cells[first : first + TILED_CHUNKS]
+                yield some, [None] * len(some)
+            return
+        for row, strip in strips_of(cells, self.grid):
+            yield row, [self.heights.over((strip.rows, columns)) for columns in strip.columns]
+
+    def correct(
+        self, turn: ComputeTurn, memories: Sequence[ComplexArray], cell: tuple[int, int], z: FloatArray | None,
         tiles: Tiles,
-    ) -> _Corrected:
-        """Compute a chunk's pixels, in the memory that its turn has of `chunks`."""
-        ground, grid = self.patch.ground, self.patch.grid
-        window = chunk_window(cell, grid)
-        x, y = grid.x[window[1]], grid.y[window[0]]
-        out = chunks[turn.memory][: y.size * x.size].reshape(y.size, x.size)
+    ) -> _Corrected:  # fmt: skip
+        """Compute a chunk's pixels, in the memory of its turn."""
+        ground, window = self.ground, chunk_window(cell, self.grid)
+        x, y = self.grid.x[window[1]], self.grid.y[window[0]]
+        out = memories[turn.memory][: y.size * x.size].reshape(y.size, x.size)
         pixels = correct(self.values, ground, x=x, y=y, z=z, tiles=tiles, threads=1, out=out)
         if (recorded := ground.geometry.collection.recorded) is not None and recorded.partial:  # else all are whole
             weighting = Weighting(ground.range_taper, ground.taper)
             divide_by_recorded(pixels, ground.geometry, x, y[:, None], z, weighting=weighting, threads=1)
-        return _Corrected(turn, cell, z, pixels, _owner(pixels, self.block.index))
+        covered, index = np.isfinite(pixels.real), self.block.index
+        if covered.all():
+            return _Corrected(turn, cell, z, pixels, index)
+        owner = np.where(covered, np.int16(index), np.int16(-1)) if covered.any() else None
+        return _Corrected(turn, cell, z, pixels, owner)
 
-
-class Batch(NamedTuple):
-    """Output chunks of which much is found at once, and the heights of each, m; None on the plane."""
-
-    cells: Sequence[tuple[int, int]]
-    heights: Sequence[FloatArray | None]
-
-
-def _batches(cells: Sequence[tuple[int, int]], grid: Grid, heights: GroundHeights) -> Iterator[Batch]:
-    """Divide the chunks of a patch: on the plane into some that are not too many, on a terrain into strips."""
-    if not heights.on_terrain:
-        for first in range(0, len(cells), TILED_CHUNKS):
-            some = cells[first : first + TILED_CHUNKS]
-            yield Batch(some, [None] * len(some))
-        return
-    for some, strip in strips_of(cells, grid):
-        yield Batch(some, [heights.over((strip.rows, columns)) for columns in strip.columns])
-
-
-def _tiled(
-    batches: Iterable[Batch], ground: GroundMap, grid: Grid
-) -> Iterator[tuple[tuple[int, int], FloatArray | None, Tiles]]:
-    """Output chunks, heights and tiles, which are found for the chunks of a batch at once."""
-    for cells, heights in batches:
-        windows = [chunk_window(cell, grid) for cell in cells]
-        tiles = tiles_of(ground, [(grid.x[x], grid.y[y]) for y, x in windows], heights)
-        yield from zip(cells, heights, tiles, strict=True)
-
-
-def _owner(pixels: ComplexArray, block: int) -> NDArray[np.int16] | int | None:
-    """The block that each pixel comes from, as layers take it; None if none is covered."""
-    covered = np.isfinite(pixels.real)
-    if covered.all():
-        return block
-    return np.where(covered, np.int16(block), np.int16(-1)) if covered.any() else None
-
-
-@dataclass(frozen=True, kw_only=True)
-class _PatchWriter:
-    """Writes the chunks of a block's patch, and the image's where no other block touches them.
-
-    Attributes
-    ----------
-    origin : (first row, first column)
-        Of the patch in the image.
-    noise : NoiseMap or None
-        The block's noise, where it is known.
-    """
-
-    run: Run
-    block: BlockPlan
-    grid: Grid
-    origin: tuple[int, int]
-    noise: NoiseMap | None
-    alike: AlikeChunks
-
-    def write(
-        self,
-        pixels: ComplexArray,
-        owner: NDArray[np.int16] | int,
-        window: Window,
-        height: FloatArray | None,
-        *,
-        merged: bool,
-    ) -> list[Written]:
-        """Write the pixels (n_y, n_x) of `window` of the image; only to the patch if the mosaic merges them.
-
-        `owner` is as `_owner` has it; `height` (n_y, n_x) the pixels' z, m, or None on the plane.
-        """
-        run, index = self.run, self.block.index
+    def write(self, corrected: _Corrected) -> list[Written]:
+        """Write a chunk that has pixels; only to the patch if the mosaic merges it with others."""
+        _, cell, height, pixels, owner = corrected
+        run, index, window = self.run, self.block.index, chunk_window(cell, self.grid)
         patch, part = run.patch(self.block.name), shifted(window, self.origin)
         written = write(run, patch, "image", part, pixels)
-        if merged:
+        if cell not in self.patch.own:
             return [written]
         of = {} if run.collection is None else {index: run.collection}
-        noises = {} if self.noise is None else {index: self.noise}
+        noises = {} if self.patch.noise is None else {index: self.patch.noise}
         owners = np.asarray(owner, np.int16)
         return [
             written,
