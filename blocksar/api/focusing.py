@@ -373,7 +373,10 @@ def _focus(
         record = job.record()
         resumed = earlier is not None or run_folder.is_begun(request.folder, record)
         pyramid = _has_pyramid(job, resumed=resumed)
-        run = Run(folder=request.folder, identity=record.identity, threads=machine.threads, pyramid=pyramid)
+        run = Run(
+            folder=request.folder, identity=record.identity, threads=machine.threads, pyramid=pyramid,
+            on_terrain=request.terrain is not None,
+        )  # fmt: skip
         check_room_for_run(job, RoomBeside(following), resumed=resumed)
         with run_folder.resumable():
             finished = carry_out(job, run, record, workers, listener, profile, resumed=resumed, compiled=compiled)

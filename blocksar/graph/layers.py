@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from blocksar import stores
 from blocksar.arrays import FloatArray
 from blocksar.chunks import STRIP_CHUNKS
-from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.focusing.noise import NoiseMap
@@ -75,26 +74,11 @@ def local_terrain(run: Run, grid: Grid, window: Window) -> Terrain:
     return stores.read_terrain(run.terrain, (float(x[0]), float(x[-1])), (float(y[0]), float(y[-1])))
 
 
-def sights_of(run: Run, grid: Grid, geometries: Sequence[tuple[int, Geometry]]) -> dict[int, Sight]:
-    """The antenna of numbered geometries as an image on the run's terrain sees it."""
-    if not geometries:
-        return {}
-    limits = stores.StoredTerrain(run.terrain).limits
-    return {number: Sight.of(geometry, box_of(grid.x, grid.y), limits) for number, geometry in geometries}
-
-
 class GroundHeights:
-    """Heights of a run's pixels, by windows; it is not for several threads at once.
+    """Heights of a run's pixels, by windows; it is not for several threads at once."""
 
-    Attributes
-    ----------
-    on_terrain : bool
-        False: the image lies on the plane, and nothing is read.
-    """
-
-    def __init__(self, run: Run, grid: Grid, *, on_terrain: bool) -> None:
-        self.on_terrain = on_terrain
-        self._grid, self._stored = grid, stores.StoredTerrain(run.terrain) if on_terrain else None
+    def __init__(self, run: Run, grid: Grid) -> None:
+        self._grid, self._stored = grid, stores.StoredTerrain(run.terrain) if run.on_terrain else None
 
     def over(self, window: Window) -> FloatArray | None:
         """Heights (n_y, n_x), m, of some rows and columns of the image; None on the plane."""

@@ -56,13 +56,12 @@ def merge_chunks(
     grid: Grid,
     margins: Mapping[tuple[int, int], Margins],
     noises: Mapping[int, NoiseMap] | None = None,
-    on_terrain: bool = False,
 ) -> Receipt:
     """Merge patches into output chunks of the mosaic, given by row and column of the chunk.
 
     Where several segments cover some of a chunk, `margins` has theirs; `noises` has those of segments, if known.
     """
-    heights, alike = GroundHeights(run, grid, on_terrain=on_terrain), AlikeChunks(run)
+    heights, alike = GroundHeights(run, grid), AlikeChunks(run)
     pool = ThreadPoolExecutor(READS_AT_ONCE)
     with pool, WritesBehind() as behind:
         coming = _read_ahead(pool, run, cells, grid)
@@ -203,7 +202,7 @@ class _PatchChunks:
         self.ground, self.grid = patch.ground, patch.grid
         self.largest = math.prod(image_chunk(self.grid))  # pixels
         self.origin = patch_window(self.ground, self.grid)[:2]  # first row and column in the image
-        self.heights = GroundHeights(run, self.grid, on_terrain=self.ground.relief is not None)
+        self.heights = GroundHeights(run, self.grid)
         self.alike = AlikeChunks(run)
 
     def tiled(self) -> Iterator[tuple[tuple[int, int], FloatArray | None, Tiles]]:
@@ -215,7 +214,7 @@ class _PatchChunks:
 
     def _batches(self) -> Iterator[tuple[Sequence[tuple[int, int]], Sequence[FloatArray | None]]]:
         cells = touched_chunks(self.ground, self.grid)
-        if not self.heights.on_terrain:
+        if not self.run.on_terrain:
             for first in range(0, len(cells), TILED_CHUNKS):
                 some = cells[first : first + TILED_CHUNKS]
                 yield some, [None] * len(some)

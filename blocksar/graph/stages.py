@@ -27,7 +27,7 @@ from blocksar.collection.sublooks import whole_beam
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_gate import RawCompression
-from blocksar.graph.layers import sights_of
+from blocksar.focusing.terrain_layers import Sight, box_of
 from blocksar.graph.patching import Patch, PatchChunk, merge_chunks, write_patch
 from blocksar.graph.sample_tasks import Gated, gate_bins, inspect_group, prepare_pulses, recover_group
 from blocksar.graph.segments import Segment, by_collection
@@ -263,7 +263,6 @@ def mosaic(executor: Executor, recovered: Sequence[ReadSegment], run: Run, patch
         for cell, parts in _patch_chunks(segments, run, patches).items()
         if not all(complete for _, complete in parts)
     }
-    on_terrain = segments[0].geometry.terrain is not None
     known = {each.segment.number or 0: each.noise for each in recovered if each.noise is not None}
     ordered = sorted(cells)
     units = []
@@ -271,7 +270,7 @@ def mosaic(executor: Executor, recovered: Sequence[ReadSegment], run: Run, patch
         group = {cell: cells[cell] for cell in ordered[first:end]}
         margins = {cell: _margins(segments, cell, grid, parts) for cell, parts in group.items()}
         name = "chunk-{}-{}".format(*ordered[first])
-        arguments = group, grid, margins, known, on_terrain
+        arguments = group, grid, margins, known
         units.append(Unit("mosaic", run, name, merge_chunks, arguments, title=f"mosaic of {name}"))
     return executor.run_units("mosaic", units, per_worker=2)
 
@@ -307,10 +306,11 @@ def _add_layers(
     cells: Mapping[tuple[int, int], Mapping[int, int]],
 ) -> list[Receipt]:
     """Add layers to chunks of the image, by row and column; of each, the segments that see what owns its pixels."""
-    seen = [(segment.number or 0, segment.geometry) for segment in segments if segment.geometry.terrain is not None]
-    if not seen:
+    if not run.on_terrain:
         return []
-    sights, ordered, units = sights_of(run, grid, seen), sorted(cells), []
+    limits, ordered, units = stores.StoredTerrain(run.terrain).limits, sorted(cells), []
+    box = box_of(grid.x, grid.y)
+    sights = {segment.number or 0: Sight.of(segment.geometry, box, limits) for segment in segments}
     for first, end in chunk_spans(0, len(ordered), LAYER_CHUNKS):
         group = ordered[first:end]
         owners = {owner: sights[number] for cell in group for owner, number in cells[cell].items()}
@@ -381,10 +381,9 @@ def form_parts(
         )
         for (segment, _, inspection, noise), form in zip(read, forms, strict=True)
     ]  # fmt: skip
-    on_terrain = read[0].segment.geometry.terrain is not None
     reads = all(_reads_input(each.segment, run) for each in read)
     units = [
-        Unit(stage, run, name, form_chunks, (stage, sources, windows, grid, on_terrain), on=on, reads_input=reads)
+        Unit(stage, run, name, form_chunks, (stage, sources, windows, grid), on=on, reads_input=reads)
         for name, windows in parts.items()
     ]
     return executor.run_units(stage, units)

@@ -211,15 +211,14 @@ def add_layers(
 
 
 def form_chunks(
-    run: Run, unit: str, stage: str, sources: Sequence[PixelSource], windows: Sequence[Window], grid: Grid,
-    on_terrain: bool = False,
-) -> Receipt:  # fmt: skip
+    run: Run, unit: str, stage: str, sources: Sequence[PixelSource], windows: Sequence[Window], grid: Grid
+) -> Receipt:
     """Form output chunks straight from the samples, of all collections, on the terrain if there is one."""
-    terrain = local_terrain(run, grid, window_around(windows)) if on_terrain else None
+    terrain = local_terrain(run, grid, window_around(windows)) if run.on_terrain else None
     sources = [source._replace(geometry=source.geometry.over(terrain)) for source in sources]
     collections = {source.number: source.collection for source in sources if source.collection is not None}
     noises = {source.number: source.noise for source in sources if source.noise is not None}
-    heights, alike = GroundHeights(run, grid, on_terrain=on_terrain), AlikeChunks(run)
+    heights, alike = GroundHeights(run, grid), AlikeChunks(run)
     written: list[Written] = []
     for formed in zip(*(_form(run, source, windows, grid) for source in sources), strict=True):
         window, image = formed[0]

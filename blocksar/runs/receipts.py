@@ -28,6 +28,8 @@ class Run:
         Threads that a task may use.
     pyramid : bool
         Whether the image has one.
+    on_terrain : bool
+        Whether the ground has heights of its own, which are in `terrain`.
     collection, segment : int or None
         Numbers of what is focused of it, which set apart stores and names of units; None where there is one only.
     """
@@ -38,6 +40,7 @@ class Run:
     collection: int | None = None
     segment: int | None = None
     pyramid: bool = False
+    on_terrain: bool = False
 
     @property
     def token(self) -> str:
