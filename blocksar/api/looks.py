@@ -142,9 +142,10 @@ def report_looks(
     lines += [f"  {line}" for line in first.lines()]
     if refused is None:
         work = effort.together([{**each.work(), **effort.of_pyramid(each.grid)} for each in planned.values()])
+        stored = sum(sum(each.stored().values()) for each in planned.values())
         lines += [
             *recorded_lines([first.pieces[0].geometry], first.grid),
-            time_line(work, assumed, planning),
+            time_line(work, assumed, stored, planning),
         ]
     results = [each.result for each in planned.values()]
     return PlanReport(

@@ -14,18 +14,24 @@ from blocksar.progress import Work
 from blocksar.texts import count, time_text
 
 PLANNING_TOLD = 1.0  # s to plan, which are counted in the time of a run
+DISK_RATE = 200e6  # bytes/s that a usual disk writes, and at which the time of large runs is told
+PAGE_CACHE = 0.5  # of the machine's memory, which writes fill before they wait for the disk
 LOOKED_AT = 64  # points along a side of a grid at which lit pulses are counted
 
 
-def time_line(work: Work, assumed: Resources, planning: float = 0.0) -> str:
+def time_line(work: Work, assumed: Resources, stored: int, planning: float = 0.0) -> str:
     """How long a run would take on this machine, by stage; the only part of a plan that is measured.
 
-    `planning` is what the plan took, s, which a run makes again: told where it is long.
+    `stored` is what it writes, bytes, for which the disk may need longer where the page cache cannot take them;
+    `planning` what the plan took, s, which a run makes again: told where it is long.
     """
     seconds = stage_seconds(work, assumed, planning)
+    large = stored > PAGE_CACHE * machine()[1]
+    disk = f"the disk is slow ({time_text(stored / DISK_RATE)} to write at {DISK_RATE / 1e6:.0f} MB/s)"
     return (
         f"a run takes about {time_text(sum(seconds.values()))} on this machine {workforce(assumed)} "
-        f"({_shares(seconds)}), more where others use it, the disk is slow, or loops are not compiled"
+        f"({_shares(seconds)}), more where others use it, {disk if large else 'the disk is slow'}, or loops are not "
+        "compiled"
     )
 
 
@@ -44,12 +50,12 @@ def workforce(assumed: Resources) -> str:
 
 
 def _shares(seconds: Mapping[str, float]) -> str:
-    """Parts of a time in the unit of their sum as `time_text` tells it, which they add up to.
+    """Parts of a time in the unit of their sum as `time_text` tells it, which they add up to; none of nothing.
 
     Examples
     --------
     >>> _shares({"start": 1.9, "recover": 0.6, "focus": 0.7, "mosaic": 0.1})
-    'start 2 s, recover 0 s, focus 1 s, mosaic 0 s'
+    'start 2 s, focus 1 s'
     """
     total = sum(seconds.values())
     step, unit = (1, "s") if total < 100 else (60, "min") if total < 6000 else (360, "h")
@@ -57,7 +63,8 @@ def _shares(seconds: Mapping[str, float]) -> str:
     left = max(round(total / step), 1) - sum(parts.values())
     for name in sorted(seconds, key=lambda each: parts[each] - seconds[each] / step)[:left]:  # most cut off first
         parts[name] += 1
-    return ", ".join(f"{name} {f'{count / 10:.1f}' if unit == 'h' else count} {unit}" for name, count in parts.items())
+    told = {name: f"{count / 10:.1f}" if unit == "h" else str(count) for name, count in parts.items() if count}
+    return ", ".join(f"{name} {text} {unit}" for name, text in told.items())
 
 
 def lit_pulses(geometry: Geometry, grid: Grid) -> int:
