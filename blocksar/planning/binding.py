@@ -447,8 +447,9 @@ class AzimuthPart:
 
     def weighed(self, in_time: AxisTaper) -> AzimuthPart:
         """Copy of the steps under another taper over the pulses."""
-        steps = tuple(s.weighed(in_time) for s in self.range_part.steps)
-        return replace(self, range_part=replace(self.range_part, steps=steps))
+        part = self.range_part
+        steps, constants = tuple(s.weighed(in_time) for s in part.steps), replace(part.constants, in_time=in_time)
+        return replace(self, range_part=replace(part, steps=steps, constants=constants))
 
     def sampled(self, sampling: Sampling) -> tuple[Step, ...]:
         """The whole chain, ready to be applied."""

@@ -76,9 +76,8 @@ from blocksar.focusing.lines import AzimuthPolynomials, Line, RowPolynomial, foc
 from blocksar.focusing.method import Method, RangeModel
 from blocksar.planning import binding
 from blocksar.planning.binding import RESAMPLING_ORDERS, SERIES_DEGREE, AzimuthPart, ChainKind, FittedSteps, RangePart
-from blocksar.planning.dwell_ends import full_dwells, smear_room
+from blocksar.planning.dwell_ends import full_dwells, smear_loss, smear_room
 from blocksar.planning.dwell_weights import beam_moves
-from blocksar.planning.prediction import smear_loss
 
 STEEPEST = 0.5  # times r0: the largest change of a line's slope by the time perturbation, anywhere along its dwell
 

@@ -58,9 +58,8 @@ from blocksar.planning.coefficients import Choice
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY
 from blocksar.planning.plan import Plan
 from blocksar.planning.relief import Relief, ReliefPoints, find_relief, sample_terrain
-from blocksar.planning.sector import Sector, ground_range
 from blocksar.planning.steadiness import Smoothed, smoothed_beam
-from blocksar.planning.target_lines import find_dwells, middle_line, tail_margin
+from blocksar.planning.target_lines import Dwells, Sector, ground_range, middle_line, tail_margin
 
 COMMON_ORDER = 5  # range history from this order on is removed from all targets alike: azimuth steps end at order 4
 COMMON_LEAST = 1e-3  # wavelengths, a phase of 0.013 rad: a smaller common range is not removed
@@ -222,9 +221,9 @@ def _lit_lines(
     width = far - near
     ranges = np.linspace(near + margin * width, far - margin * width, 5)
     if not geometry.beam.by_range:
-        return find_dwells(geometry, yaw=region.yaw, origin=origin, walk=walk, common=common).lines(ranges)
-    lines = find_dwells(
-        geometry, yaw=region.yaw, origin=origin, walk=walk, common=common, least_nodes=AXIS_NODES
+        return Dwells(geometry=geometry, yaw=region.yaw, origin=origin, walk=walk, common=common).lines(ranges)
+    lines = Dwells(
+        geometry=geometry, yaw=region.yaw, origin=origin, walk=walk, common=common, least_nodes=AXIS_NODES
     ).lines(ranges)  # fmt: skip
     first, last = geometry.beam.dwell_at(region.yaw, ranges)
     return Line(**{name: getattr(lines, name)[last > first] for name in Line.__dataclass_fields__})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -14,9 +13,8 @@ from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray, IntArray
 from blocksar.collection.beam import wrapped
 from blocksar.collection.geometry import Geometry
-from blocksar.focusing.ground_map import QUANTITIES, Depth, ReliefMap, SmoothGround
-from blocksar.focusing.lines import Focus, Line
-from blocksar.focusing.surfaces import GroundRange, Surface, fit_surface
+from blocksar.focusing.ground_map import Depth, SmoothGround
+from blocksar.focusing.surfaces import GroundRange, Surface
 
 SMOOTH_DEGREE = 2, 2  # of the smooth ground, along range and yaw, on which coefficients are fitted: no finer is better
 FINE_DEGREE = 16, 8  # of the finer one, which the dwell gate follows: a block is longer along range
@@ -285,17 +283,6 @@ def _fitting(n: int, degree: int) -> FloatArray:
     return matrix
 
 
-def stacked(lines: Sequence[Line]) -> Line:
-    """Lines (n_range, n_yaw, n) one after the other along the first axis."""
-    shape = lines[0].time.shape
-    return Line(
-        **{
-            name: np.concatenate([np.broadcast_to(getattr(line, name), shape) for line in lines])
-            for name in Line.__dataclass_fields__
-        }
-    )
-
-
 def turns_of(raised: Geometry, smooth: Geometry, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
     """Yaw, rad, from targets on a raised ground (n_range, n_yaw) to those of the smooth one with the same dwell.
 
@@ -318,38 +305,3 @@ def turns_of(raised: Geometry, smooth: Geometry, epoch_range: FloatArray, yaw: F
         move = (wanted - here) / np.where(np.abs(slope) > LEAST_TURN, slope, np.inf)
         turn = turn + np.clip(move, -MOST_TURN, MOST_TURN)
     return turn
-
-
-class Layer(NamedTuple):
-    """Targets at some heights: their lines after all steps, without the bend, and their focus."""
-
-    geometry: Geometry
-    line: Line
-    bend: FloatArray
-    spots: Focus
-    rate: FloatArray  # Doppler rate before the steps in Doppler, Hz/s
-
-
-def map_relief(
-    relief: Relief, layers: Sequence[Layer], surfaces: Callable[[Focus], Sequence[Surface]], *, along: GroundRange,
-    yaw: FloatArray, degree: tuple[int, int], turns: Sequence[FloatArray] = (),
-) -> ReliefMap:  # fmt: skip
-    """The map from epoch range, yaw and height to the focused block; `surfaces` has those of a focus.
-
-    `turns` are those of each layer at its targets, from `turns_of`; none where dwells do not depend on height.
-    """
-    fitted = [
-        [*surfaces(layer.spots), fit_surface(layer.bend, along=along, yaw=yaw, degree=degree)] for layer in layers
-    ]
-    for surfaces_of_layer, turn in zip(fitted, turns, strict=False):
-        surfaces_of_layer.append(fit_surface(turn, along=along, yaw=yaw, degree=degree))
-    terms = []
-    for quantity in zip(*fitted, strict=True):
-        values = np.stack([surface.series for surface in quantity])
-        series = solvers.node_series(values.reshape(len(layers), -1), len(layers) - 1).reshape(values.shape)
-        terms.append(tuple(replace(quantity[0], series=np.ascontiguousarray(part)) for part in series))
-    return ReliefMap(
-        smooth=relief.smooth, low=relief.low, high=relief.high, layers=tuple(terms[:QUANTITIES]),
-        turns=terms[QUANTITIES] if turns else (),
-        most_bend=max(float(np.abs(layer.bend).max()) for layer in layers),
-    )  # fmt: skip

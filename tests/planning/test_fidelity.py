@@ -16,9 +16,9 @@ import blocksar
 from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Taper
 from blocksar.errors import InputError
-from blocksar.planning.dwell_ends import ImageEdges
+from blocksar.planning.dwell_ends import end_energy
 from blocksar.planning.planner import plan_collection
-from blocksar.planning.prediction import end_energy
+from blocksar.planning.prediction import ImageEdges
 from blocksar.processors.chain import describe_shortfall
 from blocksar.simulation.scene import Scene
 
