@@ -49,17 +49,16 @@ class Depth:
 class SmoothGround:
     """A smooth ground that stands for a block's terrain: height, m, over ground range and yaw, and an offset, m.
 
-    It goes on level beyond `ends`, half extents of its domain from its middle, and is nowhere deeper than points are.
+    It goes on level beyond BEYOND, and is nowhere deeper than points are.
     """
 
     surface: Surface
     depth: Depth
     offset: float = 0.0
-    ends: float = BEYOND
 
     def __call__(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
         places = self.surface.along.place(epoch_range), self.surface.across(yaw)
-        height = self.surface.at(*(np.clip(place, -self.ends, self.ends) for place in places)) + self.offset
+        height = self.surface.at(*(np.clip(place, -BEYOND, BEYOND) for place in places)) + self.offset
         return np.maximum(height, self.depth(epoch_range, yaw))
 
 

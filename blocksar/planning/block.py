@@ -37,7 +37,7 @@ from blocksar.focusing.step import Constants, Sampling, Stage, Step, stages
 from blocksar.focusing.surfaces import Surface, fit_surface
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.interpolation import taps_needed
-from blocksar.planning.binding import RESAMPLING_ORDERS, AzimuthPart, RangePart, Slab, plan_motion, plan_range_gate
+from blocksar.planning.binding import ORDERS, AzimuthPart, RangePart, Slab, plan_motion, plan_range_gate
 from blocksar.planning.block_lines import (
     MORE_RANGES,
     CoarseLines,
@@ -54,6 +54,7 @@ from blocksar.planning.gating import plan_dwell_gate
 from blocksar.planning.memory import RELIEF_MEMORY, block_memory
 from blocksar.planning.prediction import ImageEdges, JudgedTargets, Prediction, predict, worst_lobes
 from blocksar.planning.relief import Relief, turns_of
+from blocksar.planning.steadiness import SHARE
 from blocksar.planning.target_lines import Sector, tail_margin
 
 
@@ -144,7 +145,7 @@ def plan_block(
     OutsideSwath
         If none of its targets are lit; on a terrain, of those on the smooth part.
     """
-    for resampling in range(len(RESAMPLING_ORDERS), -1, -1):
+    for resampling in range(len(ORDERS), -1, -1):
         block = _plan_block(sector, method, index=index, part=part, neighbour=neighbour, resampling=resampling)
         if block.even or method.coefficients == "closed-form":
             break
@@ -295,8 +296,6 @@ def _plan_memory(sector: Sector, range_gate: RangeGate | None, range_part: Range
 
 
 RANGE_DEGREE, YAW_DEGREE = 0.75, 16  # of what the map knows, along range for each node, and along yaw
-MISS_SHARE = 0.1  # of the coherence that may be lost, which the map may miss before lines at more ranges are traced
-SWING = 2e-3  # cycles by which a series of that degree along yaw may miss the phase on a track that wobbles
 REGION_STEPS, LEAST_STEPS = 64 * YAW_STEPS, 128  # of yaw over the region, in which a block has its share; at least
 STEPS_BY_RANGE = 512  # of yaw, where the sum over lit pulses is a table over range and yaw
 
@@ -369,7 +368,7 @@ def trace_for_map(sector: Sector, azimuth: AzimuthPart) -> TracedTargets:
     at, fitted = (lines.epoch_range[:, None], lines.yaw), _surfaces(sector, lines, _degree(sector, lines))
     offset, doppler, phase = (known(*at) for known in fitted[:3])
     missed = _missed(lines, sector.recovery.origin, (offset, doppler, phase))
-    if np.where(lines.full, missed, 0.0).max() <= MISS_SHARE * (1 - sector.fidelity):
+    if np.where(lines.full, missed, 0.0).max() <= SHARE * (1 - sector.fidelity):
         return lines
     return trace_finely(sector, azimuth, n_range=MORE_RANGES)
 
@@ -413,17 +412,12 @@ def _missed(
 
 
 def _degree(sector: Sector, lines: TracedTargets) -> tuple[int, int]:
-    """Degrees of the surfaces along range and yaw: as many terms as yaws where a wobble swings the phase over these.
+    """Degrees of the surfaces along range and yaw: as many terms as yaws where the track wobbles.
 
     A turning beam lights one yaw after the other. What is left of the waves of the track then runs along yaw.
     """
     in_range = int(RANGE_DEGREE * lines.epoch_range.size)
-    if sector.geometry.track.wobble is None:
-        return in_range, YAW_DEGREE
-    phase = lines.spots.phase.T
-    series = solvers.node_series(phase, YAW_DEGREE)
-    missed = np.polynomial.chebyshev.chebval(solvers.end_nodes(lines.yaw.size), series).T - phase
-    return in_range, YAW_DEGREE if np.abs(missed).max() <= SWING else lines.yaw.size - 1
+    return in_range, YAW_DEGREE if sector.geometry.track.wobble is None else lines.yaw.size - 1
 
 
 def _carrier_time(targets: TracedTargets, spots: Focus) -> FloatArray:

@@ -13,7 +13,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial import chebyshev
 
 from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray
@@ -25,9 +24,6 @@ from blocksar.planning.dwell_ends import Moments, band_moves, dwell_ends, full_d
 from blocksar.planning.dwell_weights import DwellWeights, dwell_weights, level_aperture, levelled
 from blocksar.planning.steadiness import scans_evenly
 from blocksar.planning.target_lines import Dwells, Sector
-
-RANGE_STEPS = 3  # of the iteration that finds the targets of an apparent range
-MOST_BEYOND = 1.05  # half swaths from its middle at which the series of that iteration is trusted
 
 
 def nodes_between(low: float, high: float, count: int) -> FloatArray:
@@ -49,15 +45,10 @@ def common_ranges(
     ranges : (n_range,) m from the origin, ascending
     epoch_range : (n_range, n_yaw) m
     """
-    apparent = line.range.mean(axis=-1)
+    apparent = line.range.mean(axis=-1)  # (n_range, n_yaw)
     ranges = nodes_between(float(apparent.min()), float(apparent.max()), nodes.size)
-    # How far ranges move, as a series over the nodes; targets beyond the nodes need one step with their own lines.
-    moved = solvers.node_series(apparent - (nodes[:, None] - origin), nodes.size - 1)
-    epoch_range = origin + ranges[:, None] - moved[0]
-    for _ in range(RANGE_STEPS):
-        u = np.clip((2 * epoch_range - nodes[0] - nodes[-1]) / (nodes[-1] - nodes[0]), -MOST_BEYOND, MOST_BEYOND)
-        epoch_range = origin + ranges[:, None] - chebyshev.chebval(u, moved[:, None], tensor=False)
-        epoch_range = np.maximum(epoch_range, least)
+    # Between the nodes of each yaw; then a step with the targets' own lines, for those beyond the nodes.
+    epoch_range = np.stack([np.interp(ranges, column, nodes) for column in apparent.T], axis=1)
     epoch_range = epoch_range + ranges[:, None] - trace(epoch_range).range.mean(axis=-1)
     return ranges, np.maximum(epoch_range, least)
 
@@ -67,7 +58,6 @@ FINE_NODES, MORE_RANGES = (13, 33), 25
 YAWS_PER_INTERVAL, MOST_YAWS = 0.6, 129  # of fine lines, where a spline's intervals pass from yaw to yaw
 MOST_WIDER = 2.0  # times as many yaws, where lines go on beyond a block
 FOLDED = 1.0  # octaves of stretch, of lines that are not followed
-GATE_RANGES = 25  # of the lines that a dwell gate on a terrain follows
 
 
 class CoarseLines(NamedTuple):
@@ -149,7 +139,7 @@ class TracedTargets:
 
     @cached_property
     def full(self) -> BoolArray:
-        """Which of them are lit over a full dwell, (n_range, n_yaw): see `full_dwells`."""
+        """Mask (n_range, n_yaw) of those that are lit over a full dwell: see `full_dwells`."""
         return full_dwells(self.line, self.geometry, self.epoch_range[:, None], self.yaw)
 
     @cached_property
@@ -196,7 +186,10 @@ class TracedTargets:
 def trace_targets(
     sector: Sector, azimuth: AzimuthPart, epoch_range: FloatArray, yaw: FloatArray, *, ground: Geometry | None = None
 ) -> TracedTargets:
-    """Trace targets at epoch ranges (n_range,), m, and yaws (n_yaw,), rad; on a `ground` other than the sector's."""
+    """Trace targets at epoch ranges (n_range,), m, and yaws (n_yaw,), rad.
+
+    With another `ground`, the lines are those of targets on that, and what weighs them is of the sector's.
+    """
     geometry, part = sector.geometry, azimuth.range_part
     lit = replace(sector, geometry=ground or geometry).dwells(yaw).lines(epoch_range[:, None])
     compressed = part.trace(lit)

@@ -24,7 +24,7 @@ from blocksar.focusing.lines import Focus, Line, focus
 from blocksar.focusing.recovery import Recovery
 from blocksar.focusing.step import Sampling
 from blocksar.kernels import fourier
-from blocksar.kernels.fourier import Axis, centred
+from blocksar.kernels.fourier import Axis
 from blocksar.kernels.interpolation import taps_needed
 from blocksar.planning.binding import AzimuthPart, Slab
 from blocksar.planning.block_lines import TracedTargets
@@ -34,7 +34,6 @@ from blocksar.planning.target_lines import Sector
 
 # Oversampling of a focused block: twelve taps in range and eight in Doppler then err by less than IMAGE_TAP_ERROR.
 RANGE_ROOM = 1.42
-MOST_PERIODS = 3  # rows: a narrow range window, and as much on either side, into which the interpolation reaches
 LEAST_SPREAD = 0.08  # of the band: turns that move range frequencies by less need no room of their own
 
 
@@ -62,10 +61,7 @@ def plan_rows(spots: Focus, range_frequency: Axis, turns: FloatArray, tap_error:
     occupancy, step = filled / period, SPEED_OF_LIGHT / (2 * range_frequency.step * period)
     reach = (taps_needed(occupancy, error=tap_error) / 2 + 2) * step
     nearest, farthest = float(spots.range.min()) - reach, float(spots.range.max()) + reach
-    size = int(np.ceil((farthest - nearest) / step)) + 1
-    if size <= MOST_PERIODS * period:
-        return Axis(nearest, step, size), occupancy
-    return centred((nearest + farthest) / 2, step, MOST_PERIODS * period), occupancy
+    return Axis(nearest, step, int(np.ceil((farthest - nearest) / step)) + 1), occupancy
 
 
 def range_scale(collection: Collection, range_frequency: Axis, period: int, taper: Taper) -> float:
@@ -189,10 +185,9 @@ def _held_time(lines: TracedTargets, time: Axis) -> float:
     steps in Doppler wrap no noise from its other end to there.
     """
     (first, last), geometry = lines.uncut, lines.geometry
-    longest = float((last - first).max())
-    held = LEAST_ROOM * (longest if geometry.collection.steered else 0.0)
+    held = LEAST_ROOM * float((last - first).max()) if geometry.collection.steered else 0.0
     if not geometry.beam.by_range:
         return held
     start, end = (moment - geometry.epoch for moment in aperture(geometry.collection))
-    overhang = min(max(float((start - first).max()), float((last - end).max())), longest)
+    overhang = min(max(float((start - first).max()), float((last - end).max())), float((last - first).max()))
     return max(held, time.extent + overhang) if overhang > 0 else held

@@ -26,14 +26,14 @@ from numpy.polynomial import chebyshev
 
 from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray
-from blocksar.collection.weighting import FLAT, Taper
+from blocksar.collection.weighting import FLAT, NODES, Taper
 from blocksar.focusing.dwell_gate import DwellGate, DwellTaper, HalfDwell
 from blocksar.focusing.lines import Focus, RowPolynomial
 from blocksar.focusing.step import Sampling
 from blocksar.kernels import fourier
 from blocksar.kernels.fourier import Axis
 from blocksar.planning.binding import AzimuthPart
-from blocksar.planning.block_lines import GATE_RANGES, TracedTargets, lit_beside, trace_targets
+from blocksar.planning.block_lines import MORE_RANGES, TracedTargets, lit_beside, trace_targets
 from blocksar.planning.dwell_ends import end_smear
 from blocksar.planning.dwell_weights import beam_moves
 from blocksar.planning.relief import FINE_DEGREE
@@ -43,8 +43,6 @@ from blocksar.planning.target_lines import Sector
 # wrap into it.
 GATE_ROOM = 1.62
 GATE_DEGREES = 4, 5  # of the ends of dwells in range and in Doppler
-BAND_NODES = 32  # of a mean over the band
-LEAST_SPREAD = 0.02  # of the longest dwell: where the middles of dwells differ by less, no gate separates them
 
 
 def plan_dwell_gate(sector: Sector, azimuth: AzimuthPart, sampling: Sampling, lines: TracedTargets) -> DwellGate | None:
@@ -53,22 +51,19 @@ def plan_dwell_gate(sector: Sector, azimuth: AzimuthPart, sampling: Sampling, li
     On a terrain it follows dwells on the finer smooth part of that, at more ranges, if they depend on height.
 
     Dwells that the ends of the collection cut are gated as if they continued: nothing lies beyond. None where all is
-    lit all the time, and where all targets dwell at the same time: a gate could not separate them. Without a gate the
-    sum over time is that over the pulses, however the steps in Doppler smear the collection's ends.
+    lit all the time: the sum over time is then that over the pulses, however steps in Doppler smear the collection's
+    ends.
     """
     collection, weighed = sector.geometry.collection, not sector.taper.uniform
     if not beam_moves(collection):
         return None
     if sector.relief is not None and sector.gates_by_height:
         fine = sector.geometry.over(None, sector.relief.fine)
-        lines = trace_targets(sector, azimuth, sector.ground_range.nodes(GATE_RANGES), lines.yaw, ground=fine)
+        lines = trace_targets(sector, azimuth, sector.ground_range.nodes(MORE_RANGES), lines.yaw, ground=fine)
     spots, (begins, ends) = lines.spots, lines.uncut_ends
-    lengths = ends - begins
-    if np.ptp((begins + ends) / 2) < LEAST_SPREAD * lengths.max() and not weighed:  # a taper needs its windows anyway
-        return None
 
     # Both ends and the lengths of halves along Doppler; phases that move the ends, and all dwells, to t = 0.
-    length, followed = float(lengths.mean()), lit_beside(sector, azimuth, lines)
+    length, followed = float((ends - begins).mean()), lit_beside(sector, azimuth, lines)
     fit = RowFit.over(sampling.rows, followed.spots)
     begins, ends = followed.uncut_ends
     values = [begins + length / 2, ends - length / 2, *(_halves(sector, followed) if weighed else ())]
@@ -239,7 +234,7 @@ def end_lift(blur: float, spread: float, band: Taper = FLAT) -> float:
     """`DwellGate.lift`: the height h of the triangle, for ends at +-`spread`, s, over a band with a weighting."""
     if not spread:
         return 0.0
-    nodes, weights = solvers.gauss_legendre(BAND_NODES)
+    nodes, weights = solvers.gauss_legendre(NODES)
     shares = weights * band(nodes)
     squared = spread**2 * float((shares * nodes**2).sum() / shares.sum())
     return (blur**2 + squared) / (4 * blur) / (2 * blur - squared / (8 * blur))

@@ -60,7 +60,7 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line
 from blocksar.planning.block_lines import TracedTargets
-from blocksar.planning.dwell_ends import BAND_NODES, band_nodes, blurred_energy, end_smear, lift_energy, lit_energy
+from blocksar.planning.dwell_ends import band_nodes, blurred_energy, end_smear, lift_energy, lit_energy
 from blocksar.planning.dwell_weights import DwellWeights
 from blocksar.planning.steadiness import scans_evenly
 
@@ -232,8 +232,7 @@ class ImageEdges(NamedTuple):
         return np.where(self.before | self.behind, inner + self.share * (lost - inner), lost)
 
 
-ONE_SIDE = 0.5  # of the energy of both ends of a dwell that are displaced to the same side
-MIGRATION_NODES = 12  # of that over the phase by range migration, under a weighting
+MIGRATION_NODES = 12  # of the mean over the phase by range migration, under a weighting
 CHIPS = 1.6  # what the worst chips of an image lose at whole ends, over the mean: 1.1 to 1.6 measured
 
 
@@ -285,7 +284,7 @@ def _gated(targets: TracedTargets, gate: DwellGate, *, reached: BoolArray | None
     lost = _between_ends(targets, gate, by_lit=by_lit, band=band)
     lost *= line.weight.sum(axis=-1)
     if whole and not by_lit:
-        lost *= ONE_SIDE
+        lost /= 2  # of two ends that are displaced to the same side, one
     lost += slope_loss(collection, band) * (line.weight * np.square(weights.change)).sum(axis=-1)
     lost /= line.weighed(weights.nodes**2).weight.sum(axis=-1)
     fitting = scans_evenly(collection) and reached is None
@@ -326,7 +325,7 @@ def _between_ends(targets: TracedTargets, gate: DwellGate, *, by_lit: bool, band
         if by_lit:
             total = lit_energy(
                 left, displaced, spread, blur=gate.blur, pulse_interval=collection.pulse_interval,
-                lit_band=weights.lit_band, band=band_nodes(band, BAND_NODES), gain=weights.gains(side),
+                lit_band=weights.lit_band, band=band_nodes(band), gain=weights.gains(side),
             )  # fmt: skip
             total = (total + lift_energy(gate.blur, gate.lift)) * CHIPS * weights.end**2 * weights.level(side)
         else:
@@ -338,7 +337,7 @@ def _between_ends(targets: TracedTargets, gate: DwellGate, *, by_lit: bool, band
 
 def slope_loss(collection: Collection, band: Taper) -> float:
     """Loss by a change of weights whose square is that of the weights, per relative range frequency."""
-    nodes, shares = band_nodes(band, BAND_NODES)
+    nodes, shares = band_nodes(band)
     return float((shares * nodes**2).sum() * (collection.bandwidth / 2 / collection.carrier) ** 2 / 2)
 
 

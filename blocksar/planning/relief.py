@@ -20,7 +20,6 @@ SMOOTH_DEGREE = 2, 2  # of the smooth ground, along range and yaw, on which coef
 FINE_DEGREE = 16, 8  # of the finer one, which the dwell gate follows: a block is longer along range
 CELLS, FINE_CELLS = (24, 48), (64, 48)  # of a block along range and yaw, whose mean heights these are fitted to
 UNKNOWN_WEIGHT, FIT_DAMPING = 0.3, 1e-9  # of cells without heights, held level
-FINE_ENDS = 1.0  # half extents from its middle at which the finer one ends: series of high degrees go astray beyond
 BINS, ABOUT = 160, 0.05  # along each side of a block, and half extents of it about a node: those of a chip or two
 FEWEST_POINTS, MOST_POINTS = 129, 1 << 20  # of a terrain that are looked at: along an axis, and in all
 ROOM = 0.02  # of the relief, that heights may go beyond on either side
@@ -173,7 +172,7 @@ def find_relief(samples: ReliefPoints, geometry: Geometry, *, low: float, high: 
     series = _fit(_cell_means(u, v, z, level, CELLS))
     smooth = SmoothGround(surface=Surface(series=series, along=along, low=low, high=high), depth=depth)
     series = _fit_finely(_cell_means(u, v, z, level, FINE_CELLS))
-    fine = SmoothGround(surface=Surface(series=series, along=along, low=low, high=high), depth=depth, ends=FINE_ENDS)
+    fine = SmoothGround(surface=Surface(series=series, along=along, low=low, high=high), depth=depth)
     at = samples.epoch_range[inside], (low + high) / 2 + turn[inside]
     over = z - smooth(*at) if z.size else np.zeros(1)
     room = ROOM * float(np.ptp(over)) + LEAST_RELIEF
