@@ -23,7 +23,7 @@ from blocksar.constants import MIB
 from blocksar.errors import InputError
 from blocksar.graph.machine import Resources
 from blocksar.planning import effort
-from blocksar.planning.planner import beam_stays
+from blocksar.planning.steadiness import beam_stays
 from blocksar.processors.base import ImagePlan
 from blocksar.processors.chain_tables import digits
 from blocksar.processors.sentences import time_line

@@ -16,7 +16,7 @@ from blocksar.collection.weighting import Taper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Focus, Line, RowPolynomial, focus
 from blocksar.focusing.pattern_sums import ElevationMeans, mean_elevations
-from blocksar.focusing.surfaces import GroundRange, Surface, fit_surface, sum_layers
+from blocksar.focusing.surfaces import Surface, sum_layers
 from blocksar.kernels.fourier import Axis
 
 BEYOND = 1.2  # half extents of its domain from its middle, at which a smooth ground ends
@@ -49,17 +49,16 @@ class Depth:
 class SmoothGround:
     """A smooth ground that stands for a block's terrain: height, m, over ground range and yaw, and an offset, m.
 
-    It goes on level beyond `ends`, half extents of its domain from its middle, and is nowhere deeper than points are.
+    It goes on level beyond BEYOND, and is nowhere deeper than points are.
     """
 
     surface: Surface
     depth: Depth
     offset: float = 0.0
-    ends: float = BEYOND
 
     def __call__(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
         places = self.surface.along.place(epoch_range), self.surface.across(yaw)
-        height = self.surface.at(*(np.clip(place, -self.ends, self.ends) for place in places)) + self.offset
+        height = self.surface.at(*(np.clip(place, -BEYOND, BEYOND) for place in places)) + self.offset
         return np.maximum(height, self.depth(epoch_range, yaw))
 
 
@@ -379,23 +378,3 @@ def tile_extent(geometry: Geometry, low: float, high: float, near: float, far: f
 def by_range(geometry: Geometry) -> bool:
     """Whether the sum over lit pulses depends on range."""
     return geometry.beam.by_range or geometry.collection.beam_pattern is not None
-
-
-def surfaces(
-    focus: Focus, *, time: FloatArray, along: GroundRange, epoch_range: FloatArray, yaw: FloatArray, origin: float,
-    carrier: float, degree: tuple[int, int],
-) -> tuple[Surface, Surface, Surface, Surface, Surface]:  # fmt: skip
-    """Range offset, Doppler, phase, gain and time over the ground from lines at the nodes `along` it, and their focus.
-
-    `time` (n_range, n_yaw), s, is that about which responses are interpolated along Doppler.
-    """
-    offset = (epoch_range - origin)[:, None]
-    carrier_cycles = -2 * carrier / SPEED_OF_LIGHT * offset
-    grid = {"along": along, "yaw": yaw, "degree": degree}
-    return (
-        fit_surface(focus.range - offset, **grid),  # type: ignore[arg-type]
-        fit_surface(focus.doppler, **grid),  # type: ignore[arg-type]
-        fit_surface(focus.phase - carrier_cycles, **grid),  # type: ignore[arg-type]
-        fit_surface(focus.gain, **grid),  # type: ignore[arg-type]
-        fit_surface(time, **grid),  # type: ignore[arg-type]
-    )

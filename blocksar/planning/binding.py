@@ -123,10 +123,8 @@ def plan_motion(
     )
 
 
-TIME_ORDERS = (3, 4)
-DOPPLER_ORDERS = (2, 3, 4, 5)
-RESAMPLING_ORDERS = (2, 3, 4)
-DERAMP_ORDERS = (2, 3, 4)
+ORDERS = (2, 3, 4)  # of a Doppler resampling and a deramp; without 2, the bias, of a time perturbation
+DOPPLER_ORDERS = (*ORDERS, ORDERS[-1] + 1)  # of a frequency perturbation
 SERIES_DEGREE = 6  # of the series of each coefficient in range
 # A fit stops when a step lowers the cost by less than the fraction ENOUGH, or after MOST_STEPS steps. Order 2 in
 # Doppler and the deramp nearly cancel, which makes a long valley; its beginning suffices to choose a kind of chain.
@@ -153,7 +151,7 @@ class ChainKind:
 
     bias: float
     perturb_time: bool
-    resampling: int = len(RESAMPLING_ORDERS)
+    resampling: int = len(ORDERS)
 
 
 def candidates(line: Line, *, wavelength: float, freedom: FittedSteps) -> list[ChainKind]:
@@ -270,10 +268,10 @@ class _Unknowns(NamedTuple):
     @classmethod
     def of(cls, candidate: ChainKind, freedom: FittedSteps) -> _Unknowns:
         return cls(
-            TIME_ORDERS if candidate.perturb_time else (),
+            ORDERS[1:] if candidate.perturb_time else (),
             DOPPLER_ORDERS if freedom.doppler else (),
-            RESAMPLING_ORDERS[: candidate.resampling] if freedom.resampling else (),
-            DERAMP_ORDERS,
+            ORDERS[: candidate.resampling] if freedom.resampling else (),
+            ORDERS,
         )
 
     @property
@@ -447,8 +445,9 @@ class AzimuthPart:
 
     def weighed(self, in_time: AxisTaper) -> AzimuthPart:
         """Copy of the steps under another taper over the pulses."""
-        steps = tuple(s.weighed(in_time) for s in self.range_part.steps)
-        return replace(self, range_part=replace(self.range_part, steps=steps))
+        part = self.range_part
+        steps, constants = tuple(s.weighed(in_time) for s in part.steps), replace(part.constants, in_time=in_time)
+        return replace(self, range_part=replace(part, steps=steps, constants=constants))
 
     def sampled(self, sampling: Sampling) -> tuple[Step, ...]:
         """The whole chain, ready to be applied."""

@@ -8,26 +8,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial import chebyshev
 
 from blocksar import solvers
-from blocksar.arrays import FloatArray
+from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.weighting import AxisTaper
 from blocksar.focusing.ground_map import tile_extent
 from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line, focus
 from blocksar.planning.binding import AzimuthPart
-from blocksar.planning.dwell_ends import DwellEnds, band_moves, full_dwells
-from blocksar.planning.dwell_weights import DwellWeights, beam_moves, level_aperture, levelled
-from blocksar.planning.sector import Sector
+from blocksar.planning.dwell_ends import Moments, band_moves, dwell_ends, full_dwells
+from blocksar.planning.dwell_weights import DwellWeights, dwell_weights, level_aperture, levelled
 from blocksar.planning.steadiness import scans_evenly
-from blocksar.planning.target_lines import Dwells, TracedTargets
-
-RANGE_STEPS = 3  # of the iteration that finds the targets of an apparent range
-MOST_BEYOND = 1.05  # half swaths from its middle at which the series of that iteration is trusted
+from blocksar.planning.target_lines import Dwells, Sector
 
 
 def nodes_between(low: float, high: float, count: int) -> FloatArray:
@@ -49,15 +45,10 @@ def common_ranges(
     ranges : (n_range,) m from the origin, ascending
     epoch_range : (n_range, n_yaw) m
     """
-    apparent = line.range.mean(axis=-1)
+    apparent = line.range.mean(axis=-1)  # (n_range, n_yaw)
     ranges = nodes_between(float(apparent.min()), float(apparent.max()), nodes.size)
-    # How far ranges move, as a series over the nodes; targets beyond the nodes need one step with their own lines.
-    moved = solvers.node_series(apparent - (nodes[:, None] - origin), nodes.size - 1)
-    epoch_range = origin + ranges[:, None] - moved[0]
-    for _ in range(RANGE_STEPS):
-        u = np.clip((2 * epoch_range - nodes[0] - nodes[-1]) / (nodes[-1] - nodes[0]), -MOST_BEYOND, MOST_BEYOND)
-        epoch_range = origin + ranges[:, None] - chebyshev.chebval(u, moved[:, None], tensor=False)
-        epoch_range = np.maximum(epoch_range, least)
+    # Between the nodes of each yaw; then a step with the targets' own lines, for those beyond the nodes.
+    epoch_range = np.stack([np.interp(ranges, column, nodes) for column in apparent.T], axis=1)
     epoch_range = epoch_range + ranges[:, None] - trace(epoch_range).range.mean(axis=-1)
     return ranges, np.maximum(epoch_range, least)
 
@@ -67,7 +58,6 @@ FINE_NODES, MORE_RANGES = (13, 33), 25
 YAWS_PER_INTERVAL, MOST_YAWS = 0.6, 129  # of fine lines, where a spline's intervals pass from yaw to yaw
 MOST_WIDER = 2.0  # times as many yaws, where lines go on beyond a block
 FOLDED = 1.0  # octaves of stretch, of lines that are not followed
-GATE_RANGES = 25  # of the lines that a dwell gate on a terrain follows
 
 
 class CoarseLines(NamedTuple):
@@ -85,8 +75,11 @@ class CoarseLines(NamedTuple):
         nodes, yaw = nodes_between(sector.near, sector.far, n_range), np.linspace(sector.low, sector.high, n_yaw)
         dwells = sector.dwells(yaw, coarsely=True)
         line = dwells.lines(nodes[:, None])
-        everywhere = sector.with_relief(line, lambda part: part.dwells(yaw, like=line).lines(nodes[:, None]))
-        return cls(line, everywhere, nodes, dwells)
+        if sector.relief is None:
+            return cls(line, line, nodes, dwells)
+        grounds = (sector.relief.over(sector.geometry, z) for z in (sector.relief.low, sector.relief.high))
+        ends = (replace(sector, geometry=ground).dwells(yaw, like=line) for ground in grounds)
+        return cls(line, _stacked([line, *(each.lines(nodes[:, None]) for each in ends)]), nodes, dwells)
 
     @property
     def duration(self) -> float:
@@ -94,58 +87,140 @@ class CoarseLines(NamedTuple):
         return float(self.line.weight.sum(axis=-1).max())
 
 
-class FineLines(NamedTuple):
-    """Lines (n_range, n_yaw) through the whole chain."""
+def _stacked(lines: list[Line]) -> Line:
+    """Lines (n_range, n_yaw, n) one after the other along the first axis."""
+    shape = lines[0].time.shape
+    return Line(
+        **{
+            name: np.concatenate([np.broadcast_to(getattr(line, name), shape) for line in lines])
+            for name in Line.__dataclass_fields__
+        }
+    )
 
-    lit: Line  # before all steps
-    compressed: Line  # after range compression
-    line: Line  # after all steps
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TracedTargets:
+    """Targets at epoch ranges (n_range,) and yaws (n_yaw,), traced through a whole chain.
+
+    Attributes
+    ----------
+    geometry : Geometry
+        Its ground is the one on which they lie.
+    epoch_range, yaw : (n_range,), (n_yaw,) float
+        m and rad.
+    lit, compressed, line : Line
+        (n_range, n_yaw, n), before all steps, after range compression, and after all steps.
+    spots : Focus
+        (n_range, n_yaw), where and how the lines focus.
+    weights : DwellWeights
+        At the nodes of the lines.
+    uncut : pair of (n_yaw,) or (n_range, n_yaw) float
+        Slow time at which the dwells would begin and end if the collection did not cut them, s from the epoch.
+    rate : (n_range, n_yaw, n) float
+        The lines' Doppler rate before the steps in Doppler, Hz/s.
+    scaled_about : float or None
+        Time, s from the epoch, about which a keystone scales time with range frequency; None without one.
+    moves : (n_range, n_yaw, n) float or None
+        From `dwell_ends.band_moves`, s; None with a keystone.
+    """
+
+    geometry: Geometry
+    epoch_range: FloatArray
+    yaw: FloatArray
+    lit: Line
+    compressed: Line
+    line: Line
     spots: Focus
-    epoch_range: FloatArray  # (n_range,) m, nodes of the sector's ground range
-    yaw: FloatArray  # (n_yaw,) rad
     weights: DwellWeights
-    ends: DwellEnds
-    in_time: AxisTaper | None  # over the pulses of a beam that is not steered
+    uncut: Moments
+    rate: FloatArray
+    scaled_about: float | None
+    moves: FloatArray | None
 
-    def targets(self, geometry: Geometry) -> TracedTargets:
-        """Their targets on the ground of a geometry, as the chain leaves them."""
-        return TracedTargets(
-            geometry=geometry, epoch_range=self.epoch_range, yaw=self.yaw, line=self.line, spots=self.spots,
-            weights=self.weights, uncut=self.ends.uncut, rate=self.ends.rate, scaled_about=self.ends.scaled_about,
-            moves=self.ends.moves,
-        )  # fmt: skip
+    @cached_property
+    def full(self) -> BoolArray:
+        """Mask (n_range, n_yaw) of those that are lit over a full dwell: see `full_dwells`."""
+        return full_dwells(self.line, self.geometry, self.epoch_range[:, None], self.yaw)
+
+    @cached_property
+    def passes(self) -> Moments:
+        """Pulse times at which they are first and last lit, (n_yaw,) or (n_range, n_yaw) s."""
+        return self.geometry.beam.dwell_at(self.yaw, self.epoch_range[:, None])
+
+    @cached_property
+    def cut(self) -> BoolArray:
+        """Whether an end of the collection cuts the begin and the end of dwells, (n_yaw, 2) or (n_range, n_yaw, 2)."""
+        collection = self.geometry.collection
+        return np.asarray(np.abs(np.stack(self.passes, axis=-1) - collection.time[[0, -1]]) < collection.pulse_interval)
+
+    @cached_property
+    def ends(self) -> Moments:
+        """Times at which the dwells begin and end after all steps, (n_range, n_yaw) s."""
+        return dwell_ends(self.line)
+
+    @cached_property
+    def uncut_ends(self) -> Moments:
+        """`ends`, as if the collection did not cut them."""
+        (first, last), (begin, end), stretch = dwell_ends(self.lit), self.ends, self.line.stretch
+        return begin - (first - self.uncut[0]) * stretch[..., 0], end + (self.uncut[1] - last) * stretch[..., -1]
+
+    def after(self, moment: FloatArray) -> FloatArray:
+        """Times (n_range, n_yaw) after all steps of a moment of the targets, s: beyond their dwells straight."""
+        first, last = dwell_ends(self.lit)
+        n, stretch = self.line.time.shape[-1], self.line.stretch
+        u = (2 * np.clip(moment, first, last) - first - last) / (last - first)
+        series = solvers.product(self.line.time, solvers.legendre_series(n, n - 1).T)
+        time = np.asarray(np.polynomial.legendre.legval(u, np.moveaxis(series, -1, 0), tensor=False))
+        before, beyond = np.minimum(moment - first, 0.0), np.maximum(moment - last, 0.0)
+        return np.asarray(time + before * stretch[..., 0] + beyond * stretch[..., -1])
+
+    def moved(self, end: int) -> FloatArray:
+        """Time by which relative range frequency moves the begin (0) or the end (-1) of dwells, s."""
+        if self.moves is not None:
+            return self.moves[..., end]
+        if self.scaled_about is None:
+            return np.zeros(self.yaw.shape)
+        return np.asarray(self.passes[end] - self.geometry.epoch - self.scaled_about)
 
 
-class _Traced(NamedTuple):
-    """Lines of targets along a chain."""
+def trace_targets(
+    sector: Sector, azimuth: AzimuthPart, epoch_range: FloatArray, yaw: FloatArray, *, ground: Geometry | None = None
+) -> TracedTargets:
+    """Trace targets at epoch ranges (n_range,), m, and yaws (n_yaw,), rad.
 
-    lit: Line  # before all steps
-    compressed: Line  # after range compression
-    biased: Line  # before the transform to Doppler
-    line: Line  # after all steps
-
-
-def _trace(
-    sector: Sector, azimuth: AzimuthPart, epoch_range: FloatArray, yaw: FloatArray, *, like: Line | None = None
-) -> _Traced:
-    lit = sector.dwells(yaw, like=like).lines(epoch_range[:, None])
-    compressed = azimuth.range_part.trace(lit)
+    With another `ground`, the lines are those of targets on that, and what weighs them is of the sector's.
+    """
+    geometry, part = sector.geometry, azimuth.range_part
+    lit = replace(sector, geometry=ground or geometry).dwells(yaw).lines(epoch_range[:, None])
+    compressed = part.trace(lit)
     biased, _, line = azimuth.trace(compressed)
-    return _Traced(lit, compressed, biased, line)
+    first, last = geometry.beam.dwell_at(yaw, epoch_range[:, None], uncut=True)
+    uncut, about = (first - geometry.epoch, last - geometry.epoch), part.scales_time_about
+    moves = band_moves(biased, biased.rate) if part.compression.in_doppler else None
+    weights = dwell_weights(
+        geometry, sector.taper, lit, uncut=uncut, epoch_range=epoch_range, yaw=yaw,
+        lit_band=sector.lit_band(lit, uncut), moves=moves if about is None else lit.time - about,
+    )  # fmt: skip
+    line = line if part.constants.in_time is None else levelled(line, part.constants.in_time)
+    return TracedTargets(
+        geometry=geometry, epoch_range=epoch_range, yaw=yaw, lit=lit, compressed=compressed, line=line,
+        spots=focus(weights.weigh_chain(line)), weights=weights, uncut=uncut, rate=biased.rate, scaled_about=about,
+        moves=moves,
+    )  # fmt: skip
 
 
-def trace_finely(
-    sector: Sector, azimuth: AzimuthPart, *, n_range: int = FINE_NODES[0]
-) -> tuple[AzimuthPart, FineLines]:
-    """The fine lines of a sector, and the steps; without steering under the taper that levels the aperture."""
-    rng = sector.ground_range.nodes(n_range)
+def trace_finely(sector: Sector, azimuth: AzimuthPart, *, n_range: int = FINE_NODES[0]) -> TracedTargets:
+    """Trace the targets of a sector as densely as its dwell gate, ground map and prediction need."""
     yaw = nodes_between(sector.low, sector.high, _fine_yaws(sector))
-    traced = _trace(sector, azimuth, rng, yaw)
+    return trace_targets(sector, azimuth, sector.ground_range.nodes(n_range), yaw)
+
+
+def with_level_aperture(sector: Sector, azimuth: AzimuthPart) -> AzimuthPart:
+    """The steps under a taper over the pulses that levels the aperture; as they are under a beam that is steered."""
     in_time = azimuth.range_part.constants.in_time
-    if in_time is not None:
-        in_time, line = level_aperture(traced.line, in_time)
-        azimuth, traced = azimuth.weighed(in_time), traced._replace(line=line)
-    return azimuth, _with_ends(sector, azimuth, traced, rng, yaw, in_time)
+    if in_time is None:
+        return azimuth
+    return azimuth.weighed(level_aperture(trace_finely(sector, azimuth).line, in_time))
 
 
 def _fine_yaws(sector: Sector) -> int:
@@ -158,7 +233,7 @@ def _fine_yaws(sector: Sector) -> int:
     return max(FINE_NODES[1], math.ceil(min(YAWS_PER_INTERVAL * passed, MOST_YAWS)))
 
 
-def under_tiles(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> FineLines:
+def under_tiles(sector: Sector, azimuth: AzimuthPart, lines: TracedTargets) -> TracedTargets:
     """The lines as far beyond the block as its tiles of pixels reach, where a track wobbles; as they are elsewhere.
 
     Tiles at its edge take what the map knows beyond it. Series of few terms can be asked there, but not those that
@@ -171,8 +246,8 @@ def under_tiles(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> FineL
     return _trace_wider(sector, azimuth, lines, sector.low - beyond, sector.high + beyond)
 
 
-def lit_beside(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> FineLines | None:
-    """The lines and those of all that is lit beside the block; None where its own are enough.
+def lit_beside(sector: Sector, azimuth: AzimuthPart, lines: TracedTargets) -> TracedTargets:
+    """The lines and those of all that is lit beside the block; the lines where they are enough.
 
     A pixel also sums what its pulses have of other targets, gated as is right for the Doppler at which those focus.
     Windows with sharp ends make that count as far as the beam reaches, beyond the seams too. Ends of a beam that scans
@@ -180,8 +255,8 @@ def lit_beside(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> FineLi
     steps are not made for them.
     """
     collection, region = sector.geometry.collection, sector.region
-    if sector.gates_by_height or not beam_moves(collection) or scans_evenly(collection):
-        return None
+    if sector.gates_by_height or scans_evenly(collection):
+        return lines
     reach, middle = collection.beam_width or 0.0, (sector.near + sector.far) / 2
     if collection.has_axis:
         reach *= middle / float(sector.ground_range.on_ground(np.array(middle)))
@@ -197,50 +272,20 @@ def lit_beside(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> FineLi
     return _trace_wider(sector, azimuth, lines, *ends)
 
 
-def _trace_wider(sector: Sector, azimuth: AzimuthPart, lines: FineLines, low: float, high: float) -> FineLines:
+def _trace_wider(sector: Sector, azimuth: AzimuthPart, lines: TracedTargets, low: float, high: float) -> TracedTargets:
     """Lines at the ranges of others, and at yaws from low to high, about as dense, rad."""
-    rng, wider = lines.epoch_range, (high - low) / (sector.high - sector.low)
+    wider = (high - low) / (sector.high - sector.low)
     yaw = nodes_between(low, high, math.ceil(min(wider, MOST_WIDER) * lines.yaw.size))
-    traced = _levelled(_trace(sector, azimuth, rng, yaw), lines.in_time)
-    return _with_ends(sector, azimuth, traced, rng, yaw, lines.in_time)
+    return trace_targets(sector, azimuth, lines.epoch_range, yaw)
 
 
-def follow_terrain(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> FineLines:
-    """The lines of targets on the finer smooth part of a terrain, which the dwell gate follows, at more ranges."""
-    rng, yaw = sector.ground_range.nodes(GATE_RANGES), lines.yaw
-    traced = _levelled(_trace(sector.refined(), azimuth, rng, yaw), lines.in_time)
-    return _with_ends(sector, azimuth, traced, rng, yaw, lines.in_time)
-
-
-def retrace(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> tuple[Line, FloatArray]:
-    """Lines after all steps of the targets at the same ranges and yaws of another ground, and `DwellEnds.rate`.
+def retrace(sector: Sector, azimuth: AzimuthPart, lines: TracedTargets, ground: Geometry) -> TracedTargets:
+    """The targets at the same ranges and yaws of another ground, with the dwells and weights of the lines.
 
     With as many nodes, for the weights of their dwells are those of the lines: the longest dwell depends on the ground.
     """
-    traced = _levelled(_trace(sector, azimuth, lines.epoch_range, lines.yaw, like=lines.lit), lines.in_time)
-    return traced.line, traced.biased.rate
-
-
-def _levelled(traced: _Traced, in_time: AxisTaper | None) -> _Traced:
-    return traced if in_time is None else traced._replace(line=levelled(traced.line, in_time))
-
-
-def _with_ends(
-    sector: Sector, azimuth: AzimuthPart, traced: _Traced, rng: FloatArray, yaw: FloatArray, in_time: AxisTaper | None
-) -> FineLines:
-    """Traced lines with the ends and weights of their dwells, and their focus."""
-    geometry, about = sector.geometry, azimuth.range_part.scales_time_about
-    first, last = geometry.beam.dwell_at(yaw, rng[:, None], uncut=True)
-    in_doppler = azimuth.range_part.compression.in_doppler
-    ends = DwellEnds(
-        rate=traced.biased.rate,
-        uncut=(first - geometry.epoch, last - geometry.epoch),
-        scaled_about=about,
-        moves=band_moves(traced.biased, traced.biased.rate) if in_doppler else None,
-        full=full_dwells(traced.line, geometry, rng[:, None], yaw),
-        passing=sector.passing(rng[:, None], yaw),
-    )
-    moves = ends.moves if about is None else traced.lit.time - about
-    weights = sector.weights(traced.lit, uncut=ends.uncut, epoch_range=rng, yaw=yaw, moves=moves)
-    spots = focus(weights.weigh_chain(traced.line))
-    return FineLines(traced.lit, traced.compressed, traced.line, spots, rng, yaw, weights, ends, in_time)
+    lit = replace(sector, geometry=ground).dwells(lines.yaw, like=lines.lit).lines(lines.epoch_range[:, None])
+    biased, _, line = azimuth.trace(azimuth.range_part.trace(lit))
+    in_time = azimuth.range_part.constants.in_time
+    line = line if in_time is None else levelled(line, in_time)
+    return replace(lines, geometry=ground, line=line, spots=focus(lines.weights.weigh_chain(line)), rate=biased.rate)

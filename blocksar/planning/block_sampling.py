@@ -24,17 +24,16 @@ from blocksar.focusing.lines import Focus, Line, focus
 from blocksar.focusing.recovery import Recovery
 from blocksar.focusing.step import Sampling
 from blocksar.kernels import fourier
-from blocksar.kernels.fourier import Axis, centred
+from blocksar.kernels.fourier import Axis
 from blocksar.kernels.interpolation import taps_needed
 from blocksar.planning.binding import AzimuthPart, Slab
-from blocksar.planning.block_lines import FineLines
-from blocksar.planning.dwell_ends import GUARD, DwellEnds, smear_room
+from blocksar.planning.block_lines import TracedTargets
+from blocksar.planning.dwell_ends import GUARD, smear_room
 from blocksar.planning.dwell_weights import beam_moves
-from blocksar.planning.sector import Sector
+from blocksar.planning.target_lines import Sector
 
 # Oversampling of a focused block: twelve taps in range and eight in Doppler then err by less than IMAGE_TAP_ERROR.
 RANGE_ROOM = 1.42
-MOST_PERIODS = 3  # rows: a narrow range window, and as much on either side, into which the interpolation reaches
 LEAST_SPREAD = 0.08  # of the band: turns that move range frequencies by less need no room of their own
 
 
@@ -62,10 +61,7 @@ def plan_rows(spots: Focus, range_frequency: Axis, turns: FloatArray, tap_error:
     occupancy, step = filled / period, SPEED_OF_LIGHT / (2 * range_frequency.step * period)
     reach = (taps_needed(occupancy, error=tap_error) / 2 + 2) * step
     nearest, farthest = float(spots.range.min()) - reach, float(spots.range.max()) + reach
-    size = int(np.ceil((farthest - nearest) / step)) + 1
-    if size <= MOST_PERIODS * period:
-        return Axis(nearest, step, size), occupancy
-    return centred((nearest + farthest) / 2, step, MOST_PERIODS * period), occupancy
+    return Axis(nearest, step, int(np.ceil((farthest - nearest) / step)) + 1), occupancy
 
 
 def range_scale(collection: Collection, range_frequency: Axis, period: int, taper: Taper) -> float:
@@ -98,7 +94,7 @@ def plan_sampling(
     slab: Slab,
     azimuth: AzimuthPart,
     straight: Line,
-    lines: FineLines,
+    lines: TracedTargets,
     *,
     range_frequency: Axis,
     duration: float,
@@ -109,7 +105,7 @@ def plan_sampling(
     ----------
     straight : Line
         Coarse lines after range compression.
-    lines : FineLines
+    lines : TracedTargets
         What is asked of the time after the gate, and of the rows.
     range_frequency : Axis
         Of the block's samples.
@@ -131,7 +127,7 @@ def plan_sampling(
     begin = min(float(focused.time.min()) - guard, time.start)
     end = max(float(focused.time.max()) + guard, time.start + time.extent)
     roomy = azimuth.range_part.freedom.resampling or not gated
-    held = _held_time(sector, lines.ends, time)
+    held = _held_time(lines, time)
     padded = (ROOM if roomy else 1.0) * time.size
     n_padded = fourier.fast_length(max((end - begin) / time.step, padded, held / time.step))
     beyond = 0.0 if gated else n_padded * time.step - (end - begin)
@@ -182,18 +178,16 @@ def _plan_time(recovery: Recovery, slab: Slab, straight: Line, *, bandwidth: flo
     return Axis(recovery.time.start + first * step, step, n_time)
 
 
-def _held_time(sector: Sector, ends: DwellEnds, time: Axis) -> float:
-    """The time that the dwell gate has to hold, s."""
-    held = LEAST_ROOM * (ends.longest if sector.geometry.collection.steered else 0.0)
-    if sector.keeps_rims and (overhang := _overhang(sector, ends)):
-        # Gates stay open beyond the collection: steps in Doppler wrap no noise from its other end to there.
-        held = max(held, time.extent + overhang)
-    return held
+def _held_time(lines: TracedTargets, time: Axis) -> float:
+    """The time that the dwell gate has to hold, s.
 
-
-def _overhang(sector: Sector, ends: DwellEnds) -> float:
-    """The most by which the ends of the collection cut dwells, s."""
-    (start, end), epoch = aperture(sector.geometry.collection), sector.geometry.epoch
-    first, last = ends.uncut
-    cut = max(float((start - epoch - first).max()), float((last + epoch - end).max()))
-    return min(max(cut, 0.0), float((last - first).max()))
+    Under a beam about its axis cut dwells are a large part of an image. Gates stay open beyond the collection then:
+    steps in Doppler wrap no noise from its other end to there.
+    """
+    (first, last), geometry = lines.uncut, lines.geometry
+    held = LEAST_ROOM * float((last - first).max()) if geometry.collection.steered else 0.0
+    if not geometry.beam.by_range:
+        return held
+    start, end = (moment - geometry.epoch for moment in aperture(geometry.collection))
+    overhang = min(max(float((start - first).max()), float((last - end).max())), float((last - first).max()))
+    return max(held, time.extent + overhang) if overhang > 0 else held

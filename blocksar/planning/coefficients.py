@@ -75,10 +75,9 @@ from blocksar.collection.range_series import YAW_NODES, yaw_series
 from blocksar.focusing.lines import AzimuthPolynomials, Line, RowPolynomial, focus, row_polynomial
 from blocksar.focusing.method import Method, RangeModel
 from blocksar.planning import binding
-from blocksar.planning.binding import RESAMPLING_ORDERS, SERIES_DEGREE, AzimuthPart, ChainKind, FittedSteps, RangePart
-from blocksar.planning.dwell_ends import full_dwells, smear_room
+from blocksar.planning.binding import ORDERS, SERIES_DEGREE, AzimuthPart, ChainKind, FittedSteps, RangePart
+from blocksar.planning.dwell_ends import full_dwells, smear_loss, smear_room
 from blocksar.planning.dwell_weights import beam_moves
-from blocksar.planning.prediction import smear_loss
 
 STEEPEST = 0.5  # times r0: the largest change of a line's slope by the time perturbation, anywhere along its dwell
 
@@ -296,7 +295,7 @@ def choose(
     shift: float,
     fidelity: float,
     neighbour: Choice | None,
-    resampling: int = len(RESAMPLING_ORDERS),
+    resampling: int = len(ORDERS),
 ) -> tuple[AzimuthPolynomials, Choice]:
     """Coefficients by the method: in closed form, or of the cheapest fitted chain whose lines end level and unfolded.
 

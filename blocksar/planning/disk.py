@@ -17,9 +17,7 @@ from blocksar.focusing.ground_map import GroundMap
 from blocksar.planning.plan import Plan
 from blocksar.planning.tiling import image_chunk, touched_chunks
 
-LEVEL_SAMPLE = 4  # bytes of a cell of a pyramid, float32, which hardly compress
-LAYER_SAMPLE = 4  # bytes of a height or an angle, float32, which hardly compress; visibility does
-NOISE_SAMPLE = 1  # bytes at most of the noise of a pixel, which is smooth: float32 of few bits, compressed
+CELL = 4  # bytes of a cell of a pyramid, a height or an angle: float32, which hardly compress; visibility does
 POINTS = 40_000  # at about so many points of the grid, ownership is asked
 SPECTRA = ("spectrum", "gated")  # what a run that discards these removes before the mosaic
 
@@ -98,10 +96,9 @@ def exact_bytes(grid: Grid, terrain: Terrain | None, *, noise: bool) -> dict[str
 
 def _beside(terrain: Terrain | None, *, heights: int, covered: int, noise: bool) -> dict[str, int]:
     """Bytes of what lies beside an image: the terrain's samples and the layers of pixels on it, and the noise."""
-    layers = (
-        {} if terrain is None else {"terrain": terrain.heights.nbytes, "layers": LAYER_SAMPLE * (heights + covered)}
-    )
-    return {**layers, **({"noise": NOISE_SAMPLE * covered} if noise else {})}
+    layers = {} if terrain is None else {"terrain": terrain.heights.nbytes, "layers": CELL * (heights + covered)}
+    # The noise is smooth, float32 of few bits: a byte a pixel at most, compressed.
+    return {**layers, **({"noise": covered} if noise else {})}
 
 
 def has_pyramid(grid: Grid, asked: bool | None = None) -> bool:
@@ -122,7 +119,7 @@ def with_pyramid(stores: Mapping[str, int], grid: Grid, asked: bool | None) -> d
 
 def _pyramid(covered: int) -> dict[str, int]:
     """Bytes of the pyramid of so many covered pixels: of their number 1 / 4 + 1 / 16 + ... cells."""
-    return {"pyramid": round(LEVEL_SAMPLE * covered / 3)}
+    return {"pyramid": round(CELL * covered / 3)}
 
 
 class _Sampled(NamedTuple):

@@ -1,20 +1,18 @@
-"""Find the ends of dwells after a chain's steps: when targets are lit, when their lines are, smear, and lost energy.
+"""Ends of dwells after a chain's steps: when they are, how far they are smeared, and the energy that they lose.
 
 Steps in Doppler delay a signal, and the more the farther its Doppler is from the block's: a dwell begins and ends at
 other times after the steps of a chain than when its target was lit, and its ends are no longer sharp.
 
-WINDOWS at the ends of whole dwells are spread over the band by a keystone, and targets lose by it. A keystone scales
-time with range frequency, so that ends of dwells lie at +-`spread` at the edges of the band. Windows rise there as the
-mean of steps over +-`blur` does. At range frequencies where a target is lit beyond its window it loses, and where the
-window reaches beyond the target it gains nothing: for an end at d, |d| < b, the mean step S loses
+SMEARED ENDS. Steps in Doppler that delay by D(f) smear a sharp end of the dwell gate into a Fresnel integral of area D'
+(less the mean of the block, with which the gate is made), and displace it where the gate's fit does not meet it. The
+keystone scales time by 1 + f / fc, which displaces the ends at the band's edges. With F the smeared end and H the sharp
+one displaced by d, the weights differ by the energy
 
-    integral of 1 - S beyond d = (b - d)^2 / 4 b,    on average over the band (b^2 + mean of d^2) / 4 b,
+    integral of |F(t) - H(t - d)|^2 dt = sqrt(a) h(d / sqrt(a)),    z = sqrt(2) d / sqrt(a),
+    h = (z (C(z) + S(z)) + (cos(pi z^2 / 2) - sin(pi z^2 / 2)) / pi) / sqrt(2),
 
-of the weight at the end: b / 3 with equal weights over the band and b the spread. All targets lose that, and it changes
-their side lobes, by a fifth under `hamming` and a band of 7 %. So windows are raised just inside the end, by a triangle
-from 0 to 4 b. With the height h its area is 2 b h, of which half of the ends, those at d > 0, lack h d^2 / 4 b. What
-remains is that the middle of the triangle lies 2 b inside the end, and its energy, h^2 4 b / 3, which is a tenth of
-that by which the ends differ.
+from |F - H|^2 integrated at d = 0 in frequency, sqrt(a / 2) / pi, and d/dd = 2 Re F(d) - 1. Half of it, over the dwell,
+would be lost at each end if every pulse held all Dopplers (`blurred_energy`).
 
 LOSS at the ends of whole dwells in the echoes of what is lit there. At the begin of a pixel's dwell its own Doppler has
 just entered the beam. The echoes of that moment come from there to the other edge of the beam: in the signal without
@@ -24,8 +22,8 @@ the weights at that end then has the energy
     integral from 0 to B of g(f / B)^2 |E(f)|^2 df
 
 with E the spectrum of e and g the antenna's pattern over the beam, from the edge at the pixel. Only if a pulse's echoes
-filled all Dopplers was it that of e itself, which `prediction.blurred_energy` has: at most half of that, and much less
-where the PRF is high over the band.
+filled all Dopplers was it that of e itself, which `blurred_energy` has: at most half of that, and much less where the
+PRF is high over the band.
 
 The definition sums pulses, an interval p apart: from the first one in a dwell on, the sum of exp(2j pi f t) p is that
 of an integral from half an interval before, over sinc(f p). Where that begins is spread evenly over an interval. The
@@ -37,229 +35,23 @@ way alike:
 
 from __future__ import annotations
 
-import math
-from typing import NamedTuple
+from functools import cache
 
 import numpy as np
 
 from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray
-from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, Taper
-from blocksar.focusing.lines import Line
+from blocksar.focusing.lines import Focus, Line
+from blocksar.kernels.fresnel import FAR, far_fresnel_integral
 from blocksar.planning.dwell_weights import beam_moves
-
-BAND_NODES = 32  # of a mean over the band
-
-
-def band_spread(collection: Collection, uncut: tuple[FloatArray, FloatArray], *, scaled_about: float | None) -> float:
-    """Half of the time over which a keystone about a time spreads the ends of dwells, s; 0 without one.
-
-    `uncut` are the ends, s from the epoch, as if the collection did not cut them.
-    """
-    if scaled_about is None:
-        return 0.0
-    return float(np.abs(np.array(uncut) - scaled_about).mean()) * collection.bandwidth / 2 / collection.carrier
-
-
-def gate_blur(collection: Collection, spread: float) -> float:
-    """Half of the time over which the ends of dwells are spread, s: over the band, and by the grid of pulses."""
-    return math.hypot(spread, collection.pulse_interval / 2)
-
-
-def end_lift(blur: float, spread: float, band: Taper = FLAT) -> float:
-    """`DwellGate.lift`: the height h of the triangle, for ends at +-`spread`, s, over a band with a weighting."""
-    if not spread:
-        return 0.0
-    nodes, weights = solvers.gauss_legendre(BAND_NODES)
-    shares = weights * band(nodes)
-    squared = spread**2 * float((shares * nodes**2).sum() / shares.sum())
-    return (blur**2 + squared) / (4 * blur) / (2 * blur - squared / (8 * blur))
-
-
-def at_ends(blur: float, lift: float, time: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Nodes and weights that raised end windows add to sums over dwells with weights (..., 2) at the ends, at `time`.
-
-    Times (..., 4), s, and weights (..., 4), s, to be summed like the nodes of a quadrature.
-    """
-    inside, area = time + 2 * blur * np.array([1.0, -1.0]), 2 * blur * lift
-    return np.concatenate([time, inside], axis=-1), area * np.concatenate([-weight, weight], axis=-1)
-
-
-def lift_energy(blur: float, lift: float) -> float:
-    """Energy by which raised windows differ from others at one end, s."""
-    return 4 / 3 * blur * lift**2
-
-
-TURNS = 3.0  # of f, in the time by which ends are smeared and displaced, up to which cosines are followed
-LEAST_SINC = 0.2  # echoes of the far edge of the beam last too briefly for their sum to be ambiguous
-NODES, FAR_NODES = 40, 12  # of the integrals up to there and beyond, where cosines vanish in the mean
-
-
-def lit_energy(
-    area: FloatArray,
-    displaced: FloatArray,
-    spread: FloatArray,
-    *,
-    blur: float,
-    pulse_interval: float,
-    lit_band: FloatArray | float,
-    band: tuple[FloatArray, FloatArray],
-    gain: FloatArray | None = None,
-) -> FloatArray:
-    """Mean energy (...) by which the ends of a chain differ from those at whole pulses, in what is lit, s.
-
-    Parameters
-    ----------
-    area, displaced, spread : (...) float
-        s^2, s, and s: ends lie at `displaced` -+ `spread` at the edges of the band.
-    blur : float
-        That of the gate, s.
-    pulse_interval : float
-        s.
-    lit_band : (...) float
-        B, Hz.
-    band : pair of (n,) float
-        Nodes over the band, -1 .. 1, and their shares.
-    gain : (..., n) float, optional
-        Legendre series of g^2 over the beam, from -1 at the edge where the end is to 1 at the other; default: 1.
-    """
-    area, displaced, spread, top = np.broadcast_arrays(area, displaced, spread, lit_band)
-    shifts = displaced[..., None] - spread[..., None] * band[0]
-    long = np.maximum(np.sqrt(np.abs(area)), np.abs(shifts).max(axis=-1))
-    last = np.minimum(top, TURNS / np.maximum(long, 1e-12))
-
-    def over(f: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """g^2, the energy of the sum over pulses over that of an integral, and s, at frequencies (..., m)."""
-        at = 2 * f / top[..., None] - 1
-        series = None if gain is None else np.moveaxis(gain, -1, 0)[..., None]
-        power = np.ones(f.shape) if series is None else np.polynomial.legendre.legval(at, series, tensor=False)
-        summed = 1 / np.maximum(np.sinc(f * pulse_interval), LEAST_SINC) ** 2
-        return np.maximum(power, 0.0), summed, np.sinc(2 * f * blur)
-
-    nodes, weights = solvers.gauss_legendre(NODES)
-    f = last[..., None] * (1 + nodes) / 2
-    power, summed, s = over(f)
-    shifted = sum(share * np.cos(2 * np.pi * f * shifts[..., i, None]) for i, share in enumerate(band[1].tolist()))
-    both = s * np.cos(np.pi * area[..., None] * f**2) * shifted
-    near = (weights * power * (summed + s**2 - 2 * both) / f**2).sum(axis=-1) * last / 2
-
-    nodes, weights = solvers.gauss_legendre(FAR_NODES)
-    width = 1 / last - 1 / top
-    power, summed, s = over(1 / (1 / top[..., None] + width[..., None] * (1 + nodes) / 2))
-    far = (weights * power * (summed + s**2)).sum(axis=-1) * width / 2
-    return np.asarray((near + far) / (4 * np.pi**2))
-
-
-class ImageEdges(NamedTuple):
-    """Where what is imaged begins and ends between places at which targets are traced: (n_range, n_yaw) each.
-
-    Targets next beyond stand for targets at the edge: what those lose is interpolated between them and the next ones.
-    """
-
-    held: BoolArray  # the targets inside; where none lies inside, those on either side of it
-    before: BoolArray  # those next beyond the beginning
-    behind: BoolArray  # those next beyond the end
-    share: FloatArray  # of the way to them at which the edge lies, from the ones next to them
-    axis: int
-
-    @classmethod
-    def between(cls, places: FloatArray, first: FloatArray, last: FloatArray, *, axis: int) -> ImageEdges:
-        """Edges of the imaged interval [first, last] (m,) among places (n,) along one axis, at m along the other."""
-        at, step = places[:, None], np.diff(places)[:, None]
-        held = (at >= first) & (at <= last)
-        before, behind, share = np.zeros_like(held), np.zeros_like(held), np.zeros(held.shape)
-        before[:-1], behind[1:] = (at[:-1] < first) & (at[1:] >= first), (at[1:] > last) & (at[:-1] <= last)
-        share[:-1] = np.where(before[:-1], (at[1:] - first) / step, 0.0)
-        share[1:] += np.where(behind[1:], (last - at[:-1]) / step, 0.0)
-        held = held if held.any() else before | behind
-        return cls(held.T, before.T, behind.T, share.T, axis) if axis else cls(held, before, behind, share, axis)
-
-    def of_dwells(self, full: BoolArray) -> ImageEdges:
-        """Edges where the targets on either side have full dwell."""
-        before, behind = self.before & full, self.behind & full
-        along = (before.T, behind.T, full.T) if self.axis else (before, behind, full)
-        along[0][:-1] &= along[2][1:]
-        along[1][1:] &= along[2][:-1]
-        return self._replace(before=before, behind=behind)
-
-    def beside(self, target: tuple[int, ...]) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
-        """Pairs of targets, beyond an edge and next to it inside, at a target's place along the other axis."""
-        row, column = target
-        pairs: list[tuple[tuple[int, ...], tuple[int, ...]]] = []
-        for beyond, step in ((self.before, 1), (self.behind, -1)):
-            if self.axis:
-                pairs += [((row, at), (row, at + step)) for at in np.flatnonzero(beyond[row]).tolist()]
-            else:
-                pairs += [((at, column), (at + step, column)) for at in np.flatnonzero(beyond[:, column]).tolist()]
-        return pairs
-
-    def at(self, lost: FloatArray) -> FloatArray:
-        """Losses (n_range, n_yaw), with those at the edges in place of those beyond."""
-        inner = lost.copy()
-        into, own, behind = (inner.T, lost.T, self.behind.T) if self.axis else (inner, lost, self.behind)
-        into[:-1] = own[1:]
-        into[1:] = np.where(behind[1:], own[:-1], into[1:])
-        return np.where(self.before | self.behind, inner + self.share * (lost - inner), lost)
-
 
 GUARD = 0.05  # of a dwell, kept beyond the ends of lines in time
 SMEAR_ROOM = 100.0  # see `smear_room`
 FULL = 0.999  # of the longest dwell: a full one
 
 Moments = tuple[FloatArray, FloatArray]  # of each target in the first and in the second half of its dwell, s
-
-
-class DwellEnds(NamedTuple):
-    """Conditions of the ends of dwells besides the lines."""
-
-    rate: FloatArray  # of the lines before the steps in Doppler, Hz/s
-    uncut: Moments  # (n_yaw,) or (n_range, n_yaw), s from the epoch, as if the collection did not cut the dwells
-    scaled_about: float | None  # time about which a keystone scales time, s
-    moves: FloatArray | None  # from `band_moves`, (n_range, n_yaw, n); None with a keystone
-    full: BoolArray  # (n_range, n_yaw), from `full_dwells`
-    passing: FloatArray | None  # from `Sector.passing`
-
-    @property
-    def longest(self) -> float:
-        """The longest of the uncut dwells, s."""
-        return float((self.uncut[1] - self.uncut[0]).max())
-
-
-class LitTimes(NamedTuple):
-    """Lines after all steps of a chain by the times at which their targets are lit.
-
-    Moments are (n_yaw,) or (n_range, n_yaw), s from the epoch.
-    """
-
-    line: Line  # (n_range, n_yaw, n), after all steps
-    first: FloatArray  # begin and end of the dwells before all steps, (n_range, n_yaw) s
-    last: FloatArray
-
-    @classmethod
-    def of(cls, lit: Line, line: Line) -> LitTimes:
-        """Times of targets from their lines before and after all steps."""
-        return cls(line, *dwell_ends(lit))
-
-    def after(self, moment: FloatArray) -> FloatArray:
-        """Times (n_range, n_yaw) of lines after all steps, of a moment of their targets: beyond the dwells straight."""
-        time = self.at(self.line.time, moment)
-        before, beyond = np.minimum(moment - self.first, 0.0), np.maximum(moment - self.last, 0.0)
-        return np.asarray(time + before * self.line.stretch[..., 0] + beyond * self.line.stretch[..., -1])
-
-    def at(self, values: FloatArray, moment: FloatArray) -> FloatArray:
-        """Values (n_range, n_yaw, n) at the nodes of the lines, at a moment of their targets inside the dwells."""
-        n = values.shape[-1]
-        u = (2 * np.clip(moment, self.first, self.last) - self.first - self.last) / (self.last - self.first)
-        series = solvers.product(values, solvers.legendre_series(n, n - 1).T)
-        return np.asarray(np.polynomial.legendre.legval(u, np.moveaxis(series, -1, 0), tensor=False))
-
-    def ends(self, uncut: Moments) -> Moments:
-        """Times at which uncut dwells begin and end after all steps, (n_range, n_yaw)."""
-        begins, ends = dwell_ends(self.line)
-        begins = begins - (self.first - uncut[0]) * self.line.stretch[..., 0]
-        return begins, ends + (uncut[1] - self.last) * self.line.stretch[..., -1]
 
 
 def dwell_ends(line: Line) -> tuple[FloatArray, FloatArray]:
@@ -330,3 +122,153 @@ def smear_room(line: Line, rate: FloatArray) -> float:
     """
     dwell = float(np.max(line.weight.sum(axis=-1)))
     return max(SMEAR_ROOM * float(np.abs(end_smear(line, rate)).max()) / dwell - GUARD * dwell, 0.0)
+
+
+TURNS = 3.0  # of f, in the time by which ends are smeared and displaced, up to which cosines are followed
+LEAST_SINC = 0.2  # echoes of the far edge of the beam last too briefly for their sum to be ambiguous
+NODES, FAR_NODES = 40, 12  # of the integrals up to there and beyond, where cosines vanish in the mean
+
+
+def lit_energy(
+    area: FloatArray,
+    displaced: FloatArray,
+    spread: FloatArray,
+    *,
+    blur: float,
+    pulse_interval: float,
+    lit_band: FloatArray | float,
+    band: tuple[FloatArray, FloatArray],
+    gain: FloatArray | None = None,
+) -> FloatArray:
+    """Mean energy (...) by which the ends of a chain differ from those at whole pulses, in what is lit, s.
+
+    Parameters
+    ----------
+    area, displaced, spread : (...) float
+        s^2, s, and s: ends lie at `displaced` -+ `spread` at the edges of the band.
+    blur : float
+        That of the gate, s.
+    pulse_interval : float
+        s.
+    lit_band : (...) float
+        B, Hz.
+    band : pair of (n,) float
+        Nodes over the band, -1 .. 1, and their shares.
+    gain : (..., n) float, optional
+        Legendre series of g^2 over the beam, from -1 at the edge where the end is to 1 at the other; default: 1.
+    """
+    area, displaced, spread, top = np.broadcast_arrays(area, displaced, spread, lit_band)
+    shifts = displaced[..., None] - spread[..., None] * band[0]
+    long = np.maximum(np.sqrt(np.abs(area)), np.abs(shifts).max(axis=-1))
+    last = np.minimum(top, TURNS / np.maximum(long, 1e-12))
+
+    def over(f: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """g^2, the energy of the sum over pulses over that of an integral, and s, at frequencies (..., m)."""
+        at = 2 * f / top[..., None] - 1
+        series = None if gain is None else np.moveaxis(gain, -1, 0)[..., None]
+        power = np.ones(f.shape) if series is None else np.polynomial.legendre.legval(at, series, tensor=False)
+        summed = 1 / np.maximum(np.sinc(f * pulse_interval), LEAST_SINC) ** 2
+        return np.maximum(power, 0.0), summed, np.sinc(2 * f * blur)
+
+    nodes, weights = solvers.gauss_legendre(NODES)
+    f = last[..., None] * (1 + nodes) / 2
+    power, summed, s = over(f)
+    shifted = sum(share * np.cos(2 * np.pi * f * shifts[..., i, None]) for i, share in enumerate(band[1].tolist()))
+    both = s * np.cos(np.pi * area[..., None] * f**2) * shifted
+    near = (weights * power * (summed + s**2 - 2 * both) / f**2).sum(axis=-1) * last / 2
+
+    nodes, weights = solvers.gauss_legendre(FAR_NODES)
+    width = 1 / last - 1 / top
+    power, summed, s = over(1 / (1 / top[..., None] + width[..., None] * (1 + nodes) / 2))
+    far = (weights * power * (summed + s**2)).sum(axis=-1) * width / 2
+    return np.asarray((near + far) / (4 * np.pi**2))
+
+
+BAND_NODES = 4  # of the means over range frequency
+KNOTS = 4097  # of the table of the energy of an end: linear between them to 1e-6
+
+
+def blurred_energy(
+    area: FloatArray,
+    displaced: FloatArray,
+    spread: FloatArray,
+    blur: FloatArray | float,
+    pulse_interval: float,
+    taper: Taper = FLAT,
+) -> FloatArray:
+    """Mean energy by which smeared ends, spread by +-`spread` over the band, differ from their gate, s.
+
+    The gate is the mean of sharp ends spread by +-`blur`; the energy by which it differs from an end is the mean of the
+    energies by which those do, less their own variance, blur / 3.
+    """
+    nodes, weights = solvers.gauss_legendre(BAND_NODES)
+    _, shares = band_nodes(taper)
+    shape = np.broadcast_shapes(area.shape, displaced.shape, spread.shape)
+    band = nodes.reshape(-1, 1, *(1,) * len(shape))
+    gate = band.swapaxes(0, 1)
+    apart = np.hypot(displaced - band * spread - gate * blur, pulse_interval / np.sqrt(12))
+    total = np.einsum("i,j,ij...->...", 2 * shares, weights, end_energy(area, apart)) / 4
+    return np.maximum(total - blur / 3, 0.0)
+
+
+def band_nodes(taper: Taper, n: int = BAND_NODES) -> tuple[FloatArray, FloatArray]:
+    """Nodes over the band, -1 .. 1, and their shares in a mean under the square of the weighting."""
+    nodes, weights = solvers.gauss_legendre(n)
+    if taper.uniform:
+        return nodes, weights / 2
+    shares = weights * taper(nodes) ** 2
+    return nodes, shares / shares.sum()
+
+
+def end_energy(area: FloatArray, displaced: FloatArray) -> FloatArray:
+    """Energy by which a smeared and displaced end differs from a sharp one, s; area, s^2; displacement, s."""
+    size = np.sqrt(np.maximum(np.abs(area), 1e-18))
+    z = np.sqrt(2) * np.abs(displaced) / size
+    far = ~(z <= FAR)  # and where it is not a number
+    energy = np.asarray(np.interp(z, *_energy_table()))
+    beyond = far_fresnel_integral(z[far])
+    energy[far] = beyond.real + beyond.imag
+    return np.asarray(size * energy / np.sqrt(2))
+
+
+@cache
+def _energy_table() -> tuple[FloatArray, FloatArray]:
+    """Knots z from 0 to FAR, and E = z (C(z) + S(z)) + (cos(pi z^2 / 2) - sin(pi z^2 / 2)) / pi at these: (n,) each.
+
+    E'' = cos(pi z^2 / 2) + sin(pi z^2 / 2), E'(0) = 0, E(0) = 1 / pi. Integrated, for `scipy.special` takes longer to
+    import than a plan to make.
+    """
+    z, step = np.linspace(0, FAR, KNOTS, retstep=True)
+    bend = np.cos(np.pi / 2 * z**2) + np.sin(np.pi / 2 * z**2)
+    slope = np.concatenate([[0.0], np.cumsum((bend[1:] + bend[:-1]) / 2)]) * step
+    return z, 1 / np.pi + np.concatenate([[0.0], np.cumsum((slope[1:] + slope[:-1]) / 2)]) * step
+
+
+def smear_loss(line: Line, spots: Focus, rate: FloatArray, geometry: Geometry, full: BoolArray) -> float:
+    """The most that any of these lines loses at its ends, under the gate that suits them best.
+
+    An estimate from few lines (n_range, n_yaw, n), without a gate: the slopes of the ends along Doppler are differences
+    between neighbouring yaws, and only the keystone displaces them. `full` (n_range, n_yaw) is from `full_dwells`.
+    """
+    collection = geometry.collection
+    lit = np.broadcast_to(line.weight, line.time.shape).sum(axis=-1)
+    inner = full.copy()
+    inner[:, 1:-1] &= full[:, :-2] & full[:, 2:]  # both neighbours, for the differences
+    full = inner if inner.any() else full if full.any() else np.ones_like(full)  # of a few of the ranges none may be
+    spread = lit / 2 * collection.bandwidth / 2 / collection.carrier  # by the keystone, at the band's edges
+    lost = np.zeros(lit.shape)
+    *moves, apart = np.gradient(np.stack([*dwell_ends(line), spots.doppler]), axis=2)
+    for smear, move in zip(np.moveaxis(end_smear(line, rate), -1, 0), moves, strict=True):
+        slope = smear + move / apart
+        low = np.min(slope, axis=1, where=full, initial=np.inf)
+        high = np.max(slope, axis=1, where=full, initial=-np.inf)
+        none = ~full.any(axis=1)
+        low[none], high[none] = 0.0, 0.0
+        middle = (low + high)[:, None] / 2
+        lost += blurred_energy(slope - middle, np.zeros(1), spread, spread, collection.pulse_interval) / (2 * lit)
+    return float(lost[full].max())
+
+
+def lift_energy(blur: float, lift: float) -> float:
+    """Energy by which raised windows differ from others at one end, s."""
+    return 4 / 3 * blur * lift**2

@@ -20,13 +20,12 @@ from blocksar.planning.steadiness import scans_evenly
 LEVEL_DEGREE = 8
 
 
-def level_aperture(line: Line, taper: AxisTaper) -> tuple[AxisTaper, Line]:
-    """The taper over the pulses that also levels what the steps in Doppler do to amplitudes, and the lines under it.
+def level_aperture(line: Line, taper: AxisTaper) -> AxisTaper:
+    """The taper over the pulses that also levels what the steps in Doppler do to amplitudes.
 
     A step in Doppler that stretches time by s weakens a signal by sqrt(s). Where all targets are lit all the time, s is
-    nearly the same function of time for all of them, and the taper is divided by that of its mean. In what follows the
-    stretch of `line`, after all steps, is then that of each target over the mean. The sum of weights stays that of the
-    taper.
+    nearly the same function of time for all of them, and the taper is divided by that of its mean. The sum of weights
+    stays that of the taper.
 
     Parameters
     ----------
@@ -42,12 +41,13 @@ def level_aperture(line: Line, taper: AxisTaper) -> tuple[AxisTaper, Line]:
     series = solvers.product(solvers.legendre_series(nodes.size, degree), (1 / np.sqrt(mean))[:, None])[:, 0]
     level = np.polynomial.legendre.legval(nodes, series)
     share = float((shares * level).sum() / shares.sum())
-    under = replace(taper, level=tuple((series / share).tolist()))
-    return under, replace(line, stretch=line.stretch * (level / share) ** 2)
+    return replace(taper, level=tuple((series / share).tolist()))
 
 
 def levelled(line: Line, taper: AxisTaper) -> Line:
-    """Other lines under a taper that `level_aperture` has made."""
+    """Lines after all steps under a taper that `level_aperture` has made: the stretch of each target over the mean."""
+    if not taper.level:
+        return line
     level = np.polynomial.legendre.legval(solvers.gauss_legendre(line.stretch.shape[-1])[0], np.array(taper.level))
     return replace(line, stretch=line.stretch * level**2)
 

@@ -26,7 +26,6 @@ from blocksar.planning.tiling import chunks_of, image_chunk, inspection_width, t
 from blocksar.progress import Work
 from blocksar.progress.estimate import finishing_times
 
-COMPRESS = 6e-8  # per sample of the echo, and per sample in which interference is looked for
 RECOVER = 3.2e-8  # per written sample of the spectrum
 GATE = 2.6e-8  # per written sample of a range sub-block
 STEPS = 8.5e-11  # per operation of the blocks' transforms and resamplings, as Plan.work counts them
@@ -41,7 +40,7 @@ GPU_UPDATE = 6e-12  # per lit pulse and pixel, on a GPU
 GPU_PIXEL = 1.7e-7  # per pixel, besides, and per sample that is read, sent and transformed: work of the CPU
 GPU_SAMPLE = 2e-9
 BACK_PROJECT = 2.2e-9  # per lit pulse and pixel
-PROFILES = 7e-8  # per sample of the pulses that light a chunk: range profiles, which each chunk has of its own
+PROFILES = 7e-8  # per sample that is compressed in range, or in which interference is looked for; of each chunk anew
 GAINS = 7e-9  # more under an antenna's pattern, whose sums it divides by
 FINISH = 0.4  # to end the cluster and flush files to the disk
 
@@ -174,7 +173,7 @@ def of_preparation(echoes: Iterable[tuple[int, int]], *, raw: bool) -> Work:
     units: list[float] = []
     for n_pulse, samples in echoes:
         groups = math.ceil(n_pulse / TILE[0])
-        units += [COMPRESS * samples / groups] * groups if samples else []
+        units += [PROFILES * samples / groups] * groups if samples else []
     return {"range-compress" if raw else "interference": units} if units else {}
 
 

@@ -5,10 +5,8 @@ No sample is read.
 Division: the fewest angular blocks that keep the fidelity. Blocks reduce all errors that vary with angle; where they do
 not suffice, hierarchical back-projection does.
 
-Refused are beams that stay on their ground, as in a spotlight: a dwell gate follows the ends of dwells as smooth
-functions of range and Doppler, but near the point on which a beam turns, ground passes it ever more slowly, and on the
-far side the other way, and no such function exists. Refused are also targets that share their Doppler, or that stay
-blurred. Exact back-projection has none of these limits; who shows a reason adds that, with its time.
+Refused are beams that stay on their ground, as in a spotlight (`steadiness`), and targets that share their Doppler, or
+that stay blurred. Exact back-projection has none of these limits; who shows a reason adds that, with its time.
 
 Recovery: unified walk, derotation and padding, and whether the PRF suffices.
 """
@@ -53,16 +51,16 @@ from blocksar.focusing.method import DEFAULT, Method
 from blocksar.focusing.recovery import NO_COMMON_RANGE, CommonRange, Recovery
 from blocksar.kernels import fourier
 from blocksar.kernels.fourier import Axis
+from blocksar.planning.binding import ORDERS
 from blocksar.planning.block import BlockPlan, plan_block
 from blocksar.planning.coefficients import Choice
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY
 from blocksar.planning.plan import Plan
 from blocksar.planning.relief import Relief, ReliefPoints, find_relief, sample_terrain
-from blocksar.planning.sector import Sector, ground_range
-from blocksar.planning.steadiness import Smoothed, smoothed_beam
-from blocksar.planning.target_lines import find_dwells, middle_line, tail_margin
+from blocksar.planning.steadiness import MOST_DWELL, Smoothed, beam_stays, longest_stay, smoothed_beam
+from blocksar.planning.target_lines import Dwells, Sector, ground_range, middle_line, tail_margin
 
-COMMON_ORDER = 5  # range history from this order on is removed from all targets alike: azimuth steps end at order 4
+COMMON_ORDER = ORDERS[-1] + 1  # range history from this order on, where azimuth steps end, is removed from all alike
 COMMON_LEAST = 1e-3  # wavelengths, a phase of 0.013 rad: a smaller common range is not removed
 AXIS_NODES = (
     128  # of lines under a beam about its axis, whose dwells differ: at each time, all that is lit has to be seen
@@ -222,51 +220,12 @@ def _lit_lines(
     width = far - near
     ranges = np.linspace(near + margin * width, far - margin * width, 5)
     if not geometry.beam.by_range:
-        return find_dwells(geometry, yaw=region.yaw, origin=origin, walk=walk, common=common).lines(ranges)
-    lines = find_dwells(
-        geometry, yaw=region.yaw, origin=origin, walk=walk, common=common, least_nodes=AXIS_NODES
+        return Dwells(geometry=geometry, yaw=region.yaw, origin=origin, walk=walk, common=common).lines(ranges)
+    lines = Dwells(
+        geometry=geometry, yaw=region.yaw, origin=origin, walk=walk, common=common, least_nodes=AXIS_NODES
     ).lines(ranges)  # fmt: skip
     first, last = geometry.beam.dwell_at(region.yaw, ranges)
     return Line(**{name: getattr(lines, name)[last > first] for name in Line.__dataclass_fields__})
-
-
-MOST_DWELL = 2.5  # durations of the collection for which a gate can hold ground in the beam, if it went on
-LEAST_LIT = 0.5  # of the pulses that light ground, on average, where it stays
-INTERVALS = 4  # of the splines that a beam which wobbles is taken to follow: where it goes on is seen at its ends
-PLACES = 17, 65  # ranges and yaws at which dwells are looked at
-
-
-def beam_stays(geometry: Geometry, region: Region, extent: Extent) -> bool:
-    """Whether a beam about its axis stays on ground of an extent for too long for a gate, and lights the most of it."""
-    collection = geometry.collection
-    if not collection.has_axis:
-        return False
-    if collection.steady is not collection:
-        geometry = geometry.lit_by(collection.steadied(INTERVALS))
-    yaw = np.linspace(extent.low, extent.high, PLACES[1])
-    near, far = region.at(yaw)
-    near, far = np.maximum(near, extent.near), np.minimum(far, extent.far)
-    ranges = near + (far - near) * np.linspace(0, 1, PLACES[0])[:, None]
-    start, stop = aperture(geometry.collection)
-    if longest_stay(geometry, ranges[:, far > near], yaw[far > near]) <= MOST_DWELL * (stop - start):
-        return False
-    first, last = geometry.beam.dwell_at(yaw, ranges)
-    lit = (last > first) & (far > near)
-    return float((last - first)[lit].mean()) >= LEAST_LIT * (stop - start)
-
-
-def longest_stay(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray) -> float:
-    """The longest time for which a beam about its axis would stay on lit ground, if it went on, s; 0 if none is lit.
-
-    Infinite where ground that is lit all the time turns back in the beam. Ranges (m) and yaws (rad) are broadcast.
-    """
-    first, last = geometry.beam.dwell_at(yaw, epoch_range)
-    begin, end = geometry.beam.dwell_at(yaw, epoch_range, uncut=True)
-    start, stop = aperture(geometry.collection)
-    lit, whole = last > first, (begin <= start) & (end >= stop)
-    length = np.where(lit, end - begin, 0.0)
-    turning = lit & whole & (length <= (stop - start) * (1 + 1e-9))  # offsets turn back: dwells are not continued
-    return math.inf if turning.any() else float(length.max(initial=0.0))
 
 
 def find_refusal(blocks: Sequence[BlockPlan], method: Method) -> str | None:
@@ -360,10 +319,8 @@ def _describe_block(block: BlockPlan) -> str:
 MAX_BLOCKS = 32  # that `auto` tries
 GROWTH = 0.6  # power of the excess by which the number of blocks grows at a time
 MOST_GROWTH, LEAST_GROWTH = 4.0, 1.2  # excess above which it grows no faster; factor by which it grows at least
-FINE = 12  # the fewest blocks are found to one in as many
-FALL, PATIENCE = 0.97, 3  # factor by which the excess has to fall, and so many numbers without it end the search
+PATIENCE = 3  # numbers without a fall of the excess by ALIKE, which end the search
 ALIKE = 1.03  # times the least excess: among divisions within that, the one with the fewest blocks is taken
-REFUSED = 2  # divisions in a row, after which the finest one tells whether any will do
 # The same on a terrain: each division is predicted at other places of it, so that predictions scatter by this factor
 # (excess 1.5 .. 3.0 from 1 to 10 blocks of hills of 60 m every 450 m under Table 1, without a trend).
 SCATTER = 1.5
@@ -401,7 +358,7 @@ def find_division(plan: Callable[[int, bool], P], *, workers: int, scattered: bo
         that scatter.
     """
     plan = cache(plan)
-    fall, alike = (1 / SCATTER, SCATTER) if scattered else (FALL, ALIKE)
+    alike = SCATTER if scattered else ALIKE
     tried: list[tuple[float, int]] = []  # excess and number of blocks
     count, stale, failed, sound = min(max(workers, 1), MAX_BLOCKS), 0, 0, False
     while True:
@@ -412,9 +369,9 @@ def find_division(plan: Callable[[int, bool], P], *, workers: int, scattered: bo
         sound = sound or division.refusal is None
         if not sound and find_folding(division.blocks) is not None:  # more blocks share their Doppler as well
             return plan(count, False)
-        stale = 0 if not tried or excess <= fall * min(tried)[0] else stale + 1
+        stale = 0 if not tried or alike * excess <= min(tried)[0] else stale + 1
         tried.append((excess, count))
-        if not sound and len(tried) >= REFUSED and finest_is_refused(plan):
+        if not sound and finest_is_refused(plan):
             return plan(min(tried)[1], True)  # which has the reason, and nothing else is asked of it
         if stale == PATIENCE or count == MAX_BLOCKS:
             break
@@ -441,7 +398,7 @@ def _probe(plan: Callable[[int, bool], P], count: int) -> P:
 
 def _fewest_between(plan: Callable[[int, bool], P], failed: int, serving: int) -> P:
     """The plan with the fewest blocks above `failed` and up to `serving`, which serves."""
-    while serving - failed > max(1, serving // FINE) and failed:
+    while failed and serving - failed > 1:
         count = (failed + serving) // 2
         if plan(count, True).excess() <= 1.0 and plan(count, False).excess() <= 1.0:
             serving = count

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -14,15 +13,13 @@ from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray, IntArray
 from blocksar.collection.beam import wrapped
 from blocksar.collection.geometry import Geometry
-from blocksar.focusing.ground_map import QUANTITIES, Depth, ReliefMap, SmoothGround
-from blocksar.focusing.lines import Focus, Line
-from blocksar.focusing.surfaces import GroundRange, Surface, fit_surface
+from blocksar.focusing.ground_map import Depth, SmoothGround
+from blocksar.focusing.surfaces import GroundRange, Surface
 
 SMOOTH_DEGREE = 2, 2  # of the smooth ground, along range and yaw, on which coefficients are fitted: no finer is better
 FINE_DEGREE = 16, 8  # of the finer one, which the dwell gate follows: a block is longer along range
 CELLS, FINE_CELLS = (24, 48), (64, 48)  # of a block along range and yaw, whose mean heights these are fitted to
 UNKNOWN_WEIGHT, FIT_DAMPING = 0.3, 1e-9  # of cells without heights, held level
-FINE_ENDS = 1.0  # half extents from its middle at which the finer one ends: series of high degrees go astray beyond
 BINS, ABOUT = 160, 0.05  # along each side of a block, and half extents of it about a node: those of a chip or two
 FEWEST_POINTS, MOST_POINTS = 129, 1 << 20  # of a terrain that are looked at: along an axis, and in all
 ROOM = 0.02  # of the relief, that heights may go beyond on either side
@@ -175,7 +172,7 @@ def find_relief(samples: ReliefPoints, geometry: Geometry, *, low: float, high: 
     series = _fit(_cell_means(u, v, z, level, CELLS))
     smooth = SmoothGround(surface=Surface(series=series, along=along, low=low, high=high), depth=depth)
     series = _fit_finely(_cell_means(u, v, z, level, FINE_CELLS))
-    fine = SmoothGround(surface=Surface(series=series, along=along, low=low, high=high), depth=depth, ends=FINE_ENDS)
+    fine = SmoothGround(surface=Surface(series=series, along=along, low=low, high=high), depth=depth)
     at = samples.epoch_range[inside], (low + high) / 2 + turn[inside]
     over = z - smooth(*at) if z.size else np.zeros(1)
     room = ROOM * float(np.ptp(over)) + LEAST_RELIEF
@@ -285,17 +282,6 @@ def _fitting(n: int, degree: int) -> FloatArray:
     return matrix
 
 
-def stacked(lines: Sequence[Line]) -> Line:
-    """Lines (n_range, n_yaw, n) one after the other along the first axis."""
-    shape = lines[0].time.shape
-    return Line(
-        **{
-            name: np.concatenate([np.broadcast_to(getattr(line, name), shape) for line in lines])
-            for name in Line.__dataclass_fields__
-        }
-    )
-
-
 def turns_of(raised: Geometry, smooth: Geometry, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
     """Yaw, rad, from targets on a raised ground (n_range, n_yaw) to those of the smooth one with the same dwell.
 
@@ -318,38 +304,3 @@ def turns_of(raised: Geometry, smooth: Geometry, epoch_range: FloatArray, yaw: F
         move = (wanted - here) / np.where(np.abs(slope) > LEAST_TURN, slope, np.inf)
         turn = turn + np.clip(move, -MOST_TURN, MOST_TURN)
     return turn
-
-
-class Layer(NamedTuple):
-    """Targets at some heights: their lines after all steps, without the bend, and their focus."""
-
-    geometry: Geometry
-    line: Line
-    bend: FloatArray
-    spots: Focus
-    rate: FloatArray  # Doppler rate before the steps in Doppler, Hz/s
-
-
-def map_relief(
-    relief: Relief, layers: Sequence[Layer], surfaces: Callable[[Focus], Sequence[Surface]], *, along: GroundRange,
-    yaw: FloatArray, degree: tuple[int, int], turns: Sequence[FloatArray] = (),
-) -> ReliefMap:  # fmt: skip
-    """The map from epoch range, yaw and height to the focused block; `surfaces` has those of a focus.
-
-    `turns` are those of each layer at its targets, from `turns_of`; none where dwells do not depend on height.
-    """
-    fitted = [
-        [*surfaces(layer.spots), fit_surface(layer.bend, along=along, yaw=yaw, degree=degree)] for layer in layers
-    ]
-    for surfaces_of_layer, turn in zip(fitted, turns, strict=False):
-        surfaces_of_layer.append(fit_surface(turn, along=along, yaw=yaw, degree=degree))
-    terms = []
-    for quantity in zip(*fitted, strict=True):
-        values = np.stack([surface.series for surface in quantity])
-        series = solvers.node_series(values.reshape(len(layers), -1), len(layers) - 1).reshape(values.shape)
-        terms.append(tuple(replace(quantity[0], series=np.ascontiguousarray(part)) for part in series))
-    return ReliefMap(
-        smooth=relief.smooth, low=relief.low, high=relief.high, layers=tuple(terms[:QUANTITIES]),
-        turns=terms[QUANTITIES] if turns else (),
-        most_bend=max(float(np.abs(layer.bend).max()) for layer in layers),
-    )  # fmt: skip

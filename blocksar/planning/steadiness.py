@@ -1,7 +1,11 @@
-"""The beam that dwell gates follow: that of a collection, or a smoothed one where its pointing jitters.
+"""Beams that dwell gates can follow: those that pass over their ground, smoothed where their pointing jitters.
+
+A gate follows the ends of dwells as smooth functions of range and Doppler. Near the point on which a beam turns that
+stays on its ground, ground passes it ever more slowly, and on the far side the other way: no such function exists.
 
 Measured attitude and steering have waves and noise. The ends of dwells are then no smooth functions of range and
-Doppler, which a gate could follow. Chains gate the dwells of a smoothed beam instead. One that is off by a share e of
+Doppler, which a gate could follow. Chains gate the dwells of a smoothed beam instead, a spline of one
+interval a dwell. One that is off by a share e of
 its width changes 2 e pulses of a dwell, and loses LOSS e of coherence; under a taper besides, with the error dv of the
 place v = 2 offset / beam_width,
 
@@ -20,15 +24,15 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.beam import aperture
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.region import Region
-from blocksar.collection.weighting import Taper
+from blocksar.collection.region import Extent, Region
+from blocksar.collection.weighting import NODES, Taper
 
-PER_DWELL = 1.0  # intervals of the spline that the smoothed beam follows, in a dwell
-SHARE = 0.2  # of what the fidelity allows to be lost that a beam may take which gates do not follow
+SHARE = 0.2  # of what the fidelity allows to be lost, that a minor cause may take: a beam that gates do not follow
 LOSS = 0.3  # of coherence, over the share of its width by which a beam is off: measured
 LEAST = 2e-5  # of its width: a pulse in 25 000 at either end of a dwell
-PLACES = 33  # yaws at which dwells are looked at
-TAPER_NODES = 64
+PLACES = 33  # yaws, and ranges, at which dwells are looked at
+MOST_DWELL = 2.5  # durations of the collection for which a gate can hold ground in the beam, if it went on
+LEAST_LIT = 0.5  # of the pulses that light ground, on average, where it stays
 
 
 class Smoothed(NamedTuple):
@@ -65,7 +69,7 @@ def smoothed_beam(geometry: Geometry, region: Region, fidelity: float, taper: Ta
     middle, n, width = lit[lit.size // 2], max(round(dwell * collection.prf), 1), collection.beam_width
     at = (near + far)[middle] / 2, yaw[middle]
     place = *geometry.ground_axes(*at), slice(None), geometry.level(*at)  # a terrain may not reach as far
-    smooth = geometry.lit_by(collection.steadied(math.ceil(PER_DWELL * (end - start) / dwell)))
+    smooth = geometry.lit_by(collection.steadied(math.ceil((end - start) / dwell)))
     off = geometry.beam.offset(*place) - smooth.beam.offset(*place)
     away, squared = (_most_over_dwells(each, n) for each in (np.abs(off), off**2))
     if away <= width * max(SHARE * (1 - fidelity) / LOSS, LEAST):
@@ -87,5 +91,38 @@ def _most_over_dwells(values: FloatArray, n: int) -> float:
 
 def _taper_loss(taper: Taper, squared: float) -> float:
     """Loss of coherence by a place v in the beam whose error has the mean square `squared`."""
-    nodes, shares = solvers.gauss_legendre(TAPER_NODES)
+    nodes, shares = solvers.gauss_legendre(NODES)
     return float(squared * (shares * taper.slope(nodes) ** 2).sum() / (shares * taper(nodes) ** 2).sum() / 2)
+
+
+def beam_stays(geometry: Geometry, region: Region, extent: Extent) -> bool:
+    """Whether a beam about its axis stays on ground of an extent for too long for a gate, and lights the most of it."""
+    collection = geometry.collection
+    if not collection.has_axis:
+        return False
+    if (steady := collection.steady) is not collection:  # where a beam that jitters goes on is seen in a smooth one
+        geometry = geometry.lit_by(steady)
+    yaw = np.linspace(extent.low, extent.high, PLACES)
+    near, far = region.at(yaw)
+    near, far = np.maximum(near, extent.near), np.minimum(far, extent.far)
+    ranges = near + (far - near) * np.linspace(0, 1, PLACES)[:, None]
+    start, stop = aperture(geometry.collection)
+    if longest_stay(geometry, ranges[:, far > near], yaw[far > near]) <= MOST_DWELL * (stop - start):
+        return False
+    first, last = geometry.beam.dwell_at(yaw, ranges)
+    lit = (last > first) & (far > near)
+    return float((last - first)[lit].mean()) >= LEAST_LIT * (stop - start)
+
+
+def longest_stay(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray) -> float:
+    """The longest time for which a beam about its axis would stay on lit ground, if it went on, s; 0 if none is lit.
+
+    Infinite where ground that is lit all the time turns back in the beam. Ranges (m) and yaws (rad) are broadcast.
+    """
+    first, last = geometry.beam.dwell_at(yaw, epoch_range)
+    begin, end = geometry.beam.dwell_at(yaw, epoch_range, uncut=True)
+    start, stop = aperture(geometry.collection)
+    lit, whole = last > first, (begin <= start) & (end >= stop)
+    length = np.where(lit, end - begin, 0.0)
+    turning = lit & whole & (length <= (stop - start) * (1 + 1e-9))  # offsets turn back: dwells are not continued
+    return math.inf if turning.any() else float(length.max(initial=0.0))

@@ -85,7 +85,7 @@ def owned_by(collection: Collection, spans: Sequence[Span], number: int) -> Owne
 
 USEFUL = 0.9  # of the excess of fewer segments, that more have to leave at most
 ALIKE = 1.05  # times the excess of the segment that was tried, that others may have with its numbers of blocks
-MOST_NUMBERS = 1 << 15  # of blocks, which the image holds as int16
+MOST_NUMBERS = int(np.iinfo(np.int16).max) + 1  # of blocks, as the image holds them
 
 
 Planner = Callable[..., Plan]  # of one collection: `plan_collection` with the settings of a run

@@ -1,4 +1,4 @@
-"""Time-frequency lines of targets in the recovered spectrum."""
+"""The ground that a block owns, and the time-frequency lines of targets on it in the recovered signal."""
 
 from __future__ import annotations
 
@@ -10,76 +10,19 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar import solvers
-from blocksar.arrays import BoolArray, FloatArray
+from blocksar.arrays import FloatArray
+from blocksar.budget import FIDELITY, IMAGE_TAP_ERROR
+from blocksar.collection import range_series
 from blocksar.collection.geometry import AntennaState, Geometry, range_motion
+from blocksar.collection.region import Region
+from blocksar.collection.weighting import UNIFORM, Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.focusing.lines import Focus, Line
-from blocksar.focusing.recovery import NO_COMMON_RANGE, CommonRange
-from blocksar.planning.dwell_ends import Moments, dwell_ends
-from blocksar.planning.dwell_weights import DwellWeights
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TracedTargets:
-    """Targets at epoch ranges (n_range,) and yaws (n_yaw,), traced through a whole chain.
-
-    Attributes
-    ----------
-    geometry : Geometry
-        Its ground is the one on which they lie.
-    epoch_range, yaw : (n_range,), (n_yaw,) float
-        m and rad.
-    line : Line
-        (n_range, n_yaw, n), after all steps.
-    spots : Focus
-        (n_range, n_yaw), where and how the lines focus.
-    weights : DwellWeights
-        At the nodes of the lines.
-    uncut : pair of (n_yaw,) or (n_range, n_yaw) float
-        Slow time at which the dwells would begin and end if the collection did not cut them, s from the epoch.
-    rate : (n_range, n_yaw, n) float
-        The lines' Doppler rate before the steps in Doppler, Hz/s.
-    scaled_about : float or None
-        Time, s from the epoch, about which a keystone scales time with range frequency; None without one.
-    moves : (n_range, n_yaw, n) float or None
-        From `dwell_ends.band_moves`, s; None with a keystone.
-    """
-
-    geometry: Geometry
-    epoch_range: FloatArray
-    yaw: FloatArray
-    line: Line
-    spots: Focus
-    weights: DwellWeights
-    uncut: Moments
-    rate: FloatArray
-    scaled_about: float | None
-    moves: FloatArray | None
-
-    @cached_property
-    def lit(self) -> Moments:
-        """Slow times at which the targets are first and last lit, (n_yaw,) or (n_range, n_yaw) s."""
-        return self.geometry.beam.dwell_at(self.yaw, self.epoch_range[:, None])
-
-    @cached_property
-    def cut(self) -> BoolArray:
-        """Whether an end of the collection cuts the begin and the end of dwells, (n_yaw, 2) or (n_range, n_yaw, 2)."""
-        collection = self.geometry.collection
-        return np.asarray(np.abs(np.stack(self.lit, axis=-1) - collection.time[[0, -1]]) < collection.pulse_interval)
-
-    @cached_property
-    def ends(self) -> Moments:
-        """Times at which the dwells begin and end after all steps, (n_range, n_yaw) s."""
-        return dwell_ends(self.line)
-
-    def moved(self, end: int) -> FloatArray:
-        """Time by which relative range frequency moves the begin (0) or the end (-1) of dwells, s."""
-        if self.moves is not None:
-            return self.moves[..., end]
-        if self.scaled_about is None:
-            return np.zeros(self.yaw.shape)
-        return np.asarray(self.lit[end] - self.geometry.epoch - self.scaled_about)
-
+from blocksar.focusing.lines import Line
+from blocksar.focusing.recovery import NO_COMMON_RANGE, CommonRange, Recovery
+from blocksar.focusing.surfaces import GroundRange
+from blocksar.planning.dwell_weights import taper_over_dwells
+from blocksar.planning.relief import Relief
+from blocksar.planning.steadiness import scans_evenly
 
 LINE_NODES = 16  # of a line along a polynomial track
 NODES_PER_INTERVAL, MOST_NODES = 0.75, 256  # of a line along a spline, whose intervals are a fraction of its waves
@@ -111,6 +54,9 @@ class Nodes(NamedTuple):
 class Dwells:
     """Dwells of targets at some yaws.
 
+    Dwells cut by the ends of the collection are traced as cut. Targets lit for less than a twentieth of the longest
+    dwell are traced over that much, inside the collection.
+
     Attributes
     ----------
     yaw : (...) float
@@ -130,9 +76,9 @@ class Dwells:
     yaw: FloatArray
     origin: float
     walk: float
-    common: CommonRange
-    coarsely: bool
-    least_nodes: int
+    common: CommonRange = NO_COMMON_RANGE
+    coarsely: bool = False
+    least_nodes: int = LINE_NODES
     as_many: int | None = None
 
     def lines(self, epoch_range: FloatArray) -> Line:
@@ -179,30 +125,6 @@ class Dwells:
         return Nodes(slow, length / 2 * weights, geometry.track.motion(time), removed)
 
 
-def find_dwells(
-    geometry: Geometry,
-    *,
-    yaw: FloatArray,
-    origin: float,
-    walk: float,
-    common: CommonRange = NO_COMMON_RANGE,
-    coarsely: bool = False,
-    least_nodes: int = LINE_NODES,
-    as_many: int | None = None,
-) -> Dwells:
-    """The dwells at yaws (...), rad.
-
-    Along a spline, lines have nodes enough to integrate its waves; `coarsely`, to see them. Or `as_many` as others.
-
-    Dwells cut by the ends of the collection are traced as cut. Targets lit for less than a twentieth of the longest
-    dwell are traced over that much, inside the collection.
-    """
-    return Dwells(
-        geometry=geometry, yaw=yaw, origin=origin, walk=walk, common=common, coarsely=coarsely, least_nodes=least_nodes,
-        as_many=as_many,
-    )  # fmt: skip
-
-
 def _line_nodes(geometry: Geometry, longest: float, *, coarsely: bool) -> int:
     """Nodes along a dwell of at most `longest` s: more where a spline bends the track within it."""
     wobble = geometry.track.wobble
@@ -237,3 +159,87 @@ def middle_line(u: FloatArray, doppler: FloatArray, *, order: int) -> FloatArray
     bin_centre = ((np.arange(48) + 0.5) / 24 - 1)[filled]
     middle = (low[filled] + high[filled]) / 2
     return solvers.chebyshev_series(bin_centre, middle, min(order, int(filled.sum()) - 1))
+
+
+REFERENCE_ORDER = 8  # of the range series of a block's centre
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sector:
+    """The ground that a block owns: yaws [low, high), rad, at epoch ranges [near, far), m.
+
+    With the weighting of its image and the fidelity that it keeps, and the error that the interpolation of the focused
+    block may have. On a terrain the geometry is over the smooth part of it, and `relief` has the rest. Where gates
+    follow a smoothed beam, this loses `beam_loss` of coherence (`planning.steadiness`). The grid spans the yaws
+    `imaged`.
+    """
+
+    geometry: Geometry
+    recovery: Recovery
+    region: Region
+    low: float
+    high: float
+    near: float
+    far: float
+    weighting: Weighting = UNIFORM
+    fidelity: float = FIDELITY
+    tap_error: float = IMAGE_TAP_ERROR
+    relief: Relief | None = None
+    beam_loss: float = 0.0
+    imaged: tuple[float, float] = (-np.inf, np.inf)
+
+    @property
+    def ground_range(self) -> GroundRange:
+        """Its epoch ranges along the ground."""
+        return ground_range(self.geometry, self.near, self.far)
+
+    @property
+    def taper(self) -> Taper:
+        """The weighting over dwells."""
+        return taper_over_dwells(self.geometry.collection, self.weighting)
+
+    def lit_band(self, lit: Line, uncut: tuple[FloatArray, FloatArray]) -> FloatArray:
+        """Band of Doppler that is lit at a time at targets (...), Hz.
+
+        After derotation the beam keeps its Doppler, and a target passes through all of it in its dwell.
+        """
+        recovery = self.recovery
+        passed = lit.doppler[..., [0, -1]] - recovery.derotation_rate(lit.time[..., [0, -1]])
+        over = lit.time[..., -1] - lit.time[..., 0]
+        dwell = np.maximum(uncut[1] - uncut[0], recovery.pulses.step)
+        band = np.abs(passed[..., 1] - passed[..., 0]) * dwell / np.maximum(over, 1e-12)
+        return np.clip(band, 1 / dwell, 1 / recovery.pulses.step)
+
+    def dwells(self, yaw: FloatArray, *, coarsely: bool = False, like: Line | None = None) -> Dwells:
+        """Dwells of targets at yaws (...), rad, for lines in the recovered signal, with as many nodes as `like` has."""
+        recovery = self.recovery
+        return Dwells(
+            geometry=self.geometry, yaw=yaw, origin=recovery.origin, walk=recovery.walk, common=recovery.common,
+            coarsely=coarsely, as_many=None if like is None else like.time.shape[-1],
+        )  # fmt: skip
+
+    def passing(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray | None:
+        """When the beam's centre passes targets, s from the epoch, where a taper asks; None: amid their dwells."""
+        if self.taper.uniform or scans_evenly(self.geometry.collection):
+            return None
+        return np.asarray(self.geometry.beam.passing_at(yaw, epoch_range, 0.0) - self.geometry.epoch)
+
+    @property
+    def gates_by_height(self) -> bool:
+        """Whether the dwell of a target depends on its height besides its range and Doppler.
+
+        Under a beam about its axis it hardly does: places of equal range and Doppler see the axis at the same angle.
+        """
+        return self.relief is not None and not self.geometry.beam.by_range
+
+    def reference(self) -> FloatArray:
+        """Range series of the sector's centre, m/s^n, less the common range that recovery removes."""
+        middle = np.array((self.near + self.far) / 2), np.array((self.low + self.high) / 2)
+        series = range_series.range_series(self.geometry, *middle, order=REFERENCE_ORDER)
+        return np.asarray(series - self.recovery.common.taylor(REFERENCE_ORDER))
+
+
+def ground_range(geometry: Geometry, near: float, far: float) -> GroundRange:
+    """Epoch ranges from near to far, m, along the ground; a mountain may lie nearer than the nadir."""
+    height = float(geometry.epoch_position[2] - geometry.collection.ground_height)
+    return GroundRange(near=near, far=far, height=min(height, near))

@@ -23,8 +23,7 @@ from blocksar.focusing.step import Sampling
 from blocksar.kernels.fourier import Axis
 from blocksar.planning.block import BlockPlan, plan_block
 from blocksar.planning.planner import plan_recovery
-from blocksar.planning.sector import Sector
-from blocksar.planning.target_lines import find_dwells
+from blocksar.planning.target_lines import Dwells, Sector
 from blocksar.simulation.scatterers import simulate_pulses
 
 Complex128Array = NDArray[np.complex128]
@@ -142,8 +141,8 @@ def slab_of(case: Planned, signal: ComplexArray) -> ComplexArray:
 
 def line_of(case: Planned, epoch_range: float, yaw: float) -> Line:
     """(n,) line of one target in the recovered signal."""
-    dwells = find_dwells(
-        case.geometry,
+    dwells = Dwells(
+        geometry=case.geometry,
         yaw=np.array(yaw),
         origin=case.recovery.origin,
         walk=case.recovery.walk,

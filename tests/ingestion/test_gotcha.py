@@ -599,8 +599,8 @@ def test_lines_exclude_the_common_range(bumpy: Collection) -> None:
     geometry = Geometry(collection=bumpy)
     common = recovery.CommonRange(series=np.array([0, 0, 0, 0, 0, 2e-3, 1e-3]), centre=0.3, half=2.0)
     where = {"yaw": np.array(np.pi), "origin": 10_000.0, "walk": 1.0}
-    with_it = target_lines.find_dwells(geometry, **where, common=common).lines(np.array(10_030.0))
-    plain = target_lines.find_dwells(geometry, **where).lines(np.array(10_030.0))
+    with_it = target_lines.Dwells(geometry=geometry, **where, common=common).lines(np.array(10_030.0))
+    plain = target_lines.Dwells(geometry=geometry, **where).lines(np.array(10_030.0))
     cycles = -2 / bumpy.wavelength
     assert np.abs(plain.range - with_it.range - common.at(plain.time)).max() < 1e-9
     assert np.abs(with_it.phase - plain.phase + cycles * common.at(plain.time)).max() < 1e-6

@@ -15,8 +15,8 @@ from blocksar.errors import OutsideSwath
 from blocksar.focusing.method import Method
 from blocksar.planning.block import BlockPlan, plan_block
 from blocksar.planning.planner import plan_collection
-from blocksar.planning.sector import Sector
 from blocksar.planning.strip_segments import owned_by
+from blocksar.planning.target_lines import Sector
 
 GRID = Grid(8880.0, 9120.0, 1.5, -80.0, 80.0, 0.9)
 

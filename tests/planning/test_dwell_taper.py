@@ -7,7 +7,7 @@ import pytest
 
 from blocksar.collection.weighting import Weighting
 from blocksar.focusing.lines import RowPolynomial
-from blocksar.planning.block import plan_taper
+from blocksar.planning.gating import plan_taper
 
 ANY = RowPolynomial(series=np.ones((1, 1)), near=0.0, far=1.0, centre=0.0, scale=1.0)
 

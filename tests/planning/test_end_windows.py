@@ -18,10 +18,10 @@ from blocksar.collection.weighting import Taper, Weighting
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import RowPolynomial, focus
 from blocksar.kernels import fourier
-from blocksar.planning.dwell_ends import end_lift
+from blocksar.planning.dwell_ends import smear_loss
+from blocksar.planning.gating import end_lift
 from blocksar.planning.planner import plan_collection
-from blocksar.planning.prediction import smear_loss
-from blocksar.planning.target_lines import find_dwells
+from blocksar.planning.target_lines import Dwells
 
 # A band of 3 %.
 SCENE = """
@@ -119,6 +119,6 @@ def test_a_rough_fit_without_a_full_dwell_is_judged_by_what_there_is() -> None:
     """At three of a block's ranges none may be: it ended in a traceback on gentle terrain."""
     collection = axis_collection()
     geometry, yaw = Geometry(collection=collection), np.linspace(-0.01, 0.01, 5)
-    line = find_dwells(geometry, yaw=yaw, origin=9800.0, walk=0.0).lines(np.array([[9800.0], [9850.0]]))
+    line = Dwells(geometry=geometry, yaw=yaw, origin=9800.0, walk=0.0).lines(np.array([[9800.0], [9850.0]]))
     none = np.zeros((2, 5), np.bool_)
     assert np.isfinite(smear_loss(line, focus(line), line.rate, geometry, none))

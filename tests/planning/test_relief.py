@@ -23,7 +23,7 @@ from blocksar.measurement.coherence import coherence
 from blocksar.planning.plan import Plan
 from blocksar.planning.planner import plan_collection
 from blocksar.planning.relief import find_relief, sample_terrain
-from blocksar.planning.sector import ground_range
+from blocksar.planning.target_lines import ground_range
 from blocksar.simulation.scatterers import field, phase_history
 from blocksar.simulation.scene import Scene
 

@@ -19,7 +19,7 @@ from blocksar.kernels import rows
 from blocksar.kernels.fourier import Axis, dual, unit_phasor
 from blocksar.planning.plan import Plan
 from blocksar.planning.planner import plan_collection
-from blocksar.planning.target_lines import find_dwells
+from blocksar.planning.target_lines import Dwells
 from blocksar.products.pictures.panels import CURVE_COLOURS, Map, Mark, Panel, Style, Trace, plot_panels
 from blocksar.simulation.scatterers import simulate_pulses
 from blocksar.simulation.scene import Scene
@@ -59,7 +59,7 @@ def few_targets(recovery: Recovery) -> tuple[ComplexArray, Line]:
     rng = np.array([SWATH["middle"]] * 5 + [SWATH["near"], SWATH["far"]])
     point = geo.ground_point(rng, yaw)
     echo = simulate_pulses(geo.collection, point[:, 0], point[:, 1], np.ones(yaw.size), threads=THREADS)[:, 4]
-    return echo, find_dwells(geo, yaw=yaw, origin=recovery.origin, walk=recovery.walk).lines(rng)
+    return echo, Dwells(geometry=geo, yaw=yaw, origin=recovery.origin, walk=recovery.walk).lines(rng)
 
 
 def derotate(recovery: Recovery, line: Line) -> Line:

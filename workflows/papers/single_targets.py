@@ -19,7 +19,7 @@ from blocksar.focusing.step import stages
 from blocksar.kernels.fourier import Axis
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.plan import Plan
-from blocksar.planning.target_lines import find_dwells
+from blocksar.planning.target_lines import Dwells
 from blocksar.products.pictures.panels import CURVE_COLOURS, LIMIT, Map, Panel, Trace
 from blocksar.simulation.scatterers import simulate_pulses
 from papers.bench import THREADS, geometry, plan_scene
@@ -32,7 +32,7 @@ PULSES = 40  # of a dwell, at which a range-compressed peak is measured
 def recovered_lines(plan: Plan, places: Sequence[Place]) -> Line:
     """Lines of targets in the recovered signal."""
     yaw = np.array([yaw for _, yaw in places])
-    dwells = find_dwells(plan.geometry, yaw=yaw, origin=plan.recovery.origin, walk=plan.recovery.walk)
+    dwells = Dwells(geometry=plan.geometry, yaw=yaw, origin=plan.recovery.origin, walk=plan.recovery.walk)
     return dwells.lines(np.array([r for r, _ in places]))
 
 

@@ -1,0 +1,240 @@
+"""Plan a block's dwell gate: polynomials that follow the ends of dwells along Doppler, and windows under a weighting.
+
+WINDOWS at the ends of whole dwells are spread over the band by a keystone, and targets lose by it. A keystone scales
+time with range frequency, so that ends of dwells lie at +-`spread` at the edges of the band. Windows rise there as the
+mean of steps over +-`blur` does. At range frequencies where a target is lit beyond its window it loses, and where the
+window reaches beyond the target it gains nothing: for an end at d, |d| < b, the mean step S loses
+
+    integral of 1 - S beyond d = (b - d)^2 / 4 b,    on average over the band (b^2 + mean of d^2) / 4 b,
+
+of the weight at the end: b / 3 with equal weights over the band and b the spread. All targets lose that, and it changes
+their side lobes, by a fifth under `hamming` and a band of 7 %. So windows are raised just inside the end, by a triangle
+from 0 to 4 b. With the height h its area is 2 b h, of which half of the ends, those at d > 0, lack h d^2 / 4 b. What
+remains is that the middle of the triangle lies 2 b inside the end, and its energy, h^2 4 b / 3, which is a tenth of
+that by which the ends differ.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from blocksar import solvers
+from blocksar.arrays import BoolArray, FloatArray
+from blocksar.collection.weighting import FLAT, NODES, Taper
+from blocksar.focusing.dwell_gate import DwellGate, DwellTaper, HalfDwell
+from blocksar.focusing.lines import Focus, RowPolynomial
+from blocksar.focusing.step import Sampling
+from blocksar.kernels import fourier
+from blocksar.kernels.fourier import Axis
+from blocksar.planning.binding import AzimuthPart
+from blocksar.planning.block_lines import MORE_RANGES, TracedTargets, lit_beside, trace_targets
+from blocksar.planning.dwell_ends import end_smear
+from blocksar.planning.dwell_weights import beam_moves
+from blocksar.planning.relief import FINE_DEGREE
+from blocksar.planning.target_lines import Sector
+
+# Dwells that the sampling in Doppler has room for; of a look it needs room for what the whole beam lights, which would
+# wrap into it.
+GATE_ROOM = 1.62
+GATE_DEGREES = 4, 5  # of the ends of dwells in range and in Doppler
+
+
+def plan_dwell_gate(sector: Sector, azimuth: AzimuthPart, sampling: Sampling, lines: TracedTargets) -> DwellGate | None:
+    """The gate that follows the ends of the dwells of lines along Doppler, and of what is lit beside the block.
+
+    On a terrain it follows dwells on the finer smooth part of that, at more ranges, if they depend on height.
+
+    Dwells that the ends of the collection cut are gated as if they continued: nothing lies beyond. None where all is
+    lit all the time: the sum over time is then that over the pulses, however steps in Doppler smear the collection's
+    ends.
+    """
+    collection, weighed = sector.geometry.collection, not sector.taper.uniform
+    if not beam_moves(collection):
+        return None
+    if sector.relief is not None and sector.gates_by_height:
+        fine = sector.geometry.over(None, sector.relief.fine)
+        lines = trace_targets(sector, azimuth, sector.ground_range.nodes(MORE_RANGES), lines.yaw, ground=fine)
+    spots, (begins, ends) = lines.spots, lines.uncut_ends
+
+    # Both ends and the lengths of halves along Doppler; phases that move the ends, and all dwells, to t = 0.
+    length, followed = float((ends - begins).mean()), lit_beside(sector, azimuth, lines)
+    fit = RowFit.over(sampling.rows, followed.spots)
+    begins, ends = followed.uncut_ends
+    values = [begins + length / 2, ends - length / 2, *(_halves(sector, followed) if weighed else ())]
+    degrees = FINE_DEGREE if sector.gates_by_height else GATE_DEGREES
+    begin, end, *fitted = fit.fit(followed.spots, np.stack(values), degrees)
+    phases = fit.integral(begin), fit.integral(end)
+    at_middle = fit.integral((begin + end) / 2).coefficients(np.array((fit.near + fit.far) / 2))[None]
+    common = fit.polynomial(at_middle)
+
+    # The smear that the windows have to have, and the time that they need.
+    (_, shared, _), *along = (each.evaluate(spots.range, spots.doppler[..., None]) for each in (common, *phases))
+    apart = max(float(np.abs(at - shared).max()) for _, at, _ in along)
+    smear = end_smear(lines.line, lines.rate)
+    begin_slope, end_slope = (
+        _end_slope(fit, series, lines, smear[..., i] + along[i][2][..., 0]) for i, series in enumerate((begin, end))
+    )
+    room = GATE_ROOM * length
+    if (whole := collection.lit_widths) > 1:
+        room = max(room, length * (GATE_ROOM / 2 + whole))
+    size = min(fourier.fast_length((room + 2 * apart) / sampling.long_time.step), sampling.long_time.size)
+
+    spread = band_spread(lines)
+    blur = math.hypot(spread, collection.pulse_interval / 2)  # over the band, and by the grid of pulses
+    polynomials = [fit.polynomial(series) for series in fitted]
+    return DwellGate(
+        begin=phases[0],
+        end=phases[1],
+        common=common,
+        begin_slope=begin_slope,
+        end_slope=end_slope,
+        blur=blur,
+        lift=end_lift(blur, spread, sector.weighting.range),
+        length=length,
+        time=fourier.centred(0.0, sampling.long_time.step, size),
+        taper=plan_taper(sector.taper, _halves(sector, lines), polynomials, full=lines.full) if weighed else None,
+    )
+
+
+def _halves(sector: Sector, targets: TracedTargets) -> tuple[FloatArray, FloatArray]:
+    """Lengths of both halves of uncut dwells after all steps, (n_range, n_yaw) s: before the beam's centre and after.
+
+    Where that passes amid dwells, they are halves of the dwell in time.
+    """
+    passing = sector.passing(targets.epoch_range[:, None], targets.yaw)
+    divide = targets.after((targets.uncut[0] + targets.uncut[1]) / 2 if passing is None else passing)
+    begins, ends = targets.uncut_ends
+    return divide - begins, ends - divide
+
+
+def _end_slope(fit: RowFit, series: FloatArray, lines: TracedTargets, slopes: FloatArray) -> RowPolynomial:
+    """Slope of an end in Doppler with which its window is made, s/Hz.
+
+    At each range it lies amid those of the targets with full dwell there, `slopes`, their smear included.
+    """
+    slope, spots = fit.slope(series), lines.spots
+    left = slopes - slope.coefficients(spots.range)[..., 0]
+    amid = fit.fit_amid(spots.range, left, lines.full, degree=GATE_DEGREES[0])
+    slope.series[: amid.size, 0] += amid
+    return slope
+
+
+class RowFit(NamedTuple):
+    """Where polynomials along rows lie: ranges, m, and the centre and scale of Doppler, Hz."""
+
+    near: float
+    far: float
+    centre: float
+    scale: float
+
+    @classmethod
+    def over(cls, rows: Axis, spots: Focus) -> RowFit:
+        """Over the rows of an image, and the Doppler at which targets focus."""
+        doppler = spots.doppler
+        scale = max(float(np.ptp(doppler) / 2), 1e-6)
+        centre = float((doppler.min() + doppler.max()) / 2)
+        return cls(rows.start, rows.start + rows.extent, centre=centre, scale=scale)
+
+    def polynomial(self, series: FloatArray) -> RowPolynomial:
+        return RowPolynomial(series=series, near=self.near, far=self.far, centre=self.centre, scale=self.scale)
+
+    def fit(self, spots: Focus, values: FloatArray, degrees: tuple[int, int]) -> list[FloatArray]:
+        """Fit values (n, n_range, n_yaw), s, where targets focus: series in range of powers of z, one for each."""
+        u = (2 * spots.range.ravel() - self.near - self.far) / (self.far - self.near)
+        z = (spots.doppler.ravel() - self.centre) / self.scale
+        basis = np.asarray(chebyshev.chebvander2d(u, z, degrees).T, np.float64)
+        fitted = solvers.least_squares(basis, values.reshape(values.shape[0], -1), damping=1e-20 * u.size)
+        shape = degrees[0] + 1, degrees[1] + 1
+        return [solvers.product(row.reshape(shape), _to_powers(degrees[1])) for row in fitted.T]
+
+    def fit_amid(self, rng: FloatArray, values: FloatArray, which: BoolArray, *, degree: int) -> FloatArray:
+        """Fit a series in range amid those of values (n_range, n_yaw) at each range that are chosen by `which`."""
+        whole = which.any(axis=1)
+        rows = [(values[i, which[i]], rng[i, which[i]].mean()) for i in np.flatnonzero(whole)]
+        u = np.array([(2 * mean - self.near - self.far) / (self.far - self.near) for _, mean in rows])
+        middles = np.array([(row.min() + row.max()) / 2 for row, _ in rows])
+        terms = chebyshev.chebvander(u, min(degree, (len(rows) - 1) // 2)).T
+        return np.asarray(solvers.least_squares(terms, middles, damping=1e-20 * u.size))
+
+    def integral(self, series: FloatArray) -> RowPolynomial:
+        """The polynomial whose derivative has these coefficients (n, order + 1): cycles."""
+        integral = np.zeros((series.shape[0], series.shape[1] + 1))
+        integral[:, 1:] = series / np.arange(1, series.shape[1] + 1) * self.scale
+        return self.polynomial(integral)
+
+    def slope(self, series: FloatArray) -> RowPolynomial:
+        """The linear coefficient, per Hz."""
+        return self.polynomial(series[:, 1:2] / self.scale)
+
+
+@lru_cache
+def _to_powers(most: int) -> FloatArray:
+    """Power coefficients of the Chebyshev polynomials of degrees 0 .. most, one a row; read-only."""
+    powers = np.zeros((most + 1, most + 1))
+    for degree, row in enumerate(np.eye(most + 1)):
+        powers[degree, : degree + 1] = chebyshev.cheb2poly(row[: degree + 1])
+    powers.flags.writeable = False
+    return powers
+
+
+LENGTHS, MOST_LENGTHS = {1e-3: 1, 0.04: 2, 0.15: 3}, 4  # windows by the relative spread of the halves' lengths
+MOST_SPREAD = 1.6  # the longest half over the shortest, between which so many windows are blended
+
+
+def plan_taper(
+    taper: Taper, halves: Sequence[FloatArray], lengths: Sequence[RowPolynomial], *, full: BoolArray
+) -> DwellTaper:
+    """The taper over dwells with halves of these lengths (n_range, n_yaw), s, which polynomials fit."""
+    begin, end = (
+        HalfDwell(length=length, lengths=_window_lengths(*_blended(half, full)))
+        for half, length in zip(halves, lengths, strict=True)
+    )
+    return DwellTaper(taper=taper, begin=begin, end=end)
+
+
+def _blended(lengths: FloatArray, full: BoolArray) -> tuple[float, float]:
+    """Shortest and longest half for which windows are made, s.
+
+    Where a beam turns slowly near the collection's ends, dwells that these cut may be several times as long as those
+    with `full` dwell; windows for both would lie too far apart to be blended. Then they are made for full dwells, and
+    for others as far as `MOST_SPREAD` reaches.
+    """
+    shortest, longest = float(lengths.min()), float(lengths.max())
+    if longest > MOST_SPREAD * shortest and full.any():
+        least, most = float(lengths[full].min()), float(lengths[full].max())
+        room = max(MOST_SPREAD * least / most, 1.0) ** 0.5
+        shortest = max(shortest, least / room)
+        longest = min(longest, max(most, MOST_SPREAD * shortest))
+    return shortest, longest
+
+
+def _window_lengths(shortest: float, longest: float) -> tuple[float, ...]:
+    """So many lengths between two, s, that blending windows of them errs by less than a thousandth."""
+    count = next((n for spread, n in LENGTHS.items() if longest <= (1 + spread) * shortest), MOST_LENGTHS)
+    if count == 1:
+        return ((shortest + longest) / 2,)
+    return tuple(np.linspace(shortest, longest, count).tolist())
+
+
+def band_spread(targets: TracedTargets) -> float:
+    """Half of the time over which a keystone spreads the ends of dwells, s; 0 without one."""
+    if targets.scaled_about is None:
+        return 0.0
+    collection, away = targets.geometry.collection, float(np.abs(np.array(targets.uncut) - targets.scaled_about).mean())
+    return away * collection.bandwidth / 2 / collection.carrier
+
+
+def end_lift(blur: float, spread: float, band: Taper = FLAT) -> float:
+    """`DwellGate.lift`: the height h of the triangle, for ends at +-`spread`, s, over a band with a weighting."""
+    if not spread:
+        return 0.0
+    nodes, weights = solvers.gauss_legendre(NODES)
+    shares = weights * band(nodes)
+    squared = spread**2 * float((shares * nodes**2).sum() / shares.sum())
+    return (blur**2 + squared) / (4 * blur) / (2 * blur - squared / (8 * blur))
