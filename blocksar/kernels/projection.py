@@ -177,7 +177,7 @@ class LitPixels(NamedTuple):
     last: IntArray
 
     def of(self, part: tuple[slice, slice]) -> LitPixels:
-        """Those of some rows and columns."""
+        """Pixels of some rows and columns."""
         return LitPixels(self.x[part], self.y[part], self.z[part], self.first[part], self.last[part])
 
 
