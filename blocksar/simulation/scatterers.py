@@ -22,8 +22,21 @@ from blocksar.collection.terrain import Terrain
 from blocksar.constants import SPEED_OF_LIGHT, TURN
 from blocksar.kernels.fourier import chirp_spectrum
 from blocksar.kernels.lanes import cosine, sine
-from blocksar.kernels.loops import COMPILED, PART, REAL_ROW, Loop, fixed, loop, record
+from blocksar.kernels.loops import COMPILED, REAL_ROW, Loop, loop
 from blocksar.simulation.scene_ground import Shadow, cast_shadow
+
+_FIELD = (
+    *(REAL_ROW, REAL_ROW, REAL_ROW, types.Array(types.complex128, 1, "C", readonly=True)),
+    types.none,
+    types.Array(types.float64, 1, "A", readonly=True),
+)  # types of a field's x, y, yaw, reflectivity and z, and of the antenna's position
+_RAISED = (*_FIELD[:4], REAL_ROW, _FIELD[5])  # of a field with heights
+
+
+def compiled(function: Callable[..., None], *arguments: Any) -> tuple[Loop, Loop]:
+    """A loop over scatterers, compiled for those on the ground plane, and for those with heights."""
+    plain, raised = (loop(*field, *arguments, **COMPILED) for field in (_FIELD, _RAISED))
+    return plain(function), raised(function)
 
 
 class Scatterers(NamedTuple):
@@ -37,45 +50,7 @@ class Scatterers(NamedTuple):
 
     def at(self, which: slice | BoolArray | IntArray) -> Scatterers:
         """Some of them."""
-        return Scatterers(*(None if column is None else fixed(column[which]) for column in self))  # type: ignore[arg-type]
-
-
-class Illumination(NamedTuple):
-    """A pulse, as scatterers see it.
-
-    Attributes
-    ----------
-    antenna : (3,) float
-        m
-    ground_height : float
-        Of scatterers without heights of their own, m.
-    azimuth, half_width : float
-        Yaws of the beam, rad; the half width is infinite where it is not described by them.
-    reference_range : float
-        m.
-    """
-
-    antenna: FloatArray
-    ground_height: float
-    azimuth: float
-    half_width: float
-    reference_range: float
-
-    @classmethod
-    def of(cls, collection: Collection, pulse: int) -> Illumination:
-        numbers = collection.ground_height, *_beam(collection, pulse), collection.reference_range[pulse]
-        return cls(fixed(np.ascontiguousarray(collection.antenna_position[pulse])), *map(float, numbers))
-
-
-_REFLECTIVITY = types.Array(types.complex128, 1, "C", readonly=True)
-_FIELDS = [record(Scatterers, *[REAL_ROW] * 3, _REFLECTIVITY, z) for z in (types.none, REAL_ROW)]
-_ILLUMINATION = record(Illumination, REAL_ROW, *[types.float64] * 4)
-
-
-def compiled(function: Callable[..., None], *arguments: Any) -> tuple[Loop, Loop]:
-    """A loop over scatterers, compiled for those on the ground plane, and for those with heights."""
-    plain, raised = (loop(field, _ILLUMINATION, *arguments, **COMPILED) for field in _FIELDS)
-    return plain(function), raised(function)
+        return Scatterers(*(None if column is None else column[which] for column in self))  # type: ignore[arg-type]
 
 
 NUFFT_ACCURACY = 1e-7  # relative to the norm of the lit reflectivity: below the rounding error of complex64
@@ -124,7 +99,7 @@ class Field:
         if self.collection.has_axis:
             of = of.at(self.geometry.beam.is_lit(of.x, of.y, slice(pulse, pulse + 1), of.z)[:, 0])
         if self.collection.has_pattern:
-            of = of._replace(reflectivity=fixed(of.reflectivity * self.geometry.beam.gain(of.x, of.y, pulse, of.z)))
+            of = of._replace(reflectivity=of.reflectivity * self.geometry.beam.gain(of.x, of.y, pulse, of.z))
         return of
 
     def lit_slices(self, pulse: int) -> list[tuple[int, int]]:
@@ -323,23 +298,20 @@ def _beam(collection: Collection, pulse: int) -> tuple[float, float]:
 _in_beam = njit(inline="always")(in_beam)
 
 
-@njit(**PART, **COMPILED)
-def _above(z: FloatArray | None, i: int, ground_height: float, antenna_height: float) -> float:
-    """Height of a scatterer over the antenna, m; a function of its own, since numba looks for None in arguments."""
-    if z is not None:
-        return float(z[i] - antenna_height)
-    return ground_height - antenna_height
-
-
 def _direct(scatterers: Field, block: range, out: ComplexArray) -> None:
     """Sum the range-frequency samples of few scatterers directly."""
     collection = scatterers.collection
     n = collection.n_range_frequency
     stride = int(np.ceil(np.sqrt(n)))
     for row, pulse in enumerate(block):
+        beam, half_width = _beam(collection, pulse)
         (_PULSE if scatterers.z is None else _RAISED_PULSE)(
-            scatterers.part(pulse, 0, scatterers.yaw.size),
-            Illumination.of(collection, pulse),
+            *scatterers.part(pulse, 0, scatterers.yaw.size),
+            collection.antenna_position[pulse],
+            collection.ground_height,
+            beam,
+            half_width,
+            collection.reference_range[pulse],
             2 * (collection.carrier + collection.range_frequency[0]) / SPEED_OF_LIGHT,
             2 * collection.range_frequency_step / SPEED_OF_LIGHT,
             stride,
@@ -348,22 +320,37 @@ def _direct(scatterers: Field, block: range, out: ComplexArray) -> None:
 
 
 def _sum_pulse(
-    scatterers: Scatterers, pulse: Illumination, cycles_first: float, cycles_step: float, stride: int, out: ComplexArray
+    x: FloatArray,
+    y: FloatArray,
+    yaw: FloatArray,
+    reflectivity: NDArray[np.complex128],
+    z: FloatArray | None,
+    antenna: FloatArray,
+    height: float,
+    beam: float,
+    half_width: float,
+    reference: float,
+    cycles_first: float,
+    cycles_step: float,
+    stride: int,
+    out: ComplexArray,
 ) -> None:
     """out[k] = sum sigma exp(-2j pi (cycles_first + k cycles_step) (R - reference)).
 
     With k = a stride + b, the exponential is a factor in a times a factor in b: 2 sqrt(n) sines and cosines of float64
     phases instead of n, and an outer product.
     """
-    (x, y, yaw, reflectivity, z), antenna, n = scatterers, pulse.antenna, out.size
+    n = out.size
     rows = (n + stride - 1) // stride
     total_real, total_imag = np.zeros((rows, stride)), np.zeros((rows, stride))
     fine_real, fine_imag = np.empty(stride), np.empty(stride)
     for i in range(x.size):
-        if not _in_beam(yaw[i], pulse.azimuth, pulse.half_width):
+        if not _in_beam(yaw[i], beam, half_width):
             continue
-        dx, dy, dz = x[i] - antenna[0], y[i] - antenna[1], _above(z, i, pulse.ground_height, antenna[2])
-        away = np.sqrt(dx * dx + dy * dy + dz * dz) - pulse.reference_range
+        dx, dy, dz = x[i] - antenna[0], y[i] - antenna[1], height - antenna[2]
+        if z is not None:
+            dz = z[i] - antenna[2]
+        away = np.sqrt(dx * dx + dy * dy + dz * dz) - reference
         for b in range(stride):
             phase = -TURN * (cycles_step * b * away)
             fine_real[b], fine_imag[b] = np.cos(phase), np.sin(phase)
@@ -380,7 +367,7 @@ def _sum_pulse(
         out[k] = complex(np.float32(total_real[a, b]), np.float32(total_imag[a, b]))
 
 
-_PULSE, _RAISED_PULSE = compiled(_sum_pulse, *[types.float64] * 2, types.int64, types.complex64[::1])
+_PULSE, _RAISED_PULSE = compiled(_sum_pulse, *[types.float64] * 6, types.int64, types.complex64[::1])
 
 
 def _direct_echo(
@@ -389,9 +376,14 @@ def _direct_echo(
     """Sum the raw echoes of few scatterers directly."""
     collection = scatterers.collection
     for row, pulse in enumerate(block):
+        beam, half_width = _beam(collection, pulse)
         (_ECHO if scatterers.z is None else _RAISED_ECHO)(
-            scatterers.part(pulse, 0, scatterers.yaw.size),
-            Illumination.of(collection, pulse),
+            *scatterers.part(pulse, 0, scatterers.yaw.size),
+            collection.antenna_position[pulse],
+            collection.ground_height,
+            beam,
+            half_width,
+            collection.reference_range[pulse],
             2 * collection.carrier / SPEED_OF_LIGHT,
             start,
             interval,
@@ -402,19 +394,35 @@ def _direct_echo(
 
 
 def _sum_echo(
-    scatterers: Scatterers, pulse: Illumination, cycles_per_metre: float, start: float, interval: float, half: float,
-    chirp_rate: float, out: ComplexArray,
-) -> None:  # fmt: skip
+    x: FloatArray,
+    y: FloatArray,
+    yaw: FloatArray,
+    reflectivity: NDArray[np.complex128],
+    z: FloatArray | None,
+    antenna: FloatArray,
+    height: float,
+    beam: float,
+    half_width: float,
+    reference: float,
+    cycles_per_metre: float,
+    start: float,
+    interval: float,
+    half: float,
+    chirp_rate: float,
+    out: ComplexArray,
+) -> None:
     """out[k] = sum sigma exp(2j pi (chirp_rate / 2 tau_k^2 - cycles_per_metre (R - reference))), within the pulse."""
-    (x, y, yaw, reflectivity, z), antenna, n = scatterers, pulse.antenna, out.size
+    n = out.size
     total = np.zeros(n, np.complex128)
     for i in range(x.size):
-        if not _in_beam(yaw[i], pulse.azimuth, pulse.half_width):
+        if not _in_beam(yaw[i], beam, half_width):
             continue
-        dx, dy, dz = x[i] - antenna[0], y[i] - antenna[1], _above(z, i, pulse.ground_height, antenna[2])
+        dx, dy, dz = x[i] - antenna[0], y[i] - antenna[1], height - antenna[2]
+        if z is not None:
+            dz = z[i] - antenna[2]
         distance = np.sqrt(dx * dx + dy * dy + dz * dz)
         delay = 2 * distance / SPEED_OF_LIGHT - start
-        carrier_cycles = -cycles_per_metre * (distance - pulse.reference_range)
+        carrier_cycles = -cycles_per_metre * (distance - reference)
         first = max(int(np.ceil((delay - half) / interval)), 0)
         last = min(int(np.floor((delay + half) / interval)), n - 1)
         for k in range(first, last + 1):
@@ -426,7 +434,7 @@ def _sum_echo(
         out[k] = complex(np.float32(total[k].real), np.float32(total[k].imag))
 
 
-_ECHO, _RAISED_ECHO = compiled(_sum_echo, *[types.float64] * 5, types.complex64[::1])
+_ECHO, _RAISED_ECHO = compiled(_sum_echo, *[types.float64] * 9, types.complex64[::1])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -446,12 +454,17 @@ def _transform(scatterers: Field, grid: _Grid, block: range, out: NDArray[Any]) 
     plan = finufft.Plan(1, (grid.n,), eps=NUFFT_ACCURACY, isign=-1, dtype="complex128", nthreads=1, spread_sort=0)
     nodes, strengths = np.empty(scatterers.yaw.size), np.empty(scatterers.yaw.size, np.complex128)
     for row, pulse in enumerate(block):
-        illumination, n = Illumination.of(collection, pulse), 0
+        beam, half_width = _beam(collection, pulse)
+        n = 0
         for first, last in scatterers.lit_slices(pulse):
             part = scatterers.part(pulse, first, last)
             (_NODES if scatterers.z is None else _RAISED_NODES)(
-                part,
-                illumination,
+                *part,
+                collection.antenna_position[pulse],
+                collection.ground_height,
+                beam,
+                half_width,
+                collection.reference_range[pulse],
                 grid.envelope_range[pulse],
                 2 * collection.carrier / SPEED_OF_LIGHT,
                 2 * grid.middle / SPEED_OF_LIGHT,
@@ -468,23 +481,39 @@ def _transform(scatterers: Field, grid: _Grid, block: range, out: NDArray[Any]) 
 
 
 def _find_nodes(
-    scatterers: Scatterers, pulse: Illumination, envelope: float, carrier_cycles: float, middle_cycles: float,
-    step_cycles: float, nodes: FloatArray, strengths: NDArray[np.complex128],
-) -> None:  # fmt: skip
+    x: FloatArray,
+    y: FloatArray,
+    yaw: FloatArray,
+    reflectivity: NDArray[np.complex128],
+    z: FloatArray | None,
+    antenna: FloatArray,
+    height: float,
+    beam: float,
+    half_width: float,
+    reference: float,
+    envelope: float,
+    carrier_cycles: float,
+    middle_cycles: float,
+    step_cycles: float,
+    nodes: FloatArray,
+    strengths: NDArray[np.complex128],
+) -> None:
     """Compute nodes and strengths of one pulse's transform; scatterers that are not lit have strength 0."""
-    (x, y, yaw, reflectivity, z), ax, ay, az = scatterers, pulse.antenna[0], pulse.antenna[1], pulse.antenna[2]
+    ax, ay, dz = antenna[0], antenna[1], height - antenna[2]
     for i in range(x.size):
-        dx, dy, dz = x[i] - ax, y[i] - ay, _above(z, i, pulse.ground_height, az)
+        dx, dy = x[i] - ax, y[i] - ay
+        if z is not None:
+            dz = z[i] - antenna[2]
         distance = np.sqrt(dx * dx + dy * dy + dz * dz)
         away = distance - envelope
         turns = step_cycles * away
         nodes[i] = TURN * (turns - np.rint(turns))
-        cycles = -(carrier_cycles * (distance - pulse.reference_range) + middle_cycles * away)
+        cycles = -(carrier_cycles * (distance - reference) + middle_cycles * away)
         part = np.float32(cycles - np.rint(cycles))
-        lit = 1.0 if _in_beam(yaw[i], pulse.azimuth, pulse.half_width) else 0.0
+        lit = 1.0 if _in_beam(yaw[i], beam, half_width) else 0.0
         cos, sin = lit * cosine(part), lit * sine(part)
         sigma = reflectivity[i]
         strengths[i] = complex(sigma.real * cos - sigma.imag * sin, sigma.real * sin + sigma.imag * cos)
 
 
-_NODES, _RAISED_NODES = compiled(_find_nodes, *[types.float64] * 4, types.float64[::1], types.complex128[::1])
+_NODES, _RAISED_NODES = compiled(_find_nodes, *[types.float64] * 8, types.float64[::1], types.complex128[::1])
