@@ -340,18 +340,9 @@ def sum_windows(  # type: ignore[no-untyped-def]
     Real and imaginary parts alternate along a row of the block, eight samples in a register. The rows are summed
     first, with one weight each, then the registers are multiplied by the taps along Doppler and by the carrier.
     """
-    stride, range_taps, range_step, range_width = (
-        floats.shape[1],
-        in_range.table,
-        in_range.table.shape[1],
-        in_range.width,
-    )
-    doppler_taps, doppler_step, at, carrier_at = (
-        in_doppler.table,
-        in_doppler.table.shape[1],
-        windows.at,
-        windows.carrier_at,
-    )
+    range_taps, range_width, doppler_taps = in_range.table, in_range.width, in_doppler.table
+    stride, range_step, doppler_step = floats.shape[1], range_taps.shape[1], doppler_taps.shape[1]
+    at, carrier_at = windows.at, windows.carrier_at
     range_at, range_part, doppler_at, doppler_part = (
         windows.range_at, windows.range_part, windows.doppler_at, windows.doppler_part,
     )  # fmt: skip
@@ -385,19 +376,11 @@ def sum_windows(  # type: ignore[no-untyped-def]
 
 @njit(**PART, **COMPILED)
 def sum_windows_bent(  # type: ignore[no-untyped-def]
-    floats, windows, in_range, bent, tap_at, tap_step, carriers, real, imag
-):
+    floats, stride, at, range_taps, range_step, range_width, range_at, range_part, real_taps, imag_taps, tap_at,
+    tap_step, doppler_part, carriers, carrier_step, carrier_at, real, imag,
+):  # fmt: skip
     """`sum_windows` with complex taps along Doppler: for each pixel a row of `tap_step` entries from `tap_at` on."""
-    stride, range_taps, range_step, range_width = (
-        floats.shape[1],
-        in_range.table,
-        in_range.table.shape[1],
-        in_range.width,
-    )
-    real_taps, imag_taps, carrier_step = bent.real, bent.imag, 2 * bent.width[0]
-    at, range_at, range_part, doppler_part, carrier_at = (
-        windows.at, windows.range_at, windows.range_part, windows.doppler_part, windows.carrier_at,
-    )  # fmt: skip
+    # Arrays, not records of them: with these the loop took a fifth longer.
     for k in range(at.size):
         if at[k] < 0:
             continue

@@ -450,5 +450,9 @@ def resample_on_relief(  # type: ignore[no-untyped-def]
             find_addresses(windows, stride, amplitude)
             turn_windows(doppler, cycles, middle, 4 * bent.width[0], windows, own)
             phasors_of(own, own_real, own_imag)
-            sum_windows_bent(floats, windows, in_range, bent, tap_at, tap_step, taps.carriers, real, imag)
+            sum_windows_bent(
+                floats, stride, windows.at, in_range.table, range_step, in_range.width, windows.range_at,
+                windows.range_part, bent.real, bent.imag, tap_at, tap_step, windows.doppler_part, taps.carriers,
+                2 * bent.width[0], windows.carrier_at, real, imag,
+            )  # fmt: skip
             write_row(numbers, start, n, amplitude, own_real, own_imag, real, imag)
