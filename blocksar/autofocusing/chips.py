@@ -21,7 +21,7 @@ from blocksar.autofocusing.track_correction import between_samples
 from blocksar.autofocusing.work import Work, low_pass
 from blocksar.kernels.fourier import fast_length, fft_rows
 from blocksar.kernels.groups import run_groups
-from blocksar.kernels.loops import REAL_ROWS, UNCHECKED, loop
+from blocksar.kernels.loops import REAL_ROWS, UNCHECKED, fixed, loop
 from blocksar.solvers import combination, vertex
 
 SIGHTS = types.Array(types.float64, 3, "C", readonly=True)
@@ -268,13 +268,14 @@ def take_chips(
     lit = np.stack([np.clip(p - pulses.start, 0, pulses.stop - pulses.start) for p in (points.first, points.last)], 1)
     place = np.stack([points.x, points.y, points.z], axis=1)
 
+    decimating = range_lines.DecimatingFilter(fixed(taps), d, ahead + pulses.start - d * start)
+
     def one(rows: slice) -> None:
         sight = place[rows, None] - position
         held = np.sqrt((sight * sight).sum(axis=2)) - collection.reference_range[pulses]
         range_lines.take_chips(
             profiles.values, held / profiles.spacing, held * (work.wavenumber / (2 * np.pi)), lit[rows],
-            range_lines.taps(), taps, settings.line_spacing * work.cell / profiles.spacing, d,
-            ahead + pulses.start - d * start, out[rows],
+            range_lines.taps(), settings.line_spacing * work.cell / profiles.spacing, decimating, out[rows],
         )  # fmt: skip
 
     n = points.x.size

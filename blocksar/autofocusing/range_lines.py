@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numba import types
@@ -14,7 +15,7 @@ from blocksar.collection.collection import Collection
 from blocksar.kernels.fourier import fast_length, fft_rows
 from blocksar.kernels.groups import row_groups, run_groups
 from blocksar.kernels.interpolation import interpolation_taps
-from blocksar.kernels.loops import COMPILED, REAL_ROW, REAL_ROWS, SAMPLES_IN, loop
+from blocksar.kernels.loops import COMPILED, REAL_ROW, REAL_ROWS, SAMPLES_IN, loop, record
 from blocksar.kernels.phase import Float32Array
 
 UPSAMPLING = 2  # bins per range cell, at least
@@ -54,6 +55,21 @@ def range_profiles(signal: ComplexArray, collection: Collection, threads: int = 
     return RangeProfiles(values=values, spacing=collection.range_window / period)
 
 
+class DecimatingFilter(NamedTuple):
+    """A low pass along pulses: pulse p counts in sample m with taps[p + ahead - factor m].
+
+    Attributes
+    ----------
+    taps : (n,) float
+        Read-only, see `kernels.loops.fixed`.
+    factor, ahead : int
+    """
+
+    taps: FloatArray
+    factor: int
+    ahead: int
+
+
 @lru_cache(maxsize=1)
 def taps() -> Float32Array:
     """Weights of the bins about a fraction of a bin, (N_PHASE + 1, N_TAP)."""
@@ -87,8 +103,8 @@ def take_lines(
 
 @loop(
     *(SAMPLES_IN, REAL_ROWS, REAL_ROWS, types.Array(types.int64, 2, "C", readonly=True)),
-    *(types.Array(types.float32, 2, "C", readonly=True), REAL_ROW, types.float64, types.int64, types.int64),
-    types.complex64[:, :, ::1],
+    *(types.Array(types.float32, 2, "C", readonly=True), types.float64),
+    *(record(DecimatingFilter, REAL_ROW, types.int64, types.int64), types.complex64[:, :, ::1]),
     **COMPILED,
 )
 def take_chips(
@@ -97,18 +113,16 @@ def take_chips(
     cycles: FloatArray,
     lit: IntArray,
     weights: Float32Array,
-    low_pass: FloatArray,
     line_bins: float,
-    decimation: int,
-    ahead: int,
+    decimating: DecimatingFilter,
     out: ComplexArray,
 ) -> None:
     """Add to out[i, m, l] the low-passed, decimated lines l about each point i.
 
     values (n_pulse, n_bin); bins, cycles (n_point, n_pulse) of the points; lit (n_point, 2): first and last of these
-    pulses; low_pass (n,): pulse p counts in sample m with low_pass[p + ahead - decimation m]; line_bins: bins between
-    lines; out (n_point, n_sample, n_line).
+    pulses; line_bins: bins between lines; out (n_point, n_sample, n_line).
     """
+    low_pass, decimation, ahead = decimating
     n_bin, n_tap, n_phase = values.shape[1], weights.shape[1], weights.shape[0] - 1
     n_line, n_filter = out.shape[2], low_pass.size
     for i in range(bins.shape[0]):

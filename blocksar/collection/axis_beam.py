@@ -64,15 +64,18 @@ def axis_passes(collection: Collection, points: GroundPoints) -> tuple[IntArray,
     Several passes where the beam turns back or wobbles, leaves a point and comes to it again: (n_pass, n), in the order
     of time. Those that a point lacks are empty, at the end of the one before; so a point that is never lit has 0 and 0.
     """
-    from blocksar.kernels.beam_passes import find_passes, largest_steps  # load numba, which other beams do without
+    from blocksar.kernels.beam_passes import (
+        FoundPasses,
+        MovingBeam,
+        find_passes,
+    )  # load numba, which other beams do without
 
-    points, table, most, m = points.each(), _table(collection, _half(collection)), FEW_PASSES, 0
-    steps = largest_steps(table)
+    points, beam, most, m = points.each(), MovingBeam.of(_table(collection, _half(collection))), FEW_PASSES, 0
     while most > m:
         m = most
-        firsts, lasts = np.empty((2, m, points.x.size), np.int64)
-        most = find_passes(table, *points, *steps, firsts, lasts)
-    return _in_order(firsts, lasts)
+        found = FoundPasses(*np.empty((2, m, points.x.size), np.int64))
+        most = find_passes(beam, *points, found)
+    return _in_order(*found)
 
 
 def _in_order(firsts: IntArray, lasts: IntArray) -> tuple[IntArray, IntArray]:

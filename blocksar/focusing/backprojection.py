@@ -36,7 +36,7 @@ from blocksar.focusing.recorded_pulses import divide_by_recorded
 from blocksar.kernels.device import CPU, TILE, Device, Tile, tiles
 from blocksar.kernels.groups import GROUP_BYTES, run_groups
 from blocksar.kernels.phase import Float32Array
-from blocksar.kernels.projection import UPSAMPLING, BeamTaper, Sights
+from blocksar.kernels.projection import UPSAMPLING, BeamTaper, LitPixels, Sights
 
 ReadPulses = Callable[[slice], ComplexArray]  # (n, n_range_frequency) samples of a slice of pulses
 Pass = tuple[Tile, IntArray, IntArray]  # pixels, and the pulses first <= p < last that light them
@@ -52,11 +52,7 @@ def accumulate(
     profiles: Profiles,
     *,
     geometry: Geometry,
-    x: FloatArray,
-    y: FloatArray,
-    z: FloatArray,
-    first: IntArray,
-    last: IntArray,
+    pixels: LitPixels,
     threads: int,
     taper: Taper = FLAT,
     weight: Float32Array | None = None,
@@ -71,10 +67,8 @@ def accumulate(
         Set where a lit pulse sees the pixel outside the unambiguous window.
     profiles : Profiles
     geometry : Geometry
-    x, y, z : (n_row, n_column) float
-        m, scene frame; finite.
-    first, last : (n_row, n_column) int
-        Lit pulses: one of `Beam.passes`.
+    pixels : LitPixels
+        (n_row, n_column), lit by one of `Beam.passes`.
     threads : int
         The result does not depend on it: one thread sums each pixel, in a fixed order.
     taper : Taper
@@ -104,7 +98,7 @@ def accumulate(
         half_window=collection.range_window / 2,
         taper=None if taper.uniform else _beam_taper(taper, profiles, geometry),
     )
-    device.project(image, outside, sights, x, y, z, first, last, weight, threads)
+    device.project(image, outside, sights, pixels, weight, threads)
 
 
 def _beam_taper(taper: Taper, profiles: Profiles, geometry: Geometry) -> BeamTaper:
@@ -194,17 +188,19 @@ class DevicePixels:
     def __init__(self, sums: PixelSums, device: Device) -> None:
         self.sums, self.device = sums, device
         weight = None if sums.over_beam.uniform else np.zeros(sums.x.shape, np.float32)
-        self.image, self.outside, self.weight, self.x, self.y, self.z = map(
-            device.put, (sums.image, sums.outside, weight, sums.x, sums.y, sums.z)
-        )
-        self.passes = [(part, device.put(first), device.put(last)) for part, first, last in sums.passes]
+        self.image, self.outside, self.weight = map(device.put, (sums.image, sums.outside, weight))
+        x, y, z = map(device.put, (sums.x, sums.y, sums.z))
+        self.passes = [
+            (part, LitPixels(x[part], y[part], z[part], device.put(first), device.put(last)))
+            for part, first, last in sums.passes
+        ]
 
     def add(self, profiles: Profiles, threads: int) -> None:
         """Add a block of pulses."""
-        for part, first, last in self.passes:
+        for part, pixels in self.passes:
             accumulate(
-                self.image[part], self.outside[part], profiles, geometry=self.sums.geometry, x=self.x[part],
-                y=self.y[part], z=self.z[part], first=first, last=last, threads=threads, taper=self.sums.over_beam,
+                self.image[part], self.outside[part], profiles, geometry=self.sums.geometry, pixels=pixels,
+                threads=threads, taper=self.sums.over_beam,
                 weight=None if self.weight is None else self.weight[part], device=self.device,
             )  # fmt: skip
 
@@ -275,10 +271,19 @@ class PixelSums:
         """Add pulses, whose valid samples are known, to the sums of weights times the antenna's pattern."""
         self._gains = np.zeros(self.image.shape) if self._gains is None else self._gains
         for part, first, last in self.passes:
-            _add_gains(
-                self._gains[part], self.geometry, self.x[part], self.y[part], self.z[part], first=first, last=last,
-                pulses=pulses, valid=self._valid, taper=self.over_beam, threads=self.threads,
+            pixels = LitPixels(self.x[part], self.y[part], self.z[part], first, last)
+            self._add_gains_at(self._gains[part], pixels, pulses)
+
+    def _add_gains_at(self, gains: FloatArray, pixels: LitPixels, pulses: slice) -> None:
+        """`pattern_sums.add_gains` tile by tile, in threads."""
+
+        def work(tile: Tile) -> None:
+            add_gains(
+                gains[tile], self.geometry, pixels.of(tile), pulses=pulses, valid=self._valid[pulses],
+                taper=self.over_beam,
             )  # fmt: skip
+
+        _run_tiles(work, gains.shape, self.threads)
 
     def mean(self, weight: Float32Array | None = None) -> ComplexArray:
         """Divide the sums, in place, and return them.
@@ -406,21 +411,6 @@ def _lit_passes(geometry: Geometry, x: FloatArray, y: FloatArray, threads: int) 
 
     _run_tiles(work, x.shape, threads)
     return [((slice(None), slice(None)), first, last), *further]
-
-
-def _add_gains(
-    gains: FloatArray, geometry: Geometry, x: FloatArray, y: FloatArray, z: FloatArray, *, first: IntArray,
-    last: IntArray, pulses: slice, valid: IntArray | FloatArray, taper: Taper, threads: int,
-) -> None:  # fmt: skip
-    """`pattern_sums.add_gains` tile by tile, in threads."""
-
-    def work(tile: Tile) -> None:
-        add_gains(
-            gains[tile], geometry, x[tile], y[tile], z[tile], first=first[tile], last=last[tile], pulses=pulses,
-            valid=valid[pulses], taper=taper,
-        )  # fmt: skip
-
-    _run_tiles(work, gains.shape, threads)
 
 
 def _find_dark(

@@ -21,11 +21,17 @@ from blocksar.collection.grid import spacing
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.ground_map import GroundMap, tile_extent
 from blocksar.focusing.pixel_rows import (
+    AXIS_TAPS,
     DOPPLER_UNIT,
     N_CARRIER,
     N_PHASE,
     RANGE_UNIT,
+    SECTOR,
     TILE_DEGREE,
+    AxisTaps,
+    OwnedSector,
+    Tiles,
+    Windows,
     along_row,
     amplitude_of,
     blank_row,
@@ -41,11 +47,11 @@ from blocksar.focusing.pixel_rows import (
     turn_windows,
     write_row,
 )
-from blocksar.focusing.relief_correction import bent_taps_of, nodes_of, resample_on_relief, tile_polynomials
+from blocksar.focusing.relief_correction import ReliefTaps, bent_taps_of, nodes_of, resample_on_relief, tile_polynomials
 from blocksar.kernels import interpolation
 from blocksar.kernels.groups import run_groups
 from blocksar.kernels.lanes import FEW
-from blocksar.kernels.loops import COMPILED, FLOATS_IN, NUMBERS_OUT, PAIR, POWERS, REAL_ROW, REAL_ROWS, TILES, loop
+from blocksar.kernels.loops import COMPILED, FLOATS_IN, NUMBERS_OUT, POWERS, REAL_ROW, TILES, fixed, loop, record
 from blocksar.kernels.phase import Float32Array
 from blocksar.solvers import product
 
@@ -54,31 +60,16 @@ MANY_ABSENT = 64  # tiles of a window without owned pixels, from which on all of
 TILE_GROUP = 16  # tiles per call of the compiled loop
 
 
-class Tiles(NamedTuple):
-    """The tiles of a window in which a block may own pixels.
+class WindowTaps(NamedTuple):
+    """Taps of windows along both axes, and factors that remove carriers, from `_carriers`."""
 
-    Attributes
-    ----------
-    side : int
-        Pixels along a side of each.
-    places : (n, 3) int64
-        First row and column, and whether the block owns all pixels, and their ranges are not needed.
-    polynomials : (n, TILE_DEGREE + 1, 6 (TILE_DEGREE + 1)) float
-        Power coefficients in tile coordinates (y, x) in [-1, 1]; on a terrain as `relief_correction` has them.
-    heights : (n, 2) float or None
-        On a terrain, middle and half of the heights of each, m.
-    """
+    in_range: AxisTaps
+    in_doppler: AxisTaps
+    carriers: Float32Array
 
-    side: int
-    places: IntArray
-    polynomials: FloatArray
-    heights: FloatArray | None
 
-    def moved(self, cells: float) -> Tiles:
-        """The tiles of a block whose Doppler index is larger by some cells; not on a terrain."""
-        polynomials = self.polynomials.copy()
-        polynomials[:, 0, TILE_DEGREE + 1] += cells
-        return self._replace(polynomials=polynomials)
+TAPS = record(WindowTaps, AXIS_TAPS, AXIS_TAPS, FLOATS_IN)
+FLAT_TILES = record(Tiles, REAL_ROW, TILES, POWERS, types.none)
 
 
 def touched(ground: GroundMap, *, x: FloatArray, y: FloatArray, side: tuple[int, int]) -> IntArray:
@@ -156,49 +147,59 @@ def _correct(
 ) -> ComplexArray:  # fmt: skip
     """`correct` without a pattern in elevation."""
     out = np.empty((y.size, x.size), np.complex64) if out is None else out
-    side, places, polynomials, heights = tiles or tiles_of(ground, [(x, y)], [z])[0]
-    _blank_others(out, places, side)
+    tiles = tiles or tiles_of(ground, [(x, y)], [z])[0]
+    places = tiles.places
+    _blank_others(out, places, tiles.across.size)
     if places.shape[0] == 0:
         return out
-    numbers, across = out.view(np.float32).reshape(-1), place_across(side)
-    # The sides of the two seam rays decide on ownership: the neighbouring block computes the same products from the
-    # same numbers, so every pixel has exactly one owner.
-    rays = np.array([np.cos(ground.low), np.sin(ground.low), np.cos(ground.high), np.sin(ground.high)])
-    yaws = float(ground.yaw_axis[0] - ground.middle_yaw), float(ground.yaw_axis[1] - ground.yaw_axis[0])
-    # Contiguous: a loop is compiled for one layout of its arrays.
-    x, y, *limits = map(np.ascontiguousarray, (x, y, ground.near_limit, ground.far_limit, ground.weight))
-    in_range, n_range = _range_taps(*ground.range_taps), ground.range_taps[0]
-    width, sizes = -(-n_range // RANGE_UNIT) * RANGE_UNIT, (ground.rows.size, ground.doppler.size)
-    px, py, pz = ground.geometry.epoch_position
+    numbers = out.view(np.float32).reshape(-1)
+    x, y = np.ascontiguousarray(x), np.ascontiguousarray(y)  # a loop is compiled for one layout of its arrays
+    n_range, n_doppler = ground.range_taps[0], ground.doppler.size
+    width = -(-n_range // RANGE_UNIT) * RANGE_UNIT
+    in_range = AxisTaps(fixed(_range_taps(*ground.range_taps)), n_range, width, ground.rows.size)
+    height = ground.geometry.epoch_position[2]
     if (relief := ground.relief) is None:
-        in_doppler, n_doppler = _doppler_taps(*ground.doppler_taps), ground.doppler_taps[0]
-        widest, depth = in_doppler.shape[1] // 2, (pz - ground.levels[0]) ** 2
+        table = fixed(_doppler_taps(*ground.doppler_taps))
+        widest, sector = table.shape[1] // 2, _sector_of(ground, (height - ground.levels[0]) ** 2)
+        in_doppler = AxisTaps(table, ground.doppler_taps[0], widest, n_doppler)
+        taps = WindowTaps(in_range, in_doppler, fixed(_carriers(widest)))
 
         def resample(group: slice) -> None:
-            _resample(
-                floats, numbers, places[group], polynomials[group], x, y, across, in_range, in_doppler, carriers,
-                (n_range, n_doppler), (width, widest), sizes, rays, frame, *yaws, *limits,
-            )  # fmt: skip
+            _resample(floats, numbers, tiles.some(group), x, y, taps, sector)
 
     else:
-        assert z is not None and heights is not None
+        assert z is not None and tiles.heights is not None
         z, (bent, most) = np.ascontiguousarray(z), bent_taps_of(ground, relief)
-        widest, depth, per_bend = bent.width[0], pz, (bent.n_bend[0] - 1) / (2 * most) if most else 0.0
+        widest, sector = bent.width[0], _sector_of(ground, height)
+        per_bend = float((bent.n_bend[0] - 1) / (2 * most)) if most else 0.0
+        bent_taps = ReliefTaps(in_range, bent, per_bend, n_doppler, fixed(_carriers(widest)))
         carrier = -2 * ground.geometry.collection.carrier / SPEED_OF_LIGHT
         scales = carrier, 1 / ground.rows.step, ground.origin
 
         def resample(group: slice) -> None:
-            resample_on_relief(
-                floats, numbers, places[group], polynomials[group], heights[group], x, y, z, across, in_range,
-                bent.real, bent.imag, carriers, (n_range, *bent.n_tap), (width, *bent.width), sizes, rays, frame,
-                scales, (per_bend, *bent.n_bend), *yaws, *limits,
-            )  # fmt: skip
+            resample_on_relief(floats, numbers, tiles.some(group), x, y, z, bent_taps, sector, scales)
 
-    floats, carriers = _with_room(block, width, widest).view(np.float32), _carriers(widest)
-    frame = np.array([*ground.geometry.nadir, px, py, depth, ground.near, ground.far, ground.least_lit])
+    floats = _with_room(block, width, widest).view(np.float32)
     # Python threads over groups of tiles, not numba's own: a dask worker may run several tasks in one process.
     run_groups(resample, [slice(i, i + TILE_GROUP) for i in range(0, places.shape[0], TILE_GROUP)], threads)
     return out
+
+
+def _sector_of(ground: GroundMap, depth: float) -> OwnedSector:
+    """The sector that a block owns; `depth` is the last of the phase centre's coordinates.
+
+    The sides of the two seam rays decide on ownership: the neighbouring block computes the same products from the same
+    numbers, so every pixel has exactly one owner.
+    """
+    low, high = ((float(np.cos(yaw)), float(np.sin(yaw))) for yaw in (ground.low, ground.high))
+    nx, ny = ground.geometry.nadir
+    px, py, _ = ground.geometry.epoch_position
+    limits = (ground.near_limit, ground.far_limit, ground.weight)
+    return OwnedSector(
+        low, high, (float(nx), float(ny)), (float(px), float(py), float(depth)), float(ground.near),
+        float(ground.far), float(ground.least_lit), float(ground.yaw_axis[0] - ground.middle_yaw),
+        float(ground.yaw_axis[1] - ground.yaw_axis[0]), *(fixed(np.ascontiguousarray(each)) for each in limits),
+    )  # fmt: skip
 
 
 def _blank_others(out: ComplexArray, places: IntArray, side: int) -> None:
@@ -235,7 +236,7 @@ def tiles_of(
         polynomials = _plane_polynomials(ground, windows, side, places, owner)
     ends = np.searchsorted(owner, np.arange(len(windows) + 1))
     return [
-        Tiles(one, places[first:end], polynomials[first:end], None if spans is None else spans[first:end])
+        Tiles(place_across(one), places[first:end], polynomials[first:end], None if spans is None else spans[first:end])
         for one, first, end in zip(sides, ends[:-1], ends[1:], strict=True)
     ]
 
@@ -342,57 +343,51 @@ def _with_room(block: ComplexArray, n_row: int, n_doppler: int) -> ComplexArray:
     return np.pad(block, lacking) if np.any(lacking) else np.ascontiguousarray(block)
 
 
-@loop(
-    FLOATS_IN, NUMBERS_OUT, TILES, POWERS, *[REAL_ROW] * 3, *[FLOATS_IN] * 3, *[PAIR] * 3, REAL_ROW, REAL_ROW,
-    types.float64, types.float64, REAL_ROW, REAL_ROW, REAL_ROWS, **COMPILED,
-)  # fmt: skip
+@loop(FLOATS_IN, NUMBERS_OUT, FLAT_TILES, REAL_ROW, REAL_ROW, TAPS, SECTOR, **COMPILED)
 def _resample(  # type: ignore[no-untyped-def]
-    floats, numbers, tiles, coefficients, x, y, across, range_taps, doppler_taps, carriers, n_taps, widths, sizes,
-    rays, frame, yaw_start, yaw_step, near_limit, far_limit, weight,
-):  # fmt: skip
+    floats, numbers, tiles, x, y, taps, sector
+):
     """Write the owned pixels of some tiles to `numbers`, their real and imaginary parts, row by row."""
+    in_range, in_doppler, across, yaw_step, by_yaw = (
+        taps.in_range, taps.in_doppler, tiles.across, sector.yaw_step, sector.weight[0],
+    )  # fmt: skip
     n_row, n_doppler, stride = floats.shape[0], floats.shape[1] // 2, floats.shape[1]
-    range_step, doppler_step, by_yaw = range_taps.shape[1], doppler_taps.shape[1], weight[0]
-    tile, along = across.size, np.empty(coefficients.shape[2])
+    range_step, doppler_step = in_range.table.shape[1], in_doppler.table.shape[1]
+    tile, along = across.size, np.empty(tiles.polynomials.shape[2])
     values = np.empty((6, tile))
     row, doppler, cycles, loss, turn, middle = values[0], values[1], values[2], values[3], values[4], values[5]
     rng, owned = np.empty(tile), np.empty(tile)
-    places = np.empty((6, tile), np.int64)
-    first_row, range_at, at = places[0], places[1], places[2]
-    first_doppler, doppler_at, carrier_at = places[3], places[4], places[5]
-    parts = np.empty((8, tile), np.float32)
-    range_part, doppler_part, own, own_real, own_imag = parts[0], parts[1], parts[2], parts[3], parts[4]
-    amplitude, real, imag = parts[5], parts[6], parts[7]
-    for t in range(tiles.shape[0]):
-        i0, j0, every = tiles[t, 0], tiles[t, 1], tiles[t, 2] != 0
+    places, parts = np.empty((6, tile), np.int64), np.empty((8, tile), np.float32)
+    windows = Windows(places[0], places[1], places[2], places[3], places[4], places[5], parts[0], parts[1])
+    own, own_real, own_imag, amplitude, real, imag = parts[2], parts[3], parts[4], parts[5], parts[6], parts[7]
+    for t in range(tiles.places.shape[0]):
+        i0, j0, every = tiles.places[t, 0], tiles.places[t, 1], tiles.places[t, 2] != 0
         n = min(tile, x.size - j0)
         for i in range(i0, min(i0 + tile, y.size)):
             for k in range(tile):
                 owned[k] = 1.0 if k < n else np.nan
             start = 2 * (i * x.size + j0)
-            if not every and not find_sector(x, j0, n, y[i], rays, frame, rng, owned):
+            if not every and not find_sector(x, j0, n, y[i], sector, rng, owned):
                 blank_row(numbers, start, n)
                 continue
-            along_row(coefficients, t, across[i - i0], along)
+            along_row(tiles.polynomials, t, across[i - i0], along)
             evaluate_row(along, across, values)
             if not every:
-                find_limits(turn, yaw_start, yaw_step, near_limit, far_limit, rng, owned)
-            if weight.shape[0] == 1:
-                amplitude_of(turn, yaw_start, 1 / yaw_step, by_yaw, loss, owned, amplitude)
+                find_limits(turn, sector, rng, owned)
+            if sector.weight.shape[0] == 1:
+                amplitude_of(turn, sector.yaw_start, 1 / yaw_step, by_yaw, loss, owned, amplitude)
             else:
-                divide_by_sums(
-                    turn, yaw_start, 1 / yaw_step, weight, frame[5], frame[6], rng, frame[7], loss, owned, amplitude
-                )
-            place_windows(row, n_taps[0], widths[0], sizes[0], n_row, range_step, first_row, range_at, range_part)
+                divide_by_sums(turn, 1 / yaw_step, sector, rng, loss, owned, amplitude)
             place_windows(
-                doppler, n_taps[1], widths[1], sizes[1], n_doppler, doppler_step, first_doppler, doppler_at,
-                doppler_part,
+                row, in_range.n_tap, in_range.width, in_range.size, n_row, range_step, windows.first_row,
+                windows.range_at, windows.range_part,
             )  # fmt: skip
-            turn_windows(doppler, cycles, middle, first_doppler, 2 * doppler_step, carrier_at, own)
+            place_windows(
+                doppler, in_doppler.n_tap, in_doppler.width, in_doppler.size, n_doppler, doppler_step,
+                windows.first_doppler, windows.doppler_at, windows.doppler_part,
+            )  # fmt: skip
+            turn_windows(doppler, cycles, middle, 2 * doppler_step, windows, own)
             phasors_of(own, own_real, own_imag)
-            find_addresses(first_row, first_doppler, stride, amplitude, at)
-            sum_windows(
-                floats, stride, at, range_taps, range_step, widths[0], range_at, range_part, doppler_taps, doppler_step,
-                doppler_at, doppler_part, carriers, carrier_at, real, imag,
-            )  # fmt: skip
+            find_addresses(windows, stride, amplitude)
+            sum_windows(floats, windows, in_range, in_doppler, taps.carriers, real, imag)
             write_row(numbers, start, n, amplitude, own_real, own_imag, real, imag)

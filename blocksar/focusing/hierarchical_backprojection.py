@@ -22,7 +22,7 @@ from blocksar.focusing.profiles import MARGIN, spline_lead
 from blocksar.kernels.device import CPU, Device, on_device
 from blocksar.kernels.fourier import fast_length
 from blocksar.kernels.groups import Scratch, row_groups, run_groups
-from blocksar.kernels.projection import BeamTaper, Sights
+from blocksar.kernels.projection import BeamTaper, LitPixels, Sights
 
 SAFE = 0.45  # of the unambiguous window: ranges that stay within are interpolated without a test of each
 NOTICED = 1e-4  # of a taper's terms: waves of the weights that a filter has to pass
@@ -292,7 +292,7 @@ class _Former:
         )
         x, y = np.meshgrid(part.x, part.y)
         beyond, weight = put(np.zeros(part.shape, np.bool_)), put(np.zeros(part.shape, np.float32))
-        self.device.project(image, beyond, sights, put(x), put(y), put(part.z), put(first), put(last), weight)
+        self.device.project(image, beyond, sights, LitPixels(*map(put, (x, y, part.z, first, last))), weight)
 
     def _profiles(self, values: Sequence[ComplexArray], period: int, scratch: Scratch) -> ComplexArray:
         """Coefficients (n, period + 2 MARGIN) of splines through the range profiles of rows (k, m), n in all.

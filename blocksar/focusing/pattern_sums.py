@@ -22,7 +22,8 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import TURN
 from blocksar.kernels.lanes import fit_even
-from blocksar.kernels.loops import COMPILED, PART, REAL_ROW, REAL_ROWS, UNCHECKED, loop
+from blocksar.kernels.loops import COMPILED, PART, REAL_ROW, REAL_ROWS, UNCHECKED, fixed, loop, record
+from blocksar.kernels.projection import LitPixels
 
 TOGETHER = 32  # pixels of a row
 DEGREE = 12  # of P: 2e-12 rad for angles up to WIDEST
@@ -65,30 +66,25 @@ class _Cut(NamedTuple):
         most = max(float(most), LEAST)
         series, limit = (_arc_sine(most), float(np.sin(most))) if most <= WIDEST else (np.zeros(0), 1.0)
         if angles is None or values is None:
-            return cls(np.zeros(1), np.ones(1), 0.0, series, limit)
+            return cls(fixed(np.zeros(1)), fixed(np.ones(1)), 0.0, fixed(series), limit)
         step = (angles[-1] - angles[0]) / (angles.size - 1)
         uneven = np.abs(angles - (angles[0] + step * np.arange(angles.size))).max() > EVEN * step
-        return cls(np.array(angles), np.array(values), 0.0 if uneven else 1 / step, series, limit)
+        per_step = 0.0 if uneven else float(1 / step)
+        return cls(fixed(np.array(angles)), fixed(np.array(values)), per_step, fixed(series), limit)
 
 
 @lru_cache(maxsize=8)
 def _arc_sine(most: float) -> FloatArray:
     """P (DEGREE + 1,) with asin(t) = t P(t^2) for |asin(t)| <= most; read-only."""
     ratio = fit_even(lambda t: np.where(t > 1e-6, np.arcsin(t) / np.maximum(t, 1e-6), 1.0), DEGREE, np.sin(most))
-    series = np.array(ratio)
-    series.flags.writeable = False
-    return series
+    return fixed(np.array(ratio))
 
 
 def add_gains(
     total: FloatArray,
     geometry: Geometry,
-    x: FloatArray,
-    y: FloatArray,
-    z: FloatArray,
+    pixels: LitPixels,
     *,
-    first: IntArray,
-    last: IntArray,
     pulses: slice,
     valid: IntArray | FloatArray,
     taper: Taper = FLAT,
@@ -100,10 +96,8 @@ def add_gains(
     Parameters
     ----------
     total : (n_row, n_column) float
-    x, y, z : (n_row, n_column) float
-        m, scene frame.
-    first, last : (n_row, n_column) int
-        Lit pulses, of the collection.
+    pixels : LitPixels
+        (n_row, n_column)
     pulses : slice
         The block.
     valid : (n,) int or float
@@ -111,14 +105,11 @@ def add_gains(
     taper : Taper
         Weighting over a steered beam.
     """
-    over = _Patterns.of(geometry, pulses, valid, taper)
+    x, y, z, first, last = pixels
     # Copies: the loop is compiled for one layout of its arrays.
     lit = [np.array(values, np.int64, order="C") for values in (first, last)]
     sums = np.array(total, order="C")
-    _add_gains(
-        sums, *_places(geometry, x, y, z), *lit, over.beam, pulses.start, geometry.collection.has_axis,
-        *over.across, *over.down, over.middle, over.terms, over.per_rad,
-    )  # fmt: skip
+    _add_gains(sums, _Places.of(geometry, x, y, z), *lit, _Patterns.of(geometry, pulses, valid, taper), pulses.start)
     total[...] = sums
 
 
@@ -176,22 +167,26 @@ def mean_elevations(
     valid = np.ones(n) if valid is None else valid
     if not (geometry.collection.steered or taper.uniform):
         valid, taper = valid * taper.samples(n), FLAT
-    over = _Patterns.of(geometry, slice(0, n), valid, taper)
     if passes is None:
         passes = np.zeros((1, *x.shape), np.int64), np.full((1, *x.shape), n)
     lit = [np.array(values, np.int64, order="C") for values in passes]
     means = ElevationMeans(*np.empty((3, *x.shape)))
-    _mean_elevations(
-        *means, *_places(geometry, x, y, z), *lit, over.beam, geometry.collection.has_axis, *over.across,
-        *over.down, over.middle, over.terms, over.per_rad,
-    )  # fmt: skip
+    _mean_elevations(means, _Places.of(geometry, x, y, z), *lit, _Patterns.of(geometry, slice(0, n), valid, taper))
     return means
 
 
-def _places(geometry: Geometry, x: FloatArray, y: FloatArray, z: FloatArray) -> list[FloatArray]:
-    """Copies of x, y, z and, of a beam that is described by them, yaws of pixels (n_row, n_column)."""
-    yaw = geometry.yaw(x, y) if geometry.beam.by_yaw else np.zeros(np.shape(x))
-    return [np.array(values, order="C") for values in (x, y, z, yaw)]
+class _Places(NamedTuple):
+    """Places of pixels (n_row, n_column), m, and yaws, rad, for a beam that is described by them, else 0."""
+
+    x: FloatArray
+    y: FloatArray
+    z: FloatArray
+    yaw: FloatArray
+
+    @classmethod
+    def of(cls, geometry: Geometry, x: FloatArray, y: FloatArray, z: FloatArray) -> _Places:
+        yaw = geometry.yaw(x, y) if geometry.beam.by_yaw else np.zeros(np.shape(x))
+        return cls(*(fixed(np.array(values, order="C")) for values in (x, y, z, yaw)))
 
 
 class _Patterns(NamedTuple):
@@ -202,6 +197,8 @@ class _Patterns(NamedTuple):
     beam : (n, 10) float
         Of each pulse the antenna's place, the beam's axis, cosine and sine of its steering, its
         azimuth, and the number of valid samples.
+    has_axis : bool
+        Whether the beam is described by its axis, and not by yaws.
     across, down : _Cut
         The pattern over the beam and that in elevation.
     middle : float
@@ -211,6 +208,7 @@ class _Patterns(NamedTuple):
     """
 
     beam: FloatArray
+    has_axis: bool
     across: _Cut
     down: _Cut
     middle: float
@@ -232,16 +230,22 @@ class _Patterns(NamedTuple):
         beam = [position, axis, np.cos(steering), np.sin(steering), azimuth, valid]
         terms, frequency = taper.series
         return cls(
-            np.ascontiguousarray(np.column_stack(beam)),
+            fixed(np.ascontiguousarray(np.column_stack(beam))), collection.has_axis,
             _Cut.of(collection.beam_offset, collection.beam_pattern, width / 2),
             _Cut.of(collection.elevation, collection.elevation_pattern, highest - middle),
-            middle, np.array(terms), frequency / width,
+            middle, fixed(np.array(terms)), float(frequency / width),
         )  # fmt: skip
 
 
+_PLACES, _MEANS = record(_Places, *[REAL_ROWS] * 4), record(ElevationMeans, *[types.float64[:, ::1]] * 3)
+_CUT = record(_Cut, REAL_ROW, REAL_ROW, types.float64, REAL_ROW, types.float64)
+_PATTERNS = record(_Patterns, REAL_ROWS, types.boolean, _CUT, _CUT, types.float64, REAL_ROW, types.float64)
+
+
 @njit(**PART, **COMPILED, **UNCHECKED)
-def _angles(sines: FloatArray, series: FloatArray, limit: float, n: int) -> None:
+def _angles(sines: FloatArray, cut: _Cut, n: int) -> None:
     """Arc sines of n sines, in their place; those beyond the limit, and NaN, are taken for it."""
+    series, limit = cut.series, cut.limit
     for k in range(n):
         t = sines[k] if sines[k] < limit else limit
         sines[k] = t if t > -limit else -limit
@@ -259,10 +263,9 @@ def _angles(sines: FloatArray, series: FloatArray, limit: float, n: int) -> None
 
 
 @njit(**PART, **COMPILED, **UNCHECKED)
-def _multiply(
-    gain: FloatArray, angle: FloatArray, n: int, angles: FloatArray, values: FloatArray, per_step: float
-) -> None:
+def _multiply(gain: FloatArray, angle: FloatArray, n: int, cut: _Cut) -> None:
     """gain *= the pattern at n angles, linear between its samples and constant beyond the ends, as `np.interp`."""
+    angles, values, per_step = cut.angles, cut.values, cut.per_step
     last = values.size - 2
     if per_step > 0:
         for k in range(n):
@@ -299,17 +302,14 @@ def _weigh(gain: FloatArray, angle: FloatArray, n: int, terms: FloatArray, per_r
         gain[k] *= terms[0] + cosine[k] * weight[k] - after[k]
 
 
-@loop(
-    types.float64[:, ::1], *[REAL_ROWS] * 4, *[_PULSES] * 2, REAL_ROWS, types.int64, types.boolean,
-    *[REAL_ROW, REAL_ROW, types.float64, REAL_ROW, types.float64] * 2, types.float64, REAL_ROW, types.float64,
-    **COMPILED, **UNCHECKED,
-)  # fmt: skip
-def _add_gains(  # type: ignore[no-untyped-def]
-    total, x, y, z, yaw, first, last, beam, start, has_axis, offsets, pattern, per_offset, of_offset, most_offset,
-    elevations, elevation_pattern, per_elevation, of_elevation, most_elevation, middle, terms, per_rad,
-):  # fmt: skip
-    """The sum of `add_gains`; `beam` as in `_Patterns`."""
-    n_pulse, weighed = beam.shape[0], pattern.size > 1 or terms.size > 1
+@loop(types.float64[:, ::1], _PLACES, _PULSES, _PULSES, _PATTERNS, types.int64, **COMPILED, **UNCHECKED)
+def _add_gains(
+    total: FloatArray, places: _Places, first: IntArray, last: IntArray, patterns: _Patterns, start: int
+) -> None:
+    """The sum of `add_gains`."""
+    (x, y, z, yaw), (beam, has_axis, across_beam, down, middle, terms, per_rad) = places, patterns
+    has_pattern, n_pulse = across_beam.values.size > 1, beam.shape[0]
+    weighed = has_pattern or terms.size > 1
     cos_middle, sin_middle = np.cos(middle), np.sin(middle)
     angle, gain, work = np.empty(TOGETHER), np.empty(TOGETHER), np.empty((3, TOGETHER))
     for row in range(x.shape[0]):
@@ -330,26 +330,26 @@ def _add_gains(  # type: ignore[no-untyped-def]
                         dx, dy, height = x[row, at] - px, y[row, at] - py, pz - z[row, at]
                         s = (dx * ax + dy * ay - height * az) / np.sqrt(dx * dx + dy * dy + height * height)
                         angle[k] = s * cos - np.sqrt(max(1.0 - s * s, 0.0)) * sin
-                    _angles(angle, of_offset, most_offset, n)
+                    _angles(angle, across_beam, n)
                 elif weighed:
                     for k in range(n):
                         offset = yaw[row, np.uint64(begin + k)] - beam[p, 8]
                         angle[k] = offset - TURN * np.rint(offset / TURN)
-                if pattern.size > 1:
-                    _multiply(gain, angle, n, offsets, pattern, per_offset)
+                if has_pattern:
+                    _multiply(gain, angle, n, across_beam)
                 if terms.size > 1:
                     _weigh(gain, angle, n, terms, per_rad, work)
-                if elevation_pattern.size > 1:
+                if down.values.size > 1:
                     for k in range(n):
                         at = np.uint64(begin + k)
                         dx, dy, height = x[row, at] - px, y[row, at] - py, pz - z[row, at]
                         ground = dx * dx + dy * dy
                         across = height * cos_middle - np.sqrt(ground) * sin_middle
                         angle[k] = across / np.sqrt(ground + height * height)
-                    _angles(angle, of_elevation, most_elevation, n)
+                    _angles(angle, down, n)
                     for k in range(n):
                         angle[k] += middle
-                    _multiply(gain, angle, n, elevations, elevation_pattern, per_elevation)
+                    _multiply(gain, angle, n, down)
                 valid, q = beam[p, 9], p + start
                 for k in range(n):
                     at = np.uint64(begin + k)
@@ -373,17 +373,15 @@ def _choose_pulses(firsts, lasts, row: int, begin: int, n: int, share: float, pu
             place -= length
 
 
-@loop(
-    *[types.float64[:, ::1]] * 3, *[REAL_ROWS] * 4, *[_PASSES] * 2, REAL_ROWS, types.boolean,
-    *[REAL_ROW, REAL_ROW, types.float64, REAL_ROW, types.float64] * 2, types.float64, REAL_ROW, types.float64,
-    **COMPILED, **UNCHECKED,
-)  # fmt: skip
-def _mean_elevations(  # type: ignore[no-untyped-def]
-    plain, weighed, tilt, x, y, z, yaw, firsts, lasts, beam, has_axis, offsets, pattern, per_offset, of_offset,
-    most_offset, elevations, elevation_pattern, per_elevation, of_elevation, most_elevation, middle, terms, per_rad,
-):  # fmt: skip
-    """The means of `mean_elevations`; `beam` as in `_Patterns`."""
-    by_place, cos_middle, sin_middle = pattern.size > 1 or terms.size > 1, np.cos(middle), np.sin(middle)
+@loop(_MEANS, _PLACES, _PASSES, _PASSES, _PATTERNS, **COMPILED, **UNCHECKED)
+def _mean_elevations(
+    means: ElevationMeans, places: _Places, firsts: IntArray, lasts: IntArray, patterns: _Patterns
+) -> None:
+    """The means of `mean_elevations`."""
+    (x, y, z, yaw), (beam, has_axis, across_beam, down, middle, terms, per_rad) = places, patterns
+    plain, weighed, tilt = means
+    has_pattern = across_beam.values.size > 1
+    by_place, cos_middle, sin_middle = has_pattern or terms.size > 1, np.cos(middle), np.sin(middle)
     pulses, rows = np.empty(TOGETHER, np.int64), np.empty((3, TOGETHER))
     angle, weight, gain = rows[0], rows[1], rows[2]
     sums, work = np.empty((5, TOGETHER)), np.empty((3, TOGETHER))
@@ -400,10 +398,10 @@ def _mean_elevations(  # type: ignore[no-untyped-def]
                     across = height * cos_middle - np.sqrt(ground) * sin_middle
                     angle[k], gain[k] = across / np.sqrt(ground + height * height), 1.0
                     weight[k] = 0.0 if pulses[k] < 0 else beam[p, 9]
-                _angles(angle, of_elevation, most_elevation, n)
+                _angles(angle, down, n)
                 for k in range(n):
                     angle[k] += middle
-                _multiply(gain, angle, n, elevations, elevation_pattern, per_elevation)
+                _multiply(gain, angle, n, down)
                 if by_place:
                     for k in range(n):
                         p, at = max(pulses[k], 0), begin + k
@@ -416,9 +414,9 @@ def _mean_elevations(  # type: ignore[no-untyped-def]
                             offset = yaw[row, at] - beam[p, 8]
                             angle[k] = offset - TURN * np.rint(offset / TURN)
                     if has_axis:
-                        _angles(angle, of_offset, most_offset, n)
-                    if pattern.size > 1:
-                        _multiply(weight, angle, n, offsets, pattern, per_offset)
+                        _angles(angle, across_beam, n)
+                    if has_pattern:
+                        _multiply(weight, angle, n, across_beam)
                     if terms.size > 1:
                         _weigh(weight, angle, n, terms, per_rad, work)
                 place = 2 * (node + 0.5) / ELEVATIONS - 1

@@ -5,14 +5,25 @@ Parts of the compiled loops of the geometric correction, on the plane and on a t
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.kernels.lanes import FEW, WEIGHED_ROWS, cosine, load_few, sine, spread_few, totals, weigh_rows
-from blocksar.kernels.loops import COMPILED, PART, UNCHECKED, UNCONTRACTED
+from blocksar.kernels.loops import (
+    COMPILED,
+    FLOATS_IN,
+    PART,
+    REAL_ROW,
+    REAL_ROWS,
+    TUPLE,
+    UNCHECKED,
+    UNCONTRACTED,
+    fixed,
+    record,
+)
 from blocksar.kernels.phase import Float32Array
 
 N_CARRIER = 1024  # carriers along Doppler that are told apart, in steps of 1 / N_CARRIER cycles per sample
@@ -24,6 +35,126 @@ TILE_DEGREE = 5
 # The compiled loops. Rows of pixels lie in arrays as long as a tile's side, allocated once per call: for a view made in
 # a loop, numba would count references by locked instructions. Indices are unsigned where the compiler could not rule
 # out negative ones, for which it would load element by element.
+
+
+class Tiles(NamedTuple):
+    """The tiles of a window in which a block may own pixels.
+
+    Attributes
+    ----------
+    across : (side,) float
+        Places of the pixels along a side of each, -1 to 1.
+    places : (n, 3) int64
+        First row and column, and whether the block owns all pixels, and their ranges are not needed.
+    polynomials : (n, TILE_DEGREE + 1, 6 (TILE_DEGREE + 1)) float
+        Power coefficients in tile coordinates (y, x) in [-1, 1]; on a terrain as `relief_correction` has them.
+    heights : (n, 2) float or None
+        On a terrain, middle and half of the heights of each, m.
+    """
+
+    across: FloatArray
+    places: IntArray
+    polynomials: FloatArray
+    heights: FloatArray | None
+
+    def moved(self, cells: float) -> Tiles:
+        """The tiles of a block whose Doppler index is larger by some cells; not on a terrain."""
+        polynomials = self.polynomials.copy()
+        polynomials[:, 0, TILE_DEGREE + 1] += cells
+        return self._replace(polynomials=polynomials)
+
+    def some(self, which: slice) -> Tiles:
+        """A group of them, as loops take it."""
+        of_each = (self.places, self.polynomials, self.heights)
+        return Tiles(fixed(self.across), *(None if all_ is None else fixed(all_[which]) for all_ in of_each))  # type: ignore[arg-type]
+
+
+class OwnedSector(NamedTuple):
+    """The part of the ground that a block owns, and what calibrates it there.
+
+    Attributes
+    ----------
+    low, high : (float, float)
+        Directions (x, y) of the first and of the last yaw.
+    nadir : (float, float)
+        m
+    centre : (float, float, float)
+        Phase centre at the epoch, m: x, y and on a terrain z; on the plane its squared height over the ground.
+    near, far : float
+        Epoch ranges, m.
+    least : float
+        Sum of weights over lit pulses below which a pixel is not in the image.
+    yaw_start, yaw_step : float
+        First yaw of the limits and weights less the middle one, and the step to the next, rad.
+    near_limit, far_limit : (n_yaw,) float
+        Ranges of the window at each yaw, m.
+    weight : (n_range, n_yaw) float
+        Sums of weights over lit pulses, at ranges from near to far; or factors, (1, n_yaw).
+    """
+
+    low: tuple[float, float]
+    high: tuple[float, float]
+    nadir: tuple[float, float]
+    centre: tuple[float, float, float]
+    near: float
+    far: float
+    least: float
+    yaw_start: float
+    yaw_step: float
+    near_limit: FloatArray
+    far_limit: FloatArray
+    weight: FloatArray
+
+
+class AxisTaps(NamedTuple):
+    """Taps along an axis of the focused block.
+
+    Attributes
+    ----------
+    table : (2 (N_PHASE + 1), n) float32
+        See `correction`.
+    n_tap, width : int
+        Taps, and samples of a window.
+    size : int
+        Samples of the block, without padding.
+    """
+
+    table: Float32Array
+    n_tap: int
+    width: int
+    size: int
+
+
+class Windows(NamedTuple):
+    """Windows of a row of pixels (n,) into the focused block.
+
+    Attributes
+    ----------
+    at : int
+        Where each begins among the numbers of the block; -1 where there is none.
+    first_row, first_doppler : int
+        Its first sample; -1 where the taps are not within the block.
+    range_at, doppler_at, range_part, doppler_part : int, float32
+        Entries of the tables at which its taps begin, and the fractions to the next rows of the tables.
+    carrier_at : int
+        The first entry of its carrier.
+    """
+
+    at: IntArray
+    first_row: IntArray
+    first_doppler: IntArray
+    range_at: IntArray
+    doppler_at: IntArray
+    carrier_at: IntArray
+    range_part: Float32Array
+    doppler_part: Float32Array
+
+
+_PAIR = TUPLE((types.float64,) * 2)
+SECTOR = record(
+    OwnedSector, *[_PAIR] * 3, TUPLE((types.float64,) * 3), *[types.float64] * 5, REAL_ROW, REAL_ROW, REAL_ROWS
+)
+AXIS_TAPS = record(AxisTaps, FLOATS_IN, *[types.int64] * 3)
 
 
 def place_across(tile: int) -> FloatArray:
@@ -43,22 +174,19 @@ def left_of(ray_x: float, ray_y: float, x: float, y: float) -> bool:
 
 @njit(**PART, **UNCONTRACTED)
 def find_sector(
-    x: FloatArray, first: int, n: int, y: float, rays: FloatArray, frame: FloatArray, rng: FloatArray, owned: FloatArray
+    x: FloatArray, first: int, n: int, y: float, sector: OwnedSector, rng: FloatArray, owned: FloatArray
 ) -> bool:
-    """Write the epoch ranges of n pixels from x[first] on, m, and NaN to `owned` outside the rays and ranges.
-
-    `rays` (4,) has the directions (x, y) of the sector's first and last yaw; `frame` the nadir's x and y, the phase
-    centre's x and y at the epoch, its height over the ground squared, and the sector's ranges, m. `rng`, `owned` (n,).
+    """Write the epoch ranges of n pixels from x[first] on, m, and NaN to `owned` outside the sector; both (n,).
 
     Returns whether any pixel is inside. No operations are contracted: vector and scalar loops, and neighbours, must
     agree to the last bit.
     """
-    nx, ny, px, py, height2, near, far = frame[0], frame[1], frame[2], frame[3], frame[4], frame[5], frame[6]
-    n_inside = 0
+    (low_x, low_y), (high_x, high_y), (nx, ny), (px, py, height2) = sector.low, sector.high, sector.nadir, sector.centre
+    near, far, n_inside = sector.near, sector.far, 0
     for k in range(n):
         xx = x[np.uint64(first) + np.uint64(k)]
         r = np.sqrt((xx - px) ** 2 + (y - py) ** 2 + height2)
-        between = left_of(rays[0], rays[1], xx - nx, y - ny) and not left_of(rays[2], rays[3], xx - nx, y - ny)
+        between = left_of(low_x, low_y, xx - nx, y - ny) and not left_of(high_x, high_y, xx - nx, y - ny)
         inside = between and r >= near and r < far
         rng[k] = r
         owned[k] = owned[k] if inside else np.nan
@@ -67,11 +195,9 @@ def find_sector(
 
 
 @njit(**PART, **COMPILED, **UNCHECKED)
-def find_limits(
-    turn: FloatArray, start: float, step: float, near_limit: FloatArray, far_limit: FloatArray, rng: FloatArray,
-    owned: FloatArray,
-) -> None:  # fmt: skip
+def find_limits(turn: FloatArray, sector: OwnedSector, rng: FloatArray, owned: FloatArray) -> None:
     """Write NaN to `owned` for pixels outside the range window at their yaw."""
+    start, step, near_limit, far_limit = sector.yaw_start, sector.yaw_step, sector.near_limit, sector.far_limit
     for k in range(owned.size):
         place = (turn[k] - start) / step
         i = min(max(int(place), 0), near_limit.size - 2)
@@ -95,13 +221,14 @@ def amplitude_of(
 
 @njit(**PART, **COMPILED)
 def divide_by_sums(
-    turn: FloatArray, start: float, per_step: float, total: FloatArray, near: float, far: float, rng: FloatArray,
-    least: float, loss: FloatArray, owned: FloatArray, amplitude: Float32Array,
+    turn: FloatArray, per_step: float, sector: OwnedSector, rng: FloatArray, loss: FloatArray, owned: FloatArray,
+    amplitude: Float32Array,
 ) -> None:  # fmt: skip
-    """Divide amplitudes by sums over lit pulses, `total`, linear between ranges from near to far and between yaws.
+    """Divide amplitudes by the sector's sums over lit pulses, linear between ranges and between yaws.
 
-    NaN where the sum is less than `least`.
+    NaN where the sum is less than the least.
     """
+    start, total, near, far, least = sector.yaw_start, sector.weight, sector.near, sector.far, sector.least
     n_range, n_yaw = total.shape
     for k in range(owned.size):
         place = min(max((turn[k] - start) * per_step, 0.0), n_yaw - 1.0)
@@ -161,17 +288,17 @@ def place_windows(
 
 @njit(**PART, **COMPILED)
 def turn_windows(
-    doppler: FloatArray, cycles: FloatArray, middle: FloatArray, first: IntArray, step: int, carrier: IntArray,
-    own: Float32Array,
-) -> None:  # fmt: skip
+    doppler: FloatArray, cycles: FloatArray, middle: FloatArray, step: int, windows: Windows, own: Float32Array
+) -> None:
     """The carrier of each pixel's response along its window, and the pixel's own phase, cycles without whole ones.
 
-    `carrier` is its first entry in a table with `step` entries for each.
+    Of a carrier the table has `step` entries.
 
     The response has the carrier of its dwell time, exp(2j pi middle (sample - doppler)). It is removed to the nearest
     step of 1 / N_CARRIER, which only shifts the band within that of the taps; whole cycles per sample do not matter.
     The carrier's phase at the window's first sample is part of the pixel's own.
     """
+    first, carrier = windows.first_doppler, windows.carrier_at
     for k in range(middle.size):
         steps = np.rint(middle[k] * N_CARRIER)
         carrier[k] = step * (int(steps) & (N_CARRIER - 1))
@@ -188,10 +315,9 @@ def phasors_of(cycles: Float32Array, real: Float32Array, imag: Float32Array) -> 
 
 
 @njit(**PART, **COMPILED)
-def find_addresses(
-    first_row: IntArray, first_doppler: IntArray, stride: int, amplitude: Float32Array, at: IntArray
-) -> None:
+def find_addresses(windows: Windows, stride: int, amplitude: Float32Array) -> None:
     """Where each pixel's window begins among the numbers of the block; -1, and no amplitude, where there is none."""
+    at, first_row, first_doppler = windows.at, windows.first_row, windows.first_doppler
     for k in range(at.size):
         outside = np.isnan(amplitude[k]) or first_row[k] < 0 or first_doppler[k] < 0
         at[k] = -1 if outside else first_row[k] * stride + 2 * first_doppler[k]
@@ -207,20 +333,25 @@ def taps_between(taps: Float32Array, at: int, step: int, part: float) -> Any:
 
 @njit(**PART, **COMPILED)
 def sum_windows(  # type: ignore[no-untyped-def]
-    flat, stride, at, range_taps, range_step, range_width, range_at, range_part, doppler_taps, doppler_step, doppler_at,
-    doppler_part, carriers, carrier_at, real, imag,
-):  # fmt: skip
+    floats, windows, in_range, in_doppler, carriers, real, imag
+):
     """real + 1j imag: for each pixel the weighted sum over its window, with the carrier along Doppler removed.
 
     Real and imaginary parts alternate along a row of the block, eight samples in a register. The rows are summed
     first, with one weight each, then the registers are multiplied by the taps along Doppler and by the carrier.
     """
+    range_taps, range_width, doppler_taps = in_range.table, in_range.width, in_doppler.table
+    stride, range_step, doppler_step = floats.shape[1], range_taps.shape[1], doppler_taps.shape[1]
+    at, carrier_at = windows.at, windows.carrier_at
+    range_at, range_part, doppler_at, doppler_part = (
+        windows.range_at, windows.range_part, windows.doppler_at, windows.doppler_part,
+    )  # fmt: skip
     if range_width == RANGE_UNIT and doppler_step == FEW:  # most blocks: nothing but registers
         for k in range(at.size):
             if at[k] < 0:
                 continue
             weights = taps_between(range_taps, range_at[k], range_step, range_part[k])
-            column = weigh_rows(flat, at[k], stride, weights)
+            column = weigh_rows(floats, at[k], stride, weights)
             column = column * taps_between(doppler_taps, doppler_at[k], FEW, doppler_part[k])
             phasor = carrier_at[k]
             re, im = totals(column * load_few(carriers, phasor), column * load_few(carriers, phasor + FEW))
@@ -234,7 +365,7 @@ def sum_windows(  # type: ignore[no-untyped-def]
             column = spread_few(np.float32(0.0))
             for p in range(0, range_width, RANGE_UNIT):
                 weights = taps_between(range_taps, range_at[k] + p, range_step, range_part[k])
-                column = column + weigh_rows(flat, at[k] + p * stride + m, stride, weights)
+                column = column + weigh_rows(floats, at[k] + p * stride + m, stride, weights)
             column = column * taps_between(doppler_taps, doppler_at[k] + m, doppler_step, doppler_part[k])
             phasor = carrier_at[k] + m
             below = below + column * load_few(carriers, phasor)
@@ -245,10 +376,11 @@ def sum_windows(  # type: ignore[no-untyped-def]
 
 @njit(**PART, **COMPILED)
 def sum_windows_bent(  # type: ignore[no-untyped-def]
-    flat, stride, at, range_taps, range_step, range_width, range_at, range_part, real_taps, imag_taps, tap_at,
+    floats, stride, at, range_taps, range_step, range_width, range_at, range_part, real_taps, imag_taps, tap_at,
     tap_step, doppler_part, carriers, carrier_step, carrier_at, real, imag,
 ):  # fmt: skip
     """`sum_windows` with complex taps along Doppler: for each pixel a row of `tap_step` entries from `tap_at` on."""
+    # Arrays, not records of them: with these the loop took a fifth longer.
     for k in range(at.size):
         if at[k] < 0:
             continue
@@ -257,7 +389,7 @@ def sum_windows_bent(  # type: ignore[no-untyped-def]
             column = spread_few(np.float32(0.0))
             for p in range(0, range_width, RANGE_UNIT):
                 weights = taps_between(range_taps, range_at[k] + p, range_step, range_part[k])
-                column = column + weigh_rows(flat, at[k] + p * stride + m, stride, weights)
+                column = column + weigh_rows(floats, at[k] + p * stride + m, stride, weights)
             taps, phasor = tap_at[k] + m, carrier_at[k] + m
             cos, sin = load_few(carriers, phasor), load_few(carriers, phasor + carrier_step)
             straight = column * taps_between(real_taps, taps, tap_step[k], doppler_part[k])

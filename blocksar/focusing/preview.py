@@ -25,6 +25,7 @@ from blocksar.focusing.profiles import range_profiles
 from blocksar.focusing.recorded_pulses import divide_by_recorded
 from blocksar.kernels.groups import run_groups
 from blocksar.kernels.phase import Float32Array
+from blocksar.kernels.projection import LitPixels
 
 ReadPart = Callable[[slice, slice], ComplexArray]  # samples of some pulses and range frequencies
 COARSER = 1.3  # resolution over pixel: with less, points fall between pixels
@@ -138,12 +139,13 @@ def form_preview(
     """
     geometry, grid = preview.geometry, preview.grid
     x, y = (np.ascontiguousarray(axis) for axis in np.meshgrid(grid.x, grid.y))
+    z, _ = geometry.known_height(x, y)
     lit = _lit(geometry, x, y, threads)
     power, weight = np.zeros(x.shape, np.float32), np.zeros(x.shape, np.float32)
     for done, pulses in enumerate(preview.apertures, 1):
-        first, last = np.maximum(lit[0], pulses.start), np.minimum(lit[1], pulses.stop)
-        if (box := _box(first < last)) is not None:
-            _add_look(power[box], weight[box], read, preview, pulses, x[box], y[box], first[box], last[box], threads)
+        pixels = LitPixels(x, y, z, np.maximum(lit[0], pulses.start), np.minimum(lit[1], pulses.stop))
+        if (box := _box(pixels.first < pixels.last)) is not None:
+            _add_look(power[box], weight[box], read, preview, pulses, pixels.of(box), threads)
         if progress is not None:
             progress(done, len(preview.apertures))
     power = np.where(weight > 0, power / np.maximum(weight, 1), np.nan).astype(np.float32)
@@ -178,26 +180,21 @@ def _add_look(
     read: ReadPart,
     preview: Preview,
     pulses: slice,
-    x: FloatArray,
-    y: FloatArray,
-    first: IntArray,
-    last: IntArray,
+    pixels: LitPixels,
     threads: int,
 ) -> None:
     """Add the power of one aperture's image, times the weights of valid pulses in it, and these weights, in place."""
     geometry = preview.geometry
-    x, y = np.ascontiguousarray(x), np.ascontiguousarray(y)
-    first, last = np.ascontiguousarray(first), np.ascontiguousarray(last)
-    never = first >= last
-    first[never], last[never] = 0, 0
+    never = pixels.first >= pixels.last
+    first, last = (np.where(never, 0, ends) for ends in (pixels.first, pixels.last))
     signal = read(pulses, preview.columns)
     profiles = range_profiles(signal, collection=geometry.collection, pulses=pulses, threads=threads, taper=TAPER)
     weights = TAPER.samples(pulses.stop - pulses.start)
     weights /= weights.mean()
     np.multiply(profiles.values, weights.astype(np.float32)[:, None], out=profiles.values)
-    image, outside = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.bool_)
-    z, _ = geometry.known_height(x, y)
-    accumulate(image, outside, profiles, geometry=geometry, x=x, y=y, z=z, first=first, last=last, threads=threads)
+    image, outside = np.zeros(never.shape, np.complex64), np.zeros(never.shape, np.bool_)
+    lit = pixels._replace(first=first, last=last)
+    accumulate(image, outside, profiles, geometry=geometry, pixels=lit, threads=threads)
     valid = np.concatenate(([0.0], np.cumsum(profiles.valid * weights))) / geometry.collection.n_range_frequency
     at = [np.clip(ends - pulses.start, 0, valid.size - 1) for ends in (first, last)]
     count = np.where(never | outside, 0.0, valid[at[1]] - valid[at[0]])

@@ -22,8 +22,13 @@ from blocksar.arrays import FloatArray, IntArray
 from blocksar.collection.grid import spacing
 from blocksar.focusing.ground_map import GroundMap, ReliefMap
 from blocksar.focusing.pixel_rows import (
+    AXIS_TAPS,
     DOPPLER_UNIT,
     N_PHASE,
+    SECTOR,
+    AxisTaps,
+    Tiles,
+    Windows,
     amplitude_of,
     blank_row,
     divide_by_sums,
@@ -51,7 +56,9 @@ from blocksar.kernels.loops import (
     TUPLE,
     UNCHECKED,
     UNCONTRACTED,
+    fixed,
     loop,
+    record,
 )
 from blocksar.kernels.phase import Float32Array
 from blocksar.solvers import least_squares
@@ -61,7 +68,7 @@ HEIGHT_DEGREE = 2  # and in the height
 QUANTITIES = 7  # row, Doppler, phase, 1 / gain, yaw, dwell time, bend
 N_BEND = 96  # steps between the most negative bend and the most positive one
 LEAST_BEND = 1e-3  # cycles at the dwell's ends: less is left
-FLOAT_ROW, TRIPLE = types.Array(types.float32, 1, "C", readonly=True), TUPLE((types.int64,) * 3)
+FLOAT_ROW = types.Array(types.float32, 1, "C", readonly=True)
 NODE_VALUES = types.Array(types.float64, 5, "C", readonly=True)
 LEVEL = 1e-3  # m: half the relief of a tile at least
 
@@ -83,6 +90,33 @@ class BentTaps(NamedTuple):
     n_tap: tuple[int, int]
     width: tuple[int, int]
     n_bend: tuple[int, int]
+
+
+class ReliefTaps(NamedTuple):
+    """Taps of windows along both axes, and what goes with them.
+
+    Attributes
+    ----------
+    in_range : AxisTaps
+    bent : BentTaps
+    per_bend : float
+        Steps between the bends of taps a cycle at the dwell's ends.
+    n_doppler : int
+        Samples of the block along Doppler, without padding.
+    carriers : (2 N_CARRIER, n) float32
+        Factors that remove carriers.
+    """
+
+    in_range: AxisTaps
+    bent: BentTaps
+    per_bend: float
+    n_doppler: int
+    carriers: Float32Array
+
+
+_BENT = record(BentTaps, FLOAT_ROW, FLOAT_ROW, *[PAIR] * 3)
+RELIEF_TAPS = record(ReliefTaps, AXIS_TAPS, _BENT, types.float64, types.int64, FLOATS_IN)
+RAISED_TILES = record(Tiles, REAL_ROW, TILES, POWERS, REAL_ROWS)
 
 
 def bend_scale(ground: GroundMap) -> float:
@@ -110,7 +144,7 @@ def _bent_taps(n_tap: tuple[int, int], occupancy: float, most: float, allowed: f
         error = bent_errors(n_tap[1], bends, occupancy=occupancy)
         slight = bends[error <= max(allowed, error.min())]
     tables = [_table(n, occupancy, some) for n, some in zip(n_tap, (bends, slight), strict=True)]
-    real, imag = (np.concatenate(parts) for parts in zip(*tables, strict=True))
+    real, imag = (fixed(np.concatenate(parts)) for parts in zip(*tables, strict=True))
     return BentTaps(real, imag, n_tap, width, (bends.size, slight.size))
 
 
@@ -259,18 +293,18 @@ def _find_spans(z: FloatArray, tiles: IntArray, tile: int, spans: FloatArray) ->
 
 @njit(**PART, **UNCONTRACTED)
 def _sector(  # type: ignore[no-untyped-def]
-    x, first, n, y, z, row, rays, frame, rng, owned,
+    x, first, n, y, z, row, sector, rng, owned,
 ):  # fmt: skip
-    """Write the epoch ranges of n pixels from x[first] on, and NaN to `owned` outside the rays and ranges.
+    """Write the epoch ranges of n pixels from x[first] on, and NaN to `owned` outside the sector.
 
     Returns whether any pixel is inside. No operations are contracted, as in `pixel_rows.find_sector`.
     """
-    nx, ny, px, py, pz, near, far = frame[0], frame[1], frame[2], frame[3], frame[4], frame[5], frame[6]
-    n_inside = 0
+    (low_x, low_y), (high_x, high_y), (nx, ny), (px, py, pz) = sector.low, sector.high, sector.nadir, sector.centre
+    near, far, n_inside = sector.near, sector.far, 0
     for k in range(n):
         xx, dz = x[np.uint64(first) + np.uint64(k)], z[row, np.uint64(first) + np.uint64(k)] - pz
         r = np.sqrt((xx - px) ** 2 + (y - py) ** 2 + dz * dz)
-        between = left_of(rays[0], rays[1], xx - nx, y - ny) and not left_of(rays[2], rays[3], xx - nx, y - ny)
+        between = left_of(low_x, low_y, xx - nx, y - ny) and not left_of(high_x, high_y, xx - nx, y - ny)
         inside = between and r >= near and r < far
         rng[k] = r
         owned[k] = owned[k] if inside else np.nan
@@ -279,12 +313,12 @@ def _sector(  # type: ignore[no-untyped-def]
 
 
 @njit(**PART, **UNCONTRACTED)
-def _ranges(x, first, n, y, z, row, frame, rng, owned):  # type: ignore[no-untyped-def]
+def _ranges(x, first, n, y, z, row, sector, rng, owned):  # type: ignore[no-untyped-def]
     """Write the epoch ranges of n pixels from x[first] on, and NaN to `owned` where the height is unknown.
 
     For tiles that the block owns as a whole.
     """
-    px, py, pz = frame[2], frame[3], frame[4]
+    px, py, pz = sector.centre
     for k in range(n):
         xx, dz = x[np.uint64(first) + np.uint64(k)], z[row, np.uint64(first) + np.uint64(k)] - pz
         r = np.sqrt((xx - px) ** 2 + (y - py) ** 2 + dz * dz)
@@ -293,16 +327,22 @@ def _ranges(x, first, n, y, z, row, frame, rng, owned):  # type: ignore[no-untyp
 
 
 @njit(**PART, **COMPILED, **UNCHECKED)
-def _evaluate(c, t, v, across, spans, z, row, first, n, w, cubics, values) -> None:  # type: ignore[no-untyped-def]
-    """All quantities of the pixels of a row of tile t, at one v and all u; w has their heights in the tile's span.
-
-    What the square of the height is multiplied by is taken as linear in u: the rest was 2e-6 cycles over hills of
-    300 m. NaN heights become the middle one.
-    """
-    middle, per_half = spans[t, 0], 1 / spans[t, 1]
+def _level_heights(tiles, t, z, row, first, n, w) -> None:  # type: ignore[no-untyped-def]
+    """Write the heights of n pixels from z[row, first] on in the span of tile t, -1 to 1; of NaN the middle one."""
+    middle, per_half = tiles.heights[t, 0], 1 / tiles.heights[t, 1]
     for k in range(n):
         at = (z[row, np.uint64(first) + np.uint64(k)] - middle) * per_half
         w[k] = 0.0 if np.isnan(at) else at
+
+
+@njit(**PART, **COMPILED, **UNCHECKED)
+def _evaluate(tiles, t, v, w, cubics, values) -> None:  # type: ignore[no-untyped-def]
+    """All quantities of the pixels of a row of tile t, at one v and all u; w has their heights in the tile's span.
+
+    What the square of the height is multiplied by is taken as linear in u: the rest was 2e-6 cycles over hills of
+    300 m.
+    """
+    c, across = tiles.polynomials, tiles.across
     for m in range(cubics.size):
         cubics[m] = c[t, 0, m] + v * (c[t, 1, m] + v * (c[t, 2, m] + v * c[t, 3, m]))
     side = DEGREE + 1
@@ -319,21 +359,24 @@ def _evaluate(c, t, v, across, spans, z, row, first, n, w, cubics, values) -> No
 
 @njit(**PART, **COMPILED)
 def _choose_taps(  # type: ignore[no-untyped-def]
-    bend, doppler, bends, n_taps, widths, room, doppler_row, first_doppler, tap_at, tap_step
+    bend, doppler, taps, room, windows, tap_at, tap_step
 ):
     """Write where the row of taps of each pixel begins and its length, and for slight bends the first sample.
 
     Fewer taps have the same fractions between samples, and their window is within that of all taps.
     """
-    per_bend, n_bend, n_slight = bends
+    per_bend, (n_bend, n_slight), (width, few_width), n_few = (
+        taps.per_bend, taps.bent.n_bend, taps.bent.width, taps.bent.n_tap[1],
+    )  # fmt: skip
+    doppler_row, first_doppler = windows.doppler_at, windows.first_doppler
     per_phase, first_slight = 2 * (N_PHASE + 1), (n_bend - n_slight) // 2
-    all_step, few_step = 2 * widths[1], 2 * widths[2]
+    all_step, few_step = 2 * width, 2 * few_width
     slight_rows = n_bend * per_phase * all_step
     for k in range(bend.size):
         which = min(max(int(np.rint(bend[k] * per_bend)) + n_bend // 2, 0), n_bend - 1)
         slight, phase = which - first_slight, doppler_row[k]
-        start = int(np.floor(doppler[k])) - (n_taps[2] // 2 - 1)
-        late = start + widths[2] > room
+        start = int(np.floor(doppler[k])) - (n_few // 2 - 1)
+        late = start + few_width > room
         early_phase = phase - (N_PHASE + 1) if phase > N_PHASE else phase
         few_phase = early_phase + (N_PHASE + 1 if late else 0)
         few = (slight >= 0) & (slight < n_slight) & (first_doppler[k] >= 0)
@@ -341,72 +384,75 @@ def _choose_taps(  # type: ignore[no-untyped-def]
         tap_at[k] = slight_rows + (slight * per_phase + few_phase) * few_step if few else (
             which * per_phase + phase
         ) * all_step  # fmt: skip
-        first_few = start - (widths[2] - n_taps[2]) if late else start
+        first_few = start - (few_width - n_few) if late else start
         first_doppler[k] = first_few if few else first_doppler[k]
 
 
 @loop(
-    FLOATS_IN, NUMBERS_OUT, TILES, POWERS, REAL_ROWS, REAL_ROW, REAL_ROW, REAL_ROWS, REAL_ROW, FLOATS_IN, FLOAT_ROW,
-    FLOAT_ROW, FLOATS_IN, TRIPLE, TRIPLE, PAIR, REAL_ROW, REAL_ROW, TUPLE((types.float64,) * 3),
-    TUPLE((types.float64, types.int64, types.int64)), types.float64, types.float64, REAL_ROW, REAL_ROW, REAL_ROWS,
-    **COMPILED,
+    FLOATS_IN, NUMBERS_OUT, RAISED_TILES, REAL_ROW, REAL_ROW, REAL_ROWS, RELIEF_TAPS, SECTOR,
+    TUPLE((types.float64,) * 3), **COMPILED,
 )  # fmt: skip
 def resample_on_relief(  # type: ignore[no-untyped-def]
-    floats, numbers, tiles, coefficients, spans, x, y, z, across, range_taps, real_taps, imag_taps, carriers, n_taps,
-    widths, sizes, rays, frame, scales, bends, yaw_start, yaw_step, near_limit, far_limit, weight,
-):  # fmt: skip
-    """Write the owned pixels of some tiles to `numbers`, their real and imaginary parts, row by row."""
+    floats, numbers, tiles, x, y, z, taps, sector, scales
+):
+    """Write the owned pixels of some tiles to `numbers`, their real and imaginary parts, row by row.
+
+    `scales` has the cycles and the rows a metre, and the range origin, m.
+    """
+    in_range, bent, across, yaw_step, by_yaw = taps.in_range, taps.bent, tiles.across, sector.yaw_step, sector.weight[0]
     n_row, n_doppler, stride = floats.shape[0], floats.shape[1] // 2, floats.shape[1]
-    range_step, by_yaw, tile = range_taps.shape[1], weight[0], across.size
+    range_step, tile = in_range.table.shape[1], across.size
     carrier_cycles, per_row, origin = scales
     values = np.empty((QUANTITIES, tile))
     row, doppler, cycles, loss, turn, middle, bend = (
         values[0], values[1], values[2], values[3], values[4], values[5], values[6],
     )  # fmt: skip
-    rng, owned, w, cubics = np.empty(tile), np.empty(tile), np.empty(tile), np.empty(coefficients.shape[2])
+    rng, owned, w, cubics = np.empty(tile), np.empty(tile), np.empty(tile), np.empty(tiles.polynomials.shape[2])
     for k in range(tile):  # `np.zeros` takes longer to compile
         rng[k], w[k] = 0.0, 0.0
-    places = np.empty((8, tile), np.int64)
-    first_row, range_at, at, carrier_at = places[0], places[1], places[2], places[3]
-    first_doppler, doppler_row, tap_at, tap_step = places[4], places[5], places[6], places[7]
-    parts = np.empty((8, tile), np.float32)
-    range_part, doppler_part, own, own_real, own_imag = parts[0], parts[1], parts[2], parts[3], parts[4]
+    places, parts = np.empty((8, tile), np.int64), np.empty((8, tile), np.float32)
+    windows = Windows(places[0], places[1], places[2], places[3], places[4], places[5], parts[0], parts[1])
+    tap_at, tap_step, own, own_real, own_imag = places[6], places[7], parts[2], parts[3], parts[4]
     amplitude, real, imag = parts[5], parts[6], parts[7]
-    for t in range(tiles.shape[0]):
-        i0, j0, every = tiles[t, 0], tiles[t, 1], tiles[t, 2] != 0
+    for t in range(tiles.places.shape[0]):
+        i0, j0, every = tiles.places[t, 0], tiles.places[t, 1], tiles.places[t, 2] != 0
         n = min(tile, x.size - j0)
         for i in range(i0, min(i0 + tile, y.size)):
             start = 2 * (i * x.size + j0)
             for k in range(tile):
                 owned[k] = 1.0 if k < n else np.nan
             if every:
-                _ranges(x, j0, n, y[i], z, i, frame, rng, owned)
-            elif not _sector(x, j0, n, y[i], z, i, rays, frame, rng, owned):
+                _ranges(x, j0, n, y[i], z, i, sector, rng, owned)
+            elif not _sector(x, j0, n, y[i], z, i, sector, rng, owned):
                 blank_row(numbers, start, n)
                 continue
-            _evaluate(coefficients, t, across[i - i0], across, spans, z, i, j0, n, w, cubics, values)
+            _level_heights(tiles, t, z, i, j0, n, w)
+            _evaluate(tiles, t, across[i - i0], w, cubics, values)
             for k in range(n):
                 away = 0.0 if np.isnan(rng[k]) else rng[k] - origin
                 row[k] += away * per_row
                 cycles[k] += away * carrier_cycles
             if not every:
-                find_limits(turn, yaw_start, yaw_step, near_limit, far_limit, rng, owned)
-            if weight.shape[0] == 1:
-                amplitude_of(turn, yaw_start, 1 / yaw_step, by_yaw, loss, owned, amplitude)
+                find_limits(turn, sector, rng, owned)
+            if sector.weight.shape[0] == 1:
+                amplitude_of(turn, sector.yaw_start, 1 / yaw_step, by_yaw, loss, owned, amplitude)
             else:
-                divide_by_sums(
-                    turn, yaw_start, 1 / yaw_step, weight, frame[5], frame[6], rng, frame[7], loss, owned, amplitude
-                )
-            place_windows(row, n_taps[0], widths[0], sizes[0], n_row, range_step, first_row, range_at, range_part)
+                divide_by_sums(turn, 1 / yaw_step, sector, rng, loss, owned, amplitude)
             place_windows(
-                doppler, n_taps[1], widths[1], sizes[1], n_doppler, 1, first_doppler, doppler_row, doppler_part
-            )
-            _choose_taps(bend, doppler, bends, n_taps, widths, n_doppler, doppler_row, first_doppler, tap_at, tap_step)
-            find_addresses(first_row, first_doppler, stride, amplitude, at)
-            turn_windows(doppler, cycles, middle, first_doppler, 4 * widths[1], carrier_at, own)
+                row, in_range.n_tap, in_range.width, in_range.size, n_row, range_step, windows.first_row,
+                windows.range_at, windows.range_part,
+            )  # fmt: skip
+            place_windows(
+                doppler, bent.n_tap[0], bent.width[0], taps.n_doppler, n_doppler, 1, windows.first_doppler,
+                windows.doppler_at, windows.doppler_part,
+            )  # fmt: skip
+            _choose_taps(bend, doppler, taps, n_doppler, windows, tap_at, tap_step)
+            find_addresses(windows, stride, amplitude)
+            turn_windows(doppler, cycles, middle, 4 * bent.width[0], windows, own)
             phasors_of(own, own_real, own_imag)
             sum_windows_bent(
-                floats, stride, at, range_taps, range_step, widths[0], range_at, range_part, real_taps, imag_taps,
-                tap_at, tap_step, doppler_part, carriers, 2 * widths[1], carrier_at, real, imag,
+                floats, stride, windows.at, in_range.table, range_step, in_range.width, windows.range_at,
+                windows.range_part, bent.real, bent.imag, tap_at, tap_step, windows.doppler_part, taps.carriers,
+                2 * bent.width[0], windows.carrier_at, real, imag,
             )  # fmt: skip
             write_row(numbers, start, n, amplitude, own_real, own_imag, real, imag)

@@ -37,8 +37,8 @@ from blocksar.collection.beam import aperture, lit_yaw, turned_near
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Taps, Terrain
-from blocksar.kernels.occlusion import STEPS, VISIBLE, block_extremes, find_visibility, steepest_slope
-from blocksar.kernels.terrain_rows import find_surface, sum_taps
+from blocksar.kernels.occlusion import VISIBLE, HeightGrid, find_visibility, steepest_slope
+from blocksar.kernels.terrain_rows import SeenGround, TerrainTaps, find_surface, sum_taps
 
 NODES = 257  # yaws, or times, between which the antenna's place at the middle of dwells is interpolated
 NODE_PIXELS = 32  # between which the antenna's place is linear
@@ -171,7 +171,7 @@ def heights_on_grid(terrain: Terrain, x: FloatArray, y: FloatArray) -> FloatArra
     """`Terrain.on_grid`, to the bit, by a compiled loop."""
     in_x, in_y = terrain.taps_of(x, y)
     z = np.empty((y.size, x.size))
-    sum_taps(*_sums(terrain, in_x, in_y), z)
+    sum_taps(_sums(terrain, in_x, in_y), z)
     z[~in_y[2]] = np.nan
     z[:, ~in_x[2]] = np.nan
     return z
@@ -195,14 +195,6 @@ def box_about(grid: Grid, window: tuple[slice, slice]) -> Box:
     return box_of(nodes_x, nodes_y)
 
 
-class SeenGround(NamedTuple):
-    """The ground of a window, (n_y, n_x) each: heights, m, the same in float32, and local incidence angles, rad."""
-
-    height: FloatArray
-    rounded: NDArray[np.float32]
-    angle: NDArray[np.float32]
-
-
 def heights_and_angles(terrain: Terrain, sight: Sight, grid: Grid, strip: Strip) -> list[SeenGround]:
     """The surface of windows, whose heights are to the bit those of `heights_on_grid`.
 
@@ -223,8 +215,9 @@ def heights_and_angles(terrain: Terrain, sight: Sight, grid: Grid, strip: Strip)
         shape = y.size, x[own].size
         surface = SeenGround(np.empty(shape), np.empty(shape, np.float32), np.empty(shape, np.float32))
         find_surface(
-            heights, columns[own], np.ascontiguousarray(along_x[:, own]), np.ascontiguousarray(rate_x[:, own]), rows,
-            along_y, rate_y, x[own], y, np.ascontiguousarray(antenna[..., own]), before, part, *surface,
+            TerrainTaps.of(heights, columns[own], along_x[:, own], rows, along_y),
+            np.ascontiguousarray(rate_x[:, own]), rate_y, x[own], y, np.ascontiguousarray(antenna[..., own]), before,
+            part, surface,
         )  # fmt: skip
         if not inside:
             for layer in surface:
@@ -329,12 +322,10 @@ def visibility(terrain: Terrain, sight: Sight, grid: Grid, window: tuple[slice, 
     z = None if sight.middles is None else terrain(x, y)
     antenna, across = sight.antenna_and_across(x, y, z)
     antenna = antenna - np.stack([x, y, np.zeros(x.size)], axis=-1)
-    heights = np.ascontiguousarray(terrain.heights, np.float64)
     found = np.empty(x.size, np.uint8)
     find_visibility(
-        heights, *block_extremes(heights), np.array([terrain.dx, terrain.dy]),
-        (x - terrain.x0) / terrain.dx - terrain.column, (y - terrain.y0) / terrain.dy - terrain.row,
-        antenna, np.ascontiguousarray(across), min(terrain.dx, terrain.dy) / STEPS, found,
+        HeightGrid.of(terrain.heights, terrain.dx, terrain.dy), (x - terrain.x0) / terrain.dx - terrain.column,
+        (y - terrain.y0) / terrain.dy - terrain.row, antenna, np.ascontiguousarray(across), found,
     )  # fmt: skip
     return found.reshape(rows.size, columns.size)[:, at_column][at_row]
 
@@ -346,7 +337,7 @@ def _is_open(terrain: Terrain, sight: Sight, x: FloatArray, y: FloatArray) -> bo
     """
     heights = np.ascontiguousarray(terrain.heights, np.float64)
     inside = terrain.x[0] <= x[0] and x[-1] <= terrain.x[-1] and terrain.y[0] <= y[0] and y[-1] <= terrain.y[-1]
-    slope = float(steepest_slope(heights, np.array([terrain.dx, terrain.dy])))
+    slope = float(steepest_slope(heights, terrain.dx, terrain.dy))
     if not inside or not np.isfinite(slope):
         return False
     outlook = _outlook(sight, box_of(x, y))
@@ -360,11 +351,13 @@ def _is_open(terrain: Terrain, sight: Sight, x: FloatArray, y: FloatArray) -> bo
     return all(slope < 0.99 * (part.min() - np.ptp(part) / 2) for part in (ray, near))
 
 
-def _sums(terrain: Terrain, in_x: Taps, in_y: Taps) -> tuple[FloatArray, IntArray, FloatArray, IntArray, FloatArray]:
-    """The arguments of `sum_taps`: the rows of samples that the taps need, and the taps."""
+def _sums(terrain: Terrain, in_x: Taps, in_y: Taps) -> TerrainTaps:
+    """The rows of samples that the taps need, and the taps."""
     (columns, along_x, _), (rows, along_y, _) = in_x, in_y
     first, last = int(rows.min()), int(rows.max()) + 4
-    return np.array(terrain.heights[first:last]), columns, np.array(along_x), rows - first, np.array(along_y)
+    return TerrainTaps.of(
+        np.array(terrain.heights[first:last]), columns, np.array(along_x), rows - first, np.array(along_y)
+    )
 
 
 def by_owner(

@@ -17,7 +17,6 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.terrain_layers import (
-    SeenGround,
     Sight,
     Strip,
     box_about,
@@ -30,6 +29,7 @@ from blocksar.focusing.terrain_layers import (
 )
 from blocksar.graph.spectrum import Window
 from blocksar.kernels.occlusion import UNKNOWN
+from blocksar.kernels.terrain_rows import SeenGround
 from blocksar.planning.tiling import chunk_window
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Written

@@ -20,9 +20,10 @@ from blocksar.chunks import READS_AT_ONCE, TILED_CHUNKS
 from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import ProcessingError
-from blocksar.focusing.correction import Tiles, correct, tiles_of
+from blocksar.focusing.correction import correct, tiles_of
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.noise import NoiseMap
+from blocksar.focusing.pixel_rows import Tiles
 from blocksar.focusing.recorded_pulses import divide_by_recorded
 from blocksar.graph.layers import AlikeChunks, GroundHeights, strips_of, write_noise
 from blocksar.graph.segments import Margins, Merged

@@ -51,6 +51,7 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.backprojection import accumulate
 from blocksar.focusing.profiles import Profiles, range_profiles
 from blocksar.kernels.fourier import fft_rows
+from blocksar.kernels.projection import LitPixels
 
 SIGNIFICANT = 5.0  # standard deviations
 SIDE_LOBE = 2 * 0.217**2  # relative variance of a target's power under the first side lobe of one as strong
@@ -280,10 +281,8 @@ class Lines:
         image, outside = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.bool_)
         first, last = np.full(x.shape, pulses.start, np.int64), np.full(x.shape, pulses.stop, np.int64)
         profiles = self.samples.profiles(pulses.start, pulses.stop)
-        accumulate(
-            image, outside, profiles, geometry=geometry, x=x, y=y, z=geometry.known_height(x, y)[0], first=first,
-            last=last, threads=self.samples.threads,
-        )  # fmt: skip
+        pixels = LitPixels(x, y, geometry.known_height(x, y)[0], first, last)
+        accumulate(image, outside, profiles, geometry=geometry, pixels=pixels, threads=self.samples.threads)
         if collection.has_axis:  # its edges are no yaws: beyond them lie only ambiguities of what it lights
             away = geometry.beam.offset(x, y, (pulses.start + pulses.stop) // 2)
             outside |= ~(np.abs(away) <= EDGE * (collection.beam_width or 0.0))  # NaN where no height is known

@@ -8,13 +8,13 @@ No operations are contracted, so that a point is lit or not whichever loop asks.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, types
 
 from blocksar.arrays import BoolArray, FloatArray, IntArray
-from blocksar.kernels.loops import PART, REAL_ROW, REAL_ROWS, UNCHECKED, UNCONTRACTED, loop
+from blocksar.kernels.loops import PART, REAL_ROW, REAL_ROWS, UNCHECKED, UNCONTRACTED, fixed, loop, record
 
 EXACT: dict[str, Any] = {**UNCONTRACTED, **UNCHECKED}
 INDICES = types.Array(types.int64, 1, "C", readonly=True)
@@ -42,11 +42,52 @@ def beam_table(position: FloatArray, axis: FloatArray, steering: FloatArray, hal
     return table
 
 
-def largest_steps(table: FloatArray) -> tuple[float, float]:
-    """Find what the antenna moves by from a pulse to the next, m, and what axis and limits change by, at most."""
-    steps = np.abs(np.diff(table, axis=0))
-    moved, turned = (np.sqrt((part**2).sum(axis=1)).max(initial=0.0) for part in (steps[:, :3], steps[:, 3:LOW]))
-    return float(moved), float(turned + steps[:, LOW:].max(initial=0.0))
+class MovingBeam(NamedTuple):
+    """A beam, pulse by pulse, and how fast it changes.
+
+    Attributes
+    ----------
+    table : (n_pulse, 8) float
+        From `beam_table`.
+    moved, turned : float
+        What the antenna moves by from a pulse to the next, m, and what axis and limits change by, at most.
+    """
+
+    table: FloatArray
+    moved: float
+    turned: float
+
+    @classmethod
+    def of(cls, table: FloatArray) -> MovingBeam:
+        """Find the largest steps."""
+        steps = np.abs(np.diff(table, axis=0))
+        moved, turned = (np.sqrt((part**2).sum(axis=1)).max(initial=0.0) for part in (steps[:, :3], steps[:, 3:LOW]))
+        return cls(fixed(table), float(moved), float(turned + steps[:, LOW:].max(initial=0.0)))
+
+
+class Doubtful(NamedTuple):
+    """Pulses at which points near a place may differ: see `_find_doubtful`.
+
+    Attributes
+    ----------
+    low, high : (n_pulse,) float
+        The limits less s of the place, at these pulses.
+    spans : (n_span, 3) int
+    """
+
+    low: FloatArray
+    high: FloatArray
+    spans: IntArray
+
+
+class FoundPasses(NamedTuple):
+    """Pulses first <= p < last, (m, n): of pass m of point n."""
+
+    firsts: IntArray
+    lasts: IntArray
+
+
+BEAM, FOUND = record(MovingBeam, REAL_ROWS, types.float64, types.float64), record(FoundPasses, PASSES, PASSES)
 
 
 @njit(**PART, **EXACT)
@@ -123,13 +164,13 @@ def find_turning(
 
 
 @njit(**PART, **EXACT)
-def _note(firsts: IntArray, lasts: IntArray, k: int, count: int, p: int, lit: bool) -> int:
+def _note(found: FoundPasses, k: int, count: int, p: int, lit: bool) -> int:
     """Write that point k is lit, or no longer, from pulse p on, if there is room; return its number of ended passes."""
-    if count < firsts.shape[0]:
+    if count < found.firsts.shape[0]:
         if lit:
-            firsts[count, k] = p
+            found.firsts[count, k] = p
         else:
-            lasts[count, k] = p
+            found.lasts[count, k] = p
     return count + (0 if lit else 1)
 
 
@@ -140,15 +181,13 @@ def _is_lit(table: FloatArray, p: int, x: float, y: float, z: float) -> bool:
 
 
 @njit(**PART, **EXACT)
-def _march(
-    table: FloatArray, k: int, x: float, y: float, z: float, moved: float, turned: float, firsts: IntArray,
-    lasts: IntArray,
-) -> int:  # fmt: skip
+def _march(beam: MovingBeam, k: int, x: float, y: float, z: float, found: FoundPasses) -> int:
     """Write the passes of point k; return their number.
 
     From pulse to pulse the line of sight turns by no more than what the antenna moves by over the range, and s by that
     and what the axis turns by: all pulses before s can have reached a limit are as the one that was looked at.
     """
+    table, moved, turned = beam.table, beam.moved, beam.turned
     n, count, p, before = table.shape[0], 0, 0, False
     while p < n:
         ahead, distance = _sides(table, p, x, y, z)
@@ -157,7 +196,7 @@ def _march(
         low, high = table[p, LOW], table[p, HIGH]
         now = ahead >= low * distance and ahead <= high * distance
         if now != before:
-            count = _note(firsts, lasts, k, count, p, now)
+            count = _note(found, k, count, p, now)
         before = now
         s = ahead / distance
         spare = min(s - low, high - s) if now else max(low - s, s - high)
@@ -165,27 +204,25 @@ def _march(
         rate = moved / ((1 - NEARER) * distance) + turned
         steps = min((spare - ROUNDING) / max(rate, ROUNDING), NEARER * distance / max(moved, ROUNDING))
         p += max(int(min(steps, n)), 1)
-    return _note(firsts, lasts, k, count, n, False) if before else count
+    return _note(found, k, count, n, False) if before else count
 
 
 @njit(**PART, **EXACT)
-def _find_doubtful(
-    table: FloatArray, x: float, y: float, z: float, reach: float, moved: float, turned: float, low: FloatArray,
-    high: FloatArray, spans: IntArray,
-) -> int:  # fmt: skip
+def _find_doubtful(beam: MovingBeam, x: float, y: float, z: float, reach: float, doubtful: Doubtful) -> int:
     """Write the spans of pulses at which points up to `reach` from a place may differ; return their number, or -1.
 
     Each span has its first pulse, its end, and whether all points are lit from there on: 1 or 0. They are dark before
-    the first span, and a span may be empty. -1 where there are too many. `low` and `high` are written at the pulses of
-    spans: the limits less s of the place.
+    the first span, and a span may be empty. -1 where there are too many.
 
     By a way `reach` to a point the line of sight turns, and s changes, by no more than that over the shorter range.
     """
-    n, count, doubtful, p, lit, inside_span = table.shape[0], 0, 0, 0, False, False
+    table, moved, turned = beam.table, beam.moved, beam.turned
+    low, high, spans = doubtful.low, doubtful.high, doubtful.spans
+    n, count, number, p, lit, inside_span = table.shape[0], 0, 0, 0, False, False
     while p < n:
         ahead, distance = _sides(table, p, x, y, z)
         nearest = (1 - NEARER) * distance - reach  # over pulses in which the range changes by a part NEARER at most
-        if not nearest > 0 or count == spans.shape[0] or doubtful == MOST_DOUBTFUL:
+        if not nearest > 0 or count == spans.shape[0] or number == MOST_DOUBTFUL:
             return -1
         s, margin = ahead / distance, reach / nearest + ROUNDING
         low_limit, high_limit = table[p, LOW], table[p, HIGH]
@@ -204,7 +241,7 @@ def _find_doubtful(
             if not inside_span:
                 spans[count, 0] = p
             low[p], high[p] = low_limit - s, high_limit - s
-            doubtful, inside_span, p = doubtful + 1, True, p + 1
+            number, inside_span, p = number + 1, True, p + 1
     if inside_span:
         spans[count, 1] = n
     return count + (1 if inside_span else 0)
@@ -212,8 +249,8 @@ def _find_doubtful(
 
 @njit(**PART, **EXACT)
 def _pass_spans(
-    table: FloatArray, k: int, x: float, y: float, z: float, reach: float, moved: float, turned: float,
-    low: FloatArray, high: FloatArray, spans: IntArray, n_span: int, firsts: IntArray, lasts: IntArray,
+    beam: MovingBeam, k: int, x: float, y: float, z: float, reach: float, doubtful: Doubtful, n_span: int,
+    found: FoundPasses,
 ) -> int:  # fmt: skip
     """Write the passes of point k, from the spans of `_find_doubtful` for a place up to `reach` away; their number.
 
@@ -221,6 +258,8 @@ def _pass_spans(
     alike but for 3 moved reach / range^2, and the axis turns what is between them by turned reach / range. So it is
     computed once a span, and pulses are looked at where that leaves a doubt.
     """
+    table, moved, turned = beam.table, beam.moved, beam.turned
+    low, high, spans = doubtful.low, doubtful.high, doubtful.spans
     count, lit, n = 0, False, table.shape[0]
     for m in range(n_span):
         a, b = spans[m, 0], spans[m, 1]
@@ -241,9 +280,9 @@ def _pass_spans(
             if doubts == 0 and changes <= 1:
                 first = low[a] - more <= 0 and high[a] - more >= 0
                 if first != lit:
-                    count, lit = _note(firsts, lasts, k, count, a, first), first
+                    count, lit = _note(found, k, count, a, first), first
                 if changes:
-                    count = _note(firsts, lasts, k, count, a + (inside if first else b - a - inside), not first)
+                    count = _note(found, k, count, a + (inside if first else b - a - inside), not first)
                     lit = not first
             else:
                 for i in range(a, b):
@@ -252,40 +291,34 @@ def _pass_spans(
                     if abs(under) <= slack or abs(over) <= slack:
                         now = _is_lit(table, i, x, y, z)
                     if now != lit:
-                        count, lit = _note(firsts, lasts, k, count, i, now), now
+                        count, lit = _note(found, k, count, i, now), now
         if b < n and (spans[m, 2] != 0) != lit:
             lit = spans[m, 2] != 0
-            count = _note(firsts, lasts, k, count, b, lit)
-    return _note(firsts, lasts, k, count, n, False) if lit else count
+            count = _note(found, k, count, b, lit)
+    return _note(found, k, count, n, False) if lit else count
 
 
-@loop(REAL_ROWS, *PLACES, types.float64, types.float64, PASSES, PASSES, **EXACT)
-def find_passes(
-    table: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray, moved: float, turned: float, firsts: IntArray,
-    lasts: IntArray,
-) -> int:  # fmt: skip
+@loop(BEAM, *PLACES, FOUND, **EXACT)
+def find_passes(beam: MovingBeam, x: FloatArray, y: FloatArray, z: FloatArray, found: FoundPasses) -> int:
     """Write the passes (m, n) of points: pulses first <= p < last, in the order of time, of sines within the limits.
 
     Points that follow each other are looked at together where they lie close to each other.
 
     Parameters
     ----------
-    table : (n_pulse, 8) float
-        From `beam_table`.
+    beam : MovingBeam
     x, y, z : (n,) float
         m; NaN is never lit.
-    moved, turned : float
-        From `largest_steps`.
-    firsts, lasts : (m, n) int
-        Passes that a point lacks are 0 and 0.
+    found : FoundPasses
+        Written. Passes that a point lacks are 0 and 0.
 
     Returns
     -------
     int
         The largest number of passes of a point: if that is above m, some are not written.
     """
-    most, n_pulse = 0, table.shape[0]
-    low, high, spans = np.empty(n_pulse), np.empty(n_pulse), np.empty((MOST_SPANS, 3), np.int64)
+    most, n_pulse, firsts, lasts = 0, beam.table.shape[0], found.firsts, found.lasts
+    doubtful = Doubtful(np.empty(n_pulse), np.empty(n_pulse), np.empty((MOST_SPANS, 3), np.int64))
     for m in range(firsts.shape[0]):
         for k in range(x.size):
             firsts[m, k] = lasts[m, k] = 0
@@ -301,13 +334,11 @@ def find_passes(
         reach = np.sqrt(square)
         n_span = -1
         if not np.isnan(mean_x + mean_y + mean_z):
-            n_span = _find_doubtful(table, mean_x, mean_y, mean_z, reach, moved, turned, low, high, spans)
+            n_span = _find_doubtful(beam, mean_x, mean_y, mean_z, reach, doubtful)
         for k in range(begin, end):
             if n_span < 0:
-                count = _march(table, k, x[k], y[k], z[k], moved, turned, firsts, lasts)
+                count = _march(beam, k, x[k], y[k], z[k], found)
             else:
-                count = _pass_spans(
-                    table, k, x[k], y[k], z[k], reach, moved, turned, low, high, spans, n_span, firsts, lasts
-                )  # fmt: skip
+                count = _pass_spans(beam, k, x[k], y[k], z[k], reach, doubtful, n_span, found)
             most = max(most, count)
     return most

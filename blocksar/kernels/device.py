@@ -18,7 +18,7 @@ from blocksar.errors import InputError, ProcessingError, library_for
 from blocksar.kernels.decimation import Decimation, add_decimated, turn_and_decimate
 from blocksar.kernels.fourier import fft_rows
 from blocksar.kernels.groups import Scratch, row_groups, run_groups
-from blocksar.kernels.projection import UPSAMPLING, Sights, project
+from blocksar.kernels.projection import UPSAMPLING, LitPixels, Sights, project
 
 Tile = tuple[slice, slice]
 TILE = 128  # pixels per side: enough that the preparation of a tile costs little
@@ -70,9 +70,8 @@ class Device(Protocol):
         """`decimation.add_decimated`."""
 
     def project(
-        self, image: Any, outside: Any, sights: Sights, x: Any, y: Any, z: Any, first: Any, last: Any, weight: Any,
-        threads: int = 1,
-    ) -> None:  # fmt: skip
+        self, image: Any, outside: Any, sights: Sights, pixels: LitPixels, weight: Any, threads: int = 1
+    ) -> None:
         """`projection.project`, whose arrays of pixels are the device's; `weight` is None without weights."""
 
 
@@ -109,15 +108,12 @@ class Cpu:
         add_decimated(rows, decimation, at, out)
 
     def project(
-        self, image: Any, outside: Any, sights: Sights, x: Any, y: Any, z: Any, first: Any, last: Any, weight: Any,
-        threads: int = 1,
-    ) -> None:  # fmt: skip
+        self, image: Any, outside: Any, sights: Sights, pixels: LitPixels, weight: Any, threads: int = 1
+    ) -> None:
         weight = np.empty(image.shape, np.float32) if weight is None else weight
 
         def work(tile: Tile) -> None:
-            project(
-                image[tile], outside[tile], sights, x[tile], y[tile], z[tile], first[tile], last[tile], weight[tile]
-            )
+            project(image[tile], outside[tile], sights, pixels.of(tile), weight[tile])
 
         run_groups(work, tiles(image.shape), threads)
 

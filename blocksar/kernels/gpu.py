@@ -26,7 +26,7 @@ from blocksar.arrays import FloatArray
 from blocksar.kernels.decimation import Decimation, padded
 from blocksar.kernels.fourier import fft_rows
 from blocksar.kernels.groups import Scratch
-from blocksar.kernels.projection import UPSAMPLING, Sights, halves, place_tables
+from blocksar.kernels.projection import UPSAMPLING, LitPixels, Sights, halves, place_tables
 from blocksar.texts import size_text
 
 cuda: Any = numba.cuda
@@ -292,19 +292,17 @@ class Gpu:
         _launch(_add_decimated_columns, out.shape, rows, taps, decimation.factor, at - decimation.half, out)
 
     def project(
-        self, image: Any, outside: Any, sights: Sights, x: Any, y: Any, z: Any, first: Any, last: Any, weight: Any,
-        threads: int = 1,
-    ) -> None:  # fmt: skip
+        self, image: Any, outside: Any, sights: Sights, pixels: LitPixels, weight: Any, threads: int = 1
+    ) -> None:
         """Sum; under a taper over the beam by parts over which the place in it is a polynomial."""
-        n, weighted = sights.reference_range.size, sights.taper is not None
+        (x, y, z, first, last), n, weighted = pixels, sights.reference_range.size, sights.taper is not None
         low, high = self.take(xp.stack([f(axis) for f in (xp.min, xp.max) for axis in (x, y, z)])).reshape(2, 3)
         hilly = bool(high[2] > low[2])
         places, precise = place_tables(sights.taper, slice(0, n), low, high)
         if image.size > 1 and not precise:
             for part in halves(image.shape):
                 over = None if weight is None else weight[part]
-                ends = first[part], last[part]
-                self.project(image[part], outside[part], sights, x[part], y[part], z[part], *ends, over)
+                self.project(image[part], outside[part], sights, pixels.of(part), over)
             return
         none = xp.zeros((1, 1))
         table = np.column_stack([sights.antenna.T, sights.reference_range])

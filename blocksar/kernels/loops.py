@@ -18,16 +18,20 @@ from functools import partial
 from threading import Lock
 from time import perf_counter
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
+import numpy as np
 from numba import njit, types
 from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher  # type: ignore[attr-defined, unused-ignore]
 from numba.core.runtime.nrt import rtsys
+from numpy.typing import NDArray
 
 from blocksar.errors import InputError
 from blocksar.loop_cache import note_compilation
 from blocksar.places.locks import locked
+
+T = TypeVar("T", bound=np.generic)
 
 # Argument types and compiler options of loops over rows of samples.
 SAMPLES_IN = types.Array(types.complex64, 2, "C", readonly=True)
@@ -40,6 +44,7 @@ TILES = types.Array(types.int64, 2, "C", readonly=True)
 POWERS = types.Array(types.float64, 3, "C", readonly=True)  # of the polynomials of tiles
 TUPLE: Any = types.Tuple  # carries no types
 PAIR = TUPLE((types.int64,) * 2)
+_BASE: Any = types.BaseTuple
 COMPILED: dict[str, Any] = {"nogil": True, "fastmath": {"contract", "nsz"}}
 # No operations are contracted. Said of every such function: numba hands the options of a caller to what it calls, and
 # keeps what it compiled so for other callers.
@@ -48,6 +53,18 @@ UNCONTRACTED: dict[str, Any] = {"nogil": True, "fastmath": False}
 # compiled with a copy of the function.
 PART: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 UNCHECKED: dict[str, Any] = {"error_model": "numpy"}  # divisions by zero give infinity, without a test of each
+
+
+def record(kind: type[tuple[Any, ...]], *fields: Any) -> Any:
+    """The numba type of a NamedTuple whose fields have these types; arrays to be read are `fixed` ones."""
+    return _BASE.from_types(fields, kind)
+
+
+def fixed(values: NDArray[T]) -> NDArray[T]:
+    """A read-only view of an array: numba takes writable arrays for read-only ones, but not those of a record."""
+    view = values.view()
+    view.flags.writeable = False
+    return view
 
 
 class Loop:

@@ -14,14 +14,14 @@ passed in one step, and so is the way on which the terrain, nowhere steeper than
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, types
 from numpy.typing import NDArray
 
 from blocksar.arrays import BoolArray, FloatArray
-from blocksar.kernels.loops import PART, REAL_ROW, REAL_ROWS, loop
+from blocksar.kernels.loops import PART, REAL_ROW, REAL_ROWS, fixed, loop, record
 
 VISIBLE, LAYOVER, SHADOW, UNKNOWN = 0, 1, 2, 255
 BLOCK = 16  # samples a side
@@ -32,12 +32,35 @@ _SHADOW, _NEAR, _FAR = 0, 1, 2
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
 
-def block_extremes(heights: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lowest and highest height of each block of cells between samples (n_y, n_x), m; inf and -inf if none is known."""
-    shape = [-(-(n - 1) // BLOCK) for n in heights.shape]
-    low, high = np.full(shape, np.inf), np.full(shape, -np.inf)
-    _find_extremes(np.ascontiguousarray(heights, np.float64), low, high)
-    return low, high
+class HeightGrid(NamedTuple):
+    """Samples of a terrain.
+
+    Attributes
+    ----------
+    heights : (n_y, n_x) float
+        m.
+    low, high : float
+        Lowest and highest height of each block of cells between samples, m; inf and -inf if none is known.
+    dx, dy : float
+        Spacing of the samples, m.
+    """
+
+    heights: FloatArray
+    low: FloatArray
+    high: FloatArray
+    dx: float
+    dy: float
+
+    @classmethod
+    def of(cls, heights: FloatArray, dx: float, dy: float) -> HeightGrid:
+        """Find the extremes of blocks."""
+        heights, shape = np.ascontiguousarray(heights, np.float64), [-(-(n - 1) // BLOCK) for n in heights.shape]
+        low, high = np.full(shape, np.inf), np.full(shape, -np.inf)
+        _find_extremes(heights, low, high)
+        return cls(fixed(heights), fixed(low), fixed(high), float(dx), float(dy))
+
+
+GRID = record(HeightGrid, REAL_ROWS, REAL_ROWS, REAL_ROWS, types.float64, types.float64)
 
 
 @loop(REAL_ROWS, types.float64[:, ::1], types.float64[:, ::1], **OPTIONS)
@@ -53,22 +76,22 @@ def _find_extremes(heights: FloatArray, low: FloatArray, high: FloatArray) -> No
 
 
 @njit(**PART, **OPTIONS)
-def _steepest(heights: FloatArray, spacing: FloatArray) -> float:
+def _steepest(heights: FloatArray, dx: float, dy: float) -> float:
     most = 0.0
     for i in range(heights.shape[0] - 1):
         for j in range(heights.shape[1] - 1):
             a, b, c, d = heights[i, j], heights[i, j + 1], heights[i + 1, j], heights[i + 1, j + 1]
-            along_x, along_y = max(abs(b - a), abs(d - c)) / spacing[0], max(abs(c - a), abs(d - b)) / spacing[1]
+            along_x, along_y = max(abs(b - a), abs(d - c)) / dx, max(abs(c - a), abs(d - b)) / dy
             if np.isnan(a + b + c + d):
                 return np.inf
             most = max(most, along_x * along_x + along_y * along_y)
     return np.sqrt(most)
 
 
-@loop(REAL_ROWS, REAL_ROW, **OPTIONS)
-def steepest_slope(heights: FloatArray, spacing: FloatArray) -> float:
+@loop(REAL_ROWS, types.float64, types.float64, **OPTIONS)
+def steepest_slope(heights: FloatArray, dx: float, dy: float) -> float:
     """An upper bound of the slope of the bilinear terrain (n_y, n_x) in any direction; inf if a height is unknown."""
-    return _steepest(heights, spacing)
+    return _steepest(heights, dx, dy)
 
 
 @njit(**PART, **OPTIONS)
@@ -96,11 +119,15 @@ def _leave(at: float, pace: float) -> float:
 
 @njit(**PART, **OPTIONS)
 def _crosses(
-    heights: FloatArray, low: FloatArray, high: FloatArray, limits: tuple[float, float], column: float, row: float,
-    along_column: float, along_row: float, step: float, kind: int, z: float, above: float, distance: float,
-    steepest: float,
+    grid: HeightGrid, limits: tuple[float, float], at: tuple[float, float], pace: tuple[float, float], kind: int,
+    z: float, above: float, distance: float, steepest: float,
 ) -> bool:  # fmt: skip
-    """Whether the terrain crosses a curve on a march; `along_*` are samples a metre, `above` and `distance` H and d."""
+    """Whether the terrain crosses a curve on a march from `at`, a column and a row, by `pace` samples a metre.
+
+    `above` and `distance` are H and d.
+    """
+    heights, low, high = grid.heights, grid.low, grid.high
+    step, (column, row), (along_column, along_row) = min(grid.dx, grid.dy) / STEPS, at, pace
     square = distance * distance + above * above
     # What the terrain nears the curve by, at most, per metre of the way: curves are least steep where they begin, but
     # the near one where it ends.
@@ -152,30 +179,24 @@ def _limits(low: FloatArray, high: FloatArray) -> tuple[float, float]:
 
 @njit(**PART, **OPTIONS)
 def _hidden(
-    heights: FloatArray, low: FloatArray, high: FloatArray, limits: tuple[float, float], spacing: FloatArray,
-    column: float, row: float, z: float, sight: tuple[float, float, float], step: float, steepest: float,
+    grid: HeightGrid, limits: tuple[float, float], at: tuple[float, float], z: float,
+    sight: tuple[float, float, float], steepest: float,
 ) -> bool:  # fmt: skip
     """Whether the terrain crosses the ray from a point at the height z to the antenna."""
     distance = np.sqrt(sight[0] * sight[0] + sight[1] * sight[1])
-    return distance > 0 and _crosses(
-        heights, low, high, limits, column, row, sight[0] / distance / spacing[0], sight[1] / distance / spacing[1],
-        step, _SHADOW, z, sight[2] - z, distance, steepest,
-    )  # fmt: skip
+    pace = sight[0] / distance / grid.dx, sight[1] / distance / grid.dy
+    return distance > 0 and _crosses(grid, limits, at, pace, _SHADOW, z, sight[2] - z, distance, steepest)
 
 
-@loop(
-    REAL_ROWS, REAL_ROWS, REAL_ROWS, REAL_ROW, REAL_ROW, REAL_ROW, REAL_ROW, REAL_ROWS, types.float64,
-    types.bool_[::1], **OPTIONS
-)  # fmt: skip
+@loop(GRID, REAL_ROW, REAL_ROW, REAL_ROW, REAL_ROWS, types.bool_[::1], **OPTIONS)
 def find_shadow(
-    heights: FloatArray, low: FloatArray, high: FloatArray, spacing: FloatArray, column: FloatArray, row: FloatArray,
-    height: FloatArray, sight: FloatArray, step: float, found: BoolArray,
-) -> None:  # fmt: skip
+    grid: HeightGrid, column: FloatArray, row: FloatArray, height: FloatArray, sight: FloatArray, found: BoolArray
+) -> None:
     """Find which points on a terrain, or above it, it hides from antennas, as `find_visibility` does.
 
     Parameters
     ----------
-    heights, low, high, spacing, column, row, sight, step
+    grid, column, row, sight
         As there.
     height : (n,) float
         Of the points, m; those below the terrain are seen as the terrain there is. Where that is unknown, nothing
@@ -183,76 +204,60 @@ def find_shadow(
     found : (n,) bool
         Written.
     """
-    limits = _limits(low, high)
+    limits = _limits(grid.low, grid.high)
     for k in range(column.size):
-        z = max(_height(heights, column[k], row[k]), height[k])
-        found[k] = _hidden(
-            heights, low, high, limits, spacing, column[k], row[k], z,
-            (sight[k, 0], sight[k, 1], sight[k, 2]), step, np.inf,
-        )  # fmt: skip
+        z = max(_height(grid.heights, column[k], row[k]), height[k])
+        ray = sight[k, 0], sight[k, 1], sight[k, 2]
+        found[k] = _hidden(grid, limits, (column[k], row[k]), z, ray, np.inf)
 
 
-@loop(
-    REAL_ROWS, REAL_ROWS, REAL_ROWS, REAL_ROW, REAL_ROW, REAL_ROW, REAL_ROWS, REAL_ROWS, types.float64,
-    types.uint8[::1], **OPTIONS
-)  # fmt: skip
+@loop(GRID, REAL_ROW, REAL_ROW, REAL_ROWS, REAL_ROWS, types.uint8[::1], **OPTIONS)
 def find_visibility(
-    heights: FloatArray, low: FloatArray, high: FloatArray, spacing: FloatArray, column: FloatArray, row: FloatArray,
-    sight: FloatArray, across: FloatArray, step: float, found: NDArray[np.uint8],
+    grid: HeightGrid, column: FloatArray, row: FloatArray, sight: FloatArray, across: FloatArray,
+    found: NDArray[np.uint8],
 ) -> None:  # fmt: skip
     """Find the visibility of points on a terrain: VISIBLE, LAYOVER, SHADOW, or UNKNOWN where it has no height.
 
     Parameters
     ----------
-    heights : (n_y, n_x) float
-        m.
-    low, high : float
-        `block_extremes` of them.
-    spacing : (2,) float
-        Of the samples, along x and y, m.
+    grid : HeightGrid
     column, row : (n,) float
         Points, in samples.
     sight : (n, 3) float
         From the points' places at height 0 to the antenna, m.
     across : (n, 2) float
         Horizontal unit vectors across the track.
-    step : float
-        Of a march, m.
     found : (n,) uint8
         Written.
     """
-    limits, steepest = _limits(low, high), _steepest(heights, spacing)
+    limits, steepest = _limits(grid.low, grid.high), _steepest(grid.heights, grid.dx, grid.dy)
     for k in range(column.size):
-        z = _height(heights, column[k], row[k])
+        at = column[k], row[k]
+        z = _height(grid.heights, column[k], row[k])
         if np.isnan(z):
             found[k] = UNKNOWN
             continue
         found[k] = VISIBLE
         above = sight[k, 2] - z
         ray = sight[k, 0], sight[k, 1], sight[k, 2]
-        if _hidden(heights, low, high, limits, spacing, column[k], row[k], z, ray, step, steepest):
+        if _hidden(grid, limits, at, z, ray, steepest):
             found[k] = SHADOW
             continue
         side = sight[k, 0] * across[k, 0] + sight[k, 1] * across[k, 1]
         way = 1.0 if side > 0 else -1.0
-        along_column, along_row = way * across[k, 0] / spacing[0], way * across[k, 1] / spacing[1]
+        along_column, along_row = way * across[k, 0] / grid.dx, way * across[k, 1] / grid.dy
         for kind in (_NEAR, _FAR):
             turn = 1.0 if kind == _NEAR else -1.0
-            if _crosses(
-                heights, low, high, limits, column[k], row[k], turn * along_column, turn * along_row, step, kind, z,
-                above, abs(side), steepest,
-            ):  # fmt: skip
+            pace = turn * along_column, turn * along_row
+            if _crosses(grid, limits, at, pace, kind, z, above, abs(side), steepest):
                 found[k] = LAYOVER
                 break
 
 
-@loop(
-    REAL_ROWS, REAL_ROWS, REAL_ROWS, REAL_ROW, REAL_ROW, REAL_ROWS, REAL_ROWS, REAL_ROWS, types.float64,
-    types.float64[::1], **OPTIONS
-)  # fmt: skip
+@loop(GRID, REAL_ROW, REAL_ROWS, REAL_ROWS, REAL_ROWS, types.float64[::1], **OPTIONS)
 def find_heights(
-    heights: FloatArray, low: FloatArray, high: FloatArray, first: FloatArray, spacing: FloatArray, place: FloatArray,
-    antenna: FloatArray, velocity: FloatArray, step: float, found: FloatArray,
+    grid: HeightGrid, first: FloatArray, place: FloatArray, antenna: FloatArray, velocity: FloatArray,
+    found: FloatArray,
 ) -> None:  # fmt: skip
     """Find the highest point of a terrain that has the range and Doppler of each of some places.
 
@@ -261,18 +266,15 @@ def find_heights(
 
     Parameters
     ----------
-    heights, low, high, spacing
-        As in `find_visibility`.
+    grid : HeightGrid
     first : (2,) float
         x and y of the first sample, m.
     place, antenna, velocity : (n, 3) float
         m, m/s.
-    step : float
-        Of a march along the ground, m.
     found : (n,) float
         Written: z, m, to a thousandth of a step; NaN where there is none.
     """
-    lowest, highest = _limits(low, high)
+    (lowest, highest), step = _limits(grid.low, grid.high), min(grid.dx, grid.dy) / STEPS
     for k in range(place.shape[0]):
         dx, dy, dz = place[k, 0] - antenna[k, 0], place[k, 1] - antenna[k, 1], place[k, 2] - antenna[k, 2]
         vx, vy, vz = velocity[k, 0], velocity[k, 1], velocity[k, 2]
@@ -288,7 +290,7 @@ def find_heights(
             side = np.sqrt(max(square - down * down - ahead * ahead, 0.0))
             x = antenna[k, 0] + (ahead * vx - way * side * vy) / level
             y = antenna[k, 1] + (ahead * vy + way * side * vx) / level
-            clearance = z - _height(heights, (x - first[0]) / spacing[0], (y - first[1]) / spacing[1])
+            clearance = z - _height(grid.heights, (x - first[0]) / grid.dx, (y - first[1]) / grid.dy)
             if inside and (clearance <= 0) != (above <= 0):
                 found[k] = z + clearance / (clearance - above) * span
                 break

@@ -34,7 +34,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,6 +160,27 @@ class Sights:
     taper: BeamTaper | None = None
 
 
+class LitPixels(NamedTuple):
+    """Pixels (n_row, n_column), and the pulses first <= p < last of the collection that light them.
+
+    Attributes
+    ----------
+    x, y, z : float
+        m, scene frame; finite.
+    first, last : int
+    """
+
+    x: FloatArray
+    y: FloatArray
+    z: FloatArray
+    first: IntArray
+    last: IntArray
+
+    def of(self, part: tuple[slice, slice]) -> LitPixels:
+        """Pixels of some rows and columns."""
+        return LitPixels(self.x[part], self.y[part], self.z[part], self.first[part], self.last[part])
+
+
 def series_error(reach: FloatArray | float, distance: FloatArray | float) -> FloatArray:
     """Largest error of the series at offsets up to `reach` from a point at a distance, m; infinite if it diverges."""
     q = np.asarray(reach / (2 * distance))
@@ -173,14 +194,10 @@ def project(
     image: ComplexArray,
     outside: BoolArray,
     sights: Sights,
-    x: FloatArray,
-    y: FloatArray,
-    z: FloatArray,
-    first: IntArray,
-    last: IntArray,
+    pixels: LitPixels,
     weight: Float32Array,
 ) -> None:
-    """Add the pulses first <= p < last of a block to a tile of the image, in place.
+    """Add the pulses of a block to the pixels of a tile of the image that they light, in place.
 
     A tile that is too large for the series is divided, down to SMALL pixels; for places in the beam, to one.
 
@@ -189,13 +206,12 @@ def project(
     image : (n_row, n_column) complex64
     outside : (n_row, n_column) bool
         Set where a lit pulse sees the pixel outside the unambiguous window.
-    x, y, z : (n_row, n_column) float
-        m; finite.
-    first, last : (n_row, n_column) int
-        Of the collection's pulses.
+    pixels : LitPixels
+        (n_row, n_column)
     weight : (n_row, n_column) float32
         Rises by the sum of weights under a taper; unchanged without one.
     """
+    x, y, z, first, last = pixels
     size, n_bin, stop = x.size, sights.values.shape[1], sights.start + sights.reference_range.size
     begin, end = max(int(first.min()), sights.start), min(int(last.max()), stop)
     if begin >= end:
@@ -211,9 +227,7 @@ def project(
     places, precise = place_tables(sights.taper, pulses, low, high)
     if (size > SMALL and not series[0, :-FEW].all()) or (size > 1 and not precise):
         for part in halves(x.shape):
-            project(
-                image[part], outside[part], sights, x[part], y[part], z[part], first[part], last[part], weight[part]
-            )
+            project(image[part], outside[part], sights, pixels.of(part), weight[part])
         return
     middles, close = _middles(place, sights)
     close &= bool(series[0, :-FEW].all())

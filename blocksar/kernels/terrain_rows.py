@@ -6,7 +6,7 @@ once for every row of samples; those along y run over all pixels of a row.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, types
@@ -14,7 +14,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from blocksar.arrays import FloatArray, IntArray
-from blocksar.kernels.loops import COMPILED, PART, REAL_ROW, REAL_ROWS, UNCHECKED, UNCONTRACTED, loop
+from blocksar.kernels.loops import COMPILED, PART, REAL_ROW, REAL_ROWS, UNCHECKED, UNCONTRACTED, fixed, loop, record
 
 INDICES = types.Array(types.int64, 1, "C", readonly=True)
 PLANES = types.Array(types.float64, 3, "C", readonly=True)
@@ -30,6 +30,45 @@ _ARC = tuple(
 )
 _A0, _A1, _A2, _A3, _A4, _A5, _A6, _A7, _A8 = _ARC
 _PI = np.float32(np.pi)
+
+
+class TerrainTaps(NamedTuple):
+    """Samples of a terrain and the 4 x 4 of them, with their taps, that make the height of each pixel.
+
+    Attributes
+    ----------
+    strip : (n_row, n_column) float
+        Heights, m.
+    columns, rows : (n_x,) and (n_y,) int
+        The first samples of the columns and the rows of pixels.
+    along_x, along_y : (4, n_x) and (4, n_y) float
+    """
+
+    strip: FloatArray
+    columns: IntArray
+    along_x: FloatArray
+    rows: IntArray
+    along_y: FloatArray
+
+    @classmethod
+    def of(
+        cls, strip: FloatArray, columns: IntArray, along_x: FloatArray, rows: IntArray, along_y: FloatArray
+    ) -> TerrainTaps:
+        """Make them contiguous and read-only, as the loops take them."""
+        x, y = np.ascontiguousarray(along_x), np.ascontiguousarray(along_y)
+        return cls(fixed(strip), fixed(columns), fixed(x), fixed(rows), fixed(y))
+
+
+class SeenGround(NamedTuple):
+    """The ground of a window, (n_y, n_x) each: heights, m, the same in float32, and local incidence angles, rad."""
+
+    height: FloatArray
+    rounded: NDArray[np.float32]
+    angle: NDArray[np.float32]
+
+
+TAPS = record(TerrainTaps, REAL_ROWS, INDICES, REAL_ROWS, INDICES, REAL_ROWS)
+GROUND = record(SeenGround, types.float64[:, ::1], types.float32[:, ::1], types.float32[:, ::1])
 
 
 @njit(**PART, **EXACT)
@@ -49,22 +88,10 @@ def _height_row(along: FloatArray, r: int, a: float, b: float, c: float, d: floa
         out[k] = ((along[r, k] * a + along[r + 1, k] * b) + along[r + 2, k] * c) + along[r + 3, k] * d
 
 
-@loop(REAL_ROWS, INDICES, REAL_ROWS, INDICES, REAL_ROWS, types.float64[:, ::1], **EXACT)
-def sum_taps(
-    strip: FloatArray, columns: IntArray, along_x: FloatArray, rows: IntArray, along_y: FloatArray, out: FloatArray
-) -> None:
-    """out[i, k] = sum_jl strip[rows[i] + l, columns[k] + j] along_x[j, k] along_y[l, i].
-
-    Parameters
-    ----------
-    strip : (n_row, n_column) float
-    columns : (n_x,) int
-    along_x : (4, n_x) float
-    rows : (n_y,) int
-    along_y : (4, n_y) float
-    out : (n_y, n_x) float
-        Written.
-    """
+@loop(TAPS, types.float64[:, ::1], **EXACT)
+def sum_taps(taps: TerrainTaps, out: FloatArray) -> None:
+    """out[i, k] = sum_jl strip[rows[i] + l, columns[k] + j] along_x[j, k] along_y[l, i], (n_y, n_x)."""
+    strip, columns, along_x, rows, along_y = taps
     along = np.empty((strip.shape[0], columns.size))
     _along(strip, columns, along_x, along)
     for i in range(rows.size):
@@ -84,20 +111,18 @@ def _arc_cosine(cosine: float) -> Any:
 
 
 @loop(
-    REAL_ROWS, INDICES, REAL_ROWS, REAL_ROWS, INDICES, REAL_ROWS, REAL_ROWS, REAL_ROW, REAL_ROW, PLANES, INDICES,
-    REAL_ROW, types.float64[:, ::1], types.float32[:, ::1], types.float32[:, ::1], **COMPILED, **UNCHECKED,
+    TAPS, REAL_ROWS, REAL_ROWS, REAL_ROW, REAL_ROW, PLANES, INDICES, REAL_ROW, GROUND, **COMPILED, **UNCHECKED
 )  # fmt: skip
 def find_surface(
-    strip: FloatArray, columns: IntArray, along_x: FloatArray, rate_x: FloatArray, rows: IntArray, along_y: FloatArray,
-    rate_y: FloatArray, x: FloatArray, y: FloatArray, antenna: FloatArray, node: IntArray, part: FloatArray,
-    height: FloatArray, rounded: NDArray[np.float32], angle: NDArray[np.float32],
+    taps: TerrainTaps, rate_x: FloatArray, rate_y: FloatArray, x: FloatArray, y: FloatArray, antenna: FloatArray,
+    node: IntArray, part: FloatArray, seen: SeenGround,
 ) -> None:  # fmt: skip
     """Find the height of every pixel, and the angle between the terrain's upward normal and the line of sight there.
 
     Parameters
     ----------
-    strip, columns, along_x, rows, along_y
-        As in `sum_taps`, whose heights these are, to the bit.
+    taps : TerrainTaps
+        Heights are those of `sum_taps`, to the bit.
     rate_x, rate_y : (4, n_x) and (4, n_y) float
         Taps of the derivatives, 1/m.
     x, y : (n_x,) and (n_y,) float
@@ -106,10 +131,10 @@ def find_surface(
         x, y and z of the antenna as the columns of m rows see it, m; at least two rows, linear in between.
     node, part : (n_y,)
         Which of the m rows is before each row, and the part of the way to the next.
-    height, rounded, angle : (n_y, n_x) float64 and float32
-        Written: m, the same in float32, and rad; NaN where a sample is.
+    seen : SeenGround
+        Written; NaN where a sample is.
     """
-    n = columns.size
+    (strip, columns, along_x, rows, along_y), (height, rounded, angle), n = taps, seen, taps.columns.size
     along, rate = np.empty((strip.shape[0], n)), np.empty((strip.shape[0], n))
     _along(strip, columns, along_x, along)
     _along(strip, columns, rate_x, rate)

@@ -33,7 +33,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.terrain import Terrain
 from blocksar.constants import SPEED_OF_LIGHT, TURN
-from blocksar.kernels.occlusion import STEPS, block_extremes, find_heights
+from blocksar.kernels.occlusion import HeightGrid, find_heights
 from blocksar.kernels.posts import HALF_TAPS, sample_places
 from blocksar.products.shared_metadata import centre_time, find_support, lines_of_sight
 from blocksar.runs.finished import STRIP, FinishedRun, Int16Array
@@ -346,9 +346,8 @@ class PlaneImage(FinishedRun):
         return np.stack([at_x.ravel(), at_y.ravel(), np.full(at_x.size, self.ground_height)], axis=1)
 
     @cached_property
-    def _samples(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        heights = np.ascontiguousarray(self.terrain.heights, np.float64)
-        return heights, *block_extremes(heights)
+    def _samples(self) -> HeightGrid:
+        return HeightGrid.of(self.terrain.heights, self.terrain.dx, self.terrain.dy)
 
     def _ground(self, places: FloatArray, time: FloatArray) -> FloatArray:
         """`ground` at other centres of aperture (n,), s."""
@@ -356,9 +355,8 @@ class PlaneImage(FinishedRun):
         antenna, velocity = geometry.track.position(time), geometry.track.velocity(time)
         z = np.empty(len(places))
         find_heights(
-            *self._samples, np.array([terrain.x[0], terrain.y[0]]), np.array([terrain.dx, terrain.dy]),
-            np.ascontiguousarray(places), np.ascontiguousarray(antenna), np.ascontiguousarray(velocity),
-            min(terrain.dx, terrain.dy) / STEPS, z,
+            self._samples, np.array([terrain.x[0], terrain.y[0]]), np.ascontiguousarray(places),
+            np.ascontiguousarray(antenna), np.ascontiguousarray(velocity), z,
         )  # fmt: skip
         # From the bilinear ground to the one that the image lies on, by the secant of the clearance over the height.
         before, at = z - 0.01, _on_circle(geometry, places, time, z - 0.01)

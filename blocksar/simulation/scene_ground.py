@@ -32,7 +32,7 @@ from blocksar.constants import TURN
 from blocksar.errors import InputError
 from blocksar.ingestion.heights import Ground
 from blocksar.ingestion.terrain_earth import Box, ellipsoid, read_around
-from blocksar.kernels.occlusion import STEPS, block_extremes, find_shadow
+from blocksar.kernels.occlusion import STEPS, HeightGrid, find_shadow
 from blocksar.simulation.scene_fields import Positive, Table
 
 RAYS = 1 << 18  # that are followed at a time
@@ -112,15 +112,13 @@ def reach_of_shadow(
 
 def _rays(collection: Collection, terrain: Terrain, x: FloatArray, y: FloatArray, z: FloatArray) -> Rays:
     """Return a function of scatterers (k,) and pulses (k,) that follows their rays."""
-    heights = np.ascontiguousarray(terrain.heights, np.float64)
-    low, high = block_extremes(heights)
-    spacing, step = np.array([terrain.dx, terrain.dy]), min(terrain.dx, terrain.dy) / STEPS
+    grid = HeightGrid.of(terrain.heights, terrain.dx, terrain.dy)
     columns, rows = (x - terrain.x0) / terrain.dx - terrain.column, (y - terrain.y0) / terrain.dy - terrain.row
 
     def hidden(which: IntArray, pulses: IntArray) -> BoolArray:
         sight = collection.antenna_position[pulses] - np.stack([x[which], y[which], np.zeros(which.size)], axis=1)
         found = np.empty(which.size, np.bool_)
-        find_shadow(heights, low, high, spacing, columns[which], rows[which], z[which], sight, step, found)
+        find_shadow(grid, columns[which], rows[which], z[which], sight, found)
         return found
 
     return hidden

@@ -16,7 +16,7 @@ from blocksar.autofocusing.fine_phase import believed, by_least_squares, is_patt
 from blocksar.autofocusing.finishing import alike_nearby, bends, far_from_gaps, fine_samples, unfollowed, unknown_turns
 from blocksar.autofocusing.information import factor, information, solve
 from blocksar.autofocusing.phase_gradient import add_rows, line_of_sight, own_errors, strongest_lines, sum_along
-from blocksar.autofocusing.range_lines import range_profiles, take_chips, take_lines, taps
+from blocksar.autofocusing.range_lines import DecimatingFilter, range_profiles, take_chips, take_lines, taps
 from blocksar.autofocusing.selection import Points, find_candidates
 from blocksar.autofocusing.spectral_drift import STEP, Spectra, phase_of_drift, products_with_others, smooth_path
 from blocksar.autofocusing.track_correction import Correction, Knots, between_samples, intervals
@@ -24,6 +24,7 @@ from blocksar.autofocusing.work import Work, begin, low_pass
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
 from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.kernels.loops import fixed
 from blocksar.simulation.scatterers import field, phase_history
 from tests.helpers.samples import noise
 from tests.helpers.track_errors import CENTRE, GRID, spotlight
@@ -89,7 +90,9 @@ def test_chips_are_low_passed_lines() -> None:
     decimation, weights = 3, low_pass(3)
     ahead = (weights.size - decimation) // 2
     lit, out = np.array([[0, 64], [10, 50]]), np.zeros((2, 21, 3), np.complex64)
-    take_chips(profiles.values, bins, cycles, lit, taps(), weights, 2.0, decimation, ahead, out)
+    take_chips(
+        profiles.values, bins, cycles, lit, taps(), 2.0, DecimatingFilter(fixed(weights), decimation, ahead), out
+    )
     for i in range(2):
         for line in range(3):
             row = np.empty((1, 64), np.complex64)

@@ -29,6 +29,7 @@ from blocksar.focusing.backprojection import (
 )
 from blocksar.focusing.profiles import UPSAMPLING, range_profiles, spline_error
 from blocksar.kernels import projection
+from blocksar.kernels.projection import LitPixels
 from blocksar.simulation.scatterers import simulate_pulses
 
 TURN = 2 * np.pi
@@ -232,8 +233,8 @@ def test_the_interpolation_error_is_below_60_db() -> None:
     signal = noise(c)[p : p + 1]
     formed = range_profiles(signal, collection=c, pulses=slice(p, p + 1), threads=1)
     image, outside = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.bool_)
-    first, last = np.full(x.shape, p), np.full(x.shape, p + 1)
-    accumulate(image, outside, formed, geometry=geometry, x=x, y=y, z=0 * x, first=first, last=last, threads=1)
+    pixels = LitPixels(x, y, 0 * x, np.full(x.shape, p), np.full(x.shape, p + 1))
+    accumulate(image, outside, formed, geometry=geometry, pixels=pixels, threads=1)
     distance = np.linalg.norm(np.stack([x, y, 0 * x], -1)[0] - c.antenna_position[p], axis=1) - c.reference_range[p]
     steering = np.exp(4j * np.pi / SPEED_OF_LIGHT * np.multiply.outer(distance, c.carrier + c.range_frequency))
     expected = steering @ signal[0].astype(np.complex128) / c.n_range_frequency

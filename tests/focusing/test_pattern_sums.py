@@ -11,6 +11,7 @@ from axis_beams import axis_collection, with_patterns
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Taper
 from blocksar.focusing.pattern_sums import LEAST_ELEVATION, add_gains, mean_elevations
+from blocksar.kernels.projection import LitPixels
 
 
 @pytest.mark.parametrize("text", ["uniform", "taylor:4:-35", "kaiser:4"])
@@ -35,7 +36,7 @@ def test_sums_are_those_of_the_definitions(width: float, angles: str, text: str)
     assert (expected > 0).any()
     total = np.ones(x.shape)
     for first, last in zip(*geometry.beam.passes(x, y, z), strict=True):
-        add_gains(total, geometry, x, y, z, first=first, last=last, pulses=pulses, valid=valid[pulses], taper=taper)
+        add_gains(total, geometry, LitPixels(x, y, z, first, last), pulses=pulses, valid=valid[pulses], taper=taper)
     np.testing.assert_allclose(total - 1, expected, rtol=0, atol=1e-8 * expected.max())
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from blocksar.arrays import FloatArray
-from blocksar.kernels.beam_passes import beam_table, find_first, find_passes, largest_steps
+from blocksar.kernels.beam_passes import FoundPasses, MovingBeam, beam_table, find_first, find_passes
 
 N, HALF = 900, 0.01
 
@@ -47,16 +47,16 @@ def test_passes_are_those_of_every_pulse(kind: str, in_rows: bool) -> None:
     sine = (sight * axis).sum(axis=2) / np.linalg.norm(sight, axis=2)
     lit = np.abs(np.arcsin(sine) - steering) <= HALF
     assert kind == "behind" or 0.02 < lit.mean() < 0.9
-    table = beam_table(position, axis, steering, HALF)
-    firsts, lasts = np.empty((2, 1, x.size), np.int64)
-    most = find_passes(table, x, y, z, *largest_steps(table), firsts, lasts)
+    beam = MovingBeam.of(beam_table(position, axis, steering, HALF))
+    passes = FoundPasses(*np.empty((2, 1, x.size), np.int64))
+    most = find_passes(beam, x, y, z, passes)
     changes = np.diff(np.pad(lit, ((0, 0), (1, 1))).astype(int), axis=1)
     assert most == (changes > 0).sum(axis=1).max()
     if most > 1:  # some were not written
-        firsts, lasts = np.empty((2, most, x.size), np.int64)
-        assert find_passes(table, x, y, z, *largest_steps(table), firsts, lasts) == most
+        passes = FoundPasses(*np.empty((2, most, x.size), np.int64))
+        assert find_passes(beam, x, y, z, passes) == most
     pulse = np.arange(N)
-    found = ((firsts[..., None] <= pulse) & (pulse < lasts[..., None])).any(axis=0)
+    found = ((passes.firsts[..., None] <= pulse) & (pulse < passes.lasts[..., None])).any(axis=0)
     np.testing.assert_array_equal(found, lit)
 
 

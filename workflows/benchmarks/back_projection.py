@@ -21,6 +21,7 @@ from blocksar.errors import InputError
 from blocksar.focusing.backprojection import accumulate, form_points, pulse_block_size
 from blocksar.focusing.profiles import range_profiles
 from blocksar.kernels.device import TILE
+from blocksar.kernels.projection import LitPixels
 from blocksar.measurement.coherence import coherence
 from blocksar.planning.plan import Plan
 
@@ -97,10 +98,8 @@ def back_project(history: stores.PhaseHistory, geometry: Geometry, chips: Chips,
         samples = history.read(pulses, slice(None))
         profiles = range_profiles(samples, collection=collection, pulses=pulses, threads=threads)
         ready = time.perf_counter()
-        accumulate(
-            image, outside, profiles, geometry=geometry, x=chips.x, y=chips.y, z=z, first=first, last=last,
-            threads=threads,
-        )  # fmt: skip
+        pixels = LitPixels(chips.x, chips.y, z, first, last)
+        accumulate(image, outside, profiles, geometry=geometry, pixels=pixels, threads=threads)
         profiling += ready - started
         accumulation += time.perf_counter() - ready
     return Projected(profiling, accumulation, int((last - first).sum()))
