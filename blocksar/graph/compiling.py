@@ -159,7 +159,7 @@ def _start_helpers(names: Sequence[str], most: int) -> list[subprocess.Popen[str
     """Let so many processes compile these loops; this one compiles what they fail to do."""
     paths = [str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])]
     start = partial(
-        subprocess.Popen, [sys.executable, "-c", HELP, *names],
+        subprocess.Popen, [sys.executable, "-P", "-c", HELP, *names],  # not what lies in the working directory
         env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
     )  # fmt: skip
