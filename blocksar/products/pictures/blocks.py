@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from matplotlib import patheffects
@@ -184,14 +183,12 @@ def plot_mosaic(
     targets: Sequence[Target] = (),
     labels: Sequence[str] | None = None,
     title: str = "",
-    looks: Literal["max", "mean"] = "max",
-    max_pixels: int = 1400,
 ) -> None:
     """Write a PNG of the mosaic: dB against places, block borders, target marks, colour bar.
 
     Parameters
     ----------
-    read_image, image_x, image_y, read_block, looks, max_pixels
+    read_image, image_x, image_y, read_block
         See `overview`; the image is read in strips and never held whole.
     path : path
         PNG to write.
@@ -201,7 +198,7 @@ def plot_mosaic(
         Names of the targets to label; by default all of them if there are at most MOST_NAMES.
     title : str
     """
-    reduced = overview(read_image, image_x, image_y, read_block=read_block, max_pixels=max_pixels, looks=looks)
+    reduced = overview(read_image, image_x, image_y, read_block=read_block)
     with np.errstate(divide="ignore"):
         decibel = 10 * np.log10(reduced.power)
     low, high = stretch(decibel)
@@ -243,7 +240,7 @@ def plot_mosaic(
     axes.set_xlim(x[0], x[-1])
     axes.set_ylim(y[0], y[-1])
     bar = figure.colorbar(picture, ax=axes, extend="both", shrink=0.85, pad=0.02)
-    bar.set_label("power (dB, unit reflectivity = 0)" + (", strongest pixel of a cell" if looks == "max" else ""))
+    bar.set_label("power (dB, unit reflectivity = 0), strongest pixel of a cell")
     handles, labels = axes.get_legend_handles_labels()
     if np.isnan(reduced.power).any():
         handles.append(Patch(facecolor=NOT_COVERED))
