@@ -17,7 +17,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import plan_region
 from blocksar.focusing.method import Method
-from blocksar.graph.machine import pace
+from blocksar.graph.machine import Resources, pace
 from blocksar.planning import effort
 from blocksar.planning.block import plan_block
 from blocksar.planning.disk import run_bytes
@@ -54,16 +54,20 @@ def test_of_many_blocks_the_ten_worst_are_shown_and_all_are_at_hand() -> None:
 
 
 def test_a_plan_says_how_long_a_run_takes_and_all_else_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
-    def summary(pace: float, told: float = math.inf) -> list[str]:
+    def summary(pace: float) -> list[str]:
         monkeypatch.setattr(sentences, "pace", lambda: pace)
-        monkeypatch.setattr(sentences, "PLANNING_TOLD", told)
+        monkeypatch.setattr(sentences, "PLANNING_TOLD", math.inf)
         return blocksar.plan("table1", blocks=3, workers=1).summary
 
     first, second = summary(1.0), summary(100.0)
-    assert "with 1 worker (plan " in summary(1.0, 0.0)[first.index(next(line for line in first if "takes" in line))]
     (changed,) = [line for line, other in zip(first, second, strict=True) if line != other]
     assert "on this machine with 1 worker (start 2 s, recover " in changed and "focus " in changed
     work = effort.of_plan(planned("table1", blocks=3))  # type: ignore[arg-type]
+    monkeypatch.setattr(sentences, "PLANNING_TOLD", 3.0)
+    monkeypatch.setattr(sentences, "pace", lambda: 1.0)
+    for planning, begin in ((3.0, "(plan 3 s, start "), (2.9, "(start ")):
+        assert begin in sentences.time_line(work, Resources(1, 1, 2**30), 0, planning)
+    assert "slow (27.8 h to write at 200 MB/s)" in sentences.time_line(work, Resources(1, 1, 2**30), 20_000 * 10**9)
     alone, two = (effort.seconds_of(work, workers=workers, threads=1, pace=1.0) for workers in (1, 2))
     assert two["recover"] == pytest.approx(alone["recover"] / 2, rel=0.1)  # many units, side by side
     assert alone["focus"] / 2 < two["focus"] < alone["focus"]  # three units
