@@ -185,7 +185,8 @@ def lit_energy(
 
 
 BAND_NODES = 4  # of the means over range frequency
-KNOTS = 4097  # of the table of the energy of an end: linear between them to 1e-6
+KNOTS = 128  # of the table of the energy of an end, per unit of z
+KNOT_NODES = 6  # of the integrals from one of them to the next
 
 
 def blurred_energy(
@@ -225,23 +226,46 @@ def end_energy(area: FloatArray, displaced: FloatArray) -> FloatArray:
     size = np.sqrt(np.maximum(np.abs(area), 1e-18))
     z = np.sqrt(2) * np.abs(displaced) / size
     far = ~(z <= FAR)  # and where it is not a number
-    energy = np.asarray(np.interp(z, *_energy_table()))
+    energy = _near_energy(np.where(far, 0.0, z))
     beyond = far_fresnel_integral(z[far])
     energy[far] = beyond.real + beyond.imag
     return np.asarray(size * energy / np.sqrt(2))
 
 
-@cache
-def _energy_table() -> tuple[FloatArray, FloatArray]:
-    """Knots z from 0 to FAR, and E = z (C(z) + S(z)) + (cos(pi z^2 / 2) - sin(pi z^2 / 2)) / pi at these: (n,) each.
+def _near_energy(z: FloatArray) -> FloatArray:
+    """E = z (C(z) + S(z)) + (cos(pi z^2 / 2) - sin(pi z^2 / 2)) / pi for z in 0 .. FAR, to 1e-11.
 
-    E'' = cos(pi z^2 / 2) + sin(pi z^2 / 2), E'(0) = 0, E(0) = 1 / pi. Integrated, for `scipy.special` takes longer to
-    import than a plan to make.
+    Between the knots of a table the quintic with the values, slopes and curvatures of both. This avoids
+    `scipy.special`, which takes longer to import than a plan to make.
     """
-    z, step = np.linspace(0, FAR, KNOTS, retstep=True)
-    bend = np.cos(np.pi / 2 * z**2) + np.sin(np.pi / 2 * z**2)
-    slope = np.concatenate([[0.0], np.cumsum((bend[1:] + bend[:-1]) / 2)]) * step
-    return z, 1 / np.pi + np.concatenate([[0.0], np.cumsum((slope[1:] + slope[:-1]) / 2)]) * step
+    table = _energy_table()
+    low = np.minimum((z * KNOTS).astype(np.intp), table.shape[1] - 2)
+    value, slope, bend, other_value, other_slope, other_bend = *table[:, low], *table[:, low + 1]
+    u, step = z * KNOTS - low, other_value - value
+    a = 10 * step - 6 * slope - 4 * other_slope - 1.5 * bend + 0.5 * other_bend
+    b = -15 * step + 8 * slope + 7 * other_slope + 1.5 * bend - other_bend
+    c = 6 * step - 3 * (slope + other_slope) - 0.5 * (bend - other_bend)
+    return np.asarray(value + u * (slope + u * (bend / 2 + u * (a + u * (b + u * c)))))
+
+
+@cache
+def _energy_table() -> FloatArray:
+    """E, E' / KNOTS and E'' / KNOTS^2 at 0, 1 / KNOTS .. FAR, (3, n) float: E'' = cos + sin of pi z^2 / 2, integrated.
+
+    E(0) = 1 / pi and E'(0) = 0.
+    """
+    nodes, weights = solvers.gauss_legendre(KNOT_NODES)
+    knots = np.arange(int(FAR * KNOTS) + 1) / KNOTS
+    at = (1 + nodes) / 2  # of the way from a knot to the next
+    bends = _bend(knots[:-1, None] + at / KNOTS) * weights / 2 / KNOTS**2
+    slope = np.concatenate([[0.0], np.cumsum(bends.sum(axis=1))])
+    value = 1 / np.pi + np.concatenate([[0.0], np.cumsum(slope[:-1] + (bends * (1 - at)).sum(axis=1))])
+    return np.stack([value, slope, _bend(knots) / KNOTS**2])
+
+
+def _bend(z: FloatArray) -> FloatArray:
+    quarter = np.pi / 2 * z**2
+    return np.cos(quarter) + np.sin(quarter)
 
 
 def smear_loss(line: Line, spots: Focus, rate: FloatArray, geometry: Geometry, full: BoolArray) -> float:
