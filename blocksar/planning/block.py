@@ -54,7 +54,6 @@ from blocksar.planning.gating import plan_dwell_gate
 from blocksar.planning.memory import RELIEF_MEMORY, block_memory
 from blocksar.planning.prediction import ImageEdges, JudgedTargets, Prediction, predict, worst_lobes
 from blocksar.planning.relief import Relief, turns_of
-from blocksar.planning.steadiness import SHARE
 from blocksar.planning.target_lines import Sector, tail_margin
 
 
@@ -296,6 +295,7 @@ def _plan_memory(sector: Sector, range_gate: RangeGate | None, range_part: Range
 
 
 RANGE_DEGREE, YAW_DEGREE = 0.75, 16  # of what the map knows, along range for each node, and along yaw
+MISS_SHARE = 0.1  # of the coherence that may be lost, which the map may miss before lines at more ranges are traced
 REGION_STEPS, LEAST_STEPS = 64 * YAW_STEPS, 128  # of yaw over the region, in which a block has its share; at least
 STEPS_BY_RANGE = 512  # of yaw, where the sum over lit pulses is a table over range and yaw
 
@@ -368,7 +368,7 @@ def trace_for_map(sector: Sector, azimuth: AzimuthPart) -> TracedTargets:
     at, fitted = (lines.epoch_range[:, None], lines.yaw), _surfaces(sector, lines, _degree(sector, lines))
     offset, doppler, phase = (known(*at) for known in fitted[:3])
     missed = _missed(lines, sector.recovery.origin, (offset, doppler, phase))
-    if np.where(lines.full, missed, 0.0).max() <= SHARE * (1 - sector.fidelity):
+    if np.where(lines.full, missed, 0.0).max() <= MISS_SHARE * (1 - sector.fidelity):
         return lines
     return trace_finely(sector, azimuth, n_range=MORE_RANGES)
 
