@@ -142,7 +142,7 @@ def report_looks(
     lines += [f"  {line}" for line in first.lines()]
     if refused is None:
         work = effort.together([{**each.work(), **effort.of_pyramid(each.grid)} for each in planned.values()])
-        stored = sum(sum(each.stored().values()) for each in planned.values())
+        stored = sum(each.stored_bytes() for each in planned.values())
         lines += [
             *recorded_lines([first.pieces[0].geometry], first.grid),
             time_line(work, assumed, stored, planning),
@@ -188,7 +188,7 @@ def _row(name: str, plan: ImagePlan | None) -> list[str]:
         digits(plan.coherence),
         *figures,
         f"{plan.memory(1) / MIB:.0f}",
-        f"{sum(plan.stored().values()) / MIB:.0f}",
+        f"{plan.stored_bytes() / MIB:.0f}",
     ]
 
 

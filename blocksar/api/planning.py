@@ -218,7 +218,7 @@ def _report(plan: ImagePlan, assumed: Resources, planning: float) -> PlanReport:
             *([compared.reason] if compared else []),
             *plan.lines(),
             *recorded_lines([piece.geometry for piece in plan.pieces], plan.grid),
-            time_line(work, assumed, sum(plan.stored().values()), planning),
+            time_line(work, assumed, plan.stored_bytes(), planning),
         ],
         result=plan.result,
         plan=plan,

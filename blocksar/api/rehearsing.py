@@ -148,7 +148,7 @@ def rehearse(request: Request, earlier: RunRecord | None, machine: Resources, be
         summary=[
             *plan.lines(),
             *recorded_lines([segment.geometry for segment in job.segments], job.grid),
-            time_line(job.predict_effort(), machine, sum(plan.stored().values())),
+            time_line(job.predict_effort(), machine, plan.stored_bytes()),
             cluster,
             _doing(request, job, earlier, beside),
             NOTHING_DONE,

@@ -100,6 +100,6 @@ def _row(candidate: Candidate) -> list[str]:
         digits(plan.coherence),
         time_text(candidate.seconds),
         f"{plan.memory(1) / MIB:.0f}",
-        f"{sum(plan.stored().values()) / MIB:.0f}",
+        f"{plan.stored_bytes() / MIB:.0f}",
         "yes" if plan.faithful else "no",
     ]

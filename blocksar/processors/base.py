@@ -136,6 +136,10 @@ class ImagePlan(ABC):
     def stored(self) -> dict[str, int]:
         """Bytes that a run writes, by store: those of the image under `image`; see `planning.disk.room_of_run`."""
 
+    def stored_bytes(self) -> int:
+        """Bytes that a run writes, in all stores."""
+        return sum(self.stored().values())
+
     @abstractmethod
     def form(self, execution: Execution) -> list[Receipt]:
         """Form the image in a run's folder; return the receipts of all units of work.
@@ -168,7 +172,7 @@ class ImagePlan(ABC):
         return [
             f"image of {self.grid.shape[1]} x {self.grid.shape[0]} pixels by {self.processor}",
             f"peak memory of a worker {size_text(self.memory(1))}",
-            f"a run writes about {size_text(sum(self.stored().values()))}",
+            f"a run writes about {size_text(self.stored_bytes())}",
             *self.notes(),
         ]
 

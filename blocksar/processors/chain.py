@@ -378,7 +378,7 @@ class ChainPlan(ImagePlan):
     def headline(self) -> str:
         if len(self.plans) > 1:
             return self.lines()[0]
-        return f"{self.plans[0].headline()}, {size_text(sum(self.stored().values()))} on the disk"
+        return f"{self.plans[0].headline()}, {size_text(self.stored_bytes())} on the disk"
 
     def draw(self, axes: Axes | None) -> Axes:
         from blocksar.products.pictures.blocks import draw_plan  # optional, and slow to load

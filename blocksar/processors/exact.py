@@ -124,7 +124,7 @@ class BackprojectionPlan(ChunkPlan):
             f"exact back-projection of {self.grid.shape[1]} x {self.grid.shape[0]} pixels, {lit} lit pulses each: "
             f"{pixels * lit / 1e9:.3g} G updates at most",
             *self.memory_lines(),
-            f"a run writes at most {size_text(sum(self.stored().values()))}",
+            f"a run writes at most {size_text(self.stored_bytes())}",
             *dict.fromkeys(doubts),
             *self.notes(),
         ]

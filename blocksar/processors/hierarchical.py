@@ -103,7 +103,7 @@ class HierarchicalPlan(PartPlan):
             f"predicted coherence with exact back-projection: at least {self.coherence:.8f}; errors are "
             f"{error:.0f} dB below the power of all that a part's data hold, bright places beside it as well",
             *self.memory_lines(),
-            f"a run writes at most {size_text(sum(self.stored().values()))}",
+            f"a run writes at most {size_text(self.stored_bytes())}",
             *dict.fromkeys(doubts),
             *self.notes(),
         ]
