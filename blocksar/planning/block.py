@@ -37,7 +37,7 @@ from blocksar.focusing.step import Constants, Sampling, Stage, Step, stages
 from blocksar.focusing.surfaces import Surface, fit_surface
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.interpolation import taps_needed
-from blocksar.planning.binding import ORDERS, AzimuthPart, RangePart, Slab, plan_motion, plan_range_gate
+from blocksar.planning.binding import AzimuthPart, RangePart, Slab, plan_motion
 from blocksar.planning.block_lines import (
     MORE_RANGES,
     CoarseLines,
@@ -50,7 +50,8 @@ from blocksar.planning.block_lines import (
 )
 from blocksar.planning.block_sampling import plan_sampling, plan_slab, range_scale
 from blocksar.planning.coefficients import Choice, choose
-from blocksar.planning.gating import plan_dwell_gate
+from blocksar.planning.fitting import ORDERS
+from blocksar.planning.gating import plan_dwell_gate, plan_range_gate
 from blocksar.planning.memory import RELIEF_MEMORY, block_memory
 from blocksar.planning.prediction import ImageEdges, JudgedTargets, Prediction, predict, worst_lobes
 from blocksar.planning.relief import Relief, turns_of

@@ -74,10 +74,11 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.range_series import YAW_NODES, yaw_series
 from blocksar.focusing.lines import AzimuthPolynomials, Line, RowPolynomial, focus, row_polynomial
 from blocksar.focusing.method import Method, RangeModel
-from blocksar.planning import binding
-from blocksar.planning.binding import ORDERS, SERIES_DEGREE, AzimuthPart, ChainKind, FittedSteps, RangePart
+from blocksar.planning import fitting
+from blocksar.planning.binding import AzimuthPart, RangePart
 from blocksar.planning.dwell_ends import full_dwells, smear_loss, smear_room
 from blocksar.planning.dwell_weights import beam_moves
+from blocksar.planning.fitting import ORDERS, SERIES_DEGREE, ChainKind, FittedSteps
 
 STEEPEST = 0.5  # times r0: the largest change of a line's slope by the time perturbation, anywhere along its dwell
 
@@ -330,7 +331,7 @@ def choose(
         return polynomials, Choice(ChainKind(0.0, False), 0.0)
     full, good = full_dwells(line, geometry, epoch_range, yaws), good_residual(fidelity)
     if neighbour is not None and neighbour.candidate.resampling <= resampling:
-        polynomials = binding.fit(line, ranges=ranges, candidate=neighbour.candidate, freedom=freedom, wavelength=lam)
+        polynomials = fitting.fit(line, ranges=ranges, candidate=neighbour.candidate, freedom=freedom, wavelength=lam)
         cost = _cost(polynomials, line, range_part, geometry, full, good)
         if cost <= KEPT * neighbour.cost:
             return polynomials, neighbour
@@ -359,11 +360,11 @@ def _find_cheapest(
     subset = Line(**{name: _pick(getattr(line, name), rows, ranges.size) for name in Line.__dataclass_fields__})
 
     def fit(candidate: ChainKind) -> AzimuthPolynomials:
-        return binding.fit(line, ranges=ranges, candidate=candidate, freedom=freedom, wavelength=wavelength)
+        return fitting.fit(line, ranges=ranges, candidate=candidate, freedom=freedom, wavelength=wavelength)
 
     kinds = [
         replace(kind, resampling=resampling)
-        for kind in binding.candidates(line, wavelength=wavelength, freedom=freedom)
+        for kind in fitting.candidates(line, wavelength=wavelength, freedom=freedom)
     ]
     if len(kinds) == 1:
         return fit(kinds[0]), Choice(kinds[0], np.inf)
@@ -371,7 +372,7 @@ def _find_cheapest(
 
     def cheapest(candidates: list[ChainKind]) -> float:
         for candidate in candidates:
-            polynomials = binding.fit(
+            polynomials = fitting.fit(
                 subset, ranges=ranges[rows], candidate=candidate, freedom=freedom, wavelength=wavelength, roughly=True
             )
             costs[candidate] = _cost(polynomials, subset, range_part, geometry, full[rows], good)
@@ -382,7 +383,7 @@ def _find_cheapest(
     if cheapest(kinds) >= ENOUGH_COST and geometry.collection.steered:
         for factor in FINER:
             best = min(costs, key=costs.__getitem__)
-            cheapest(binding.with_spread(line, best, wavelength=wavelength, factors=(1 / factor, factor)))
+            cheapest(fitting.with_spread(line, best, wavelength=wavelength, factors=(1 / factor, factor)))
     fitted: list[tuple[AzimuthPolynomials, Choice]] = []
 
     def keeps(candidate: ChainKind, promised: float) -> bool:

@@ -1,4 +1,4 @@
-"""Plan a block's dwell gate: polynomials that follow the ends of dwells along Doppler, and windows under a weighting.
+"""Plan a block's gates: of dwells, whose ends polynomials follow along Doppler, and of the ranges of a sub-block.
 
 WINDOWS at the ends of whole dwells are spread over the band by a keystone, and targets lose by it. A keystone scales
 time with range frequency, so that ends of dwells lie at +-`spread` at the edges of the band. Windows rise there as the
@@ -27,8 +27,10 @@ from numpy.polynomial import chebyshev
 from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.weighting import FLAT, NODES, Taper
+from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate, DwellTaper, HalfDwell
-from blocksar.focusing.lines import Focus, RowPolynomial
+from blocksar.focusing.lines import Focus, Line, RowPolynomial
+from blocksar.focusing.range_gate import RangeGate
 from blocksar.focusing.step import Sampling
 from blocksar.kernels import fourier
 from blocksar.kernels.fourier import Axis
@@ -37,7 +39,45 @@ from blocksar.planning.block_lines import MORE_RANGES, TracedTargets, lit_beside
 from blocksar.planning.dwell_ends import end_smear
 from blocksar.planning.dwell_weights import beam_moves
 from blocksar.planning.relief import FINE_DEGREE
-from blocksar.planning.target_lines import Sector
+from blocksar.planning.target_lines import Sector, middle_line
+
+RANGE_GUARD = 48  # range cells on either side of a sub-block, for side lobes of targets at its ends
+BAND_ROOM = 0.08  # of the band, on either side of it, over which a sub-block's range frequencies fall to zero
+
+
+def plan_range_gate(full: Axis, slab: Axis, line: Line, carrier: float) -> RangeGate:
+    """The gate that holds the ranges of lines (n_range, n_yaw) at each Doppler, with room for side lobes."""
+    u = (2 * line.doppler - slab.start - (slab.start + slab.extent)) / slab.extent
+    centre = middle_line(u.ravel(), line.range.ravel(), order=6)
+    spread = line.range - chebyshev.chebval(u, centre)
+    # In a Doppler bin the ends of the band belong to other times than the carrier: a smear that SRC removes later.
+    edge = max(abs(full.start), abs(full.start + full.extent)) / carrier
+    rate = np.maximum(np.abs(line.rate), 1e-3 * np.abs(line.rate).max())
+    smear = SPEED_OF_LIGHT / (2 * carrier) * line.doppler**2 / rate * edge
+    cell = SPEED_OF_LIGHT / (2 * full.extent)
+    low = float((spread - np.abs(smear)).min()) - RANGE_GUARD * cell
+    high = float((spread + np.abs(smear)).max()) + RANGE_GUARD * cell
+    period = fourier.fast_length((1 + 2 * BAND_ROOM) * full.size)
+    step = 1 / (period * full.step)
+    size = min(fourier.fast_length((high - low) * 2 / SPEED_OF_LIGHT / step), period)
+    middle = round((low + high) / SPEED_OF_LIGHT / step)
+    coarse = 1 / (size * step)
+    n_frequency = min(math.floor((1 + 2 * BAND_ROOM) * full.extent / coarse), size)
+    band_middle = full.start + (full.size - 1) / 2 * full.step
+    frequency = Axis(band_middle - (n_frequency - 1) / 2 * coarse, coarse, n_frequency)
+    beyond = np.clip(np.abs(frequency.values - band_middle) / full.extent - 0.5, 0, BAND_ROOM) / BAND_ROOM
+    ramp = np.clip((np.minimum(np.arange(size), np.arange(size)[::-1]) + 0.5) / (RANGE_GUARD / 2), 0, 1)
+    normalised = np.clip((2 * slab.values - 2 * slab.start - slab.extent) / slab.extent, u.min(), u.max())
+    return RangeGate(
+        slab=slab,
+        centre=np.rint(chebyshev.chebval(normalised, centre) * 2 / SPEED_OF_LIGHT / step).astype(np.intp),
+        gate=Axis(step * (middle - size // 2), step, size),
+        window=np.sin(np.pi / 2 * ramp) ** 2,
+        full=full,
+        range_frequency=frequency,
+        taper=np.cos(np.pi / 2 * beyond) ** 2,
+    )
+
 
 # Dwells that the sampling in Doppler has room for; of a look it needs room for what the whole beam lights, which would
 # wrap into it.

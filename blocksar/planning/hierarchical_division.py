@@ -25,13 +25,12 @@ import numpy as np
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Weighting
-from blocksar.focusing.hierarchical_backprojection import MOST_WINDOWS, PULSE_BLOCK_BYTES, dwell_waves, leave_outside
+from blocksar.focusing.hierarchical_backprojection import MOST_WINDOWS, dwell_waves, leave_outside
 from blocksar.focusing.hierarchy import Filters, Frame, Hierarchy, Levels, Part, Path
 from blocksar.focusing.profiles import spline_error
 from blocksar.kernels.fourier import fast_length
-from blocksar.kernels.groups import ROOM
 from blocksar.planning import effort
-from blocksar.planning.memory import GPU_PROCESS_MEMORY, PROCESS_MEMORY
+from blocksar.planning.memory import hierarchical_gpu_memory, hierarchical_memory
 from blocksar.planning.tiling import image_chunk, units_of
 
 ERROR = 1e-5  # error power that no image exceeds: less costs hardly any time, and dark places show it
@@ -43,10 +42,8 @@ NODES = 3  # along a part's side, at which it is found what lights it
 DIVISIONS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # of the image along either side, into units of work
 PLACES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the image, along either side, at which costs are found
 FEW = 3  # of so many places one, by which divisions are ranked
-PIXEL_BYTES = 72  # of a window's pixel while it is formed
 PROFILES = 2  # arrays of range profiles at once: transformed in place, and with margins
 GPU_PROFILES = 3  # besides, on a GPU: transformed out of place, with work areas of two lengths
-GPU_PIXEL_BYTES = 64  # of it on a GPU
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +66,8 @@ class Rates:
         Per pixel: which pulses light it, weights, normalisation and writing, all of which a CPU does.
     last_sides : tuple of int
         Of last parts that are tried, pixels.
+    read : float
+        Per sample read, by a CPU.
     """
 
     turn: float
@@ -78,6 +77,7 @@ class Rates:
     update: float
     pixel: float
     last_sides: tuple[int, ...]
+    read: float = 0.55e-9
 
 
 RATES = {
@@ -100,7 +100,6 @@ RATES = {
         last_sides=(128, 192, 256, 384, 512, 1024),
     ),
 }
-READ = 0.55e-9  # s of a thread per sample read
 
 
 def planned_error(levels: Levels, *, stages: int) -> float:
@@ -177,7 +176,7 @@ class Ladders:
             return None
         (begin, end), _ = part.lit()
         n_frequency = self.geometry.collection.n_range_frequency
-        seconds = READ * (end - begin) * n_frequency
+        seconds = self.rates.read * (end - begin) * n_frequency
         filters, frame = entered
         seconds += self._filtering(filters, frame, end - begin, 0, n_frequency)
         kept = samples = on_gpu = _samples(frame)
@@ -338,11 +337,12 @@ class _Trial:
         else:
             costs = [cost or unlit for cost in each_place]
         area = grid.shape[0] * grid.shape[1] / (unit[0] * unit[1])
-        samples = max(cost.samples for cost in costs)
+        samples, most = max(cost.samples for cost in costs), max(cost.on_gpu for cost in costs)
+        gpu = self.device == "gpu"
         return Division(
             chunks=division, levels=levels, seconds=area * float(np.mean([cost.seconds for cost in costs])),
-            memory=_memory(geometry, samples, self.chunk, self.device),
-            on_gpu=_gpu_memory(geometry, max(cost.on_gpu for cost in costs), self.chunk) if self.device == "gpu" else 0,
+            memory=hierarchical_memory(geometry.collection, samples, self.chunk, on_gpu=gpu),
+            on_gpu=hierarchical_gpu_memory(geometry.collection, most, self.chunk) if gpu else 0,
             stages=len(sides) + len(below),
         )  # fmt: skip
 
@@ -369,17 +369,3 @@ def _ladder(window: tuple[float, float], last: tuple[float, float], ratio: float
         (min(window[0], last[0] * span ** (1 - k / steps)), min(window[1], last[1] * span ** (1 - k / steps)))
         for k in range(1, steps + 1)
     ]
-
-
-def _memory(geometry: Geometry, samples: int, chunk: tuple[int, int], device: str) -> int:
-    """Peak memory of a worker of one thread, bytes; a GPU has the samples for itself."""
-    block = max(PULSE_BLOCK_BYTES, 8 * geometry.collection.n_range_frequency)
-    path = 2 * 3 * 3 * 8 * 3 * geometry.collection.n_pulse
-    own = 8 * int(ROOM * samples) if device == "cpu" else GPU_PROCESS_MEMORY
-    return PROCESS_MEMORY + 4 * block + own + PIXEL_BYTES * chunk[0] * chunk[1] + path
-
-
-def _gpu_memory(geometry: Geometry, samples: int, chunk: tuple[int, int]) -> int:
-    """Memory of a GPU, bytes: its samples, a block that is read, turned and filtered, and a window."""
-    block = max(PULSE_BLOCK_BYTES, 8 * geometry.collection.n_range_frequency)
-    return 8 * int(ROOM * samples) + 4 * block + GPU_PIXEL_BYTES * chunk[0] * chunk[1]

@@ -19,10 +19,11 @@ from blocksar.collection.raw_echo import RawEcho
 from blocksar.constants import MIB
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import gpu_memory, image_memory
+from blocksar.focusing.hierarchical_backprojection import PULSE_BLOCK_BYTES
 from blocksar.focusing.interference import GROUP
 from blocksar.focusing.range_gate import COMPRESSED_ROWS, RangeGate, RawCompression
 from blocksar.kernels.fourier import Axis
-from blocksar.kernels.groups import GROUP_BYTES
+from blocksar.kernels.groups import GROUP_BYTES, ROOM
 from blocksar.planning.tiling import image_chunk, inspection_width
 
 MEMORY_SHARE = 0.8  # fraction of a worker's limit that a plan may fill
@@ -32,6 +33,8 @@ PROFILES = 3 * 2  # bytes of range profiles and their copies, for each of the sa
 # On a terrain: heights, angles and layers of two strips of chunks, samples of the terrain that are kept, and bent taps.
 RELIEF_MEMORY = 72 * MIB
 TRACK_MEMORY = 48 * MIB  # forms of splines, and what is read and written
+PIXEL_BYTES = 72  # of a pixel of the hierarchy's window while it is formed
+GPU_PIXEL_BYTES = 64  # of it on a GPU
 CHIP_COPIES = 8  # of the chips of all points while the track's error is estimated
 
 
@@ -158,3 +161,17 @@ def thread_memory(length: int) -> int:
     The threads of one stage do not give back what those of another take: each has a heap of its own.
     """
     return group_memory(length) + round(2 * 8 * IMAGE_PIXELS * (1 + WRITES_PER_THREAD))  # computed and written
+
+
+def hierarchical_memory(collection: Collection, samples: int, chunk: tuple[int, int], *, on_gpu: bool) -> int:
+    """Peak memory of a worker of one thread that keeps so many samples, bytes; a GPU has them for itself."""
+    block = max(PULSE_BLOCK_BYTES, 8 * collection.n_range_frequency)
+    path = 2 * 3 * 3 * 8 * 3 * collection.n_pulse
+    own = GPU_PROCESS_MEMORY if on_gpu else 8 * int(ROOM * samples)
+    return PROCESS_MEMORY + 4 * block + own + PIXEL_BYTES * chunk[0] * chunk[1] + path
+
+
+def hierarchical_gpu_memory(collection: Collection, samples: int, chunk: tuple[int, int]) -> int:
+    """Memory of a GPU, bytes: its samples, a block that is read, turned and filtered, and a window."""
+    block = max(PULSE_BLOCK_BYTES, 8 * collection.n_range_frequency)
+    return 8 * int(ROOM * samples) + 4 * block + GPU_PIXEL_BYTES * chunk[0] * chunk[1]

@@ -1,4 +1,4 @@
-"""Plan a collection for a chain: the beam of its gates, recovery, division into blocks, and reasons to refuse.
+"""Plan a collection for a chain: the beam of its gates, division into blocks, and reasons to refuse.
 
 No sample is read.
 
@@ -7,8 +7,6 @@ not suffice, hierarchical back-projection does.
 
 Refused are beams that stay on their ground, as in a spotlight (`steadiness`), and targets that share their Doppler, or
 that stay blurred. Exact back-projection has none of these limits; who shows a reason adds that, with its time.
-
-Recovery: unified walk, derotation and padding, and whether the PRF suffices.
 """
 
 from __future__ import annotations
@@ -22,9 +20,7 @@ from itertools import pairwise
 from typing import Literal, Protocol, TypeVar
 
 import numpy as np
-from numpy.polynomial import chebyshev
 
-from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.budget import FIDELITY, MOST_BLOCKS, image_tap_error
 from blocksar.collection.beam import aperture
@@ -37,7 +33,6 @@ from blocksar.collection.region import (
     Region,
     block_seams,
     default_grid,
-    doubt_width,
     grid_extent,
     plan_region,
 )
@@ -45,187 +40,17 @@ from blocksar.collection.terrain import Terrain
 from blocksar.collection.track_shape import find_flaw
 from blocksar.collection.weighting import UNIFORM, Weighting
 from blocksar.constants import MIB, SPEED_OF_LIGHT
-from blocksar.errors import InputError, OutsideSwath, PrfTooLow, Unfocusable
-from blocksar.focusing.lines import Line
+from blocksar.errors import InputError, OutsideSwath, Unfocusable
 from blocksar.focusing.method import DEFAULT, Method
-from blocksar.focusing.recovery import NO_COMMON_RANGE, CommonRange, Recovery
-from blocksar.kernels import fourier
-from blocksar.kernels.fourier import Axis
-from blocksar.planning.binding import ORDERS
+from blocksar.focusing.recovery import Recovery
 from blocksar.planning.block import BlockPlan, plan_block
 from blocksar.planning.coefficients import Choice
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY
 from blocksar.planning.plan import Plan
 from blocksar.planning.relief import Relief, ReliefPoints, find_relief, sample_terrain
+from blocksar.planning.spectrum_recovery import plan_recovery
 from blocksar.planning.steadiness import MOST_DWELL, Smoothed, beam_stays, longest_stay, smoothed_beam
-from blocksar.planning.target_lines import Dwells, Sector, ground_range, middle_line, tail_margin
-
-COMMON_ORDER = ORDERS[-1] + 1  # range history from this order on, where azimuth steps end, is removed from all alike
-COMMON_LEAST = 1e-3  # wavelengths, a phase of 0.013 rad: a smaller common range is not removed
-AXIS_NODES = (
-    128  # of lines under a beam about its axis, whose dwells differ: at each time, all that is lit has to be seen
-)
-WINDOW_EDGE = 0.05  # of the range window at either end, for which the PRF need not suffice: echoes only pass through
-
-
-def plan_recovery(
-    geometry: Geometry,
-    region: Region,
-    method: Method = DEFAULT,
-) -> Recovery:
-    """Plan unified walk, derotation and padding, and check the PRF.
-
-    A method with linear derotation removes one Doppler rate only (paper A, Figure 6 b), and needs a higher PRF.
-
-    Raises
-    ------
-    PrfTooLow, Unfocusable, InputError
-        If the derotated band exceeds the PRF: for that reason, because of the track, or of the beam's unit.
-    """
-    collection = geometry.collection
-    middle_yaw = (region.yaw[0] + region.yaw[-1]) / 2
-    near, far = region.at(np.array([middle_yaw]))
-    origin = float((near[0] + far[0]) / 2)
-    centre = geometry.ground_point(np.array(origin), np.array(middle_yaw))
-    _, rate = geometry.range_history(centre, np.array(geometry.epoch))
-    walk = float(rate)
-    pulses = Axis(-collection.pulse_interval * (collection.n_pulse // 2), collection.pulse_interval, collection.n_pulse)
-    band_edge = max(abs(collection.range_frequency[0]), abs(collection.range_frequency[-1])) / collection.carrier
-    common = _common_range(geometry, centre)
-    line = _lit_lines(geometry, region, origin, walk, common, margin=0.0)
-    inner = _lit_lines(geometry, region, origin, walk, common, margin=WINDOW_EDGE)
-    derotation, band = _plan_derotation(pulses, inner, linear=method.derotation == "linear")
-    _check_prf(geometry, method, (band[1] - band[0]) * (1 + band_edge))
-    padded = fourier.fast_length((1.02 + band_edge) * pulses.size + 16)  # the keystone scales time by the band
-    doppler = _plan_spectrum(geometry, region, line, padded=padded, band_edge=band_edge)
-    recovery = Recovery(
-        carrier=collection.carrier,
-        pulses=pulses,
-        padded=padded,
-        origin=origin,
-        walk=walk,
-        bulk=_bulk_cycles(geometry, common, origin=origin, walk=walk, region=region),
-        derotation=derotation,
-        doppler=doppler,
-        n_time=doppler.size,
-        band=band,
-        common=common,
-    )
-    return recovery if collection.steered else replace(recovery, n_time=_unfolded(recovery, band_edge))
-
-
-def _unfolded(recovery: Recovery, band_edge: float) -> int:
-    """`Recovery.n_time` where all that is lit is summed, thus what lies beyond the grid too.
-
-    The derotated signal fills the PRF, and the derotation moves that up and down. A part that folded into the spectrum
-    would lie at a time where nothing of its Doppler is lit, which a dwell gate takes out. Without one, steps in Doppler
-    delay some of it round the end of the aperture, and there it has the Doppler of the grid.
-    """
-    pulses, doppler = recovery.pulses, recovery.doppler
-    rate = recovery.derotation_rate(pulses.values)
-    reach = 0.5 / pulses.step + band_edge * float(np.abs(rate).max())
-    low, high = float(rate.min()) - reach, float(rate.max()) + reach
-    width = max(high - doppler.start, doppler.start + doppler.extent - low)
-    return max(fourier.fast_length(recovery.padded * pulses.step * width), doppler.size)
-
-
-def _plan_derotation(pulses: Axis, line: Line, *, linear: bool) -> tuple[FloatArray, tuple[float, float]]:
-    """Chebyshev series of the derotation phase (cycles), and the Doppler band of the derotated lines (Hz)."""
-    half = pulses.extent / 2
-    middle = pulses.start + pulses.step * (pulses.size - 1) / 2
-    u = (line.time - middle) / half
-    series = middle_line(u.ravel(), line.doppler.ravel(), order=1 if linear else min(9, pulses.size // 8))
-    remaining = line.doppler - chebyshev.chebval(u, series)
-    low, high = float(remaining.min()), float(remaining.max())
-    series[0] += (low + high) / 2
-    return np.asarray(chebyshev.chebint(series) * half), (low, high)
-
-
-def _check_prf(geometry: Geometry, method: Method, spread: float) -> None:
-    """Raise PrfTooLow, or what is wrong with track or beam, if the derotated band, `spread` Hz, exceeds the PRF."""
-    collection = geometry.collection
-    if collection.prf < spread:
-        if (flaw := find_flaw(collection)) is not None:
-            raise Unfocusable(str(flaw))
-        if (doubt := doubt_width(collection.beam_width, collection.prf, spread)) is not None:
-            raise InputError(doubt)
-        needed = float(10 * np.ceil(1.002 * spread / 10))  # another PRF cuts the dwells a little differently
-        remedy = (
-            f"collect with a higher PRF or {'a narrower beam' if collection.steered else 'image a smaller grid'}"
-            f"{_of_terrain(geometry)}; `blocksar check` tells whether the track fits the samples"
-        )
-        raise PrfTooLow(
-            f"PRF {collection.prf:.6g} Hz is too low: after {method.derotation} derotation the lit scene still spans "
-            f"{spread:.6g} Hz of Doppler, so a PRF of at least {needed:.6g} Hz is needed; {remedy}",
-            needed,
-        )
-
-
-def _of_terrain(geometry: Geometry) -> str:
-    """State that a terrain may be wrong, if there is one: on ground that is too high or low, all moves otherwise."""
-    if geometry.terrain is None:
-        return ""
-    low, high = geometry.terrain.limits
-    return f", or correct the terrain's heights (unit, datum) if they are not z = {low:.6g} .. {high:.6g} m"
-
-
-def _plan_spectrum(geometry: Geometry, region: Region, line: Line, *, padded: int, band_edge: float) -> Axis:
-    """Doppler of the recovered spectrum: all that is lit, at all range frequencies, with a margin for tails."""
-    low, high = float(line.doppler.min()), float(line.doppler.max())
-    dwell = float(np.max(np.subtract(*geometry.beam.dwell_at(region.yaw, (region.near + region.far) / 2)[::-1])))
-    margin = tail_margin(dwell)
-    duration = padded * geometry.collection.pulse_interval
-    edge = band_edge * max(abs(low), abs(high))
-    size = fourier.fast_length(duration * (high - low + 2 * edge + 2 * margin))
-    size = max(size, fourier.fast_length(padded))
-    return fourier.centred(np.round((low + high) / 2 * duration) / duration, 1 / duration, size)
-
-
-def _bulk_cycles(geometry: Geometry, common: CommonRange, *, origin: float, walk: float, region: Region) -> FloatArray:
-    """Cycles on the carrier, per pulse, from the stored reference range to the range that the chain counts from."""
-    collection = geometry.collection
-    time = collection.time
-    slow = time - geometry.epoch
-    misfit = geometry.track.misfit
-    beam = geometry.beam.centre_yaw(time, origin, float(region.yaw[0]), float(region.yaw[-1]))
-    sight = geometry.ground_point(np.full(time.size, origin), beam) - geometry.track.position(time)
-    sight /= np.linalg.norm(sight, axis=1, keepdims=True)
-    unmodelled = -np.einsum("ij,ij->i", sight, misfit)  # range that the polynomial track lacks
-    to_cycles = -2 * collection.carrier / SPEED_OF_LIGHT
-    return np.asarray(to_cycles * (origin + walk * slow + common.at(slow) - collection.reference_range + unmodelled))
-
-
-def _common_range(geometry: Geometry, centre: FloatArray) -> CommonRange:
-    """The range history of the region's centre (3,), m, from COMMON_ORDER on; none below COMMON_LEAST."""
-    track = geometry.track
-    # Range is as smooth as the track: somewhat more than twice its order suffices.
-    nodes = chebyshev.chebpts1(2 * track.order + 16)
-    sight = centre - track.base.position(track.centre + track.half * nodes)
-    rng = np.sqrt((sight * sight).sum(axis=-1))
-    series = solvers.chebyshev_series(nodes, rng, nodes.size - 1)
-    series[:COMMON_ORDER] = 0
-    if np.abs(series).sum() < COMMON_LEAST * geometry.collection.wavelength:
-        return NO_COMMON_RANGE
-    return CommonRange(series=np.asarray(series), centre=track.centre - geometry.epoch, half=track.half)
-
-
-def _lit_lines(
-    geometry: Geometry, region: Region, origin: float, walk: float, common: CommonRange, *, margin: float
-) -> Line:
-    """Lines of targets over the region, without `margin` of the range window at either end.
-
-    Under a beam about its axis (n_target, n), of the lit targets only.
-    """
-    near, far = region.at(region.yaw)
-    width = far - near
-    ranges = np.linspace(near + margin * width, far - margin * width, 5)
-    if not geometry.beam.by_range:
-        return Dwells(geometry=geometry, yaw=region.yaw, origin=origin, walk=walk, common=common).lines(ranges)
-    lines = Dwells(
-        geometry=geometry, yaw=region.yaw, origin=origin, walk=walk, common=common, least_nodes=AXIS_NODES
-    ).lines(ranges)  # fmt: skip
-    first, last = geometry.beam.dwell_at(region.yaw, ranges)
-    return Line(**{name: getattr(lines, name)[last > first] for name in Line.__dataclass_fields__})
+from blocksar.planning.target_lines import Sector, ground_range
 
 
 def find_refusal(blocks: Sequence[BlockPlan], method: Method) -> str | None:
@@ -317,13 +142,11 @@ def _describe_block(block: BlockPlan) -> str:
 
 
 MAX_BLOCKS = 32  # that `auto` tries
-GROWTH = 0.6  # power of the excess by which the number of blocks grows at a time
-MOST_GROWTH, LEAST_GROWTH = 4.0, 1.2  # excess above which it grows no faster; factor by which it grows at least
-PATIENCE = 3  # numbers without a fall of the excess by ALIKE, which end the search
-ALIKE = 1.03  # times the least excess: among divisions within that, the one with the fewest blocks is taken
-# The same on a terrain: each division is predicted at other places of it, so that predictions scatter by this factor
-# (excess 1.5 .. 3.0 from 1 to 10 blocks of hills of 60 m every 450 m under Table 1, without a trend).
-SCATTER = 1.5
+GROWTH = 1.5  # factor by which the number of blocks grows at a time
+# Among divisions whose excess is within this factor of the least one, the one with the fewest blocks is taken. On a
+# terrain each division is predicted at other places of it, so that predictions scatter by about as much (1.5 .. 3.0
+# from 1 to 10 blocks of hills of 60 m every 450 m under Table 1, without a trend).
+ALIKE = 1.5
 
 
 class Planned(Protocol):
@@ -341,45 +164,35 @@ class Planned(Protocol):
 P = TypeVar("P", bound=Planned)
 
 
-def find_division(plan: Callable[[int, bool], P], *, workers: int, scattered: bool = False) -> P:
-    """The plan with the fewest blocks that keep the fidelity, at least one a worker; without one, the closest.
+def find_division(plan: Callable[[int, bool], P], *, workers: int) -> P:
+    """The plan with the fewest blocks that keep the fidelity, at least one a worker; without one, one of the closest.
 
-    Numbers grow with the excess; once one serves, those in between are tried by bisection. Probes of the outermost
-    blocks and the middle one decide while plans are far from the fidelity. The search ends without success if PATIENCE
-    numbers in a row have gained nothing, since margins do not shrink with the blocks.
+    Numbers grow up to MAX_BLOCKS; once one serves, those in between are tried by bisection. Probes of the outermost
+    blocks and the middle one decide while plans are far from the fidelity.
 
     Parameters
     ----------
     plan : callable
         Plan for a number of blocks; True for a probe.
     workers : int
-    scattered : bool
-        Whether predictions scatter from division to division, as on a terrain: more blocks are then a gain only beyond
-        that scatter.
     """
     plan = cache(plan)
-    alike = SCATTER if scattered else ALIKE
     tried: list[tuple[float, int]] = []  # excess and number of blocks
-    count, stale, failed, sound = min(max(workers, 1), MAX_BLOCKS), 0, 0, False
+    count, failed, sound = min(max(workers, 1), MAX_BLOCKS), 0, False
     while True:
         division = _probe(plan, count)
-        excess = division.excess()
-        if excess <= 1.0:
+        if division.excess() <= 1.0:
             return _fewest_between(plan, failed, count)
         sound = sound or division.refusal is None
         if not sound and find_folding(division.blocks) is not None:  # more blocks share their Doppler as well
             return plan(count, False)
-        stale = 0 if not tried or alike * excess <= min(tried)[0] else stale + 1
-        tried.append((excess, count))
+        tried.append((division.excess(), count))
         if not sound and finest_is_refused(plan):
             return plan(min(tried)[1], True)  # which has the reason, and nothing else is asked of it
-        if stale == PATIENCE or count == MAX_BLOCKS:
+        if count == MAX_BLOCKS:
             break
-        growth = max(min(excess, MOST_GROWTH) ** GROWTH, LEAST_GROWTH)
-        failed, count = count, min(math.ceil(count * growth), MAX_BLOCKS)
-    least, count = min(tried)
-    # A probe looks at fewer places of a terrain than the whole plan.
-    most = alike * (plan(count, False).excess() if scattered else least)
+        failed, count = count, min(math.ceil(GROWTH * count), MAX_BLOCKS)
+    most = ALIKE * min(tried)[0]
     return plan(min(count for excess, count in tried if excess <= most), False)
 
 
@@ -454,9 +267,7 @@ def plan_collection(
     )  # fmt: skip
     n_parts = 1 if parts == "auto" else parts
     if blocks == "auto":
-        first = find_division(
-            lambda count, probe: planner.plan(count, n_parts, probe), workers=workers, scattered=terrain is not None
-        )  # fmt: skip
+        first = find_division(lambda count, probe: planner.plan(count, n_parts, probe), workers=workers)
     else:
         first = planner.plan(blocks, n_parts, False)
     first = replace(first, searched=blocks == "auto")

@@ -18,8 +18,7 @@ from blocksar.focusing.surfaces import GroundRange, Surface
 
 SMOOTH_DEGREE = 2, 2  # of the smooth ground, along range and yaw, on which coefficients are fitted: no finer is better
 FINE_DEGREE = 16, 8  # of the finer one, which the dwell gate follows: a block is longer along range
-CELLS, FINE_CELLS = (24, 48), (64, 48)  # of a block along range and yaw, whose mean heights these are fitted to
-UNKNOWN_WEIGHT, FIT_DAMPING = 0.3, 1e-9  # of cells without heights, held level
+CELLS = 64, 48  # of a block along range and yaw, whose heights these are fitted to
 BINS, ABOUT = 160, 0.05  # along each side of a block, and half extents of it about a node: those of a chip or two
 FEWEST_POINTS, MOST_POINTS = 129, 1 << 20  # of a terrain that are looked at: along an axis, and in all
 ROOM = 0.02  # of the relief, that heights may go beyond on either side
@@ -169,10 +168,11 @@ def find_relief(samples: ReliefPoints, geometry: Geometry, *, low: float, high: 
     level = float(z.mean()) if z.size else geometry.collection.ground_height
     bounds = samples.z[beside] if z.size else np.array([level])
     spare = ROOM * float(np.ptp(bounds))  # between samples heights may go beyond them
-    series = _fit(_cell_means(u, v, z, level, CELLS))
-    smooth = SmoothGround(surface=Surface(series=series, along=along, low=low, high=high), depth=depth)
-    series = _fit_finely(_cell_means(u, v, z, level, FINE_CELLS))
-    fine = SmoothGround(surface=Surface(series=series, along=along, low=low, high=high), depth=depth)
+    cells = _in_cells(u, v, z, level)
+    smooth, fine = (
+        SmoothGround(surface=Surface(series=_fit(cells, degree), along=along, low=low, high=high), depth=depth)
+        for degree in (SMOOTH_DEGREE, FINE_DEGREE)
+    )
     at = samples.epoch_range[inside], (low + high) / 2 + turn[inside]
     over = z - smooth(*at) if z.size else np.zeros(1)
     room = ROOM * float(np.ptp(over)) + LEAST_RELIEF
@@ -194,59 +194,28 @@ def _beside(samples: ReliefPoints, turn: FloatArray, half: float, along: GroundR
     return (np.abs(turn) <= half + samples.turn) & (samples.epoch_range >= near) & (samples.epoch_range <= far)
 
 
-class _Cells(NamedTuple):
-    """A block's terrain by cells (n_range, n_yaw): mean places in -1 .. 1 and heights, where it is known, and its mean.
-
-    Where nothing is known, the middle of the cell, and that mean.
-    """
-
-    u: FloatArray
-    v: FloatArray
-    z: FloatArray
-    known: BoolArray
-    mean: float
-
-    @property
-    def middles(self) -> list[FloatArray]:
-        """Of all cells, u and v."""
-        return [*np.meshgrid(*((2 * np.arange(n) + 1) / n - 1 for n in self.known.shape), indexing="ij")]
-
-
-def _cell_means(u: FloatArray, v: FloatArray, z: FloatArray, mean: float, cells: tuple[int, int]) -> _Cells:
-    """Means over cells of samples at (u, v) in -1 .. 1; the middle of a cell without any."""
-    rows, columns = bins_of(u, cells[0]), bins_of(v, cells[1])
-    which, count = rows * cells[1] + columns, cells[0] * cells[1]
-    number = np.bincount(which, minlength=count).reshape(cells)
-    level = np.full(cells, mean)
-    empty = _Cells(level, level, level, number > 0, mean)
-    means = (
-        np.where(number > 0, np.bincount(which, weights=values, minlength=count).reshape(cells), otherwise)
+def _in_cells(u: FloatArray, v: FloatArray, z: FloatArray, mean: float) -> FloatArray:
+    """Heights (CELLS), m, at the middles of cells, of samples at (u, v) in -1 .. 1; what is unknown continues them."""
+    rows, columns = (bins_of(at, n) for at, n in zip((u, v), CELLS, strict=True))
+    which, count = rows * CELLS[1] + columns, CELLS[0] * CELLS[1]
+    number = np.bincount(which, minlength=count).reshape(CELLS)
+    middles = np.meshgrid(*((2 * np.arange(n) + 1) / n - 1 for n in CELLS), indexing="ij")
+    mean_u, mean_v, mean_z = (
+        np.where(number > 0, np.bincount(which, weights=values, minlength=count).reshape(CELLS), otherwise)
         / np.maximum(number, 1)
-        for values, otherwise in zip((u, v, z), (*empty.middles, empty.z), strict=True)
+        for values, otherwise in zip((u, v, z), (*middles, np.array(mean)), strict=True)
     )
-    mean_u, mean_v, mean_z = means
-    return _Cells(mean_u, mean_v, mean_z, number > 0, mean)
-
-
-def _fit(cells: _Cells) -> FloatArray:
-    """Tensor Chebyshev series of the heights; cells where they are unknown are held level, with a small weight."""
-    weights, degree = np.where(cells.known, 1.0, UNKNOWN_WEIGHT).ravel(), SMOOTH_DEGREE
-    basis = chebyshev.chebvander2d(cells.u.ravel(), cells.v.ravel(), list(degree)) * weights[:, None]
-    values = (cells.z.ravel() - cells.mean) * weights
-    fitted = solvers.least_squares(np.asarray(basis.T, np.float64), values, damping=FIT_DAMPING * weights.size)
-    series = fitted.reshape(degree[0] + 1, degree[1] + 1)
-    series[0, 0] += cells.mean
-    return np.asarray(series)
-
-
-def _fit_finely(cells: _Cells) -> FloatArray:
-    """Tensor Chebyshev series of the heights at the middles of cells; what is unknown continues what is known."""
-    filled = _continued(cells.z, cells.known)
+    filled = _continued(mean_z, number > 0)
     slopes = np.gradient(filled)
-    for at, middle, slope, n in zip((cells.u, cells.v), cells.middles, slopes, cells.known.shape, strict=True):
+    for at, middle, slope, n in zip((mean_u, mean_v), middles, slopes, CELLS, strict=True):
         filled = filled - slope * (at - middle) * n / 2
-    along_range, along_yaw = (_fitting(n, degree) for n, degree in zip(cells.known.shape, FINE_DEGREE, strict=True))
-    return solvers.product(solvers.product(along_range, filled), along_yaw.T)
+    return filled
+
+
+def _fit(cells: FloatArray, degree: tuple[int, int]) -> FloatArray:
+    """Tensor Chebyshev series of heights at the middles of cells."""
+    along_range, along_yaw = (_fitting(n, terms) for n, terms in zip(cells.shape, degree, strict=True))
+    return solvers.product(solvers.product(along_range, cells), along_yaw.T)
 
 
 def _continued(values: FloatArray, known: BoolArray) -> FloatArray:

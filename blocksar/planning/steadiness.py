@@ -30,7 +30,7 @@ from blocksar.collection.weighting import NODES, Taper
 SHARE = 0.2  # of what the fidelity allows to be lost, that a minor cause may take: a beam that gates do not follow
 LOSS = 0.3  # of coherence, over the share of its width by which a beam is off: measured
 LEAST = 2e-5  # of its width: a pulse in 25 000 at either end of a dwell
-PLACES = 33  # yaws, and ranges, at which dwells are looked at
+PLACES = 33  # along either side of ground, at which dwells are looked at
 MOST_DWELL = 2.5  # durations of the collection for which a gate can hold ground in the beam, if it went on
 LEAST_LIT = 0.5  # of the pulses that light ground, on average, where it stays
 

@@ -22,13 +22,13 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import Owned, default_grid, plan_region
 from blocksar.errors import InputError, OutsideSwath, Unfocusable
+from blocksar.planning.dwell_ends import GUARD
 from blocksar.planning.plan import Plan
+from blocksar.planning.steadiness import PLACES
 
-GUARD = 0.3  # dwells by which segments overlap besides the dwell, since its ends ring
-SLACK = 0.05  # dwells by which a segment's blocks reach beyond its seams
+OVERLAP = 0.3  # dwells by which segments overlap besides the dwell, since its ends ring
 LEAST_LENGTH = 2.5  # overlaps that a segment has at least
 GROWTH = 1.5  # of the number of segments, as long as that gains
-GRID_POINTS = 33  # along each side of a grid, at which dwells are looked at
 POINTS_EACH = 6  # and for each segment besides, to see whether it has ground there
 
 Span = tuple[int, int]  # pulses first <= p < last
@@ -37,7 +37,7 @@ Span = tuple[int, int]  # pulses first <= p < last
 def longest_dwell(collection: Collection, grid: Grid) -> float:
     """The longest dwell of ground in a grid that the collection lights, s, as if it went on; 0 if it lights none."""
     geometry = Geometry(collection=collection)
-    places = np.linspace(grid.x[0], grid.x[-1], GRID_POINTS), np.linspace(grid.y[0], grid.y[-1], GRID_POINTS)
+    places = np.linspace(grid.x[0], grid.x[-1], PLACES), np.linspace(grid.y[0], grid.y[-1], PLACES)
     first, last = geometry.beam.dwell(*np.meshgrid(*places), uncut=True)
     start, end = aperture(collection)
     lit = (last > start) & (first < end) & (last > first)
@@ -46,7 +46,7 @@ def longest_dwell(collection: Collection, grid: Grid) -> float:
 
 def cuts(collection: Collection, dwell_time: float) -> Iterator[list[Span]]:
     """Ever more segments of equal length, each time their spans; ends where they would become too short."""
-    overlap = math.ceil((1 + GUARD) * dwell_time * collection.prf)
+    overlap = math.ceil((1 + OVERLAP) * dwell_time * collection.prf)
     count, n = 2, collection.n_pulse
     while overlap:
         length = math.ceil((n + (count - 1) * overlap) / count)
@@ -59,7 +59,7 @@ def cuts(collection: Collection, dwell_time: float) -> Iterator[list[Span]]:
 
 def within(collection: Collection, spans: Sequence[Span], grid: Grid) -> list[Span]:
     """The segments that see some ground of a grid deepest inside their time."""
-    count = GRID_POINTS + POINTS_EACH * len(spans)
+    count = PLACES + POINTS_EACH * len(spans)
     x, y = np.meshgrid(np.linspace(grid.x[0], grid.x[-1], count), np.linspace(grid.y[0], grid.y[-1], count))
     margins = np.array([Geometry(collection=collection.segment(*span)).beam.margin(x, y) for span in spans])
     seen = margins.max(axis=0) > -1.0
@@ -78,7 +78,7 @@ def owned_by(collection: Collection, spans: Sequence[Span], number: int) -> Owne
         margin = own.beam.margin(x, y)
         beyond = [other.beam.margin(x, y) for other in others]
         with np.errstate(invalid="ignore"):
-            return (margin > -1.0) & (margin >= np.max(beyond, axis=0, initial=-np.inf) - SLACK)
+            return (margin > -1.0) & (margin >= np.max(beyond, axis=0, initial=-np.inf) - GUARD)
 
     return owned
 

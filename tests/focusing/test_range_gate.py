@@ -14,7 +14,7 @@ from blocksar.focusing.lines import Line
 from blocksar.focusing.range_gate import RangeGate
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.rows import Program
-from blocksar.planning.binding import plan_range_gate
+from blocksar.planning.gating import plan_range_gate
 
 
 def gate_of(n: int, kept: int, centre: FloatArray, *, offset: int = 0, start: float = -20e6) -> RangeGate:

@@ -23,7 +23,7 @@ from blocksar.focusing.range_gate import COMPRESSED_ROWS, RawCompression
 from blocksar.focusing.recovery import Recovery, recover_columns
 from blocksar.kernels import fourier, rows
 from blocksar.kernels.fourier import Axis
-from blocksar.planning.planner import plan_recovery
+from blocksar.planning.spectrum_recovery import plan_recovery
 from blocksar.simulation.scatterers import simulate_pulses
 
 COLUMNS = slice(None, None, 13)  # every 13th range frequency, from the first to nearly the last

@@ -22,7 +22,7 @@ from blocksar.focusing.recovery import Recovery, recover_columns
 from blocksar.focusing.step import Sampling
 from blocksar.kernels.fourier import Axis
 from blocksar.planning.block import BlockPlan, plan_block
-from blocksar.planning.planner import plan_recovery
+from blocksar.planning.spectrum_recovery import plan_recovery
 from blocksar.planning.target_lines import Dwells, Sector
 from blocksar.simulation.scatterers import simulate_pulses
 

@@ -19,7 +19,7 @@ from blocksar.errors import InputError
 from blocksar.focusing.recovery import Recovery
 from blocksar.inspection.centroid import Expectation, disagreement, expect, measure_centroid
 from blocksar.inspection.samples import SEGMENTS, Inspection, zero_impossible
-from blocksar.planning.planner import plan_recovery
+from blocksar.planning.spectrum_recovery import plan_recovery
 from blocksar.simulation.scatterers import simulate_pulses
 from blocksar.simulation.scene import Scene
 

@@ -20,7 +20,8 @@ from blocksar.errors import PrfTooLow, Unfocusable
 from blocksar.focusing.backprojection import form_image, form_points
 from blocksar.measurement.coherence import coherence
 from blocksar.planning.plan import Plan
-from blocksar.planning.planner import plan_collection, plan_recovery
+from blocksar.planning.planner import plan_collection
+from blocksar.planning.spectrum_recovery import plan_recovery
 from blocksar.processors.chain import jittering_beam, short_dwells
 from blocksar.simulation.antenna import named_pattern
 from blocksar.simulation.scatterers import simulate_pulses

@@ -57,26 +57,20 @@ def test_the_search_ends_where_more_blocks_gain_nothing() -> None:
     assert divide(lambda count: 3.0 - count / 100)[0] <= MAX_BLOCKS
 
 
-@pytest.mark.parametrize(("scattered", "taken"), [(False, 7), (True, 1)])
-def test_more_blocks_are_taken_on_a_terrain_only_for_more_than_the_scatter(scattered: bool, taken: int) -> None:
+def test_more_blocks_are_taken_only_for_more_than_the_scatter_of_predictions() -> None:
     """Predictions as on dense hills: without a trend, but one is the least."""
-    excess, planned = {1: 2.7, 2: 2.6, 4: 2.9, 7: 1.9}, []
+    excess = {1: 2.7, 2: 2.6, 3: 2.9, 5: 1.9}
 
     def plan(count: int, probe: bool) -> Division:
-        planned.append(count)
         return Division(count, excess.get(count, 2.6) * (0.8 if probe else 1.0))
 
-    assert find_division(plan, workers=1, scattered=scattered).count == taken
+    assert find_division(plan, workers=1).count == 1
 
 
-@pytest.mark.parametrize(("least", "most"), [(1.2, 7), (0.9, 13)])
-def test_mountains_are_divided_as_long_as_it_helps(least: float, most: int) -> None:
+@pytest.mark.parametrize(("least", "taken"), [(1.2, 8), (0.9, 12)])
+def test_mountains_are_divided_as_long_as_it_helps(least: float, taken: int) -> None:
     """The fewest blocks are 12, or where none serve those that are within the scatter of what more of them have."""
-
-    def plan(count: int, probe: bool) -> Division:
-        return Division(count, max(12 / count, least))
-
-    assert 7 <= find_division(plan, workers=1, scattered=True).count <= most
+    assert divide(lambda count: max(12 / count, least), workers=1)[0] == taken
 
 
 def test_at_least_a_block_a_worker() -> None:
@@ -89,7 +83,7 @@ def test_a_refused_division_does_not_end_a_search_that_has_sound_ones(monkeypatc
     monkeypatch.setattr("blocksar.planning.planner.find_folding", lambda blocks: "folds" if blocks else None)
 
     def plan(count: int, probe: bool) -> Division:
-        folds = count in (1, 4)
+        folds = count in (1, 5)
         refusal = "folds" if folds else None
         blocks: Any = (None,) if folds else ()
         return Division(count, 9.0 if folds else 6.0 / count, blocks=blocks, refusal=refusal)

@@ -13,8 +13,8 @@ from blocksar.arrays import FloatArray
 from blocksar.focusing.lines import Line, focus
 from blocksar.kernels import levelling
 from blocksar.kernels.levelling import LevellingProblem
-from blocksar.planning import binding, coefficients
-from blocksar.planning.binding import ChainKind, FittedSteps
+from blocksar.planning import coefficients, fitting
+from blocksar.planning.fitting import ChainKind, FittedSteps
 
 # ---------------------------------------------------------------- The fit
 
@@ -49,11 +49,11 @@ def test_the_fit_and_its_derivatives(freedom: FittedSteps, monkeypatch: pytest.M
         checked.append(x.size)
         return start
 
-    monkeypatch.setattr(binding, "level_lines", check)
+    monkeypatch.setattr(fitting, "level_lines", check)
     line = straight_lines(15e3, np.linspace(-300, 300, 5))
     whole = Line(**{name: np.stack([getattr(line, name)] * 2) for name in Line.__dataclass_fields__})
     ranges = np.array([14.9e3, 15.1e3])
-    binding.fit(whole, ranges=ranges, candidate=ChainKind(0.0, freedom.time), freedom=freedom, wavelength=LAMBDA)
+    fitting.fit(whole, ranges=ranges, candidate=ChainKind(0.0, freedom.time), freedom=freedom, wavelength=LAMBDA)
     assert checked == [2 * freedom.time + 4 * freedom.doppler + 3 * freedom.resampling + 3] * 2
 
 
@@ -69,7 +69,7 @@ def test_the_fit_levels_lines_at_least_as_well_as_the_closed_form(freedom: Fitte
     whole = Line(**{name: np.stack([getattr(line, name)] * 2) for name in Line.__dataclass_fields__})
     whole = whole.shift_range(np.array([-15e3, -14.9e3])[:, None, None])
     ranges = np.array([0.0, 100.0])
-    fitted = binding.fit(
+    fitted = fitting.fit(
         whole, ranges=ranges, candidate=ChainKind(0.0, freedom.time), freedom=freedom, wavelength=LAMBDA
     )
     row = whole.range.mean(axis=-1)

@@ -21,7 +21,8 @@ from blocksar.graph.machine import Resources, pace
 from blocksar.planning import effort
 from blocksar.planning.block import plan_block
 from blocksar.planning.disk import run_bytes
-from blocksar.planning.planner import plan_collection, plan_recovery
+from blocksar.planning.planner import plan_collection
+from blocksar.planning.spectrum_recovery import plan_recovery
 from blocksar.planning.target_lines import Sector
 from blocksar.processors import sentences
 from blocksar.simulation.scene import Scene
