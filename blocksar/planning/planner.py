@@ -143,9 +143,8 @@ def _describe_block(block: BlockPlan) -> str:
 
 MAX_BLOCKS = 32  # that `auto` tries
 GROWTH = 1.5  # factor by which the number of blocks grows at a time
-# Among divisions whose excess is within this factor of the least one, the one with the fewest blocks is taken. On a
-# terrain each division is predicted at other places of it, so that predictions scatter by about as much (1.5 .. 3.0
-# from 1 to 10 blocks of hills of 60 m every 450 m under Table 1, without a trend).
+# By this factor excesses may differ though blocks are no better or worse. On a terrain each division is predicted at
+# other places of it (1.5 .. 3.0 from 1 to 10 blocks of hills of 60 m every 450 m under Table 1, without a trend).
 ALIKE = 1.5
 
 
@@ -165,10 +164,11 @@ P = TypeVar("P", bound=Planned)
 
 
 def find_division(plan: Callable[[int, bool], P], *, workers: int) -> P:
-    """The plan with the fewest blocks that keep the fidelity, at least one a worker; without one, one of the closest.
+    """The plan with the fewest blocks that keep the fidelity, at least one a worker.
 
-    Numbers grow up to MAX_BLOCKS; once one serves, those in between are tried by bisection. Probes of the outermost
-    blocks and the middle one decide while plans are far from the fidelity.
+    Where MAX_BLOCKS are far from it, none keep it, and it is the fewest whose excess is like theirs. Numbers grow until
+    one serves, and those in between are tried by bisection. Probes of the outermost blocks and the middle one decide
+    while plans are far from what is wanted.
 
     Parameters
     ----------
@@ -176,24 +176,22 @@ def find_division(plan: Callable[[int, bool], P], *, workers: int) -> P:
         Plan for a number of blocks; True for a probe.
     workers : int
     """
-    plan = cache(plan)
-    tried: list[tuple[float, int]] = []  # excess and number of blocks
-    count, failed, sound = min(max(workers, 1), MAX_BLOCKS), 0, False
-    while True:
-        division = _probe(plan, count)
-        if division.excess() <= 1.0:
-            return _fewest_between(plan, failed, count)
-        sound = sound or division.refusal is None
-        if not sound and find_folding(division.blocks) is not None:  # more blocks share their Doppler as well
-            return plan(count, False)
-        tried.append((division.excess(), count))
-        if not sound and finest_is_refused(plan):
-            return plan(min(tried)[1], True)  # which has the reason, and nothing else is asked of it
-        if count == MAX_BLOCKS:
-            break
-        failed, count = count, min(math.ceil(GROWTH * count), MAX_BLOCKS)
-    most = ALIKE * min(tried)[0]
-    return plan(min(count for excess, count in tried if excess <= most), False)
+    plan, numbers, far = cache(plan), [min(max(workers, 1), MAX_BLOCKS)], False
+    while numbers[-1] < MAX_BLOCKS:
+        numbers.append(min(math.ceil(GROWTH * numbers[-1]), MAX_BLOCKS))
+    first = plan(numbers[0], True)
+    if first.refusal is not None:
+        if find_folding(first.blocks) is not None:  # more blocks share their Doppler as well
+            return plan(numbers[0], False)
+        if finest_is_refused(plan):
+            return first  # which has the reason, and nothing else is asked of it
+    if _excess(first) > 1.0:
+        with suppress(OutsideSwath):  # a probe of many blocks may see no point of the grid
+            far = ALIKE < _excess(plan(MAX_BLOCKS, True)) < math.inf
+    if not far and (found := _fewest_blocks(plan, numbers, 1.0)) is not None:
+        return found
+    closest = min(_excess(plan(count, True)) for count in (numbers[-1:] if far else numbers))
+    return _fewest_blocks(plan, numbers, ALIKE * closest) or plan(MAX_BLOCKS, False)
 
 
 def finest_is_refused(plan: Callable[[int, bool], P]) -> bool:
@@ -203,20 +201,23 @@ def finest_is_refused(plan: Callable[[int, bool], P]) -> bool:
     return False
 
 
-def _probe(plan: Callable[[int, bool], P], count: int) -> P:
-    """A probe of a division; the whole plan if the probe keeps the fidelity."""
-    probe = plan(count, True)
-    return plan(count, False) if probe.excess() <= 1.0 else probe
+def _excess(plan: Planned) -> float:
+    return math.inf if plan.refusal is not None else plan.excess()
 
 
-def _fewest_between(plan: Callable[[int, bool], P], failed: int, serving: int) -> P:
-    """The plan with the fewest blocks above `failed` and up to `serving`, which serves."""
-    while failed and serving - failed > 1:
-        count = (failed + serving) // 2
-        if plan(count, True).excess() <= 1.0 and plan(count, False).excess() <= 1.0:
-            serving = count
-        else:
-            failed = count
+def _fewest_blocks(plan: Callable[[int, bool], P], numbers: Sequence[int], wanted: float) -> P | None:
+    """The plan with the fewest blocks whose excess is at most what is wanted; None where none of the numbers serve."""
+
+    def serves(count: int) -> bool:
+        return all(_excess(plan(count, probe)) <= wanted for probe in (True, False))
+
+    serving = next((count for count in numbers if serves(count)), None)
+    if serving is None:
+        return None
+    failed = max((count for count in numbers if count < serving), default=numbers[0] - 1)
+    while serving - failed > 1:
+        middle = (failed + serving) // 2
+        failed, serving = (failed, middle) if serves(middle) else (middle, serving)
     return plan(serving, False)
 
 

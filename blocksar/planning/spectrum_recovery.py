@@ -24,9 +24,7 @@ from blocksar.planning.target_lines import Dwells, middle_line, tail_margin
 
 COMMON_ORDER = ORDERS[-1] + 1  # range history from this order on, where azimuth steps end, is removed from all alike
 COMMON_LEAST = 1e-3  # wavelengths, a phase of 0.013 rad: a smaller common range is not removed
-AXIS_NODES = (
-    128  # of lines under a beam about its axis, whose dwells differ: at each time, all that is lit has to be seen
-)
+AXIS_NODES = 128  # of lines under a beam about its axis, whose dwells differ: all that is lit has to be seen
 WINDOW_EDGE = 0.05  # of the range window at either end, for which the PRF need not suffice: echoes only pass through
 
 
