@@ -33,7 +33,6 @@ from blocksar.focusing.recovery import Recovery
 from blocksar.kernels.operations import Blend, Resample, Stretch, Transform
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.memory import PROCESS_MEMORY, gating_memory, thread_memory
-from blocksar.planning.steadiness import PLACES
 from blocksar.texts import size_text
 
 
@@ -63,6 +62,9 @@ def block_work(block: BlockPlan) -> float:
 def fft_work(length: int) -> float:
     """Of one FFT."""
     return 5 * length * math.log2(length)
+
+
+LOOKED_AT = 64  # points along a side of a grid at which full dwells are looked for
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -128,7 +130,7 @@ class Plan:
     @cached_property
     def full_dwell_share(self) -> float:
         """Share of the grid's points that are lit for a full dwell, for which the predicted coherence holds."""
-        x, y = (axis[:: math.ceil(axis.size / PLACES)] for axis in (self.grid.x, self.grid.y))
+        x, y = (axis[:: math.ceil(axis.size / LOOKED_AT)] for axis in (self.grid.x, self.grid.y))
         return float(np.mean(self.geometry.beam.has_full_dwell(x, y[:, None])))
 
     @property

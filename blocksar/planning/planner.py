@@ -143,7 +143,7 @@ def _describe_block(block: BlockPlan) -> str:
 
 MAX_BLOCKS = 32  # that `auto` tries
 GROWTH = 1.5  # factor by which the number of blocks grows at a time
-# By this factor excesses may differ though blocks are no better or worse. On a terrain each division is predicted at
+# By this factor excesses may differ though blocks are no better or worse: on a terrain each division is predicted at
 # other places of it (1.5 .. 3.0 from 1 to 10 blocks of hills of 60 m every 450 m under Table 1, without a trend).
 ALIKE = 1.5
 

@@ -22,7 +22,7 @@ from blocksar.focusing import hierarchical_backprojection
 from blocksar.focusing.backprojection import form_image
 from blocksar.focusing.hierarchical_backprojection import MOST_WINDOWS, form_windows
 from blocksar.focusing.hierarchy import Levels
-from blocksar.planning import hierarchical_division, tiling
+from blocksar.planning import hierarchical_division, memory, tiling
 from blocksar.planning.hierarchical_division import divide
 from blocksar.planning.memory import PROCESS_MEMORY
 from blocksar.planning.tiling import units_of
@@ -83,7 +83,7 @@ def test_memory_is_that_of_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     grid = Grid(x[0], x[-1], 1.0, y[0], y[-1], 1.0)
     x, y = grid.x, grid.y
     geometry, samples = Geometry(collection=c), noise(c, missing=False)
-    for module in (hierarchical_backprojection, hierarchical_division):
+    for module in (hierarchical_backprojection, memory):
         monkeypatch.setattr(module, "PULSE_BLOCK_BYTES", 1 << 20)
     for module in (tiling, hierarchical_division):
         monkeypatch.setattr(module, "image_chunk", lambda grid: (64, 64))

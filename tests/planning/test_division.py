@@ -62,19 +62,15 @@ def test_the_search_ends_where_more_blocks_gain_nothing() -> None:
     assert divide(lambda count: 3.0 - count / 100)[0] <= MAX_BLOCKS
 
 
-def test_more_blocks_are_taken_only_for_more_than_the_scatter_of_predictions() -> None:
-    """Predictions as on dense hills: without a trend, but one is the least."""
-    excess = {1: 2.7, 2: 2.6, 3: 2.9, 5: 1.9}
-
-    def plan(count: int, probe: bool) -> Division:
-        return Division(count, excess.get(count, 2.6) * (0.8 if probe else 1.0))
-
-    assert find_division(plan, workers=1).count == 1
+def test_one_division_among_scattered_ones_serves() -> None:
+    """Predictions as on dense hills: without a trend, but one is the least, and the most blocks do not serve."""
+    assert divide(lambda count: {5: 0.9}.get(count, 1.3), workers=1)[0] == 5
+    assert divide(lambda count: {5: 0.9}.get(count, 1.6), workers=1)[0] == 1  # given up: more than the scatter
 
 
 @pytest.mark.parametrize(("least", "taken"), [(1.2, 7), (0.9, 12)])
 def test_mountains_are_divided_as_long_as_it_helps(least: float, taken: int) -> None:
-    """The fewest blocks are 12, or where none serve those that are within the scatter of what more of them have."""
+    """The fewest blocks are 12, or where none serve those that are about as good as more of them."""
     assert divide(lambda count: max(12 / count, least), workers=1)[0] == taken
 
 
