@@ -297,7 +297,7 @@ def _plan_memory(sector: Sector, range_gate: RangeGate | None, range_part: Range
 
 RANGE_DEGREE, YAW_DEGREE = 0.75, 16  # of what the map knows, along range for each node, and along yaw
 MISS_SHARE = 0.1  # of the coherence that may be lost, which the map may miss before lines at more ranges are traced
-REGION_STEPS, LEAST_STEPS = 64 * YAW_STEPS, 128  # of yaw over the region, in which a block has its share; at least
+REGION_STEPS = 64 * YAW_STEPS  # of yaw over the region, in which a block has its share
 STEPS_BY_RANGE = 512  # of yaw, where the sum over lit pulses is a table over range and yaw
 
 
@@ -435,7 +435,7 @@ def _yaw_steps(sector: Sector) -> int:
     """Yaws at which a block knows its limits: its share of the region's, so that many narrow blocks are small."""
     step = float(np.ptp(sector.region.yaw)) / REGION_STEPS
     share = (sector.high - sector.low) / step if step > 0 else math.inf
-    return math.ceil(min(max(share, LEAST_STEPS), STEPS_BY_RANGE if by_range(sector.geometry) else YAW_STEPS))
+    return math.ceil(min(max(share, 2), STEPS_BY_RANGE if by_range(sector.geometry) else YAW_STEPS))
 
 
 class Layer(NamedTuple):

@@ -261,8 +261,7 @@ def _orders(size: int, **terms: FloatArray) -> FloatArray:
 GOOD_RESIDUAL = 0.02  # rad: the most that is good; see `good_residual`
 RESIDUAL_SHARE = 0.5  # of the allowed loss that residual phase may take before a better chain is preferred
 GOOD_LOSS = 4e-4  # of coherence, at the ends of the dwell: below this a cheaper chain is preferred to a better one
-ENOUGH_COST = 1.2  # of a kind of chain: no other is tried
-KEPT = 1.5  # times the promised cost: what a fit at all ranges may cost to be taken without a look at others
+ENOUGH_COST = 1.2  # of a kind of chain, or of its fit at all ranges over what few promised: no other is tried
 FINER = (1.4, 1.2, 1.1, 1.05)  # factors by which the spread of the best bias is varied, one after the other
 
 
@@ -333,7 +332,7 @@ def choose(
     if neighbour is not None and neighbour.candidate.resampling <= resampling:
         polynomials = fitting.fit(line, ranges=ranges, candidate=neighbour.candidate, freedom=freedom, wavelength=lam)
         cost = _cost(polynomials, line, range_part, geometry, full, good)
-        if cost <= KEPT * neighbour.cost:
+        if cost <= ENOUGH_COST * neighbour.cost:
             return polynomials, neighbour
     return _find_cheapest(line, range_part, geometry, ranges=ranges, full=full, good=good, resampling=resampling)
 
@@ -348,11 +347,11 @@ def _find_cheapest(
     good: float,
     resampling: int,
 ) -> tuple[AzimuthPolynomials, Choice]:
-    """The kind of chain with the least cost, fitted. All kinds are tried roughly, at three ranges.
+    """The kind of chain with the least cost, fitted. All kinds are tried at three ranges.
 
     Under a steered beam the bias of the best kind is then varied: what the ends lose has a sharp minimum where the
     delays of the steps in Doppler vary least over the block. A kind whose fit at all ranges does not keep what it
-    promised is passed over. Where that leaves none, or none that is nearly as cheap as the one that ended the rough
+    promised is passed over. Where that leaves none, or none that is nearly as cheap as the one that ended this
     trial, those are tried that it did not reach.
     """
     wavelength, freedom = geometry.collection.wavelength, range_part.freedom
@@ -373,7 +372,7 @@ def _find_cheapest(
     def cheapest(candidates: list[ChainKind]) -> float:
         for candidate in candidates:
             polynomials = fitting.fit(
-                subset, ranges=ranges[rows], candidate=candidate, freedom=freedom, wavelength=wavelength, roughly=True
+                subset, ranges=ranges[rows], candidate=candidate, freedom=freedom, wavelength=wavelength
             )
             costs[candidate] = _cost(polynomials, subset, range_part, geometry, full[rows], good)
             if costs[candidate] < ENOUGH_COST:
@@ -390,7 +389,7 @@ def _find_cheapest(
         polynomials = fit(candidate)
         cost = _cost(polynomials, line, range_part, geometry, full, good)
         fitted.append((polynomials, Choice(candidate, cost)))
-        return cost <= KEPT * promised
+        return cost <= ENOUGH_COST * promised
 
     def settle() -> None:
         done = {choice.candidate for _, choice in fitted}
@@ -404,7 +403,7 @@ def _find_cheapest(
     unseen, least = [kind for kind in kinds if kind not in costs], min(choice.cost for _, choice in fitted)
     if least == np.inf:
         any(keeps(kind, ENOUGH_COST) for kind in unseen)
-    elif unseen and least > KEPT * ENOUGH_COST:
+    elif unseen and least > ENOUGH_COST**2:
         cheapest(unseen)
         settle()
     return min(fitted, key=lambda fit: fit[1].cost)

@@ -17,8 +17,6 @@ from blocksar.focusing.lines import LEAST_STRETCH, Line
 from blocksar.focusing.pattern_sums import LEAST_ELEVATION
 from blocksar.planning.steadiness import scans_evenly
 
-LEVEL_DEGREE = 8
-
 
 def level_aperture(line: Line, taper: AxisTaper) -> AxisTaper:
     """The taper over the pulses that also levels what the steps in Doppler do to amplitudes.
@@ -36,10 +34,9 @@ def level_aperture(line: Line, taper: AxisTaper) -> AxisTaper:
     stretch = np.maximum(line.stretch, LEAST_STRETCH).reshape(-1, line.stretch.shape[-1])
     nodes, weights = solvers.gauss_legendre(stretch.shape[-1])
     shares = weights * taper.taper(nodes)
-    degree = min(LEVEL_DEGREE, nodes.size - 1)
     mean = (stretch / stretch.mean(axis=1, keepdims=True)).mean(axis=0)
-    series = solvers.product(solvers.legendre_series(nodes.size, degree), (1 / np.sqrt(mean))[:, None])[:, 0]
-    level = np.polynomial.legendre.legval(nodes, series)
+    level = 1 / np.sqrt(mean)
+    series = solvers.product(solvers.legendre_series(nodes.size, nodes.size - 1), level[:, None])[:, 0]
     share = float((shares * level).sum() / shares.sum())
     return replace(taper, level=tuple((series / share).tolist()))
 

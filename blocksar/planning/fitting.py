@@ -26,10 +26,9 @@ ORDERS = (2, 3, 4)  # of a Doppler resampling and a deramp; without 2, the bias,
 DOPPLER_ORDERS = (*ORDERS, ORDERS[-1] + 1)  # of a frequency perturbation
 SERIES_DEGREE = 6  # of the series of each coefficient in range
 # A fit stops when a step lowers the cost by less than the fraction ENOUGH, or after MOST_STEPS steps. Order 2 in
-# Doppler and the deramp nearly cancel, which makes a long valley; its beginning suffices to choose a kind of chain.
-ENOUGH, MOST_STEPS = 1e-7, 200
-ROUGHLY_ENOUGH, FEW_STEPS = 1e-4, 40  # a rough fit stops at this relative decrease of the cost, or after these steps
-DAMPING, NEAR_DAMPING = 1e-4, 1e-6  # of the first step: at the first range, and from the solution of the one before
+# Doppler and the deramp nearly cancel, which makes a long valley; its beginning suffices.
+ENOUGH, MOST_STEPS = 1e-5, 200
+DAMPING = 1e-4  # of the first step
 NEAR = 10.0  # rad: the penalty for a departure of any unknown from where the ranges before lead
 SETTLED = 100.0  # rad: the penalty for changing an unknown that an earlier range has settled
 STRETCH_WEIGHT = 0.5  # rad of phase error that count as much as a stretch of 2 in the fit
@@ -92,7 +91,6 @@ def fit(
     candidate: ChainKind,
     freedom: FittedSteps,
     wavelength: float,
-    roughly: bool = False,
 ) -> AzimuthPolynomials:
     """Fit the azimuth steps so that every line is level.
 
@@ -106,8 +104,6 @@ def fit(
     freedom : FittedSteps
     wavelength : float
         m.
-    roughly : bool
-        Stop early: enough to choose the kind of chain.
     """
     time = np.broadcast_to(line.time, line.doppler.shape)
     centre = float((time.min() + time.max()) / 2)
@@ -123,13 +119,11 @@ def fit(
     x = np.zeros(unknowns.size)
     slope = np.mean((doppler[0, :, -1] - doppler[0, :, 0]) / (time[0, :, -1] - time[0, :, 0]))
     x[unknowns.ends[-1]] = -slope * scales.time / scales.doppler
-    enough, steps = (ROUGHLY_ENOUGH, FEW_STEPS) if roughly else (ENOUGH, MOST_STEPS)
-    damping, pull, solutions = DAMPING, np.zeros(unknowns.size), list[FloatArray]()
+    pull, solutions = np.zeros(unknowns.size), list[FloatArray]()
     for i in range(ranges.size):
         if i > 1:  # where the two ranges before lead
             x = x + (x - solutions[-2]) * (ranges[i] - ranges[i - 1]) / (ranges[i - 1] - ranges[i - 2])
-        x = level_lines(rows.problem(i, unknowns, start=x, pull=pull), damping, enough, steps)
-        damping = NEAR_DAMPING
+        x = level_lines(rows.problem(i, unknowns, start=x, pull=pull), DAMPING, ENOUGH, MOST_STEPS)
         # Without a time perturbation, order 2 in Doppler has nearly the effect of the deramp. The first range settles
         # it for all, since coefficients must change smoothly with range.
         pull[:] = NEAR
