@@ -23,7 +23,7 @@ from blocksar.planning.binding import AzimuthPart
 from blocksar.planning.dwell_ends import Moments, band_moves, dwell_ends, full_dwells
 from blocksar.planning.dwell_weights import DwellWeights, dwell_weights, level_aperture, levelled
 from blocksar.planning.steadiness import scans_evenly
-from blocksar.planning.target_lines import Dwells, Sector
+from blocksar.planning.target_lines import NODES_PER_INTERVAL, Dwells, Sector
 
 
 def nodes_between(low: float, high: float, count: int) -> FloatArray:
@@ -55,7 +55,7 @@ def common_ranges(
 
 COARSE_NODES = 9, 15  # along range and yaw
 FINE_NODES, MORE_RANGES = (13, 33), 25
-YAWS_PER_INTERVAL, MOST_YAWS = 0.6, 129  # of fine lines, where a spline's intervals pass from yaw to yaw
+MOST_YAWS = 129  # of fine lines, where a spline's intervals pass from yaw to yaw
 MOST_WIDER = 2.0  # times as many yaws, where lines go on beyond a block
 FOLDED = 1.0  # octaves of stretch, of lines that are not followed
 
@@ -230,7 +230,7 @@ def _fine_yaws(sector: Sector) -> int:
         return FINE_NODES[1]
     first, last = geometry.beam.dwell_at(np.array([sector.low, sector.high]), np.array((sector.near + sector.far) / 2))
     passed = float(np.ptp(first + last)) / 2 / geometry.track.wobble.step
-    return max(FINE_NODES[1], math.ceil(min(YAWS_PER_INTERVAL * passed, MOST_YAWS)))
+    return max(FINE_NODES[1], math.ceil(min(NODES_PER_INTERVAL * passed, MOST_YAWS)))
 
 
 def under_tiles(sector: Sector, azimuth: AzimuthPart, lines: TracedTargets) -> TracedTargets:

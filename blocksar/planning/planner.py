@@ -142,7 +142,7 @@ def _describe_block(block: BlockPlan) -> str:
 
 
 MAX_BLOCKS = 32  # that `auto` tries
-GROWTH = 1.5  # factor by which the number of blocks grows at a time
+GROWTH = 1.5  # factor by which the number of blocks, or of segments, grows at a time
 # By this factor excesses may differ though blocks are no better or worse: on a terrain each division is predicted at
 # other places of it (1.5 .. 3.0 from 1 to 10 blocks of hills of 60 m every 450 m under Table 1, without a trend).
 ALIKE = 1.5
@@ -185,12 +185,12 @@ def find_division(plan: Callable[[int, bool], P], *, workers: int) -> P:
             return plan(numbers[0], False)
         if finest_is_refused(plan):
             return first  # which has the reason, and nothing else is asked of it
-    if _excess(first) > 1.0:
+    if excess_of(first) > 1.0:
         with suppress(OutsideSwath):  # a probe of many blocks may see no point of the grid
-            far = ALIKE < _excess(plan(MAX_BLOCKS, True)) < math.inf
+            far = ALIKE < excess_of(plan(MAX_BLOCKS, True)) < math.inf
     if not far and (found := _fewest_blocks(plan, numbers, 1.0)) is not None:
         return found
-    closest = min(_excess(plan(count, True)) for count in (numbers[-1:] if far else numbers))
+    closest = min(excess_of(plan(count, True)) for count in (numbers[-1:] if far else numbers))
     return _fewest_blocks(plan, numbers, ALIKE * closest) or plan(MAX_BLOCKS, False)
 
 
@@ -201,7 +201,8 @@ def finest_is_refused(plan: Callable[[int, bool], P]) -> bool:
     return False
 
 
-def _excess(plan: Planned) -> float:
+def excess_of(plan: Planned) -> float:
+    """`Plan.excess`; infinite of a plan that is refused."""
     return math.inf if plan.refusal is not None else plan.excess()
 
 
@@ -209,7 +210,7 @@ def _fewest_blocks(plan: Callable[[int, bool], P], numbers: Sequence[int], wante
     """The plan with the fewest blocks whose excess is at most what is wanted; None where none of the numbers serve."""
 
     def serves(count: int) -> bool:
-        return all(_excess(plan(count, probe)) <= wanted for probe in (True, False))
+        return all(excess_of(plan(count, probe)) <= wanted for probe in (True, False))
 
     serving = next((count for count in numbers if serves(count)), None)
     if serving is None:

@@ -24,11 +24,11 @@ from blocksar.collection.region import Owned, default_grid, plan_region
 from blocksar.errors import InputError, OutsideSwath, Unfocusable
 from blocksar.planning.dwell_ends import GUARD
 from blocksar.planning.plan import Plan
+from blocksar.planning.planner import ALIKE, GROWTH, excess_of
 from blocksar.planning.steadiness import PLACES
 
 OVERLAP = 0.3  # dwells by which segments overlap besides the dwell, since its ends ring
 LEAST_LENGTH = 2.5  # overlaps that a segment has at least
-GROWTH = 1.5  # of the number of segments, as long as that gains
 POINTS_EACH = 6  # and for each segment besides, to see whether it has ground there
 
 Span = tuple[int, int]  # pulses first <= p < last
@@ -84,7 +84,6 @@ def owned_by(collection: Collection, spans: Sequence[Span], number: int) -> Owne
 
 
 USEFUL = 0.9  # of the excess of fewer segments, that more have to leave at most
-ALIKE = 1.05  # times the excess of the segment that was tried, that others may have with its numbers of blocks
 MOST_NUMBERS = int(np.iinfo(np.int16).max) + 1  # of blocks, as the image holds them
 
 
@@ -184,15 +183,15 @@ def _cut(plan: Planner, collection: Collection, whole: Plan, number: int) -> lis
 
     The fewest segments that keep the fidelity, judged by one in the middle; else as many as gain.
     """
-    if _excess(whole) <= 1.0:
+    if excess_of(whole) <= 1.0:
         return []
-    best, probe, spans = _excess(whole), None, []
+    best, probe, spans = excess_of(whole), None, []
     for every in cuts(collection, longest_dwell(collection, whole.grid)):
         trial = within(collection, every, whole.grid)
         middle = _first_inside(plan, collection, whole.grid, trial)
-        if middle is None or _excess(middle) > max(USEFUL * best, 1.0):
+        if middle is None or excess_of(middle) > max(USEFUL * best, 1.0):
             break
-        best, probe, spans = _excess(middle), middle, trial
+        best, probe, spans = excess_of(middle), middle, trial
         if best <= 1.0:
             break
     if probe is None or probe.refusal is not None:
@@ -202,16 +201,12 @@ def _cut(plan: Planner, collection: Collection, whole: Plan, number: int) -> lis
         own, owned = collection.segment(*span), owned_by(collection, spans, k)
         try:
             planned = plan(own, grid=whole.grid, owned=owned, blocks=probe.n_blocks, parts=probe.parts)
-            if _excess(planned) > (1.0 if best <= 1.0 else ALIKE * best):
+            if excess_of(planned) > (1.0 if best <= 1.0 else ALIKE * best):
                 planned = plan(own, grid=whole.grid, owned=owned)
         except OutsideSwath:
             continue
         segments.append(PlannedSegment(collection=number, pulses=span, geometry=planned.geometry, plan=planned))
     return segments
-
-
-def _excess(plan: Plan) -> float:
-    return math.inf if plan.refusal is not None else plan.excess()
 
 
 def _first_inside(plan: Planner, collection: Collection, grid: Grid, spans: Sequence[Span]) -> Plan | None:
