@@ -19,7 +19,7 @@ from blocksar.collection.grid import Grid
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_image
-from blocksar.measurement.coherence import coherence
+from blocksar.measurement.coherence import coherence, power_within_reach, referred
 from blocksar.planning.plan import Plan
 from blocksar.planning.planner import plan_collection
 from blocksar.simulation.scatterers import simulate_pulses
@@ -63,7 +63,7 @@ PLATFORMS = {
         (4.5e5, 7.5e5), (7400, 7700), (1.1, 1.7), (1.2e9, 1e10), 3e8, 0.05, 0.02, 1e-3, 0.0, (2e-3, 0.01), True
     ),
 }  # fmt: skip
-MODES = ("stripmap", "yaw scan", "sliding", "unsteered", "tops", "spotlight")
+MODES = ("stripmap", "yaw scan", "sliding", "unsteered", "tops")  # that chains take
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,7 +78,10 @@ class Drawn:
 
 
 class Figures(NamedTuple):
-    """Predicted coherence, and the least measured one of chips at some places; NaN where there is none."""
+    """Predicted coherence, and the least measured one of chips at some places, as `quality --reference` judges them.
+
+    NaN where there is none.
+    """
 
     predicted: float
     seams: float
@@ -131,7 +134,9 @@ def compare(image: ComplexArray, exact: ComplexArray, plan: Plan) -> Figures:
                 continue
             # A pixel that should be there and is not counts as zero.
             filled = np.where(np.isfinite(image[chip]), image[chip], 0)
-            value = abs(coherence(np.where(shown, filled, np.nan), exact[chip]).coherence)
+            found_here = coherence(np.where(shown, filled, np.nan), exact[chip])
+            reach = power_within_reach(np.abs(exact) ** 2, rows, columns)
+            value = referred(abs(found_here.coherence), reach / found_here.power)
             found["everywhere"].append(value)
             if len(np.unique(block[chip][shown])) > 1:
                 found["seams"].append(value)
@@ -206,10 +211,7 @@ def _draw(rng: np.random.Generator, platform: str, mode: str) -> Drawn:
     turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
     flown = np.gradient(smooth, time, axis=0) if rng.random() < 0.5 else np.tile(velocity, (time.size, 1))
     axis = flown / np.linalg.norm(flown, axis=1, keepdims=True)
-    sight = centre - track
     steering = squint + beam.pace * time
-    if mode == "spotlight":
-        steering = np.arcsin((sight * axis).sum(axis=1) / np.linalg.norm(sight, axis=1))
     sides = np.array([BEYOND * size, BEYOND * size + 2 * beam.spill])
     count = min(DENSITY * sides.prod() / (beam.resolution * across), MOST_SCATTERERS)
     points = rng.uniform(-0.5, 0.5, (int(count), 2)) * sides + centre[:2]
@@ -247,15 +249,14 @@ def _plan_beam(
     over = float(np.exp(rng.uniform(*np.log(OVER))))
     n_dwell, more = (int(rng.uniform(*ends) * np.sqrt(over)) for ends in (DWELL, BEYOND_DWELL))
     passing = speed * np.cos(squint) / distance  # rad/s, of the line of sight
-    if mode in ("unsteered", "spotlight"):
+    if mode == "unsteered":
         n_pulse = n_dwell + more
         aperture = float(np.exp(rng.uniform(*np.log(p.aperture))))
         resolution = wavelength / (2 * aperture) / np.cos(squint)
         extent = n_pulse / over * wavelength / (2 * aperture) / np.cos(squint) / 2
-        width = None if mode == "unsteered" else float(rng.uniform(1.0, 2.0)) * extent * np.cos(squint) / distance
         # Nothing limits what an unsteered antenna lights: clutter that folds onto the grid is none of the image's.
-        spill = 0.1 if mode == "spotlight" else min(0.1, (over - BEYOND * MARGIN) / 2)
-        return _Beam(n_pulse, n_pulse * passing / aperture, width, 0.0, resolution, extent, spill * extent)
+        spill = min(0.1, (over - BEYOND * MARGIN) / 2)
+        return _Beam(n_pulse, n_pulse * passing / aperture, None, 0.0, resolution, extent, spill * extent)
     if mode == "yaw scan":
         # A dwell lasts until the line of sight has turned by an aperture.
         width = float(np.exp(rng.uniform(np.log(0.005), np.log(0.1))))
