@@ -7,8 +7,8 @@ import pytest
 from random_collections import draw, judge
 
 SEEDS, QUICK = 30, (10, 26)
-# What a plan predicts is measured in every chip, or better, within this of coherence; of losses above 0.008, which plans
-# say are too large, within an eighth.
+# What a plan predicts is measured in every chip, or better, within this of coherence; of losses above 0.008, which a
+# plan says are too large, within an eighth.
 WITHIN = 1e-3
 
 
