@@ -60,8 +60,9 @@ class LocalPlace(Place):
             folders.sort()
             for name in sorted(names):
                 file = os.path.join(parent, name)
-                status = os.stat(file)
-                yield os.path.relpath(file, self.path), status.st_size, str(status.st_mtime_ns)
+                with suppress(OSError):  # a link that leads nowhere, or a file that was just removed
+                    status = os.stat(file)
+                    yield os.path.relpath(file, self.path), status.st_size, str(status.st_mtime_ns)
 
     def written_after(self, file: Place) -> Iterator[str]:
         if isinstance(file, LocalPlace):

@@ -1,4 +1,4 @@
-"""Files written and read past the page cache: any length, any order of parts, and file systems without it."""
+"""Files written and read past the page cache: any length, any order, file systems without it; files of a folder."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import NoReturn
 import numpy as np
 import pytest
 
-from blocksar.places import direct
+from blocksar.places import direct, place
 
 SIZES = [1, 511, 4095, 4096, 4097, direct.BUFFER - 1, direct.BUFFER, direct.BUFFER + 1, 2 * direct.BUFFER + 5000]
 
@@ -83,3 +83,13 @@ def test_an_error_of_the_disk_is_not_taken_for_a_missing_feature(
     monkeypatch.setattr(os, "write", full)
     with pytest.raises(OSError, match="No space"), direct.writing(str(tmp_path / "file")) as file:
         file.write(bytes(5000))
+
+
+def test_links_that_lead_nowhere_are_no_files(tmp_path: Path) -> None:
+    """A run with one ended in a traceback when its room on the disk was counted."""
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "file").write_bytes(b"1234")
+    (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "folder" / "nowhere").symlink_to("nothing")
+    assert [(name, size) for name, size, _ in place(tmp_path).files()] == [("folder/file", 4)]
+    assert place(tmp_path).taken() > 0
