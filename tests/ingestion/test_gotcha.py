@@ -36,8 +36,7 @@ from blocksar.ingestion.reading import Ingested
 from blocksar.ingestion.resampling import plan_resampling
 from blocksar.measurement.coherence import coherence
 from blocksar.measurement.targets import Target
-from blocksar.planning import planner as recovery_planning
-from blocksar.planning import target_lines
+from blocksar.planning import spectrum_recovery, target_lines
 from blocksar.planning.planner import plan_collection
 from blocksar.simulation.scatterers import simulate_pulses
 
@@ -569,7 +568,7 @@ def test_range_variation_common_to_all_targets_is_no_phase_error(
     assert prediction.residual_phase < 0.01 and prediction.migration < 0.03  # cells of 2 m
     assert np.abs(made.recovery.common.series).sum() == pytest.approx(0.003, rel=0.05)
     # Azimuth steps have no terms of such orders: they would leave it in full.
-    monkeypatch.setattr(recovery_planning, "COMMON_LEAST", np.inf)
+    monkeypatch.setattr(spectrum_recovery, "COMMON_LEAST", np.inf)
     without = plan_collection(bumpy, blocks=1, grid=GRID).blocks[0].prediction
     assert without.residual_phase > 0.5
 
