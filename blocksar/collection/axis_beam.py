@@ -64,11 +64,8 @@ def axis_passes(collection: Collection, points: GroundPoints) -> tuple[IntArray,
     Several passes where the beam turns back or wobbles, leaves a point and comes to it again: (n_pass, n), in the order
     of time. Those that a point lacks are empty, at the end of the one before; so a point that is never lit has 0 and 0.
     """
-    from blocksar.kernels.beam_passes import (
-        FoundPasses,
-        MovingBeam,
-        find_passes,
-    )  # load numba, which other beams do without
+    # Numba is loaded here, which other beams do without.
+    from blocksar.kernels.beam_passes import FoundPasses, MovingBeam, find_passes
 
     points, beam, most, m = points.each(), MovingBeam.of(_table(collection, _half(collection))), FEW_PASSES, 0
     while most > m:

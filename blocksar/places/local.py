@@ -55,14 +55,18 @@ class LocalPlace(Place):
             return sorted(os.listdir(self.path))
         return []
 
-    def files(self) -> Iterator[tuple[str, int, str]]:
+    def _found(self) -> Iterator[tuple[str, os.stat_result]]:
+        """Paths of files, in order; not of links that lead nowhere, nor of what is removed meanwhile."""
         for parent, folders, names in os.walk(self.path):
             folders.sort()
             for name in sorted(names):
                 file = os.path.join(parent, name)
-                with suppress(OSError):  # a link that leads nowhere, or a file that was just removed
-                    status = os.stat(file)
-                    yield os.path.relpath(file, self.path), status.st_size, str(status.st_mtime_ns)
+                with suppress(OSError):
+                    yield file, os.stat(file)
+
+    def files(self) -> Iterator[tuple[str, int, str]]:
+        for file, status in self._found():
+            yield os.path.relpath(file, self.path), status.st_size, str(status.st_mtime_ns)
 
     def written_after(self, file: Place) -> Iterator[str]:
         if isinstance(file, LocalPlace):
@@ -111,8 +115,7 @@ class LocalPlace(Place):
     def taken(self) -> int:
         if self.path.is_file():
             return _allocated(os.stat(self.path))
-        files = (os.stat(self.path / name) for name, _, _ in self.files())
-        return sum({(status.st_dev, status.st_ino): _allocated(status) for status in files}.values())
+        return sum({(status.st_dev, status.st_ino): _allocated(status) for _, status in self._found()}.values())
 
     def settle(self) -> None:
         descriptor = os.open(self.path, os.O_RDONLY)

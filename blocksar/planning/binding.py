@@ -28,7 +28,7 @@ from blocksar.focusing.step import Constants, Motion, Sampling, Step, trace
 from blocksar.kernels.fourier import Axis
 from blocksar.planning.fitting import FittedSteps
 
-NODES_PER_INTERVAL = 8  # times per interval of the track's spline: linear between them, its bend errs by 0.4 %
+TIMES_PER_INTERVAL = 8  # times per interval of the track's spline: linear between them, its bend errs by 0.4 %
 RANGE_NODES = 4  # of the Chebyshev series of the line of sight in range
 
 
@@ -40,7 +40,7 @@ def plan_motion(
     if wobble is None:
         return None
     collection = geometry.collection
-    n = NODES_PER_INTERVAL * wobble.n_interval + 1
+    n = TIMES_PER_INTERVAL * wobble.n_interval + 1
     time = np.linspace(collection.time[0], collection.time[-1], n)
     nodes = chebyshev.chebpts1(RANGE_NODES)
     ranges = (near + far) / 2 + (far - near) / 2 * nodes

@@ -180,25 +180,23 @@ def find_division(plan: Callable[[int, bool], P], *, workers: int) -> P:
     while numbers[-1] < MAX_BLOCKS:
         numbers.append(min(math.ceil(GROWTH * numbers[-1]), MAX_BLOCKS))
     first = plan(numbers[0], True)
-    if first.refusal is not None:
-        if find_folding(first.blocks) is not None:  # more blocks share their Doppler as well
-            return plan(numbers[0], False)
-        if finest_is_refused(plan):
+    if first.refusal is not None and find_folding(first.blocks) is not None:  # more blocks share their Doppler as well
+        return plan(numbers[0], False)
+    if excess_of(first) > 1.0 and (finest := _probe_finest(plan)) is not None:
+        if first.refusal is not None and finest.refusal is not None:
             return first  # which has the reason, and nothing else is asked of it
-    if excess_of(first) > 1.0:
-        with suppress(OutsideSwath):  # a probe of many blocks may see no point of the grid
-            far = ALIKE < excess_of(plan(MAX_BLOCKS, True)) < math.inf
+        far = ALIKE < excess_of(finest) < math.inf
     if not far and (found := _fewest_blocks(plan, numbers, 1.0)) is not None:
         return found
     closest = min(excess_of(plan(count, True)) for count in (numbers[-1:] if far else numbers))
     return _fewest_blocks(plan, numbers, ALIKE * closest) or plan(MAX_BLOCKS, False)
 
 
-def finest_is_refused(plan: Callable[[int, bool], P]) -> bool:
-    """Whether the most blocks that are tried are refused; not where a grid has no point in any that is looked at."""
+def _probe_finest(plan: Callable[[int, bool], P]) -> P | None:
+    """A probe of the most blocks that are tried; None where a grid has no point in any that is looked at."""
     with suppress(OutsideSwath):
-        return plan(MAX_BLOCKS, True).refusal is not None
-    return False
+        return plan(MAX_BLOCKS, True)
+    return None
 
 
 def excess_of(plan: Planned) -> float:
@@ -293,7 +291,8 @@ def _explain(refused: Plan, planner: DivisionPlanner) -> str:
         return reason
     if refused.searched:
         return f"{reason}, and too much of it in every division that was tried"
-    if finest_is_refused(lambda count, probe: planner.plan(count, 1, probe)):
+    finest = _probe_finest(lambda count, probe: planner.plan(count, 1, probe))
+    if finest is not None and finest.refusal is not None:
         return f"{reason}, and too much of it with {MAX_BLOCKS} blocks"
     return f"{reason}; ask for more --blocks, or for --blocks auto"
 
