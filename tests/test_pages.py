@@ -292,7 +292,8 @@ def test_an_invalid_command_line_fails() -> None:
 
 
 def test_the_second_command_of_the_readme_runs_the_checks() -> None:
-    """`.ci/run` reads the command from the README."""
+    """`.ci/run` reads the command from the README, and runs the slow tests after it."""
+    assert "pytest -m slow" in (ROOT / ".ci" / "run").read_text()
     section = PAGES["README.md"].split("\n## Two commands\n")[1].split("\n## ")[0]
     first, second = (text for _, text in fenced(section, "bash"))
     assert "blocksar demo" in first

@@ -8,20 +8,20 @@ some hundred cells of resolution along a side, from a drone as from a satellite.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from plan_images import focus
 
+import blocksar
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_image
 from blocksar.measurement.coherence import coherence, power_within_reach, referred
-from blocksar.planning.plan import Plan
-from blocksar.planning.planner import plan_collection
+from blocksar.processors.base import ImagePlan
 from blocksar.simulation.scatterers import simulate_pulses
 
 CHIP = 40  # pixels along a side
@@ -34,7 +34,7 @@ WAVES = 1.0, 12.0  # of a track that wobbles, along the collection
 MARGIN = 1.15  # of the ground with full dwell that the grid shows, and some where dwells are cut
 BEYOND = 1.5  # of the grid's side, that clutter fills: the grid lies askew to the track
 EARTH = 6371e3  # m, its radius
-MOST_DRAWS = 30  # for one seed, of which plans refuse some
+MOST_DRAWS = 30  # for one seed
 
 
 class Platform(NamedTuple):
@@ -50,84 +50,90 @@ class Platform(NamedTuple):
     turn: float  # and as a change of the velocity, of the speed
     wobble: float  # wavelengths, the largest of a wave
     aperture: tuple[float, float]  # rad, of a beam that stays
-    quick: bool  # whether `auto` finds few blocks: close by it may try up to a hundred, for minutes
 
 
 PLATFORMS = {
-    "drone": Platform((60, 400), (8, 30), (1.5, 5), (5e9, 35e9), 1.2e9, 0.8, 1.0, 0.08, 0.5, (0.02, 0.12), False),
-    "aircraft": Platform((1e3, 1e4), (70, 250), (1.3, 4), (3e9, 18e9), 500e6, 0.9, 4.0, 0.1, 0.5, (0.01, 0.1), False),
+    "drone": Platform((60, 400), (8, 30), (1.5, 5), (5e9, 35e9), 1.2e9, 0.8, 1.0, 0.08, 0.5, (0.02, 0.12)),
+    "aircraft": Platform((1e3, 1e4), (70, 250), (1.3, 4), (3e9, 18e9), 500e6, 0.9, 4.0, 0.1, 0.5, (0.01, 0.1)),
     "maneuvering": Platform(
-        (8e3, 25e3), (400, 1500), (1.2, 2.5), (8e9, 18e9), 3e8, 0.9, 40.0, 0.15, 0.5, (0.01, 0.06), True
+        (8e3, 25e3), (400, 1500), (1.2, 2.5), (8e9, 18e9), 3e8, 0.9, 40.0, 0.15, 0.5, (0.01, 0.06)
     ),
     "satellite": Platform(
-        (4.5e5, 7.5e5), (7400, 7700), (1.1, 1.7), (1.2e9, 1e10), 3e8, 0.05, 0.02, 1e-3, 0.0, (2e-3, 0.01), True
+        (4.5e5, 7.5e5), (7400, 7700), (1.1, 1.7), (1.2e9, 1e10), 3e8, 0.05, 0.02, 1e-3, 0.0, (2e-3, 0.01)
     ),
 }  # fmt: skip
-MODES = ("stripmap", "yaw scan", "sliding", "unsteered", "tops")  # that chains take
+MODES = ("stripmap", "yaw scan", "sliding", "unsteered", "tops")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drawn:
-    """A collection, the grid to image, clutter (x, y in m, and reflectivity), and the number of blocks."""
+    """A collection, the grid to image, and clutter (x, y in m, and reflectivity)."""
 
     title: str
     collection: Collection
     grid: Grid
     clutter: tuple[FloatArray, FloatArray, ComplexArray]
-    blocks: int | Literal["auto"]
 
 
 class Figures(NamedTuple):
-    """Predicted coherence, and the least measured one of chips at some places, as `quality --reference` judges them.
+    """Predicted coherence, and the least measured one of chips, as `quality --reference` judges them.
 
-    NaN where there is none.
+    NaN where there is no chip: everywhere, and where the collection cuts some dwells.
     """
 
+    processor: str
+    faithful: bool
     predicted: float
-    seams: float
-    centres: float
+    least: float
     ends: float
-    everywhere: float
+    missing: int  # pixels that the exact image has and this one lacks
 
 
-def draw(seed: int) -> tuple[Drawn, Plan, list[str]]:
-    """The collection of a seed with its plan, and why plans refused those that were drawn before it."""
-    rng, refused = np.random.default_rng([1977, seed]), []
-    platform, mode = list(PLATFORMS)[seed % len(PLATFORMS)], MODES[seed // len(PLATFORMS) % len(MODES)]
+def platform_of(seed: int) -> str:
+    """Name the platform of a seed."""
+    return list(PLATFORMS)[seed % len(PLATFORMS)]
+
+
+def draw(seed: int) -> Drawn:
+    """Draw the collection of a seed, of which the grid shows enough ground with full dwell."""
+    rng = np.random.default_rng([1977, seed])
+    platform, mode = platform_of(seed), MODES[seed // len(PLATFORMS) % len(MODES)]
     for _ in range(MOST_DRAWS):
         drawn = _draw(rng, platform, mode)
-        try:
-            plan = plan_collection(drawn.collection, grid=drawn.grid, blocks=drawn.blocks)
-        except InputError as error:
-            refused.append(str(error))
-            continue
-        if plan.refusal is not None:
-            refused.append(plan.refusal)
-        elif plan.geometry.beam.has_full_dwell(*np.meshgrid(drawn.grid.x[::8], drawn.grid.y[::8])).mean() > SHOWN:
-            return drawn, plan, refused
-    raise AssertionError(f"{platform}, {mode}: all of {MOST_DRAWS} draws were refused: {refused}")
+        beam = Geometry(collection=drawn.collection).beam
+        if beam.has_full_dwell(*np.meshgrid(drawn.grid.x[::8], drawn.grid.y[::8])).mean() > SHOWN:
+            return drawn
+    raise AssertionError(f"{platform}, {mode}: none of {MOST_DRAWS} draws shows enough of full dwell")
 
 
-def judge(drawn: Drawn, plan: Plan) -> Figures:
-    """What the image of a plan is like beside exact back-projection of the same samples."""
+def judge(drawn: Drawn, folder: Path) -> Figures:
+    """Focus a drawn collection under `auto`, and compare with exact back-projection of the same samples."""
     x, y, sigma = drawn.clutter
-    signal = simulate_pulses(drawn.collection, x, y, sigma, threads=2)
-    exact = form_image(lambda pulses: signal[pulses], plan.geometry, drawn.grid.x, drawn.grid.y, threads=2)
-    return compare(focus(plan, signal), exact, plan)
+    c = drawn.collection
+    signal = simulate_pulses(c, x, y, sigma, threads=2)
+    beam = {"beam_azimuth": c.beam_azimuth, "beam_axis": c.beam_axis, "beam_steering": c.beam_steering}
+    history = blocksar.collection(
+        signal=signal, time=c.time, range_frequency=c.range_frequency, antenna_position=c.antenna_position,
+        reference_range=c.reference_range, carrier_frequency=c.carrier, beam_width=c.beam_width,
+        **{name: values for name, values in beam.items() if values is not None and np.isfinite(values).all()},
+    )  # fmt: skip
+    grid = ((drawn.grid.x0, drawn.grid.x1, drawn.grid.dx), (drawn.grid.y0, drawn.grid.y1, drawn.grid.dy))
+    plan = blocksar.plan(history, grid=grid, workers=1).plan
+    blocksar.focus(history, folder / "run", grid=grid, workers=0, threads=2, progress=False, pyramid=False)
+    image = blocksar.open(folder / "run").image
+    geometry = Geometry(collection=c)
+    exact = form_image(lambda pulses: signal[pulses], geometry, image.x.values, image.y.values, threads=2)
+    return compare(image.values, exact, geometry, image.x.values, image.y.values, plan)
 
 
-def compare(image: ComplexArray, exact: ComplexArray, plan: Plan) -> Figures:
+def compare(
+    image: ComplexArray, exact: ComplexArray, geometry: Geometry, x: FloatArray, y: FloatArray, plan: ImagePlan
+) -> Figures:
     """Chips of an image (n_y, n_x) beside those of the exact one, where targets have full dwell."""
-    x, y = np.meshgrid(plan.grid.x, plan.grid.y)
-    full = plan.geometry.beam.has_full_dwell(x, y)
-    block, share = np.zeros(x.shape, np.intp), np.zeros(x.shape)
-    for one in plan.blocks:
-        turn = one.ground.relative_yaw(x, y) / (one.high - one.low)
-        mine = np.abs(turn) <= 0.5
-        block[mine], share[mine] = one.index + 1, turn[mine]
-    found: dict[str, list[float]] = {name: [] for name in Figures._fields[1:]}
-    for rows in _cuts(x.shape[0]):
-        for columns in _cuts(x.shape[1]):
+    full = geometry.beam.has_full_dwell(*np.meshgrid(x, y))
+    chips, ends = [float("nan")], [float("nan")]
+    for rows in _cuts(y.size):
+        for columns in _cuts(x.size):
             chip = rows, columns
             shown = full[chip] & np.isfinite(exact[chip])
             if shown.mean() < SHOWN:
@@ -136,15 +142,13 @@ def compare(image: ComplexArray, exact: ComplexArray, plan: Plan) -> Figures:
             filled = np.where(np.isfinite(image[chip]), image[chip], 0)
             found_here = coherence(np.where(shown, filled, np.nan), exact[chip])
             reach = power_within_reach(np.abs(exact) ** 2, rows, columns)
-            value = referred(abs(found_here.coherence), reach / found_here.power)
-            found["everywhere"].append(value)
-            if len(np.unique(block[chip][shown])) > 1:
-                found["seams"].append(value)
-            elif share[chip].min() <= 0 <= share[chip].max():
-                found["centres"].append(value)
+            chips.append(referred(abs(found_here.coherence), reach / found_here.power))
             if not full[chip].all():
-                found["ends"].append(value)
-    return Figures(plan.coherence, *(min(values, default=float("nan")) for values in found.values()))
+                ends.append(chips[-1])
+    missing = np.count_nonzero(full & np.isfinite(exact) & ~np.isfinite(image))
+    return Figures(
+        plan.processor, plan.faithful, plan.coherence, np.nanmin(chips), float(np.fmin.reduce(ends)), missing
+    )
 
 
 def _cuts(n: int) -> list[slice]:
@@ -237,7 +241,6 @@ def _draw(rng: np.random.Generator, platform: str, mode: str) -> Drawn:
         collection=collection,
         grid=Grid(place[0] - size / 2, place[0] + size / 2, step, place[1] - size / 2, place[1] + size / 2, step),
         clutter=(x, y, rng.standard_normal(x.size) + 1j * rng.standard_normal(x.size)),
-        blocks="auto" if p.quick and rng.random() < 0.4 else 2 * int(rng.integers(1, 4)),
     )  # fmt: skip
 
 
