@@ -60,6 +60,7 @@ def test_loops_that_python_calls_are_cached() -> None:
     assert {name for name, loop in found.items() if not _is_part(loop) and isinstance(loop._cache, NullCache)} == set()
 
 
+@pytest.mark.slow
 def test_the_second_compilation_finds_all_loops_in_the_cache() -> None:
     """In a process of its own, since this one may have compiled some."""
     first = blocksar.compile().result
@@ -70,6 +71,7 @@ def test_the_second_compilation_finds_all_loops_in_the_cache() -> None:
     assert summary.startswith(f"all {loops} loops are compiled already, in ")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", ["torn index", "torn loop", "a class that is gone"])
 def test_files_of_the_cache_that_cannot_be_read_are_made_anew(
     damage: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -115,6 +117,7 @@ def test_all_loops_are_compiled_ahead() -> None:
     assert {name for name, loop in loops() if not _is_part(loop) and loop not in named} == set()
 
 
+@pytest.mark.slow
 def test_loops_are_loaded_without_all_that_numba_can_compile() -> None:
     """Its import takes longer than a plan; `numba.np.linalg` stands for it."""
     blocksar.compile()
@@ -125,6 +128,7 @@ def test_loops_are_loaded_without_all_that_numba_can_compile() -> None:
     assert int(loaded) > 15 and (compiled, imported) == ("0", "False")
 
 
+@pytest.mark.slow
 def test_two_processes_compile_no_loop_twice(tmp_path: Path) -> None:
     """Both begin with an empty cache: whichever is first, the other loads what it finds or waits for it."""
     names = ["autofocusing.information"]

@@ -211,6 +211,7 @@ def test_imports_and_a_plan_are_light() -> None:
     assert loaded(("import blocksar", HEAVY), ("import blocksar.cli", HEAVY), (plan, numbers)) == [[], [], []]
 
 
+@pytest.mark.slow
 def test_focus_loads_only_what_it_uses(tmp_path: Path) -> None:
     """A run waits for its libraries before it plans, and does without zarr on a store of ours.
 
@@ -269,6 +270,7 @@ def test_docstrings_begin_with_a_verb_or_a_noun() -> None:
     assert not wrong, "\n".join(wrong)
 
 
+@pytest.mark.slow
 def test_tests_use_public_names_and_no_other_tests() -> None:
     wrong = []
     for path in sorted((ROOT / "tests").rglob("*.py")):

@@ -219,6 +219,7 @@ def test_every_page_with_python_has_a_check() -> None:
     assert {page for page, text in PAGES.items() if fenced(text, "python")} == set(CHECKS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", CHECKS)
 def test_python_on_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Run the code blocks in order, in a folder with a run of a small scene."""
@@ -257,6 +258,7 @@ def test_pytest_collects_the_doctests_of_the_package() -> None:
 # Command lines
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", documented().values(), ids=documented().keys())
 def test_a_documented_command_line_parses(command: str) -> None:
     parse(command)

@@ -99,6 +99,7 @@ def test_power_coefficients_through_nodes() -> None:
     np.testing.assert_allclose(found, wanted, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_nothing_that_leads_to_an_image_calls_blas_or_lapack() -> None:
     wrong = []
     for path in sorted(path for room in TO_IMAGES for path in (PACKAGE / room).rglob("*.py")):

@@ -71,6 +71,7 @@ def peak(image: Any, x: float, y: float) -> tuple[int, int]:
     return row - 8 + int(away[0]), column - 8 + int(away[1])
 
 
+@pytest.mark.slow
 def test_height_turns_the_phase_by_the_vertical_wavenumber(passes: Any, tmp_path: Path) -> None:
     heights = {(-20.0, -15.0): 0.0, (15.0, -12.0): 1.5, (-14.0, 16.0): 3.0, (18.0, 17.0): -2.0}
     scene = points(*((x, y, h) for (x, y), h in heights.items()))
@@ -94,6 +95,7 @@ def turned(
     return float(4 * np.pi / wavelength * (b - a))
 
 
+@pytest.mark.slow
 def test_on_terrain_only_height_over_it_turns_the_phase(tmp_path: Path) -> None:
     """On a plane at the hill's foot the points at its top would turn by several rad."""
     axis, hill = np.arange(-64.0, 65.0, 2.0), tmp_path / "hill.zarr"
@@ -117,6 +119,7 @@ def test_on_terrain_only_height_over_it_turns_the_phase(tmp_path: Path) -> None:
         assert abs(expected) < 0.1 if h == 0 else abs(expected) > 0.5
 
 
+@pytest.mark.slow
 def test_mosaics_of_bursts_are_compared_with_the_track_of_each(tmp_path: Path) -> None:
     """A wrong burst's antenna would be off by hundreds of metres; raised targets turn, those on the ground do not."""
     offset = (6.0, 5.0, 15.0)
@@ -154,6 +157,7 @@ def test_mosaics_of_bursts_are_compared_with_the_track_of_each(tmp_path: Path) -
     assert owners == {0, 1}
 
 
+@pytest.mark.slow
 def test_motion_along_the_line_of_sight_turns_the_phase(passes: Any, tmp_path: Path) -> None:
     moved = 0.15 * WAVELENGTH * sight(UP)
     a = passes("still", points((3.0, -2.0, 0.0)))
@@ -165,6 +169,7 @@ def test_motion_along_the_line_of_sight_turns_the_phase(passes: Any, tmp_path: P
     assert phase * report.result["displacement_of_a_radian"] == pytest.approx(0.15 * WAVELENGTH, rel=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("coherence", "offset"), [(0.8, (0.0, 0.0, 0.0)), (0.9, UP), (0.5, (0.0, 0.0, 0.0))])
 def test_coherence_is_that_of_the_clutter(
     passes: Any, tmp_path: Path, coherence: float, offset: tuple[float, float, float]
@@ -199,6 +204,7 @@ def test_what_moved_is_found_and_little_else(passes: Any, tmp_path: Path) -> Non
     assert report.result["changed"] == int((pair.change.values == 1).sum())
 
 
+@pytest.mark.slow
 def test_what_lies_below_the_noise_is_not_called_changed(passes: Any, tmp_path: Path) -> None:
     dark = clutter(1)
     dark = dark._replace(reflectivity=np.where(dark.x > 5, 0.003, 1.0) * dark.reflectivity)
@@ -212,6 +218,7 @@ def test_what_lies_below_the_noise_is_not_called_changed(passes: Any, tmp_path: 
     assert float((light.change == 1).mean()) < 0.01
 
 
+@pytest.mark.slow
 def test_the_store_opens_and_its_pictures_are_there(passes: Any, tmp_path: Path) -> None:
     a, b = passes("clutter", clutter(1)), passes("mixed-0.9-5.0", mixed(0.9), UP)
     out = tmp_path / "pair"
@@ -247,6 +254,7 @@ def test_parts_are_those_of_the_whole(passes: Any) -> None:
     np.testing.assert_allclose(pair.wavenumbers(*part), exact, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_other_grids_are_refused_with_a_command_that_works(passes: Any, tmp_path: Path) -> None:
     a = passes("still", points((3.0, -2.0, 0.0)))
     history = tmp_path / "second.zarr"

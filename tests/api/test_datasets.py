@@ -119,6 +119,7 @@ def test_the_image_is_that_of_the_store(
         np.testing.assert_array_equal(pixels(run), pixels(focused))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("processor", ["backprojection", None])
 def test_pulses_of_zeros_are_missing(processor: str | None, tmp_path: Path) -> None:
     """Under a beam that is not steered, at the ends and inside; amplitudes were those of the pulses that are there."""
@@ -135,6 +136,7 @@ def test_pulses_of_zeros_are_missing(processor: str | None, tmp_path: Path) -> N
     assert all(abs(chip["gain"] - 1) < 0.01 for chip in chips if chip["power"] > 1e-3)
 
 
+@pytest.mark.slow
 def test_a_finished_run_of_the_same_data_is_known_again(dataset: xr.Dataset, tmp_path: Path) -> None:
     focus(dataset, tmp_path / "run", grid=CORNER)
     again = blocksar.collection(**arrays())
@@ -155,6 +157,7 @@ class Interrupting:
             raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on_with_the_samples_that_it_kept(
     dataset: xr.Dataset, focused: Path, tmp_path: Path
 ) -> None:
@@ -168,6 +171,7 @@ def test_an_interrupted_run_goes_on_with_the_samples_that_it_kept(
     np.testing.assert_array_equal(pixels(run), pixels(focused))
 
 
+@pytest.mark.slow
 def test_a_resumed_run_writes_lost_samples_again(dataset: xr.Dataset, focused: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     with pytest.raises(KeyboardInterrupt):
@@ -177,6 +181,7 @@ def test_a_resumed_run_writes_lost_samples_again(dataset: xr.Dataset, focused: P
     np.testing.assert_array_equal(pixels(run), pixels(focused))
 
 
+@pytest.mark.slow
 def test_a_run_that_was_moved_is_compared_with_its_own_samples(dataset: xr.Dataset, tmp_path: Path) -> None:
     focus(dataset, tmp_path / "first", grid=((-35.0, 35.0, 0.5), (-35.0, 35.0, 0.5)))
     (tmp_path / "first").rename(tmp_path / "second")
@@ -218,6 +223,7 @@ def test_channels_in_memory_are_written_and_taken_out(channels: xr.Dataset, tmp_
         assert taken.fingerprint() == own.of_channel(name).fingerprint()
 
 
+@pytest.mark.slow
 def test_channels_in_memory_are_focused(channels: xr.Dataset, tmp_path: Path) -> None:
     focus(channels, tmp_path / "run", grid=CORNER)
     image = pixels(tmp_path / "run")
@@ -246,6 +252,7 @@ def test_wrong_channels_are_refused(channel: Any, words: str, channels: xr.Datas
 # ---------------------------------------------------------------- what a dataset is
 
 
+@pytest.mark.slow
 def test_a_dataset_as_opened_is_its_store(store: Path, tmp_path: Path) -> None:
     report = focus(xr.open_zarr(store), tmp_path / "run", grid=CORNER)
     assert report.result["input"]["path"] == str(store)
@@ -278,6 +285,7 @@ def test_a_changed_dataset_is_not_its_store(change: str, lazy: str, store: Path)
     assert history.fingerprint() != stores.history_in_memory(xr.open_zarr(store)).fingerprint()
 
 
+@pytest.mark.slow
 def test_a_plan_reads_no_samples_and_needs_no_store(dataset: xr.Dataset, store: Path) -> None:
     unreadable = dataset.assign(signal=dataset.signal.chunk().map_blocks(_refuse, template=dataset.signal.chunk()))
     planned, expected = (blocksar.plan(source, grid=GRID).summary for source in (unreadable, store))
@@ -330,6 +338,7 @@ def test_wrong_sources_are_refused_in_one_sentence(case: str, dataset: xr.Datase
 # ---------------------------------------------------------------- where the work is done
 
 
+@pytest.mark.slow
 def test_an_interactive_session_focuses_small_collections_itself(
     dataset: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

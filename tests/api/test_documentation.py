@@ -50,6 +50,7 @@ def test_nothing_is_documented_that_is_not_there(name: str) -> None:
     assert set(entries(function)) <= {p.name for p in parameters(function)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("function", "parameter"), CASES)
 def test_a_parameter_has_type_and_meaning(function: Callable[..., Any], parameter: inspect.Parameter) -> None:
     kind, meaning = entries(function)[parameter.name]

@@ -69,6 +69,7 @@ def test_a_mistake_is_answered_as_the_page_says(mistake: str, tmp_path: Path) ->
     assert mistake == "other settings in the folder of a run" or not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 def test_the_sign_of_the_phase_is_doubted() -> None:
     wrong = blocksar.collection(**changed(signal=np.conj))
     assert blocksar.check(wrong).summary[0].startswith(TABLE["the sign of the phase"].removesuffix(" ..."))
@@ -79,6 +80,7 @@ def test_frequencies_in_megahertz_are_refused() -> None:
         blocksar.collection(**changed(range_frequency=lambda f: f / 1e6))
 
 
+@pytest.mark.slow
 def test_times_in_milliseconds_are_doubted(tmp_path: Path) -> None:
     """All of them: the image would be the same, but not the times of products."""
     slow = changed(time=lambda t: 1e3 * t)
@@ -117,6 +119,7 @@ def test_things_of_the_wrong_kind(call: Callable[[xr.Dataset], Any], message: st
         call(blocksar.collection(**arrays()))
 
 
+@pytest.mark.slow
 def test_a_report_of_a_run_stands_for_its_folder(tmp_path: Path) -> None:
     run = blocksar.focus(blocksar.collection(**arrays()), tmp_path / "run", grid="-45:45:0.5,-45:45:0.5", workers=0)
     assert blocksar.open(run).sizes == {"y": 180, "x": 180}

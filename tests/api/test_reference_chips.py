@@ -32,6 +32,7 @@ def test_segments_on_a_terrain_are_compared_there() -> None:
     assert found.collection.ground_height == 120.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rows", "compared"), [pytest.param(48, 9, marks=pytest.mark.slow), (12, 0)])
 def test_a_small_part_of_what_a_block_owns_is_compared(tmp_path: Path, rows: int, compared: int) -> None:
     """The centre of the block and its seams lie beyond the image: nothing was compared, without a word."""

@@ -117,6 +117,7 @@ def refusal(source: Any, out: Path, **settings: Any) -> str:
     return str(refused.value)
 
 
+@pytest.mark.slow
 def test_what_would_make_a_run_fit_does(store: Path, needs: list[int], free: Any, tmp_path: Path) -> None:
     """At any size of the disk all options that make it fit are named, and no others."""
     run, sizes = tmp_path / "run", {}
@@ -146,6 +147,7 @@ def test_what_would_make_a_run_fit_does(store: Path, needs: list[int], free: Any
     assert blocksar.info(run).result["facts"]["state"].startswith("finished")
 
 
+@pytest.mark.slow
 def test_a_rehearsal_says_the_same(store: Path, needs: list[int], free: Any, tmp_path: Path) -> None:
     free(12 << 20)
     said = refusal(store, tmp_path / "run")
@@ -156,6 +158,7 @@ def test_a_rehearsal_says_the_same(store: Path, needs: list[int], free: Any, tmp
     assert in_python(line).endswith(remedy)
 
 
+@pytest.mark.slow
 def test_a_resumed_run_needs_what_is_not_there(store: Path, needs: list[int], free: Any, tmp_path: Path) -> None:
     run = tmp_path / "run"
     with pytest.raises(KeyboardInterrupt):
@@ -170,6 +173,7 @@ def test_a_resumed_run_needs_what_is_not_there(store: Path, needs: list[int], fr
     assert "nothing to do" in blocksar.focus(store, run, **PARTLY).summary[0]
 
 
+@pytest.mark.slow
 def test_an_earlier_run_stays_until_the_new_input_is_read(
     store: Path, needs: list[int], free: Any, tmp_path: Path
 ) -> None:
@@ -183,6 +187,7 @@ def test_an_earlier_run_stays_until_the_new_input_is_read(
     assert blocksar.info(run).result["facts"]["state"].startswith("finished")
 
 
+@pytest.mark.slow
 def test_all_channels_must_fit(needs: list[int], free: Any, tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(f'channels = ["HH", "HV"]\n{scene(**SCENE)}')
     both = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "ph.zarr")

@@ -75,6 +75,7 @@ class Tags(HTMLParser):
 # ---------------------------------------------------------------- reprs
 
 
+@pytest.mark.slow
 def test_reprs_are_short(plan: PlanReport, run: RunReport, dataset: xr.Dataset) -> None:
     block = plan.result.blocks[0]
     quality = blocksar.quality(run.folder)  # type: ignore[arg-type]
@@ -210,6 +211,7 @@ def test_a_notebook_shows_bars(cell: Cell, dataset: xr.Dataset, tmp_path: Path) 
     assert 5 <= len(cell.shown) < 60
 
 
+@pytest.mark.slow
 def test_a_notebook_is_silent_on_request(cell: Cell, dataset: xr.Dataset, tmp_path: Path) -> None:
     blocksar.focus(dataset, tmp_path / "run", grid=GRID, workers=0, progress=False)
     assert cell.shown == []

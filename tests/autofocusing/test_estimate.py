@@ -58,6 +58,7 @@ def test_what_is_known_of_it(result: Result) -> None:
     assert (result.chips_before.max(axis=(1, 2)) < 0.9).all()
 
 
+@pytest.mark.slow
 def test_the_same_bytes_with_more_threads(signal: np.ndarray, result: Result, monkeypatch: pytest.MonkeyPatch) -> None:
     searches: list[Any] = []
 
@@ -73,6 +74,7 @@ def test_the_same_bytes_with_more_threads(signal: np.ndarray, result: Result, mo
     assert again.figures == result.figures
 
 
+@pytest.mark.slow
 def test_a_regular_matrix_of_equal_points() -> None:
     """All lines hold many points alike: the phase gradient alone is deceived, and no point stands alone."""
     stated = spotlight()
@@ -89,6 +91,7 @@ def test_a_regular_matrix_of_equal_points() -> None:
         assert abs((u * values).sum() / (u * u).sum()) < 4e-3
 
 
+@pytest.mark.slow
 def test_noise_is_refused() -> None:
     stated = spotlight(n_pulse=256)
     signal = noise(stated.n_pulse, stated.n_range_frequency)
@@ -122,6 +125,7 @@ def test_a_collection_too_short() -> None:
         )
 
 
+@pytest.mark.slow
 def test_a_gap_of_the_collection_is_bridged_though_other_pulses_are_missing() -> None:
     """Whole turns of the phase after the gap are not told, and do not matter."""
     stated = spotlight()

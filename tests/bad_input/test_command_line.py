@@ -52,6 +52,7 @@ AXIS = st.lists(st.one_of(st.floats(), st.integers(-(10**20), 10**20)), min_size
 )
 
 
+@pytest.mark.slow
 @settings(MANY, max_examples=20)
 @given(grid=st.one_of(WORDS, st.lists(AXIS, min_size=2, max_size=2).map(",".join)))
 def test_arbitrary_text_as_grid(bench: Bench, grid: str) -> None:
@@ -76,6 +77,7 @@ def test_arbitrary_text_as_memory_limit(bench: Bench, memory: str) -> None:
     )
 
 
+@pytest.mark.slow
 def test_extreme_settings(bench: Bench) -> None:
     """Every command ends within the deadline."""
     words = {

@@ -27,6 +27,8 @@ import blocksar
 from blocksar.errors import InputError, ProcessingError
 from blocksar.graph import stages
 
+pytestmark = pytest.mark.slow
+
 FEW, MANY = 8, 600  # cases by default, and with -m slow
 BYTES = (flipped, grown, overwritten, truncated)
 VALUES = [None, True, -1, 0, 2.5, 1e300, 10**30, "", "../..", "/dev/zero", [], [None], {}, {"a": 1}]

@@ -46,6 +46,7 @@ RECORD_KEYS = [
 ]
 
 
+@pytest.mark.slow
 @settings(MANY, max_examples=20)
 @given(key=st.sampled_from(RECORD_KEYS), value=JSON, wanted=st.sampled_from(["finished", "unfinished"]))
 def test_false_records_of_runs(bench: Bench, key: str, value: Any, wanted: str) -> None:
@@ -108,6 +109,7 @@ MEASURED = [
 MEASURED += [f"image.zarr/{name}" for name in ("zarr.json", "x/zarr.json", "x/c/0", "image/zarr.json", "image/c/0/0")]
 
 
+@pytest.mark.slow
 def test_quality_of_damaged_runs(bench: Bench) -> None:
     """Damaged runs are refused or measured; damaged samples may change the figures, but nothing crashes."""
 
@@ -132,6 +134,7 @@ def test_quality_of_damaged_runs(bench: Bench) -> None:
     bench.all({f"{n} {how}": lambda n=n, d=d: case(n, d) for n in MEASURED for how, d in cases.items()})
 
 
+@pytest.mark.slow
 @settings(MANY, max_examples=25)
 @given(value=st.one_of(JSON, st.lists(st.fixed_dictionaries({"name": JSON, "x": JSON, "y": JSON}), max_size=2)))
 def test_arbitrary_targets(bench: Bench, value: Any) -> None:

@@ -43,6 +43,7 @@ def plan_scene(bench: Bench, content: bytes, kind: str) -> str:
     return outcome
 
 
+@pytest.mark.slow
 @settings(MANY, max_examples=50)
 @given(
     place=st.integers(0, len(SCENE) - 1), removed=st.integers(0, 4), text=st.binary(max_size=6),
@@ -76,6 +77,7 @@ TOML = st.one_of(
 )
 
 
+@pytest.mark.slow
 @settings(MANY, max_examples=50)
 @given(key=st.sampled_from(SCENE_KEYS), value=TOML)
 def test_arbitrary_values_in_scene_files(bench: Bench, key: str, value: str) -> None:

@@ -93,6 +93,7 @@ def tolerance(bench: Bench, store: Path) -> float:
 SLOW = pytest.mark.slow
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "damage", [truncated, flipped, pytest.param(overwritten, marks=SLOW), pytest.param(grown, marks=SLOW)]
 )
@@ -110,6 +111,7 @@ def test_damaged_bytes(damage: Any, bench: Bench) -> None:
     bench.all({f"{name} {i}": lambda name=name, i=i: case(name, i) for name in FILES for i in range(times)})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", REPLACED)
 def test_files_replaced_by_something_else(how: str, bench: Bench) -> None:
     def case(name: str) -> None:
@@ -145,6 +147,7 @@ def lit_samples(bench: Bench) -> Any:
     return np.flatnonzero(samples)
 
 
+@pytest.mark.slow
 def test_one_flipped_bit_of_one_sample(bench: Bench) -> None:
     """Impossible samples count as missing; a changed sample that is still possible changes the image by its share."""
     lit = lit_samples(bench)
@@ -268,6 +271,7 @@ ALTERED: dict[str, tuple[Callable[[xr.Dataset], xr.Dataset], str]] = {
 }
 
 
+@pytest.mark.slow
 def test_altered_arrays(bench: Bench) -> None:
     def case(what: str) -> None:
         change, wanted = ALTERED[what]
@@ -302,6 +306,7 @@ def with_metadata(bench: Bench, name: str, change: Callable[[dict[str, Any]], An
     return store
 
 
+@pytest.mark.slow
 @settings(MANY, max_examples=20)
 @given(name=st.sampled_from(ATTRIBUTES), value=JSON)
 def test_arbitrary_attributes(bench: Bench, name: str, value: Any) -> None:
@@ -310,6 +315,7 @@ def test_arbitrary_attributes(bench: Bench, name: str, value: Any) -> None:
     shutil.rmtree(store)
 
 
+@pytest.mark.slow
 @settings(MANY, max_examples=50)
 @given(variable=st.sampled_from(["", *stores.PHASE_HISTORY]), key=st.sampled_from(KEYS), value=JSON)
 def test_arbitrary_metadata(bench: Bench, variable: str, key: str, value: Any) -> None:
@@ -347,6 +353,7 @@ def nested(depth: int) -> Any:
     return value
 
 
+@pytest.mark.slow
 def test_false_metadata(bench: Bench) -> None:
     def case(what: str) -> None:
         outcome = bench.attempt("lying metadata", with_metadata(bench, *LIES[what]))
@@ -370,6 +377,7 @@ TEXTS = {
 }
 
 
+@pytest.mark.slow
 def test_malformed_or_unusual_metadata_text(bench: Bench) -> None:
     def case(what: str) -> None:
         store = bench.copy()
@@ -391,6 +399,7 @@ def test_a_metadata_file_of_a_terabyte_is_refused(bench: Bench) -> None:
 # Stores of other kinds
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", [2, 3])
 def test_stores_of_other_programs_can_be_focused(version: int, bench: Bench) -> None:
     compressors = [numcodecs.Zlib(1), numcodecs.Blosc(), numcodecs.Zstd(1), numcodecs.BZ2(1), numcodecs.LZMA(preset=0)]
@@ -458,6 +467,7 @@ def arm(variable: Path, fuse: Path, change: dict[str, Any]) -> None:
             chunk.write_bytes(pickle.dumps(Bomb(fuse)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ARMED)
 def test_opening_an_image_unpickles_nothing(how: str, armed: None, bench: Bench) -> None:
     run, fuse = bench.fresh(), bench.fresh()
@@ -504,6 +514,7 @@ PLAIN = [name for name in NAMES if name.isprintable() and len(name) < 100]
 URLS = ["file://x", "memory://x", "simplecache::s3://x", "gs://bucket/x"]
 
 
+@pytest.mark.slow
 def test_unusual_names_of_sources_and_runs(bench: Bench) -> None:
     def case(name: str) -> None:
         folder = bench.fresh()
@@ -523,6 +534,7 @@ def test_a_missing_source_is_refused_in_one_line(command: Any, bench: Bench) -> 
     )
 
 
+@pytest.mark.slow
 def test_relative_names(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """Relative paths as typed: a name that resembles a URL of an unknown scheme is a path."""
 
@@ -576,6 +588,7 @@ def test_impossible_names_of_runs_are_refused(bench: Bench) -> None:
 # Overlapping paths
 
 
+@pytest.mark.slow
 def test_links_to_stores_and_runs_work(bench: Bench) -> None:
     store, run = bench.fresh(".zarr"), bench.fresh()
     store.symlink_to(bench.store)

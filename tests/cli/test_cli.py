@@ -276,6 +276,7 @@ def ended(process: subprocess.Popen[str], status: int) -> None:
     assert stderr.startswith("blocksar: ") and stderr.count("\n") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("again", [True, False])
 def test_a_process_that_hangs_after_a_signal_is_ended(again: bool) -> None:
     with waiting(1e6 if again else 0.2, "hang") as process:
@@ -473,6 +474,7 @@ def test_version_is_printed() -> None:
     assert run("--version").stdout == f"blocksar {blocksar.__version__}\n"
 
 
+@pytest.mark.slow
 def test_help_loads_no_more_packages_than_typer_does() -> None:
     """So that it answers at once."""
 

@@ -25,6 +25,7 @@ def completed(line: str, shell: str = "bash") -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_commands_options_and_values_are_completed() -> None:
     assert completed("blocksar fo").split() == ["focus"]
     assert "--weighting-azimuth" in completed("blocksar focus --weighting-").split()

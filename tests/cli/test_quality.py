@@ -24,6 +24,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return small_run.make(tmp_path_factory.mktemp("quality") / "run").folder
 
 
+@pytest.mark.slow
 def test_the_ten_worst_targets_come_first_and_all_are_at_hand(run: Path) -> None:
     # The scene has four targets; of 13 positions, those that are off have figures that are off.
     targets = [*small_run.TARGETS, *(Target(f"off{k}", 0.3 + 0.05 * k, -0.2) for k in range(1, 10))]
@@ -47,6 +48,7 @@ def test_few_targets_are_all_shown(run: Path) -> None:
     assert header[0] == "target" and [row[0] for row in rows] == ["A", "B", "C", "D"]
 
 
+@pytest.mark.slow
 def test_images_are_compared_but_for_shift_and_ramp(run: Path, tmp_path: Path) -> None:
     other = tmp_path / "other"
     shutil.copytree(run, other)
@@ -123,6 +125,7 @@ def test_targets_of_a_list_a_dict_and_quality_json_are_read(run: Path, tmp_path:
     assert [record["name"] for record in of_scene] == ["P"]
 
 
+@pytest.mark.slow
 def test_targets_of_csv_and_geojson_are_those_of_json(run: Path, tmp_path: Path) -> None:
     names, places = [t.name for t in small_run.TARGETS], [(t.x, t.y) for t in small_run.TARGETS]
     lines = [f"{name};{x};{y};1+0j" for name, (x, y) in zip(names, places, strict=True)]
@@ -153,6 +156,7 @@ def test_geojson_needs_a_georeference(tmp_path: Path) -> None:
 # ---------------------------------------------------------------- what nobody named
 
 
+@pytest.mark.slow
 def test_targets_are_found_without_being_named(tmp_path: Path) -> None:
     """Under a taper, so that the targets' own side lobes are no neighbours of others."""
     folder = small_run.make(tmp_path / "run", weighting="taylor:4:-35", hole=False, size=(220, 200)).folder
@@ -180,6 +184,7 @@ def test_points_at_the_edge_of_a_narrow_image_are_found(tmp_path: Path) -> None:
     assert all(np.isfinite(point["power"]) for point in found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("options", "sentence"), [
     ({"found": -1}, "found = -1: ask for 1 to 1000 points"),
     ({"area": "-29.9:-28,-25.9:-24"}, "the image covers 0 pixels there"),

@@ -128,6 +128,7 @@ def test_the_beam_s_centre_is_in_the_middle_of_the_beam() -> None:
         assert np.abs(off).max() < 0.1 * (collection.beam_width or 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turns", [0.7, 1.0, 3.5])
 def test_a_beam_may_pass_points_several_times(turns: float) -> None:
     """All their lit pulses are in the passes, the longest pass is the interval, and none of them has its full dwell."""
@@ -180,6 +181,7 @@ def test_the_pattern_is_that_of_the_double_loop() -> None:
         assert np.ptp(found) > 0.1
 
 
+@pytest.mark.slow
 def test_the_region_is_what_the_beam_lights() -> None:
     for mode in MODES:
         collection = axis_collection(mode)

@@ -53,6 +53,7 @@ def steered(mode: str, small: Collection) -> tuple[Collection, ComplexArray]:
     return collection, signal_of(collection, [9000.0, 9030.0], [ahead, ahead + 8])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", [*MODES, "yaw"])
 def test_a_steered_beam_may_light_nothing(mode: str, small_collection: Collection) -> None:
     collection, signal = steered(mode, small_collection)
@@ -110,6 +111,7 @@ def test_noise_comes_with_every_pulse(mode: str, small_collection: Collection) -
     assert np.array_equal(missing, lost)
 
 
+@pytest.mark.slow
 def test_every_other_pulse_is_missing_where_a_target_is_lit() -> None:
     signal = signal_of(STRIP, [917.0], [0.0])
     lost, missing = judged(STRIP, signal, list(range(0, STRIP.n_pulse, 2)))

@@ -70,6 +70,7 @@ def test_two_equal_targets_are_none_of_them() -> None:
     blocksar.collection(**near_range(targets=[(0.5, 0.2, 0.0), (-0.5, -0.2, 0.0)]))
 
 
+@pytest.mark.slow
 @pytest.mark.checked
 @pytest.mark.parametrize("processor", ["angular-division", "backprojection"])
 def test_a_store_with_real_samples_is_neither_checked_nor_focused(processor: Any, tmp_path: Path) -> None:

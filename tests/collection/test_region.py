@@ -52,6 +52,7 @@ def test_pixels_on_one_ray_have_a_region(small_collection: Collection, n: int) -
     assert region.yaw[0] < np.pi / 2 - 0.5 / 8e3 and np.pi / 2 + 0.5 / 8e3 < region.yaw[-1] < np.pi / 2 + 2 / 8e3
 
 
+@pytest.mark.slow
 def test_pixels_whose_ranges_leave_the_window_are_counted(small_collection: Collection) -> None:
     """Against the ranges of every pixel to every tenth antenna position."""
     collection, grid = passing(small_collection), Grid(6.8e3, 7.4e3, 5.0, 7.9e3, 8.4e3, 5.0)
@@ -94,6 +95,7 @@ def test_the_region_of_steep_incidence_ends_at_the_line_of_flight() -> None:
     assert default_grid(geometry, region).x0 > 0
 
 
+@pytest.mark.slow
 def test_a_spectrum_folds_where_two_of_its_images_overlap() -> None:
     """Against points of the plane: some lie in two parallelograms of the lattice, or none does."""
     rng = np.random.default_rng(0)

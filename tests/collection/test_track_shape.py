@@ -127,6 +127,7 @@ def test_back_projection_forms_what_chains_refuse(tmp_path: Path) -> None:
     assert amplitudes(tmp_path / "exact") == pytest.approx([1.0] * len(TARGETS), abs=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inside", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_standing_pulses_left_out_as_the_note_says(inside: bool, tmp_path: Path) -> None:
     n = 360

@@ -38,6 +38,7 @@ def test_every_taper_is_its_series_of_cosines(text: str) -> None:
     assert Taper.parse(taper.text) == taper
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", TAPERS)
 def test_ideal_figures_are_those_of_the_response(text: str) -> None:
     """The response by adaptive quadrature, at a few places; its figures by reading a finely sampled one."""

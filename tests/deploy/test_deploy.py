@@ -205,6 +205,7 @@ def accepts(*command: str | Path) -> None:
 # ---------------------------------------------------------------- schemas and linters
 
 
+@pytest.mark.slow
 def test_the_compose_file_matches_its_specification() -> None:
     schemas = pytest.importorskip("check_jsonschema.builtin_schemas")
     import jsonschema
@@ -384,6 +385,7 @@ def test_cron_sends_mail_only_when_attention_is_needed(status: int, tmp_path: Pa
         assert done.stdout.startswith("said\nalso\n\n") and f"exit status {status}: " in done.stdout
 
 
+@pytest.mark.slow
 def test_the_deployed_command_runs_on_an_empty_inbox(workflow: Any, tmp_path: Path) -> None:
     """The command of cron exits with status 0 and records it in status.json, with no other files of workflows/."""
     quoted = shlex.quote(sys.executable)
@@ -645,6 +647,7 @@ def focus_on_slurm(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, env=environment, cwd=cwd, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 def test_the_job_script_of_a_worker(tmp_path: Path) -> None:
     pytest.importorskip("dask_jobqueue")
     words = (
@@ -679,6 +682,7 @@ def test_the_job_script_of_a_worker(tmp_path: Path) -> None:
     accepts(tool("shellcheck"), "--severity=error", tmp_path / "job.sh")
 
 
+@pytest.mark.slow
 def test_wrong_input_is_reported_before_any_job_is_submitted(tmp_path: Path) -> None:
     pytest.importorskip("dask_jobqueue")
     done = focus_on_slurm("nowhere.zarr", "--out", "run", cwd=tmp_path)

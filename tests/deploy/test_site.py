@@ -67,6 +67,7 @@ def pages(site: Path) -> dict[Path, Links]:
     return {path: Links(path.read_text(encoding="utf-8")) for path in site.rglob("*.html")}
 
 
+@pytest.mark.slow
 def test_the_site_contains_every_page(site: Path) -> None:
     """Every README.md and notebook of the repository, and what has no place beside code, all in the order of pages."""
     folders = ("blocksar", "deploy", "tests", "workflows")
@@ -79,11 +80,13 @@ def test_the_site_contains_every_page(site: Path) -> None:
     assert all((site / name).is_file() for name in [*expected, "index.html"])
 
 
+@pytest.mark.slow
 def test_the_site_loads_nothing_from_the_network(site: Path) -> None:
     for links in pages(site).values():
         assert not [target for target in links.loaded if re.match(r"(https?:)?//", target)]
 
 
+@pytest.mark.slow
 def test_what_is_wrong_fails_the_build(tmp_path: Path) -> None:
     text = "Sum.\n\n    Parameters\n    ----------\n    lost : int\n        Not there.\n    "
     (tmp_path / "wrong.py").write_text(f'def function():\n    """{text}"""\n')

@@ -18,6 +18,8 @@ import blocksar
 from blocksar import stores
 from blocksar.collection.georeference import Georeference
 
+pytestmark = pytest.mark.slow
+
 SPEED_OF_LIGHT = 299792458.0
 GRID = ((-20500.0, 20500.0, 10.0), (-160.0, 160.0, 10.0))  # x along range, y along the track
 PADDED, FINE, OVERSAMPLED = 4096, 16, 8  # samples of a transform; times finer profiles, and samples of the replica

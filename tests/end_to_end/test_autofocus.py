@@ -49,6 +49,7 @@ def files(store: Path) -> dict[str, bytes]:
     return {**found, "zarr.json": json.dumps(group).encode()}
 
 
+@pytest.mark.slow
 def test_the_track_is_corrected_and_nothing_else_changes(corrected: Corrected) -> None:
     source, store, report, _ = corrected
     assert wrong_tracks.residual_phase(source, source) > 5
@@ -98,6 +99,7 @@ def test_the_same_command_again_does_nothing_and_another_is_refused(corrected: C
     assert not [path.name for path in store.parent.iterdir() if path.name.endswith(".autofocus")]
 
 
+@pytest.mark.slow
 def test_an_interrupted_command_goes_on_to_the_same_bytes(
     corrected: Corrected, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -157,6 +159,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", [*REFUSED, pytest.param("noise alone", marks=pytest.mark.slow)])
 def test_samples_that_do_not_tell_are_refused_and_nothing_is_left(case: str, tmp_path: Path) -> None:
     source = wrong_tracks.make(tmp_path, REFUSED.get(case, "[noise]\npower = 1.0\nseed = 4\n"))
@@ -170,6 +173,7 @@ def test_samples_that_do_not_tell_are_refused_and_nothing_is_left(case: str, tmp
     assert sorted(path.name for path in tmp_path.iterdir()) == before
 
 
+@pytest.mark.slow
 def test_focus_with_autofocus_is_the_two_in_one(
     corrected: Corrected, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

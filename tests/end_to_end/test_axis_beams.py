@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from axis_beams import axis_scene
 
 import blocksar
@@ -36,6 +37,7 @@ def scene(folder: Path, mode: str) -> Path:
 
 
 # planning/test_axis_beams.py compares the sums of spotlights with back-projection.
+@pytest.mark.slow
 def test_a_run_is_sharp_and_coherent_with_back_projection(tmp_path: Path) -> None:
     store = blocksar.simulate(scene(tmp_path, "tops"), tmp_path / "phase_history.zarr")
     report = blocksar.focus(store, tmp_path / "run", grid=GRID, workers=0)

@@ -16,6 +16,8 @@ from blocksar.constants import MIB
 from blocksar.focusing.backprojection import form_chips
 from blocksar.measurement.coherence import coherence
 
+pytestmark = pytest.mark.slow
+
 DX, DY = 2.0, 6.0  # m
 LIMIT = 1536 * MIB  # bytes, of a worker
 

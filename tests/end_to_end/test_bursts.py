@@ -99,6 +99,7 @@ def test_it_is_the_back_projection_of_all_pulses(run: Path, bursts: list[Path]) 
     assert alone >= 3
 
 
+@pytest.mark.slow
 def test_a_collection_is_focused_as_by_itself(run: Path, bursts: list[Path], tmp_path: Path) -> None:
     blocksar.focus(bursts[1], tmp_path / "alone", **SETTINGS, workers=0)
     together, alone = blocksar.open(run), blocksar.open(tmp_path / "alone")
@@ -109,6 +110,7 @@ def test_a_collection_is_focused_as_by_itself(run: Path, bursts: list[Path], tmp
     np.testing.assert_array_equal(together.image.values[owned], alone.image.values[owned])
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_resumes_to_the_same_bytes(
     run: Path, bursts: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -141,6 +143,7 @@ def test_a_change_of_any_collection_is_noticed(run: Path, bursts: list[Path], tm
         blocksar.focus(bursts[:2], run, **SETTINGS, workers=0)
 
 
+@pytest.mark.slow
 def test_products_know_the_collections(run: Path, bursts: list[Path], tmp_path: Path) -> None:
     two = [Target(f"P{i}", *TARGETS[i]) for i in (3, 4)]
     result = blocksar.quality(run, reference=True, targets=two).result
@@ -174,6 +177,7 @@ def test_a_refusal_says_which_collection_it_is_about(bursts: list[Path]) -> None
         plan_segments(refuse, collections[:1], grid=Grid(*GRID[0], *GRID[1]))
 
 
+@pytest.mark.slow
 def test_several_collections_are_planned(bursts: list[Path]) -> None:
     report = blocksar.plan(bursts, **SETTINGS)
     assert len(report.result) == 3 and [row[0] for row in report.tables[0][1]] == ["0", "1", "2"]
@@ -203,6 +207,7 @@ def test_collections_of_several_frames_are_refused(bursts: list[Path], tmp_path:
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 def test_a_collection_outside_the_grid_is_left_out(bursts: list[Path], tmp_path: Path) -> None:
     x, y = TARGETS[0]
     grid = ((x - 60, x + 60, DX), (y - 40, y + 40, DY))

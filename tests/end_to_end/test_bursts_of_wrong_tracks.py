@@ -17,6 +17,8 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.simulation.scene import Scene
 
+pytestmark = pytest.mark.slow
+
 RANDOM = np.random.default_rng(3)
 TARGETS = [
     ground(SLANT + r, CENTRE + STEP * y)

@@ -74,6 +74,7 @@ def test_each_channel_is_as_it_would_be_alone(store: Path, run: Path, tmp_path: 
         images.sar.cut(0.0, 0.0)
 
 
+@pytest.mark.slow
 def test_the_image_of_all_has_the_pyramids_of_each(store: Path, run: Path, tmp_path: Path) -> None:
     x, y = (float(blocksar.open(run)[axis].mean()) for axis in "xy")
     grid = ((x - 135, x + 135, 0.5), (y - 5, y + 5, 0.5))  # 540 pixels: one level
@@ -114,6 +115,7 @@ def test_a_channel_without_samples_is_named_and_costs_no_run(
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.slow
 def test_every_channel_is_measured_shown_and_exported(run: Path, tmp_path: Path) -> None:
     seen = {}
     for name in ("HH", "HV"):
@@ -136,6 +138,7 @@ def test_every_channel_is_measured_shown_and_exported(run: Path, tmp_path: Path)
     assert f"--out {run} " in first.replace("\n", " ")  # the command that repeats the whole
 
 
+@pytest.mark.slow
 def test_a_run_that_fails_as_channels_are_joined_goes_on_to_the_same_bytes(
     store: Path, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -168,6 +171,7 @@ def test_a_run_that_fails_as_channels_are_joined_goes_on_to_the_same_bytes(
     assert record.stat().st_mtime_ns == before
 
 
+@pytest.mark.slow
 def test_other_runs_are_not_replaced_unasked(store: Path, run: Path, tmp_path: Path) -> None:
     with pytest.raises(FolderError, match="holds a run with blocks 1"):
         blocksar.focus(store, run, **{**SETTINGS, "blocks": 2})
@@ -181,6 +185,7 @@ def test_other_runs_are_not_replaced_unasked(store: Path, run: Path, tmp_path: P
     assert "2 channels (HH, HV)" in rehearsed.summary[0] and not (tmp_path / "other").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrong", [{"memory_limit": "20MiB"}, {"grid": "0:10:1,0:10:1"}])
 def test_wrong_input_replaces_no_earlier_run_and_leaves_no_files(
     wrong: dict[str, Any], store: Path, run: Path, tmp_path: Path
@@ -201,6 +206,7 @@ def test_wrong_input_replaces_no_earlier_run_and_leaves_no_files(
         shutil.rmtree(tmp_path / "run")
 
 
+@pytest.mark.slow
 def test_leftovers_of_a_killed_run_refuse_no_run_and_foreign_files_do(store: Path, tmp_path: Path) -> None:
     """As for a run of one image."""
     folder = tmp_path / "run"

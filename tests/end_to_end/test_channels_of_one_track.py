@@ -60,6 +60,7 @@ def run(store: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_channel_that_tells_most_mends_the_track_of_all(store: Path, run: Path, tmp_path: Path) -> None:
     images = blocksar.open(run)
     assert images.channel.values.tolist() == ["HH", "HV"]
@@ -84,6 +85,7 @@ def test_the_channel_that_tells_most_mends_the_track_of_all(store: Path, run: Pa
         blocksar.autofocus(alone, tmp_path / "refused.zarr", grid=GRID, workers=0)
 
 
+@pytest.mark.slow
 def test_a_change_of_one_channel_is_a_change_of_the_track_of_all(store: Path, run: Path, tmp_path: Path) -> None:
     """Also of those that were finished before."""
     aside, folder = tmp_path / "ph.zarr", tmp_path / "run"
@@ -101,6 +103,7 @@ def test_a_change_of_one_channel_is_a_change_of_the_track_of_all(store: Path, ru
         aside.rename(store)
 
 
+@pytest.mark.slow
 def test_samples_that_do_not_tell_leave_an_earlier_run_as_it_was(run: Path, tmp_path: Path) -> None:
     noise = wrong_tracks.make(tmp_path, scene().replace("1.0, 0.0", "0.0, 0.0").replace("0.7", "0.001"), top=CHANNELS)
     shutil.copytree(run, tmp_path / "run")

@@ -158,6 +158,7 @@ def nobody() -> Iterator[Client]:
         yield connected
 
 
+@pytest.mark.slow
 def test_a_run_waits_for_its_first_worker_and_when_its_last_one_goes(
     store: Path, image: dict[str, str], nobody: Client, tmp_path: Path
 ) -> None:
@@ -194,6 +195,7 @@ def test_a_time_to_wait_that_is_none_is_refused(wrong: Any, store: Path, tmp_pat
 # ---------------------------------------------------------------- two machines
 
 
+@pytest.mark.slow
 def test_two_machines_compute_the_same_bytes(store: Path, image: dict[str, str], tmp_path: Path) -> None:
     """Scheduler and main process on one, workers on the other; input and run lie in a shared folder."""
     address = "tcp://10.77.0.1:8786"
@@ -260,6 +262,7 @@ def test_tls_is_configured_through_dask(
 # ---------------------------------------------------------------- local cluster
 
 
+@pytest.mark.slow
 def test_a_local_cluster_listens_on_loopback_only_and_leaves_no_files(
     store: Path, image: dict[str, str], tmp_path: Path
 ) -> None:
@@ -352,6 +355,7 @@ def test_the_search_detects_unsafe_code(text: str) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_temporary_folder_with_a_long_name_serves(tmp_path: Path) -> None:
     """Workers are forked by a process with a socket, whose path may have 107 characters."""
     folder = tmp_path / ("x" * 100)

@@ -355,6 +355,7 @@ def test_a_hung_worker_is_replaced(
 # ---------------------------------------------------------------- signals
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "status", "word"),
     [(signal.SIGINT, 130, "interrupted"), pytest.param(signal.SIGTERM, 143, "terminated", marks=pytest.mark.slow)],
@@ -389,6 +390,7 @@ def test_a_signal_stops_a_run_cleanly(
 # ---------------------------------------------------------------- concurrent runs
 
 
+@pytest.mark.slow
 def test_a_second_writer_is_refused(launcher: Launcher, store: Path, undisturbed: Undisturbed, tmp_path: Path) -> None:
     typed = words(store, tmp_path / "run", *ALONE)
     first = launcher.start("blocksar", *typed)
@@ -480,6 +482,7 @@ DAMAGES: dict[str, list[Damage]] = {  # of one run
 SLOW = ("parts of the image", "all of the spectrum", "all of the rest")  # damage of the same kinds
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "damage", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in DAMAGES]
 )

@@ -52,6 +52,7 @@ def misplaced(run: Any) -> float:
     return worst
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("processor", ["backprojection", "high-order-phase"])
 def test_targets_lie_at_their_places_only_at_their_height(store: Path, tmp_path: Path, processor: Any) -> None:
     assert misplaced(blocksar.focus(store, tmp_path / "a", grid=GRID, processor=processor, workers=0).folder) == 4.0
@@ -64,6 +65,7 @@ def test_targets_lie_at_their_places_only_at_their_height(store: Path, tmp_path:
     assert stores.read_collection(run / "collection.zarr")[0].ground_height == HEIGHT
 
 
+@pytest.mark.slow
 def test_the_stored_height_is_the_default(store: Path, tmp_path: Path) -> None:
     """The same as an attribute, and of a dataset in memory."""
     dataset = blocksar.open(store).load()
@@ -78,6 +80,7 @@ def test_the_stored_height_is_the_default(store: Path, tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_plan_and_check_take_it(store: Path) -> None:
     plans = [blocksar.plan(store, grid=GRID, ground_height=height).plan for height in (None, 0.0, HEIGHT)]
     heights = [plan.pieces[0].geometry.collection.ground_height for plan in plans]

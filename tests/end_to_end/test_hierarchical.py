@@ -62,6 +62,7 @@ def hills(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_store(folder, swath=[29500.0, 30500.0], more=SCENE)
 
 
+@pytest.mark.slow
 def test_an_image_on_a_terrain_has_its_layers_and_its_noise(hills: Path, tmp_path: Path) -> None:
     ground = Scene.read(str(hills.parent / "scene.toml")).terrain
     assert ground is not None
@@ -81,6 +82,7 @@ def test_an_image_on_a_terrain_has_its_layers_and_its_noise(hills: Path, tmp_pat
     assert "Predicted coherence with exact back-projection of the same samples: at least 0.99999" in page
 
 
+@pytest.mark.slow
 def test_of_several_collections_each_pixel_is_that_of_the_one_which_saw_it_best(tmp_path: Path) -> None:
     targets = [ground(SLANT, CENTRE + STEP * turn) for turn in (-0.9, -0.5, 0.0, 0.4, 0.8)]
     x, y = ([round(each[k]) for each in targets] for k in (0, 1))
@@ -121,6 +123,7 @@ class Begun(Listener):
             raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 def test_another_process_goes_on_with_what_auto_has_chosen(hills: Path, tmp_path: Path) -> None:
     """It has not loaded the processor, of whose types the plan in the folder is made."""
     run = tmp_path / "run"

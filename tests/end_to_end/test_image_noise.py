@@ -11,6 +11,8 @@ from axis_beams import axis_scene
 
 import blocksar
 
+pytestmark = pytest.mark.slow
+
 NOISE = "\n[noise]\npower = 0.5\nseed = 5\n[dropped]\npulses = [700, 701, 702]\n"
 PARTS = 8  # of the pixels, from the longest dwells to the shortest
 AXIS: dict[str, Any] = {"bandwidth": 50e6, "range_sampling": 60e6, "prf": 600, "height": 5000.0, "time": "duration = 2"}

@@ -70,6 +70,7 @@ def side_lobes(run: Path) -> Any:
     return np.array([response["range_pslr"], response["azimuth_pslr"]])
 
 
+@pytest.mark.slow
 def test_images_are_those_without_interference(made: tuple[Path, Any], tmp_path: Path) -> None:
     """Amplitude within 2 %, side lobes within 1 dB, noise within 0.5 dB."""
     without, _ = image_of(made, "scene", tmp_path / "without")
@@ -85,6 +86,7 @@ def test_images_are_those_without_interference(made: tuple[Path, Any], tmp_path:
     assert abs(10 * np.log10(np.mean(np.abs(other) ** 2) / np.mean(np.abs(noise) ** 2))) < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("raw", [False, True])
 def test_a_clean_collection_keeps_every_bit(made: tuple[Path, Any], raw: bool, tmp_path: Path) -> None:
     folder, name = made[0], "scene"
@@ -99,6 +101,7 @@ def test_a_clean_collection_keeps_every_bit(made: tuple[Path, Any], raw: bool, t
     assert f"note: interference ({method}): none stands out, and nothing is cut" in report.summary
 
 
+@pytest.mark.slow
 def test_a_tone_in_a_raw_echo(made: tuple[Path, Any], tmp_path: Path) -> None:
     """Its receive window stays where it is while the reference range moves."""
     folder, _ = made
@@ -117,6 +120,7 @@ def test_a_tone_in_a_raw_echo(made: tuple[Path, Any], tmp_path: Path) -> None:
     assert any("(eigen): 1 line at 150" in line or "(eigen): 1 line at 149" in line for line in report.summary)
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_with_the_same_bits_and_processors_agree(made: tuple[Path, Any], tmp_path: Path) -> None:
     """The samples are cut before any of them."""
 

@@ -66,6 +66,7 @@ def check_sum(store: Path, folder: Path, grid: Any, count: int, **more: Any) -> 
     assert coherence(total / np.maximum(pulses, 1), np.where(pulses > 0, whole.values, np.nan)) > 0.998
 
 
+@pytest.mark.slow
 def test_looks_of_a_steered_beam_sum_up_to_the_image(tmp_path: Path) -> None:
     where = "range = [29950.0, 30050.0]\nyaw_deg = [49.9, 50.1]\n"
     store = write_store(tmp_path, swath=[29_800.0, 30_200.0], more=CLUTTER + where)
@@ -97,10 +98,12 @@ def strip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return Path(blocksar.simulate(folder / "scene.toml", folder / "phase_history.zarr"))
 
 
+@pytest.mark.slow
 def test_looks_of_a_beam_about_its_axis_sum_up_to_the_image(strip: Path, tmp_path: Path) -> None:
     check_sum(strip, tmp_path, ((8980.0, 9020.0, 1.0), (-20.0, 20.0, 0.5)), 2, processor="backprojection")
 
 
+@pytest.mark.slow
 def test_a_plan_of_looks_is_the_one_that_focus_makes(strip: Path, tmp_path: Path) -> None:
     settings: dict[str, Any] = {**SETTINGS, "grid": ((8980.0, 9020.0, 1.0), (-20.0, 20.0, 0.5)), "looks": 2}
     settings |= {"processor": "angular-division", "blocks": 1}
@@ -137,6 +140,7 @@ def test_a_plan_of_looks_refuses_what_focus_refuses(strip: Path) -> None:
     assert not (strip.parent / "no").exists()
 
 
+@pytest.mark.slow
 def test_a_beam_that_stays_on_its_ground_has_no_looks(tmp_path: Path) -> None:
     """Parts of its width see parts of the ground: without the beam, looks are parts of the pulses."""
     (tmp_path / "scene.toml").write_text(axis_scene('mode = "spotlight"\nwidth_deg = 0.8\n', more=TARGET))
@@ -155,6 +159,7 @@ def test_a_beam_that_stays_on_its_ground_has_no_looks(tmp_path: Path) -> None:
     assert len(still_looks.result) == 3
 
 
+@pytest.mark.slow
 def test_looks_of_an_unsteered_collection_are_parts_of_its_pulses(tmp_path: Path) -> None:
     time = (np.arange(400) - 200) / 200.0
     track = np.stack([-6000 + 0 * time, 150 * time, 4000 + 0 * time], axis=1)

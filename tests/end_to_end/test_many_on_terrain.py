@@ -13,6 +13,8 @@ from blocksar import stores
 from blocksar.places import place
 from blocksar.simulation.scene import Scene
 
+pytestmark = pytest.mark.slow
+
 STEP_M = 2.0  # of grids, m
 ALL_HERE = {"blocks": 1, "workers": 0}
 

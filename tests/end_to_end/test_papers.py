@@ -14,6 +14,8 @@ from scenes import PAPERS
 import blocksar
 from blocksar.simulation.scene import Scene
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:

@@ -96,6 +96,7 @@ def test_targets_with_parts_of_pulses_have_place_amplitude_and_phase(rate: float
         assert abs(offsets[k] + 0.125 * (a - c) / (a - 2 * b + c)) < 0.05 / target.part * 3.1
 
 
+@pytest.mark.slow
 def test_a_chain_images_the_whole_swath(run: Path, dataset: xr.Dataset) -> None:
     image = blocksar.open(run)
     history = stores.history_of(dataset).with_partial_pulses()
@@ -111,6 +112,7 @@ def test_a_chain_images_the_whole_swath(run: Path, dataset: xr.Dataset) -> None:
     assert covered[parts > 0.105].all() and not covered[parts < 0.095].any()
 
 
+@pytest.mark.slow
 def test_a_run_says_what_is_divided_and_measures_it(run: Path, store: Path) -> None:
     notes = run.with_name("notes.txt").read_text()
     assert "of the grid's lit pixels have parts of pulses, " in notes and "--whole-pulses leaves them NaN" in notes
@@ -124,6 +126,7 @@ def test_a_run_says_what_is_divided_and_measures_it(run: Path, store: Path) -> N
     assert facts["whole pulses"].startswith(f"from {length:.5g} m of slant range")
 
 
+@pytest.mark.slow
 def test_whole_pulses_only_on_demand(store: Path, tmp_path: Path) -> None:
     report = blocksar.focus(store, tmp_path / "run", grid=GRID, whole_pulses=True, workers=0, progress=False)
     assert "parts of pulses" not in "\n".join(report.summary)
@@ -138,6 +141,7 @@ def test_whole_pulses_only_on_demand(store: Path, tmp_path: Path) -> None:
     assert abs(at(image, TARGETS[0]) - 1) < 0.002
 
 
+@pytest.mark.slow
 def test_ground_with_whole_pulses_needs_no_longer_transform(store: Path) -> None:
     inside = blocksar.plan(store, grid=((-100.0, 100.0, STEP), (-40.0, 40.0, STEP)))
     beyond = blocksar.plan(store, grid=GRID)
@@ -148,6 +152,7 @@ def test_ground_with_whole_pulses_needs_no_longer_transform(store: Path) -> None
     assert padded <= n < 1.1 * padded  # a length that is fast to transform
 
 
+@pytest.mark.slow
 def test_noise_of_ground_with_parts_of_pulses_is_as_said() -> None:
     rng = np.random.default_rng(7)
     shape = raw_strips.N_PULSE, raw_strips.N_TIME
@@ -175,6 +180,7 @@ def test_a_preview_shows_them_as_bright(store: Path) -> None:
     assert 10 * np.log10(max(peaks) / min(peaks)) < 2  # looks of a few pulses each
 
 
+@pytest.mark.slow
 def test_delays_may_count_from_the_start_of_the_pulse(tmp_path: Path) -> None:
     centre = blocksar.collection(**strip())
     start = blocksar.collection(**strip(fast_time=FAST_TIME + PULSE / 2, pulse_reference="start"))

@@ -19,6 +19,8 @@ import blocksar
 from blocksar.focusing.method import Chain
 from blocksar.planning.plan import Plan
 
+pytestmark = pytest.mark.slow
+
 
 class Ground(NamedTuple):
     """A geometry: an empty scene, the grid of its image, and the pixel spacing in m for images of clutter."""

@@ -106,6 +106,7 @@ class Heard(Listener):
         self.totals[stage] = total
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("processor", "more", "stages"),
     [
@@ -136,6 +137,7 @@ def test_without_bokeh_there_is_no_dashboard_or_performance_report(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 @needs_bokeh
 def test_the_dashboard_is_made_when_somebody_looks_at_it(client: Client) -> None:
     address = recording.dashboard(client)

@@ -62,6 +62,7 @@ def test_levels_are_means_of_the_covered_power(run: Path) -> None:
         assert float(stored.x[0]) == pytest.approx(own)
 
 
+@pytest.mark.slow
 def test_the_image_opens_as_without_a_pyramid(run: Path, history: Any, tmp_path: Path) -> None:
     plain = focus(history, tmp_path / "plain", grid=GRID)
     assert not (plain / "image.zarr" / "pyramid").exists()
@@ -123,6 +124,7 @@ def test_levels_open_in_gdal(run: Path) -> None:
             assert np.isnan(file.nodata)
 
 
+@pytest.mark.slow
 def test_an_interrupted_pyramid_is_resumed_to_the_same_bytes(
     run: Path, history: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

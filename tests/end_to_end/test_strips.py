@@ -67,6 +67,7 @@ def against_back_projection(run: Path, store: Path, rows: slice) -> tuple[float,
     return abs(coherence(found, exact).coherence), float(np.ptp([part.phase for part in parts]))
 
 
+@pytest.mark.slow
 def test_segments_of_a_resumed_run_have_no_seam(
     store: Path, cut: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -40,6 +40,7 @@ def inside_strip(run: Path, table1: Path) -> dict[str, Any]:
     return found | {"targets": [t for t in found["targets"] if low + MARGIN <= t["y"] <= high - MARGIN]}
 
 
+@pytest.mark.slow
 def test_every_full_dwell_target_meets_the_quality_bar(run: Path, table1: Path) -> None:
     check_targets(inside_strip(run, table1), 8)
 
@@ -54,6 +55,7 @@ def test_a_run_takes_the_room_that_was_planned(run: Path, table1: Path) -> None:
     assert sum(path.stat().st_size for path in merged) == pytest.approx(predicted["image"], rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_demonstration_takes_600_megabytes_at_most(table1: Path) -> None:
     """While it runs: phase history, spectrum and patches, before the spectrum is removed and chunks are merged."""
     room = run_bytes(planned(table1, blocks=demonstration.BLOCKS, grid=demonstration.GRID))
@@ -77,6 +79,7 @@ def test_a_low_memory_limit_divides_blocks_in_range_and_is_kept(table1: Path, tm
     assert "nothing to do" in resumed.summary[0]
 
 
+@pytest.mark.slow
 def test_memory_of_back_projection_is_predicted_and_kept(table1: Path, tmp_path: Path) -> None:
     grid = ((15900.0, 16900.0, 2.0), (19000.0, 20000.0, 2.0))
     settings: dict[str, Any] = {"processor": "backprojection", "grid": grid, "workers": 1, "threads": 2}

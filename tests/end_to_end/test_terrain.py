@@ -96,6 +96,7 @@ def test_back_projection_puts_targets_where_they_stand(store: Path, terrain: Pat
         blocksar.focus(store, run, grid=grid, **settings)
 
 
+@pytest.mark.slow
 def test_a_chain_puts_targets_where_they_stand(store: Path, terrain: Path, tmp_path: Path) -> None:
     run, settings = tmp_path / "run", {"blocks": 2, "grid": grid_about(300.0, 1.0), "workers": 0}
     blocksar.focus(store, run, terrain=terrain, **settings)
@@ -111,6 +112,7 @@ def test_a_chain_puts_targets_where_they_stand(store: Path, terrain: Path, tmp_p
     assert sum(path.stat().st_size for path in files) == pytest.approx(layers, rel=0.03)
 
 
+@pytest.mark.slow
 def test_clutter_on_hills_is_that_of_back_projection(tmp_path: Path) -> None:
     """Slopes up to 30 degrees, at the top of a hill, on its flanks, in a hollow, and on the seam of two blocks."""
     hills = HILLS.replace("width = 700.0", "width = 760.0")

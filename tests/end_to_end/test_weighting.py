@@ -17,6 +17,8 @@ from blocksar.collection.weighting import Taper, Weighting
 from blocksar.errors import FolderError
 from blocksar.focusing.backprojection import form_image
 
+pytestmark = pytest.mark.slow
+
 TAYLOR = Taper.parse("taylor:4:-35")
 SCENES: dict[str, Any] = {
     "steered": (SMALL_SCAN, None),

@@ -22,6 +22,8 @@ from blocksar.kernels.fourier import Axis
 from blocksar.kernels.operations import Operation, Turn
 from blocksar.kernels.phase import Phase
 
+pytestmark = pytest.mark.slow
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TurnAndBack(Step):

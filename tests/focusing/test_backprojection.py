@@ -121,6 +121,7 @@ def test_weighted_back_projection_equals_the_double_loop(name: str, weighting: t
     assert abs(form(c, simulate_pulses(c, tx, ty, np.ones(1)), tx, ty, weighting=w)[0] - 1) < 2e-3
 
 
+@pytest.mark.slow
 def test_the_place_in_the_beam_is_precise_over_every_tile() -> None:
     """Close by, yaw bends within a tile: the tile is divided until a quadratic polynomial holds."""
     c = collection(height=400.0, ground=300.0, n_frequency=128, n_pulse=120, reference="tracked")
@@ -301,6 +302,7 @@ def test_only_lit_pulses_are_read_each_once_and_in_order() -> None:
     np.testing.assert_array_equal(read_pulses, lit)
 
 
+@pytest.mark.slow
 def test_memory_stays_within_the_stated_bound() -> None:
     c = collection(n_frequency=400, n_pulse=1200, reference="tracked")
     signal, geometry = noise(c), Geometry(collection=c)
@@ -334,6 +336,7 @@ def test_the_inner_loop_is_vectorised() -> None:
     assert not re.search(r"sqrtsd", assembly)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("weighting", "patterns"), [("uniform", True), ("taylor:4:-35", False)])
 def test_points_that_are_lit_several_times_equal_the_double_loop(patterns: bool, weighting: str) -> None:
     c = axis_collection(beam_steering=0.03 * np.cos(np.linspace(0, 7 * np.pi, 400)))
@@ -367,6 +370,7 @@ def test_patterns_of_a_beam_that_is_described_by_its_yaw_equal_the_double_loop()
     assert np.abs(image - expected).max() < 1e-3 * np.abs(expected).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mode", "patterns", "weighting"),
     [

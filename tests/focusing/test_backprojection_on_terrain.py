@@ -37,6 +37,7 @@ def noise(collection: Collection) -> ComplexArray:
     return np.random.default_rng(3).standard_normal(shape, dtype=np.float32).view(np.complex64)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weighting", ["uniform", "taylor:4:-35"])
 @pytest.mark.parametrize("near", [False, True])
 def test_pixels_at_their_heights_equal_the_double_loop(
@@ -66,6 +67,7 @@ def test_pixels_at_their_heights_equal_the_double_loop(
     assert error < 5e-4  # the spline's, as on the plane
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("weighting", "patterns"), [("uniform", False), ("taylor:4:-35", True)])
 def test_beams_about_their_axis_light_pixels_at_their_heights(weighting: str, patterns: bool) -> None:
     """Heights of 400 m move the dwells of a beam at 14 degrees by a third of their length."""
@@ -109,6 +111,7 @@ def test_a_level_terrain_is_the_plane_and_unknown_heights_are_not_covered(small_
     np.testing.assert_array_equal(np.isnan(image), np.isnan(plane) | ~np.isfinite(holed.on_grid(x, y)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [5, 600])  # direct sums, and the non-uniform transform
 def test_echoes_come_from_the_scatterers_heights(small_collection: Collection, n: int) -> None:
     c, random = small_collection, np.random.default_rng(4)

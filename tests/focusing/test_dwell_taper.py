@@ -13,6 +13,7 @@ from blocksar.kernels.fresnel import smeared_step
 ONE = RowPolynomial(series=np.ones((1, 1)), near=0.0, far=1.0, centre=0.0, scale=1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("taper", ["taylor:4:-35", "hann", "hamming", "kaiser:2.5", "kaiser:6"])
 @pytest.mark.parametrize("slope", [2.65e-5, 2e-3])
 def test_a_tapered_window_is_the_sum_of_the_smeared_steps_of_its_taper(taper: str, slope: float) -> None:

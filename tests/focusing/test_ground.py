@@ -248,6 +248,7 @@ def test_threads_change_no_bit_and_the_block_is_not_modified() -> None:
 # -- Positions of targets ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steering_deg", [26.23, -26.23, None])
 def test_the_ground_map_agrees_with_traced_lines_everywhere(steering_deg: float | None) -> None:
     """Compare surfaces of (range, yaw), fitted once, with lines traced for the same targets."""
@@ -448,6 +449,7 @@ def test_pixels_outside_all_blocks_are_nan() -> None:
     assert held[inside > 1e-6].all() and not held[inside < -1e-6].any()
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(
     yaw=st.floats(-1.2, 1.2),
@@ -480,6 +482,7 @@ def test_an_image_far_from_the_block_is_not_covered() -> None:
         assert len(touched(ground, x=x, y=y, side=(20, 30))) == count
 
 
+@pytest.mark.slow
 def test_precompiled_kernels_serve_every_use() -> None:
     """`compile_kernels` fills the cache for blocks, maps and pixels as workers receive them: read-only or writeable."""
     script = """

@@ -76,6 +76,7 @@ def grid_about(c: Collection, n: int = 44, spacing: float = 1.0, **away: float) 
     return float(x) + steps, float(y) + steps[: n - 7]
 
 
+@pytest.mark.slow
 def test_memory_is_that_of_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of arrays, where samples outweigh all else: 48 windows are formed from halves of halves of what is left."""
     c = collection(steered=False, n_pulse=3000, n_frequency=1024, reference="tracked")
@@ -135,6 +136,7 @@ def test_a_beam_that_turns_back_passes_places_several_times() -> None:
     assert error(found, exact) < -62
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unknown", [slice(0), slice(5, 6)])  # rows without heights
 def test_terrain(unknown: slice) -> None:
     c = collection(n_pulse=900, n_frequency=256)
@@ -214,6 +216,7 @@ def test_the_error_follows_filters_and_interpolation(attenuation: float, upsampl
     assert 10 * np.log10((away**2).sum() / (np.abs(exact) ** 2).sum()) < -attenuation + 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beam_width", [0.0012, 0.0003])
 def test_windows_share_one_reading_also_where_no_pulse_lights_all_of_one(beam_width: float) -> None:
     c = replace(axis_collection("tops", n_pulse=800), beam_width=beam_width)

@@ -102,6 +102,7 @@ IN_DOPPLER = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("in_doppler", IN_DOPPLER)
 @pytest.mark.parametrize("in_time", IN_TIME)
 @pytest.mark.parametrize("kind", CHIRPS)
@@ -152,6 +153,7 @@ def test_a_line_that_turns_back_in_time_is_folded() -> None:
         assert (np.diff(moved.time) > 0).all() is not folded
 
 
+@pytest.mark.slow
 def test_levelled_lines_focus_where_the_sum_over_the_dwell_peaks() -> None:
     """Compare `focus` with a scan of the sum: place, phase and gain, also with a residual phase."""
     rng = np.random.default_rng(3)

@@ -49,6 +49,7 @@ def definition(geometry: Geometry, weighting: Weighting, valid: np.ndarray, x: n
     return np.array([POWER * squares / total**2, geometry.beam.is_lit(x, y).sum(axis=1)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "relief", "text"),
     [

@@ -14,6 +14,7 @@ from blocksar.focusing.pattern_sums import LEAST_ELEVATION, add_gains, mean_elev
 from blocksar.kernels.projection import LitPixels
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", ["uniform", "taylor:4:-35", "kaiser:4"])
 @pytest.mark.parametrize("angles", ["even", "uneven"])
 @pytest.mark.parametrize("width", [0.01, 0.3, 1.8])  # rad

@@ -43,12 +43,14 @@ def check_places(power: Any, places: Any) -> None:
         assert 0.25 < near.values[row, column] < 1.3  # of 1, between four pixels at the worst
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("raw", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_points_of_a_steered_collection_stand_at_their_places(raw: bool, tmp_path: Path) -> None:
     store = write_store(tmp_path, raw=raw, swath=[29_600.0, 30_300.0], more=TARGETS + CLUTTER)
     check_places(blocksar.preview(store, size=300).result, places_of(store))
 
 
+@pytest.mark.slow
 def test_points_of_a_beam_about_its_axis_stand_at_their_places(tmp_path: Path) -> None:
     targets = "".join(
         f'[[targets]]\nname = "P{x:.0f}"\nx = {x}\ny = {y}\n' for x, y in ((9051.3, -20.7), (8952.1, 31.9))
@@ -122,6 +124,7 @@ def test_lost_pulses_are_left_out_of_the_mean() -> None:
     assert np.isnan(form_preview(lambda pulses, columns: signal[pulses, columns], planned, threads=1)).all()
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_picture_and_proposes_a_grid(tmp_path: Path) -> None:
     short: Any = {"swath": [29700.0, 30300.0], "prf": 4000.0, "duration": 0.2, "steering": (48.0, 52.0), "dwell": 0.05}
     (tmp_path / "scene.toml").write_text(scene(**short, more=TARGETS + CLUTTER))

@@ -96,6 +96,7 @@ swath = [29800.0, 30200.0]
 """
 
 
+@pytest.mark.slow
 def test_on_a_level_terrain_pixels_are_those_of_the_plane() -> None:
     """The same focused block, white noise, through both corrections, on a plane at 120 m."""
     text = SCENE + "ground_height = 120.0\n"
@@ -134,6 +135,7 @@ def on_hills(swath: list[float]) -> tuple[GroundMap, Terrain, FloatArray, FloatA
     return plan_collection(collection, blocks=3, grid=grid, terrain=terrain).blocks[0].ground, terrain, x, y
 
 
+@pytest.mark.slow
 def test_slight_bends_take_fewer_taps() -> None:
     """Noise in the band of these pixels' responses, by 8 taps where they suffice, and by 14 or more."""
     ground, terrain, x, y = on_hills([29800.0, 30200.0])
@@ -154,6 +156,7 @@ def test_slight_bends_take_fewer_taps() -> None:
     assert 0 < np.nanmean(np.abs(found - exact) ** 2) < 1e-6 * np.nanmean(np.abs(exact) ** 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("swath", [[29800.0, 30200.0], [28000.0, 32000.0]])
 def test_polynomials_of_a_tile_are_what_they_stand_for(swath: list[float]) -> None:
     """To 1e-4 of a row, a Doppler sample and a cycle, on slopes of 30 degrees."""

@@ -184,6 +184,7 @@ def test_after_every_step_the_measured_line_equals_the_traced_one(name: str, pla
         assert np.ptp(line.doppler) < (4.0 if "wobble" in name else 0.5)  # Hz: level, the purpose of the chain
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["table 1", "not steered", "resampling"])
 def test_the_perturbed_spectrum_equals_the_line_along_doppler(name: str) -> None:
     """In the Doppler domain: at f = line.doppler the phase is phase - f t +- 1/8 and the group delay is t."""

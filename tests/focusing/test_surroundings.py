@@ -17,6 +17,8 @@ from blocksar.focusing.recovery import recover_columns
 from blocksar.planning.planner import plan_collection
 from blocksar.simulation.scatterers import simulate_pulses
 
+pytestmark = pytest.mark.slow
+
 N_PULSE, PRF = 900, 300
 GRID = Grid(121.6, 208.4, 0.6, -4.48, 4.48, 0.1)
 

@@ -59,6 +59,7 @@ def overlaid(terrain: Terrain, antenna: FloatArray, velocity: FloatArray, x: flo
     return int((np.diff(np.sign(above)) != 0).sum()) > 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SIGHTS)
 def test_visibility_is_that_of_rays_and_of_range_and_doppler(name: str) -> None:
     terrain, sight = hills(), SIGHTS[name]
@@ -83,6 +84,7 @@ def test_visibility_is_that_of_rays_and_of_range_and_doppler(name: str) -> None:
         assert np.unique(near).size > 1
 
 
+@pytest.mark.slow
 def test_a_window_needs_no_more_of_the_terrain_than_its_reach() -> None:
     terrain = hills()
     for sight in SIGHTS.values():
@@ -105,6 +107,7 @@ def test_level_ground_is_visible_and_unknown_ground_is_neither() -> None:
     assert (found[inside] == 255).all() and 0 < (found == 255).mean() < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SIGHTS)
 def test_incidence_and_area_are_those_of_small_facets(name: str) -> None:
     """The slant area of a facet is what range and Doppler change by over it, by differences."""

@@ -56,6 +56,7 @@ pytest.importorskip("sarkit", reason="the extra `formats` is not installed")
 # ---------------------------------------------------------------- Files from a scene
 
 
+@pytest.mark.slow
 def test_the_checker_of_the_standard_reports_no_failure(base: Base) -> None:
     assert failures(base.path) == []
 
@@ -275,6 +276,7 @@ def lines_to_toa(parts: Parts, spectrum: Array, sign: int, fx: Array) -> tuple[A
     return samples.astype(np.complex64), v
 
 
+@pytest.mark.slow
 def test_toa_domain_by_its_closed_form(base: Base, tmp_path: Path) -> None:
     """The standard's mainlobes, with SC0, SCSS and fx_C different for every vector; the window cuts side lobes off."""
     parts = parts_of(base.path)
@@ -593,6 +595,7 @@ def uneven(base: Base) -> Parts:
     return parts
 
 
+@pytest.mark.slow
 def test_uneven_times_are_resampled_within_the_reported_error(base: Base, tmp_path: Path) -> None:
     path = write(tmp_path / "uneven.cphd", uneven(base))
     collection, samples, said, attrs = ingested(path)
@@ -624,6 +627,7 @@ def dwell(parts: Parts, cod: dict[tuple[int, int], float], length: dict[tuple[in
             node.set(f"order{axis}", str(max(key[axis - 1] for key in table)))
 
 
+@pytest.mark.slow
 def test_dwells_of_no_beam_are_not_reported_as_steered(base: Base, tmp_path: Path) -> None:
     """Neither a yaw about the nadir nor a steering about the velocity has such centres of dwell."""
     parts = parts_of(base.path)
@@ -708,6 +712,7 @@ MUTATIONS: dict[str, tuple[Callable[[Parts], None], str]] = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MUTATIONS)
 def test_mutated_parts(base: Base, tmp_path: Path, name: str) -> None:
     change, match = MUTATIONS[name]

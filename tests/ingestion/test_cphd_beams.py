@@ -179,6 +179,7 @@ def gain_error(made: Made, collection: Collection) -> float:
 # ---------------------------------------------------------------- from a scene and back
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["pitched", "scanned backwards", "sliding spotlight"])
 def test_a_beam_survives_the_way_through_a_file(name: str, tmp_path: Path) -> None:
     beam, yaw = BEAMS[name]
@@ -197,11 +198,13 @@ def test_a_beam_survives_the_way_through_a_file(name: str, tmp_path: Path) -> No
     assert any("antenna patterns of both ways" in line for line in said)
 
 
+@pytest.mark.slow
 def test_a_sampled_pattern_comes_back_within_the_error_of_its_polynomial(tmp_path: Path) -> None:
     made = make(tmp_path, STRIPMAP + SAMPLED)
     assert gain_error(made, ingested(made.path)[0]) < GAIN_ERROR
 
 
+@pytest.mark.slow
 def test_the_antenna_without_per_vector_parameters(stripmap: Made, tmp_path: Path) -> None:
     """As in version 1.0.1: polynomials of time only, of order 5."""
     collection, _ = ingested(edited(stripmap, tmp_path / "polynomials.cphd", NO_VECTORS))
@@ -211,6 +214,7 @@ def test_the_antenna_without_per_vector_parameters(stripmap: Made, tmp_path: Pat
     assert gain_error(stripmap, collection) < ELEVATION
 
 
+@pytest.mark.slow
 def test_axes_that_are_swapped_or_turned_describe_the_same_beam(tops: Made, tmp_path: Path) -> None:
     """ACY along the track backwards, ACX across: the gain is then a function of -DCY and DCX."""
 
@@ -281,6 +285,7 @@ def test_what_is_not_used_is_named(stripmap: Made, tmp_path: Path) -> None:
 # ---------------------------------------------------------------- dwells alone, antenna alone
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["squinted", "tops"])
 def test_dwells_alone_give_a_steering_about_the_velocity(name: str, tmp_path: Path) -> None:
     made = make(tmp_path, *BEAMS[name])
@@ -291,6 +296,7 @@ def test_dwells_alone_give_a_steering_about_the_velocity(name: str, tmp_path: Pa
     assert any("about the velocity" in line and "from the dwell polynomials" in line for line in said)
 
 
+@pytest.mark.slow
 def test_dwells_alone_find_an_axis_that_is_turned_from_the_velocity(tmp_path: Path) -> None:
     made = make(tmp_path, f"{TOPS}\naxis_yaw_deg = 93.0", 3.2)
     collection, said = ingested(edited(made, tmp_path / "dwells.cphd", NO_ANTENNA))
@@ -298,6 +304,7 @@ def test_dwells_alone_find_an_axis_that_is_turned_from_the_velocity(tmp_path: Pa
     assert any("degrees from the velocity" in line for line in said)
 
 
+@pytest.mark.slow
 def test_lost_pulses_have_a_beam(tmp_path: Path) -> None:
     text = axis_scene(TOPS + PATTERNS, more=TARGET) + "[dropped]\npulses = [0, 1, 2, 100, 101, 600]\n"
     made = Made(Scene.parse(text), cphd_simulation.simulate(Scene.parse(text), tmp_path / "scene.cphd"))
@@ -326,6 +333,7 @@ def test_an_antenna_without_dwells_is_as_wide_as_half_of_its_power(stripmap: Mad
     assert any("dwell polynomials cannot be used" in line for line in said)
 
 
+@pytest.mark.slow
 def test_without_dwells_and_gain_the_beam_is_undefined(tmp_path: Path) -> None:
     made = make(tmp_path, STRIPMAP)
     collection, said = ingested(edited(made, tmp_path / "neither.cphd", NO_DWELLS))
@@ -333,6 +341,7 @@ def test_without_dwells_and_gain_the_beam_is_undefined(tmp_path: Path) -> None:
     assert any("do not fall to half of the power" in line for line in said)
 
 
+@pytest.mark.slow
 def test_an_antenna_that_lights_everything_all_the_time_is_left_out(tmp_path: Path) -> None:
     made = make(tmp_path, f'mode = "spotlight"\nwidth_deg = 1.0{PATTERNS}')
     assert failures(made.path) == []
@@ -396,6 +405,7 @@ WRONG: dict[str, tuple[Edit, str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WRONG)
 def test_a_wrong_antenna_is_named_and_the_dwells_are_used(name: str, stripmap: Made, tmp_path: Path) -> None:
     edit, words = WRONG[name]
@@ -404,6 +414,7 @@ def test_a_wrong_antenna_is_named_and_the_dwells_are_used(name: str, stripmap: M
     assert collection.has_axis and differing(stripmap, collection) <= 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", [np.nan, np.inf, 0.0])
 def test_antennas_of_some_vectors_are_given_by_others(value: float, tops: Made, tmp_path: Path) -> None:
     """At the ends and inside. A boresight that passes through 0 is none that was filled with zeros."""
@@ -427,6 +438,7 @@ def test_antennas_of_some_vectors_are_given_by_others(value: float, tops: Made, 
 # ---------------------------------------------------------------- scenes that no file describes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("beam", "yaw", "words"),
     [

@@ -560,6 +560,7 @@ def bumpy() -> Collection:
 GRID = Grid(-20, 20, 0.5, -20, 20, 0.5)
 
 
+@pytest.mark.slow
 def test_range_variation_common_to_all_targets_is_no_phase_error(
     bumpy: Collection, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -658,6 +659,7 @@ def test_measured_figures(measured: list[Path], tmp_path: Path) -> None:
     assert any("its rounding" in line for line in made.messages)
 
 
+@pytest.mark.slow
 def test_measured_sign_and_reference(store: Path, reference: np.ndarray, measured: list[Path]) -> None:
     """The two points are at their places, and brightest with the stored reference range."""
     history = stores.open_phase_history(store)

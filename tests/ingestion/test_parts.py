@@ -105,6 +105,7 @@ def wandering(**changes: Any) -> Collection:
     })  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [spotlight, wandering])
 def test_samples_of_an_area_are_those_of_its_targets_alone(make: Callable[..., Collection]) -> None:
     whole = fine(make)
@@ -219,6 +220,7 @@ def samples_of(store: Path) -> tuple[Collection, Any]:
     return history.collection, history.read(slice(None), slice(None))
 
 
+@pytest.mark.slow
 def test_some_pulses_and_frequencies_are_those_of_the_whole(made: Made, tmp_path: Path) -> None:
     whole, samples = samples_of(made.store)
     low, high = whole.carrier - 30e6, whole.carrier + 20e6
@@ -235,6 +237,7 @@ def test_some_pulses_and_frequencies_are_those_of_the_whole(made: Made, tmp_path
     assert times[1] - times[0] == pytest.approx(100 * whole.pulse_interval, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_an_area_of_a_file_shows_what_the_whole_shows(made: Made, tmp_path: Path) -> None:
     x, y = made.target
     ground = f"{x - 12}:{x + 12},{y - 12}:{y + 12}"
@@ -254,6 +257,7 @@ def test_an_area_of_a_file_shows_what_the_whole_shows(made: Made, tmp_path: Path
         assert np.unravel_index(int(np.abs(two).argmax()), two.shape) == peak
 
 
+@pytest.mark.slow
 def test_lost_vectors_are_left_out_of_an_area(made: Made, tmp_path: Path) -> None:
     """Vectors of zeros are found as samples are read; sums leave them out, and are NaN where they miss too many."""
     lost = [*range(400, 480), 700]
@@ -351,6 +355,7 @@ def web_server(folder: Path, *, parts: bool = True) -> Iterator[Served]:
         server.shutdown()
 
 
+@pytest.mark.slow
 def test_a_web_server_sends_only_what_is_read(made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ranges, "AHEAD", 1 << 14)
     with web_server(made.path.parent) as served:
@@ -376,6 +381,7 @@ def test_a_web_server_without_parts_is_said_to_be_one(made: Made, tmp_path: Path
         blocksar.ingest("cphd", f"{served.url}/{made.path.name}", tmp_path / "a.zarr")
 
 
+@pytest.mark.slow
 def test_an_object_store_is_read_as_a_disk_is(made: Made, tmp_path: Path) -> None:
     with s3.server():
         there = place(f"s3://{s3.make_bucket()}/collect.cphd")

@@ -40,6 +40,7 @@ def written(folder: Path, flight: Flight) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_reader_of_another_package_has_a_command_and_knows_its_files(tmp_path: Path, flight: Flight) -> None:
     environment, path = install(tmp_path / "site"), written(tmp_path, flight)
     cut = tmp_path / "cut.bin"

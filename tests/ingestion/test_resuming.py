@@ -124,6 +124,7 @@ def whole(sources: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) ->
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "after"), [("cphd", 0), ("cphd", 5), ("gotcha", 1), ("nisar", 4), ("sentinel1", 4)])
 def test_what_was_written_stays_and_the_rest_is_written(
     name: str, after: int, sources: dict[str, Path], whole: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -191,6 +192,7 @@ def test_a_killed_process_leaves_what_is_whole(
     assert os.listdir(tmp_path) == ["ph.zarr"] and contents(out) == whole["cphd"][0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", ["file", "option", "version"])
 def test_what_has_changed_begins_anew(
     change: str, sources: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -228,6 +230,7 @@ def test_only_what_may_succeed_later_is_kept(
         assert bool(left(tmp_path)) == kept
 
 
+@pytest.mark.slow
 def test_an_object_store_is_gone_on_with(
     sources: dict[str, Path], whole: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bucket: Place
 ) -> None:

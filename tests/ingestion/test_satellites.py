@@ -53,6 +53,7 @@ def test_targets_on_the_ellipsoid_lie_at_their_places(image: tuple[str, Radar, P
     assert abs(mean) == pytest.approx(GAIN if name == "palsar" else 1.0, rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("image", ["palsar"], indirect=True)
 @pytest.mark.parametrize("surface", [None, "plane"])
 def test_the_ground_is_the_ellipsoid_unless_said_otherwise(

@@ -112,6 +112,7 @@ def test_ten_targets_of_three_bursts_lie_where_they_are(store: Path) -> None:
     assert np.abs(np.angle(values / values.mean())).max() < 0.02
 
 
+@pytest.mark.slow
 def test_two_swaths_of_a_file_see_a_place_alike(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """IW2 farther off, with another PRF and rate of the steering, and one pulse more in the air."""
     target = s1.place_on_the_ellipsoid(10.0, s1.MIDDLE + 1300.0)
@@ -191,6 +192,7 @@ def test_several_in_one_store_are_named_where_one_is_needed(store: Path, tmp_pat
         blocksar.plan(tmp_path / "odd.zarr")
 
 
+@pytest.mark.slow
 def test_a_burst_whose_beginning_is_lost_keeps_its_part_of_the_steering(
     packets: Path, store: Path, tmp_path: Path
 ) -> None:

@@ -99,6 +99,7 @@ def plane_of(lon: FloatArray, lat: FloatArray) -> FloatArray:
     return 700.0 + 2e4 * (lat - 47.0) - 1e4 * (lon - 11.0) + 100 * np.sin((lon - 11.0) * 300)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:32632", "EPSG:3035"])
 def test_points_on_a_geotiff_s_ground_lie_at_its_heights(crs: str, tmp_path: Path) -> None:
     terrain = read_geotiff(geotiff(tmp_path / "dem.tif", crs, plane_of), "ellipsoid", HERE, X, Y)
@@ -113,6 +114,7 @@ def test_points_on_a_geotiff_s_ground_lie_at_its_heights(crs: str, tmp_path: Pat
     np.testing.assert_allclose(coarse.heights, terrain.thinned().heights, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_map_that_breaks_is_followed_place_by_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As one does where longitudes jump; elsewhere it is smooth, and cubic between nodes."""
     path = geotiff(tmp_path / "dem.tif", "EPSG:3035", plane_of)
@@ -143,6 +145,7 @@ def test_a_hole_of_a_geotiff_takes_posts_beside_it_only(tmp_path: Path) -> None:
     assert 37 < lost < 37 + 70  # pixels: 81 and 16 at most, along the file's own axes
 
 
+@pytest.mark.slow
 def test_heights_over_a_geoid_need_its_grid(tmp_path: Path) -> None:
     path = geotiff(tmp_path / "dem.tif", "EPSG:4326", lambda lon, lat: plane_of(lon, lat) - 48.0)
     with pytest.raises(InputError, match="does not say what its heights are measured from"):
@@ -213,6 +216,7 @@ def test_the_ellipsoid_falls_away_from_the_plane() -> None:
     assert -80 < ground(np.array(30e3), np.array(0.0)) - 40.0 < -65
 
 
+@pytest.mark.slow
 def test_what_is_no_terrain_is_refused_with_figures(tmp_path: Path) -> None:
     path = frame_file(tmp_path / "dem.nc")
     with pytest.raises(InputError, match=r"lies elsewhere: it spans x -5000 .. 5900 m.*image x 90000"):

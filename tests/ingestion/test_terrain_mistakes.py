@@ -167,6 +167,7 @@ def test_a_missing_reference_system_can_be_stated(tmp_path: Path) -> None:
     np.testing.assert_allclose(height_on(path), ABOVE, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_grid_that_a_terrain_lifts_out_of_the_swath_is_not_told_to_move_only(tmp_path: Path) -> None:
     """An antenna 9 km above and 12 km west of the scene, with a range window of 384 m about its origin."""
     time = (np.arange(256) - 128) / 300.0

@@ -101,6 +101,7 @@ def judge(signal: ComplexArray, thin: Collection, plan: Plan) -> str | None:
     return disagreement(found, plan.expectation())
 
 
+@pytest.mark.slow
 def test_the_right_track_and_beam_cause_no_disagreement(case: Case) -> None:
     plan, thin = case.plan, case.thin
     assert judge(case.clutter, thin, plan) is None
@@ -138,6 +139,7 @@ def wrong_plans(collection: Collection) -> dict[str, Collection]:
 UNSEEN = {("30-degree scan", "mirrored in y")}
 
 
+@pytest.mark.slow
 def test_a_wrong_track_or_beam_is_reported(case: Case) -> None:
     for error, collection in wrong_plans(case.plan.collection).items():
         try:
@@ -185,6 +187,7 @@ def test_the_measured_offset_is_the_doppler_shift(table1: Case) -> None:
         assert (offset - shift - offsets[0.0] + prf / 2) % prf - prf / 2 == pytest.approx(0, abs=0.05)
 
 
+@pytest.mark.slow
 def test_expectations_hold_for_targets_anywhere(table1: Case) -> None:
     plan, thin = table1.plan, table1.thin
     wanted = plan.expectation()
@@ -256,6 +259,7 @@ def drawn_expectation(sweep: float, dwell: float) -> Expectation:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sweep", [0.3, pytest.param(0.6, marks=pytest.mark.slow), 0.9])
 @pytest.mark.parametrize("dwell", [0.1, 0.4])
 def test_a_scene_alone_causes_no_disagreement(sweep: float, dwell: float) -> None:

@@ -117,6 +117,7 @@ def test_an_error_of_velocity_or_height_is_measured(tmp_path: Path) -> None:
     assert "an offset of about 20 m towards +z" in (run(signal, high, grid).warning() or "")
 
 
+@pytest.mark.slow
 def test_a_scene_without_prominent_places_tells_nothing(steered: Part) -> None:
     signal, collection, _ = steered
     rng = np.random.default_rng(0)
@@ -127,6 +128,7 @@ def test_a_scene_without_prominent_places_tells_nothing(steered: Part) -> None:
     assert "nothing can be said of the samples' sign and order" in findings.sentence()
 
 
+@pytest.mark.slow
 def test_missing_samples_and_spikes_do_not_matter(steered: Part) -> None:
     signal, collection, _ = steered
     damaged = signal.copy()
@@ -137,6 +139,7 @@ def test_missing_samples_and_spikes_do_not_matter(steered: Part) -> None:
     assert findings.warning() is None
 
 
+@pytest.mark.slow
 def test_the_command_compares_everything(steered_store: Path) -> None:
     result = CliRunner().invoke(commands.app, ["check", str(steered_store)], prog_name="blocksar")
     assert result.exit_code == 0
@@ -144,6 +147,7 @@ def test_the_command_compares_everything(steered_store: Path) -> None:
         assert words in result.output
 
 
+@pytest.mark.slow
 @pytest.mark.checked
 def test_a_run_says_what_the_check_finds(steered_store: Path, tmp_path: Path) -> None:
     few = ((16000.0, 16040.0, 8.0), (19100.0, 19140.0, 8.0))
@@ -160,6 +164,7 @@ def test_a_spotlight_collection_needs_a_grid(spotlight_store: Path) -> None:
         blocksar.check(spotlight_store)
 
 
+@pytest.mark.slow
 def test_a_strip_is_not_called_wrong_by_its_mirror_image(tmp_path: Path) -> None:
     """A beam about its axis on a straight track: flown backwards, the scene is mirrored, and as sharp at broadside."""
     rng = np.random.default_rng(2)
@@ -215,6 +220,7 @@ def meadows(seed: int) -> Part:
     return signal, collection.centred(), Grid(8400.0, 8840.0, 1.0, -150.0, 150.0, 1.0)
 
 
+@pytest.mark.slow
 def test_an_error_of_the_track_is_found_amid_patches_of_clutter() -> None:
     signal, collection, grid = meadows(6)
     assert run(signal, collection, grid).warning() is None
@@ -273,6 +279,7 @@ def test_a_track_is_doubted_only_where_a_refocus_makes_points(refocused: float, 
     assert (found.warning() is not None) == doubted
 
 
+@pytest.mark.slow
 def test_of_a_beam_in_degrees_that_lights_nothing_for_long_the_unit_is_doubted() -> None:
     scene = exact_scene(11)
     said = replace(scene.collection, beam_azimuth=np.degrees(scene.collection.beam_azimuth)).centred()

@@ -35,6 +35,7 @@ def test_the_variance_is_that_of_draws(texture: float, oversampling: int) -> Non
         assert np.mean([each.decibels for each in drawn]) == pytest.approx(SPECKLE, abs=0.02)
 
 
+@pytest.mark.slow
 def test_chance_does_not_reach_what_is_significant() -> None:
     """Images of the same ground with speckle drawn anew: the gains of a few echoes, 3000 times."""
     rng = np.random.default_rng(2)

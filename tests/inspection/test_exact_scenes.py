@@ -28,6 +28,7 @@ LEAST = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [pytest.param(seed, marks=() if seed in FEW else SLOW) for seed in range(30)])
 def test_exact_samples_are_not_accused(seed: int) -> None:
     scene = exact_scene(seed)

@@ -67,6 +67,7 @@ def off(collection: Collection, degrees: float) -> Collection:
     return replace(collection, **{field: getattr(collection, field) + np.radians(degrees)})
 
 
+@pytest.mark.slow
 def test_a_true_beam_passes_and_what_was_tried_is_said() -> None:
     findings = found(*made("fast tops"), thorough=True)
     assert findings.warning() is None
@@ -74,6 +75,7 @@ def test_a_true_beam_passes_and_what_was_tried_is_said() -> None:
     assert "the beam lights them when it should (errors up to " in findings.sentence()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "error"),  # half a width; nearly a PRF, where echoes look hardly displaced; towards the PRF's other end
     [("squint", 0.8), pytest.param("tops", -2.0, marks=SLOW), ("yaw", -0.6), pytest.param("strip", 1.2, marks=SLOW)],
@@ -89,6 +91,7 @@ def test_a_beam_that_is_off_is_named_with_its_error_and_field(kind: str, error: 
     assert remedy.split()[4].rstrip(".") == field
 
 
+@pytest.mark.slow
 def test_a_beam_of_half_the_width_is_found() -> None:
     signal, collection = made("yaw")
     width = collection.beam_width or 0.0
@@ -97,6 +100,7 @@ def test_a_beam_of_half_the_width_is_found() -> None:
     assert f"give beam_width as {width:.3g} rad" in warning
 
 
+@pytest.mark.slow
 def test_a_beam_of_half_the_width_is_found_where_the_collection_cuts_dwells() -> None:
     """Places then gain 2 dB, not 3: what is empty of the dwells that are left."""
     scene = exact_scene(3)
@@ -105,6 +109,7 @@ def test_a_beam_of_half_the_width_is_found_where_the_collection_cuts_dwells() ->
     assert warning.startswith("the beam has about 0.5 of the ")
 
 
+@pytest.mark.slow
 def test_a_beam_between_the_nulls_of_its_pattern_is_not_called_too_wide() -> None:
     """Its middle is brighter a pulse, by 1.7 dB; if the rest was dark, by 3."""
     scene = exact_scene(2)
@@ -121,6 +126,7 @@ def test_a_beam_between_the_nulls_of_its_pattern_is_not_called_too_wide() -> Non
     assert told is not None and told.told and told.found is None and told.narrower
 
 
+@pytest.mark.slow
 def test_a_beam_about_its_axis_that_turns_the_other_way_is_found() -> None:
     signal, collection = made("tops")
     assert collection.beam_steering is not None
@@ -128,6 +134,7 @@ def test_a_beam_about_its_axis_that_turns_the_other_way_is_found() -> None:
     assert warning.startswith("the beam turns the other way") and "reverse beam_steering along pulse" in warning
 
 
+@pytest.mark.slow
 def test_a_beam_that_looks_ahead_and_not_behind_is_found() -> None:
     signal, collection = made("squint")
     assert collection.beam_steering is not None
@@ -135,6 +142,7 @@ def test_a_beam_that_looks_ahead_and_not_behind_is_found() -> None:
     assert warning.startswith("the beam looks to the other side") and "negate beam_steering" in warning
 
 
+@pytest.mark.slow
 def test_a_wrong_velocity_accuses_neither_the_beam_nor_the_samples() -> None:
     signal, collection = made("yaw")
     wrong = replace(collection, antenna_position=collection.antenna_position * [1, 1.01, 1])
@@ -142,6 +150,7 @@ def test_a_wrong_velocity_accuses_neither_the_beam_nor_the_samples() -> None:
     assert warning is None or "the track is off by a phase" in warning
 
 
+@pytest.mark.slow
 def test_of_a_conjugated_signal_the_simplest_cause_is_named_and_the_tie_said() -> None:
     signal, collection = made("yaw")
     warning = found(np.conj(signal), collection, thorough=True).warning() or ""
@@ -187,6 +196,7 @@ def test_a_look_and_a_beam_that_is_not_steered_are_not_judged() -> None:
     assert judged(signal, collection.unsteered()) is None
 
 
+@pytest.mark.slow
 def test_an_error_within_a_fifth_of_the_width_is_left_alone() -> None:
     signal, collection = made("yaw")
     assert found(signal, off(collection, 0.18), thorough=True).warning() is None

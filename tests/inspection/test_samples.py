@@ -142,6 +142,7 @@ DAMAGE = st.tuples(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @example(shape=(8, 1), seed=0, levels=False, damage=[(np.nan, 0, 2, 1), (1e30, 2, 3, 1)])  # half of the samples
 @example(shape=(13, 2), seed=0, levels=False, damage=[(np.nan, 7, 2, 1), (3e4, 11, 1, 1), (1e12, 0, 3, 2)])

@@ -26,6 +26,7 @@ HERE = os.environ.get("NUMBA_ENABLE_CUDASIM") == "1" or has_gpu()
 on_gpu = pytest.mark.skipif(not HERE, reason="no GPU: these run in numba's simulator, by the first test")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(HERE, reason="they run here")
 def test_all_of_these_in_the_simulator() -> None:
     run = subprocess.run(

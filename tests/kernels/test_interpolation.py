@@ -147,6 +147,7 @@ CURVES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slopes", CURVES.values(), ids=CURVES.keys())
 @pytest.mark.parametrize(("n_tap", "occupancy", "n"), [(8, 0.5, 90), (22, 0.8, 777), (32, 0.9, 2 * PIECE + 5)])
 def test_resampled_rows_equal_the_exact_signal_between_samples(

@@ -109,6 +109,7 @@ def test_rotation_by_a_scaled_phase_of_millions_of_cycles(n: int) -> None:
         np.testing.assert_array_equal(alone[0], found[row, :n])
 
 
+@pytest.mark.slow
 def test_sine_and_cosine_meet_their_stated_error() -> None:
     x = np.linspace(-0.5, 0.5, 20_001).astype(np.float32)
     wanted = np.exp(2j * np.pi * x.astype(np.float64))

@@ -5,11 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 from axis_beams import axis_collection
 
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.products.look_spectra import dwell_spectrum, shares
+
+pytestmark = pytest.mark.slow
 
 SIDE, STEP = 48, 0.8
 

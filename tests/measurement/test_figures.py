@@ -207,6 +207,7 @@ def test_the_ideal_response_equals_the_direct_double_sum(geometry: Geometry) -> 
 # ---- A single response
 
 
+@pytest.mark.slow
 def test_interpolation_is_exact_to_1e_4(scene: Scene) -> None:
     target, image_x, image_y, image = scene
     response = read_response(reader(image), image_x, image_y, UNSTEERED, target)
@@ -231,6 +232,7 @@ def test_an_ideal_target_has_ideal_figures(scene: Scene) -> None:
     assert found.covered and found.full_dwell
 
 
+@pytest.mark.slow
 def test_beam_steered_target_with_each_pixel_s_own_lit_pulses() -> None:
     """By definition each pixel is the mean over its own lit pulses, not over those of the target."""
     target = target_at(52.0)
@@ -282,6 +284,7 @@ def test_a_known_shift_and_phase_are_measured(scene: Scene) -> None:
     assert found.value == pytest.approx(0.9 * np.exp(0.3j), abs=1e-4)
 
 
+@pytest.mark.slow
 def test_quadratic_phase_broadens_the_response(scene: Scene) -> None:
     target, image_x, image_y, _ = scene
     u = np.linspace(-1, 1, UNSTEERED.collection.n_pulse)
@@ -335,6 +338,7 @@ def test_a_target_near_the_image_edge_or_outside_is_not_covered(scene: Scene) ->
     assert np.isfinite(outside.azimuth_irw_theory)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off", [0.0, 0.3])
 def test_the_value_of_a_target_on_a_pixel_needs_no_other_pixel(off: float) -> None:
     target, cut = target_at(), 3
@@ -491,6 +495,7 @@ def test_the_stretch_suits_clutter_and_isolated_targets() -> None:
     assert stretch(np.full(5, np.nan)) == (-60.0, 0.0)
 
 
+@pytest.mark.slow
 def test_pictures_of_nothing_are_written(scene: Scene, tmp_path: Path) -> None:
     from blocksar.products.pictures import blocks, responses
 
@@ -516,6 +521,7 @@ def test_the_ideal_response_under_patterns_is_the_back_projection_of_the_target(
     np.testing.assert_allclose(summed_response(geometry, target, x, y), exact, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_a_target_under_patterns_has_the_figures_of_its_ideal_response() -> None:
     """Those of the taper alone would be off: the pattern falls by 5 dB to the edges of the beam."""
     collection = with_patterns(axis_collection(n_pulse=800, beam_width=0.012))

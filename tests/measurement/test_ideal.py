@@ -46,6 +46,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_the_integral_is_the_sum_over_pulses(name: str) -> None:
     of, (x, y), text, tolerance = CASES[name]

@@ -25,6 +25,7 @@ def spread(rng: np.random.Generator, image: np.ndarray, width: tuple[float, floa
     return np.asarray(fftconvolve(image, weight * np.exp(2j * np.pi * rng.uniform(size=kernel.shape)), mode="same"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [(2.0, 2.0), (25.0, 1.5), (2.0, 30.0)])
 @pytest.mark.parametrize("decibels", [0.0, -14.0, -26.0])
 def test_a_chip_that_errs_as_predicted_is_judged_so(width: tuple[float, float], decibels: float) -> None:

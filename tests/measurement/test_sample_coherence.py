@@ -17,6 +17,7 @@ from blocksar.measurement.interferometry import (
 SAMPLES = 20_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("looks", "coherence"), [(4, 0.0), (4, 0.5), (20, 0.3), (50, 0.9)])
 def test_mean_and_quantiles_are_those_of_samples(looks: int, coherence: float) -> None:
     random = np.random.default_rng(looks)

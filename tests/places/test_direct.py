@@ -40,6 +40,7 @@ def file_system(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch)
     return str(request.param)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cached", [False, True])
 @pytest.mark.parametrize("size", SIZES)
 def test_a_file_holds_what_was_written(size: int, cached: bool, file_system: str, tmp_path: Path) -> None:

@@ -45,6 +45,7 @@ def clutter(collection: Collection, grid: Grid) -> ComplexArray:
     return simulate_pulses(collection, x, y, sigma, threads=2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["squinted", "tops"])
 def test_a_chain_focuses_as_back_projection_does(mode: str) -> None:
     collection = axis_collection(mode, n_pulse=900)
@@ -69,6 +70,7 @@ def test_a_chain_focuses_as_back_projection_does(mode: str) -> None:
     assert -1.5e-3 < plan.coherence - abs(whole.coherence) < 3e-4
 
 
+@pytest.mark.slow
 def test_dwells_that_the_collection_cuts_have_no_noise_but_their_own() -> None:
     """White noise, of which chains hold what no target has: steps in Doppler move it, but to no other dwell."""
     collection, weighting = axis_collection("sliding spotlight", n_pulse=900), Weighting.parse("taylor:4:-35")
@@ -86,6 +88,7 @@ def test_dwells_that_the_collection_cuts_have_no_noise_but_their_own() -> None:
     assert relative_error(image, exact, some)[0] < -15  # more than 0 dB where it wraps
 
 
+@pytest.mark.slow
 def test_a_strip_is_imaged_to_the_ends_of_the_lit_ground() -> None:
     """Its targets focus at Dopplers of a wider band than the beam has at a time."""
     collection = strip_collection(1.0, curve=0.0)
@@ -104,6 +107,7 @@ def least_coherence(collection: Collection, grid: Grid, blocks: int) -> tuple[Pl
     return plan, min(abs(coherence(image[chip], exact[chip]).coherence) for chip in chips)
 
 
+@pytest.mark.slow
 def test_a_seam_costs_nothing_where_the_track_wobbles() -> None:
     """Pixels at a seam share tiles with the block beside: 0.995 where series end at the seam, of 0.9996."""
     collection = strip_collection(0.9, prf=1600.0, curve=2.0)
@@ -114,6 +118,7 @@ def test_a_seam_costs_nothing_where_the_track_wobbles() -> None:
     assert least > plan.coherence - 5e-4 and plan.coherence > 0.998
 
 
+@pytest.mark.slow
 def test_a_seam_costs_nothing_where_whole_dwells_are_gated() -> None:
     """Gates follow the ends of dwells beyond a seam: chips lost up to 1.6 times as much as of one block."""
     collection = axis_collection("squinted", n_pulse=900)
@@ -123,6 +128,7 @@ def test_a_seam_costs_nothing_where_whole_dwells_are_gated() -> None:
     assert 1 - two[1] < 1.2 * (1 - one[1])
 
 
+@pytest.mark.slow
 def test_a_pattern_may_have_any_peak() -> None:
     """A two-way amplitude that is not relative to its largest value: 1e-3 left no pixel covered."""
     collection = replace(strip_collection(0.5, prf=320.0, curve=0.0), beam_width=0.02)
@@ -143,6 +149,7 @@ def relative_error(found: ComplexArray, wanted: ComplexArray, where: BoolArray) 
     return float(10 * np.log10(error)), gain
 
 
+@pytest.mark.slow
 def test_side_lobes_of_blocks_without_a_full_dwell_are_judged_by_their_own() -> None:
     """The weights of dwells that the ends of the collection cut do not fall off at both ends."""
     collection = with_patterns(axis_collection("stripmap", n_pulse=900))
@@ -169,6 +176,7 @@ def test_a_unit_target_under_patterns_peaks_at_one(kind: str) -> None:
         assert abs(focus(plan, signal)[row, column] - 1) < 0.012
 
 
+@pytest.mark.slow
 def test_unit_targets_under_a_sinc2_pattern_are_one_over_the_swath() -> None:
     """Over its inner nine tenths; at the edges of the beam half of the amplitude is lost."""
     offset, pattern = named_pattern("sinc2", 0.01)
@@ -182,6 +190,7 @@ def test_unit_targets_under_a_sinc2_pattern_are_one_over_the_swath() -> None:
     assert np.abs(np.angle(image[rows, columns])).max() < 0.01
 
 
+@pytest.mark.slow
 def test_phases_follow_a_wobble_from_yaw_to_yaw() -> None:
     """Seven waves of the track over the turn of a beam, in one block: phases were off by 0.076 rad."""
     still = axis_collection(n_pulse=1800)
@@ -197,6 +206,7 @@ def test_phases_follow_a_wobble_from_yaw_to_yaw() -> None:
     assert np.abs(turned[plan.geometry.beam.has_full_dwell(x, y)]).max() < 0.02
 
 
+@pytest.mark.slow
 def test_unit_targets_under_the_lobes_of_a_pattern_in_elevation_are_one() -> None:
     """Four zeros within the swath, between which sums over lit pulses are no straight lines over a thirtieth of it."""
     elevation = np.linspace(0.40, 0.44, 801)
@@ -231,6 +241,7 @@ def wobbling(mode: str, kind: str, size: float) -> Collection:
     return replace(plain, beam_steering=plain.beam_steering + size * wave)
 
 
+@pytest.mark.slow
 def test_a_taper_follows_a_jittering_beam_as_predicted() -> None:
     """Dwells are gated by a smoothed beam; the hierarchy takes it as it is."""
     collection, weighting = with_patterns(wobbling("stripmap", "9.6", 1e-4)), Weighting.parse("taylor:4:-35")
@@ -243,6 +254,7 @@ def test_a_taper_follows_a_jittering_beam_as_predicted() -> None:
     assert abs(found.gain - 1) < 2e-3
 
 
+@pytest.mark.slow
 def test_a_yaw_that_scans_unevenly_is_focused_as_predicted() -> None:
     """Dwells, and places in the beam within them, depend on yaw: 0.9997 and 1.0000 were said, 0.992 was measured."""
     share = np.arange(900) / 899
@@ -310,6 +322,7 @@ def test_the_prf_that_is_asked_for_is_that_of_the_ground_which_the_beam_lights_a
     assert needed <= refusal.value.needed <= 1.12 * needed + 20
 
 
+@pytest.mark.slow
 def test_dwells_of_few_pulses_are_told() -> None:
     collection = replace(strip_collection(0.8, prf=320.0, curve=0.0), beam_width=0.02)
     grid = Grid(DISTANCE - 20.0, DISTANCE + 20.0, 1.0, -16.0, 16.0, 0.4)

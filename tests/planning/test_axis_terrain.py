@@ -30,6 +30,7 @@ def test_a_strip_of_which_a_grid_needs_one_segment_is_planned() -> None:
     assert owned(x, y).any()
 
 
+@pytest.mark.slow
 def test_blocks_at_the_rim_of_what_is_lit_cost_over_a_hill_what_they_cost_on_the_plane() -> None:
     """Where none of a block's targets has a full dwell, those with the longest are judged, not all that are there."""
     collection, y = axis_collection("squinted", n_pulse=1200), float(np.hypot(9000, 4000) * np.tan(0.25))

@@ -136,18 +136,21 @@ def both(
     return plan, focus(plan, signal), exact
 
 
+@pytest.mark.slow
 def test_resampling_brings_no_echoes_from_the_end_of_the_aperture_into_the_image() -> None:
     """From beside the grid, where no beam limits them: they wrapped around in slow time: 0.989 here for 0.998."""
     _, *images = both(SQUINTED, (1630.0, 1700.0, 0.54, 1970.0, 2000.0, 0.22), "keystone-resampling", blocks=2)
     assert abs(coherence(*images).coherence) > 0.9985
 
 
+@pytest.mark.slow
 def test_range_migration_that_is_corrected_in_doppler_leaves_all_frequencies_equal_weight() -> None:
     """A third of the carrier: weights of sqrt(1 + f / fc) over the band would cost 0.001 of coherence."""
     _, *images = both(UHF, (1490.0, 1530.0, 0.77, 300.0, 340.0, 0.72), "high-order-phase")
     assert abs(coherence(*images).coherence) > 0.9993
 
 
+@pytest.mark.slow
 def test_a_resampling_that_would_fold_doppler_beyond_the_targets_has_fewer_orders() -> None:
     """It was planned with all orders, and failed when it was applied."""
     x, y = -15055.4548 + 2505.3 * np.cos(np.radians(213.2)), 19199.7827 + 2505.3 * np.sin(np.radians(213.2))

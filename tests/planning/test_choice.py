@@ -22,6 +22,7 @@ def test_the_frequency_perturbation_alone_does_not_focus_paper_b() -> None:
     assert plans["frequency"].blocks[0].prediction.pslr > -11.0
 
 
+@pytest.mark.slow
 def test_range_walk_remains_without_keystone() -> None:
     """Paper A, Figure 11: much more than a range cell, against a fraction of one."""
     plans = {kept: blocksar.plan("table1", blocks=3, keystone=kept).result for kept in (True, False)}
@@ -33,6 +34,7 @@ def test_range_walk_remains_without_keystone() -> None:
 # ---------------------------------------------------------------- Closed form
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "processor", "blocks", "most"),
     [
@@ -60,6 +62,7 @@ def test_closed_form_against_fit_and_against_deramp_alone(name: str, processor: 
 # ---------------------------------------------------------------- Choice of the processor
 
 
+@pytest.mark.slow
 def test_auto_takes_the_fastest_that_keeps_the_fidelity() -> None:
     grid = ((18250.0, 18400.0, 0.4), (-250.0, 250.0, 0.4))
     report = blocksar.plan("paper_c", processor="auto", grid=grid)

@@ -62,6 +62,7 @@ def check(plan: Plan, image: ComplexArray, exact: ComplexArray) -> float:
     return min(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "text"), [("stripmap", "uniform"), ("squinted", "hann")])
 def test_images_are_those_of_back_projection_across_a_zero(kind: str, text: str) -> None:
     """On the plane; all are NaN where the pattern is less than a hundredth of its peak. 0.9998 was said, and 0.91
@@ -78,6 +79,7 @@ def test_images_are_those_of_back_projection_across_a_zero(kind: str, text: str)
     check(plan, image, exact)
 
 
+@pytest.mark.slow
 def test_unit_targets_beside_a_zero_are_one() -> None:
     """A pattern tilts the weights of a dwell, by which a chain's gain changes."""
     collection = Collection(**{**axis_collection(n_pulse=600).as_dict(), **zero_at(9000.0, 0.003)})
@@ -97,6 +99,7 @@ def test_a_pattern_in_elevation_over_heights_is_refused() -> None:
         plan_collection(collection, grid=GRID, terrain=terrain)
 
 
+@pytest.mark.slow
 def test_ranges_without_any_light_are_planned_and_stay_empty() -> None:
     """A pattern that is 0 over a third of the swath: targets there have no weight, and no focus."""
     pattern = {

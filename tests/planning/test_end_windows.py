@@ -52,6 +52,7 @@ ONE = np.ones(900)  # all pulses are valid
 GRID = "8000:8660:3,5700:6400:3"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weighting", ["uniform", "hamming"])
 def test_raised_windows_give_back_what_targets_lose_at_ends_that_move_over_the_band(weighting: str) -> None:
     """Summed over each range frequency's own part of the dwell, and over the band."""
@@ -77,6 +78,7 @@ def test_raised_windows_give_back_what_targets_lose_at_ends_that_move_over_the_b
     assert end_lift(blur, 0.0, band) == 0.0
 
 
+@pytest.mark.slow
 def test_a_wide_band_leaves_width_and_level_of_targets_as_they_are(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(SCENE)
     store, run = tmp_path / "scene.zarr", tmp_path / "run"
@@ -102,6 +104,7 @@ def test_looks_lose_at_their_ends_by_what_the_whole_beam_lights() -> None:
     assert losses[0] > 1.5 * losses[1]
 
 
+@pytest.mark.slow
 def test_weights_near_zero_divide_nothing(tmp_path: Path) -> None:
     """Under hann a pixel of a small part of a dwell came to 1e8, since its weights add up to nothing."""
     (tmp_path / "scene.toml").write_text(SCENE)

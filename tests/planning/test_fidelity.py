@@ -87,6 +87,7 @@ def test_a_fidelity_that_no_division_keeps_is_told_with_what_is_reached(tmp_path
     assert f"side lobes of {changed.pslr:.2f} dB instead of {worst.ideal_pslr:.2f} predicted" in told
 
 
+@pytest.mark.slow
 def test_side_lobes_are_judged_by_those_of_back_projection() -> None:
     """On a curved track a target is not seen at evenly spaced angles: the sum over all pulses has other side lobes."""
     processor, grid = PAPERS["paper_b"]
@@ -107,12 +108,14 @@ def test_side_lobes_are_judged_by_those_of_back_projection() -> None:
     assert block.prediction.pslr == pytest.approx(side, abs=0.25)
 
 
+@pytest.mark.slow
 def test_a_high_fidelity_leaves_less_residual_phase() -> None:
     """The outermost blocks of `table1` too, where the first kind of chain that is tried folds lines at some ranges."""
     sharp = blocksar.plan("table1", blocks=7, weighting="taylor:4:-35", fidelity=0.999995).result
     assert max(block.prediction.phase_loss for block in sharp.blocks) < 0.3 * (1 - sharp.fidelity)
 
 
+@pytest.mark.slow
 def test_a_weighting_is_planned_and_predicted() -> None:
     """Ends of dwells lose by the square of their weight, and slopes some; widths and side lobes are the taper's."""
     plain = blocksar.plan("table1", blocks=3).result
@@ -161,6 +164,7 @@ def test_a_window_of_few_cells_is_judged_at_its_edges() -> None:
     np.testing.assert_allclose(edges.at(np.array([[10.0], [0.0], [20.0]]))[:, 0], [6.0, 0.0, 14.0])
 
 
+@pytest.mark.slow
 def test_a_swath_close_to_the_nadir_is_mapped_by_ground_range() -> None:
     """Targets of one apparent range are sought beyond the swath: nearer than the platform's height there are none."""
     text = axis_scene(

@@ -19,6 +19,7 @@ from blocksar.planning.fitting import ChainKind, FittedSteps
 # ---------------------------------------------------------------- The fit
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "freedom", [FittedSteps(True, True, False), FittedSteps(False, False, False), FittedSteps(True, True, True)]
 )

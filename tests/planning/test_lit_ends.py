@@ -30,6 +30,7 @@ def _summed(area: float, displaced: float, blur: float, doppler: FloatArray) -> 
     return total
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lit_band", [200.0, 1900.0])  # Hz
 @pytest.mark.parametrize(
     ("area", "displaced", "blur"), [(1e-9, 0.0, INTERVAL / 2), (3e-5, 1e-4, 5e-4), (2e-6, 1e-3, 2e-4)]

@@ -66,6 +66,7 @@ def scene(folder: Path, text: str, at: tuple[float, float]) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_ideal_side_lobes_are_those_of_back_projection(tmp_path: Path, name: str) -> None:
     """The beam moves on from pixel to pixel, and over a wide band echoes leave the range cell of a pixel beside.
@@ -96,6 +97,7 @@ def test_a_shoulder_counts_in_both_of_two_responses_or_in_none() -> None:
     assert side_lobe_as_in(minimum, plain) == pytest.approx(side_lobe(minimum), abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_plan_says_where_all_dwells_are_cut(tmp_path: Path) -> None:
     grid = "1950:2150:5,300:500:8"
     path = scene(tmp_path, CUT, (2050.0, 400.0))

@@ -43,6 +43,7 @@ def test_a_plan_reads_no_samples_and_accepts_a_scene_or_a_store(table1: Path) ->
     assert all(len(row) == len(header) for row in rows)
 
 
+@pytest.mark.slow
 def test_of_many_blocks_the_ten_worst_are_shown_and_all_are_at_hand() -> None:
     report = blocksar.plan("table1", blocks=14)
     header, rows = report.tables[0]
@@ -54,6 +55,7 @@ def test_of_many_blocks_the_ten_worst_are_shown_and_all_are_at_hand() -> None:
     assert all(title.partition(" (")[0] in names for title in report.details[0][0])
 
 
+@pytest.mark.slow
 def test_a_plan_says_how_long_a_run_takes_and_all_else_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
     def summary(pace: float) -> list[str]:
         monkeypatch.setattr(sentences, "pace", lambda: pace)
@@ -80,12 +82,14 @@ def test_the_pace_of_a_machine_is_measured_once() -> None:
     assert pace() > 0 and pace() == pace()
 
 
+@pytest.mark.slow
 def test_range_sub_blocks_are_shown_with_their_range() -> None:
     header, rows = blocksar.plan("table1", blocks=2, memory_limit=560 * 2**20).tables[0]
     assert header[2] == "range (km)" and all(len(row) == len(header) for row in rows)
     assert {row[0].partition(".")[0] for row in rows} == {"0", "1"}
 
 
+@pytest.mark.slow
 def test_the_gate_has_room_for_dwells_that_the_collection_cuts() -> None:
     """In narrow outer blocks the dwells that are left are much shorter than those that the gate continues."""
     made = Scene.parse(
@@ -126,6 +130,7 @@ def test_where_the_kinds_tried_fold_lines_another_is_fitted() -> None:
     assert np.isfinite(list(plan.prediction)).all()
 
 
+@pytest.mark.slow
 def test_range_gates_share_their_delays_and_divide_the_spectrum_into_whole_chunks() -> None:
     """One transform of each Doppler bin serves all sub-blocks, and each group of bins is written by one task."""
     plan = plan_collection(Scene.parse(scene()).collection().centred(), blocks=2, parts=3)
@@ -155,6 +160,7 @@ def test_range_gates_share_their_delays_and_divide_the_spectrum_into_whole_chunk
     assert whole.gating_memory == 0 and not whole.gate_spans() and "gated" not in run_bytes(whole)
 
 
+@pytest.mark.slow
 def test_a_part_of_the_grid_beyond_the_range_window_is_told(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(UNSTEERED_SCENE)
     inside, beyond = ((5840.0, 5880.0, 1.0), (2120.0, 2160.0, 1.0)), ((5600.0, 6100.0, 1.0), (2120.0, 2160.0, 1.0))

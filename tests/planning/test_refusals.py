@@ -23,6 +23,7 @@ def close() -> Any:
     return blocksar.collection(**{**made, "carrier_frequency": 4e9})
 
 
+@pytest.mark.slow
 def test_what_no_chain_forms_ends_with_who_does_it(close: Any) -> None:
     few = blocksar.plan(close, grid=GRID, workers=0, blocks=4)
     assert few.refusal is not None and few.refusal.endswith(END)

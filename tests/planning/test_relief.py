@@ -71,6 +71,7 @@ def test_smooth_parts_follow_what_is_smooth_and_the_rest_stands_over_them() -> N
     assert empty.smooth(np.array(5.5e4), np.array(2.05)) == pytest.approx(33.0, abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [6.0, 30.0])  # m
 def test_the_ground_of_a_block_lies_between_its_bounds_though_samples_are_farther_apart(size: float) -> None:
     """Tiles of pixels beyond the bounds count as none of the block's: pixels of no block were left in images."""
@@ -118,6 +119,7 @@ def test_on_a_level_terrain_looks_lose_what_they_lose_on_the_plane() -> None:
     assert 1 - level.coherence == pytest.approx(1 - plane.coherence, rel=0.03)
 
 
+@pytest.mark.slow
 def test_relief_costs_coherence_as_predicted_and_bends_grow_with_it() -> None:
     plans = [planned(hilly(height)) for height in (50.0, 300.0)]
     bends = [max(block.ground.relief.most_bend for block in plan.blocks) for plan in plans]  # type: ignore[union-attr]
@@ -160,6 +162,7 @@ swath = [3600.0, 4400.0]
 """
 
 
+@pytest.mark.slow
 def test_heights_cost_a_taper_what_they_move_dwells_by() -> None:
     """From 2.5 km above, heights displace dwells under their windows, which follow the smooth part of the ground."""
     collection = Scene.parse(LOW).collection().centred()
@@ -205,6 +208,7 @@ def test_side_lobes_are_those_of_targets_between_the_lines_and_low_on_a_terrain(
     assert 0.38 < found.pslr - found.ideal_pslr < 0.6
 
 
+@pytest.mark.slow
 def test_no_ground_of_a_block_is_deeper_than_points_of_its_ranges_are() -> None:
     """At 3020 m of range from 3000 m, a ground 150 m lower has no point: lines of lowest targets ended in NaN."""
     depth = Depth(x=0.0, y=0.0, z=3000.0)

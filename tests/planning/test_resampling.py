@@ -5,10 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import blocksar
 from blocksar.focusing.azimuth_steps import DopplerResampling
 from blocksar.kernels.phase import unit
+
+pytestmark = pytest.mark.slow
 
 # h' reaches from 0.8 to 1.9 over the Doppler of a block.
 UNEVEN = """

@@ -18,6 +18,8 @@ from blocksar.planning.plan import Plan
 from blocksar.planning.planner import plan_collection
 from blocksar.simulation.scatterers import simulate_pulses
 
+pytestmark = pytest.mark.slow
+
 BAND = 128 * 400e3  # Hz
 
 

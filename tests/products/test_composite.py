@@ -31,6 +31,7 @@ def images_of(sources: dict[str, FinishedRun]) -> Any:
     return dict(zip(sources, (image.astype(np.complex128) for image in read), strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("names", [("HH", "VH", "VV"), ("HH", "HV", "VH", "VV")])
 def test_colours_are_mean_powers_of_the_pauli_vector(polarised: Path, names: tuple[str, ...]) -> None:
     alone = sources_of(polarised)
@@ -53,6 +54,7 @@ def test_colours_are_mean_powers_of_the_pauli_vector(polarised: Path, names: tup
     assert np.array_equal(np.isnan(reduced.power), np.isnan(power[..., 0]))
 
 
+@pytest.mark.slow
 def test_a_composite_shows_kinds_of_scattering_in_their_colours(polarised: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(
         commands.app,
@@ -107,6 +109,7 @@ def test_a_composite_is_cropped_and_needs_its_channels(polarised: Path, tmp_path
     assert not list(tmp_path.glob("no*"))
 
 
+@pytest.mark.slow
 def test_the_report_pages_have_the_composite(polarised: Path) -> None:
     """On each channel's page: the colours of the picture, at the picture's place, in the levels that are stated."""
     blocksar.report(polarised)
@@ -128,6 +131,7 @@ def test_the_report_pages_have_the_composite(polarised: Path) -> None:
         assert np.abs(said - decibel.clip(bottom, top))[covered].max() < 0.51 * (top - bottom) / 255
 
 
+@pytest.mark.slow
 def test_exports_say_the_channel(polarised: Path, tmp_path: Path) -> None:
     for given, wanted in ((None, "HH"), ("hv", "HV")):
         out = tmp_path / f"{wanted}.nitf"

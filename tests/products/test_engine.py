@@ -112,6 +112,7 @@ def test_a_tree_has_sub_apertures(several: Path) -> None:
     assert set(groups) == set(tree.groups) - {"/looks"}
 
 
+@pytest.mark.slow
 def test_the_engine_is_known_by_its_name_and_brings_the_accessor(several: Path, tmp_path: Path) -> None:
     """In a process of its own, which finds the entry points of this version, and imports nothing of blocksar."""
     told = tmp_path / "blocksar-0.dist-info"
@@ -131,6 +132,7 @@ def test_the_engine_is_known_by_its_name_and_brings_the_accessor(several: Path, 
     assert said["chunked"] and said["lazy"] and said["guessed"] and "/channels/HH/quality" in said["groups"]
 
 
+@pytest.mark.slow
 def test_the_engine_loads_nothing_before_it_is_asked() -> None:
     code = (
         "import sys, blocksar.products.engine as e; e.Engine().guess_can_open('a.nc');"

@@ -35,6 +35,7 @@ def test_geotiff_is_a_valid_cog_with_the_pixels_of_the_image(content: Any, tmp_p
     np.testing.assert_allclose(pixels, wanted, rtol=rounding, atol=0)
 
 
+@pytest.mark.slow
 def test_overviews_are_means_of_the_power_that_is_covered(tmp_path: Path) -> None:
     """Each pixel of each level, against a loop over the pixels of the image that it stands for."""
     run = make(tmp_path, size=(1031, 61), step=0.1)
@@ -69,6 +70,7 @@ def test_overviews_are_means_of_the_power_that_is_covered(tmp_path: Path) -> Non
             np.testing.assert_array_equal(overview.read(1), run.image[::-1][::factor, ::factor])
 
 
+@pytest.mark.slow
 def test_overviews_of_a_map_and_of_a_terrain_are_those_of_its_pixels(tmp_path: Path) -> None:
     run = make(tmp_path, size=(530, 71), step=0.15, terrain=ridge())
     for content, options in (("power", {"crs": "EPSG:32616"}), ("height", {}), ("visibility", {}), ("gamma", {})):
@@ -124,6 +126,7 @@ def test_geotiff_places_targets_at_their_latitude_and_longitude(
         assert (file.transform.b == 0) == ((frame == DAYTON and centre == (0.0, 0.0)) or frame.latitude > 70)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("content", ["amplitude", "db"])
 def test_looks_are_means_over_whole_cells_at_their_places(content: Any, tmp_path: Path) -> None:
     run = make(tmp_path, size=(153, 131))
@@ -163,6 +166,7 @@ def test_whole_numbers_stand_for_decibels(scale: Any, most: int, tmp_path: Path)
     assert (pixels[wanted < -41] == 1).all() and inside.sum() > 1000
 
 
+@pytest.mark.slow
 def test_layers_of_a_terrain_are_those_of_the_image_where_it_is_covered(tmp_path: Path) -> None:
     run = make(tmp_path / "run", terrain=ridge())
     image, covered = blocksar.open(run.folder), np.isfinite(run.image)

@@ -53,6 +53,7 @@ def ground_at(frame: Georeference, terrain: Terrain, crs: Any, east: float, nort
     return point(brentq(above, -30.0, 80.0, xtol=1e-9))
 
 
+@pytest.mark.slow
 def test_each_pixel_is_the_image_at_its_own_place_of_the_ground(
     run: tuple[Made, Georeference, str], tmp_path: Path
 ) -> None:
@@ -90,6 +91,7 @@ def test_each_pixel_is_the_image_at_its_own_place_of_the_ground(
     assert max(error) < (8e-3 if made.collection.steered else 2e-3)
 
 
+@pytest.mark.slow
 def test_pixels_far_from_the_middle_of_a_part_have_their_own_dwells(tmp_path: Path) -> None:
     """A beam that hardly moves over the ground, and pixels as large as the resolution allows."""
     terrain, crs = hilly((0.0, 0.0)), "EPSG:32616"
@@ -112,6 +114,7 @@ def test_pixels_far_from_the_middle_of_a_part_have_their_own_dwells(tmp_path: Pa
     assert max(strongest) > 0.8 and max(error) < 0.025  # a pulse of 90 more or less
 
 
+@pytest.mark.slow
 def test_detected_pixels_and_layers_follow_the_complex_ones(
     run: tuple[Made, Georeference, str], tmp_path: Path
 ) -> None:
@@ -136,6 +139,7 @@ def test_detected_pixels_and_layers_follow_the_complex_ones(
         assert read["incidence"][row, column] == pytest.approx(float(exact), abs=1e-4)
 
 
+@pytest.mark.slow
 def test_looks_are_averaged_before_the_map_is_made(run: tuple[Made, Georeference, str], tmp_path: Path) -> None:
     made, frame, crs = run
     terrain = hilly(CENTRE["DAYTON" if frame is DAYTON else "SYDNEY"])

@@ -72,6 +72,7 @@ def test_text_from_files_is_escaped(whole: Path) -> None:
     assert "49" not in heading
 
 
+@pytest.mark.slow
 def test_reports_are_reproducible_and_missing_measurements_are_computed(
     run: Path, runs: dict[str, Path], quick: None
 ) -> None:
@@ -83,6 +84,7 @@ def test_reports_are_reproducible_and_missing_measurements_are_computed(
     assert report.summary[-1] == f"wrote {run / 'report.html'}"
 
 
+@pytest.mark.slow
 def test_the_picture_matches_the_image(runs: dict[str, Path]) -> None:
     source = source_of(runs["run"])
     made = picture.draw(source, looks="max")
@@ -139,6 +141,7 @@ class Wide(FinishedRun):
         return np.full((rows.stop - rows.start, columns.stop - columns.start), 0.5 + 0j, np.complex64)
 
 
+@pytest.mark.slow
 def test_the_image_is_read_in_strips(runs: dict[str, Path]) -> None:
     real = source_of(runs["run"])
     made = Wide(real.folder, np.arange(20000.0), np.arange(4000.0), real.geometry, {}, RunRecord(status="finished"))
@@ -149,6 +152,7 @@ def test_the_image_is_read_in_strips(runs: dict[str, Path]) -> None:
     assert len(drawn.data) < 100_000
 
 
+@pytest.mark.slow
 def test_chips_lie_at_their_targets(runs: dict[str, Path]) -> None:
     source = source_of(runs["run"])
     drawn = picture.draw(source, looks="max")
@@ -170,6 +174,7 @@ def test_chips_lie_at_their_targets(runs: dict[str, Path]) -> None:
     assert np.abs(said - expected)[np.isfinite(true)].max() < 0.51 * (drawn.top - drawn.bottom) / 255
 
 
+@pytest.mark.slow
 def test_a_picture_of_noise_keeps_the_page_below_five_megabytes() -> None:
     rng = np.random.default_rng(1)
     noise = rng.uniform(-100, 0, (picture.PIXELS, picture.PIXELS))
@@ -178,6 +183,7 @@ def test_a_picture_of_noise_keeps_the_page_below_five_megabytes() -> None:
     assert max(chips) * picture.MOST_CHIPS < 0.7e6
 
 
+@pytest.mark.slow
 def test_block_names_agree_with_the_block_map_of_the_image(runs: dict[str, Path]) -> None:
     source = source_of(runs["run"])
     predicted = source.record.plan.predicted
@@ -192,6 +198,7 @@ def test_block_names_agree_with_the_block_map_of_the_image(runs: dict[str, Path]
     assert found == {"0.0", "0.1", "1.0", "1.1"}
 
 
+@pytest.mark.slow
 def test_outlines_follow_the_block_limits(runs: dict[str, Path]) -> None:
     source = source_of(runs["run"])
     predicted, geometry = facts.Facts(source, None).predicted, source.geometry
@@ -217,6 +224,7 @@ def test_a_good_run_is_reported_as_good(whole: Path) -> None:
     assert 'class="off"' not in whole.read_text()
 
 
+@pytest.mark.slow
 def test_figures_beyond_the_quality_bar_are_reported_and_marked(run: Path, quick: None) -> None:
     def spoil(record: Any) -> None:
         found = {t["name"]: t for t in record["targets"]}
@@ -237,6 +245,7 @@ def test_figures_beyond_the_quality_bar_are_reported_and_marked(run: Path, quick
     assert f"! {share}" in re.sub(r"<[^>]*>", "", text)
 
 
+@pytest.mark.slow
 def test_targets_outside_the_grid_are_not_judged(run: Path, quick: None) -> None:
     """The quality bar ignores targets outside the image, but a hole in the image counts as a failure."""
 
@@ -259,6 +268,7 @@ def record_names(run: Path) -> list[str]:
     return [target["name"] for target in json.loads((run / "quality.json").read_text())["targets"]]
 
 
+@pytest.mark.slow
 def test_warnings_come_first(run: Path, quick: None) -> None:
     changed(run / "run.json", lambda r: r.update(warnings=["3 pulses are missing <b>", "saturated"]))
     report = blocksar.report(run)
@@ -270,6 +280,7 @@ def test_warnings_come_first(run: Path, quick: None) -> None:
     assert "2 warnings" in found.text()
 
 
+@pytest.mark.slow
 def test_more_memory_than_planned_needs_attention(run: Path, quick: None) -> None:
     changed(run / "run.json", lambda r: r.update(peak_memory=2 * r["plan"]["memory"]))
     report = blocksar.report(run)
@@ -341,6 +352,7 @@ def test_the_command_repeats_the_run(settings: dict[str, Any], monkeypatch: pyte
 DEMO = [*demonstration.GRID[0], *demonstration.GRID[1]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scene", "source", "blocks", "grid", "command"),
     [
@@ -362,6 +374,7 @@ def test_a_demonstration_is_repeated_as_one(
     assert CliRunner().invoke(commands.app, [*facts[1:], "--help"]).exit_code == 0
 
 
+@pytest.mark.slow
 def test_only_the_worst_of_many_targets_are_listed(run: Path, quick: None) -> None:
     def copy(record: Any) -> None:
         one = record["targets"][0]
@@ -393,6 +406,7 @@ def test_report_of_a_back_projection_image_too_coarse_to_measure(
     assert not any(a.get("id") in ("borders", "toggle-borders") for _, a in found.elements)
 
 
+@pytest.mark.slow
 def test_report_of_a_georeferenced_run_without_targets(run: Path, tmp_path: Path) -> None:
     where = {"kind": "ENU", "latitude": 39.78, "longitude": -84.09, "height": 250.0, "rotation_deg": 30.0}
 
@@ -411,12 +425,14 @@ def test_report_of_a_georeferenced_run_without_targets(run: Path, tmp_path: Path
     assert "mean power" in said
 
 
+@pytest.mark.slow
 def test_report_of_a_run_with_a_minimal_record(run: Path, quick: None) -> None:
     (run / "run.json").write_text(json.dumps({"status": "finished"}))
     said = read(blocksar.report(run).result).text()
     assert "Provenance" in said and "Command that repeats the run" not in said
 
 
+@pytest.mark.slow
 def test_report_of_a_run_in_an_object_store(runs: dict[str, Path], tmp_path: Path, quick: None) -> None:
     run = borrowed(runs["exact"], tmp_path / "run")
     with s3.server():
@@ -439,6 +455,7 @@ def test_report_of_a_run_in_an_object_store(runs: dict[str, Path], tmp_path: Pat
 # ---------------------------------------------------------------- progress, wrong input and failures
 
 
+@pytest.mark.slow
 def test_an_existing_page_is_kept_unless_overwrite_is_given(run: Path, tmp_path: Path, quick: None) -> None:
     target = tmp_path / "page.html"
     target.write_text("mine")
@@ -450,6 +467,7 @@ def test_an_existing_page_is_kept_unless_overwrite_is_given(run: Path, tmp_path:
     assert target.read_text(encoding="utf-8").startswith("\n<!DOCTYPE html>".strip())
 
 
+@pytest.mark.slow
 def test_a_full_disk_leaves_the_existing_page(run: Path, quick: None, monkeypatch: pytest.MonkeyPatch) -> None:
     (run / "report.html").write_text("earlier")
 

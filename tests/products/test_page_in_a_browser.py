@@ -20,6 +20,8 @@ from report_page import HOSTILE
 
 import blocksar
 
+pytestmark = pytest.mark.slow
+
 CHROMIUM = os.environ.get("BLOCKSAR_CHROMIUM") or next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
 )

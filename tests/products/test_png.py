@@ -44,6 +44,7 @@ def test_the_north_arrow_follows_the_rotation_of_the_frame() -> None:
     assert tip[1] == pytest.approx(20.0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_png_export_needs_no_georeference(unplaced: Made, tmp_path: Path) -> None:
     done = CliRunner().invoke(
         commands.app, ["export", "png", str(unplaced.folder), "--out", str(tmp_path / "a.png"), "-q"]

@@ -45,6 +45,7 @@ def session(environment: dict[str, str], calls: list[Any], commands: list[Any]) 
     return said, [Ended(*each) for each in done]
 
 
+@pytest.mark.slow
 def test_a_product_of_another_package_has_a_command_and_is_one_in_python(made: Made, tmp_path: Path) -> None:
     run, out, drawn = str(made.folder), tmp_path / "image.kml", str(tmp_path / "a")
     said, (listed, helped, done) = session(

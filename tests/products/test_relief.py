@@ -21,6 +21,7 @@ from blocksar.products.page.picture import read_relief
 from blocksar.runs.finished import FinishedRun
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_the_page_shows_the_terrain_and_the_heights_of_targets(tmp_path: Path) -> None:
     run = make(tmp_path / "run", terrain=ridge(base=-5.0), formed_on_it=True, step=0.35)
@@ -59,6 +60,7 @@ def test_slopes_and_shares_are_those_of_the_terrain(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_targets_in_shadow_are_not_judged(tmp_path: Path) -> None:
     """Of targets in the scene's quality, one behind the ridge has no echo to be measured."""
     run = make(tmp_path / "run", terrain=ridge(base=-5.0), formed_on_it=True, step=0.35)

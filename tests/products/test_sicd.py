@@ -46,6 +46,7 @@ def test_sicd_passes_the_checker_without_errors(exported: tuple[Made, Sicd]) -> 
     assert len(exported[1].checked.passes()) > 40
 
 
+@pytest.mark.slow
 def test_a_weighted_image_has_its_weights(tmp_path: Path) -> None:
     """The -3 dB width of a cut follows from the weights along its band, and is larger than without a weighting."""
     plain, weighted = (make(tmp_path / name, hole=False, weighting=name) for name in ("uniform", "hamming"))
@@ -81,6 +82,7 @@ def test_widths_under_a_pattern_are_those_of_the_response() -> None:
     assert support.weights.min() < 0.2 * support.weights.max() and (plain.weights == 1).all()
 
 
+@pytest.mark.slow
 def test_the_noise_of_the_image_is_that_of_the_file(tmp_path: Path) -> None:
     run = make(tmp_path, noise_power=0.7, steered=True, hole=False)
     report = blocksar.export("sicd", run.folder, run.folder / "image.nitf")
@@ -116,6 +118,7 @@ def test_sicd_metadata_project_targets_onto_their_peaks(exported: tuple[Made, Si
         assert ground == pytest.approx(ecef, abs=0.01)
 
 
+@pytest.mark.slow
 def test_an_image_on_a_terrain_projects_to_its_heights(tmp_path: Path) -> None:
     """Targets stand where the standard's projection has them, and their pixels project to their x and y."""
     terrain = hilly((0.0, 0.0))
@@ -280,6 +283,7 @@ def turning(run: Made, kind: str) -> Collection:
     return with_patterns(replace(collection, beam_steering=steering[kind]))
 
 
+@pytest.mark.slow
 def test_sicd_tells_mode_and_what_was_compensated(tmp_path: Path) -> None:
     run = make(tmp_path, size=(60, 50), about_axis=True, beam=(0.02, 0.1), hole=False)
     attrs = {"georeference": DAYTON.as_attribute()}
@@ -297,6 +301,7 @@ def test_sicd_tells_mode_and_what_was_compensated(tmp_path: Path) -> None:
         assert found.load("ImageFormation/AzAutofocus") == ("SV" if track else "NO")
 
 
+@pytest.mark.slow
 def test_sicd_of_a_mosaic_says_what_its_metadata_describe(tmp_path: Path) -> None:
     """They are those of the collection in the middle, with its date; they cannot be those of the others."""
     date = {"collection_start": "2024-05-06T00:00:00Z", "time_zero": 100.0}
@@ -324,6 +329,7 @@ def test_sicd_of_a_mosaic_says_what_its_metadata_describe(tmp_path: Path) -> Non
     assert (start - datetime(2024, 5, 7, tzinfo=UTC)).total_seconds() == pytest.approx(100 + run.collection.time[0])
 
 
+@pytest.mark.slow
 def test_sicd_contains_the_known_collection_metadata(tmp_path: Path) -> None:
     known = {"collector": "C-1", "classification": "SECRET//X", "polarization": {"transmit": "H", "receive": "V"}}
     run = make(tmp_path, size=(60, 50), more=known)

@@ -26,6 +26,7 @@ TURNED = Georeference(latitude=-33.1, longitude=151.2, height=40.0, rotation=200
 FAR_EAST = Georeference(latitude=-16.0, longitude=179.99999, height=5.0)  # and west of 180 degrees
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("look", "looks", "frame"),
     [(0.1, "1x1", DAYTON), (0.9, "2x3", FAR_EAST), (2.6, "1x1", TURNED), (-1.9, "3x2", DAYTON)],
@@ -58,6 +59,7 @@ def test_pixels_are_decibels_at_their_places_on_the_plane(
     assert (found.pixels == 0).any() and (found.pixels > 200).any()
 
 
+@pytest.mark.slow
 def test_targets_and_shadows_lie_as_the_metadata_say(tmp_path: Path) -> None:
     run = make(tmp_path, look=0.9, steered=True, hole=False)
     blocksar.export("sidd", run.folder, tmp_path / "a.nitf")
@@ -93,6 +95,7 @@ def test_amplitudes_of_the_table_are_those_of_the_pixels(made: Made, tmp_path: P
     np.testing.assert_allclose(told[inside], amplitude[inside], rtol=0.011)  # half a step is 0.08 dB; whole numbers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frame", [DAYTON, FAR_EAST], ids=["Dayton", "far east"])
 def test_an_image_on_a_terrain_is_orthorectified_at_its_heights(frame: Georeference, tmp_path: Path) -> None:
     terrain = hilly((0.0, 0.0))
@@ -122,6 +125,7 @@ def test_valid_data_are_the_outline_of_what_is_covered(made: Made, tmp_path: Pat
     np.testing.assert_allclose(DAYTON.to_geodetic(DAYTON.from_ecef(ecef))[:, :2], degrees, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_parts_and_ends_of_the_image(tmp_path: Path) -> None:
     """A crop; an image with layover and shadow; a classification, a polarization and a sensor of a long name."""
     run = make(tmp_path / "plane", hole=False)

@@ -66,6 +66,7 @@ def test_an_item_says_where_when_and_how(tmp_path: Path) -> None:
     assert inside[covered].all() and inside.sum() < 1.01 * covered.sum()
 
 
+@pytest.mark.slow
 def test_assets_are_where_the_item_says_with_their_own_grids(tmp_path: Path) -> None:
     run = make(tmp_path / "run", terrain=hilly((0.0, 0.0)), formed_on_it=True)
     blocksar.export("geotiff", run.folder, tmp_path / "a.tif", looks="2x2")
@@ -91,6 +92,7 @@ def test_assets_are_where_the_item_says_with_their_own_grids(tmp_path: Path) -> 
     assert item.assets["image"].extra_fields["data_type"] == "cfloat32"
 
 
+@pytest.mark.slow
 def test_an_item_across_the_antimeridian_is_cut_there(tmp_path: Path) -> None:
     frame = Georeference(latitude=-16.0, longitude=179.99999, height=99e3)
     run = make(tmp_path / "run", frame=frame, look=2.6)
@@ -104,6 +106,7 @@ def test_an_item_across_the_antimeridian_is_cut_there(tmp_path: Path) -> None:
     assert item.properties["sat:orbit_state"] == "descending"  # so high up
 
 
+@pytest.mark.slow
 def test_channels_have_their_polarizations_together_or_alone(polarised: Path, tmp_path: Path) -> None:
     blocksar.export("stac", polarised, tmp_path / "all.json")
     whole = checked(tmp_path / "all.json")
@@ -115,6 +118,7 @@ def test_channels_have_their_polarizations_together_or_alone(polarised: Path, tm
     assert (tmp_path / one.assets["image"].href).resolve() == (polarised / "channels/HV/image.zarr").resolve()
 
 
+@pytest.mark.slow
 def test_the_validator_finds_what_is_wrong(tmp_path: Path, made: Made) -> None:
     blocksar.export("stac", made.folder, tmp_path / "item.json")
     item = json.loads((tmp_path / "item.json").read_text(encoding="utf-8"))
@@ -127,6 +131,7 @@ def test_the_validator_finds_what_is_wrong(tmp_path: Path, made: Made) -> None:
             checked(tmp_path / "wrong.json")
 
 
+@pytest.mark.slow
 def test_what_makes_no_item_is_refused(made: Made, unplaced: Made, tmp_path: Path) -> None:
     other = make(tmp_path / "other", size=(60, 50))
     record = json.loads((other.folder / "run.json").read_text())

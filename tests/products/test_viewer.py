@@ -143,6 +143,7 @@ def chromium() -> Iterator[Any]:
             browser.close()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium: BLOCKSAR_CHROMIUM may name one")
 @pytest.mark.parametrize("size", [(1280, 800), (390, 780)], ids=["wide", "phone"])
 def test_the_page_pans_and_zooms(chromium: Any, url: str, large: Made, size: tuple[int, int]) -> None:

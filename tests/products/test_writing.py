@@ -27,6 +27,7 @@ from blocksar.runs import finished
 pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # by affine, in rioxarray
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "pixel"), [("sicd", 8), ("sidd", 2), ("geotiff", 4)])
 def test_a_product_that_does_not_fit_the_disk_is_not_begun(
     kind: Any, pixel: int, made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -67,6 +68,7 @@ def test_products_do_not_depend_on_the_strip_size(
         assert (tmp_path / "whole").read_bytes() == (tmp_path / "strips").read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["geotiff", "png"])
 def test_what_a_killed_process_has_left_of_a_product_goes(kind: Any, made: Made, tmp_path: Path) -> None:
     for name in (".whole.0123abcd.part", "..whole.0123abcd.part.0123abce.part"):
@@ -88,6 +90,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Made:
     return make(tmp_path_factory.mktemp("large"), size=(520, 300), step=0.1)
 
 
+@pytest.mark.slow
 def test_a_full_disk_leaves_no_partial_file(large: Made, tmp_path: Path) -> None:
     """GDAL does not report a failure of its last write, and raises errors of its own for earlier ones."""
     blocksar.export("geotiff", large.folder, tmp_path / "whole", content="complex")
@@ -133,6 +136,7 @@ def test_an_existing_file_is_kept_unless_overwrite_is_given(kind: Any, made: Mad
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["sicd", "sidd", "geotiff", "png"])
 def test_a_damaged_chunk_leaves_the_existing_file(kind: Any, tmp_path: Path) -> None:
     run = make(tmp_path / "run", size=(60, 140))
@@ -168,6 +172,7 @@ def test_no_product_becomes_part_of_a_store_or_a_record(made: Made, tmp_path: Pa
         blocksar.report(made.folder, out=tmp_path / "run.json", overwrite=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["sicd", "sidd", "geotiff", "png", "stac"])
 def test_a_folder_without_write_permission_is_wrong_input_for_every_format(
     kind: Any, made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -183,6 +188,7 @@ def test_a_folder_without_write_permission_is_wrong_input_for_every_format(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_invalid_sources_are_refused(made: Made, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"holds no run\.json"):
         blocksar.export("png", tmp_path, tmp_path / "a.png")

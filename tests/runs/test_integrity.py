@@ -78,6 +78,7 @@ def before(monkeypatch: pytest.MonkeyPatch, stage: str, act: Callable[[], None],
 # ---------------------------------------------------------------- the input
 
 
+@pytest.mark.slow
 def test_a_chunk_that_is_gone_while_it_is_read_ends_the_run(
     store: Path, right: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -119,6 +120,7 @@ def test_an_axis_that_is_written_while_it_is_opened_is_refused(
 # ---------------------------------------------------------------- the run's own stores
 
 
+@pytest.mark.slow
 def test_a_damaged_chunk_of_the_spectrum_is_noticed_and_computed_again(
     store: Path,
     right: str,
@@ -161,6 +163,7 @@ def test_a_damaged_chunk_of_a_gated_spectrum_is_noticed_and_computed_again(
     assert not (run / "gated").exists()
 
 
+@pytest.mark.slow
 def test_a_chunk_of_a_patch_that_is_lost_is_noticed(
     store: Path, right: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -229,6 +232,7 @@ ALTERED: list[dict[str, Any]] = [
 ]
 
 
+@pytest.mark.slow
 def test_receipts_that_were_altered_do_not_count(original: Path, right: str, unfinished: Path) -> None:
     """Even with seals that fit; each receipt of the run is altered in another way."""
     receipts = sorted((unfinished / "receipts").iterdir())
@@ -252,6 +256,7 @@ def test_symbolic_links_are_not_written_through(name: str, store: Path, tmp_path
     assert list(elsewhere.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_an_overwriting_that_cannot_move_the_old_run_leaves_it_whole(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -282,6 +287,7 @@ def test_a_foreign_scratch_is_in_nobodys_way(original: Path, right: str, unfinis
 # ---------------------------------------------------------------- unusual input
 
 
+@pytest.mark.slow
 def test_a_finished_image_that_is_changed_afterwards_is_not_taken_for_the_run_s(original: Path, tmp_path: Path) -> None:
     settings: dict[str, Any] = {"blocks": 2, "grid": GRID, "workers": 0}
     blocksar.focus(original, tmp_path / "run", **settings)

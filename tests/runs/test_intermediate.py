@@ -36,6 +36,7 @@ def image(folder: Path) -> bytes:
     return bytes(blocksar.open(folder)["image"].values.tobytes())
 
 
+@pytest.mark.slow
 def test_a_run_that_discards_them_makes_the_same_image_and_resumes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -102,6 +102,7 @@ def test_a_failed_task_is_named_in_the_error(store: Path, tmp_path: Path, monkey
     assert (tmp_path / "run" / "receipts").exists()
 
 
+@pytest.mark.slow
 def test_samples_that_workers_cannot_read_are_wrong_input(store: Path, client: Client, tmp_path: Path) -> None:
     bad = damaged(store, tmp_path)
     for chunk in (bad / "signal" / "c").rglob("*"):
@@ -187,6 +188,7 @@ def test_folders_that_are_not_runs_are_not_changed(store: Path, tmp_path: Path) 
         blocksar.quality(tmp_path / "run")
 
 
+@pytest.mark.slow
 def test_peak_memory_is_that_of_the_process() -> None:
     """A small process started by a large one does not report its parent's peak."""
     ballast = np.ones(400 * 2**20, np.uint8)
@@ -212,6 +214,7 @@ def test_a_block_from_another_worker_gives_the_same_result(store: Path, tmp_path
     np.testing.assert_array_equal(here.values, there.values)
 
 
+@pytest.mark.slow
 def test_a_task_of_a_replaced_run_writes_nothing(store: Path, tmp_path: Path) -> None:
     """A given cluster may still run tasks of a dead process while --overwrite has started another run."""
     run = tmp_path / "run"
@@ -266,6 +269,7 @@ def test_missing_and_impossible_samples_count_as_not_lit_and_are_reported(
     assert np.abs(image.image.values).max() == pytest.approx(1, abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_track_that_does_not_match_the_samples_is_reported(tmp_path: Path) -> None:
     store = write_store(tmp_path, swath=[29700.0, 30300.0], more=TARGET)
     collection = stores.open_phase_history(store).collection
@@ -277,6 +281,7 @@ def test_a_track_that_does_not_match_the_samples_is_reported(tmp_path: Path) -> 
     assert not report.result["warnings"]
 
 
+@pytest.mark.slow
 def test_a_saturated_echo_with_a_gap_is_reported(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(scene(swath=[29900.0, 30100.0], more=TARGET + FAR))
     raw = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "raw.zarr", raw=True)
@@ -307,6 +312,7 @@ def test_a_changed_receipt_is_not_accepted(tmp_path: Path) -> None:
     assert run.receipt("block-1") is None
 
 
+@pytest.mark.slow
 def test_receipts_of_a_run_killed_at_its_very_end_are_removed(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -340,6 +346,7 @@ class Killed(BaseException):
     """Ends a process where it is, as far as what it leaves on the disk is concerned."""
 
 
+@pytest.mark.slow
 def test_an_overwrite_that_was_killed_while_it_moved_the_earlier_run_can_be_given_again(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -363,6 +370,7 @@ def test_an_overwrite_that_was_killed_while_it_moved_the_earlier_run_can_be_give
     assert not (run / ".replaced").exists()
 
 
+@pytest.mark.slow
 def test_an_overwrite_that_was_interrupted_keeps_the_earlier_run_until_the_input_is_read_and_goes_on(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -50,6 +50,7 @@ def read(folder: Path, packed: bytes, kind: type = Kept) -> Any:
     return stored_plan.read(place(folder), stores.checksum_bytes(packed), kind)[0]
 
 
+@pytest.mark.slow
 def test_a_plan_is_read_as_it_was_written(tmp_path: Path) -> None:
     for settings in ({"blocks": 2}, {"processor": "backprojection"}):
         plan = blocksar.plan("table1", **settings).plan

@@ -75,6 +75,7 @@ def test_a_damaged_attribute_is_one_sentence(change: dict[str, Any], expected: s
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_quality_and_the_report_page_show_it(tmp_path: Path) -> None:
     small_run.make(tmp_path, more={"autofocus": correction().as_json()})
     report = blocksar.quality(tmp_path)

@@ -71,6 +71,7 @@ def test_named_patterns_lose_half_of_the_power_one_way_at_the_edges(name: str) -
     assert (np.diff(amplitude[: offset.size // 2]) > 0).all()
 
 
+@pytest.mark.slow
 def test_the_taylor_pattern_is_that_of_scipy_s_window() -> None:
     window = taylor(4096, nbar=4, sll=35, norm=False)
     v = (np.arange(4096) - 2047.5) / 4096

@@ -146,6 +146,7 @@ def test_what_needs_the_earth_asks_for_a_georeference() -> None:
 TARGET = '[[targets]]\nname = "T"\nx = 60.0\ny = -30.0\n[terrain]\nsurface = "ellipsoid"\n'
 
 
+@pytest.mark.slow
 def test_an_image_of_a_scene_on_the_ellipsoid_has_its_target_in_place(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(orbit_scene(more=TARGET))
     box = ((-80.0, 200.0, 2.0), (-230.0, 170.0, 5.0))
@@ -160,6 +161,7 @@ def test_an_image_of_a_scene_on_the_ellipsoid_has_its_target_in_place(tmp_path: 
     assert complex(*target["value"]) == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_cphd_file_lies_where_the_georeference_says(tmp_path: Path) -> None:
     """The ingested frame points east and north; its track is the orbit, and its target where the scene has it."""
     error = "earth_centred = true\nstates = " + str(states().tolist()) + "\nerror = {offset = [0.5, 0.0, 0.0]}"

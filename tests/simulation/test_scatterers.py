@@ -42,6 +42,7 @@ def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(sys.modules["blocksar.simulation.scatterers"], "DIRECT_LIMIT", request.param)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("way")
 @pytest.mark.parametrize("name", SCENES)
 def test_samples_equal_those_of_the_double_loop(name: str) -> None:
@@ -85,6 +86,7 @@ def test_ranges_are_exact_at_table_1() -> None:
     assert np.abs(found - expected).max() < 2e-6
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("way")
 def test_samples_do_not_depend_on_threads_or_chunks() -> None:
     scene = Scene.parse(SCENE)

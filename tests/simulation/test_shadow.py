@@ -42,6 +42,7 @@ def hills() -> Terrain:
     return Terrain(x0=-1200.0, dx=20.0, y0=-1200.0, dy=20.0, heights=heights)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beam_width", [pytest.param(None, marks=pytest.mark.slow), 0.12])
 def test_pulses_whose_ray_passes_below_the_ground_are_hidden(beam_width: float | None) -> None:
     collection, terrain, random = passing(beam_width), hills(), np.random.default_rng(2)
@@ -66,6 +67,7 @@ def test_pulses_whose_ray_passes_below_the_ground_are_hidden(beam_width: float |
     assert twice is not None and (twice.at(200, 0, 60) == shadow.at(200, 0, 60)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", [0, 10**9], ids=["transform", "direct"])
 def test_scatterers_in_shadow_do_not_echo(limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.modules["blocksar.simulation.scatterers"], "DIRECT_LIMIT", limit)

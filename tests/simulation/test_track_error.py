@@ -74,6 +74,7 @@ def test_samples_follow_the_track_as_flown_and_the_store_the_track_as_known(tmp_
     assert np.abs(signal - slow_twins.phase_history(without, targets)).max() > 1
 
 
+@pytest.mark.slow
 def test_raw_echoes_and_cphd_files_have_it_too(tmp_path: Path) -> None:
     scene = Scene.parse(SCENE + TARGET + ERROR)
     targets = [target[1:4] for target in scene.point_targets()]

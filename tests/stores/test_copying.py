@@ -48,6 +48,7 @@ def not_consolidated(path: Path, collection: Collection) -> None:
     dataset.to_zarr(path, zarr_format=3, consolidated=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("write", [ours, version_2, not_consolidated])
 def test_a_copy_differs_in_track_and_attributes_only(
     write: Callable[[Path, Collection], None], small_collection: Collection, tmp_path: Path

@@ -37,6 +37,7 @@ def events(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return told
 
 
+@pytest.mark.slow
 def test_stores_are_flushed_before_they_get_their_names(tmp_path: Path, events: list[str]) -> None:
     dataset, text = blocksar.collection(**arrays()), tmp_path / "scene.toml"
     text.write_text(scene())

@@ -128,6 +128,7 @@ def test_every_store_has_the_same_bytes_as_in_a_folder(name: str, there: Place, 
     assert contents(there) == contents(LocalPlace(tmp_path / "s.zarr"))
 
 
+@pytest.mark.slow
 def test_regions_are_read_as_from_a_folder(small_collection: Collection, there: Place, tmp_path: Path) -> None:
     local = LocalPlace(tmp_path / "ph.zarr")
     for where in (there, local):
@@ -153,6 +154,7 @@ def test_a_phase_history_can_be_pickled_for_other_processes(small_collection: Co
     assert np.array_equal(again.read(slice(3, 200), slice(0, 70)), noise((256, 128))[3:200, :70])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["a b", "%41", "a#b?c=d&e", "é", "a::b", "a+b"])
 def test_unusual_names_are_used_as_given(name: str, there: Place, tmp_path: Path, small_collection: Collection) -> None:
     for where in (there / name / "ph.zarr", LocalPlace(tmp_path) / name / "ph.zarr"):
@@ -182,6 +184,7 @@ OTHERWISE: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OTHERWISE)
 def test_stores_written_by_xarray_are_read(name: str, there: ObjectPlace, small_collection: Collection) -> None:
     c = small_collection
@@ -245,6 +248,7 @@ stores.create(
 """
 
 
+@pytest.mark.slow
 def test_a_store_is_unfinished_if_its_writer_was_killed(there: Place) -> None:
     make(there / "whole", 1)
     make(there / "killed", 2)
@@ -302,6 +306,7 @@ def test_overwrite_removes_the_group_metadata_first_and_writes_it_last(
     assert order[-2:] == ["write_bytes zarr.json", f"remove {stores.UNFINISHED}"]
 
 
+@pytest.mark.slow
 def test_a_copy_that_was_killed_while_it_was_published_is_published_again(
     there: Place, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -348,6 +353,7 @@ def test_a_writer_is_refused_if_another_replaces_its_store(there: Place) -> None
 # Fingerprint
 
 
+@pytest.mark.slow
 def test_the_fingerprint_changes_with_every_change_of_the_store(small_collection: Collection, there: Place) -> None:
     found = history(there, small_collection)
     first = found.fingerprint()
@@ -425,6 +431,7 @@ def test_an_unreachable_endpoint_is_reported(small_collection: Collection, there
         refused(lambda write=write: write(there), ProcessingError, f"{unreached} does not answer")
 
 
+@pytest.mark.slow
 def test_an_endpoint_that_stops_answering_is_reported(
     small_collection: Collection, there: Place, monkeypatch: Any
 ) -> None:
@@ -486,6 +493,7 @@ def test_a_failed_request_is_repeated(small_collection: Collection, there: Place
     assert len(failed) == 1
 
 
+@pytest.mark.slow
 def test_unreachable_samples_are_not_reported_as_damaged(
     small_collection: Collection, there: Place, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -516,6 +524,7 @@ def test_many_chunks_are_transferred_at_once() -> None:
     )
 
 
+@pytest.mark.slow
 def test_refused_credentials_are_reported(small_collection: Collection, monkeypatch: pytest.MonkeyPatch) -> None:
     with s3.refusing_server():
         where = place("s3://bucket/ph.zarr")

@@ -290,6 +290,7 @@ def test_chunks_equal_the_files_that_zarr_writes(tmp_path: Path, name: str, slab
         assert chunk_bytes(tmp_path / str(i)) == chunk_bytes(tmp_path / "zarr")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PLAIN)
 def test_regions_are_read_as_by_zarr(tmp_path: Path, name: str, slab: None) -> None:
     array, values = plain_store(tmp_path / "s", name)

@@ -146,6 +146,7 @@ def test_scene_tables_survive_a_toml_round_trip(benchmark: Any) -> None:
     assert tomllib.loads(benchmark.scenes.as_toml(tables)) == tables
 
 
+@pytest.mark.slow
 def test_the_prf_is_raised_only_as_far_as_needed(benchmark: Any) -> None:
     case = benchmark.scenes.plan_case(
         "table1", benchmark.scenes.Scale(1, 1.5), blocks=3, workers=2, memory_limit=8 * 2**30
@@ -163,6 +164,7 @@ def test_a_wrong_scale_is_refused(benchmark: Any, text: str) -> None:
         benchmark.scenes.Scale.parse(text)
 
 
+@pytest.mark.slow
 def test_a_hard_linked_file_counts_as_written_once(benchmark: Any, collected: Any, tmp_path: Path) -> None:
     history, plan, *_ = collected
     patch, image = tmp_path / "patches" / "0" / "image" / "c", tmp_path / "image.zarr" / "image" / "c"
@@ -206,6 +208,7 @@ def test_a_missing_peer_is_reported_as_not_installed(
     assert "not installed" in benchmark.tables.peer_line(found)
 
 
+@pytest.mark.slow
 def test_processors_are_compared_by_processor_time_and_error(
     benchmark: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

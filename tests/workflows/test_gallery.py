@@ -68,6 +68,7 @@ def test_a_notebook_is_stored_with_the_outputs_of_its_cells(name: str, runner: M
     assert (runner.GALLERY / f"{name}.ipynb").stat().st_size < 200_000
 
 
+@pytest.mark.slow
 def test_the_first_notebook_leads_to_a_calibrated_image(run: Callable[[str], Executed]) -> None:
     executed = run("first_notebook")
     html = executed.text()
@@ -94,6 +95,7 @@ def test_the_first_notebook_leads_to_a_calibrated_image(run: Callable[[str], Exe
         assert target["azimuth_irw"] == pytest.approx(target["azimuth_irw_theory"], rel=0.02)
 
 
+@pytest.mark.slow
 def test_squint_tops_is_sharp_over_the_scan(run: Callable[[str], Executed]) -> None:
     names = run("squint_tops").names
     assert np.ptp(names["sweep"]) > 2 * 2.5  # PRFs, kHz
@@ -101,6 +103,7 @@ def test_squint_tops_is_sharp_over_the_scan(run: Callable[[str], Executed]) -> N
     assert names["width"] < 0.02 and names["place"] < 0.05 and names["phase"] < 0.05  # in clutter
 
 
+@pytest.mark.slow
 def test_the_spotlight_from_orbit_meets_the_quality_bar(run: Callable[[str], Executed]) -> None:
     names = run("spotlight_from_orbit").names
     assert len(names["targets"]) == 9
@@ -109,18 +112,21 @@ def test_the_spotlight_from_orbit_meets_the_quality_bar(run: Callable[[str], Exe
         assert each["azimuth_irw"] == pytest.approx(each["azimuth_irw_theory"], rel=0.01)
 
 
+@pytest.mark.slow
 def test_alos_is_what_its_definition_says(run: Callable[[str], Executed]) -> None:
     names = run("alos_from_raw").names
     assert names["measured"] == pytest.approx(names["stated"], abs=30)  # Hz, of a beam 3 kHz wide
     assert names["reference"]["least_coherence"]["measured"] > 0.9999
 
 
+@pytest.mark.slow
 def test_autofocus_leaves_what_it_predicts(run: Callable[[str], Executed]) -> None:
     names = run("autofocus").names
     assert names["left"] > 5 and names["found"] < 0.05
     assert 0.4 < names["found"] / names["expected"] < 2.5
 
 
+@pytest.mark.slow
 def test_two_passes_differ_by_what_was_done(run: Callable[[str], Executed]) -> None:
     names = run("two_passes").names
     for measured, theory in names["phases"].values():

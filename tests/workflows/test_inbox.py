@@ -208,6 +208,7 @@ def test_good_collections_are_processed_once_and_bad_ones_quarantined(post: Post
     assert sorted(p.name for p in post.outbox.iterdir()) == ["done", "log.jsonl", "quarantine", "runs", "status.json"]
 
 
+@pytest.mark.slow
 def test_quarantine_is_reported_once_even_after_a_failed_or_interrupted_sweep(
     post: Post, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -236,6 +237,7 @@ def _raise_at(name: str, trouble: BaseException, call: Callable[..., Any], args:
     return call(*args, **kwargs)
 
 
+@pytest.mark.slow
 def test_changed_collections_are_processed_again(post: Post, store: Path, image: dict[str, str]) -> None:
     post.deliver("a", "b")
     post.damage("a")
@@ -260,6 +262,7 @@ def test_changed_collections_are_processed_again(post: Post, store: Path, image:
     assert len(post.names("done")) == 4
 
 
+@pytest.mark.slow
 def test_changed_options_do_not_reprocess_finished_collections(post: Post) -> None:
     post.deliver("good", "bad")
     post.damage("bad")
@@ -268,6 +271,7 @@ def test_changed_options_do_not_reprocess_finished_collections(post: Post) -> No
     assert post.names("started") == ["good", "bad", "bad"]
 
 
+@pytest.mark.slow
 def test_an_interrupted_collection_is_resumed(
     post: Post, image: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -288,6 +292,7 @@ def test_an_interrupted_collection_is_resumed(
     assert [r["unit"] for r in receipts if r.get("reused")] == ["columns-0", "block-0"]
 
 
+@pytest.mark.slow
 def test_an_interrupted_collection_of_several_channels_is_resumed(
     post: Post, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -304,6 +309,7 @@ def test_an_interrupted_collection_of_several_channels_is_resumed(
     assert [path.name for path in (post.outbox / "runs").iterdir()] == ["a"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", ["bytes", "version"])
 def test_an_outdated_unfinished_run_is_restarted(
     change: str, post: Post, image: dict[str, str], monkeypatch: pytest.MonkeyPatch
@@ -324,6 +330,7 @@ def test_an_outdated_unfinished_run_is_restarted(
     assert post.names("restarted") == ["a"] and post.images() == {"a": image}
 
 
+@pytest.mark.slow
 def test_sweeps_do_not_depend_on_the_clock(post: Post, image: dict[str, str]) -> None:
     """With arbitrary dates each collection is processed once, in the order of the dates."""
     post.deliver("from-2100", written=130 * YEAR)
@@ -338,6 +345,7 @@ def test_sweeps_do_not_depend_on_the_clock(post: Post, image: dict[str, str]) ->
     assert set(map(str, post.images().values())) == {str(image)}
 
 
+@pytest.mark.slow
 def test_foreign_folders_in_the_outbox_are_kept(post: Post) -> None:
     post.deliver("a")
     thesis = post.outbox / "runs" / "a" / "thesis.tex"
@@ -363,6 +371,7 @@ def told(folder: Path) -> list[tuple[str, str]]:
     return [(entry["event"], entry["name"]) for entry in entries]
 
 
+@pytest.mark.slow
 def test_every_settled_collection_is_reported_to_the_hook(post: Post, tmp_path: Path) -> None:
     post.deliver("a", "bad", "b")
     post.damage("bad")
@@ -396,6 +405,7 @@ def test_hooks_are_not_run_by_a_shell(post: Post, tmp_path: Path) -> None:
 # ---------------------------------------------------------------- failures
 
 
+@pytest.mark.slow
 def test_a_collection_that_fails_for_external_reasons_is_retried(
     post: Post, image: dict[str, str], tmp_path: Path
 ) -> None:
@@ -410,6 +420,7 @@ def test_a_collection_that_fails_for_external_reasons_is_retried(
     assert post.images() == {"a": image, "b": image}
 
 
+@pytest.mark.slow
 def test_a_defect_does_not_stop_the_other_collections(post: Post, monkeypatch: pytest.MonkeyPatch) -> None:
     real = blocksar.focus
 
@@ -440,6 +451,7 @@ def test_system_errors_count_as_external(cause: Exception | None, passing: bool,
     assert post.module.is_external(error) == passing
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("there", [False, True])
 def test_without_a_cluster_no_collection_is_quarantined(
     there: bool, post: Post, monkeypatch: pytest.MonkeyPatch
@@ -459,6 +471,7 @@ def test_without_a_cluster_no_collection_is_quarantined(
     assert post.records("quarantine") == {} and post.records("done") == {}
 
 
+@pytest.mark.slow
 def test_a_removed_collection_is_not_a_failure(post: Post) -> None:
     class Thief(post.module.Hook):  # type: ignore[name-defined, misc]
         def send(self, event: dict[str, Any]) -> None:
@@ -482,6 +495,7 @@ def test_a_truncated_log_line_leaves_the_others_intact(post: Post) -> None:
     assert [json.loads(line)["event"] for line in lines] == ["sweep", "started", "done", "end", "sweep", "end"]
 
 
+@pytest.mark.slow
 def test_a_sweep_goes_on_when_nobody_reads_what_it_says(post: Post) -> None:
     post.deliver("a", "b")
     for name in ("a", "b"):
@@ -570,6 +584,7 @@ def test_concurrent_sweeps_and_a_kill_process_each_collection_once(post: Post, i
 # ---------------------------------------------------------------- inbox in a bucket
 
 
+@pytest.mark.slow
 def test_the_inbox_may_be_a_bucket(post: Post, image: dict[str, str]) -> None:
     """The same rules hold, in the order of names; the runs are written to the local outbox."""
     for library in ("obstore", "moto", "boto3"):
@@ -649,6 +664,7 @@ def test_twenty_collections_do_not_leak_resources(post: Post, tmp_path: Path, mo
 # ---------------------------------------------------------------- acquisitions of several collections
 
 
+@pytest.mark.slow
 def test_collections_of_one_acquisition_become_one_mosaic(post: Post) -> None:
     names = ("pass_b0", "pass_b1", "pass_b2")
 

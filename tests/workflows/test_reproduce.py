@@ -81,6 +81,7 @@ def cells(page: Path, key: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in re.findall(r"^\|.*\|$", part, re.M)]
 
 
+@pytest.mark.slow
 def test_the_page_holds_the_requested_exhibits(page: Path) -> None:
     names = {"index.html", "README.md", "fig4.png", "fig8.png"}
     assert {path.name for path in page.iterdir()} == names  # no scratch folder is left
@@ -102,6 +103,7 @@ def test_html_and_markdown_pages_agree(page: Path) -> None:
     assert [cell for cell in shown if cell] == [cell for cell in listed if cell in set(shown)]
 
 
+@pytest.mark.slow
 def test_figure_4_agrees_with_numerical_differentiation(page: Path, small: Scene) -> None:
     """k_3 comes from a polynomial fit to exact ranges, at yaws across the sector and at near and far range."""
     time = 0.3 * np.cos(np.pi * (np.arange(16) + 0.5) / 16)
@@ -143,6 +145,7 @@ def test_figure_8_measurements_agree_with_the_traced_lines(page: Path, small: Sc
     assert found == pytest.approx(wandered, rel=0.03)
 
 
+@pytest.mark.slow
 def test_a_prf_below_the_minimum_is_refused_by_the_plan(reproduce: Any, page: Path) -> None:
     for derotation in ("linear", "nonlinear"):
         least = 1 / reproduce.recovery.least_recovery(derotation).pulses.step

@@ -72,6 +72,7 @@ def modules() -> Iterator[dict[str, ModuleType]]:
 # ---------------------------------------------------------------- first_image
 
 
+@pytest.mark.slow
 def test_the_first_image_shows_every_target_of_the_scene(first: tuple[Path, str]) -> None:
     """Every target peaks in its own pixel and meets the quality bar."""
     folder, said = first
@@ -103,6 +104,7 @@ def test_the_first_image_needs_at_most_twenty_lines() -> None:
 # ---------------------------------------------------------------- look_at_outputs
 
 
+@pytest.mark.slow
 def test_look_at_outputs_prints_correct_values(
     first: tuple[Path, str], modules: dict[str, ModuleType], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -295,6 +297,7 @@ def test_unsuitable_workers_are_reported_by_address(modules: dict[str, ModuleTyp
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_workers_that_come_late_are_waited_for(
     modules: dict[str, ModuleType], capsys: pytest.CaptureFixture[str]
 ) -> None:
