@@ -231,6 +231,7 @@ def test_the_store_opens_and_its_pictures_are_there(passes: Any, tmp_path: Path)
     assert all(each.read_bytes()[:4] == b"\x89PNG" for each in out.glob("*.png"))
 
 
+@pytest.mark.slow
 def test_a_pair_is_replaced_only_if_that_is_asked_for(passes: Any, tmp_path: Path) -> None:
     a, b, out = passes("clutter", clutter(1)), passes("mixed-0.9-5.0", mixed(0.9), UP), tmp_path / "pair"
     blocksar.compare(a, b, out, crop="-20:20,-30:10", progress=False)

@@ -59,6 +59,7 @@ def test_arbitrary_text_as_grid(bench: Bench, grid: str) -> None:
     told_well(bench, "--grid", command("plan", str(bench.store), "--processor", "backprojection", f"--grid={grid}"))
 
 
+@pytest.mark.slow
 @settings(MANY, max_examples=20)
 @given(blocks=st.one_of(WORDS, st.integers(-3, 10**30).map(str), st.just("9" * 5000)))
 def test_arbitrary_text_as_blocks(bench: Bench, blocks: str) -> None:

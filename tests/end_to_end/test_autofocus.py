@@ -73,6 +73,7 @@ def test_the_track_is_corrected_and_nothing_else_changes(corrected: Corrected) -
     assert report.summary[0].startswith("track corrected by up to")
 
 
+@pytest.mark.slow
 def test_control_points_anchor_the_phase(corrected: Corrected) -> None:
     figures = corrected.report.result["control"]
     assert figures["points"] == 4 and figures["phase_left"] < 0.2

@@ -126,6 +126,7 @@ def test_units_of_raw_echo_and_back_projection_are_predicted(
     assert {stage: len(heard.work[stage]) for stage in stages} == {stage: heard.totals[stage] for stage in stages}
 
 
+@pytest.mark.slow
 def test_without_bokeh_there_is_no_dashboard_or_performance_report(
     store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -20,6 +20,8 @@ import blocksar
 from blocksar.measurement.coherence import coherence
 from blocksar.processors import PROCESSORS
 
+pytestmark = pytest.mark.slow
+
 GRID = "-36:36:0.25,-36:36:0.25"
 FINE = "-36:36:0.12,-36:36:0.12"  # several chunks
 TARGETS = {(0.0, 0.0): 1.0, (25.0, -18.0): 0.7, (-28.0, 29.0): 1j, (31.0, 31.0): 0.5}
@@ -116,7 +118,6 @@ def polar(spotlight: Path, out: Path, *more: object, grid: str = GRID) -> tuple[
     return "focus", spotlight, "--out", out, "--processor", "polar-format", f"--grid={grid}", "-q", *more
 
 
-@pytest.mark.slow
 def test_it_is_in_help_and_completion(environment: dict[str, str], ended: dict[str, Ended]) -> None:
     for command in ("focus", "plan"):
         shown = " ".join(ended[f"{command} --help"].stdout.replace("│", " ").split())
@@ -156,7 +157,6 @@ def test_it_plans_and_forms_an_image(ended: dict[str, Ended], spotlight: Path, f
     )  # the edges of the two apertures differ by half a sample
 
 
-@pytest.mark.slow
 def test_what_is_wrong_is_refused_in_a_sentence(
     environment: dict[str, str], ended: dict[str, Ended], spotlight: Path, finished: Path
 ) -> None:
@@ -185,7 +185,6 @@ def test_what_is_wrong_is_refused_in_a_sentence(
     )
 
 
-@pytest.mark.slow
 def test_a_killed_run_goes_on_to_the_same_bytes(
     environment: dict[str, str], ended: dict[str, Ended], spotlight: Path, finished: Path, tmp_path: Path
 ) -> None:
@@ -210,7 +209,6 @@ def test_a_killed_run_goes_on_to_the_same_bytes(
     assert 0 < record["peak_memory"] <= record["plan"]["memory"], (record["peak_memory"], record["plan"]["memory"])
 
 
-@pytest.mark.slow
 def test_a_broken_package_breaks_nothing_else(spotlight: Path, tmp_path: Path) -> None:
     group = "blocksar.processors"
     environment = install(tmp_path / "site", {group: PARTS[group] | BROKEN})

@@ -94,6 +94,7 @@ def test_the_page_holds_the_requested_exhibits(page: Path) -> None:
     assert len(lobes) == 2 * 9 and lobes == pytest.approx([-13.26] * 18, abs=1.2)  # dB, of few cells
 
 
+@pytest.mark.slow
 def test_html_and_markdown_pages_agree(page: Path) -> None:
     html = (page / "index.html").read_text(encoding="utf-8")
     marked = (page / "README.md").read_text(encoding="utf-8")

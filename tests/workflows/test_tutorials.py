@@ -26,6 +26,8 @@ from blocksar import stores
 from blocksar.api.parsing import parse_grid
 from blocksar.simulation.scene import Scene
 
+pytestmark = pytest.mark.slow
+
 WORKFLOWS = ROOT / "workflows"
 TUTORIALS = ("first_image", "look_at_outputs", "blocks_against_residual_phase", "on_a_cluster")
 PIXEL = 1.5  # m, pixel spacing of the image of first_image
@@ -72,7 +74,6 @@ def modules() -> Iterator[dict[str, ModuleType]]:
 # ---------------------------------------------------------------- first_image
 
 
-@pytest.mark.slow
 def test_the_first_image_shows_every_target_of_the_scene(first: tuple[Path, str]) -> None:
     """Every target peaks in its own pixel and meets the quality bar."""
     folder, said = first
@@ -104,7 +105,6 @@ def test_the_first_image_needs_at_most_twenty_lines() -> None:
 # ---------------------------------------------------------------- look_at_outputs
 
 
-@pytest.mark.slow
 def test_look_at_outputs_prints_correct_values(
     first: tuple[Path, str], modules: dict[str, ModuleType], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -187,7 +187,6 @@ def test_a_folder_without_a_finished_run_is_refused(
 # ---------------------------------------------------------------- blocks_against_residual_phase
 
 
-@pytest.mark.slow
 def test_residual_phase_falls_with_blocks_and_predictions_match_measurements(tmp_path: Path) -> None:
     """At the end of table1's scan more blocks leave less residual phase; predictions match measurements."""
     text = (resources.files("blocksar.simulation") / "scenes" / "table1.toml").read_text(encoding="utf-8")
@@ -258,7 +257,6 @@ def test_invalid_studies_are_refused(
 # ---------------------------------------------------------------- on_a_cluster
 
 
-@pytest.mark.slow
 def test_a_run_on_a_cluster_survives_an_interrupt_and_a_killed_worker(tmp_path: Path) -> None:
     """After Ctrl-C and a killed worker the image is complete and correct."""
     words = ("--local-test", "--out", "run", "--blocks", "4", "--report", "report.html")
@@ -297,7 +295,6 @@ def test_unsuitable_workers_are_reported_by_address(modules: dict[str, ModuleTyp
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.slow
 def test_workers_that_come_late_are_waited_for(
     modules: dict[str, ModuleType], capsys: pytest.CaptureFixture[str]
 ) -> None:
