@@ -31,6 +31,7 @@ from blocksar.products.pictures.overview import mean_of
 from blocksar.runs.finished import FinishedRun, finished_record, folder_of, member_line
 from blocksar.runs.track import TrackCorrection
 from blocksar.spans import parse_crop
+from blocksar.texts import count
 
 OVER_SHADOW = 1.0  # m over the ground, from which on the ground's shadow is not the target's
 
@@ -117,7 +118,7 @@ def alignment_lines(chips: list[dict[str, Any]], run: FinishedRun, other: Finish
     for name, words in FIGURES:
         values = [chip[name] for chip in chips]
         texts.append(f"{min(values):.4f} and {np.median(values):.4f} {words}")
-    lines = [f"coherence with {other.folder}, least and median of {len(chips)} chips: {', '.join(texts)}"]
+    lines = [f"coherence with {other.folder}, least and median of {count(len(chips), 'chip')}: {', '.join(texts)}"]
     if run.weighting != other.weighting:
         lines.append(
             f"weights differ, {run.weighting.text} here and {other.weighting.text} in {other.folder}: that alone takes "
