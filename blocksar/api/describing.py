@@ -226,7 +226,7 @@ def _state(record: RunRecord) -> str:
 
 
 def _told(name: str, value: Any) -> bool:
-    """Whether a setting is worth a word: the grid has a row, and defaults need none."""
+    """Whether a setting is listed: not the grid, which has a row of its own, and no default."""
     return name != "grid" and USUAL.get(name) != value
 
 

@@ -440,7 +440,7 @@ def _about_looks(looks: Sequence[Place], area: Any) -> ReportPart:
 
 
 def _beside_exact(run: FinishedRun, wanted: bool) -> ReportPart:
-    """Chips beside exact back-projection, if that is asked for."""
+    """Compare chips with exact back-projection, if requested."""
     if not wanted:
         return NOTHING
     result: dict[str, Any] = {}
@@ -449,7 +449,7 @@ def _beside_exact(run: FinishedRun, wanted: bool) -> ReportPart:
 
 
 def _beside_another(run: FinishedRun, folder: Place | None) -> ReportPart:
-    """Chips beside those of another run, if one is given."""
+    """Compare chips with those of another run, if one is given."""
     if folder is None:
         return NOTHING
     other = FinishedRun.open(folder)

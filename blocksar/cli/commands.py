@@ -103,7 +103,7 @@ TimeZero = Annotated[
 
 
 class Readers(Plugged):
-    """The readers; files that stand for the name of one are ingested by what knows them."""
+    """A command for each reader; given a file instead of a reader's name, the reader is chosen by its first bytes."""
 
     @classmethod
     def names(cls) -> tuple[str, ...]:

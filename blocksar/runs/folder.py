@@ -210,7 +210,7 @@ def refuse_foreign(folder: Place) -> None:
 
 
 def clear_estimate(folder: Place) -> None:
-    """Remove what an estimate of a track has kept in its folder, and nothing else; the record last."""
+    """Remove the files of a track's estimate from its folder, and nothing else; the record last."""
     if _is_estimate(folder, folder.names()):
         for name in reversed(ESTIMATE):
             if name != SCRATCH:

@@ -254,7 +254,7 @@ def _path(value: Any) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Sentinel1Options(ReaderOptions):
-    """The part of the data that is wanted, and what is said of it; see `ReaderOptions`.
+    """The part of the data to read, and metadata given by the user; see `ReaderOptions`.
 
     Attributes
     ----------
