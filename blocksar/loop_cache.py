@@ -14,7 +14,7 @@ _spent = [0.0]
 
 
 def note_compilation(seconds: float) -> None:
-    """Count seconds in which this process compiled loops, or waited for others that did."""
+    """Count the seconds in which this process compiled loops, or waited for other processes to do so."""
     _spent[0] += seconds
 
 

@@ -55,7 +55,7 @@ class Option:
 
 
 class Stated(NamedTuple):
-    """An option of a model: its name, its type as annotated, its default, and what is said of it."""
+    """An option of a model: its name, annotated type, default and description."""
 
     name: str
     type: Any

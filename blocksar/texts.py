@@ -40,12 +40,12 @@ def frequency_text(frequency: float) -> str:
     return f"{frequency / 1e9:.6g} GHz" if abs(frequency) >= 1e9 else f"{frequency / 1e6:.6g} MHz"
 
 
-def count(n: int, noun: str) -> str:
-    """A number of things, with the noun in singular or plural.
+def count(n: int, noun: str, plural: str = "") -> str:
+    """A number of things, with the noun in singular or plural, by default with "s".
 
     Examples
     --------
-    >>> count(1, "target"), count(0, "warning"), count(73, "target")
-    ('1 target', 'no warnings', '73 targets')
+    >>> count(1, "target"), count(0, "warning"), count(73, "target"), count(2, "echo", "echoes")
+    ('1 target', 'no warnings', '73 targets', '2 echoes')
     """
-    return f"{n or 'no'} {noun}{'' if n == 1 else 's'}"
+    return f"{n or 'no'} {noun if n == 1 else plural or f'{noun}s'}"

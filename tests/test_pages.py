@@ -18,6 +18,7 @@ import pytest
 import typer
 from extension import NAME, PARTS
 from packaging.requirements import Requirement
+from scene_reference import scene_tables
 from typer.testing import CliRunner
 
 import blocksar
@@ -370,6 +371,12 @@ def test_named_files_exist(place: str) -> None:
     assert not [name for name in named if not (ROOT / name).exists()]
 
 
+def test_the_readme_lists_every_command() -> None:
+    section = PAGES["README.md"].split("\n## Commands\n")[1].split("\n## ")[0]
+    listed = set(re.findall(r"^\| `(\w+)` \|", section, re.M))
+    assert listed == {names[0] for names in BLOCKSAR if names}
+
+
 def test_every_page_is_listed() -> None:
     """The tables in README.md and deploy/README.md together link to every page."""
     listed = set()
@@ -380,6 +387,11 @@ def test_every_page_is_listed() -> None:
 
 
 # Tables that repeat the code
+
+
+def test_the_page_about_scene_files_has_all_keys_of_the_models() -> None:
+    """To renew the page, put the text of `scene_tables` below its heading."""
+    assert PAGES["blocksar/simulation/README.md"].split("\n## Tables and keys\n\n")[1] == scene_tables()
 
 
 def test_the_table_of_layers_matches_test_layers() -> None:

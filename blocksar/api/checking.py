@@ -1,4 +1,4 @@
-"""check: whether the samples of a phase history are what is said of them."""
+"""check: whether the samples of a phase history fit its metadata."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def check(
     ground_height: float | None = None,
     threads: int | None = None,
 ) -> Report:
-    """Compare the contrast of echoes as given with what it would be if something were said wrongly.
+    """Compare the contrast of echoes under the given metadata with that under one changed assumption at a time.
 
     Tried are a conjugated signal, a reversed range axis, pulses or track in the opposite order, axes of the scene that
     are swapped or have the other sign, of a raw echo the other sign of the chirp and delays that count from its start,

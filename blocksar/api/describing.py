@@ -206,7 +206,7 @@ def run_rows(record: RunRecord) -> Rows:
             if math.isnan(plan.least)
             else f"; predicted coherence with exact back-projection at least {plan.least:.6g}"
         )
-        rows.append(("plan", f"{plan.blocks} angular blocks{parts}{kept}"))
+        rows.append(("plan", f"{count(plan.blocks, 'angular block')}{parts}{kept}"))
     if plan.coherence is not None:
         rows.append(("plan", f"{PREDICTED} {plan.coherence:.8g}"))
     if plan.processor:
@@ -215,7 +215,7 @@ def run_rows(record: RunRecord) -> Rows:
         rows.append(("grid", grid_text(Grid(*plan.grid))))
     if "total" in record.timings:
         peak = f", peak memory of a worker {size_text(record.peak_memory)}" if record.peak_memory else ""
-        rows.append(("took", f"{record.timings['total']:.1f} s with {record.workers} workers{peak}"))
+        rows.append(("took", f"{record.timings['total']:.1f} s with {count(record.workers or 0, 'worker')}{peak}"))
     rows += [("note" if k == 0 else "", line) for k, line in enumerate(record.warnings)]
     return rows
 
@@ -226,7 +226,7 @@ def _state(record: RunRecord) -> str:
 
 
 def _told(name: str, value: Any) -> bool:
-    """Whether a setting is worth a word: the grid has a row, and defaults need none."""
+    """Whether a setting is listed: not the grid, which has a row of its own, and no default."""
     return name != "grid" and USUAL.get(name) != value
 
 

@@ -15,6 +15,7 @@ from blocksar.measurement.scenery import BrightPoint
 from blocksar.measurement.targets import Target
 from blocksar.runs.finished import FinishedRun
 from blocksar.spans import parse_crop
+from blocksar.texts import count
 
 MOST_FOUND = 1000
 ORDERS = (-1, 1)  # of azimuth ambiguities, PRFs
@@ -110,7 +111,7 @@ def area_sentence(area: dict[str, Any]) -> str:
     per_area = "" if area["per_m2"] is None else f" ({area['per_m2']:.1f} dB per m2)"
     cells = "" if area["cells"] is None else f", {area['cells']:.0f} resolution cells"
     mean = rounded(area["mean"], 1)
-    return f"area: {area['pixels']} pixels{cells}; mean power {mean} dB{per_area}, {looks} equivalent looks"
+    return f"area: {count(area['pixels'], 'pixel')}{cells}; mean power {mean} dB{per_area}, {looks} equivalent looks"
 
 
 def floor_sentence(floor: float | None) -> str:

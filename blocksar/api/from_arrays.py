@@ -277,7 +277,7 @@ def _check_samples(signal: Any, echo: Any, range_frequency: Any, fast_time: Any)
 
 
 def _check_reference(reference_range: Any, range_frequency: Any, position: Any, ground_height: Any) -> None:
-    """Check that the reference range is one: zero is right only where half a range window reaches the ground."""
+    """Check that the reference range is plausible: zero is so only where half a range window reaches the ground."""
     try:
         least = float(np.nanmin(np.asarray(reference_range, np.float64)))
         height = float(np.nanmin(np.asarray(position, np.float64)[..., 2])) - ground_height

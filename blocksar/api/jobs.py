@@ -58,7 +58,7 @@ ANY = f"; hierarchical back-projection has no such limit: --processor {HIERARCHY
 
 @contextmanager
 def naming_hierarchy() -> Iterator[None]:
-    """Add the end to errors about what no chain can form."""
+    """Complete errors about images that no chain can form: name hierarchical back-projection as the remedy."""
     try:
         yield
     except Unfocusable as error:

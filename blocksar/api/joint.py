@@ -281,7 +281,7 @@ def _refuse_empty(members: Members) -> None:
 
 @contextmanager
 def _nothing_left(folder: Place, *, there: bool) -> Iterator[None]:
-    """Remove what a new run has written, if its input is found to be wrong; also the folder, if it was not there."""
+    """Remove the files of a new run if its input proves wrong, and the folder if the run created it."""
     try:
         yield
     except InputError as error:

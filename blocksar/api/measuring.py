@@ -31,6 +31,7 @@ from blocksar.products.pictures.overview import mean_of
 from blocksar.runs.finished import FinishedRun, finished_record, folder_of, member_line
 from blocksar.runs.track import TrackCorrection
 from blocksar.spans import parse_crop
+from blocksar.texts import count
 
 OVER_SHADOW = 1.0  # m over the ground, from which on the ground's shadow is not the target's
 
@@ -117,7 +118,7 @@ def alignment_lines(chips: list[dict[str, Any]], run: FinishedRun, other: Finish
     for name, words in FIGURES:
         values = [chip[name] for chip in chips]
         texts.append(f"{min(values):.4f} and {np.median(values):.4f} {words}")
-    lines = [f"coherence with {other.folder}, least and median of {len(chips)} chips: {', '.join(texts)}"]
+    lines = [f"coherence with {other.folder}, least and median of {count(len(chips), 'chip')}: {', '.join(texts)}"]
     if run.weighting != other.weighting:
         lines.append(
             f"weights differ, {run.weighting.text} here and {other.weighting.text} in {other.folder}: that alone takes "
@@ -439,7 +440,7 @@ def _about_looks(looks: Sequence[Place], area: Any) -> ReportPart:
 
 
 def _beside_exact(run: FinishedRun, wanted: bool) -> ReportPart:
-    """Chips beside exact back-projection, if that is asked for."""
+    """Compare chips with exact back-projection, if requested."""
     if not wanted:
         return NOTHING
     result: dict[str, Any] = {}
@@ -448,7 +449,7 @@ def _beside_exact(run: FinishedRun, wanted: bool) -> ReportPart:
 
 
 def _beside_another(run: FinishedRun, folder: Place | None) -> ReportPart:
-    """Chips beside those of another run, if one is given."""
+    """Compare chips with those of another run, if one is given."""
     if folder is None:
         return NOTHING
     other = FinishedRun.open(folder)

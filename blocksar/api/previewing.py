@@ -146,7 +146,7 @@ def preview(
 
 
 def _told(callback: Callback, number: int, count: int, done: int, total: int) -> None:
-    """Tell of the progress of one of several collections as that of all."""
+    """Report the progress on one of several collections as a share of all."""
     callback(number * total + done, count * total)
 
 

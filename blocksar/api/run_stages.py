@@ -208,7 +208,7 @@ def _check_collections(job: Job) -> list[Check]:
 
 
 def _check_samples(job: Job, segments: Sequence[Segment]) -> Check:
-    """Compare prominent places with what is said of the samples.
+    """Check the samples against the metadata at prominent places.
 
     Of several segments of a collection, in the middle one. Nothing of a look: its samples saw the whole beam.
     """

@@ -123,7 +123,7 @@ class Machine:
 
 @dataclass(frozen=True, kw_only=True)
 class Output:
-    """Settings of what is written, replaced and kept."""
+    """Settings of output files: which are written, replaced and retained."""
 
     performance_report: Annotated[
         Path | None,

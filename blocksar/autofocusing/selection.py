@@ -91,7 +91,7 @@ class Candidates:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Points:
-    """The points that are kept.
+    """The selected points.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class Points:
 
 
 class Refused(InputError):
-    """The samples do not tell the track's error: a sentence with its figures."""
+    """The samples do not determine the track's error: a sentence with its figures."""
 
 
 def find_candidates(signal: ComplexArray, work: Work, pulses: slice, threads: int = 1) -> Candidates:
@@ -267,7 +267,7 @@ def _located(
 
 
 class Chosen(NamedTuple):
-    """The channel that tells most of the track, by its number, and its points."""
+    """The channel that determines the track best, by its number, and its points."""
 
     channel: int
     points: Points
@@ -336,7 +336,7 @@ def gaps_between(seen: Sequence[IntArray], work: Work) -> list[slice]:
 def best_points(
     x: FloatArray, y: FloatArray, prominence: FloatArray, middles: FloatArray, gaps: Sequence[slice], work: Work
 ) -> tuple[list[int], FloatArray]:
-    """Indices of the candidates that are kept, and scores of all: those that are the same point count for its score.
+    """Indices of the selected candidates, and scores of all; repeated sightings of one point add to its score.
 
     The score is a mean over the short apertures that light the point; those in a gap, not among `middles`, see nothing.
     """

@@ -164,7 +164,7 @@ class Work:
         return self.geometry.collection.n_pulse // self.decimation
 
     def chip_bytes(self, least_points: int = 0) -> int:
-        """Bytes of the chips of as many points as may be kept, or of more."""
+        """Upper bound of the memory of all points' chips, bytes."""
         samples = -(-min(self.dwell, self.geometry.collection.n_pulse) // self.decimation)
         return 8 * max(self.settings.points, least_points) * self.settings.lines * samples
 

@@ -39,6 +39,7 @@ from blocksar.cli.option_groups import (
 )
 from blocksar.cli.plan_and_focus import OfProcessors, focus, plan
 from blocksar.cli.printing import hint, listening, show
+from blocksar.errors import InputError
 from blocksar.garbage import collect_seldom
 from blocksar.options import options_of, read_values
 from blocksar.products.registry import PRODUCTS
@@ -102,7 +103,7 @@ TimeZero = Annotated[
 
 
 class Readers(Plugged):
-    """The readers; files that stand for the name of one are ingested by what knows them."""
+    """A command for each reader; given a file instead of a reader's name, the reader is chosen by its first bytes."""
 
     @classmethod
     def names(cls) -> tuple[str, ...]:
@@ -320,7 +321,12 @@ def view(
 def simulate(
     context: typer.Context,
     scene: Annotated[str, typer.Argument(metavar="SCENE.toml", help="Scene file, or the name of a shipped scene.")],
-    out: Annotated[str, typer.Option(metavar="OUT", help="Phase-history store to write; with --cphd, file.")],
+    out: Annotated[
+        str, typer.Option(metavar="OUT", help="Phase-history store to write; with --cphd, file.", show_default=False)
+    ] = "",
+    print_scene: Annotated[
+        bool, typer.Option("--print", help="Print the text of the scene, to be edited, and write nothing.")
+    ] = False,
     raw: Annotated[bool, typer.Option("--raw", help="Write the raw chirped echo over fast time instead.")] = False,
     cphd: Annotated[bool, typer.Option("--cphd", help="Write a CPHD 1.1.0 file instead of a store.")] = False,
     origin: Annotated[
@@ -333,13 +339,21 @@ def simulate(
 ) -> None:
     """Simulate the phase history of a scene, with exact ranges.
 
-    A scene file is written in TOML; the shipped scenes include table1, the paper's.
+    A scene file is written in TOML; the shipped scenes include table1, the paper's. Needs --out or --print.
 
     Example: [bold]blocksar simulate table1 --out table1.zarr[/bold]
     """
     place = None if origin is None else parse_origin(origin)
 
     from blocksar import api
+    from blocksar.simulation.scene import scene_text
+
+    if print_scene:
+        typer.echo(scene_text(scene), nl=False)
+        return
+    if not out:
+        command = f"blocksar simulate {scene} --out {Path(scene).stem}.zarr"
+        raise InputError(f"--out is missing; name what to write: {command}")
 
     with listening(context) as progress:
         api.simulate(

@@ -23,6 +23,14 @@ UsageError: Any = typer.BadParameter.__base__  # typer has no public name for th
 FAILED, WRONG_INPUT, INTERRUPTED, TERMINATED = 1, 2, 130, 143
 FILE = "blocksar.options_of_file"  # in a context's `meta`: the path of a file of options, and the command's context
 GRACE = 10.0  # s, time for an interrupted command to clean up
+PANELS = {  # of the help, with the options of all commands that stand in them; the others stand first
+    "Ground": ("terrain", "surface", "vertical", "ground_height", "whole_pulses"),
+    "Corrections": ("interference", "autofocus", "control"),
+    "Machine": ("workers", "threads", "memory_limit", "scheduler", "wait_workers", "performance_report"),
+    "Run": ("overwrite", "discard", "pyramid", "dry_run", "config", "print_config"),
+    "Messages": ("everything", "explain", "quiet", "json_log", "version", "help"),
+}
+_PANEL_OF = {option: panel for panel, options in PANELS.items() for option in options}
 
 
 class Terminated(SystemExit):
@@ -44,16 +52,17 @@ def say(line: str) -> None:
 class Commands(TyperGroup):
     """The group of commands, which turns every error into a message and an exit status.
 
-    In the help, flags have no type: beside --quiet, `<bool>` would ask for a value.
+    In the help, options stand in the panels of `PANELS`, and flags have no type: beside --quiet, `<bool>` would ask for
+    a value.
     """
 
     def get_params(self, ctx: Any) -> Any:
-        return _without_types(super().get_params(ctx))
+        return _for_help(super().get_params(ctx))
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         command = super().get_command(ctx, cmd_name)
         if command is not None:
-            _without_types(command.get_params(ctx))
+            _for_help(command.get_params(ctx))
         return command
 
     def make_context(self, *arguments: Any, **settings: Any) -> Any:
@@ -83,9 +92,11 @@ class Commands(TyperGroup):
             _report(error)
 
 
-def _without_types(parameters: Any) -> Any:
-    """Copy of a command's parameters, the flags among them without their type."""
+def _for_help(parameters: Any) -> Any:
+    """Set panels and types of a command's parameters for its help, and return them."""
     for parameter in parameters:
+        if getattr(parameter, "rich_help_panel", None) is None:
+            parameter.rich_help_panel = _PANEL_OF.get(parameter.name)
         if getattr(parameter, "is_flag", False) and parameter.metavar is None:
             parameter.metavar = ""
     return parameters

@@ -1,4 +1,4 @@
-"""Tell lost pulses from those of a beam that lit nothing: the samples of both are zero. Find real samples as well.
+"""Distinguish lost pulses from pulses that lit nothing, both of which hold zeros; detect real samples.
 
 Many files hold zeros where a pulse was lost. Such a pulse must not count as lit, or amplitudes are low. A pulse without
 noise whose beam lit no scatterer holds zeros as well; it must count, or places beside a target would be divided by the
@@ -165,7 +165,7 @@ def missing_pulses(
 
 
 def _lit_beside(geometry: Geometry, pulse: int, way: int, length: int, read: Callable[[int], ComplexArray]) -> int:
-    """How many of the zeros beside a pulse would hold the echoes of the pulse as well; all, `n_pulse`, for noise.
+    """Number of neighbouring zero pulses that would also hold the pulse's echoes; all, `n_pulse`, for noise.
 
     `way` leads away from the zeros, over `length` pulses with echoes: 1 if the zeros come before them, -1 if after.
     """

@@ -351,7 +351,7 @@ class Hierarchy:
         return self.descend(whole, part)
 
     def descend(self, frame: Frame, child: Part) -> tuple[Filters, Frame] | None:
-        """From the samples of a part to one of its parts; None if no pulse lights it."""
+        """Derive the decimated samples of a subpart from those of its part; None if no pulse lights it."""
         (begin, end), inside = child.lit()
         if begin == end:
             return None

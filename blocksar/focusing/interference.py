@@ -141,7 +141,7 @@ def runs(mask: BoolArray) -> list[list[int]]:
 
 
 def check_band(n_range_frequency: int) -> None:
-    """Check that lines can be told from echoes.
+    """Check that narrow-band lines can be distinguished from echoes.
 
     Raises
     ------

@@ -429,7 +429,7 @@ def _check_locks() -> None:
 
 @contextmanager
 def _replacing_hung_workers(cluster: LocalCluster) -> Iterator[None]:
-    """Kill workers that the scheduler has given up although they live: their nannies start others in their place."""
+    """Kill workers that hang and that the scheduler has dropped, so that their nannies restart them."""
     ended = threading.Event()
 
     def watch() -> None:

@@ -1,4 +1,4 @@
-"""The layers beside an image, which tasks write by its chunks: noise, and on a terrain height and what it does."""
+"""Layers of an image, written by its chunks: noise; on a terrain, height, incidence angle and visibility."""
 
 from __future__ import annotations
 

@@ -125,7 +125,7 @@ def _merge(
 
 
 def _lay(parts: Sequence[PatchChunk], coming: Iterator[ComplexArray]) -> tuple[ComplexArray, NDArray[np.int16]]:
-    """Lay the patches of a segment beside each other: pixels, and the block that each comes from; later ones win."""
+    """Assemble a segment's patches: pixels, and the block that each comes from; later patches overwrite."""
     image = next(coming)
     owner = np.full(image.shape, -1, np.int16)
     for number, part in enumerate(parts):

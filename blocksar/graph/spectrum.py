@@ -28,7 +28,7 @@ T = TypeVar("T")
 
 
 class WritesBehind:
-    """Writes that lag behind what is computed by a few turns; the end of the `with` waits for the last of them.
+    """Writing behind the computation by a few turns; leaving the `with` block waits for the last write.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class WritesBehind:
         self._pool.shutdown(wait=True)
 
     def turn(self) -> ComputeTurn:
-        """Begin a turn when the one whose memory it takes is written."""
+        """Begin a turn, once the earlier turn whose buffer it reuses has been written."""
         if len(self._turns) >= self.held:
             began = time.perf_counter()
             self._turns[-self.held].wait()
@@ -68,12 +68,12 @@ class WritesBehind:
 
     @property
     def written(self) -> tuple[Written, ...]:
-        """All that was written, in the order of the turns; waits for what is not written yet."""
+        """Wait for all writes; return their results in the order of the turns."""
         return tuple(part for turn in self._turns for part in turn.wait())
 
 
 class ComputeTurn:
-    """Piece of work that is computed at a time, and written behind.
+    """Unit of computation whose results are written while the next one is computed.
 
     Attributes
     ----------
@@ -86,11 +86,11 @@ class ComputeTurn:
         self._pool, self._writes = pool, list[Future[Sequence[Written]]]()
 
     def submit(self, write: Callable[..., Sequence[Written]], *arguments: Any, **options: Any) -> None:
-        """Have something written that the turn has computed."""
+        """Submit a write of results of this turn."""
         self._writes.append(self._pool.submit(write, *arguments, **options))
 
     def wait(self) -> list[Written]:
-        """Find what the turn has written, once it is."""
+        """Wait until this turn's writes have ended; return their results."""
         return [part for write in self._writes for part in write.result()]
 
 
@@ -133,7 +133,7 @@ CACHED_SHARE = 1 / 8  # of the memory that a recovered spectrum may take of the 
 
 
 def stays_cached(shape: tuple[int, int]) -> bool:
-    """Tell whether a recovered spectrum goes through the page cache of this machine, which it takes little of."""
+    """Whether a recovered spectrum is small enough to go through this machine's page cache."""
     return 8 * prod(shape) <= CACHED_SHARE * machine()[1]
 
 
@@ -219,7 +219,7 @@ class SpectrumChunks:
 
 
 def read_ahead(spectrum: SpectrumChunks, regions: Sequence[Window]) -> Iterator[tuple[Window, ComplexArray, float]]:
-    """Read regions, each while the one before is used; with the seconds that were waited for it."""
+    """Read regions ahead of their use; yield each with the seconds spent waiting for it."""
     with ThreadPoolExecutor(1) as pool:
         coming = ahead(pool, (partial(spectrum.read, region) for region in regions), 1)
         for region in regions:

@@ -160,7 +160,7 @@ def _create_gated(run: Run, plan: Plan, block: BlockPlan) -> None:
 
 
 def _parts(receipts: Iterable[Receipt]) -> Parts:
-    """Find what receipts say was written to each store."""
+    """Collect from receipts which parts of each store were written."""
     parts = Parts(list)
     for part in chain.from_iterable(receipt.written for receipt in receipts):
         parts[part.store].append(part)

@@ -235,7 +235,7 @@ def tie_track(run: Run, unit: str, given: ChipFiles, result: Files, places: Plac
 
 
 def _kept(run: Run, unit: str, stage: str, made: Sequence[object], **found: object) -> Receipt:
-    """Keep what a task has made in one file."""
+    """Write the result of a task to one file; return its checksum by path."""
     return Receipt(unit=unit, stage=stage, files=keep(run, f"{unit}.npz", made), found=found or None)
 
 
@@ -286,7 +286,7 @@ class Stages:
     def take_chips(
         self, stage: str, name: str, source: stores.PhaseHistory, points: Files, correction: Files
     ) -> ChipFiles:
-        """Take chips of points along a corrected track; `name` tells them apart."""
+        """Take chips of points along a corrected track; `name` distinguishes several sets."""
         given = ChipFiles(points, {}, correction, self.grid)
         done = self.run_units(
             stage,
@@ -435,7 +435,7 @@ def files_of(receipts: Iterable[Receipt]) -> Files:
 
 
 def _refuse_gaps(receipts: Sequence[Receipt], n_pulse: int) -> None:
-    """Refuse samples of which too many pulses are missing, as the receipts of chips have found."""
+    """Refuse samples with too many missing pulses, as counted in the receipts of chips."""
     missing = sum(int((receipt.found or {}).get("missing", 0)) for receipt in receipts if receipt.stage == "chips")
     if missing > MISSING * n_pulse:
         raise InputError(

@@ -26,6 +26,7 @@ from blocksar.places.posix import resource
 from blocksar.progress import NOBODY, Listener, Workers
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import Receipt
+from blocksar.texts import count
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,8 +181,8 @@ def _fail(error: BaseException, stage: str, unit: Unit) -> NoReturn:
         raise error
     if isinstance(error, KilledWorker):
         raise ProcessingError(
-            f"{stage} of {unit.name} failed: {error.allowed_failures + 1} workers died of it, perhaps for lack of "
-            "memory; give them more with --memory-limit"
+            f"{stage} of {unit.name} failed: {count(error.allowed_failures + 1, 'worker')} died of it, perhaps for "
+            "lack of memory; give them more with --memory-limit"
         )
     raise ProcessingError(f"{stage} of {unit.name} failed: {type(error).__name__}: {error}") from error
 

@@ -32,6 +32,7 @@ from blocksar.ingestion.reading import reading
 from blocksar.ingestion.strips import Even, PartOptions, RawStrip, StripReader, even_pulses
 from blocksar.options import Option
 from blocksar.places.ranges import Readable
+from blocksar.texts import count
 
 KIND = Kind(
     "a CRSD file", begins(b"CRSDsar/", b"CRSDrcv/", b"CRSDtx/", b"CRSD/"),
@@ -163,7 +164,7 @@ class _Layout:
         even = even._replace(pulses=order[even.pulses])
         lost = np.flatnonzero(vectors["SIGNAL"][even.pulses] != 1) if "SIGNAL" in vectors.dtype.names else order[:0]
         if lost.size:
-            notes.append(f"{lost.size} vectors have no normal signal, and are missing in the store")
+            notes.append(f"{count(lost.size, 'vector')} without a normal signal: missing in the store")
             even = even.without(lost)
         self.notes += notes
         kept, when = sent[even.pulses], vectors[even.pulses]
@@ -171,14 +172,14 @@ class _Layout:
         if np.any(when["FICRate"] != 0):
             raise InputError("has echoes that were mixed with a chirp (FICRate is not 0); compress them first")
         sampling_rate = float(self.said("Fs", self.parameters))
-        count = int(self.said("NumSamples", data))
+        n_sample = int(self.said("NumSamples", data))
         begun = _whole(when["RcvStart"], origin) - time[even.pulses]
         off = np.abs(begun - begun[0]).max() * sampling_rate
         if off > APART:
             raise InputError(
                 f"receive windows move by {off:.3g} samples after the pulses; take pulses of one with --pulses"
             )
-        delay = float(begun.mean()) + np.arange(count) / sampling_rate + width / 2
+        delay = float(begun.mean()) + np.arange(n_sample) / sampling_rate + width / 2
         centre = _vectors_of(self.root, "SceneCoordinates/IARP/ECF")
         track = self._track(even, kept, when, begun, centre)
         start = epoch_of(self.said("Global/CollectionRefTime"), "CollectionRefTime")
@@ -188,14 +189,14 @@ class _Layout:
             raise InputError(f"has samples in {quoted(form)}; only {', '.join(FORMATS)} are read")
         signals = int(self.reader._kvp_list["SIGNAL_BLOCK_BYTE_OFFSET"])
         samples = _Samples(
-            path=self.path, dtype=np.dtype(FORMATS[form]), count=count,
+            path=self.path, dtype=np.dtype(FORMATS[form]), count=n_sample,
             first_byte=signals + int(self.said("SignalArrayByteOffset", data)),
             numbers=even.pulses, scale=when["AmpSF"].astype(float) if "AmpSF" in when.dtype.names else None,
             phase=self._phase(kept, when, begun), mixed=float(carrier - when["RefFreq"][0]),
             delay=delay - width / 2,
         )  # fmt: skip
         self.stream.seek(0, 2)
-        if self.stream.tell() < samples.first_byte + vectors.size * count * 2 * samples.dtype.itemsize:
+        if self.stream.tell() < samples.first_byte + vectors.size * n_sample * 2 * samples.dtype.itemsize:
             raise InputError("ends before its samples do; get it again")
         return RawStrip(
             title=self.said("ProductInfo/ProductName"), format="CRSD 1.0",

@@ -35,7 +35,7 @@ from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.places.ranges import Readable
-from blocksar.texts import frequency_text, size_text
+from blocksar.texts import count, frequency_text, size_text
 
 MAX_GAP = 32  # pulses that may be missing in one place; an omitted file leaves a larger gap
 MAX_JUMP = 5.0  # largest distance between two pulses over the usual one; a single pass stays below it
@@ -349,9 +349,10 @@ def lay_out(channels: Mapping[str, Joined]) -> _Layout:
     )
     each = f" in each of the channels {', '.join(names)}" if names else ""
     messages = [
-        f"{len(files)} files, {joined.azimuth.size} pulses{each}; {collection.title}; {describe_band(frequency)}",
+        f"{count(len(files), 'file')}, {joined.azimuth.size} pulses{each}; {collection.title}; "
+        f"{describe_band(frequency)}",
         f"slow time: {slow_time}; its interval, {PULSE_INTERVAL:g} s, is nominal, as the files have no times",
-        *([f"{missing} of {n} pulses are missing"] if missing else []),
+        *([f"missing pulses: {missing} of {n}"] if missing else []),
         reference_message,
         _describe_track(Geometry(collection=collection).track, collection, radius),
     ]

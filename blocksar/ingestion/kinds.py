@@ -1,4 +1,4 @@
-"""Kinds of files and folders that are given for phase histories, told by their first bytes.
+"""Kinds of files and folders that users give for phase histories, recognised by their first bytes.
 
 A table: the name of a kind, the mark that tells it, and what leads from there to a phase history. What is no data at
 all comes first (`NOTHING`), then what readers and scenes are, then `OTHERS`; the first row whose mark fits counts

@@ -26,6 +26,7 @@ from blocksar.ingestion.reading import reading
 from blocksar.ingestion.strips import Even, RawStrip, StripOptions, StripReader, TimeTags, common_window, even_pulses
 from blocksar.options import Option
 from blocksar.places.ranges import Readable
+from blocksar.texts import count
 
 KIND = Kind(
     "an HDF5 file of NISAR", lambda start: hdf5(start) and b"science" in start.data,
@@ -260,7 +261,9 @@ class _Layout:
         lost = power(marked) < HALF * power(near)
         if not lost.any():
             return even
-        self.notes.append(f"{np.count_nonzero(lost)} calibration pulses have no echo, and are missing in the store")
+        self.notes.append(
+            f"{count(int(np.count_nonzero(lost)), 'calibration pulse')} without an echo: missing in the store"
+        )
         return even.without(marked[lost])
 
 

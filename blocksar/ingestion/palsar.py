@@ -30,6 +30,7 @@ from blocksar.ingestion.reading import reading
 from blocksar.ingestion.strips import LEAST, Even, RawStrip, StripOptions, StripReader, common_window
 from blocksar.places.local import LocalPlace
 from blocksar.places.ranges import Readable
+from blocksar.texts import count
 
 # ---------------------------------------------------------------- records
 
@@ -494,7 +495,7 @@ def _even(image: Image, options: StripOptions, quad: bool, notes: list[str]) -> 
     nought = fields["nought"][run] != 0
     even = Even(run[~nought], slots[~nought].astype(np.int64), time, interval)
     if lost := int(time.size - even.slots.size):
-        notes.append(f"{lost} lines are lost, and missing in the store")
+        notes.append(f"{count(lost, 'line')} lost: missing in the store")
     if even.pulses.size < LEAST:
         raise InputError(f"{image.path}: {even.pulses.size} lines have echoes; at least {LEAST} are needed")
     return even

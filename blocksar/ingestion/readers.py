@@ -341,7 +341,7 @@ class Found(NamedTuple):
         return next((name for name, reader in READERS.sound() if reader.kind is self.kind), None)
 
     def sentence(self, asked: Readable, given: str | None = None) -> str:
-        """Say what it is, and what leads from there to a phase history; `given` is the path as the user gave it."""
+        """Name the kind, and how to convert it to a phase history; `given` is the path as the user gave it."""
         path = given if given is not None and self.file is asked else str(self.file)
         plain = re.sub(r"\.(gz|z|bz2|xz|zst|lz4)$", "", path, flags=re.IGNORECASE)
         stem = self.file.name.partition(".")[0] or "phase_history"
@@ -364,7 +364,7 @@ def _kinds() -> Iterator[Kind]:
 
 
 def found_at(where: Readable) -> Found | None:
-    """Tell what lies at a place from first bytes; None if nothing does, or nothing that can be told.
+    """Recognise the kind of a file or folder by its first bytes; None if absent or unknown.
 
     Raises
     ------

@@ -44,7 +44,7 @@ from blocksar.places import Location, readable
 from blocksar.places.ranges import Readable
 from blocksar.spans import parse_pulses
 from blocksar.stores import blocks_of
-from blocksar.texts import frequency_text
+from blocksar.texts import count, frequency_text
 
 # ---------------------------------------------------------------- options
 
@@ -213,7 +213,7 @@ def even_pulses(time: FloatArray, interval: float | None = None) -> tuple[Even, 
             "others with --pulses"
         )
     if lost := int(slots[-1] + 1 - slots.size):
-        notes.append(f"{lost} pulses between these are lost, and missing in the store")
+        notes.append(f"{count(lost, 'pulse')} lost between these: missing in the store")
     return Even(np.arange(first, last + 1), slots, at, float(step)), notes
 
 

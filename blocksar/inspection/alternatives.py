@@ -1,4 +1,4 @@
-"""Collections and samples as they would be if one thing about them were said wrongly."""
+"""Collections and samples with one assumption about them changed."""
 
 from __future__ import annotations
 

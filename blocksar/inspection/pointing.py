@@ -1,4 +1,4 @@
-"""Whether a steered beam points where it is said to: when prominent places are lit, against when they should be.
+"""Whether a steered beam points as stated: measured against predicted lit times of prominent places.
 
 The angle of a place about the antenna's axis, or its yaw, follows from its range and Doppler at any pulse, whatever is
 said of the beam. So places are looked for in all the angle that the PRF tells apart, and their lines are taken over
@@ -79,7 +79,7 @@ class Pointing(NamedTuple):
 
 
 class _Hypotheses(NamedTuple):
-    """Beams that are tried: as said first. `law` (n,): index of the beam's angles; error (n,), rad; width (n,), rad."""
+    """Beams that are tried, the stated one first. `law` (n,): index of the beam's angles; error, width (n,), rad."""
 
     laws: list[FloatArray]
     law: FloatArray
@@ -95,7 +95,7 @@ def point(
     *,
     thorough: bool,
 ) -> Pointing | None:
-    """Compare when places are lit with what is said of the beam.
+    """Compare the measured lit times of places with those that the stated beam predicts.
 
     Parameters
     ----------

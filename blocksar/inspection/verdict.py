@@ -305,7 +305,7 @@ class Findings:
         return f". They do not tell whether {others}: look whether the image is mirrored" if others else ""
 
     def _compared(self) -> str:
-        """Say what was ruled out, and what is not told."""
+        """Name the alternatives that were ruled out, and those that remain undecided."""
         if len(self.trials) == 1:
             return "; a mirrored image, or one seen a PRF away, may be as sharp, which `blocksar check` tries"
         said = ""

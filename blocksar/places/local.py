@@ -229,7 +229,7 @@ def _hold(part: str) -> int | None:
 
 
 def sweep_beside(path: str | os.PathLike[str], *, spare: Callable[[str], bool] = lambda part: False) -> list[str]:
-    """Remove what killed processes have left beside `path` under its temporary names, but for what is to be spared.
+    """Remove temporary files and folders of `path` that killed processes left, except those to be spared.
 
     What was moved out of the way of `path` stays while nothing has its name. Returns what was spared.
     """

@@ -63,7 +63,7 @@ LOCK = "blocksar.lock"  # a file in each such folder
 
 @contextmanager
 def locked(folder: str, name: str, *, wait: bool) -> Iterator[None]:
-    """Keep other processes from a part of the work that has its results in a folder; where files have no locks, do not.
+    """Lock a part of the work whose results lie in a folder; without effect where files have no locks.
 
     Raises
     ------

@@ -95,7 +95,7 @@ def exact_bytes(grid: Grid, terrain: Terrain | None, *, noise: bool) -> dict[str
 
 
 def _beside(terrain: Terrain | None, *, heights: int, covered: int, noise: bool) -> dict[str, int]:
-    """Bytes of what lies beside an image: the terrain's samples and the layers of pixels on it, and the noise."""
+    """Memory of the terrain's samples, its layers and the noise of an image, bytes."""
     layers = {} if terrain is None else {"terrain": terrain.heights.nbytes, "layers": CELL * (heights + covered)}
     # The noise is smooth, float32 of few bits: a byte a pixel at most, compressed.
     return {**layers, **({"noise": covered} if noise else {})}

@@ -359,7 +359,7 @@ class DivisionPlanner:
         if not planned and probe:  # what it would tell of is not lit
             return self.plan(count, n_parts, False)
         if not planned:
-            raise OutsideSwath(f"none of {count} blocks has a lit point of the grid; give it a finer step, or move it")
+            raise OutsideSwath(f"no block of {count} has a lit point of the grid; give it a finer step, or move it")
         return Plan(
             geometry=self.geometry, grid=self.grid, region=self.region, recovery=self.recovery, seams=seams,
             parts=n_parts, blocks=tuple(planned), method=self.method, fidelity=self.fidelity,

@@ -227,7 +227,7 @@ def short_dwells(plan: Plan) -> str | None:
     if lit >= SHORT_DWELL or n_pulse < SHORT_DWELL:
         return None
     return (
-        f"{lit} pulses light a target at most, of {n_pulse}, and predictions hold from {SHORT_DWELL} pulses "
+        f"a target is lit by at most {lit} of {n_pulse} pulses, and predictions hold from {SHORT_DWELL} pulses "
         "on; is beam_width in rad, and what says where the beam points?"
     )
 

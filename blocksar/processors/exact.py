@@ -26,7 +26,7 @@ from blocksar.planning.tiling import window_around
 from blocksar.processors.base import ChunkPlan, ImagePlan, Problem, Window
 from blocksar.processors.sentences import lit_pulses
 from blocksar.progress import Work
-from blocksar.texts import size_text
+from blocksar.texts import count, size_text
 
 if TYPE_CHECKING:
     from blocksar.graph.tasks import Form, FormParts
@@ -121,7 +121,8 @@ class BackprojectionPlan(ChunkPlan):
         lit = sum(lit_pulses(piece.geometry, self.grid) for piece in self.pieces)
         doubts = (line for piece in self.pieces for line in doubts_of_track(piece.geometry.collection, exact=True))
         return [
-            f"exact back-projection of {self.grid.shape[1]} x {self.grid.shape[0]} pixels, {lit} lit pulses each: "
+            f"exact back-projection of {self.grid.shape[1]} x {self.grid.shape[0]} pixels, {count(lit, 'lit pulse')} "
+            "each: "
             f"{pixels * lit / 1e9:.3g} G updates at most",
             *self.memory_lines(),
             f"a run writes at most {size_text(self.stored_bytes())}",

@@ -17,7 +17,7 @@ from blocksar.planning.hierarchical_division import Division, coherence_of, divi
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY, checked_memory
 from blocksar.processors.base import ImagePlan, NoOptions, PartPlan, Problem
 from blocksar.progress import Work
-from blocksar.texts import size_text
+from blocksar.texts import count, size_text
 
 if TYPE_CHECKING:
     from blocksar.graph.tasks import FormParts
@@ -99,7 +99,7 @@ class HierarchicalPlan(PartPlan):
         doubts = (line for piece in self.pieces for line in doubts_of_track(piece.geometry.collection, exact=True))
         return [
             f"hierarchical back-projection of {self.grid.shape[1]} x {self.grid.shape[0]} pixels in "
-            f"{len(self.parts())} parts of {self.chunks[1]} x {self.chunks[0]} chunks, {divided}",
+            f"{count(len(self.parts()), 'part')} of {self.chunks[1]} x {self.chunks[0]} chunks, {divided}",
             f"predicted coherence with exact back-projection: at least {self.coherence:.8f}; errors are "
             f"{error:.0f} dB below the power of all that a part's data hold, bright places beside it as well",
             *self.memory_lines(),

@@ -50,7 +50,7 @@ def workforce(assumed: Resources) -> str:
 
 
 def _shares(seconds: Mapping[str, float]) -> str:
-    """Parts of a time in the unit of their sum as `time_text` tells it, which they add up to; none of nothing.
+    """Parts of a time, rounded in the unit in which `time_text` writes their sum, so that they add up to it.
 
     Examples
     --------

@@ -121,7 +121,7 @@ class SarAccessor:
         self._dataset = dataset
 
     def __repr__(self) -> str:
-        return f"<sar: {', '.join(f'{name} {text}' for name, text in self._facts())}>"
+        return f"<sar: {', '.join(f'{name} {text}'.lstrip() for name, text in self._facts())}>"
 
     def _repr_html_(self) -> str:
         rows = "".join(
@@ -139,7 +139,8 @@ class SarAccessor:
         try:
             collection = stores.history_in_memory(dataset).collection
         except InputError as error:
-            return [*rows, ("neither image nor phase history", str(error))]
+            reason = str(error).removeprefix("the dataset: ")
+            return [*rows, ("", f"neither image nor phase history: {reason}")]
         return rows + _history_facts(collection)
 
     @property

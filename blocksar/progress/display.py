@@ -337,7 +337,7 @@ def _units_text(units: Sequence[str], width: int) -> str:
         text = f"at work: {', '.join(units[:count])}{more}"
         if len(text) <= width:
             return text
-    return f"at work: {len(units)} units"
+    return f"at work: {len(units)} unit{'' if len(units) == 1 else 's'}"
 
 
 class _Frame:

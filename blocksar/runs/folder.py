@@ -22,6 +22,7 @@ from blocksar.places.local import LocalPlace, is_temporary
 from blocksar.places.place import Held, Place
 from blocksar.runs.demonstration import HISTORY
 from blocksar.runs.record import RECORD, RunRecord, Written
+from blocksar.texts import count
 from blocksar.version import __version__
 
 PLAN = "plan.bin"  # the plan of an unfinished run
@@ -209,7 +210,7 @@ def refuse_foreign(folder: Place) -> None:
 
 
 def clear_estimate(folder: Place) -> None:
-    """Remove what an estimate of a track has kept in its folder, and nothing else; the record last."""
+    """Remove the files of a track's estimate from its folder, and nothing else; the record last."""
     if _is_estimate(folder, folder.names()):
         for name in reversed(ESTIMATE):
             if name != SCRATCH:
@@ -455,7 +456,8 @@ def check_finished(folder: Place, record: RunRecord) -> None:
         ) from error
     if missing := sorted({"zarr.json", *chunks} - names):
         raise FolderError(
-            f"{folder} was finished, but {len(missing)} files of its image are gone or empty (first: {missing[0]}); "
+            f"{folder} was finished, but its image lacks the contents of {count(len(missing), 'file')} (first: "
+            f"{missing[0]}); "
             "use --overwrite to focus it anew",
             replaceable=True,
         )
@@ -486,7 +488,7 @@ def check_unchanged(folder: Place, record: RunRecord, *, every: bool = False) ->
                 changed += [] if same else [chunk]
     if changed:
         raise FolderError(
-            f"{folder} was finished, but {len(set(changed))} files of its image have been changed since (first: "
+            f"{folder} was finished, but its image has {count(len(set(changed)), 'file')} that changed since (first: "
             f"{min(changed)}); use --overwrite to focus it anew",
             replaceable=True,
         )

@@ -154,7 +154,7 @@ class TrackCorrection:
         on = "" if "surface" in self.settings else ", if the ground is the plane on which points were taken"
         return [
             f"track corrected by up to {1e3 * size.max():.3g} mm ({1e3 * np.sqrt((size * size).mean()):.3g} mm r.m.s.) "
-            f"from {f['points']} points{of}{few} in {loops}; entropy of their chips "
+            f"from {count(f['points'], 'point')}{of}{few} in {loops}; entropy of their chips "
             f"{f['entropy_before']:.3f} before and {f['entropy_after']:.3f} after",
             f"phase error left over a dwell: {f['predicted_error']:.3f} rad r.m.s. predicted{on}; two estimates from "
             f"disjoint halves of the points differ by {f['halves_apart']:.3f} rad",
@@ -170,7 +170,8 @@ def _tied(tied: Mapping[str, Any]) -> str:
             "be shifted against theirs, by metres where errors of centimetres change within a second"
         )
     return (
-        f"tied to {tied['to']} by {tied['points']} points that both see, and moved by up to {tied['moved']:.3g} m; "
+        f"tied to {tied['to']} by {count(tied['points'], 'point')} that both see, and moved by up to "
+        f"{tied['moved']:.3g} m; "
         f"their ranges agree within {tied['range_left']:.2g} m r.m.s.: images meet in place, but phase may jump there"
     )
 

@@ -251,6 +251,27 @@ MAX_FAST_TIME_SAMPLES = 1 << 20
 CHECKED_PULSES = 257  # number of pulses at which ranges of lit targets are evaluated
 
 
+def scene_text(source: str | Path) -> str:
+    """Return the text of a scene file; a name that is not a file means a shipped scene (e.g. "table1").
+
+    Raises
+    ------
+    InputError
+        If there is no such scene, or the file cannot be read.
+    """
+    path = Path(source)
+    if os.path.isfile(path):
+        try:
+            return path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"{path} cannot be read ({error}); give a scene file in UTF-8") from None
+    if str(source) not in shipped_scenes():
+        raise InputError(
+            f"scene {str(source)!r} is neither a file nor one of the shipped scenes: {', '.join(shipped_scenes())}"
+        )
+    return shipped_text(str(source))
+
+
 class Scene(SceneTables):
     """A checked scene file; `Scene.read` reads one, and `Scene.parse` its text."""
 
@@ -266,18 +287,10 @@ class Scene(SceneTables):
             If there is no such scene, it is not TOML, or fields are wrong; the message lists all of them.
         """
         path = Path(source)
+        text = scene_text(source)
         if os.path.isfile(path):
-            folder, name, label = path.parent, path.stem, str(path)
-            try:
-                text = path.read_text(encoding="utf-8")
-            except (OSError, UnicodeDecodeError) as error:
-                raise InputError(f"{path} cannot be read ({error}); give a scene file in UTF-8") from None
-            return cls.parse(text, name=name, label=label, folder=folder)
-        if str(source) not in shipped_scenes():
-            raise InputError(
-                f"scene {str(source)!r} is neither a file nor one of the shipped scenes: {', '.join(shipped_scenes())}"
-            )
-        return cls.parse(shipped_text(str(source)), name=str(source), label=f"{source}.toml")
+            return cls.parse(text, name=path.stem, label=str(path), folder=path.parent)
+        return cls.parse(text, name=str(source), label=f"{source}.toml")
 
     @classmethod
     def parse(cls, text: str, *, name: str = "", label: str = "scene", folder: Path | None = None) -> Scene:

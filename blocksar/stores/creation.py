@@ -375,7 +375,7 @@ def replacing_objects(
 
 @contextmanager
 def _locked(place: ObjectPlace) -> Iterator[None]:
-    """Keep others from what they could go on with as well.
+    """Lock an unfinished store, so that no other process resumes it at the same time.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Samples of phase histories, written a piece at a time; what a process that ended early has written is gone on with.
+"""Samples of phase histories, written piece by piece; an interrupted write is resumed.
 
 Until a store is finished it has a ledger: what it is made from (its *identity*), and which pieces are written, in their
 order, with checksums. Whoever writes a store of the same identity passes over those pieces that are intact.

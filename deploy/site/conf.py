@@ -12,11 +12,7 @@ import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, get_args
 
-from pydantic import BaseModel
-from pydantic.fields import FieldInfo
-from pydantic_core import PydanticUndefined
 from sphinx.application import Sphinx
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -49,7 +45,7 @@ ORDER = {
         Two passes compared <workflows/gallery/two_passes>""",
     "Reference": """
         Python <deploy/site/pages/reference>
-        Scene files <deploy/site/pages/scene-files>
+        Scene files <blocksar/simulation/README>
         Stores <blocksar/stores/README>""",
     "Background": """
         Method and architecture <blocksar/README>
@@ -116,8 +112,6 @@ def complete(_: Sphinx, page: str, source: list[str]) -> None:
     if page == root_doc:
         for part, pages in ORDER.items():
             source[0] += f"\n```{{toctree}}\n:hidden:\n:caption: {part}\n{pages}\n```\n"
-    elif page == f"{PAGES}scene-files":
-        source[0] += scene_tables()
     elif page == f"{GALLERY}README":
         source[0] = re.sub(r"^## .*\]\((\w+\.ipynb)\)$", with_picture, source[0], flags=re.M)
     elif page.startswith(GALLERY):
@@ -144,59 +138,3 @@ def cells(notebook: str) -> Iterator[str]:
                 yield f"````{{raw}} html\n{''.join(shown['text/html'])}\n````"
             else:
                 yield f"```text\n{''.join(shown['text/plain'])}\n```"
-
-
-def scene_tables() -> str:
-    """The shipped scenes, and the tables and keys of a scene file from the model that checks them."""
-    from blocksar.simulation import shipped_scenes
-    from blocksar.simulation.scene import Scene
-
-    tables = list(tables_of(Scene))
-    parts = ["", f"Shipped scenes: {', '.join(f'`{name}`' for name in shipped_scenes())}. The tables:", ""]
-    parts += ["| table | contents | needed |", "|---|---|---|"]
-    parts += [f"| `{key}` | {field.description} | {'yes' if field.is_required() else ''} |" for key, field, _ in tables]
-    for key, field, model in tables:
-        parts += ["", f"## {key.strip('[]')}", "", f"`{key}`: {field.description}.", ""]
-        parts += ["| key | type | default | meaning |", "|---|---|---|---|"]
-        own = {name: key_field for name, key_field in model.model_fields.items() if not model_of(key_field.annotation)}
-        parts += [key_row(name, key_field) for name, key_field in own.items()]
-    return "\n".join(parts) + "\n"
-
-
-def tables_of(model: type[BaseModel], within: str = "") -> Iterator[tuple[str, FieldInfo, type[BaseModel]]]:
-    """Tables of a model with their keys in brackets, each before those that it contains."""
-    for name, field in model.model_fields.items():
-        if (inner := model_of(field.annotation)) is not None:
-            key = f"{within}{field.alias or name}"
-            yield f"[[{key}]]" if "tuple" in str(field.annotation) else f"[{key}]", field, inner
-            yield from tables_of(inner, f"{key}.")
-
-
-def model_of(annotation: Any) -> type[BaseModel] | None:
-    """The table of a field: a model, an optional one, or a tuple of them."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    return next((model for part in get_args(annotation) if (model := model_of(part)) is not None), None)
-
-
-def key_row(name: str, field: FieldInfo) -> str:
-    """One row of a table of keys."""
-    default = "needed" if field.default is PydanticUndefined else "" if field.default is None else f"`{field.default}`"
-    description = (field.description or "").replace("|", r"\|")
-    return f"| `{name}` | {kind(field.annotation)} | {default} | {description} |"
-
-
-def kind(annotation: Any) -> str:
-    """A type in words of TOML."""
-    words = {float: "number", int: "integer", str: "text", bool: "true or false", type(None): ""}
-    if annotation in words:
-        return words[annotation]
-    if getattr(annotation, "__name__", "") == "tuple":
-        parts = [kind(part) for part in get_args(annotation) if part is not Ellipsis]
-        if len(parts) > 1:
-            return f"list of {len(parts)} {parts[0]}s"
-        return f"list of {parts[0].replace('list', 'lists', 1)}"
-    if getattr(annotation, "__name__", "") == "dict":
-        return "table"
-    parts = [kind(part) if not isinstance(part, str) else f'"{part}"' for part in get_args(annotation)]
-    return " or ".join(dict.fromkeys(part for part in parts if part))

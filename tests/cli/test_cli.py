@@ -7,6 +7,7 @@ import io
 import signal
 import subprocess
 import sys
+from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -24,6 +25,7 @@ from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.method import ChainOptions
 from blocksar.options import options_of
 from blocksar.progress import PLAIN_STEPS, Progress
+from blocksar.simulation.scene import Scene
 
 COMMANDS = {
     "demo": ["demo", "--out", "run"],
@@ -116,6 +118,16 @@ def test_quality_and_simulate_pass_their_options(api: Calls) -> None:
     args, kwargs = api.seen["simulate"]
     assert args == ("a.toml", "p.zarr")
     assert (kwargs["raw"], kwargs["threads"], kwargs["overwrite"]) == (True, 4, False)
+
+
+def test_a_printed_scene_is_read_again(tmp_path: Path) -> None:
+    printed = CliRunner().invoke(commands.app, ["simulate", "table1", "--print"])
+    (tmp_path / "own.toml").write_text(printed.stdout, encoding="utf-8")
+    assert (
+        printed.exit_code == 0 and Scene.read(tmp_path / "own.toml").model_dump() == Scene.read("table1").model_dump()
+    )
+    missing = CliRunner().invoke(commands.app, ["simulate", "table1"])
+    assert missing.exit_code == 2 and "--out is missing" in missing.stderr
 
 
 @pytest.mark.parametrize("command", COMMANDS)

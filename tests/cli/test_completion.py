@@ -40,9 +40,11 @@ def test_the_script_of_a_shell_is_printed(shell: str) -> None:
 
 
 @pytest.mark.parametrize("names", every_command(), ids=" ".join)
-def test_every_command_has_short_help_and_can_be_quiet(names: tuple[str, ...]) -> None:
-    short = CliRunner().invoke(commands.app, [*names, "-h"], prog_name="blocksar")
+def test_every_command_has_help_for_80_columns_and_can_be_quiet(names: tuple[str, ...]) -> None:
+    short = CliRunner().invoke(commands.app, [*names, "-h"], prog_name="blocksar", env={"COLUMNS": "80"})
     assert short.exit_code == 0 and f"Usage: blocksar {' '.join(names)} " in short.stdout
+    assert "…" not in short.stdout, "a name is cut"
+    assert "─ Messages ─" in short.stdout
     options = {option for parameter in every_command()[names].params for option in parameter.opts}
     assert {"-q", "--quiet"} <= options
 

@@ -159,7 +159,7 @@ def test_a_few_lost_pulses_become_missing(tmp_path: Path) -> None:
     wanted[40:45] = np.nan
     assert np.array_equal(samples(tmp_path / "ph.zarr"), wanted, equal_nan=True)
     assert np.abs(made.collection.antenna_position - position).max() < 3e-4
-    assert any("5 of 90 pulses are missing" in line for line in made.messages)
+    assert any("missing pulses: 5 of 90" in line for line in made.messages)
 
 
 def test_chunks_of_pulses_are_gathered_across_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

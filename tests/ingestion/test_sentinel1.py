@@ -205,7 +205,7 @@ def test_a_burst_whose_beginning_is_lost_keeps_its_part_of_the_steering(
         b"".join(data[headers.offset[i] : headers.offset[i] + headers.size[i]] for i in kept)
     )
     report = blocksar.ingest("sentinel1", cut_file, tmp_path / "cut.zarr")
-    assert "8 lost pulses are missing" in " ".join(report.summary)
+    assert "8 lost pulses missing" in " ".join(report.summary)
     whole, part = (
         stores.open_phase_history(each[0]) for each in map(stores.collections_in, (store, tmp_path / "cut.zarr"))
     )

@@ -328,7 +328,7 @@ def test_dwells_of_few_pulses_are_told() -> None:
     grid = Grid(DISTANCE - 20.0, DISTANCE + 20.0, 1.0, -16.0, 16.0, 0.4)
     assert short_dwells(plan_collection(collection, grid=grid)) is None
     narrow = plan_collection(replace(collection, beam_width=0.003), grid=grid, blocks=1)
-    assert (short_dwells(narrow) or "").startswith("5 pulses light a target at most, of 256")
+    assert (short_dwells(narrow) or "").startswith("a target is lit by at most 5 of 256 pulses")
 
 
 def test_a_beam_that_stays_on_its_ground_is_refused() -> None:

@@ -300,7 +300,7 @@ def test_a_finished_image_that_is_changed_afterwards_is_not_taken_for_the_run_s(
         os.unlink(chunk)  # which may share storage with others
         chunk.write_bytes(kept[:-8] + bytes([kept[-8] ^ 1]) + kept[-7:])
         os.utime(chunk, ns=(time.time_ns() + 10**9,) * 2)
-        with pytest.raises(FolderError, match=rf"1 files of its image have been changed since \(first: {variable}/c/"):
+        with pytest.raises(FolderError, match=rf"its image has 1 file that changed since \(first: {variable}/c/"):
             blocksar.focus(original, tmp_path / "run", **settings)
         chunk.write_bytes(kept)
     assert "nothing to do" in blocksar.focus(original, tmp_path / "run", **settings).summary[0]

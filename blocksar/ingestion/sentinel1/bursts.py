@@ -23,6 +23,7 @@ from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.places.ranges import Readable
 from blocksar.spans import parse_pulses
+from blocksar.texts import count
 
 # ---------------------------------------------------------------- bursts
 
@@ -171,7 +172,7 @@ def find_bursts(packets: Packets, zero: int) -> tuple[list[Burst], list[str]]:
             bursts.append(Burst(packets=own[rows], number=number, zero=zero))
             number += 1
     bursts.sort(key=lambda burst: (burst.packets.seconds[0], burst.packets.fine[0]))
-    notes = [f"{small} echoes in parts of less than {LEAST} pulses are left out"] if small else []
+    notes = [f"left out: {count(small, 'echo', 'echoes')} in parts of fewer than {LEAST} pulses"] if small else []
     return bursts, notes
 
 
@@ -253,7 +254,7 @@ def _path(value: Any) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Sentinel1Options(ReaderOptions):
-    """The part of the data that is wanted, and what is said of it; see `ReaderOptions`.
+    """The part of the data to read, and metadata given by the user; see `ReaderOptions`.
 
     Attributes
     ----------
@@ -324,7 +325,9 @@ class PacketFile(NamedTuple):
         """
         echoes = self.packets[self.packets.echo]
         if not len(echoes):
-            raise InputError(f"{self.where} holds {len(self.packets)} packets of noise or calibration and no echo")
+            raise InputError(
+                f"{self.where} holds {count(len(self.packets), 'packet')} of noise or calibration and no echo"
+            )
         return polarizations(echoes[:1])[0]
 
 

@@ -349,7 +349,7 @@ def _swath(swath: str, own: Sequence[BurstHistory]) -> list[str]:
     lost = sum(each.burst.n_slot - len(each.burst.packets) for each in own)
     windows = sum(bool(np.ptp(each.burst.delay) > UNTOLD) for each in own)
     modes = {COMPRESSIONS.get(int(code), "?") for each in own for code in each.burst.packets.compression}
-    missing = f"; {lost} lost pulses are missing" if lost else ""
+    missing = f"; {count(lost, 'lost pulse')} missing" if lost else ""
     return [
         f"{swath} {burst.polarization}: {count(len(own), 'burst')} of up to "
         f"{max(each.burst.n_slot for each in own)} pulses at {1 / burst.interval:.6g} Hz, "

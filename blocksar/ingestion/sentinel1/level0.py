@@ -43,7 +43,8 @@ def describe(files: Sequence[Readable], given: str) -> Described:
         packets = file.packets
         zero = int(packets.seconds[0])
         times, size = packets.times(zero), size_text(int(packets.size.sum()))
-        rows.append(("file", f"{file.where.name}: {len(packets)} packets, {int(packets.echo.sum())} echoes, {size}"))
+        held = f"{count(len(packets), 'packet')}, {count(int(packets.echo.sum()), 'echo', 'echoes')}, {size}"
+        rows.append(("file", f"{file.where.name}: {held}"))
         rows.append(("time", f"{utc(zero, float(times[0]))} for {times[-1] - times[0]:.4g} s"))
         bursts, notes = find_bursts(packets, zero)
         for swath in dict.fromkeys(burst.swath for burst in bursts):
