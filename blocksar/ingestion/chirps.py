@@ -1,6 +1,6 @@
 """Chirps as files state them: the sign that the samples tell, and the chirp of a recorded pulse.
 
-*Sign.* A filter matched to the pulse gathers the echo of each place in one sample; the one of the opposite chirp spreads
+*Sign.* A filter matched to the pulse gathers the echo of each place in one sample; that of the opposite chirp spreads
 it over twice the pulse. With p the power over range, averaged over pulses that follow each other, so that speckle is
 less and what the ground has of bright places is left, the contrast
 
@@ -34,10 +34,10 @@ def contrasts(
     padded = np.zeros((echo.shape[0], size), np.complex64)
     padded[:, : echo.shape[1]] = np.nan_to_num(echo, posinf=0, neginf=0)
     spectrum = fft_rows(padded, inverse=False)
-    matched = chirp_spectrum(
-        np.fft.fftfreq(size, 1 / sampling_rate), chirp_rate=-chirp_rate, pulse_width=pulse_width
-    ).astype(np.complex64)  # fmt: skip
-    matched /= np.abs(matched).max()
+    number = np.arange(size)
+    frequency = sampling_rate / size * np.where(number < size // 2, number, number - size).astype(np.float64)
+    matched = chirp_spectrum(frequency, chirp_rate=chirp_rate, pulse_width=pulse_width).conj()
+    matched = (matched / np.abs(matched).max()).astype(np.complex64)
     found = []
     for spectra in (matched, matched.conj()):
         power = (np.abs(fft_rows(spectrum * spectra, inverse=True)) ** 2).mean(axis=0)[: echo.shape[1]].astype(float)
@@ -47,7 +47,7 @@ def contrasts(
 
 
 class Chirp(NamedTuple):
-    """Rate of a pulse, Hz/s, its length, and its centre, where it has the carrier's frequency, after its first sample, s."""
+    """Rate of a pulse, Hz/s, its length, s, and where it has the carrier's frequency, s after its first sample."""
 
     rate: float
     width: float
@@ -62,8 +62,7 @@ def fitted_chirp(pulse: ComplexArray, sampling_rate: float) -> Chirp | None:
     if pulse.ndim != 1 or pulse.size < 8 or not np.isfinite(pulse).all() or not np.abs(pulse).min() > 0:
         return None
     time, phase = np.arange(pulse.size) / sampling_rate, np.unwrap(np.angle(pulse.astype(np.complex128)))
-    parabola = np.polynomial.Polynomial.fit(time, phase, 2, w=np.abs(pulse)).convert()
-    _, slope, bend = parabola.coef
-    if bend == 0 or np.std(phase - parabola(time)) > FITS:
+    bend, slope, start = np.polyfit(time, phase, 2, w=np.abs(pulse)).tolist()
+    if bend == 0 or np.std(phase - (bend * time**2 + slope * time + start)) > FITS:
         return None
-    return Chirp(rate=float(bend / np.pi), width=pulse.size / sampling_rate, centre=float(-slope / (2 * bend)))
+    return Chirp(rate=bend / np.pi, width=pulse.size / sampling_rate, centre=-slope / (2 * bend))

@@ -2,9 +2,9 @@
 
 Groups and fields are those of files of the mission's emulator. An antenna's frame (RCS) has z along the boresight, x in
 elevation and y along the azimuth axis; `quaternions` carry it into Earth-centred axes. `slantRange` is c / 2 times the
-delay since transmission began. `basebandPhaseCorrection` multiplies the samples of each pulse, and `chirpWaveform` is
-the pulse as the samples hold it (both as isce3 describes them). `UTCtime` is that of transmission where its description says so; where it says nothing,
-positions are taken at it, with a note.
+delay since transmission began. `UTCtime` is that of transmission where its description says so; where it says nothing,
+positions are taken at it, with a note. `basebandPhaseCorrection` multiplies the samples of each pulse, and
+`chirpWaveform` is the pulse as the samples hold it (both as isce3 describes them).
 """
 
 from __future__ import annotations
@@ -318,8 +318,8 @@ class _Layout:
         kept = even.pulses.size - int(np.count_nonzero(lost))
         refuse_few(kept, even.pulses.size, "calibration pulses have no echo", "take others with --pulses")
         self.notes.append(
-            f"{np.count_nonzero(lost)} of {even.pulses.size} pulses are calibration pulses without echo, and are missing "
-            "in the store"
+            f"{even.pulses.size - kept} of {even.pulses.size} pulses are calibration pulses without echo, and are "
+            "missing in the store"
         )
         return even.without(marked[lost])
 

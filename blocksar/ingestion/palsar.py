@@ -1,10 +1,10 @@
 """Raw echoes of ALOS PALSAR: CEOS level 1.0, a folder with a leader (LED) and an image file (IMG) a polarisation.
 
-Records and fields are those of the product format description (JAXA) for level 1.0; names are the format's. Two public
+Records and fields are those of the product format description (JAXA) for level 1.0; names are the format's. Public
 readers (isce3, GMTSAR) agree on what it leaves open: a line's time is that of its first sample's reception, cut to
-whole milliseconds, and to microseconds by a counter of 24 bits in its auxiliary data; the pulse is a down-chirp; a sample's zero is the leader's DC bias. GMTSAR's own calibration, 2.08
-ms earlier for the positions, is what this gives: half a way of 2.85 ms, less the half millisecond that cutting takes
-off.
+whole milliseconds, which a counter of microseconds in its auxiliary data (24 bits, from byte 296) makes finer; the
+pulse is a down-chirp; a sample's zero is the leader's DC bias. GMTSAR's own calibration, 2.08 ms earlier for the
+positions, is what milliseconds alone give: half a way of 2.85 ms, less the half millisecond that cutting takes off.
 """
 
 from __future__ import annotations
@@ -570,8 +570,8 @@ def _chirp_rate(
     for name, rate in told:
         if rate and 0.1 * sampling_rate < abs(rate) * pulse_width <= sampling_rate:
             notes.append(
-                f"chirp of {abs(rate):.6g} Hz/s over {1e6 * pulse_width:g} us, by {name}, taken to fall; --chirp-sign up "
-                "if it rises"
+                f"chirp of {abs(rate):.6g} Hz/s over {1e6 * pulse_width:g} us, by {name}, taken to fall; --chirp-sign "
+                "up if it rises"
             )
             return -abs(rate)
     raise InputError("neither the lines nor the leader tell the chirp's rate; get the files again")

@@ -23,8 +23,9 @@ determined by uneven ones as long as these are B a second or more (`resampling`)
 
     y(t) = exp(j Phi(t)) sum_m w_m(t) exp(-j Phi(t_m)) x(t_m) .
 
-B is the beam's band at the highest frequency, 4 v / lambda sin(width / 2), and what nu_c changes over the swath and over
-the frequencies of the chirp; or BAND_OF_PRF of the mean PRF if that is more, since a beam does not end at its width.
+B is the beam's band at the highest frequency, 4 v / lambda sin(width / 2), and what nu_c changes over the swath and
+over the frequencies of the chirp; or BAND_OF_PRF of the mean PRF if that is more, since a beam does not end at its
+width.
 
 *Beam.* About the antenna's own axis, as wide as an antenna's of that length at half its power of one way, 0.886
 wavelengths over length; where the length is not known, the Doppler band that 0.8 of the PRF holds.
@@ -308,8 +309,8 @@ def even_pulses(time: FloatArray) -> tuple[Even, list[str]]:
         at = np.linspace(time[0], time[-1], round(float(time[-1] - time[0]) / step) + 1)
         step = float(at[1] - at[0])
         notes.append(
-            f"intervals between pulses are {1e6 * steps.min():.6g} .. {1e6 * steps.max():.6g} us: all {time.size} pulses "
-            f"are resampled to {at.size} even ones at {1 / step:.6g} Hz"
+            f"intervals between pulses are {1e6 * steps.min():.6g} .. {1e6 * steps.max():.6g} us: all {time.size} "
+            f"pulses are resampled to {at.size} even ones at {1 / step:.6g} Hz"
         )
     return Even(pulses, time, slots, at, step, (part[0] + run[0], part[0] + run[1])), notes
 
@@ -322,9 +323,9 @@ def _longest(joined: BoolArray) -> tuple[int, int]:
 
 
 def _placed(time: FloatArray, whole: FloatArray, usual: float) -> tuple[IntArray, FloatArray, float] | None:
-    """Slots of pulses that lie whole numbers of an interval apart, times of all slots, and the interval, by least squares.
+    """Slots of pulses that lie whole numbers of an interval apart, times of all slots, and the interval.
 
-    None if pulses wander off such an axis.
+    By least squares; None if pulses wander off such an axis.
     """
     slots = np.concatenate([[0], np.cumsum(whole)]).astype(np.int64)
     step, start = np.polyfit(slots - slots[-1] / 2, time - time[0], 1)
@@ -469,7 +470,7 @@ class RawStrip:
 
     @cached_property
     def doppler(self) -> tuple[FloatArray, float]:
-        """Doppler frequency of the beam's centre at the swath's middle (n_slot,), and the band that the beam lights, Hz.
+        """Doppler frequency of the beam's centre at the swath's middle (n_slot,), and the band that it lights, Hz.
 
         See the module.
         """
@@ -545,6 +546,15 @@ class RawStrip:
             samples[even.slots[low:high] - pulses.start] = self.read(channel, even.pulses[low:high])
         return samples
 
+    def _resampled(self, resampling: Resampling) -> str:
+        """How well, in words."""
+        good, band = resampling.good, max(self.doppler[1], BAND_OF_PRF / self.even.interval)
+        return (
+            f"{np.count_nonzero(~good)} of {good.size} even pulses have too few beside them to be computed, and are "
+            f"missing; the error of others is at most {20 * np.log10(resampling.bound[good].max()):.0f} dB of an echo "
+            f"within {band:.5g} Hz of Doppler about the beam's centre"
+        )
+
     def told_sign(self) -> list[str]:
         """A note if echoes of the middle pulses have far more contrast under the chirp of the other sign."""
         middle = self.even.pulses.size // 2
@@ -556,8 +566,8 @@ class RawStrip:
             return []
         sign = CHIRP_SIGNS[self.chirp_rate > 0]
         return [
-            f"the chirp has the other sign by the samples, whose contrast over range is {other:.3g} with it and {own:.3g} "
-            f"without: ingest again with --chirp-sign {sign}"
+            f"the chirp has the other sign by the samples, whose contrast over range is {other:.3g} with it and "
+            f"{own:.3g} without: ingest again with --chirp-sign {sign}"
         ]
 
     @cached_property
@@ -674,16 +684,12 @@ class RawStrip:
     def reading(self, options: PartOptions) -> Reading:
         """Pieces that are still to be read."""
         collection, raw = self.collection(options)
-        resampling = self.resampling  # refused before anything is written
-        lost = 0 if resampling is None else int(np.count_nonzero(~resampling.good))
-        more = [f"{lost} of {resampling.good.size} pulses have too few beside them to be computed, and are missing; the "
-                f"error of others is at most {20 * np.log10(resampling.bound[resampling.good].max()):.0f} dB of an echo "
-                f"within {max(self.doppler[1], BAND_OF_PRF / self.even.interval):.5g} Hz of Doppler"
-                ] if resampling is not None else []  # fmt: skip
+        resampled = [] if self.resampling is None else [self._resampled(self.resampling)]  # refused before anything
         several = len(self.polarizations) > 1
         return Reading(
             collection=collection, raw=raw, pieces=lambda: _pieces(self), attributes=self.attributes(options),
-            messages=lambda: [*self.remarks(options), *more, *self.told_sign()], channels=self.polarizations if several else (), parts=PARTS,
+            messages=lambda: [*self.remarks(options), *resampled, *self.told_sign()],
+            channels=self.polarizations if several else (), parts=PARTS,
         )  # fmt: skip
 
 
