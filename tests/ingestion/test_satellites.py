@@ -8,16 +8,25 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from raw_satellites import GAIN, Radar, write_crsd, write_nisar, write_palsar
 
 import blocksar
 from blocksar import stores
 from blocksar.collection.georeference import Georeference
-from blocksar.ingestion.resampling import plan_resampling
-from blocksar.ingestion.strips import even_pulses
 
-RADARS = {"nisar": Radar(side=-1), "palsar": Radar(), "crsd": Radar()}
-WRITERS = {"nisar": write_nisar, "palsar": write_palsar, "crsd": write_crsd}
+
+class Dithered(Radar):
+    """Its pulses are sent up to 0.3 of an interval early or late."""
+
+    @property
+    def sent(self) -> NDArray[np.float64]:
+        random = np.random.default_rng(1).uniform(-0.3, 0.3, self.n_pulse)
+        return np.asarray(self.start + (np.arange(self.n_pulse) + random) / self.prf)
+
+
+RADARS = {"nisar": Radar(side=-1), "dithered": Dithered(side=-1), "palsar": Radar(), "crsd": Radar()}
+WRITERS = {"nisar": write_nisar, "dithered": write_nisar, "palsar": write_palsar, "crsd": write_crsd}
 
 
 @pytest.fixture(scope="module", params=list(RADARS))
@@ -166,34 +175,6 @@ def test_pulses_that_calibrate_and_uneven_times(tmp_path: Path) -> None:
     assert not (tmp_path / "c").exists()
 
 
-class Dithered(Radar):
-    """Its pulses are sent up to a quarter of an interval early or late."""
-
-    @property
-    def sent(self) -> Any:
-        random = np.random.default_rng(1).uniform(-0.25, 0.25, self.n_pulse)
-        return self.start + (np.arange(self.n_pulse) + random) / self.prf
-
-
-def test_dithered_pulses_are_resampled_within_the_beam() -> None:
-    """Samples are those of even pulses, but for echoes beyond the beam and for the ends."""
-    few, strips = 512, []
-    for kind in (Dithered, Radar):
-        radar = kind(n_pulse=few, n_sample=640, side=-1)
-        strips.append((radar, radar.echo))
-    (uneven, echo), (even, wanted) = strips
-    axis, notes = even_pulses(uneven.sent)
-    assert axis.slots is None and axis.time.size == few and "all 512 pulses are resampled to 512 even ones" in notes[0]
-    resampling = plan_resampling(axis.sent, axis.time, band=0.8 * uneven.prf)
-    found = resampling.apply(echo, slice(0, few))
-    later = axis.time[0] - even.sent[0]
-    assert abs(later) < 0.25 / even.prf and np.count_nonzero(~resampling.good) < 12
-    inside = slice(40, -40)
-    assert np.isfinite(found[inside]).all()
-    # Another start, and an interval longer by less than a thousandth: the same within a few hundredths.
-    assert np.linalg.norm(found[inside] - wanted[inside]) < 0.5 * np.linalg.norm(wanted[inside])
-
-
 def test_what_is_said_of_delay_and_chirp(tmp_path: Path) -> None:
     late = 0.4e-6
     slant = SHORT.first_range + np.arange(640) * 299792458.0 / 2 / SHORT.sampling_rate
@@ -204,7 +185,7 @@ def test_what_is_said_of_delay_and_chirp(tmp_path: Path) -> None:
     np.testing.assert_allclose(right.raw.fast_time, plain.raw.fast_time, atol=1e-15)
     assert right.attrs["source"]["range_delay_removed"] == late and "is taken out (--range-delay)" in " ".join(said)
     for value in ("x", 1.0, np.nan):
-        with pytest.raises(blocksar.InputError, match=r"--range-delay is .*; give the seconds, there and back"):
+        with pytest.raises(blocksar.InputError, match=r"range_delay is .*; give the seconds, there and back"):
             ingested(delayed, tmp_path / "c", range_delay=value)
     magnitude = write_palsar(tmp_path / "d", SHORT, b76=abs(SHORT.chirp_rate) / 1e6)
     palsar, said = ingested(magnitude, tmp_path / "e")
@@ -212,7 +193,7 @@ def test_what_is_said_of_delay_and_chirp(tmp_path: Path) -> None:
     wrong, said = ingested(magnitude, tmp_path / "f", chirp_sign="up")
     assert wrong.raw is not None and wrong.raw.chirp_rate == 4e12
     assert "ingest again with --chirp-sign down" in " ".join(said)
-    with pytest.raises(blocksar.InputError, match="--chirp-sign is 'left'; it must be up or down"):
+    with pytest.raises(blocksar.InputError, match="chirp_sign is 'left'; it must be up or down"):
         ingested(magnitude, tmp_path / "g", chirp_sign="left")
 
 
