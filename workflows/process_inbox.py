@@ -4,7 +4,8 @@
 
 The script makes one sweep and ends; cron or a systemd timer starts it again, as often as required. A sweep lists the
 complete collections of INBOX and focuses them one after the other on one cluster. A collection `NAME.zarr` is complete
-when its group has a zarr.json: write it under another name and rename it when all of it is there. INBOX is only read.
+when its group has a zarr.json: write it under another name and rename it when all of it is there. INBOX is only read;
+what else lies in it is ignored, and log and status say why, with the command that makes a phase history of it.
 
 Several collections of one acquisition, such as bursts, become one mosaic. List them beside them in a manifest
 NAME.acquisition.json, {"collections": ["NAME_b0.zarr", ...]}: the acquisition is complete when all of them are. Or give

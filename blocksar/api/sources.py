@@ -255,7 +255,12 @@ class _CphdOptions(_Options, total=False):
     troposphere: Literal["file", "standard"] | None
 
 
-class _PartOptions(_Options, total=False):
+class _RawOptions(_Options, total=False):
+    range_delay: float
+    chirp_sign: Literal["up", "down"] | None
+
+
+class _PartOptions(_RawOptions, total=False):
     polarization: str | None
     pulses: Part
     troposphere: Literal["standard"] | None
@@ -273,7 +278,7 @@ class _NisarOptions(_StripOptions, total=False):
     frequency: str | None
 
 
-class _Sentinel1Options(_Options, total=False):
+class _Sentinel1Options(_RawOptions, total=False):
     swath: str | None
     polarization: str | None
     bursts: Part

@@ -89,7 +89,7 @@ def begin(files: Sequence[Readable], options: CrsdOptions) -> RawStrip:
     """
     [path] = files
     with opened(path) as (stream, reader), np.errstate(all="ignore"):
-        return _Layout(path, stream, reader, options).strip()
+        return _Layout(path, stream, reader, options).strip().taking(options)
 
 
 def _vectors(values: NDArray[Any]) -> FloatArray:
@@ -161,7 +161,7 @@ class _Layout:
         origin = int(sent["TxTime"]["Int"][0])
         time = _whole(sent["TxTime"], origin)
         even, notes = even_pulses(time[order])
-        even = even._replace(pulses=order[even.pulses])
+        even = even.of_file(order)
         lost = np.flatnonzero(vectors["SIGNAL"][even.pulses] != 1) if "SIGNAL" in vectors.dtype.names else order[:0]
         if lost.size:
             notes.append(f"{count(lost.size, 'vector')} without a normal signal: missing in the store")
@@ -237,7 +237,7 @@ class _Layout:
             raise InputError(f"transmitter and receiver lie {100 * apart:.3g} % of the range apart: this is bistatic, "
                              "and only monostatic collections are supported")  # fmt: skip
         return OrbitTrack(
-            time=even.time[even.slots], position=(transmitter + receiver) / 2,
+            time=even.sent, position=(transmitter + receiver) / 2,
             velocity=(_vectors(pulses["TxVel"]) + velocity) / 2,
         )  # fmt: skip
 
@@ -250,7 +250,7 @@ class _Layout:
         which = int(np.argmax(np.abs(along)))
         towards = np.sign(along[which])
         sine = towards * _vectors(pulses["TxEB"])[:, which]
-        steering = np.interp(np.arange(even.time.size), even.slots, np.arcsin(np.clip(sine, -1, 1)))
+        steering = np.interp(even.time, even.sent, np.arcsin(np.clip(sine, -1, 1)))
         return Antenna(time=track.time, axis=towards * axes[which]), steering
 
     def _phase(self, pulses: NDArray[Any], vectors: NDArray[Any], begun: FloatArray) -> FloatArray:

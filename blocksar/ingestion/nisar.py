@@ -3,7 +3,8 @@
 Groups and fields are those of files of the mission's emulator. An antenna's frame (RCS) has z along the boresight, x in
 elevation and y along the azimuth axis; `quaternions` carry it into Earth-centred axes. `slantRange` is c / 2 times the
 delay since transmission began. `UTCtime` is that of transmission where its description says so; where it says nothing,
-positions are taken at it, with a note.
+positions are taken at it, with a note. `basebandPhaseCorrection` multiplies the samples of each pulse, and
+`chirpWaveform` is the pulse as the samples hold it (both as isce3 describes them).
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ from numpy.typing import NDArray
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, library_for, quoted
+from blocksar.ingestion.chirps import Chirp, fitted_chirp
 from blocksar.ingestion.kinds import Kind, hdf5
 from blocksar.ingestion.orbit import Antenna, Orbit, epoch_of
-from blocksar.ingestion.readers import refuse_others
+from blocksar.ingestion.readers import refuse_few, refuse_others
 from blocksar.ingestion.reading import reading
 from blocksar.ingestion.strips import Even, RawStrip, StripOptions, StripReader, TimeTags, common_window, even_pulses
 from blocksar.options import Option
 from blocksar.places.ranges import Readable
-from blocksar.texts import count
 
 KIND = Kind(
     "an HDF5 file of NISAR", lambda start: hdf5(start) and b"science" in start.data,
@@ -58,6 +59,8 @@ class NisarOptions(StripOptions):
 BANDS = ("LSAR", "SSAR")
 LENGTHS = {"ALOS": 8.9, "NISAR": 12.0}  # m, of the antennas of missions, along the track
 ECHO = 0  # of calType: the pulse went through the transmitter's amplifier
+BENT = 0.3  # rad, of phase at a pulse's ends
+CENTRED = 0.01  # of a sample, by which a pulse's centre may lie off the middle of its duration
 HALF = 0.5  # of its neighbour's power: a calibration pulse with less has no echo
 DAMAGED, REMEDY = "damaged, or no level 0B of NISAR's layout", "get it again"
 
@@ -94,7 +97,7 @@ def begin(files: Sequence[Readable], options: NisarOptions) -> RawStrip:
     """
     [path] = files
     with opened(path) as file:
-        return _Layout(path, file, options).strip().taking(options.time_tags)
+        return _Layout(path, file, options).strip().taking(options)
 
 
 def _text(value: Any) -> str:
@@ -158,7 +161,7 @@ class _Layout:
         pulses = slice(*slice(*self.options.pulses).indices(time.shape[0]))
         epoch = epoch_of(seconds(time), "units of UTCtime")
         even, notes = even_pulses(time[pulses])
-        even = even._replace(pulses=even.pulses + pulses.start)
+        even = even.of_file(np.arange(pulses.start, pulses.stop))
         self.notes += notes
         even = self._without_calibration(even)
         telemetry = self.root["lowRateTelemetry"]
@@ -173,6 +176,12 @@ class _Layout:
         adjustment = self.number("rangeDelayAdjustment") if "rangeDelayAdjustment" in self.transmitter else 0.0
         if adjustment:
             self.notes.append(f"rangeDelayAdjustment is {adjustment:.6g} s, taken to be in slantRange already")
+        if not self.options.range_delay:
+            self.notes.append(
+                "no delay of the instrument is taken out; the mission's level 1 products state it in their calibration "
+                "(commonDelay, in m of range): --range-delay takes out 2 / c times it"
+            )
+        chirp, corrections = self._chirp(1 / self._step(delay)), tuple(self._correction(each) for each in self.channels)
         side = self._said("lookDirection").lower()
         if side not in ("left", "right"):
             raise InputError(f"lookDirection is {quoted(side)}; it must be left or right")
@@ -181,10 +190,55 @@ class _Layout:
             title=f"{mission} {', '.join(self.channels)}".strip(), format=f"NISAR RRSD {self._said('productVersion')}",
             collector=mission, epoch=epoch, even=even, tags=tags, orbit=self._orbit(telemetry["orbit"], later),
             antenna=self._antenna(telemetry, epoch), length=LENGTHS.get(mission.upper()), side=side, delay=delay,
-            chirp_rate=self.number("chirpSlope"), pulse_width=self.number("chirpDuration"),
-            carrier=self.number("centerFrequency"), sampling_rate=(delay.size - 1) / float(delay[-1] - delay[0]),
-            polarizations=self.channels, read=_Samples(self.path, tuple(samples), window), notes=self.notes,
+            chirp_rate=chirp.rate, pulse_width=chirp.width, centre=chirp.centre,
+            carrier=self.number("centerFrequency"), sampling_rate=1 / self._step(delay), polarizations=self.channels,
+            read=_Samples(self.path, tuple(samples), window, corrections), notes=self.notes,
         )  # fmt: skip
+
+    @staticmethod
+    def _step(delay: FloatArray) -> float:
+        """Between samples, s."""
+        return float(delay[-1] - delay[0]) / (delay.size - 1)
+
+    def _chirp(self, sampling_rate: float) -> Chirp:
+        """The pulse by its slope and duration, and its centre by chirpWaveform, if that is there.
+
+        A replica's first sample belongs to the slant range of a target whose echo begins with it. Where its parabola
+        misses the slope's by more than BENT at its ends, the replica is what was sent.
+        """
+        rate, width = self.number("chirpSlope"), self.number("chirpDuration")
+        told = Chirp(rate=rate, width=width, centre=width / 2)
+        if "chirpWaveform" not in self.transmitter:
+            return told
+        found = fitted_chirp(np.asarray(self.transmitter["chirpWaveform"][()]).ravel(), sampling_rate)
+        if found is None or not 0 < found.centre < found.width:
+            self.notes.append("chirpWaveform is no linear chirp; chirpSlope and chirpDuration are taken")
+            return told
+        if np.pi * abs(found.rate - rate) * (width / 2) ** 2 > BENT or abs(found.width - width) * sampling_rate > 2:
+            self.notes.append(
+                f"chirpWaveform is a chirp of {found.rate:.6g} Hz/s over {1e6 * found.width:.4g} us, and is taken; "
+                f"chirpSlope and chirpDuration say {rate:.6g} Hz/s over {1e6 * width:.4g} us"
+            )
+            told = found
+        if abs(found.centre - told.width / 2) * sampling_rate > CENTRED:
+            self.notes.append(
+                f"by chirpWaveform the pulse's centre comes {1e6 * found.centre:.6g} us after its beginning, "
+                f"{1e6 * (found.centre - told.width / 2):.3g} us off the middle of its duration"
+            )
+        return told._replace(centre=found.centre)
+
+    def _correction(self, channel: str) -> ComplexArray | None:
+        """Factors of the pulses in the file that give echoes a constant phase to their transmission (n_pulse,)."""
+        group = self.transmitter[f"rx{channel[1]}"]
+        if "basebandPhaseCorrection" not in group:
+            return None
+        factors = np.asarray(group["basebandPhaseCorrection"][()]).astype(np.complex64)
+        if factors.shape != (group[channel].shape[0],) or not np.isfinite(factors).all() or not np.abs(factors).all():
+            raise InputError(
+                f"basebandPhaseCorrection of {channel} is {factors.shape} or holds zeros or no numbers; it must have a "
+                f"factor for each of the {group[channel].shape[0]} pulses: {REMEDY}"
+            )
+        return factors
 
     def _said(self, name: str) -> str:
         return _text(self.identification[name][()]) if name in self.identification else ""
@@ -261,8 +315,11 @@ class _Layout:
         lost = power(marked) < HALF * power(near)
         if not lost.any():
             return even
+        kept = even.pulses.size - int(np.count_nonzero(lost))
+        refuse_few(kept, even.pulses.size, "calibration pulses have no echo", "take others with --pulses")
         self.notes.append(
-            f"{count(int(np.count_nonzero(lost)), 'calibration pulse')} without an echo: missing in the store"
+            f"{even.pulses.size - kept} of {even.pulses.size} pulses are calibration pulses without echo, and are "
+            "missing in the store"
         )
         return even.without(marked[lost])
 
@@ -301,13 +358,16 @@ class _Samples:
     path: Readable
     names: tuple[str, ...]
     window: slice
+    corrections: tuple[ComplexArray | None, ...]  # of channels, of all pulses in the file
 
     def __call__(self, channel: int, pulses: IntArray) -> ComplexArray:
         with opened(self.path) as file:
             samples = file[self.names[channel]]
             rows = samples[int(pulses[0]) : int(pulses[-1]) + 1, self.window]
             taken: BoolArray = np.isin(np.arange(pulses[0], pulses[-1] + 1), pulses)
-            return _decoded(rows[taken] if not taken.all() else rows, _levels(samples.parent))
+            decoded = _decoded(rows[taken] if not taken.all() else rows, _levels(samples.parent))
+        factors = self.corrections[channel]
+        return decoded if factors is None else decoded * factors[pulses, None]
 
 
 NISAR = StripReader(

@@ -1,10 +1,10 @@
 """Raw echoes of ALOS PALSAR: CEOS level 1.0, a folder with a leader (LED) and an image file (IMG) a polarisation.
 
-Records and fields are those of the product format description (JAXA) for level 1.0; names are the format's. Two public
+Records and fields are those of the product format description (JAXA) for level 1.0; names are the format's. Public
 readers (isce3, GMTSAR) agree on what it leaves open: a line's time is that of its first sample's reception, cut to
-whole milliseconds; the pulse is a down-chirp; a sample's zero is the leader's DC bias. GMTSAR's own calibration, 2.08
-ms earlier for the positions, is what this gives: half a way of 2.85 ms, less the half millisecond that cutting takes
-off.
+whole milliseconds, which a counter of microseconds in its auxiliary data (24 bits, from byte 296) makes finer; the
+pulse is a down-chirp; a sample's zero is the leader's DC bias. GMTSAR's own calibration, 2.08 ms earlier for the
+positions, is what milliseconds alone give: half a way of 2.85 ms, less the half millisecond that cutting takes off.
 """
 
 from __future__ import annotations
@@ -20,17 +20,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from blocksar.arrays import ComplexArray, FloatArray, IntArray
+from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, quoted
 from blocksar.ingestion.kinds import ECHOES, Kind, Start, begins, ceos
 from blocksar.ingestion.orbit import Antenna, Orbit, inertial
-from blocksar.ingestion.readers import found_at
+from blocksar.ingestion.readers import found_at, refuse_few
 from blocksar.ingestion.reading import reading
-from blocksar.ingestion.strips import LEAST, Even, RawStrip, StripOptions, StripReader, common_window
+from blocksar.ingestion.strips import LEAST, Even, RawStrip, StripOptions, StripReader, common_window, even_pulses
 from blocksar.places.local import LocalPlace
 from blocksar.places.ranges import Readable
-from blocksar.texts import count
 
 # ---------------------------------------------------------------- records
 
@@ -68,7 +67,7 @@ LINE = {
     "right fill": (28, ">i4"), "year": (36, ">i4"), "day of year": (40, ">i4"), "milliseconds": (44, ">i4"),
     "transmitted": (52, ">i2"), "received": (54, ">i2"), "PRF": (56, ">i4"), "scan": (60, ">i4"),
     "compressed": (64, ">i2"), "pulse length": (68, ">i4"), "linear coefficient": (76, ">i4"), "nought": (96, ">i4"),
-    "slant range": (116, ">i4"), "window position": (120, ">i4"),
+    "slant range": (116, ">i4"), "window position": (120, ">i4"), "counter": (296, ">u4"),
 }  # fmt: skip
 LINE_CODE = 0x320A1214
 
@@ -255,7 +254,7 @@ def _attitude(record: bytes, number: int) -> tuple[float, float, float, float]:
 LENGTH = 8.9  # m, of the antenna along the track
 MOST_LEADER = 1 << 24  # bytes
 LEADER = begins(b"\x0b\xc0\x12\x12", at=4)
-MILLI = 1e-3
+MILLI, MICRO = 1e-3, 1e-6
 
 
 @contextmanager
@@ -400,7 +399,7 @@ def begin(sources: Sequence[Readable], options: StripOptions) -> RawStrip:
             with reading_file(image.path):
                 image.check()
         chosen, notes = _chosen(images, options)
-        return _strip(leader, chosen, options, notes).taking(options.time_tags)
+        return _strip(leader, chosen, options, notes).taking(options)
 
 
 def _chosen(images: Sequence[Image], options: StripOptions) -> tuple[list[Image], list[str]]:
@@ -454,11 +453,24 @@ def _strip(leader: Leader, images: list[Image], options: StripOptions, notes: li
     )  # fmt: skip
 
 
-def _even(image: Image, options: StripOptions, quad: bool, notes: list[str]) -> Even:
-    """The longest part at one PRF, on an even axis of the lines' numbers, whose start fits all milliseconds.
+def _counted(fields: dict[str, Any], run: IntArray, seconds: FloatArray) -> FloatArray | None:
+    """Times of lines by their counters of microseconds in a second, s; None if these are not kept.
 
-    Times are cut to milliseconds, and the PRF is exact: t0 is the earliest for which no t0 + slot / PRF lies before its
-    line's millisecond, which no longer holds of any earlier one.
+    The milliseconds tell the second, however they are rounded.
+    """
+    counter = (fields["counter"][run] >> 8) * MICRO
+    if not counter.any() or (counter >= 1).any():
+        return None
+    fine = seconds + (counter - seconds + 0.5) % 1 - 0.5
+    return np.asarray(fine) if np.abs(fine - seconds).max() <= 1.1 * MILLI and (np.diff(fine) > 0).all() else None
+
+
+def _even(image: Image, options: StripOptions, quad: bool, notes: list[str]) -> Even:
+    """The longest part at one PRF, on an even axis.
+
+    By the counters of microseconds, where lines have them. Otherwise by the lines' numbers: times are cut to
+    milliseconds, and the PRF is exact, so that t0 is the earliest for which no t0 + slot / PRF lies before its line's
+    millisecond, which no longer holds of any earlier one.
     """
     fields = image.fields
     chosen = np.arange(image.count)[slice(*options.pulses)]
@@ -471,12 +483,21 @@ def _even(image: Image, options: StripOptions, quad: bool, notes: list[str]) -> 
     if not prf > 0 or run.size < LEAST:
         raise InputError(f"{image.path}: the PRF is {prf:g} Hz over {run.size} lines at most; get it again")
     if run.size < chosen.size:
-        notes.append(f"the PRF changes: lines {run[0]} .. {run[-1]} of {image.count} have one of {prf:.6g} Hz and are "
-                     "taken; others with --pulses")  # fmt: skip
+        refuse_few(run.size, chosen.size, "the PRF changes", f"lines {run[0]}:{run[-1] + 1} have one of {prf:.6g} Hz: "
+                   "take them with --pulses")  # fmt: skip
+        notes.append(f"the PRF changes: lines {run[0]} .. {run[-1]}, {run.size} of {chosen.size}, have one of "
+                     f"{prf:.6g} Hz and are taken; others with --pulses")  # fmt: skip
     number = fields["number"][run]
     slots = number - number[0] if (np.diff(number) > 0).all() else np.arange(run.size)
     days = (fields["day of year"][run] - fields["day of year"][0]) + 365 * (fields["year"][run] - fields["year"][0])
     seconds = 86400.0 * np.clip(days, 0, 1) + fields["milliseconds"][run] * MILLI
+    nought = fields["nought"][run] != 0
+    counted = _counted(fields, run, seconds)
+    if counted is not None:
+        even, said = even_pulses(counted)
+        even = even.of_file(run)
+        notes += ["times of lines are those of their counters of microseconds", *said]
+        return _with_echoes(even, nought[np.searchsorted(run, even.pulses)], image, notes)
     way = float(seconds[-1] - seconds[0])
     # Of four channels every other pulse is one's; the times tell how the PRF counts.
     likely = [(2 if quad else 1) / prf, (1 if quad else 2) / prf]
@@ -492,10 +513,21 @@ def _even(image: Image, options: StripOptions, quad: bool, notes: list[str]) -> 
         notes.append(f"times of lines depart from the PRF by {1e3 * (low - high):.3g} ms; the middle is taken")
         low = (low + high) / 2
     time = low + interval * np.arange(slots[-1] + 1)
-    nought = fields["nought"][run] != 0
-    even = Even(run[~nought], slots[~nought].astype(np.int64), time, interval)
-    if lost := int(time.size - even.slots.size):
-        notes.append(f"{count(lost, 'line')} lost: missing in the store")
+    notes.append("lines have no counters of microseconds: their times are by milliseconds and the PRF")
+    slots = slots.astype(np.int64)
+    if lost := int(time.size - slots.size):
+        notes.append(f"{lost} of {time.size} lines are lost, and missing in the store")
+    whole = Even(run, np.asarray(time[slots]), slots, time, interval, (int(run[0]), int(run[-1]) + 1))
+    return _with_echoes(whole, nought, image, notes)
+
+
+def _with_echoes(even: Even, nought: BoolArray, image: Image, notes: list[str]) -> Even:
+    """Without lines that are marked as empty (n,)."""
+    if nought.any():
+        kept = int(np.count_nonzero(~nought))
+        refuse_few(kept, nought.size, "lines are marked as empty", "take others with --pulses")
+        notes.append(f"{nought.size - kept} of {nought.size} lines are marked as empty, and missing in the store")
+        even = even.without(np.flatnonzero(nought))
     if even.pulses.size < LEAST:
         raise InputError(f"{image.path}: {even.pulses.size} lines have echoes; at least {LEAST} are needed")
     return even
@@ -521,7 +553,9 @@ def _first_delay(fields: dict[str, Any], pulses: IntArray, leader: Leader, notes
 def _chirp_rate(
     fields: dict[str, Any], leader: Leader, pulse_width: float, sampling_rate: float, notes: list[str]
 ) -> float:
-    """Hz/s: that of the lines, else of the leader, else by the bandwidth.
+    """Hz/s: that of the lines, else of the leader, else by the bandwidth; negative, whatever their sign.
+
+    The pulse is a down-chirp, and the files give the magnitude of its rate, as other processors read them.
 
     Raises
     ------
@@ -531,12 +565,15 @@ def _chirp_rate(
     told = (
         ("the lines", 1e6 * float(fields["linear coefficient"][0])),
         ("the leader", leader.known("linear coefficient of the pulse")),
-        ("the leader's bandwidth", -leader.bandwidth / pulse_width),
+        ("the leader's bandwidth", leader.bandwidth / pulse_width),
     )
     for name, rate in told:
         if rate and 0.1 * sampling_rate < abs(rate) * pulse_width <= sampling_rate:
-            notes.append(f"chirp of {rate:.6g} Hz/s over {1e6 * pulse_width:g} us, by {name}")
-            return rate
+            notes.append(
+                f"chirp of {abs(rate):.6g} Hz/s over {1e6 * pulse_width:g} us, by {name}, taken to fall; --chirp-sign "
+                "up if it rises"
+            )
+            return -abs(rate)
     raise InputError("neither the lines nor the leader tell the chirp's rate; get the files again")
 
 

@@ -325,6 +325,15 @@ def _identity(origin: Sequence[Any], groups: Mapping[str, stores.Group]) -> str:
     return stores.json_checksum([__version__, list(origin), held])
 
 
+KEPT = 0.5  # of the pulses that are asked for: fewer are not what a user means
+
+
+def refuse_few(kept: int, of: int, cause: str, remedy: str) -> None:
+    """Raise an InputError if less than half of the pulses that were asked for would be kept."""
+    if kept < KEPT * of:
+        raise InputError(f"{cause}, which leaves {kept} of {of} pulses, less than half; {remedy}")
+
+
 MOST_FILES = 64  # of a folder, that are looked at
 
 

@@ -13,7 +13,19 @@ length later, so that this is taken off. An atmosphere's delay d of one way make
 
     echo = chirp(t - 2 (R + d) / c) exp(-4j pi fc / c (R + d - reference)) ,
 
-so that delays and reference are those of d less.
+so that delays and reference are those of d less. A delay of the instrument, which its maker measures on calibrated
+targets, does the same with c / 2 times it in the place of d.
+
+*Uneven pulses.* Where intervals are not whole multiples of one (a dithered or staggered PRF, or one that changes),
+samples are resampled in slow time. The beam lights Doppler frequencies nu about its centre nu_c, |nu - nu_c| <= B / 2;
+with Phi the phase of the centre, 2 pi times the integral of nu_c, samples times exp(-j Phi) fill |nu| <= B / 2 and are
+determined by uneven ones as long as these are B a second or more (`resampling`):
+
+    y(t) = exp(j Phi(t)) sum_m w_m(t) exp(-j Phi(t_m)) x(t_m) .
+
+B is the beam's band at the highest frequency, 4 v / lambda sin(width / 2), and what nu_c changes over the swath and
+over the frequencies of the chirp; or BAND_OF_PRF of the mean PRF if that is more, since a beam does not end at its
+width.
 
 *Beam.* About the antenna's own axis, as wide as an antenna's of that length at half its power of one way, 0.886
 wavelengths over length; where the length is not known, the Doppler band that 0.8 of the PRF holds.
@@ -29,27 +41,33 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
-from blocksar.arrays import ComplexArray, FloatArray, IntArray
+from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.georeference import Georeference, find_scene_centre
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, printable, quoted
 from blocksar.ingestion.atmosphere import delay_words, slant_delay
+from blocksar.ingestion.chirps import DECIDED, PULSES, contrasts
 from blocksar.ingestion.kinds import Kind
 from blocksar.ingestion.orbit import Antenna, Orbit, OrbitTrack
-from blocksar.ingestion.readers import Described, Piece, ReaderOptions, Reading
+from blocksar.ingestion.readers import Described, Piece, ReaderOptions, Reading, refuse_few
+from blocksar.ingestion.resampling import OCCUPIED, Resampling, plan_resampling
+from blocksar.kernels.fourier import unit_phasor
 from blocksar.options import Option
 from blocksar.places import Location, readable
 from blocksar.places.ranges import Readable
 from blocksar.spans import parse_pulses
 from blocksar.stores import blocks_of
-from blocksar.texts import count, frequency_text
+from blocksar.texts import frequency_text
 
 # ---------------------------------------------------------------- options
 
 TimeTags = Literal["transmit", "receive", "middle"]
 TIME_TAGS = ("transmit", "receive", "middle")
+ChirpSign = Literal["up", "down"]
+CHIRP_SIGNS = ("up", "down")
+MOST_DELAY = 1e-3  # s, of an instrument
 POLARIZATIONS = tuple(transmit + receive for transmit in "HVLR" for receive in "HVLR")
 
 
@@ -61,6 +79,26 @@ def _read_polarization(value: Any) -> str | None:
     return text
 
 
+def read_range_delay(value: Any) -> float:
+    """A delay of samples, s.
+
+    Raises
+    ------
+    InputError
+        If it is no number, or more than MOST_DELAY.
+    """
+    try:
+        delay = float(value)
+    except (TypeError, ValueError):
+        delay = np.nan
+    if not abs(delay) <= MOST_DELAY:
+        raise InputError(
+            f"--range-delay is {quoted(value)}; give the seconds, there and back, by which echoes are late, at most "
+            f"{MOST_DELAY:g}: 2 / c times a delay in m"
+        )
+    return delay
+
+
 def check_choices(options: Any, **choices: tuple[str, ...]) -> None:
     """Raise an InputError if an option is neither None nor one of its texts."""
     for option, values in choices.items():
@@ -69,8 +107,56 @@ def check_choices(options: Any, **choices: tuple[str, ...]) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PartOptions(ReaderOptions):
-    """The part of a file that is wanted, and what its samples hold; see `ReaderOptions`.
+class RawOptions(ReaderOptions):
+    """What is said of raw echoes, of whichever format; see `ReaderOptions`.
+
+    Attributes
+    ----------
+    ground_height : float
+        Height of the imaged ground above the ellipsoid, m, the z of its plane in the scene frame. Default: 0.
+    range_delay : float
+        Seconds, there and back, by which echoes come late in the instrument, taken out besides what the reader takes
+        out: places come closer to the track by c / 2 times it in range. Default: 0.
+    chirp_sign : {"up", "down"}, optional
+        Whether the pulse's frequency rises or falls. Default: by the file; of PALSAR "down".
+
+    Raises
+    ------
+    InputError
+        If the last has another value.
+    """
+
+    range_delay: Annotated[
+        float,
+        Option("Delay of echoes in the instrument, there and back, that is taken out.", metavar="SECONDS",
+               read=read_range_delay),
+    ] = 0.0  # fmt: skip
+    chirp_sign: Annotated[
+        ChirpSign | None,
+        Option("Whether the pulse's frequency rises or falls.", metavar="|".join(CHIRP_SIGNS), default="by the file",
+               read=str),
+    ] = None  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check_choices(self, chirp_sign=CHIRP_SIGNS)
+
+    @property
+    def said(self) -> dict[str, Any]:
+        """Of these, what a store's `source` keeps."""
+        delay = {"range_delay_removed": self.range_delay} if self.range_delay else {}
+        return {**delay, **({"chirp_sign": self.chirp_sign} if self.chirp_sign else {})}
+
+    @property
+    def notes(self) -> list[str]:
+        """Of these, what a user is told."""
+        away = SPEED_OF_LIGHT / 2 * self.range_delay
+        delay = [f"a delay of {self.range_delay:.6g} s, {away:.4g} m of range, is taken out (--range-delay)"]
+        return delay if self.range_delay else []
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartOptions(RawOptions):
+    """The part of a file that is wanted, and what its samples hold; see `RawOptions`.
 
     Attributes
     ----------
@@ -78,8 +164,6 @@ class PartOptions(ReaderOptions):
         Transmitter and receiver, such as "HV". Default: all of the first transmitter, as channels of the store.
     pulses : str or (int, int), optional
         Pulses "a:b" of the file that are read, from a to the one before b; either may be left out. Default: all.
-    ground_height : float
-        Height of the imaged ground above the ellipsoid, m, the z of its plane in the scene frame. Default: 0.
     troposphere : {"standard"}, optional
         Delay that the samples hold, and that is taken out: that of a standard atmosphere. Default: none.
 
@@ -105,6 +189,7 @@ class PartOptions(ReaderOptions):
     ] = None  # fmt: skip
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_choices(self, troposphere=("standard",))
 
 
@@ -140,81 +225,115 @@ class StripOptions(PartOptions):
 UNEVEN = 0.02  # of the interval, by which one may differ from a whole number of it
 LONGEST_GAP = 4096  # pulses
 LEAST = 16  # pulses of a constant PRF that are worth an image
+SKIPPED = 2.5  # intervals, in which a pulse of a dithered PRF is lost
 WANDER = 0.1  # of the interval, by which a pulse may lie off an even axis; positions are taken where it is
 
 
 class Even(NamedTuple):
-    """Pulses at one PRF.
+    """Pulses, and an even axis for them.
 
     Attributes
     ----------
     pulses : (n,) int
         Their numbers in the file.
-    slots : (n,) int
-        Their places on an even axis, from 0; what lies between is lost.
+    sent : (n,) float
+        Their times, s.
+    slots : (n,) int, optional
+        Their places on the axis, from 0; what lies between is lost. None: they lie between its places, and are
+        resampled.
     time : (n_slot,) float
         Of all slots, s: that of the pulse, or in between.
     interval : float
         s.
+    run : (int, int)
+        The longest part of them with one interval, from a pulse of the file to before another.
     """
 
     pulses: IntArray
-    slots: IntArray
+    sent: FloatArray
+    slots: IntArray | None
     time: FloatArray
     interval: float
-
-    def part(self, first: int, stop: int) -> tuple[IntArray, IntArray]:
-        """The slots from one to before another that have a pulse, from the first on, and the pulses in the file."""
-        low, high = np.searchsorted(self.slots, [first, stop])
-        return self.slots[low:high] - first, self.pulses[low:high]
+    run: tuple[int, int]
 
     def without(self, some: IntArray) -> Even:
         """Copy in which some pulses, by their place here, are lost; the axis stays."""
-        return self._replace(pulses=np.delete(self.pulses, some), slots=np.delete(self.slots, some))
+        slots = None if self.slots is None else np.delete(self.slots, some)
+        return self._replace(pulses=np.delete(self.pulses, some), sent=np.delete(self.sent, some), slots=slots)
+
+    def of_file(self, numbers: IntArray) -> Even:
+        """Copy of which the pulses are these of the file."""
+        first, stop = self.run
+        return self._replace(pulses=numbers[self.pulses], run=(int(numbers[first]), int(numbers[stop - 1]) + 1))
 
 
-def even_pulses(time: FloatArray, interval: float | None = None) -> tuple[Even, list[str]]:
-    """The longest part of pulses at times (n,), s, that has one PRF, and notes on what was left out or lost.
+def even_pulses(time: FloatArray) -> tuple[Even, list[str]]:
+    """An even axis for pulses at times (n,), s, and notes on what was left out or lost.
+
+    Pulses at whole multiples of one interval have places on it; others get an axis of their mean PRF, between whose
+    places they lie.
 
     Raises
     ------
     InputError
-        If there is none, as where the PRF is dithered.
+        If there are too few, or their times do not ascend, or gaps leave less than half of them.
     """
     if time.size < LEAST or not np.isfinite(time).all():
         raise InputError(f"{time.size} pulses with finite times are left; at least {LEAST} are needed")
     steps = np.diff(time)
-    usual = float(np.median(steps)) if interval is None else interval
-    if not usual > 0 or (steps <= 0).any():
+    if (steps <= 0).any():
         raise InputError(f"times of pulses do not ascend at pulse {int(np.argmax(steps <= 0)) + 1}; give the file anew")
-    whole = np.rint(steps / usual)
-    fits = (whole >= 1) & (whole <= LONGEST_GAP) & (np.abs(steps - whole * usual) <= UNEVEN * usual)
-    ends = np.flatnonzero(np.diff(np.concatenate([[0], fits, [0]])))
-    first, last = ends.reshape(-1, 2)[np.argmax(np.diff(ends.reshape(-1, 2), axis=1))] if ends.size else (0, 0)
-    if last - first + 1 < LEAST:
-        raise InputError(
-            f"intervals between pulses are {1e6 * steps.min():.6g} .. {1e6 * steps.max():.6g} us and change all the "
-            "time (a dithered PRF), which no phase history holds; resample the echoes to even times first"
-        )
-    slots = np.concatenate([[0], np.cumsum(whole[first:last])]).astype(np.int64)
-    kept = time[first : last + 1]
-    step, start = np.polyfit(slots - slots[-1] / 2, kept - kept[0], 1) if slots[-1] else (usual, 0.0)
-    even = kept[0] + start + step * (np.arange(slots[-1] + 1) - slots[-1] / 2)
-    if np.abs(even[slots] - kept).max() > WANDER * step:
-        raise InputError(
-            f"times of pulses wander by {np.abs(even[slots] - kept).max() / step:.3g} intervals off an even axis; "
-            "resample the echoes to even times first"
-        )
-    at = np.interp(np.arange(even.size), slots, kept - even[slots]) + even
+    usual = float(np.median(steps))
     notes = []
-    if kept.size < time.size:
+    part = _longest(steps <= LONGEST_GAP * usual)
+    if part[1] - part[0] < time.size:
+        kept = f"pulses {part[0]} .. {part[1] - 1}, {part[1] - part[0]} of {time.size}"
+        refuse_few(
+            part[1] - part[0], time.size, f"there are gaps of more than {LONGEST_GAP} pulses",
+            "take the part between two with --pulses",
+        )  # fmt: skip
+        notes.append(f"there are gaps of more than {LONGEST_GAP} pulses; {kept}, are taken: others with --pulses")
+    pulses = np.arange(*part)
+    time, steps = time[pulses], steps[pulses[:-1]]
+    whole = np.rint(steps / usual)
+    fits = (whole >= 1) & (np.abs(steps - whole * usual) <= UNEVEN * usual)
+    run = _longest(fits)
+    placed = _placed(time, whole, usual) if fits.all() else None
+    if placed is not None:
+        slots, at, step = placed
+        if lost := int(slots[-1] + 1 - slots.size):
+            notes.append(f"{lost} of {slots[-1] + 1} pulses are lost, and missing in the store")
+    else:
+        slots = None
+        step = float(steps[steps < SKIPPED * usual].mean())
+        at = np.linspace(time[0], time[-1], round(float(time[-1] - time[0]) / step) + 1)
+        step = float(at[1] - at[0])
         notes.append(
-            f"the PRF changes: pulses {first} .. {last} of {time.size} have one of {1 / step:.6g} Hz and are taken; "
-            "others with --pulses"
+            f"intervals between pulses are {1e6 * steps.min():.6g} .. {1e6 * steps.max():.6g} us: all {time.size} "
+            f"pulses are resampled to {at.size} even ones at {1 / step:.6g} Hz"
         )
-    if lost := int(slots[-1] + 1 - slots.size):
-        notes.append(f"{count(lost, 'pulse')} lost between these: missing in the store")
-    return Even(np.arange(first, last + 1), slots, at, float(step)), notes
+    return Even(pulses, time, slots, at, step, (part[0] + run[0], part[0] + run[1])), notes
+
+
+def _longest(joined: BoolArray) -> tuple[int, int]:
+    """The longest part of pulses, from one to before another, of which each is joined (n - 1,) with the next."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], joined, [0]]))).reshape(-1, 2)
+    first, last = ends[np.argmax(np.diff(ends, axis=1))] if ends.size else (0, 0)
+    return int(first), int(last) + 1
+
+
+def _placed(time: FloatArray, whole: FloatArray, usual: float) -> tuple[IntArray, FloatArray, float] | None:
+    """Slots of pulses that lie whole numbers of an interval apart, times of all slots, and the interval.
+
+    By least squares; None if pulses wander off such an axis.
+    """
+    slots = np.concatenate([[0], np.cumsum(whole)]).astype(np.int64)
+    step, start = np.polyfit(slots - slots[-1] / 2, time - time[0], 1)
+    even = time[0] + start + step * (np.arange(slots[-1] + 1) - slots[-1] / 2)
+    if np.abs(even[slots] - time).max() > WANDER * step:
+        return None
+    at = np.interp(np.arange(even.size), slots, time - even[slots]) + even
+    return slots, np.asarray(at), float(step)
 
 
 # ---------------------------------------------------------------- strips
@@ -222,6 +341,7 @@ def even_pulses(time: FloatArray, interval: float | None = None) -> tuple[Even, 
 PARTS = "--pulses, --polarization"
 HALF_POWER = 0.886  # wavelengths over length: width of an evenly lit antenna's beam
 BAND_OF_PRF = 0.8  # of the PRF, that the Doppler band of a beam of unknown width fills
+MOMENTS = 9  # at which the Doppler frequency of the beam's centre is asked
 TILTED = np.radians(10.0)  # an antenna's axis that lies farther off the track is none
 SATELLITE = 1e5  # m: what flies higher
 TOLD = 0.05  # m along the track that are worth a note
@@ -255,6 +375,8 @@ class RawStrip:
         One a channel, such as "HV".
     read : Rows
     notes : list of str
+    centre : float or None
+        Of the pulse, from its beginning, s; None: half its width.
     steering : (n_slot,) float or None
         Of the beam's centre off the plane normal to the antenna's axis, rad; None: 0.
     origin : Georeference or None
@@ -279,17 +401,25 @@ class RawStrip:
     polarizations: tuple[str, ...]
     read: Rows
     notes: list[str] = field(default_factory=list)
+    centre: float | None = None
     steering: FloatArray | None = None
     origin: Georeference | None = None
 
-    def taking(self, tags: TimeTags | None) -> RawStrip:
-        """Copy with what a user says of its times."""
-        return self if tags is None else replace(self, tags=tags)
+    def taking(self, options: PartOptions) -> RawStrip:
+        """Copy with what a user says of delays, of the chirp and of times."""
+        rate = {None: self.chirp_rate, "up": abs(self.chirp_rate), "down": -abs(self.chirp_rate)}[options.chirp_sign]
+        tags = getattr(options, "time_tags", None) or self.tags
+        return replace(self, delay=self.delay - options.range_delay, chirp_rate=rate, tags=tags)
+
+    @property
+    def to_centre(self) -> float:
+        """From the pulse's beginning to its centre, s."""
+        return self.pulse_width / 2 if self.centre is None else self.centre
 
     @property
     def middle_range(self) -> float:
         """Of the swath, m: of the pulse's centre."""
-        return SPEED_OF_LIGHT / 2 * (float(self.delay[0] + self.delay[-1]) / 2 - self.pulse_width / 2)
+        return SPEED_OF_LIGHT / 2 * (float(self.delay[0] + self.delay[-1]) / 2 - self.to_centre)
 
     @property
     def moment(self) -> FloatArray:
@@ -339,6 +469,108 @@ class RawStrip:
         )
 
     @cached_property
+    def doppler(self) -> tuple[FloatArray, float]:
+        """Doppler frequency of the beam's centre at the swath's middle (n_slot,), and the band that it lights, Hz.
+
+        See the module.
+        """
+        n, slots = self.even.time.size, np.unique(np.linspace(0, self.even.time.size - 1, MOMENTS).astype(int))
+        wavelength = SPEED_OF_LIGHT / self.carrier
+        ends = SPEED_OF_LIGHT / 2 * (self.delay[[0, -1]] - self.to_centre)
+        centres = []
+        for slot in slots:
+            place, velocity, axis = self.track[0][slot], self.track[1][slot], self.axis[0][slot]
+            squint = 0.0 if self.steering is None else float(self.steering[slot])
+            for away in (*ends, self.middle_range):
+                try:
+                    ground = find_scene_centre(
+                        place, axis, slant_range=float(away), side=self.side, height=0.0, squint=squint
+                    ).origin
+                except InputError:  # the window begins before the ground does
+                    centres.append(np.nan)
+                    continue
+                centres.append(2 / wavelength * float(velocity @ (ground - place)) / float(away))
+        near, far, middle = np.array(centres).reshape(-1, 3).T
+        speed = float(np.linalg.norm(self.track[1], axis=1).max())
+        over_range = 2 * float(np.nanmax(np.abs([near - middle, far - middle]), initial=0.0))
+        over_chirp = abs(self.chirp_rate) * self.pulse_width / (2 * self.carrier)
+        beam = 4 * speed / wavelength * float(np.sin(self.beam[0] / 2)) * (1 + over_chirp)
+        band = beam + over_range + 2 * float(np.nanmax(np.abs(middle))) * over_chirp
+        return np.interp(np.arange(n), slots, middle), band
+
+    @cached_property
+    def resampling(self) -> Resampling | None:
+        """How uneven pulses become even ones; None if they are even.
+
+        Raises
+        ------
+        InputError
+            If they are fewer than the beam's Doppler band needs, or most cannot be computed.
+        """
+        even = self.even
+        if even.slots is not None:
+            return None
+        steps, prf, band = np.diff(even.sent), 1 / even.interval, self.doppler[1]
+        uneven = f"intervals between pulses are {1e6 * steps.min():.6g} .. {1e6 * steps.max():.6g} us"
+        first, stop = even.run
+        remedy = f"pulses {first}:{stop} are even: take them with --pulses" if stop - first >= LEAST else (
+            "no part of them is even, and no phase history holds others"
+        )  # fmt: skip
+        if not band <= OCCUPIED * prf:
+            raise InputError(
+                f"{uneven}, and the beam lights {band:.5g} Hz of Doppler, too much to resample at {prf:.5g} Hz on "
+                f"average ({OCCUPIED * prf:.5g} Hz at most); {remedy}"
+            )
+        resampling = plan_resampling(even.sent, even.time, band=max(band, BAND_OF_PRF * prf))
+        refuse_few(int(np.count_nonzero(resampling.good)), even.time.size, uneven, remedy)
+        return resampling
+
+    @cached_property
+    def cycles(self) -> FloatArray:
+        """Phase of the beam's centre over 2 pi, of each slot (n_slot,)."""
+        centre = self.doppler[0]
+        return np.concatenate([[0.0], np.cumsum(np.diff(self.even.time) * (centre[1:] + centre[:-1]) / 2)])
+
+    def samples(self, channel: int, pulses: slice) -> ComplexArray:
+        """Samples of some slots, NaN where one is lost or cannot be computed."""
+        even, resampling = self.even, self.resampling
+        if resampling is not None:
+            around = resampling.inputs(pulses)
+            uneven = self.read(channel, even.pulses[around])
+            uneven = uneven * unit_phasor(-np.interp(even.sent[around], even.time, self.cycles))[:, None]
+            return resampling.apply(uneven, pulses) * unit_phasor(self.cycles[pulses])[:, None]
+        assert even.slots is not None
+        samples = np.full((pulses.stop - pulses.start, self.delay.size), np.nan, np.complex64)
+        low, high = np.searchsorted(even.slots, [pulses.start, pulses.stop])
+        if high > low:
+            samples[even.slots[low:high] - pulses.start] = self.read(channel, even.pulses[low:high])
+        return samples
+
+    def _resampled(self, resampling: Resampling) -> str:
+        """How well, in words."""
+        good, band = resampling.good, max(self.doppler[1], BAND_OF_PRF / self.even.interval)
+        return (
+            f"{np.count_nonzero(~good)} of {good.size} even pulses have too few beside them to be computed, and are "
+            f"missing; the error of others is at most {20 * np.log10(resampling.bound[good].max()):.0f} dB of an echo "
+            f"within {band:.5g} Hz of Doppler about the beam's centre"
+        )
+
+    def told_sign(self) -> list[str]:
+        """A note if echoes of the middle pulses have far more contrast under the chirp of the other sign."""
+        middle = self.even.pulses.size // 2
+        echo = self.read(0, self.even.pulses[max(middle - PULSES // 2, 0) : middle + PULSES // 2])
+        own, other = contrasts(
+            echo, chirp_rate=self.chirp_rate, pulse_width=self.pulse_width, sampling_rate=self.sampling_rate
+        )
+        if not other > DECIDED * own:
+            return []
+        sign = CHIRP_SIGNS[self.chirp_rate > 0]
+        return [
+            f"the chirp has the other sign by the samples, whose contrast over range is {other:.3g} with it and "
+            f"{own:.3g} without: ingest again with --chirp-sign {sign}"
+        ]
+
+    @cached_property
     def frame(self) -> Georeference:
         """About the ground at the middle of beam, swath and pulses, x away from the track: its default grid fits."""
         if self.origin is not None:
@@ -365,7 +597,7 @@ class RawStrip:
     def collection(self, options: PartOptions) -> tuple[Collection, RawEcho]:
         """The phase history without its samples."""
         removed = float(self.atmosphere.mean()) if options.troposphere else 0.0
-        fast_time = self.delay - self.pulse_width / 2 - 2 * removed / SPEED_OF_LIGHT
+        fast_time = self.delay - self.to_centre - 2 * removed / SPEED_OF_LIGHT
         raw = RawEcho(
             fast_time=fast_time, chirp_rate=self.chirp_rate, pulse_width=self.pulse_width,
             sampling_rate=self.sampling_rate,
@@ -395,6 +627,7 @@ class RawStrip:
             "collection_start": f"{start.replace(tzinfo=None).isoformat(timespec='microseconds')}Z",
             "time_zero": self.even.interval * (self.even.time.size // 2),
             "time_tags": self.tags,
+            **options.said,
             **({"troposphere_removed": float(self.atmosphere.mean())} if options.troposphere else {}),
         }
         known = {each: _polarization(each) for each in self.polarizations if len(each) == 2}
@@ -438,6 +671,7 @@ class RawStrip:
             f"{n} pulses at {1 / interval:.6g} Hz, {self.delay.size} samples at {frequency_text(self.sampling_rate)}; "
             f"delays of the file count from the pulse's start, those of the store from its centre",
             *self.notes,
+            *options.notes,
             *([note] if note else []),
             f"beam: {self.beam[1]}",
             self._tagged(),
@@ -450,10 +684,12 @@ class RawStrip:
     def reading(self, options: PartOptions) -> Reading:
         """Pieces that are still to be read."""
         collection, raw = self.collection(options)
+        resampled = [] if self.resampling is None else [self._resampled(self.resampling)]  # refused before anything
         several = len(self.polarizations) > 1
         return Reading(
             collection=collection, raw=raw, pieces=lambda: _pieces(self), attributes=self.attributes(options),
-            messages=lambda: self.remarks(options), channels=self.polarizations if several else (), parts=PARTS,
+            messages=lambda: [*self.remarks(options), *resampled, *self.told_sign()],
+            channels=self.polarizations if several else (), parts=PARTS,
         )  # fmt: skip
 
 
@@ -466,16 +702,7 @@ def _polarization(text: str) -> dict[str, str]:
 def _pieces(strip: RawStrip) -> Iterator[Piece]:
     for channel in range(len(strip.polarizations)):
         for pulses in blocks_of(strip.even.time.size, strip.delay.size):
-            yield Piece(channel, pulses, partial(_read, strip, channel, pulses))
-
-
-def _read(strip: RawStrip, channel: int, pulses: slice) -> ComplexArray:
-    """Samples of some slots, NaN where one is lost."""
-    samples = np.full((pulses.stop - pulses.start, strip.delay.size), np.nan, np.complex64)
-    slots, taken = strip.even.part(pulses.start, pulses.stop)
-    if taken.size:
-        samples[slots] = strip.read(channel, taken)
-    return samples
+            yield Piece(channel, pulses, partial(strip.samples, channel, pulses))
 
 
 def common_window(first: IntArray, stop: IntArray, most: int) -> tuple[slice, str | None]:

@@ -5,16 +5,28 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from raw_satellites import GAIN, Radar, write_crsd, write_nisar, write_palsar
 
 import blocksar
 from blocksar import stores
 from blocksar.collection.georeference import Georeference
 
-RADARS = {"nisar": Radar(side=-1), "palsar": Radar(), "crsd": Radar()}
-WRITERS = {"nisar": write_nisar, "palsar": write_palsar, "crsd": write_crsd}
+
+class Dithered(Radar):
+    """Its pulses are sent up to 0.3 of an interval early or late."""
+
+    @property
+    def sent(self) -> NDArray[np.float64]:
+        random = np.random.default_rng(1).uniform(-0.3, 0.3, self.n_pulse)
+        return np.asarray(self.start + (np.arange(self.n_pulse) + random) / self.prf)
+
+
+RADARS = {"nisar": Radar(side=-1), "dithered": Dithered(side=-1), "palsar": Radar(), "crsd": Radar()}
+WRITERS = {"nisar": write_nisar, "dithered": write_nisar, "palsar": write_palsar, "crsd": write_crsd}
 
 
 @pytest.fixture(scope="module", params=list(RADARS))
@@ -132,7 +144,11 @@ def test_lost_lines_other_windows_and_another_prf(tmp_path: Path) -> None:
     )  # fmt: skip
     history, said = ingested(source, tmp_path / "out")
     text = " ".join(said)
-    assert "the PRF changes: lines 0 .. 49 of 64" in text and "4 lines lost" in text
+    assert (
+        "the PRF changes: lines 0 .. 49, 50 of 64" in text
+        and "3 of 53 lines are lost" in text
+        and "1 of 50 lines are" in text
+    )
     assert "receive windows change; the 630 samples that all pulses have" in text
     echo = history.read(slice(None), slice(None))
     assert echo.shape == (53, 630)
@@ -150,15 +166,65 @@ def test_pulses_that_calibrate_and_uneven_times(tmp_path: Path) -> None:
     quiet.echo[5] = 0
     history, said = ingested(write_nisar(tmp_path / "a.h5", quiet, calType=marks), tmp_path / "a")
     assert np.flatnonzero(np.isnan(history.read(slice(None), slice(None))).all(axis=1)).tolist() == [5]
-    assert "1 calibration pulse without an echo" in " ".join(said)
-    jumped = SHORT.sent + 2.5 / SHORT.prf * (np.arange(n) >= 40) + 2 / SHORT.prf * (np.arange(n) >= 10)
+    assert "1 of 64 pulses are calibration pulses without echo" in " ".join(said)
+    jumped = SHORT.sent + 5000 / SHORT.prf * (np.arange(n) >= 40)
     history, said = ingested(write_nisar(tmp_path / "b.h5", SHORT, UTCtime=jumped), tmp_path / "b")
-    assert "pulses 0 .. 39 of 64" in " ".join(said) and history.collection.n_pulse == 42
-    random = np.random.default_rng(1)
-    dithered = SHORT.sent + random.uniform(-0.1, 0.1, n) / SHORT.prf
-    with pytest.raises(blocksar.InputError, match="dithered"):
-        ingested(write_nisar(tmp_path / "c.h5", SHORT, UTCtime=dithered), tmp_path / "c")
+    assert "pulses 0 .. 39, 40 of 64, are taken" in " ".join(said) and history.collection.n_pulse == 40
+    halved = SHORT.sent + 5000 / SHORT.prf * (np.arange(n) >= 20) + 5000 / SHORT.prf * (np.arange(n) >= 40)
+    with pytest.raises(blocksar.InputError, match="leaves 24 of 64 pulses, less than half; take the part between"):
+        ingested(write_nisar(tmp_path / "c.h5", SHORT, UTCtime=halved), tmp_path / "c")
     assert not (tmp_path / "c").exists()
+
+
+def test_what_is_said_of_delay_and_chirp(tmp_path: Path) -> None:
+    late = 0.4e-6
+    slant = SHORT.first_range + np.arange(640) * 299792458.0 / 2 / SHORT.sampling_rate
+    plain, _ = ingested(write_nisar(tmp_path / "a.h5", SHORT), tmp_path / "a")
+    delayed = write_nisar(tmp_path / "b.h5", SHORT, slantRange=slant + late * 299792458.0 / 2)
+    right, said = ingested(delayed, tmp_path / "b", range_delay=late)
+    assert plain.raw is not None and right.raw is not None
+    np.testing.assert_allclose(right.raw.fast_time, plain.raw.fast_time, atol=1e-15)
+    assert right.attrs["source"]["range_delay_removed"] == late and "is taken out (--range-delay)" in " ".join(said)
+    for value in ("x", 1.0, np.nan):
+        with pytest.raises(blocksar.InputError, match=r"range_delay is .*; give the seconds, there and back"):
+            ingested(delayed, tmp_path / "c", range_delay=value)
+    magnitude = write_palsar(tmp_path / "d", SHORT, b76=abs(SHORT.chirp_rate) / 1e6)
+    palsar, said = ingested(magnitude, tmp_path / "e")
+    assert palsar.raw is not None and palsar.raw.chirp_rate == -4e12 and "has the other sign" not in " ".join(said)
+    wrong, said = ingested(magnitude, tmp_path / "f", chirp_sign="up")
+    assert wrong.raw is not None and wrong.raw.chirp_rate == 4e12
+    assert "ingest again with --chirp-sign down" in " ".join(said)
+    with pytest.raises(blocksar.InputError, match="chirp_sign is 'left'; it must be up or down"):
+        ingested(magnitude, tmp_path / "g", chirp_sign="left")
+
+
+def test_replica_and_phases_of_pulses(tmp_path: Path) -> None:
+    length = round(SHORT.pulse_width * SHORT.sampling_rate)
+    u = (np.arange(length) - (length - 1) / 2) / SHORT.sampling_rate
+    replica = np.exp(1j * np.pi * SHORT.chirp_rate * u**2).astype(np.complex64)
+    source = write_nisar(tmp_path / "a.h5", SHORT, chirpWaveform=replica, chirpSlope=2 * SHORT.chirp_rate)
+    turns = np.exp(2j * np.pi * np.arange(64) / 7).astype(np.complex64)
+    with h5py.File(source, "r+") as file:
+        file["science/LSAR/RRSD/swaths/frequencyA/txH/rxH"]["basebandPhaseCorrection"] = turns
+    found, said = ingested(source, tmp_path / "a")
+    plain, _ = ingested(write_nisar(tmp_path / "b.h5", SHORT), tmp_path / "b")
+    assert found.raw is not None and plain.raw is not None
+    assert found.raw.chirp_rate == pytest.approx(SHORT.chirp_rate, rel=1e-4) and "and is taken" in " ".join(said)
+    np.testing.assert_allclose(found.raw.fast_time - plain.raw.fast_time, 0.5 / SHORT.sampling_rate, atol=1e-12)
+    both = [each.read(slice(None), slice(None)) for each in (found, plain)]
+    np.testing.assert_allclose(both[0], both[1] * turns[:, None], atol=1e-5)
+
+
+def test_counters_of_lines_are_finer_than_their_milliseconds(tmp_path: Path) -> None:
+    received = SHORT.sent + 2 * SHORT.first_range / 299792458.0
+    counter = np.rint(received % 1 * 1e6).astype(np.int64) % 1_000_000 << 8
+    for name, rounded in (("a", np.floor), ("b", np.rint)):
+        source = write_palsar(tmp_path / name, SHORT, b44=rounded(1000 * received), b296=counter)
+        history, said = ingested(source, tmp_path / f"{name}.zarr")
+        frame = Georeference.among(history.attrs)
+        assert frame is not None and "their counters of microseconds" in " ".join(said)
+        middle = SHORT.earth_centred(SHORT.sent + SHORT.slant_range / 299792458.0)
+        assert np.abs(frame.to_ecef(history.collection.antenna_position) - middle).max() < 0.02
 
 
 def cut(path: Path) -> None:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import blake2b
 from typing import Any
 
 from blocksar import stores
 from blocksar.errors import InputError
+from blocksar.ingestion.readers import found_at
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 
@@ -50,6 +52,31 @@ class Arrival:
         except OSError as error:  # a store that cannot be listed: the error stands for its contents
             digest.update(os.fsencode(str(error)))
         return digest.hexdigest()
+
+
+def list_ignored(inbox: Place) -> dict[str, str]:
+    """Name and reason of all else that lies in the inbox, which no sweep focuses; names that begin with a dot are not
+    listed.
+
+    Raises
+    ------
+    OSError
+        If the inbox cannot be listed.
+    """
+    return {
+        name: _why_ignored(inbox / name)
+        for name in sorted(inbox.names())
+        if not name.startswith(".") and not name.endswith((".zarr", MANIFEST))
+    }
+
+
+def _why_ignored(what: Place) -> str:
+    found = None
+    with suppress(OSError):
+        found = found_at(what)
+    if found is not None:
+        return f"no phase-history store NAME.zarr: {found.sentence(what)}"
+    return "no phase-history store NAME.zarr, nor of a kind that is known; rename it if it is one"
 
 
 def list_arrivals(inbox: Place, group: re.Pattern[str] | None = None) -> tuple[list[Arrival], list[str]]:

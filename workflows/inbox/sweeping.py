@@ -12,11 +12,12 @@ from typing import Any
 
 import blocksar
 from blocksar import stores
+from blocksar.api.ground import check_ground
 from blocksar.api.track_places import input_fingerprint
 from blocksar.cli import endings
 from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.places.place import Place
-from inbox.arrivals import Arrival, list_arrivals
+from inbox.arrivals import Arrival, list_arrivals, list_ignored
 from inbox.cluster import Cluster, NoClusterError
 from inbox.hooks import Hook
 from inbox.journal import Journal, timestamp
@@ -54,10 +55,13 @@ class Sweep:
         """
         arrivals, waiting = list_arrivals(self.inbox, self.group)
         self.journal.write({"event": "sweep", "inbox": str(self.inbox), "arrivals": len(arrivals)})
+        ignored = list_ignored(self.inbox)
+        for name, reason in ignored.items():
+            self.journal.write({"event": "ignored", "name": name, "reason": reason})
         self.remaining = len(arrivals)
         self._note(
             state="running", current=None, exit_status=None, started=timestamp(), inbox=str(self.inbox),
-            waiting=waiting,
+            waiting=waiting, ignored=ignored,
         )  # fmt: skip
         try:
             status = self._process_all(arrivals)
@@ -167,6 +171,8 @@ class Sweep:
 
     def _find_run(self, arrival: Arrival) -> tuple[Path, Standing]:
         histories = [stores.open_phase_history(str(store)) for store in arrival.stores]
+        if self.settings["grid"] is None:  # a missing one is found before a cluster starts
+            check_ground([history.collection.centred() for history in histories], None, any_grid=True)
         return self.outbox.run_of(arrival.name, arrival.stores[0], input_fingerprint(histories))
 
     def _focus(self, arrival: Arrival, run: Path, standing: Standing) -> list[str]:

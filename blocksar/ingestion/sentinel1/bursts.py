@@ -14,9 +14,10 @@ import numpy as np
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, quoted
-from blocksar.ingestion.readers import ReaderOptions, refuse_others
+from blocksar.ingestion.readers import refuse_few, refuse_others
 from blocksar.ingestion.reading import reading
 from blocksar.ingestion.sentinel1.packets import KIND, REFERENCE, SUPPRESSED, SWATHS, Packets, Radar, read_headers
+from blocksar.ingestion.strips import RawOptions
 from blocksar.options import Option
 from blocksar.places import Location, readable
 from blocksar.places.local import LocalPlace
@@ -49,11 +50,14 @@ class Burst:
         In its swath, from 0.
     zero : int
         GPS second from which times count.
+    options : RawOptions
+        What is said of its echoes.
     """
 
     packets: Packets
     number: int
     zero: int
+    options: RawOptions = RawOptions()  # noqa: RUF009
 
     @property
     def swath(self) -> str:
@@ -69,7 +73,8 @@ class Burst:
 
     @cached_property
     def radar(self) -> Radar:
-        return self.packets.radar
+        sign = {"up": 1.0, "down": -1.0, None: None}[self.options.chirp_sign]
+        return self.packets.radar if sign is None else self.packets.radar.signed(sign)
 
     @property
     def interval(self) -> float:
@@ -107,7 +112,8 @@ class Burst:
     @cached_property
     def delay(self) -> FloatArray:
         """Of the first sample of each pulse, from the beginning of its transmission, s."""
-        return np.asarray(self.packets.rank * self.interval + self.packets.window / REFERENCE + SUPPRESSED)
+        window = self.packets.window / REFERENCE + SUPPRESSED - self.options.range_delay
+        return np.asarray(self.packets.rank * self.interval + window)
 
     @cached_property
     def samples(self) -> tuple[float, int]:
@@ -172,7 +178,9 @@ def find_bursts(packets: Packets, zero: int) -> tuple[list[Burst], list[str]]:
             bursts.append(Burst(packets=own[rows], number=number, zero=zero))
             number += 1
     bursts.sort(key=lambda burst: (burst.packets.seconds[0], burst.packets.fine[0]))
-    notes = [f"left out: {count(small, 'echo', 'echoes')} in parts of fewer than {LEAST} pulses"] if small else []
+    refuse_few(len(echoes) - small, len(echoes), f"most echoes lie in parts of less than {LEAST} pulses",
+               "give a longer part of the data")  # fmt: skip
+    notes = [f"{small} of {len(echoes)} echoes, in parts of less than {LEAST} pulses, are left out"] if small else []
     return bursts, notes
 
 
@@ -253,8 +261,8 @@ def _path(value: Any) -> Any:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sentinel1Options(ReaderOptions):
-    """The part of the data to read, and metadata given by the user; see `ReaderOptions`.
+class Sentinel1Options(RawOptions):
+    """The part of the data that is wanted, and what is said of it; see `RawOptions`.
 
     Attributes
     ----------
@@ -411,7 +419,7 @@ def choose(files: Sequence[PacketFile], options: Sentinel1Options) -> BurstChoic
     for file, burst in found:
         number = counts.get(burst.swath, 0)
         counts[burst.swath] = number + 1
-        numbered.append((file, replace(burst, number=number)))
+        numbered.append((file, replace(burst, number=number, options=options)))
     first, last = options.bursts
     wanted = [
         options.swath in (None, burst.swath) and first <= burst.number and (last is None or burst.number < last)

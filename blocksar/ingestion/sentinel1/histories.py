@@ -235,6 +235,7 @@ class BurstHistory:
             "format": "Sentinel-1 level 0", "file": self.file.where.name, "swath": burst.swath, "burst": burst.number,
             "data_take": int(burst.packets.take[0]), "replica": "nominal chirp of the headers",
             "time_tags": self.data.options.time_tags or "receive",
+            **self.data.options.said,
             **({"troposphere_removed": self.removed} if self.removed else {}),
             "collection_start": utc(self.data.zero, start), "time_zero": burst.interval * (burst.n_slot // 2),
         }  # fmt: skip
@@ -338,6 +339,7 @@ def remarks(histories: Sequence[BurstHistory]) -> list[str]:
         "assumed: the nominal chirp of the headers as replica (calibration pulses are not used); a beam pattern of an "
         "evenly lit aperture along the track, and none in elevation",
         _times(histories),
+        *first.data.options.notes,
         f"the delay of a standard atmosphere, {first.atmosphere:.3g} m of range, is {taken}",
         f"scene frame: x away from the track, {frame.rotation:.2f} degrees from east, z up at latitude "
         f"{frame.latitude:.6f}, longitude {frame.longitude:.6f} on the ellipsoid, which is the ground by default",

@@ -182,6 +182,11 @@ class Radar(NamedTuple):
             )
         return radar
 
+    def signed(self, sign: float) -> Radar:
+        """The pulse about the same frequency whose own rises (1) or falls (-1)."""
+        ramp = sign * abs(self.ramp)
+        return self._replace(ramp=ramp, start=self.middle - ramp * self.length / 2)
+
     @property
     def bandwidth(self) -> float:
         """Hz."""
