@@ -367,7 +367,7 @@ def _qualities(cuts: Cuts, axes: ResponseAxes) -> tuple[ProfileQuality, ProfileQ
     )
 
 
-def _theory(along_range: ProfileQuality, along_azimuth: ProfileQuality) -> dict[str, float]:
+def _theory(along_range: ProfileQuality, along_azimuth: ProfileQuality) -> dict[str, Any]:
     """The figures of an ideal response, by their fields of `PointResponse`."""
     return {
         f"{axis}_{figure}_theory": value
@@ -429,7 +429,7 @@ class Summary(NamedTuple):
 
 
 def summary(responses: Sequence[PointResponse]) -> Summary:
-    """Worst cases, in dB, ratios, m and rad, of the targets that are judged; a figure that is NaN counts as the worst of all.
+    """Worst cases, in dB, ratios, m and rad, of targets that are judged; a figure that is NaN is the worst of all.
 
     `worst` is empty if no target is judged.
     """

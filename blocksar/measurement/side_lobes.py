@@ -23,8 +23,8 @@ def side_lobe_power(power: FloatArray, axes: ResponseAxes, spacing: tuple[float,
 
         sum over pixels of p dx dy / A e(u) e(v), without those within the main lobe,  less  k p
 
-    bounds what side lobes add; k p, with the same sum k over p = 1, is what they add to ground of even brightness, which
-    decorrelates no more than that ground. Not negative only after a mean over a window, which is for the caller.
+    bounds what side lobes add; k p, with the same sum k over p = 1, is what they add to ground of even brightness,
+    which decorrelates no more than that ground. Not negative only after a mean over a window, which is for the caller.
 
     Parameters
     ----------

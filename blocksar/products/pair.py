@@ -219,7 +219,8 @@ class Made(NamedTuple):
     Attributes
     ----------
     median, scene : float
-        Median of the estimated coherence where noise and side lobes leave at least CLEAR, and the coherence that it stands for.
+        Median of the estimated coherence where noise and side lobes leave at least CLEAR, and the coherence that it
+        stands for.
     limit : float
         Below which a pixel without noise is changed; NaN if the scene is not coherent enough to tell.
     covered, judged, changed : int

@@ -243,7 +243,8 @@ class Progress(Listener):
         self._printed[stage.name] = now
         remaining = f", about {time_text(left)} left" if left else ""
         self._print_line(
-            f"{stage.name}: {stage.done} of {stage.total}; in all {clock_time(self.estimate.elapsed)} elapsed{remaining}"
+            f"{stage.name}: {stage.done} of {stage.total}; "
+            f"in all {clock_time(self.estimate.elapsed)} elapsed{remaining}"
         )
 
     def _log_stage(self, stage: TimedStage, left: float | None) -> None:
