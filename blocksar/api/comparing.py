@@ -148,6 +148,11 @@ def _lines(pair: Pair, made: Made) -> Sequence[str]:
             f"changed: {100 * made.changed / max(made.judged, 1):.3g} % of {made.judged} pixels, whose coherence is "
             f"below {made.limit:.3f}; false alarms {100 * pair.false_alarms:g} %"
         )
+        if dark := made.covered - made.judged:
+            lines.append(
+                f"not judged: {100 * dark / made.covered:.3g} % of {made.covered} covered pixels, where noise or side "
+                "lobes of brighter places leave too little of the ground"
+            )
     if pair.a.weighting != pair.b.weighting:
         lines.append(
             f"note: weights differ, {pair.a.weighting.text} and {pair.b.weighting.text}, which takes coherence below 1"

@@ -503,6 +503,10 @@ def _unjudged_lines(run: FinishedRun, responses: Sequence[PointResponse]) -> lis
     outside = [r for r in missed if not (ends[0] <= r.x <= ends[1] and ends[2] <= r.y <= ends[3])]
     beside = [r for r in missed if r not in seam and r not in outside]
     lines = []
+    if crowded := [r.name for r in responses if r.full_dwell and r.covered and r.crowded]:
+        lines.append(
+            f"{len(crowded)} have a side lobe above their peak ({_first(crowded)}): not measured, another peak is near"
+        )
     if seam:
         lines.append(
             f"{len(seam)} lie within 10 widths of a seam between collections, which see them from different sides: not "

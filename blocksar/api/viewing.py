@@ -52,5 +52,8 @@ def view(run: Location, *, channel: str | None = None, port: int | None = None, 
     viewer = Viewer(ViewerTiles(source), targets_of(None, source.attrs), port or 0)
     if browser:
         webbrowser.open(viewer.url)
-    lines = [*member_line(folder, channel), f"{folder} is shown at {viewer.url}"]
+    lines = [
+        *member_line(folder, channel),
+        f"{folder} is shown at {viewer.url} until Ctrl-C, or in Python until `result.close()`",
+    ]
     return Report(summary=lines, result=viewer)

@@ -131,7 +131,9 @@ Theory: the same figures of the exact back-projection of the target's echo alone
 weights. On a small band and rotation, unweighted: the nominal width, {SINC_PSLR:.2f} dB and {SINC_ISLR:.1f} dB.
 Position error: peak of the magnitude minus the true position, in x and y. Value: complex image interpolated at
 the true position, divided by the target's reflectivity (ideal 1 + 0j). Full dwell: the beam swept wholly over
-the target. Covered: no pixel is missing in what was measured; figures that touch missing pixels are NaN."""
+the target. Covered: no pixel is missing in what was measured; figures that touch missing pixels are NaN.
+Crowded: a cut has a side lobe above the peak, so that another peak is near, and the figures are not the target's
+alone: they are NaN but for the value."""
 
 
 class PointResponse(NamedTuple):
@@ -161,6 +163,7 @@ class PointResponse(NamedTuple):
     range_islr_theory: float = SINC_ISLR
     azimuth_pslr_theory: float = SINC_PSLR
     azimuth_islr_theory: float = SINC_ISLR
+    crowded: bool = False
 
 
 Figure = Callable[[PointResponse], float]
@@ -322,8 +325,12 @@ def measure_cuts(response: Response, profiles: Cuts, ideal: Cuts) -> PointRespon
     """Measure a response of which the cuts, and those of the ideal response, are known; see `DEFINITIONS`."""
     axes, target = response.axes, response.target
     along_range, along_azimuth = _qualities(profiles, axes)
+    crowded = along_range.pslr > 0 or along_azimuth.pslr > 0
     value = complex(response.at(np.array(target.x), np.array(target.y)))
     x, y = response.peak
+    if crowded:
+        nan = float("nan")
+        along_range, along_azimuth, x, y = ProfileQuality(nan, nan, nan), ProfileQuality(nan, nan, nan), nan, nan
     within = [
         profile[np.abs(offset) <= CUT_WIDTHS * width]
         for offset, profile, width in (
@@ -347,6 +354,7 @@ def measure_cuts(response: Response, profiles: Cuts, ideal: Cuts) -> PointRespon
         value=value,
         full_dwell=response.full_dwell,
         covered=covered,
+        crowded=crowded,
         **_theory(*_qualities(ideal, axes)),
     )
 
@@ -359,7 +367,7 @@ def _qualities(cuts: Cuts, axes: ResponseAxes) -> tuple[ProfileQuality, ProfileQ
     )
 
 
-def _theory(along_range: ProfileQuality, along_azimuth: ProfileQuality) -> dict[str, float]:
+def _theory(along_range: ProfileQuality, along_azimuth: ProfileQuality) -> dict[str, Any]:
     """The figures of an ideal response, by their fields of `PointResponse`."""
     return {
         f"{axis}_{figure}_theory": value
@@ -421,11 +429,11 @@ class Summary(NamedTuple):
 
 
 def summary(responses: Sequence[PointResponse]) -> Summary:
-    """Worst cases, in dB, ratios, m and rad; a figure that is NaN counts as the worst of all.
+    """Worst cases, in dB, ratios, m and rad, of targets that are judged; a figure that is NaN is the worst of all.
 
-    `worst` is empty if no target is both fully lit and covered.
+    `worst` is empty if no target is judged.
     """
-    measured = [r for r in responses if r.full_dwell and r.covered]
+    measured = select_judged(responses)
     worst = {}
     for figure, (ideal, value) in _FIGURES.items():
         if measured:
@@ -507,8 +515,8 @@ def worst_excess(response: PointResponse) -> float:
 
 
 def is_judged(response: PointResponse) -> bool:
-    """Whether the limits apply to a target: it is lit over its full dwell, and covered."""
-    return response.full_dwell and response.covered
+    """Whether the limits apply to a target: lit over its full dwell, covered, and the only peak in its cuts."""
+    return response.full_dwell and response.covered and not response.crowded
 
 
 def select_judged(responses: Sequence[PointResponse]) -> list[PointResponse]:

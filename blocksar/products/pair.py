@@ -10,11 +10,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
 
 from blocksar import stores
 from blocksar.arrays import FloatArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
+from blocksar.measurement.axes import response_axes
 from blocksar.measurement.interferometry import (
     Baseline,
     Windowed,
@@ -27,6 +29,7 @@ from blocksar.measurement.interferometry import (
     threshold,
     vertical_wavenumber,
 )
+from blocksar.measurement.side_lobes import REACH, side_lobe_power
 from blocksar.places.place import Place
 from blocksar.progress.listening import Callback
 from blocksar.runs.finished import FinishedRun
@@ -40,7 +43,7 @@ SAME_HEIGHT = 0.01  # m, that their grounds may
 HEIGHTS = 129  # points along either axis at which these are compared
 SAMPLED = 64  # chunks, evenly over the image, of which the coherence of the scene is told
 BINS = 2000  # of the histogram of coherences
-CLEAR = 0.7  # coherence that noise leaves of the pixels whose median tells that of the scene
+CLEAR = 0.7  # coherence that noise and side lobes leave of the pixels whose median tells that of the scene
 
 PAIR = {
     "interferogram": Variable(
@@ -136,15 +139,18 @@ class Pair:
         own = own_rows, own_columns
         return Windowed(means.inner[own], means.power_a[own], means.power_b[own])
 
-    def left_by_noise(self, means: Windowed, rows: slice, columns: slice) -> FloatArray | float:
-        """Coherence that the noise of both images leaves, by their mean powers; 1 where one's noise is not known."""
-        runs = self.a, self.b
-        if not all((run.image / "noise_equivalent" / "zarr.json").exists() for run in runs):
-            return 1.0
-        noise = [run.read_layer("noise_equivalent", rows, columns).astype(np.float64) for run in runs]
+    def left_for_ground(self, means: Windowed, rows: slice, columns: slice) -> FloatArray:
+        """Coherence that noise and side lobes of bright places leave of that of the ground, if nothing has changed.
+
+        Each image has the power s of the ground, the same in both, and n of noise, where that is known, and of the side
+        lobes (`measurement.side_lobes`) that turn otherwise from pass to pass: s / sqrt((s + n_a) (s + n_b)), with the
+        mean of both for s. So a place that is bright in one image alone is still judged.
+        """
+        parts = [_unwanted(run, self.window, rows, columns) for run in (self.a, self.b)]
+        ground = sum(p - n for n, p in zip(parts, (means.power_a, means.power_b), strict=True)) / 2
+        ground = np.maximum(ground, 0.0)
         with np.errstate(invalid="ignore", divide="ignore"):
-            shares = [1 - n / p for n, p in zip(noise, (means.power_a, means.power_b), strict=True)]
-        return np.asarray(np.sqrt(np.clip(shares[0], 0, 1) * np.clip(shares[1], 0, 1)))
+            return np.asarray(ground / np.sqrt((ground + parts[0]) * (ground + parts[1])))
 
     def wavenumbers(self, rows: slice, columns: slice) -> FloatArray:
         """The vertical wavenumbers of a part of the image, rad/m; of mosaics by the segments that pixels come from."""
@@ -165,6 +171,23 @@ def _widened(part: slice, n: int, by: int) -> tuple[slice, slice]:
     """Part of an axis of n pixels with some more at both ends, and where the part itself lies in that."""
     first, last = max(part.start - by, 0), min(part.stop + by, n)
     return slice(first, last), slice(part.start - first, part.stop - first)
+
+
+def _unwanted(run: FinishedRun, window: tuple[int, int], rows: slice, columns: slice) -> FloatArray:
+    """Mean power of noise, if it is known, and of side lobes of bright places, over a window about pixels of a part."""
+    x, y = float(run.x[columns].mean()), float(run.y[rows].mean())
+    power = np.zeros((rows.stop - rows.start, columns.stop - columns.start))
+    if (run.image / "noise_equivalent" / "zarr.json").exists():
+        power += run.read_layer("noise_equivalent", rows, columns)
+    axes = response_axes(run.geometry_at(x, y), x, y, run.weighting)
+    if axes is not None:
+        (top, own_rows), (left, own_columns) = (
+            _widened(part, n, REACH) for part, n in zip((rows, columns), (run.y.size, run.x.size), strict=True)
+        )
+        pixels = run.read(top, left)
+        lobes = side_lobe_power(np.abs(pixels.astype(np.complex128)) ** 2, axes, run.spacing)
+        power += np.maximum(uniform_filter(lobes, window, mode="nearest")[own_rows, own_columns], 0.0)
+    return power
 
 
 def _segments(run: FinishedRun, rows: slice, columns: slice) -> NDArray[np.int64] | None:
@@ -196,7 +219,8 @@ class Made(NamedTuple):
     Attributes
     ----------
     median, scene : float
-        Median of the estimated coherence where noise leaves at least CLEAR, and the coherence that it stands for.
+        Median of the estimated coherence where noise and side lobes leave at least CLEAR, and the coherence that it
+        stands for.
     limit : float
         Below which a pixel without noise is changed; NaN if the scene is not coherent enough to tell.
     covered, judged, changed : int
@@ -231,7 +255,7 @@ def write_pair(pair: Pair, out: Place, *, overwrite: bool, progress: Callback) -
         for number, window in enumerate(parts, 1):
             means = pair.over_window(*window)
             estimate = means.coherence
-            flag = changed(estimate, _limit(pair, scene * np.asarray(pair.left_by_noise(means, *window))))
+            flag = changed(estimate, _limit(pair, scene * pair.left_for_ground(means, *window)))
             values = {
                 "interferogram": means.inner, "coherence": estimate, "amplitude_ratio": means.amplitude_ratio,
                 "vertical_wavenumber": np.where(np.isfinite(estimate), pair.wavenumbers(*window), np.nan),
@@ -256,7 +280,7 @@ def _limit(pair: Pair, coherence: FloatArray) -> FloatArray:
 
 
 def _median(pair: Pair, parts: Sequence[tuple[slice, slice]]) -> float:
-    """Median of the coherence over some parts of the image, where noise leaves enough of it.
+    """Median of the coherence over some parts of the image, where noise and side lobes leave enough of it.
 
     Raises
     ------
@@ -267,7 +291,7 @@ def _median(pair: Pair, parts: Sequence[tuple[slice, slice]]) -> float:
     for window in parts:
         means = pair.over_window(*window)
         estimate = means.coherence
-        clear = np.broadcast_to(pair.left_by_noise(means, *window) >= CLEAR, estimate.shape)
+        clear = pair.left_for_ground(means, *window) >= CLEAR
         for number, some in enumerate((np.isfinite(estimate), np.isfinite(estimate) & clear)):
             counts[number] += np.bincount((estimate[some] * (BINS - 1)).astype(np.int64), minlength=BINS)
     if not counts.any():

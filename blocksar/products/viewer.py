@@ -179,6 +179,23 @@ HEADERS = {
 }
 
 
+def directions(source: FinishedRun) -> list[dict[str, Any]]:
+    """Directions in the image, as x, y of any length: north, or x and y where it is not known, and the look direction.
+
+    The look is that at the middle of the image and of its dwell.
+    """
+    x, y = float(source.x.mean()), float(source.y.mean())
+    geometry = source.geometry_at(x, y)
+    first, last = (float(edge) for edge in geometry.beam.dwell(np.array(x), np.array(y)))
+    time = (first + last) / 2 if first < last else geometry.epoch
+    away = np.array([x, y]) - geometry.track.position(np.array(time))[:2]
+    found = [{"label": "x", "x": 1.0, "y": 0.0}, {"label": "y", "x": 0.0, "y": 1.0}]
+    if source.georeference is not None:
+        turn = math.radians(source.georeference.rotation)
+        found = [{"label": "N", "x": math.sin(turn), "y": math.cos(turn)}]
+    return [*found, {"label": "look", "x": float(away[0]), "y": float(away[1])}] if away.any() else found
+
+
 def page_of(tiles: ViewerTiles, targets: Sequence[Target]) -> bytes:
     """The page: one HTML file, which asks this server for tiles and for nothing else."""
     source = tiles.source
@@ -187,7 +204,7 @@ def page_of(tiles: ViewerTiles, targets: Sequence[Target]) -> bytes:
     facts = {
         "title": source.title, "run": str(source.folder), "shapes": tiles.shapes, "side": SIDE, "nothing": NOTHING,
         "x": float(source.x[0]), "y": float(source.y[0]), "dx": dx, "dy": dy, "low": low, "high": high,
-        "stored": tiles.stored,
+        "stored": tiles.stored, "arrows": directions(source),
         "targets": [{"name": each.name, "x": each.x, "y": each.y} for each in targets],
     }  # fmt: skip
     # No text of a run may end the script or begin a comment in it.

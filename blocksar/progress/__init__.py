@@ -7,13 +7,12 @@ progress to people, as a live display on a terminal and as a few plain lines els
 
 from __future__ import annotations
 
-from blocksar.progress.display import PLAIN_STEPS, Log, Progress, Wanted, abandon, as_listener
+from blocksar.progress.display import Log, Progress, Wanted, abandon, as_listener
 from blocksar.progress.estimate import Estimate
 from blocksar.progress.listening import NOBODY, Callback, Listener, Updated, Work, Workers
 
 __all__ = [
     "NOBODY",
-    "PLAIN_STEPS",
     "Callback",
     "Estimate",
     "Listener",

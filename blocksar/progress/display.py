@@ -117,7 +117,7 @@ def _valid(value: Any) -> Any:
             return str(value).encode("utf-8", "backslashreplace").decode()
 
 
-PLAIN_STEPS = 10  # progress lines per stage without a terminal
+PLAIN_SECONDS = 60.0  # between lines of a stage without a terminal, which else has one, at its end
 FRAMES = 4  # per second, of the live display
 LOG_SECONDS = 1.0  # least time between two progress lines of a stage in the log, except its first and last
 LOG_SILENCE = 10.0  # s, approximately: longest time without a progress line while workers report
@@ -154,7 +154,7 @@ class Progress(Listener):
         self._quiet = quiet
         self._lock = threading.Lock()
         self._live: Live | None = None
-        self._printed: dict[str, int] = {}
+        self._printed: dict[str, float] = {}  # when a line of a stage was printed, or it began
         self._logged: dict[str, float] = {}
         self._units: Sequence[str] = ()
         self._workers = NOBODY
@@ -236,16 +236,16 @@ class Progress(Listener):
                 print(line, file=sys.stderr, flush=True)
 
     def _print_stage(self, stage: TimedStage, left: float | None) -> None:
-        """Print a plain line if the stage has gained a step."""
-        step = PLAIN_STEPS * stage.done // stage.total if stage.total else PLAIN_STEPS
-        if stage.total == 1 and not stage.done:  # the line at its end is enough
+        """Print a plain line at the stage's end, and each minute of one that lasts; its times are of all stages."""
+        now = self.estimate.clock()
+        if stage.done < stage.total and now - self._printed.setdefault(stage.name, now) < PLAIN_SECONDS:
             return
-        if step > self._printed.get(stage.name, -1):
-            self._printed[stage.name] = step
-            remaining = f", about {time_text(left)} left" if left else ""
-            self._print_line(
-                f"{stage.name}: {stage.done} of {stage.total}, {clock_time(self.estimate.elapsed)} elapsed{remaining}"
-            )
+        self._printed[stage.name] = now
+        remaining = f", about {time_text(left)} left" if left else ""
+        self._print_line(
+            f"{stage.name}: {stage.done} of {stage.total}; "
+            f"in all {clock_time(self.estimate.elapsed)} elapsed{remaining}"
+        )
 
     def _log_stage(self, stage: TimedStage, left: float | None) -> None:
         now, last = self.estimate.clock(), self._logged.get(stage.name)
@@ -300,7 +300,7 @@ class Progress(Listener):
         from rich.text import Text
 
         left = self.estimate.left()
-        line = Text(f"{clock_time(self.estimate.elapsed)} elapsed", no_wrap=True, overflow="crop")
+        line = Text(f"in all {clock_time(self.estimate.elapsed)} elapsed", no_wrap=True, overflow="crop")
         if self._over:  # a command without stages has nothing to show for it
             return [line] if self.estimate.stages else []
         if left:

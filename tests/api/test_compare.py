@@ -204,6 +204,26 @@ def test_what_moved_is_found_and_little_else(passes: Any, tmp_path: Path) -> Non
     assert report.result["changed"] == int((pair.change.values == 1).sum())
 
 
+@pytest.mark.parametrize("ground", [0.0, 1.0])
+def test_side_lobes_of_still_points_are_not_called_changed(passes: Any, tmp_path: Path, ground: float) -> None:
+    still = points((-12.0, 8.0, 0.0), (14.0, 12.0, 0.0), (5.0, -15.0, 0.0), (-20.0, -18.0, 0.0), reflectivity=300.0)
+    first, other = (each._replace(reflectivity=ground * each.reflectivity) for each in (clutter(1), mixed(0.95)))
+    there, gone = (-3.0, 22.0, 0.0), (22.0, -2.0, 0.0)
+    a = passes(f"still-{ground}", together(first, still, points(there, reflectivity=60.0)))
+    b = passes(f"still-after-{ground}", together(other, still, points(gone, reflectivity=60.0)), UP)
+    report = blocksar.compare(a, b, tmp_path / "pair", window="5x5", progress=False)
+    pair = xr.open_zarr(tmp_path / "pair" / "pair.zarr")
+    far = np.ones(pair.change.shape, bool)
+    for x, y, _ in (there, gone):
+        assert int(pair.change.sel(x=x, y=y, method="nearest")) == 1
+        far &= (np.abs(pair.y.values[:, None] - y) > 8) | (np.abs(pair.x.values - x) > 8)
+    assert (pair.change.values[far] == 1).mean() < 0.003
+    assert (pair.change.values[far] == 2).mean() > 0.2
+    for x, y in zip(still.x, still.y, strict=True):
+        assert int(pair.change.sel(x=x, y=y, method="nearest")) == 0
+    assert "not judged" in " ".join(report.summary)
+
+
 @pytest.mark.slow
 def test_what_lies_below_the_noise_is_not_called_changed(passes: Any, tmp_path: Path) -> None:
     dark = clutter(1)

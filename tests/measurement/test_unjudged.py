@@ -25,3 +25,14 @@ def test_targets_near_the_edge_and_outside_are_named(tmp_path: Path) -> None:
     assert "1 lie outside the image (away): not measured" in report.summary
     (line,) = (line for line in report.summary if "edge of what the image covers" in line)
     assert line.startswith("2 lie close to the edge of what the image covers (edge, between): not judged")
+
+
+def test_a_target_beside_a_brighter_one_is_not_measured(tmp_path: Path) -> None:
+    make(tmp_path, hole=False)
+    a = TARGETS[0]
+    report = blocksar.quality(tmp_path, targets=[a, Target("beside", a.x + 4.0, a.y)])
+    own, beside = report.result["targets"]
+    assert not own["crowded"] and own["range_pslr"] < 0
+    assert beside["crowded"] and beside["range_pslr"] is beside["azimuth_pslr"] is beside["error_x"] is None
+    assert report.result["summary"]["measured"] == 1
+    assert any("(beside): not measured, another peak is near" in line for line in report.summary)

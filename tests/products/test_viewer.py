@@ -168,7 +168,9 @@ def test_the_page_pans_and_zooms(chromium: Any, url: str, large: Made, size: tup
     try:
         (column, row, scale), _ = settled()
         assert (column, row) == (701 / 2, 590 / 2) and shown.is_disabled("#zoom-out")
-        assert scale == pytest.approx(min(size[0] / 701, size[1] / 590))
+        box = shown.locator("#scene").bounding_box()
+        assert box["y"] >= shown.locator("#head").bounding_box()["height"]  # nothing lies over the image
+        assert scale == pytest.approx(min(box["width"] / 701, box["height"] / 590), rel=1e-3)
         shown.wait_for_function(f"() => ({BRIGHTEST})() > 200")  # the target in the middle
         assert shown.evaluate("window.pwned") is None
         assert shown.evaluate("facts.targets[0].name") == HOSTILE
@@ -176,11 +178,10 @@ def test_the_page_pans_and_zooms(chromium: Any, url: str, large: Made, size: tup
             shown.click("#zoom-in")
         (column, row, closer), level = settled()
         assert closer == pytest.approx(scale * 1.5**4) and level == 0
-        shown.focus("#scene")
         shown.keyboard.press("ArrowRight")
         (moved, _, _), _ = settled()
         assert moved == pytest.approx(column + size[0] / 5 / closer)
-        middle = size[0] / 2, size[1] / 2
+        middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
         shown.mouse.move(*middle)
         shown.mouse.down()
         shown.mouse.move(middle[0] + 60, middle[1] + 30)
@@ -196,6 +197,15 @@ def test_the_page_pans_and_zooms(chromium: Any, url: str, large: Made, size: tup
         ]
         shown.mouse.move(*at)
         shown.wait_for_function("() => /dB .* rad .* block 0/.test(document.getElementById('readout').textContent)")
+        told = shown.text_content("#readout")
+        shown.keyboard.press("+")  # another pixel comes under the pointer
+        shown.wait_for_function(
+            "(before) => ![before, 'Move over the image, or tap it.'].includes(readout.textContent)", arg=told
+        )
+        before = settled()
+        shown.wait_for_function("(scale) => location.hash.includes(`scale=${scale}`)", arg=f"{before[0][2]:.6g}")
+        shown.reload()
+        assert settled()[0] == pytest.approx(before[0], rel=1e-3)
         shown.click("#toggle-blocks")
         shown.click("#toggle-targets")
         settled()

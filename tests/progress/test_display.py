@@ -35,7 +35,7 @@ def test_a_frame_fits_the_terminal(width: int) -> None:
     assert ("54/h" in lines[2]) == (width >= display.RATE_NEEDS)
     assert ("━" in lines[2]) == (width >= display.BAR_NEEDS)
     # One more round of blocks takes 4000 s; mosaic and finish add a fiftieth.
-    assert lines[5] == "1:06:40 elapsed, about 68 min left"[:width].rstrip()
+    assert lines[5] == "in all 1:06:40 elapsed, about 68 min left"[:width].rstrip()
     assert lines[6].startswith("60 workers, the fullest holds 1.5 of 4.0 GiB"[:width].rstrip())
     assert lines[7].startswith("at work: block-60") and "more" in lines[7]
     assert len(lines) == 8
@@ -43,7 +43,7 @@ def test_a_frame_fits_the_terminal(width: int) -> None:
 
 def test_a_low_terminal_shows_the_unfinished_stages_and_the_totals() -> None:
     lines = lines_of(under_way(Clock()), 80, height=6)
-    assert [line.split()[0] for line in lines] == ["focus", "mosaic", "1:06:40", "60", "at"]
+    assert [line.split()[0] for line in lines] == ["focus", "mosaic", "in", "60", "at"]
 
 
 def test_terminal_output_is_not_interpreted_as_markup(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -73,19 +73,18 @@ def test_plain_lines_in_a_pipe(capsys: pytest.CaptureFixture[str]) -> None:
         told.note("said with the result", again=True)
         told.note("one pulse is missing")
         for done in range(61, 121):
-            clock.now += 60.0
+            clock.now += 10.0
             told.update("focus", done, 120)
     lines = capsys.readouterr().err.splitlines()
-    assert lines[:6] == [
-        "plan: 1 of 1, 0:00 elapsed",
-        "recover: 4 of 4, 0:00 elapsed",
-        "focus: 0 of 120, 0:00 elapsed",
-        "focus: 60 of 120, 1:06:40 elapsed, about 68 min left",
+    assert lines[:5] == [
+        "plan: 1 of 1; in all 0:00 elapsed",
+        "recover: 4 of 4; in all 0:00 elapsed",
+        "focus: 60 of 120; in all 1:06:40 elapsed, about 68 min left",
         "dashboard: http://127.0.0.1:8787/status",
         "note: one pulse is missing",
     ]
-    assert len(lines) == 11
-    assert lines[-1] == "focus: 120 of 120, 2:06:40 elapsed, about 76 s left"
+    assert len(lines) == 5 + 10
+    assert lines[-1] == "focus: 120 of 120; in all 1:16:40 elapsed, about 46 s left"
 
 
 def test_quiet_progress_prints_nothing(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

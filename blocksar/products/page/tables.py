@@ -202,13 +202,15 @@ def quality_table(run: Facts, image: Picture) -> PageTable:
 
 def _quality_row(run: Facts, r: PointResponse, image: Picture) -> Row:
     """Figures of one target."""
-    judged = r.full_dwell and r.covered
+    judged = r.full_dwell and r.covered and not r.crowded
 
     def off(figure: str) -> bool:
         return judged and excess(r, figure) > 1
 
     share = 100 * worst_excess(r) if judged else None
-    status = "yes" if judged else "not covered" if not r.covered else "partly lit"
+    status = (
+        "yes" if judged else "not covered" if not r.covered else "another peak is near" if r.crowded else "partly lit"
+    )
     cells = [
         Cell(r.name, r.name),
         _cell(share, 0, off=share is not None and share > 100),

@@ -22,7 +22,7 @@ from blocksar.progress.listening import Callback
 PIXELS = 1400  # cells along the longer side, at most
 STRIP = 1 << 21  # pixels read at once, but whole rows of cells
 RATIO = 10.0  # dB at the ends of the colours of the amplitude ratio
-CHANGED = "#d81e2c"
+CHANGED, UNJUDGED = "#d81e2c", "#2f6db3"
 
 
 class PairLayer(NamedTuple):
@@ -87,7 +87,10 @@ def _draw(path: str, pair: Pair, store: Place, name: str) -> None:
         quicklook.draw_colour_bar(axes, picture, "coherence", extend="neither")
         red = np.ma.masked_where(~(values > 0), np.ones(values.shape))
         axes.imshow(red, cmap=ListedColormap([CHANGED]), alpha=np.clip(np.nan_to_num(values), 0.35, 1.0), **shared)
-        title = "coherent change, red"
+        dark = reduced("change", lambda flags: np.where(flags == 255, np.nan, flags == 2))
+        blue = np.ma.masked_where(~(dark > 0.5), np.ones(dark.shape))
+        axes.imshow(blue, cmap=ListedColormap([UNJUDGED]), alpha=0.45, **shared)
+        title = "coherent change red, not judged blue"
     else:
         low, high = layer.limits
         picture = axes.imshow(np.ma.masked_invalid(values), cmap=layer.colours, vmin=low, vmax=high, **shared)
