@@ -22,6 +22,7 @@ import xxhash
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection import sublooks
 from blocksar.collection.collection import Collection
+from blocksar.collection.frames import check_scene_frame
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.raw_echo import ATTRIBUTE as RECORDED
 from blocksar.collection.raw_echo import RawEcho, RecordedRanges
@@ -486,12 +487,16 @@ def collection_from(
         beam_width = None
     carrier = number(attrs, "carrier_frequency", "Hz")
     ground_height = number(attrs, "ground_height", "m", 0.0)
+    reference, position = read("reference_range"), read("antenna_position")
+    check_scene_frame(
+        carrier=carrier, time=time, position=position, reference=reference, ground_height=ground_height
+    )  # fmt: skip
     return Collection(
         carrier=carrier,
         time=time,
         range_frequency=read("range_frequency") if raw is None else raw.range_frequency,
-        reference_range=read("reference_range"),
-        antenna_position=read("antenna_position"),
+        reference_range=reference,
+        antenna_position=position,
         beam_azimuth=beam_azimuth,
         beam_width=beam_width,
         ground_height=ground_height,
