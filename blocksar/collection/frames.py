@@ -50,9 +50,9 @@ def check_scene_frame(
     for unit, metres in (("m", 1.0), ("km", 1e3)):
         if _is_earth_centred(metres * position, time, distance, ground_height):
             raise InputError(
-                f"antenna_position lies {_size(position):.6g} from its origin at a range of {distance:.6g} m: it looks "
-                f"Earth-centred{'' if unit == 'm' else ', in km: multiply it by 1000'}; give earth_centred=True, and "
-                "the georeference of a scene frame, such as blocksar.scene_centre returns"
+                f"antenna_position lies {_size(position):.6g} from its origin, at a range of {distance:.6g} m: it "
+                f"looks Earth-centred{'' if unit == 'm' else ', in km: multiply it by 1000'}; give earth_centred=True, "
+                "and the georeference of a scene frame, such as blocksar.scene_centre returns"
             )
     below = -position[:, 2] + ground_height
     if (height < 0).all() and (below <= distance).all() and distance > 0 and float(below.min()) > 0.02 * distance:
@@ -154,8 +154,8 @@ def _check_degrees(time: FloatArray, position: FloatArray, ground_height: float,
             if slowest <= metres * speed and metres * speed * shrunk <= fastest and speed < 0.05 * heights:
                 raise InputError(
                     f"antenna_position is {position[0, 0]:.6g}, {position[0, 1]:.6g}, {position[0, 2]:.6g}, and moves "
-                    f"by {speed:.3g} a second: it looks like latitude and longitude in {unit}, and {word}; convert it to "
-                    f"Earth-centred x, y, z, {ECEF_OF}, and give it with {remedy}"
+                    f"by {speed:.3g} a second: it looks like latitude and longitude in {unit}, and {word}; convert "
+                    f"it to Earth-centred x, y, z, {ECEF_OF}, and give it with {remedy}"
                 )
 
 

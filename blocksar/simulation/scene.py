@@ -47,7 +47,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.errors import InputError
+from blocksar.errors import InputError, MissingInput
 from blocksar.simulation import shipped_scenes, shipped_text
 from blocksar.simulation.antenna import axis_beam, lit_yaws, patterns
 from blocksar.simulation.scene_fields import LARGEST, SMALLEST, ClutterTable, ReflectivityTable
@@ -274,7 +274,7 @@ class Scene(SceneTables):
                 raise InputError(f"{path} cannot be read ({error}); give a scene file in UTF-8") from None
             return cls.parse(text, name=name, label=label, folder=folder)
         if str(source) not in shipped_scenes():
-            raise InputError(
+            raise MissingInput(
                 f"scene {str(source)!r} is neither a file nor one of the shipped scenes: {', '.join(shipped_scenes())}"
             )
         return cls.parse(shipped_text(str(source)), name=str(source), label=f"{source}.toml")

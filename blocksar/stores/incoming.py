@@ -1,4 +1,4 @@
-"""What may enter as arguments of `blocksar.collection`, and what happens to it.
+"""Arguments of `blocksar.collection`: checks of all that may come, as one table.
 
 `enter` is the one way in: every argument passes all `CHECKS`, each by its kind in `ARGUMENTS`. The first line of a
 check's docstring is its row of the table in stores/README.md.
@@ -84,6 +84,8 @@ def check_container(given: Given, _: Arguments) -> None:
     if given.kind == "other":
         return
     value = given.value
+    if hasattr(value, "data_vars"):
+        raise InputError(f"{given.name} is a {_type(value)}; give one of its variables")
     if isinstance(value, str | bytes | Mapping) or callable(getattr(value, "__next__", None)):
         raise InputError(
             f"{given.name} is a {type(value).__name__} ({quoted(value)}); give an array of numbers"
@@ -281,7 +283,7 @@ def check_labels(given: Given, arguments: Arguments) -> None:
 
 
 def _reference(given: Given, name: str, dim: str, arguments: Arguments) -> tuple[str, Any] | None:
-    """What a coordinate along a dimension is compared with: the argument of its name, or the first that has it too."""
+    """Find what a coordinate along a dimension is compared with: the argument of its name, or the first that has it."""
     for each in (name, COORDINATES.get(name, name)):
         if each in arguments and each != given.name:
             over = SCHEMA[each].dims if each in SCHEMA else (each,)
@@ -387,5 +389,5 @@ CHECKS: tuple[Callable[[Given, Arguments], None], ...] = (
 
 
 def rows() -> list[tuple[str, str]]:
-    """What may come, and what happens: the table of stores/README.md, from the checks."""
+    """List what may come and what happens, as in the table of stores/README.md, from the checks."""
     return [tuple(" ".join((check.__doc__ or "").split()).split(" | ")) for check in CHECKS]  # type: ignore[misc]
