@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from blocksar import stores
 from blocksar.api.arguments import is_dataset
-from blocksar.collection.frames import check_earth_centred
+from blocksar.collection.frames import check_centre, check_earth_centred
 from blocksar.collection.georeference import Georeference, find_scene_centre
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
@@ -232,9 +232,10 @@ def scene_centre(
     InputError
         If no ground lies there, or the track has another shape.
     """
-    track = np.asarray(antenna_position, np.float64)
+    track = np.asarray(stores.enter({"antenna_position": antenna_position})["antenna_position"], np.float64)
     if track.ndim != 2 or track.shape[0] < 3 or track.shape[1] != 3:
         raise InputError(f"antenna_position has the shape {track.shape}; give (n_pulse, 3) of at least three pulses")
+    check_centre(track)
     if side_of_track not in ("left", "right"):
         raise InputError(f"side_of_track is {side_of_track!r}; it must be 'left' or 'right'")
     at = min(max(track.shape[0] // 2 if pulse is None else pulse, 1), track.shape[0] - 2)

@@ -76,6 +76,26 @@ def check_earth_centred(
     if not _usable(time, position, reference):
         return
     _check_degrees(time, position, 0.0, "them")
+    check_centre(position)
+    _check_rounding(carrier, position)
+    _check_inertial(time, position, reference, frame)
+    local = frame.from_ecef(position)
+    if (local[:, 2] < 0).all():
+        away = float(np.median(np.sqrt((local**2).sum(axis=1))))
+        raise InputError(
+            f"antenna_position lies {away:.6g} m from the georeference's origin, below its horizon; correct the "
+            "georeference, or turn positions that are inertial (ECI) into Earth-fixed ones (ECEF)"
+        )
+
+
+def check_centre(position: FloatArray) -> None:
+    """Refuse positions (n, 3), m, that do not lie about the Earth's centre.
+
+    Raises
+    ------
+    InputError
+        If they do not; it says what they look like.
+    """
     size = _size(position)
     if not SMALLEST <= size <= LARGEST:
         if SMALLEST <= 1e3 * size <= LARGEST:
@@ -87,15 +107,6 @@ def check_earth_centred(
         raise InputError(
             f"antenna_position lies {size:.6g} m from the Earth's centre, which is {EQUATOR:.7g} m below the ground; "
             f"{remedy}"
-        )
-    _check_rounding(carrier, position)
-    _check_inertial(time, position, reference, frame)
-    local = frame.from_ecef(position)
-    if (local[:, 2] < 0).all():
-        away = float(np.median(np.sqrt((local**2).sum(axis=1))))
-        raise InputError(
-            f"antenna_position lies {away:.6g} m from the georeference's origin, below its horizon; correct the "
-            "georeference, or turn positions that are inertial (ECI) into Earth-fixed ones (ECEF)"
         )
 
 

@@ -382,9 +382,18 @@ def check_type(given: Given, _: Arguments) -> None:
     raise InputError(f"{name} is {array.dtype}, but must be {dtype}; {remedy}")
 
 
+def check_finite(given: Given, _: Arguments) -> None:
+    """NaN, infinities | samples are missing; `beam_azimuth`, `beam_width`: NaN if not steered; refused elsewhere"""
+    # Arrays are checked where it is known what each pulse needs (`Collection`).
+    if given.kind != "number" or not isinstance(given.value, float) or np.isfinite(given.value):
+        return
+    if given.name != "beam_width" or not np.isnan(given.value):
+        raise InputError(f"{given.name} is {given.value}; give a finite number")
+
+
 CHECKS: tuple[Callable[[Given, Arguments], None], ...] = (
     check_container, check_packed, check_masked, check_units_stated, check_dimensions, check_components, check_labels,
-    check_relations, check_pairs, check_type,
+    check_relations, check_pairs, check_type, check_finite,
 )  # fmt: skip
 
 
