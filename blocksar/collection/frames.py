@@ -17,6 +17,7 @@ from blocksar.errors import InputError
 SMALLEST, LARGEST = 6.33e6, 6.0e7  # m from the Earth's centre: below the deepest ground at a pole, beyond any orbit
 EQUATOR = 6378137.0  # m
 DEGREE = 111.2e3  # m on the ground
+COARSE = 1000.0  # m across the line of sight: no synthetic aperture resolves so little
 LOW = 300.0  # m above the ground: below, small horizontal coordinates may be metres, as on a rail
 AIRCRAFT, ORBITS = (20.0, 1200.0), (500.0, 9000.0)  # m/s over ground, below and above SPACE
 SPACE = 100e3  # m
@@ -45,8 +46,8 @@ def check_scene_frame(
     if not _usable(time, position, reference):
         return
     _check_rounding(carrier, position)
-    _check_degrees(time, position, ground_height, "earth_centred=True and a georeference")
-    distance, height = float(np.median(reference)), position[:, 2] - ground_height
+    distance = float(np.median(reference))
+    _check_degrees(carrier, time, position, distance, ground_height, "earth_centred=True and a georeference")
     for unit, metres in (("m", 1.0), ("km", 1e3)):
         if _is_earth_centred(metres * position, time, distance, ground_height):
             raise InputError(
@@ -54,8 +55,13 @@ def check_scene_frame(
                 f"looks Earth-centred{'' if unit == 'm' else ', in km: multiply it by 1000'}; give earth_centred=True, "
                 "and the georeference of a scene frame, such as blocksar.scene_centre returns"
             )
-    below = -position[:, 2] + ground_height
-    if (height < 0).all() and (below <= distance).all() and distance > 0 and float(below.min()) > 0.02 * distance:
+    below = -position[:, 2] - ground_height
+    if (
+        (position[:, 2] < 0).all()
+        and (below <= distance).all()
+        and distance > 0
+        and float(below.min()) > 0.02 * distance
+    ):
         raise InputError(
             f"antenna_position has z = {np.median(position[:, 2]):.6g} m at a range of {distance:.6g} m: z looks like "
             "down, but must point up; of north, east and down give east, north and -down, in this order"
@@ -75,7 +81,7 @@ def check_earth_centred(
     """
     if not _usable(time, position, reference):
         return
-    _check_degrees(time, position, 0.0, "them")
+    _check_degrees(carrier, time, position, float(np.median(reference)), 0.0, "them")
     check_centre(position)
     _check_rounding(carrier, position)
     _check_inertial(time, position, reference, frame)
@@ -145,11 +151,17 @@ def _is_earth_centred(position: FloatArray, time: FloatArray, distance: float, g
     return not 0 < height <= distance or climbs
 
 
-def _check_degrees(time: FloatArray, position: FloatArray, ground_height: float, remedy: str) -> None:
+def _check_degrees(
+    carrier: float, time: FloatArray, position: FloatArray, distance: float, ground_height: float, remedy: str
+) -> None:
     """Refuse latitude, longitude and height: small, high above the ground, and as fast as a platform if degrees.
 
-    Satellites turn by 0.06 degrees a second, aircraft by less than 0.01: as metres, next to no motion.
+    Satellites turn by 0.06 degrees a second, aircraft by less than 0.01: as metres, next to no motion, whose aperture L
+    resolves c R / (2 fc L), COARSE and more.
     """
+    aperture = _way(position[:, :2])
+    if 2 * carrier * aperture * COARSE > SPEED_OF_LIGHT * distance:
+        return
     height = float(np.median(position[:, 2])) - ground_height
     for unit, most, metres in (("degrees", (90.0, 360.0), DEGREE), ("radians", (np.pi / 2, 2 * np.pi), 6.37e6)):
         first, second = np.abs(position[:, :2]).max(axis=0)
@@ -159,7 +171,7 @@ def _check_degrees(time: FloatArray, position: FloatArray, ground_height: float,
             if heights < LOW:
                 continue
             slowest, fastest = ORBITS if heights > SPACE else AIRCRAFT
-            speed = _way(position[:, :2]) / float(time[-1] - time[0])
+            speed = aperture / float(time[-1] - time[0])
             latitude = np.radians(position[0, 0]) if unit == "degrees" and first <= 90 else 0.0
             shrunk = max(float(np.cos(latitude)), 1e-3)
             if slowest <= metres * speed and metres * speed * shrunk <= fastest and speed < 0.05 * heights:
