@@ -248,7 +248,7 @@ REFUSED: dict[str, dict[str, tuple[Case, str]]] = {
     "check_finite": {
         "a number": (lambda a: {"carrier_frequency": np.nan}, "carrier_frequency is nan; give a finite number"),
         "a height": (lambda a: {"ground_height": -np.inf}, "ground_height is -inf; give a finite number"),
-        "a position": (lambda a: {"antenna_position": a["antenna_position"] + [0, 0, np.inf]}, "is not finite at 400 of"),
+        "a position": (lambda a: {"antenna_position": a["antenna_position"] + [0, 0, np.inf]}, "not finite at 400 of"),
         "a range": (lambda a: {"reference_range": np.where(STEPS == 3, np.nan, 1e4)}, "not finite at 1 of 400 pulses"),
         "all samples": (lambda a: {"signal": a["signal"] + np.inf}, "holds no finite sample"),
     },
