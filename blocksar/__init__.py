@@ -81,15 +81,26 @@ def __getattr__(name: str) -> Any:
 @cache
 def _in_python(function: Callable[..., Any]) -> Callable[..., Any]:
     """Copy of the function whose errors name parameters where they would name options of the command line."""
-    from blocksar.errors import InputError, ProcessingError, in_python
+    from blocksar.errors import InputError, ProcessingError, UnknownOption, in_python, shortened_trace
+    from blocksar.options import check_arguments, nearest_argument
 
     @wraps(function)
     def call(*arguments: Any, **settings: Any) -> Any:
         try:
+            check_arguments(function, settings)
             return function(*arguments, **settings)
         except (InputError, ProcessingError) as error:
-            error.args = (in_python(str(error)), *error.args[1:])
+            nearer = nearest_argument(function, error.name) if isinstance(error, UnknownOption) else None
+            error.args = (nearer or in_python(str(error)), *error.args[1:])
+            shortened_trace(error)
             raise
+        except OSError as error:
+            if "://" not in str(error.filename):
+                raise
+            from blocksar.places import place
+            from blocksar.stores.records import unreachable  # only where an object store fails
+
+            raise unreachable(place(error.filename), error) from None
 
     return call
 

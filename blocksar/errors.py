@@ -54,6 +54,27 @@ class InputError(ValueError):
         super().__init__(LONG_WORD.sub(lambda word: f"{word[0][:SHORT]}...{word[0][-SHORT:]}", printable(message)))
 
 
+class MissingInput(InputError, FileNotFoundError):
+    """Nothing lies at a path that is given: also the error that Python's own functions raise then."""
+
+
+class UnknownOption(InputError, TypeError):
+    """A function has no argument of a name: also the error that Python itself raises then.
+
+    Attributes
+    ----------
+    name : str
+        The argument.
+    """
+
+    def __init__(self, message: str, name: str) -> None:
+        super().__init__(message)
+        self.name = name
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (str(self), self.name)
+
+
 class Unfocusable(InputError):
     """No chain forms the image that is asked for, although the input is right: exact back-projection does."""
 
@@ -110,6 +131,13 @@ def in_the_way(path: object, state: str = "exists") -> InputError:
 def changes_while_read(path: object, detail: str = "") -> InputError:
     """The error about a store that something writes to while it is read; `detail` follows the sentence's first part."""
     return InputError(f"{path} changes while it is read{detail}; start again once nothing writes to it")
+
+
+def shortened_trace(error: Exception) -> None:
+    """Cut what a trace shows before an error in a sentence to the file system's own, without its causes and frames."""
+    cause = error.__cause__
+    if isinstance(cause, OSError) and cause.errno is not None:
+        cause.__cause__, cause.__suppress_context__, cause.__traceback__ = None, True, None
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from functools import cache
 from inspect import Parameter, signature
 from typing import Annotated, Any, NamedTuple, TypeVar, get_origin, get_type_hints
 
-from blocksar.errors import InputError, quoted
+from blocksar.errors import UnknownOption, quoted
 
 Model = TypeVar("Model")
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -105,8 +105,39 @@ def read_options(model: type[Model], given: Mapping[str, Any], of: str, elsewher
     asked = {name: value for name, value in given.items() if value is not None}
     for name, value in asked.items():
         if name not in known:
-            raise InputError(_not_one(name, value, of, known, elsewhere))
+            raise UnknownOption(_not_one(name, value, of, known, elsewhere), name)
     return model(**read_values(known.values(), asked))
+
+
+def nearest_argument(function: Callable[..., Any], name: str) -> str | None:
+    """Say which argument of a function, or option in its signature, has nearly this name; None if there is none.
+
+    Examples
+    --------
+    >>> nearest_argument(showing_options, "model")
+    "showing_options has no argument 'model'; did you mean models?"
+    """
+    close = difflib.get_close_matches(name, [each for each in signature(function).parameters if each != name], n=1)
+    label = getattr(function, "__name__", "the function")
+    return f"{label} has no argument {name!r}; did you mean {close[0]}?" if close else None
+
+
+def check_arguments(function: Callable[..., Any], given: Iterable[str]) -> None:
+    """Check the names of arguments of a function that takes no others than it states.
+
+    Raises
+    ------
+    UnknownOption
+        If it has none of a name; it says which is near.
+    """
+    known = signature(function).parameters
+    if any(each.kind is Parameter.VAR_KEYWORD for each in known.values()):
+        return  # told where the options are read
+    for name in given:
+        if name not in known:
+            message = nearest_argument(function, name)
+            label = getattr(function, "__name__", "the function")
+            raise UnknownOption(message or f"{label} has no argument {name!r}; it has {', '.join(known)}", name)
 
 
 def read_values(options: Iterable[Stated], given: Mapping[str, Any]) -> dict[str, Any]:

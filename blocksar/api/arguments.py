@@ -15,7 +15,7 @@ import numpy as np
 from blocksar import stores
 from blocksar.collection.collection import Collection
 from blocksar.collection.georeference import Georeference
-from blocksar.errors import InputError, quoted
+from blocksar.errors import InputError, MissingInput, quoted
 from blocksar.ingestion.readers import found_at
 from blocksar.places import Location, lies_at, place
 from blocksar.places.local import LocalPlace
@@ -240,12 +240,12 @@ def history_of(source: One) -> stores.PhaseHistory:
             )
         try:
             return stores.open_phase_history(source)
-        except InputError:
+        except InputError as error:
             from blocksar.api.arguments import mistaken  # only where something is wrong
 
             if (better := mistaken(source)) is None:
                 raise
-            raise InputError(better) from None
+            raise (MissingInput if isinstance(error, MissingInput) else InputError)(better) from None
     if is_dataset(source):
         return stores.history_of(source)
     what = f"{type(source).__module__.partition('.')[0]}.{type(source).__name__}".removeprefix("builtins.")

@@ -24,7 +24,7 @@ from blocksar.collection.grid import Grid, ground_resolution
 from blocksar.collection.region import default_grid, plan_region
 from blocksar.collection.weighting import FLAT
 from blocksar.constants import SPEED_OF_LIGHT, unit_of_lengths
-from blocksar.errors import InputError
+from blocksar.errors import InputError, MissingInput
 from blocksar.focusing.method import Method
 from blocksar.ingestion.kinds import SCENE
 from blocksar.ingestion.readers import READERS, Reader, found_at
@@ -35,6 +35,7 @@ from blocksar.places.ranges import Readable, WebFile
 from blocksar.runs.folder import member
 from blocksar.runs.record import RECORD, RunRecord
 from blocksar.simulation import shipped_scenes
+from blocksar.stores.records import unreachable
 from blocksar.texts import count, frequency_text, size_text
 
 if TYPE_CHECKING:
@@ -278,7 +279,7 @@ def info(path: Location | xr.Dataset) -> Report:
     try:
         names = where.names()
     except OSError as error:
-        raise InputError(f"{where} cannot be read ({error.strerror or error}); check its permissions") from error
+        raise unreachable(where, error) from error
     if RECORD in names:
         return _run(where)
     if "zarr.json" in names or ".zgroup" in names:
@@ -289,7 +290,7 @@ def info(path: Location | xr.Dataset) -> Report:
             files = [where / name for name in sorted(names) if name.endswith(ending)]
             return _described(READERS.get(name), files, str(where), f"{where / f'*{ending}'}")
         if not where.exists():
-            raise InputError(f"{where} does not exist; check the path")
+            raise MissingInput(f"{where} does not exist; check the path")
     elif not names:
         return _file(where)
     raise _unknown(where, names)
@@ -449,7 +450,7 @@ def _file(where: Readable) -> Report:
     except OSError as error:
         raise InputError(f"{where} cannot be read ({error.strerror or error}); check its permissions") from error
     if found is None:
-        raise InputError(f"{where} does not exist, or is no file; check the path")
+        raise MissingInput(f"{where} does not exist, or is no file; check the path")
     if (name := found.reader) is not None:
         return _described(READERS.get(name), [where], str(where), str(where))
     if found.kind is SCENE and isinstance(where, LocalPlace):

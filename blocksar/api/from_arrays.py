@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from blocksar import stores
 from blocksar.api.arguments import is_dataset
-from blocksar.arrays import FloatArray
+from blocksar.collection.frames import check_centre, check_earth_centred
 from blocksar.collection.georeference import Georeference, find_scene_centre
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
@@ -144,29 +144,21 @@ def collection(
     InputError
         If an array has the wrong shape, kind or unit, something needed is missing, or no sample is finite.
     """
-    _check_samples(signal, echo, range_frequency, fast_time)
-    if pulse_reference is not None and echo is None:
+    given = stores.enter(dict(locals()))
+    _check_samples(given)
+    if given["pulse_reference"] is not None and given["echo"] is None:
         raise InputError(f"pulse_reference is {pulse_reference!r}, but signal has no pulses; leave it out")
-    if time is None:
+    if given["time"] is None:
         raise InputError("time is None; give the times of the pulses, s")
-    _check_reference(reference_range, range_frequency, antenna_position, ground_height)
+    _check_reference(given)
     if earth_centred:
-        antenna_position, beam_axis = _into_frame(georeference, antenna_position, beam_axis)
-    if np.ndim(reference_range) == 0:
-        reference_range = np.broadcast_to(np.asarray(reference_range), np.shape(time)[:1])
-    variables = {
-        "signal": signal, "echo": echo, "time": time, "range_frequency": range_frequency, "fast_time": fast_time,
-        "reference_range": reference_range, "antenna_position": antenna_position, "beam_azimuth": beam_azimuth,
-        "beam_axis": beam_axis, "beam_steering": beam_steering, "beam_offset": beam_offset,
-        "beam_pattern": beam_pattern, "elevation": elevation, "elevation_pattern": elevation_pattern,
-        "channel": channel,
-    }  # fmt: skip
-    attrs: dict[str, Any] = {
-        "carrier_frequency": carrier_frequency, "beam_width": beam_width, "ground_height": ground_height,
-        "noise_power": noise_power, "side_of_track": side_of_track, "chirp_rate": chirp_rate,
-        "pulse_width": pulse_width, "pulse_reference": pulse_reference, "title": title,
-        "Conventions": stores.CONVENTIONS,
-    }  # fmt: skip
+        given |= _into_frame(given)
+    if np.ndim(given["reference_range"]) == 0:
+        given["reference_range"] = np.broadcast_to(given["reference_range"], np.shape(given["time"])[:1])
+    variables = {name: given[name] for name in (*stores.SCHEMA, "channel")}
+    kept = (*stores.NUMBERS, "side_of_track", "pulse_reference", "title")
+    attrs: dict[str, Any] = {name: given[name] for name in kept if name != "time_zero"}
+    attrs["Conventions"] = stores.CONVENTIONS
     if targets is not None:
         if not np.iterable(targets):
             raise InputError(f"targets is {targets!r}; give a list of targets")
@@ -176,23 +168,31 @@ def collection(
     attrs["polarization"] = _polarization(polarization, channel)
     origin = {"format": source} if source is not None else {}
     if collection_start is not None:
-        origin |= stated_times(str(collection_start), time_zero)
+        origin |= stated_times(str(collection_start), given["time_zero"])
     attrs["source"] = origin or None
     from blocksar.products import dataset  # registers the accessor, and loads xarray
 
     return dataset.prepare(stores.dataset_of(variables, attrs))
 
 
-def _into_frame(georeference: Any, position: ArrayLike, axis: ArrayLike | None) -> tuple[FloatArray, FloatArray | None]:
-    """Earth-centred positions (n, 3), m, and axes (n, 3) in the frame of a georeference."""
-    if georeference is None:
+def _into_frame(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Earth-centred positions (n, 3), m, and axes (n, 3) in the frame of the georeference."""
+    if given["georeference"] is None:
         raise InputError(
             "earth_centred = True, but no georeference is given, which says where the scene frame lies; give one"
         )
-    frame, places = Georeference.from_attribute(georeference), np.asarray(position, np.float64)
-    if places.ndim != 2 or places.shape[1] != 3:
-        raise InputError(f"antenna_position has the shape {places.shape}; give (n_pulse, 3): x, y and z, m")
-    return frame.from_ecef(places), None if axis is None else np.asarray(axis, np.float64) @ frame.axes.T
+    frame = Georeference.from_attribute(given["georeference"])
+    places, axis = given["antenna_position"], given["beam_axis"]
+    if np.ndim(places) != 2 or places.shape[1] != 3:
+        raise InputError(f"antenna_position has the shape {np.shape(places)}; give (n_pulse, 3): x, y and z, m")
+    check_earth_centred(
+        carrier=given["carrier_frequency"], time=given["time"], position=places, reference=given["reference_range"],
+        frame=frame,
+    )  # fmt: skip
+    return {
+        "antenna_position": frame.from_ecef(places),
+        "beam_axis": None if axis is None else np.asarray(axis, np.float64) @ frame.axes.T,
+    }
 
 
 def scene_centre(
@@ -232,9 +232,10 @@ def scene_centre(
     InputError
         If no ground lies there, or the track has another shape.
     """
-    track = np.asarray(antenna_position, np.float64)
+    track = np.asarray(stores.enter({"antenna_position": antenna_position})["antenna_position"], np.float64)
     if track.ndim != 2 or track.shape[0] < 3 or track.shape[1] != 3:
         raise InputError(f"antenna_position has the shape {track.shape}; give (n_pulse, 3) of at least three pulses")
+    check_centre(track)
     if side_of_track not in ("left", "right"):
         raise InputError(f"side_of_track is {side_of_track!r}; it must be 'left' or 'right'")
     at = min(max(track.shape[0] // 2 if pulse is None else pulse, 1), track.shape[0] - 2)
@@ -260,8 +261,11 @@ def _polarization(text: str | None, channel: Any) -> dict[str, str] | None:
     return {"transmit": parts[0], "receive": parts[1]}
 
 
-def _check_samples(signal: Any, echo: Any, range_frequency: Any, fast_time: Any) -> None:
+def _check_samples(given: Mapping[str, Any]) -> None:
     """Check that the samples come with their axis."""
+    signal, echo, range_frequency, fast_time = (
+        given[name] for name in ("signal", "echo", "range_frequency", "fast_time")
+    )
     if (signal is None) == (echo is None):
         raise InputError(
             f"{'neither signal nor echo is' if signal is None else 'signal and echo are both'} given; give signal over "
@@ -276,12 +280,13 @@ def _check_samples(signal: Any, echo: Any, range_frequency: Any, fast_time: Any)
             raise InputError(f"{other} is given, but {name} lies over {axis}; leave {other} out")
 
 
-def _check_reference(reference_range: Any, range_frequency: Any, position: Any, ground_height: Any) -> None:
+def _check_reference(given: Mapping[str, Any]) -> None:
     """Check that the reference range is plausible: zero is so only where half a range window reaches the ground."""
+    range_frequency = given["range_frequency"]
     try:
-        least = float(np.nanmin(np.asarray(reference_range, np.float64)))
-        height = float(np.nanmin(np.asarray(position, np.float64)[..., 2])) - ground_height
-        step = 0.0 if range_frequency is None else abs(float(np.diff(np.asarray(range_frequency, np.float64)[:2])[0]))
+        least = float(np.nanmin(given["reference_range"]))
+        height = float(np.nanmin(given["antenna_position"][..., 2])) - given["ground_height"]
+        step = 0.0 if range_frequency is None else abs(float(np.diff(range_frequency[:2])[0]))
     except (TypeError, ValueError, IndexError):
         return  # said later, with the shape
     if least > 0 or (least == 0 and step and SPEED_OF_LIGHT / (4 * step) > height):

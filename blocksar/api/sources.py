@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal, TypedDict, TypeVar, Unpack
 
 from blocksar.api.reports import Report, only_stage
-from blocksar.errors import InputError
+from blocksar.errors import InputError, MissingInput
 from blocksar.graph.machine import resources
 from blocksar.ingestion import readers
 from blocksar.ingestion.readers import READERS, found_at, stated_times
@@ -182,7 +182,7 @@ def reader_of(source: Location) -> str:
         raise InputError(f"{where} cannot be read ({error.strerror or error}); check its permissions") from error
     if found is None:
         kinds = ", ".join(READERS.names())
-        raise InputError(f"{where} does not exist, or is no file; check the path (kinds of files are {kinds})")
+        raise MissingInput(f"{where} does not exist, or is no file; check the path (kinds of files are {kinds})")
     if found.reader is None:
         raise InputError(found.sentence(where))
     return found.reader

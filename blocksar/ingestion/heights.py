@@ -14,7 +14,7 @@ from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.collection.surface import Surface
 from blocksar.collection.terrain import LEAST, Terrain
-from blocksar.errors import InputError
+from blocksar.errors import InputError, MissingInput
 from blocksar.ingestion.reading import reading
 from blocksar.ingestion.terrain_earth import MOST_HEIGHTS, ellipsoid, read_geotiff, refuse_untagged
 from blocksar.places import Location, place
@@ -236,7 +236,7 @@ class Ground:
             terrain = self.read_box(georeference, x, y, level=ground_height)
         elif georeference is None:
             if self.terrain is not None and not place(self.terrain).exists():
-                raise InputError(f"terrain {self.terrain} does not exist; check the path")
+                raise MissingInput(f"terrain {self.terrain} does not exist; check the path")
             what = "surface = ellipsoid" if self.terrain is None else f"terrain {self.terrain}"
             raise InputError(
                 f"{what} needs to know where on the Earth the scene lies; put the attribute georeference into the "

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.errors import InputError, quoted
+from blocksar.errors import InputError, MissingInput, quoted
 from blocksar.ingestion.kinds import ECHOES, Kind, Start, begins, ceos
 from blocksar.ingestion.orbit import Antenna, Orbit, inertial
 from blocksar.ingestion.readers import found_at, refuse_few
@@ -283,7 +283,7 @@ def find_files(sources: Sequence[Readable]) -> Files:
         raise InputError(f"{sources[0]} is on a server; copy the files of the scene to a local folder first")
     for each in local:
         if not each.path.exists():
-            raise InputError(f"{each} does not exist; check the path")
+            raise MissingInput(f"{each} does not exist; check the path")
     # One file alone stands for the folder that it lies in.
     given = [LocalPlace(local[0].path.parent)] if len(local) == 1 and not local[0].path.is_dir() else local
     files = [

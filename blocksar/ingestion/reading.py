@@ -9,7 +9,7 @@ from pathlib import Path
 from textwrap import shorten
 
 from blocksar.collection.collection import Collection
-from blocksar.errors import InputError, ProcessingError, printable
+from blocksar.errors import InputError, MissingInput, ProcessingError, printable
 from blocksar.places.place import Place
 from blocksar.places.ranges import Readable
 
@@ -34,9 +34,10 @@ def reading(path: Readable, *, damaged: str, remedy: str) -> Iterator[None]:
         yield
     except InputError as error:
         text = str(error)
-        raise InputError(text if str(path) in text else f"{path}: {text}") from error.__cause__
+        kind = MissingInput if isinstance(error, MissingInput) else InputError
+        raise kind(text if str(path) in text else f"{path}: {text}") from error.__cause__
     except FileNotFoundError as error:
-        raise InputError(f"{path} does not exist; check the path") from error
+        raise MissingInput(f"{path} does not exist; check the path") from error
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror or error}); check it and its permissions") from error
     except (MemoryError, ProcessingError):

@@ -10,7 +10,8 @@ from numpy.polynomial import chebyshev
 from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.region import Region, doubt_width
+from blocksar.collection.meant import doubt_width
+from blocksar.collection.region import Region
 from blocksar.collection.track_shape import find_flaw
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, PrfTooLow, Unfocusable

@@ -17,7 +17,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.weighting import Weighting
-from blocksar.errors import InputError
+from blocksar.errors import InputError, MissingInput
 from blocksar.measurement.noise_figures import NoiseFigures
 from blocksar.measurement.response import ReadChip
 from blocksar.places.local import LocalPlace
@@ -46,7 +46,8 @@ def finished_record(folder: Place) -> RunRecord:
     except OSError as error:
         raise unreachable(folder, error) from error
     if wrong is not None:
-        raise InputError(f"{folder} {wrong}; give the folder that `blocksar focus --out` left")
+        kind = InputError if folder.exists() else MissingInput
+        raise kind(f"{folder} {wrong}; give the folder that `blocksar focus --out` left")
     record = RunRecord.read(folder)
     if not record.finished:
         raise InputError(f"{folder} is not finished; run `blocksar focus` again with the same settings")

@@ -47,7 +47,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.errors import InputError
+from blocksar.errors import InputError, MissingInput
 from blocksar.simulation import shipped_scenes, shipped_text
 from blocksar.simulation.antenna import axis_beam, lit_yaws, patterns
 from blocksar.simulation.scene_fields import LARGEST, SMALLEST, ClutterTable, ReflectivityTable
@@ -256,8 +256,10 @@ def scene_text(source: str | Path) -> str:
 
     Raises
     ------
+    MissingInput
+        If there is no such scene.
     InputError
-        If there is no such scene, or the file cannot be read.
+        If the file cannot be read.
     """
     path = Path(source)
     if os.path.isfile(path):
@@ -266,7 +268,7 @@ def scene_text(source: str | Path) -> str:
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(f"{path} cannot be read ({error}); give a scene file in UTF-8") from None
     if str(source) not in shipped_scenes():
-        raise InputError(
+        raise MissingInput(
             f"scene {str(source)!r} is neither a file nor one of the shipped scenes: {', '.join(shipped_scenes())}"
         )
     return shipped_text(str(source))

@@ -31,6 +31,7 @@ from blocksar.stores.contract import (
     PATCH,
     PHASE_HISTORY,
     RAW_ECHO,
+    SCHEMA,
     SPECTRUM,
     TRACK_AND_BEAM,
     TRUTH,
@@ -59,6 +60,7 @@ from blocksar.stores.creation import (
     write_collection,
 )
 from blocksar.stores.datasets import CONTENT, DatasetHistory, dataset_of, history_in_memory, history_of
+from blocksar.stores.incoming import NUMBERS, enter
 from blocksar.stores.phase_history import (
     PhaseHistory,
     collections_in,
@@ -84,6 +86,7 @@ __all__ = [
     "IMAGE",
     "LEVEL",
     "NOISE",
+    "NUMBERS",
     "ON_TERRAIN",
     "ORIGINAL",
     "PATCH",
@@ -91,6 +94,7 @@ __all__ = [
     "POLARIZATIONS",
     "PYRAMID",
     "RAW_ECHO",
+    "SCHEMA",
     "SPECTRUM",
     "TRACK_AND_BEAM",
     "TRUTH",
@@ -116,6 +120,7 @@ __all__ = [
     "create_collections",
     "create_phase_history",
     "dataset_of",
+    "enter",
     "file_checksum",
     "files_to_copy",
     "groups_of",

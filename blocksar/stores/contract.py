@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import base64
+import math
+import re
+import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from math import prod
 from typing import TYPE_CHECKING, Any
@@ -16,6 +20,7 @@ from blocksar.errors import InputError
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.stores.chunk_files import ChunkFiles
+from blocksar.stores.labels import axis_order
 from blocksar.stores.regions import (
     dimension_names,
     file_name,
@@ -89,6 +94,7 @@ RAW_ECHO = {
     "fast_time": FAST_TIME,
     **TRACK_AND_BEAM,
 }
+SCHEMA = {**PHASE_HISTORY, **RAW_ECHO, **OPTIONAL}  # of phase histories of all kinds
 TRUTH = {"antenna_position": TRACK_AND_BEAM["antenna_position"], "time": TIME}
 SPECTRUM = {
     "spectrum": Variable(("doppler", "range_frequency"), "complex64", "1", "recovered Doppler spectrum"),
@@ -161,12 +167,21 @@ COLLECTION_ATTRS = {
 }
 RAW_ATTRS = ("chirp_rate", "pulse_width", "pulse_reference")
 PULSE_REFERENCES = ("centre", "start")  # the first is the default
-UNITS = {  # accepted spellings of the contract's units
-    "s": ("s", "sec", "second", "seconds"),
-    "Hz": ("hz", "hertz", "s-1", "1/s"),
-    "m": ("m", "metre", "metres", "meter", "meters"),
-    "rad": ("rad", "radian", "radians"),
+UNITS = {  # spellings of units, and how many of the contract's they are
+    "s": {"s": 1.0, "sec": 1.0, "second": 1.0, "min": 60.0, "minute": 60.0},
+    "Hz": {"hz": 1.0, "hertz": 1.0, "s-1": 1.0, "1/s": 1.0},
+    "m": {"m": 1.0, "metre": 1.0, "meter": 1.0, "ft": 0.3048, "foot": 0.3048, "feet": 0.3048},
+    "rad": {"rad": 1.0, "radian": 1.0, **dict.fromkeys(("deg", "degree", "\N{DEGREE SIGN}"), math.pi / 180)},
+    "Hz/s": {"hz/s": 1.0, "hz s-1": 1.0, "hertz/second": 1.0, "hertz / second": 1.0, "mhz/us": 1e12, "ghz/s": 1e9},
+    "1": dict.fromkeys(("1", "", "none", "unitless", "dimensionless", "-"), 1.0),
 }
+PREFIXES = {
+    "": 1.0, "k": 1e3, "kilo": 1e3, "mega": 1e6, "g": 1e9, "giga": 1e9, "tera": 1e12, "c": 1e-2, "centi": 1e-2,
+    "milli": 1e-3, "u": 1e-6, "micro": 1e-6, "\N{MICRO SIGN}": 1e-6, "\N{GREEK SMALL LETTER MU}": 1e-6,
+    "n": 1e-9, "nano": 1e-9, "p": 1e-12, "pico": 1e-12,
+}  # fmt: skip
+M_MEANS = {"Hz": 1e6}  # of others milli
+PHASES = re.compile(r"\b(db\w*|decibels?|deg\w*|rad|radians?)\b", re.I)  # in which no samples are
 
 
 # ---------------------------------------------------------------- checks
@@ -227,15 +242,58 @@ def check_type(name: str, variable: Variable, dims: tuple[Any, ...] | None, dtyp
         raise InputError(f"{name} is {dtype}, but must be {variable.dtype}; write it as that")
 
 
-def check_units(name: str, variable: Variable, units: Any) -> None:
-    """Check that the units that a variable states, if any, are those of the contract."""
-    if units is not None and variable.units in UNITS and str(units).strip().lower() not in UNITS[variable.units]:
-        raise InputError(f"{name} is in {units!r}, but must be in {variable.units}; convert it")
+def unit_factor(text: str, unit: str) -> float | None:
+    """How many of the contract's units a stated one is, such as 1000 of "km" where m are wanted; None if it is none."""
+    text = " ".join(text.split()).lower()
+    prefixes = {**PREFIXES, "m": M_MEANS.get(unit, 1e-3)}
+    for spelling, factor in UNITS.get(unit, {}).items():
+        for word in (spelling, f"{spelling}s") if spelling.isalpha() else (spelling,):
+            if text == word:
+                return factor
+            if text.endswith(word) and spelling.isalpha() and (prefix := prefixes.get(text.removesuffix(word))):
+                return prefix * factor
+    return None
+
+
+def check_units(name: str, unit: str, units: Any) -> None:
+    """Check that the units that a variable states, if any, are those of the contract; of samples: that they are linear.
+
+    Raises
+    ------
+    InputError
+        If they are others; it says by what to multiply.
+    """
+    if units is None:
+        return
+    if name in SAMPLES or unit == "samples":
+        if PHASES.search(str(units)):
+            raise InputError(f"{name} is in {units!r}, but must be linear; give complex samples of amplitude")
+        return
+    factor = unit_factor(str(units), unit) if unit in UNITS else 1.0
+    if factor != 1:
+        remedy = "convert it" if factor is None else f"convert it: multiply it by {factor:.12g}"
+        raise InputError(f"{name} is in {units!r}, but must be in {unit}; {remedy}")
+
+
+def fill_value(attrs: Mapping[str, Any]) -> list[float]:
+    """The numbers that stand for missing values by the attributes `_FillValue` and `missing_value`, besides NaN."""
+    found = []
+    for name in ("_FillValue", "missing_value"):
+        value = attrs.get(name)
+        if isinstance(value, str):  # as xarray writes numbers in stores of format 3
+            try:
+                value = np.frombuffer(base64.b64decode(value, validate=True), "<f8")[0]
+            except (ValueError, IndexError):
+                continue
+        for each in np.ravel(value) if value is not None else ():
+            if isinstance(each, int | float | np.number) and not isinstance(each, bool) and not np.isnan(each):
+                found.append(float(np.real(each)))
+    return found
 
 
 def checked(place: Place, name: str) -> ChunkFiles | zarr.Array[Any]:
     """Open a variable of the contract, and check everything except its values."""
-    variable = {**PHASE_HISTORY, **RAW_ECHO, **OPTIONAL}[name]
+    variable = SCHEMA[name]
     if not metadata_file(place / name):
         raise missing(name, variable)
     array = open_variable(place, name)
@@ -253,7 +311,9 @@ def checked(place: Place, name: str) -> ChunkFiles | zarr.Array[Any]:
     count = prod(-(-n // chunk) for n, chunk in zip(array.shape, chunks, strict=True))
     if count > MAX_CHUNKS and name not in SAMPLES:
         raise InputError(f"{name} has {count} chunks, but is read as a whole; write it in at most {MAX_CHUNKS}")
-    check_units(name, variable, array.attrs.get("units"))
+    check_units(name, variable.units, array.attrs.get("units"))
+    if name in SAMPLES and (fill := fill_value(array.attrs)):
+        raise InputError(f"{name} has the fill value {fill[0]:g}; write missing samples as NaN, without the attribute")
     packed = [key for key, idle in (("scale_factor", 1), ("add_offset", 0)) if array.attrs.get(key, idle) != idle]
     if packed:
         raise InputError(
@@ -265,8 +325,43 @@ def checked(place: Place, name: str) -> ChunkFiles | zarr.Array[Any]:
 def read_real(place: Place, name: str) -> FloatArray:
     """Check and read a variable of real numbers."""
     array = checked(place, name)
-    values = read_array(array, (slice(None),) * array.ndim, place, name, label=name)
-    return np.asarray(values, dtype=np.float64)
+    values = np.asarray(read_array(array, (slice(None),) * array.ndim, place, name, label=name), dtype=np.float64)
+    refuse_filled(name, values, dict(array.attrs))
+    return in_order(name, values, lambda: _component_labels(place)) if "axis" in SCHEMA[name].dims else values
+
+
+def refuse_filled(name: str, values: FloatArray, attrs: Mapping[str, Any]) -> None:
+    """Refuse metadata some of whose values stand for missing ones, by their attributes."""
+    for fill in fill_value(attrs):
+        if count := int(np.count_nonzero(values == fill)):
+            raise InputError(
+                f"{name} is missing at {count} of {values.size} values, which are {fill:g}, its fill value; write all "
+                "of them, and the samples of pulses in doubt as NaN"
+            )
+
+
+def in_order(name: str, values: FloatArray, labels: Callable[[], Any]) -> FloatArray:
+    """Components (n, 3) in the order x, y, z, if labels state another; None: there are none.
+
+    Raises
+    ------
+    InputError
+        If labels state something else.
+    """
+    stated = labels()
+    return values if stated is None or values.ndim != 2 else values[:, axis_order(name, "axis", stated)]
+
+
+def _component_labels(place: Place) -> Any:
+    """The values of a coordinate `axis`, which the contract has not; None where there is none."""
+    if not metadata_file(place / "axis"):
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # zarr's, about text of fixed length, which xarray writes
+        array = open_variable(place, "axis")
+        if dimension_names(array) != ("axis",) or array.shape != (3,):
+            return None
+        return read_array(array, (slice(None),), place, "axis", label="axis")
 
 
 def raw_echo_from(fast_time: FloatArray, attrs: Mapping[str, Any]) -> RawEcho:

@@ -13,21 +13,21 @@ import xxhash
 
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.chunks import TILE
-from blocksar.collection.empty_pulses import find_real, real_numbers
+from blocksar.collection.empty_pulses import find_real
 from blocksar.errors import InputError
 from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.stores.channels import attrs_of_channel, check_channels, number_of, text, unnamed_channels, with_channels
 from blocksar.stores.contract import (
-    OPTIONAL,
-    PHASE_HISTORY,
-    RAW_ECHO,
     SAMPLES,
+    SCHEMA,
     Variable,
     check_type,
     check_units,
+    in_order,
     missing,
     raw_echo_from,
+    refuse_filled,
 )
 from blocksar.stores.creation import create_phase_history, history_line
 from blocksar.stores.phase_history import (
@@ -47,7 +47,6 @@ CONTENT = "content"  # attribute of a store written from memory: the fingerprint
 IN_MEMORY = "the dataset"  # stands for the path in messages
 STORE_LAYERS = 2  # of dask's graph of a variable that was opened and nothing else
 AXES = ("time", "range_frequency", "fast_time", "beam_offset", "elevation")
-SCHEMA = {**PHASE_HISTORY, **RAW_ECHO, **OPTIONAL}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,7 +86,7 @@ class DatasetHistory(PhaseHistory):
 
     def _read(self, region: tuple[int | slice, ...]) -> ComplexArray:
         with np.errstate(over="ignore"):
-            return np.asarray(self.samples[region].values).astype(np.complex64, copy=False)
+            return np.asarray(unmasked(self.variable, self.samples[region])).astype(np.complex64, copy=False)
 
     def pinned(self) -> Self:
         return self  # a dataset has no versions
@@ -229,11 +228,16 @@ def _checked(dataset: xr.Dataset) -> DatasetHistory:
             raise missing(name, SCHEMA[name])
         variable = dataset.variables[name]
         check_type(name, SCHEMA[name], tuple(variable.dims), variable.dtype)
-        check_units(name, SCHEMA[name], variable.attrs.get("units"))
-        return np.asarray(variable.values, np.float64)
+        check_units(name, SCHEMA[name].units, variable.attrs.get("units"))
+        values = np.asarray(unmasked(name, variable), np.float64)
+        refuse_filled(name, values, variable.attrs)
+        if "axis" not in SCHEMA[name].dims:
+            return values
+        return in_order(name, values, lambda: _component_labels(dataset))
 
     samples = dataset.variables[names[0]]
     check_type(names[0], SCHEMA[names[0]], tuple(samples.dims), samples.dtype)
+    check_units(names[0], SCHEMA[names[0]].units, samples.attrs.get("units"))
     channels = _channels(dataset, samples.shape[0]) if samples.ndim > len(SCHEMA[names[0]].dims) else ()
     raw = raw_echo_from(read("fast_time"), attrs) if names == ["echo"] else None
     present = dataset.variables.__contains__
@@ -245,6 +249,29 @@ def _checked(dataset: xr.Dataset) -> DatasetHistory:
         path=place(IN_MEMORY), collection=collection, raw=raw, attrs=attrs_of_channel(given, channels, 0), given=given,
         channels=channels, samples=samples,
     )  # fmt: skip
+
+
+def unmasked(name: str, variable: xr.Variable) -> Any:
+    """The values of a variable: NaN where samples are masked, as in arrays of dask that hold masked ones.
+
+    Raises
+    ------
+    InputError
+        If metadata are masked.
+    """
+    values = variable.data.compute() if variable.chunks else variable.values
+    if not isinstance(values, np.ma.MaskedArray):
+        return values
+    mask = np.ma.getmaskarray(values)
+    if name not in SAMPLES and mask.any():
+        raise InputError(f"{name} is masked at {np.count_nonzero(mask)} of {mask.size} values; give all of them")
+    return values.filled(np.nan) if name in SAMPLES else values.data
+
+
+def _component_labels(dataset: xr.Dataset) -> Any:
+    """Labels of x, y and z that a dataset has along its dimension `axis`; None without any."""
+    named = [each.values for each in dataset.coords.values() if each.dims == ("axis",) and each.size == 3]
+    return named[0] if named else None
 
 
 def _channels(dataset: xr.Dataset, count: int) -> tuple[str, ...]:
@@ -260,7 +287,8 @@ def dataset_of(variables: Mapping[str, Any], attrs: Mapping[str, Any]) -> xr.Dat
     Parameters
     ----------
     variables : mapping of str to array
-        By name; those that are None are left out. With `channel`, the names of channels, samples lie along these first.
+        By name, as `incoming.enter` returns them; those that are None are left out. With `channel`, the names of
+        channels, samples lie along these first.
     attrs : mapping of str to object
         Likewise.
 
@@ -282,7 +310,6 @@ def dataset_of(variables: Mapping[str, Any], attrs: Mapping[str, Any]) -> xr.Dat
         schema = with_channels(SCHEMA, *SAMPLES)
     for name in AXES:
         if name in given:
-            given[name] = _array(name, given[name])
             if given[name].ndim != 1:
                 raise InputError(
                     f"{name} has shape {given[name].shape}, but must be an axis: one value for each sample along it"
@@ -290,7 +317,7 @@ def dataset_of(variables: Mapping[str, Any], attrs: Mapping[str, Any]) -> xr.Dat
             lengths[SCHEMA[name].dims[0]] = (given[name].size, name)
     made = {}
     for name, value in given.items():
-        array = np.array(value) if name == "channel" else _array(name, value)
+        array = np.asarray(value)
         _check_shape(name, array, schema[name].dims, lengths)
         made[name] = (schema[name].dims, array, {"units": schema[name].units, "long_name": schema[name].long_name})
     dataset = xr.Dataset(
@@ -300,24 +327,6 @@ def dataset_of(variables: Mapping[str, Any], attrs: Mapping[str, Any]) -> xr.Dat
     )
     _checked(dataset).fingerprint()  # which reads all samples
     return dataset
-
-
-def _array(name: str, value: Any) -> Any:
-    """An array of the kind that the contract fixes; a copy only where its type differs."""
-    dtype = SCHEMA[name].dtype
-    try:
-        array = np.asarray(value)
-    except ValueError:
-        raise InputError(f"{name} is a list of rows of different lengths; give one array") from None
-    if array.dtype.kind not in ("c" if dtype == "complex64" else "fiu"):
-        if array.dtype.kind in "mM":
-            seconds = f'({name} - {name}[0]) / np.timedelta64(1, "s")'
-            raise InputError(f"{name} is {array.dtype}; give seconds as numbers, such as {seconds}")
-        if dtype == "complex64" and array.dtype.kind in "fiu":
-            raise InputError(real_numbers(name, str(array.dtype), float(np.nanmin(array)) if array.size else 0.0))
-        remedy = "give complex samples" if dtype == "complex64" else "give real numbers"
-        raise InputError(f"{name} is {array.dtype}, but must be {dtype}; {remedy}")
-    return array.astype(dtype, copy=False)
 
 
 def _check_shape(name: str, array: Any, dims: Sequence[str], lengths: Mapping[str, tuple[int, str]]) -> None:

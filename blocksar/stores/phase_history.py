@@ -22,10 +22,11 @@ import xxhash
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection import sublooks
 from blocksar.collection.collection import Collection
+from blocksar.collection.frames import check_scene_frame
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.raw_echo import ATTRIBUTE as RECORDED
 from blocksar.collection.raw_echo import RawEcho, RecordedRanges
-from blocksar.errors import InputError, changes_while_read
+from blocksar.errors import InputError, MissingInput, changes_while_read
 from blocksar.places import Location
 from blocksar.places import place as place_of
 from blocksar.places.local import LocalPlace
@@ -388,7 +389,8 @@ def _reading(path: Location) -> Iterator[Place]:
         yield place
     except InputError as error:
         text = str(error)
-        raise InputError(text if str(place) in text else f"{place}: {text}") from error.__cause__
+        kind = MissingInput if isinstance(error, MissingInput) else InputError
+        raise kind(text if str(place) in text else f"{place}: {text}") from error.__cause__
     except Exception as error:
         if isinstance(error, OSError) and isinstance(place, ObjectPlace):
             raise unreachable(place, error) from error
@@ -416,7 +418,7 @@ def _group_metadata(place: Place) -> Iterator[tuple[str, Any]]:
     metadata = metadata_file(place)
     if not metadata:
         if not place.exists():
-            raise InputError(f"{place} does not exist; check the path")
+            raise MissingInput(f"{place} does not exist; check the path")
         if isinstance(place, ObjectPlace) and (place / UNFINISHED).exists():
             raise InputError(f"{place} is being written, or was left unfinished; wait, or write it again")
         raise InputError(f"{place} is not a zarr store: it has no zarr.json; check the path, or write it again")
@@ -486,12 +488,16 @@ def collection_from(
         beam_width = None
     carrier = number(attrs, "carrier_frequency", "Hz")
     ground_height = number(attrs, "ground_height", "m", 0.0)
+    reference, position = read("reference_range"), read("antenna_position")
+    check_scene_frame(
+        carrier=carrier, time=time, position=position, reference=reference, ground_height=ground_height
+    )  # fmt: skip
     return Collection(
         carrier=carrier,
         time=time,
         range_frequency=read("range_frequency") if raw is None else raw.range_frequency,
-        reference_range=read("reference_range"),
-        antenna_position=read("antenna_position"),
+        reference_range=reference,
+        antenna_position=position,
         beam_azimuth=beam_azimuth,
         beam_width=beam_width,
         ground_height=ground_height,

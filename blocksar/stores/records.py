@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import xxhash
 
-from blocksar.errors import InputError, ProcessingError
+from blocksar.errors import InputError, MissingInput, ProcessingError
 from blocksar.places import Location
 from blocksar.places import place as place_of
 from blocksar.places.local import LocalPlace
@@ -26,6 +26,8 @@ def unreachable(place: Place, error: OSError, *, writing: bool = False) -> Input
     if writing:
         return ProcessingError(f"{place} cannot be written ({error.strerror or error})")
     remedy = "its permissions" if isinstance(place, LocalPlace) else ENVIRONMENT
+    if isinstance(error, FileNotFoundError) and not isinstance(place, LocalPlace):
+        return MissingInput(f"{place} cannot be read ({error.strerror or error}); check its name, {remedy}")
     return InputError(f"{place} cannot be read ({error.strerror or error}); check {remedy}")
 
 

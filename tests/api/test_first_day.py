@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -131,3 +132,38 @@ def test_a_report_of_a_run_stands_for_its_folder(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=message):
             blocksar.quality(run, targets=targets)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda path: blocksar.focus(path, path, procesor="auto"), "no argument 'procesor'; did you mean proc"),
+        (lambda path: blocksar.plan(path, gird="0:1:1,0:1:1"), "plan has no argument 'gird'; did you mean grid"),
+        (lambda path: blocksar.collection(carier_frequency=1e10), "'carier_frequency'; did you mean carrier_frequency"),
+        (lambda path: blocksar.quality(path, refference=True), "'refference'; did you mean reference"),
+        (lambda path: blocksar.ingest("cphd", path, path, overwrit=True), "'overwrit'; did you mean overwrite"),
+    ],
+)  # fmt: skip
+def test_a_misspelt_keyword_is_told_the_nearest(call: Any, sentence: str, tmp_path: Path) -> None:
+    dataset = blocksar.collection(**arrays())
+    store = blocksar.write(dataset, tmp_path / "ph.zarr")
+    with pytest.raises(TypeError, match=sentence) as caught:
+        call(store)
+    assert isinstance(caught.value, InputError)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        blocksar.plan, blocksar.info, blocksar.open, blocksar.quality, blocksar.check,
+        lambda path: blocksar.focus(path, f"{path}-run", grid="0:1:1,0:1:1"),
+        lambda path: blocksar.ingest("cphd", path, f"{path}-out"),
+        lambda path: blocksar.ingest(None, path, f"{path}-out"),
+        lambda path: blocksar.simulate(f"{path}.toml", f"{path}-out"), blocksar.preview,
+    ],
+)  # fmt: skip
+def test_a_missing_path_is_a_file_that_is_not_found(call: Any, tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"does not exist|neither a file") as caught:
+        call(tmp_path / "nowhere")
+    assert isinstance(caught.value, InputError)
+    assert pickle.loads(pickle.dumps(caught.value)).args == caught.value.args

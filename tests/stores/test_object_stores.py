@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+import traceback
 import urllib.request
 import warnings
 from collections.abc import Callable, Iterator
@@ -607,3 +608,20 @@ def test_a_run_that_was_killed_and_resumed_equals_the_run_in_a_folder(there: Pla
         assert "1 of 1 full-dwell targets measured" in measured.communicate()[0]
     blocksar.quality(local / "run")
     assert (run / "quality.json").read_bytes() == (local / "run" / "quality.json").read_bytes()
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        blocksar.plan, blocksar.info, blocksar.open,
+        lambda path: blocksar.focus(path, "run", grid="0:1:1,0:1:1", workers=0),
+        lambda path: blocksar.ingest(None, path, "ph.zarr"),
+    ],
+)  # fmt: skip
+def test_a_missing_bucket_is_one_sentence_in_python(call: Any, bucket: str) -> None:
+    with pytest.raises(
+        InputError, match=r"s3://no-such-bucket.*(the bucket does not exist|does not exist, or)"
+    ) as caught:
+        call("s3://no-such-bucket/place")
+    assert isinstance(caught.value, FileNotFoundError)
+    assert len("".join(traceback.format_exception(caught.value)).splitlines()) < 60
