@@ -1,4 +1,4 @@
-"""The `sar` accessor of xarray datasets; importing this module registers it."""
+"""The `sar` accessor of xarray's datasets, arrays and trees; importing this module registers it."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from blocksar.api.target_files import targets_of
 from blocksar.collection.beam import aperture
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import CUT_WIDTHS, Weighting
-from blocksar.errors import InputError
+from blocksar.errors import InputError, ProcessingError
 from blocksar.kernels.occlusion import SHADOW
 from blocksar.measurement.coherence import align
 from blocksar.measurement.figures import TABLE3, PointResponse, as_json, measure_target, rank, summary
@@ -271,15 +271,13 @@ def quality(
     -------
     Report
         `tables` has the worst case of each figure and the ten worst targets, `details` all targets with all figures;
-        `result` is what RUN/quality.json holds.
+        `result` is what RUN/quality.json holds; a note in `summary` says if that file cannot be written.
 
     Raises
     ------
     InputError
         If the run is not finished or damaged, the targets or the area are wrong, or the input for the reference is
         gone.
-    ProcessingError
-        If quality.json cannot be written.
     """
     folder = place(run)
     chosen, record = folder_of(folder, channel), finished_record(folder)
@@ -314,13 +312,17 @@ def measure(
     ]  # fmt: skip
     drawn = [response for target in listed if target.name in TABLE3 and (response := read_target(run, target))]
     result = {name: value for part in parts for name, value in part.result.items()}
-    stores.write_json(folder / "quality.json", result)
+    lines = [line for part in parts for line in part.lines]
+    try:
+        stores.write_json(folder / "quality.json", result)
+    except ProcessingError as error:  # the run is on a read-only disk, or another user's: the figures are not lost
+        lines.append(f"note: the figures are not kept, as {error}")
     tables = [table for part in parts for table in part.tables]
     worst = [_summary_table(responses), _worst_table(responses)] if responses else []
     full = [_response_table(responses)] if responses else []
     report = Report(
         tables=[*worst, *tables], details=[*worst[:1], *full, *tables], definitions=quality_columns(),
-        summary=[line for part in parts for line in part.lines], result=result,
+        summary=lines, result=result,
     )  # fmt: skip
     return report, drawn
 

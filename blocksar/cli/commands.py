@@ -218,7 +218,7 @@ def quality(
 ) -> None:
     """Measure side-lobe ratios, widths, position and calibration of every target.
 
-    Prints the worst cases and the ten worst targets, and writes all to RUN/quality.json.
+    Prints the worst cases and the ten worst targets, and writes all to RUN/quality.json, if it can.
 
     Example: [bold]blocksar quality run --reference[/bold]
     """

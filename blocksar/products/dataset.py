@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 # ---------------------------------------------------------------- images
 
 GRID_MAPPING = "spatial_ref"  # the name that rioxarray looks up first
+LAYOUT = ("zarr_conventions", "multiscales", "spatial:", "proj:")  # what attributes of a store's layout start with
 UNEVEN = 1e-3  # of the mean spacing, that the distance of neighbouring pixels may differ from it
 MOST_SAMPLES = 1 << 20  # of a cut
 PIECE = 32  # length in pixels of a piece of a cut; each is interpolated with a carrier of its own
@@ -77,12 +78,16 @@ def open(folder: Place) -> xr.Dataset:
 def prepare(dataset: xr.Dataset) -> xr.Dataset:
     """Make a dataset one of the class above, and give an image CF metadata: its axes and, if known, its map projection.
 
+    Attributes of the store's layout and place are left out: a part of the dataset would keep them, but they hold for
+    the whole image only. The coordinates and the grid mapping hold for any part.
+
     Raises
     ------
     InputError
         If its georeference is wrong.
     """
     dataset.__class__ = Dataset
+    dataset.attrs = {name: value for name, value in dataset.attrs.items() if not name.startswith(LAYOUT)}
     if "image" not in dataset or not {"x", "y"} <= set(dataset.coords):
         return dataset
     frame = _frame(dataset.attrs)
@@ -286,7 +291,7 @@ class SarAccessor:
             {
                 name: value
                 if isinstance(value, str | int | float) and not isinstance(value, bool)
-                else json.dumps(value)
+                else json.dumps(value, default=_plain)
                 for name, value in self._dataset.attrs.items()
             }
         )
@@ -428,6 +433,73 @@ def _history_facts(collection: Collection) -> list[tuple[str, str]]:
         ("reference range", f"{float(np.median(collection.reference_range)):.6g} m"),
         ("beam", beam),
     ]
+
+
+def _plain(value: Any) -> Any:
+    """A number or an array of numpy as JSON holds it; the text of anything else."""
+    return value.tolist() if isinstance(value, np.generic | np.ndarray) else str(value)
+
+
+@xr.register_dataarray_accessor("sar")  # type: ignore[no-untyped-call]
+class ArrayAccessor:
+    """Methods of an array over x and y in m, as those of a dataset: `crop` and `netcdf` of any, others of an image."""
+
+    def __init__(self, array: xr.DataArray) -> None:
+        self._array = array
+        self._whole = SarAccessor(array.to_dataset(name="image"))
+
+    @property
+    def _image(self) -> SarAccessor:
+        if self._array.dtype.kind != "c":
+            raise InputError(
+                f"the array {self._array.name} holds {self._array.dtype}, not the complex image; give ds.image"
+            )
+        return self._whole
+
+    def __repr__(self) -> str:
+        return f"<sar: array {self._array.name}, methods db, multilook, crop, plot, cut, netcdf>"
+
+    def db(self) -> xr.DataArray:
+        """As `SarAccessor.db`."""
+        return self._image.db()
+
+    def multilook(self, looks: tuple[int, int] | str) -> xr.DataArray:
+        """As `SarAccessor.multilook`."""
+        return self._image.multilook(looks)
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """As `SarAccessor.plot`; an array knows no north."""
+        return self._image.plot(ax)
+
+    def cut(
+        self, x: float, y: float, *, azimuth: float | None = None, length: float = 20.0, samples: int = 401
+    ) -> xr.DataArray:
+        """As `SarAccessor.cut`."""
+        return self._image.cut(x, y, azimuth=azimuth, length=length, samples=samples)
+
+    def crop(self, x: Span = (None, None), y: Span = (None, None)) -> xr.DataArray:
+        """As `SarAccessor.crop`, of the array."""
+        return self._whole.crop(x, y)["image"].rename(self._array.name)
+
+    def netcdf(self) -> xr.Dataset:
+        """As `SarAccessor.netcdf`: a dataset of the array, or of its real and imaginary part."""
+        return SarAccessor(
+            self._array.to_dataset(name="image" if self._array.name is None else self._array.name)
+        ).netcdf()
+
+
+@xr.register_datatree_accessor("sar")  # type: ignore[no-untyped-call]
+class TreeAccessor(SarAccessor):
+    """Methods of a tree: those of the dataset at its root, and `netcdf` of all its groups."""
+
+    def __init__(self, tree: xr.DataTree) -> None:
+        super().__init__(tree.to_dataset())
+        self._tree = tree
+
+    def netcdf(self) -> xr.DataTree:  # type: ignore[override]
+        """Convert every group as `SarAccessor.netcdf` does."""
+        groups = {node.path: node.to_dataset(inherit=False) for node in self._tree.subtree}
+        return xr.DataTree.from_dict({path: SarAccessor(group).netcdf() for path, group in groups.items()})
 
 
 def _image_facts(dataset: xr.Dataset) -> list[tuple[str, str]]:

@@ -1,9 +1,10 @@
 """The image of a run as a cloud-optimised GeoTIFF, through GDAL (rasterio).
 
 Complex pixels equal those of the image bit for bit, and others follow from them, or from means over whole cells of
-them. North is up, and nothing is resampled, unless a coordinate reference system is asked for (`pixels`). A GIS
-also needs a map projection in which the pixels form a grid. Transverse Mercator about the scene frame's origin, with a
-scale of 1 + height / radius of curvature, comes very close: its easting and northing equal x and y of the frame's
+them. Rows run from large y to small, so north is up where the frame is not turned, and nothing is resampled, unless a
+coordinate reference system is asked for (`pixels`). A GIS also needs a map projection in which the pixels form a grid.
+Transverse Mercator about the scene frame's origin, with a scale of 1 + height / radius of curvature, comes very
+close: its easting and northing equal x and y of the frame's
 horizontal plane but for d^3 / (3 R^2) at the distance d (8 mm at 10 km). A height h over that plane adds h d / R. UTM
 would need resampling, or a grid that is rotated and sheared.
 

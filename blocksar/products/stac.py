@@ -53,7 +53,10 @@ if TYPE_CHECKING:
     from pyproj import CRS
 
 VERSION = "1.1.0"
-EXTENSIONS = {"sar": "v1.3.2", "projection": "v2.0.0", "processing": "v1.1.0", "sat": "v1.0.0"}
+EXTENSIONS = {
+    "sar": "v1.3.2", "projection": "v2.0.0", "processing": "v1.1.0", "sat": "v1.0.0",
+    "xarray-assets": "v1.0.0",
+}  # fmt: skip
 # Lower ends of the frequency bands, GHz, by the table of the extension sar.
 BANDS = ((0.25, "P"), (1, "L"), (2, "S"), (4, "C"), (8, "X"), (12.5, "Ku"), (18, "K"), (26.5, "Ka"), (40, ""))
 POLARIZATIONS = ("HH", "VV", "HV", "VH")  # those of the extension that a pair of linear ones can be
@@ -65,6 +68,7 @@ TYPES = {
 }  # fmt: skip
 TYPES[".tiff"] = TYPES[".tif"]
 ZARR = "application/vnd.zarr; version=3"
+OPEN_KWARGS = {"engine": "zarr", "consolidated": False, "chunks": {}}  # of xarray.open_dataset, for the image
 BESIDE = {"run.json": "settings and receipts", "quality.json": "measured targets", "report.html": "report"}
 
 
@@ -264,7 +268,8 @@ def _assets(
     assets: dict[str, Any] = {
         "image": {
             "href": _href(run / "image.zarr", out), "type": ZARR, "roles": ["data"], "data_type": "cfloat32",
-            "title": "calibrated complex image", "nodata": "nan", **_grid(source, frame),
+            "title": "calibrated complex image", "nodata": "nan", "xarray:open_kwargs": OPEN_KWARGS,
+            **_grid(source, frame),
         }
     }  # fmt: skip
     for name, title in BESIDE.items():

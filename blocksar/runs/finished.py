@@ -46,12 +46,25 @@ def finished_record(folder: Place) -> RunRecord:
     except OSError as error:
         raise unreachable(folder, error) from error
     if wrong is not None:
+        _refuse_store(folder)
         kind = InputError if folder.exists() else MissingInput
         raise kind(f"{folder} {wrong}; give the folder that `blocksar focus --out` left")
     record = RunRecord.read(folder)
     if not record.finished:
         raise InputError(f"{folder} is not finished; run `blocksar focus` again with the same settings")
     return record
+
+
+def _refuse_store(folder: Place) -> None:
+    """Say what to give instead of a store: the run around an image, or the run that a phase history is focused to."""
+    if (folder / "zarr.json").exists():
+        if folder.name == "image.zarr":
+            around = str(folder).removesuffix("image.zarr").rstrip("/") or "."
+            raise InputError(f"{folder} is the image alone; give the folder of its run, such as {around}")
+        raise InputError(
+            f"{folder} is a store, not a run; give the folder that `blocksar focus --out` left, of a phase history "
+            f"after `blocksar focus {folder} --out RUN`"
+        )
 
 
 def folder_of(folder: Place, channel: str | None) -> Place:

@@ -18,6 +18,7 @@ def numbers(*counts: int) -> dict[str, Any]:
 
 
 FIELDS: dict[str, tuple[str, str, dict[str, Any]]] = {
+    "xarray-assets": ("v1.0.0", "xarray", {"open_kwargs": {"type": "object"}, "storage_options": {"type": "object"}}),
     "sar": ("v1.3.2", "sar", {
         "instrument_mode": TEXT, "frequency_band": {"enum": ["P", "L", "S", "C", "X", "Ku", "K", "Ka"]},
         "center_frequency": ABOVE_ZERO, "bandwidth": ABOVE_ZERO,

@@ -17,7 +17,7 @@ from small_run import DAYTON, TARGETS, Made, make
 import blocksar
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.errors import InputError
+from blocksar.errors import InputError, ProcessingError
 from blocksar.products import geotiff
 from blocksar.products.pixels import Pixels
 
@@ -191,3 +191,48 @@ def test_a_rotated_frame_has_no_grid_mapping(tmp_path: Path) -> None:
 
 def test_the_default_projection_is_kept_where_it_is_accurate(made: Made) -> None:
     assert geotiff.place_pixels(Pixels(made.source, "amplitude"), DAYTON).offset.tolist() == [0.0, 0.0]
+
+
+def test_a_part_holds_no_attribute_of_the_whole_stores_layout(tmp_path: Path) -> None:
+    run = make(tmp_path / "run", size=(40, 30))
+    layout = {"zarr_conventions": [], "multiscales": {}, "spatial:transform": [1.0], "proj:wkt2": "x"}
+    zarr.open_group(run.folder / "image.zarr").attrs.update(layout)
+    with blocksar.open(run.folder) as opened:
+        for part in (opened.sar.crop(x=(0.0, 3.0)), opened.isel(x=slice(4, 9)), opened):
+            assert not set(layout) & set(part.attrs)
+            assert part.rio.transform().c == pytest.approx(float(part.x[0] - (part.x[1] - part.x[0]) / 2))
+
+
+def test_arrays_trees_and_merged_datasets_go_to_netcdf(tmp_path: Path) -> None:
+    run = make(tmp_path / "run", size=(40, 30))
+    with blocksar.open(run.folder) as opened:
+        xr.testing.assert_equal(opened.image.sar.crop(x=(0.0, 3.0)), opened.sar.crop(x=(0.0, 3.0)).image)
+        xr.testing.assert_equal(opened.image.sar.db(), opened.sar.db())
+        with pytest.raises(InputError, match=r"not the complex image; give ds\.image"):
+            opened.sar.db().sar.db()
+        merged = xr.merge([opened], combine_attrs="override").assign_attrs(weight=np.int64(3), ends=np.arange(2))
+        made = {"array": opened.image, "merged": merged, "tree": xr.DataTree.from_dict({"/": opened, "/part": opened})}
+        for name, each in made.items():
+            flat = each.sar.netcdf()
+            groups = [flat] if isinstance(flat, xr.Dataset) else [node.to_dataset() for node in flat.subtree]
+            groups[-1].to_netcdf(tmp_path / f"{name}.nc")
+            with xr.open_dataset(tmp_path / f"{name}.nc") as again:
+                np.testing.assert_array_equal(again["image_real"] + 1j * again["image_imag"], run.image)
+
+
+def test_a_store_given_as_a_run_names_the_run(made: Made) -> None:
+    with pytest.raises(
+        InputError, match=r"image\.zarr is the image alone; give the folder of its run, such as .*run\d*$"
+    ):
+        blocksar.quality(made.folder / "image.zarr")
+    with pytest.raises(InputError, match=r"collection\.zarr is a store, not a run; give the folder"):
+        blocksar.quality(made.folder / "collection.zarr")
+
+
+def test_figures_of_a_run_that_cannot_be_written_to_are_reported(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Any, obj: Any) -> None:
+        raise ProcessingError(f"{path} cannot be written (Read-only file system)")
+
+    monkeypatch.setattr("blocksar.stores.write_json", refuse)
+    report = blocksar.quality(made.folder, area="-5:5,-5:5")
+    assert report.result and report.summary[-1].endswith("quality.json cannot be written (Read-only file system)")

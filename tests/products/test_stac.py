@@ -12,6 +12,7 @@ import pystac
 import pytest
 import rasterio
 import shapely.geometry
+import xarray as xr
 from pystac.extensions.projection import ProjectionExtension
 from pystac.extensions.sar import SarExtension
 from pystac.validation.stac_validator import JsonSchemaSTACValidator
@@ -40,7 +41,7 @@ def test_an_item_says_where_when_and_how(tmp_path: Path) -> None:
     run = make(tmp_path / "run", more={**DATED, "polarization": {"transmit": "H", "receive": "V"}})
     report = blocksar.export("stac", run.folder, tmp_path / "item.json")
     assert report.summary == [
-        "item of 2 assets, with the extensions sar, projection, processing",
+        "item of 2 assets, with the extensions sar, projection, processing, xarray-assets",
         f"wrote {tmp_path / 'item.json'}",
     ]
     item = checked(tmp_path / "item.json")
@@ -90,6 +91,8 @@ def test_assets_are_where_the_item_says_with_their_own_grids(tmp_path: Path) -> 
         assert image.bbox == pytest.approx(list(file.bounds), abs=0.4)
     assert image.transform is not None and image.transform[4] > 0
     assert item.assets["image"].extra_fields["data_type"] == "cfloat32"
+    settings = item.assets["image"].extra_fields["xarray:open_kwargs"]
+    assert "image" in xr.open_dataset(item.assets["image"].get_absolute_href(), **settings)
 
 
 @pytest.mark.slow
