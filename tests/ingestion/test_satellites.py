@@ -330,7 +330,9 @@ def test_vectors_of_crsd_without_signal_are_missing(tmp_path: Path) -> None:
     source = write_crsd(tmp_path / "source.crsd", SHORT, SIGNAL=np.where(np.arange(64) == 7, 0, 1))
     history, said = ingested(source, tmp_path / "out")
     echo = history.read(slice(None), slice(None))
-    assert np.flatnonzero(np.isnan(echo).all(axis=1)).tolist() == [7] and "1 vectors have no normal" in " ".join(said)
+    assert np.flatnonzero(np.isnan(echo).all(axis=1)).tolist() == [
+        7
+    ] and "1 vector without a normal signal" in " ".join(said)
     assert history.attrs["polarization"] == {"transmit": "V", "receive": "H"}
     assert history.attrs["georeference"]["rotation_deg"] == 0 and history.attrs["surface"] == "ellipsoid"
     cut(source)
