@@ -189,7 +189,11 @@ class States(NamedTuple):
     velocity: FloatArray
 
     def reaching(self, first: float, last: float) -> Orbit:
-        """The orbit of these, with a state at each of two times, s, that lies before or after all of them.
+        """The orbit of these, carried on until it covers two times, s, that may lie before or after all of them.
+
+        States are carried by whole spacings, those of most of the given ones. A state next to a given one would have
+        its polynomial divide the rounding of both by the time between them: 21 m from 100 us, thousands of km from 1
+        us.
 
         Raises
         ------
@@ -202,15 +206,18 @@ class States(NamedTuple):
                 f"states of the orbit in packets begin {early:.3g} s after the bursts do and end {late:.3g} s before "
                 "their end; give the orbit's file with --orbit"
             )
-        states = [self]
-        if early > 0:
-            states.insert(0, self._carried(0, first))
-        if late > 0:
-            states.append(self._carried(-1, last))
+        alone = self.time.size == 1  # of which no track is known without another
+        spacing = STEP if alone else max(float(np.median(np.diff(self.time))), STEP)
+        before, after = (max(int(np.ceil(each / spacing)), int(alone)) for each in (early, late))
+        states = [
+            *(self._carried(0, -spacing * step) for step in range(before, 0, -1)),
+            self,
+            *(self._carried(-1, spacing * step) for step in range(1, after + 1)),
+        ]
         time, position, velocity = (np.concatenate(each) for each in zip(*states, strict=True))
         return Orbit(time=time, position=position, velocity=velocity)
 
-    def _carried(self, end: int, time: float) -> States:
-        """The first or last state carried to a time."""
-        place, velocity = propagated(self.position[end], self.velocity[end], time - float(self.time[end]))
-        return States(np.array([time]), place[None], velocity[None])
+    def _carried(self, end: int, seconds: float) -> States:
+        """The first or last state carried on by so many seconds."""
+        place, velocity = propagated(self.position[end], self.velocity[end], seconds)
+        return States(self.time[[end]] + seconds, place[None], velocity[None])
