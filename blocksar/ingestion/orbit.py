@@ -31,6 +31,9 @@ class Orbit:
         s after an epoch, ascending.
     position, velocity : (n, 3) float
         m and m/s.
+    carried : (int, int)
+        How many of the first and last are carried on by gravity: between others the track is that of others alone, so
+        that what gravity's model leaves out does not reach it.
 
     Raises
     ------
@@ -41,6 +44,7 @@ class Orbit:
     time: FloatArray
     position: FloatArray
     velocity: FloatArray
+    carried: tuple[int, int] = (0, 0)
 
     def __post_init__(self) -> None:
         n = self.time.size
@@ -82,10 +86,12 @@ class Orbit:
                 f"{time.max():.6f} s; give the file with all states"
             )
         n, position, velocity = self.time.size, np.empty((time.size, 3)), np.empty((time.size, 3))
+        given = self.carried[0], n - self.carried[1]
         interval = np.clip(np.searchsorted(self.time, time, side="right") - 1, 0, n - 2)
         for i in np.unique(interval):
-            start = int(np.clip(i - (NEIGHBOURS // 2 - 1), 0, max(n - NEIGHBOURS, 0)))
-            near, at = slice(start, start + NEIGHBOURS), interval == i
+            low, high = given if given[0] <= i < given[1] - 1 else (0, n)
+            start = int(np.clip(i - (NEIGHBOURS // 2 - 1), low, max(high - NEIGHBOURS, low)))
+            near, at = slice(start, min(start + NEIGHBOURS, high)), interval == i
             scale, origin = float(self.time[i + 1] - self.time[i]), float(self.time[i])
             nodes = np.repeat((self.time[near] - origin) / scale, 2)
             values = np.stack([self.position[near], scale * self.velocity[near]], axis=1).reshape(-1, 3)
@@ -153,6 +159,7 @@ GRAVITY = 3.986004418e14  # m^3/s^2
 OBLATENESS = 1.08262668e-3  # J2
 RADIUS = 6378137.0  # m
 STEP = 1.0  # s
+CLOSEST = 0.1  # s, of states that are carried on
 LONGEST = 15.0  # s: what J2 leaves out, 3e-5 m/s^2, moves a satellite by 3 mm
 
 
@@ -207,7 +214,7 @@ class States(NamedTuple):
                 "their end; give the orbit's file with --orbit"
             )
         alone = self.time.size == 1  # of which no track is known without another
-        spacing = STEP if alone else max(float(np.median(np.diff(self.time))), STEP)
+        spacing = STEP if alone else max(float(np.median(np.diff(self.time))), CLOSEST)
         before, after = (max(int(np.ceil(each / spacing)), int(alone)) for each in (early, late))
         states = [
             *(self._carried(0, -spacing * step) for step in range(before, 0, -1)),
@@ -215,7 +222,7 @@ class States(NamedTuple):
             *(self._carried(-1, spacing * step) for step in range(1, after + 1)),
         ]
         time, position, velocity = (np.concatenate(each) for each in zip(*states, strict=True))
-        return Orbit(time=time, position=position, velocity=velocity)
+        return Orbit(time=time, position=position, velocity=velocity, carried=(before, after))
 
     def _carried(self, end: int, seconds: float) -> States:
         """The first or last state carried on by so many seconds."""

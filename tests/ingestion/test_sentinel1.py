@@ -112,6 +112,62 @@ def test_ten_targets_of_three_bursts_lie_where_they_are(store: Path) -> None:
     assert np.abs(np.angle(values / values.mean())).max() < 0.02
 
 
+TX, RX, EPDN, TA, APDN = 8, 9, 10, 11, 12
+EVERY_PULSE = {TX: 0.39e-6, RX: 0.36e-6, EPDN: 0.34e-6, TA: 0.33e-6, APDN: 0.32e-6}  # 0.42 us
+# Where the orbit is and its node, degrees; how far the burst begins before the first state, s; calibration pulses;
+# the delay that they tell, s; and lost pulses.
+PASSES: dict[str, tuple[float, float, float | None, dict[int, float], float, tuple[int, ...]]] = {
+    "south, date line, descending": (215.0, 3.5, 1e-6, {TX: 0.4e-6}, 0.4e-6, (100, 101, 444)),
+    "south, ascending": (325.0, 100.0, 1e-4, EVERY_PULSE, 0.42e-6, (0, 1, 698, 699)),
+    "far north": (80.0, 250.0, 1e-2, {TX: 0.43e-6, RX: 0.41e-6, EPDN: 0.4e-6}, 0.44e-6, ()),
+}
+IN_BURST = [(-0.3, -1200.0), (-0.25, 700.0), (-0.2, 0.0), (-0.1, 1100.0), (-0.05, -500.0), (0.0, 300.0), (0.1, -900.0),
+            (0.15, 900.0), (0.25, -100.0), (0.3, 500.0)]  # fmt: skip
+
+
+@pytest.mark.parametrize("where", PASSES)
+def test_ten_targets_of_two_receivers_lie_where_they_are(
+    where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Within 0.05 m, whatever the pass, the instrument's delay, the lost pulses and the first state are."""
+    latitude, node, before, calibration, internal, lost = PASSES[where]
+    monkeypatch.setattr(s1, "LATITUDE", latitude)
+    monkeypatch.setattr(s1, "NODE", node)
+    ground = np.array([s1.place_on_the_ellipsoid(10.0 + time, s1.MIDDLE + off) for time, off in IN_BURST])
+    (folder := tmp_path / "S1A_IW_RAW__0SDV_20200615.SAFE").mkdir()
+    for name, receiver, later, gone in (("vv", 0, 0.0, lost), ("vh", 1, 5.3e-9, (300,))):
+        s1.write_bursts(
+            folder / f"s1a-iw-raw-s-{name}.dat", list(ground), bursts=1, amplitude=AMPLITUDE / (1 + receiver),
+            receiver=receiver, internal=internal + later, before=before, lost=gone,
+            calibration={kind: delay + later for kind, delay in calibration.items()},
+        )  # fmt: skip
+    report = blocksar.ingest(None, folder, tmp_path / "x.zarr")
+    said = " ".join(report.summary)
+    assert f"IW1 VV: the instrument's internal delay of {1e9 * internal:.4g} ns" in said and "IW1 VH: the inst" in said
+    assert ("receive chain's own share" in said) == (len(calibration) == 1)
+    history = stores.open_phase_history(tmp_path / "x.zarr")
+    assert history.channels == ("VV", "VH") and history.attrs["polarizations"]["VH"] == {
+        "transmit": "V",
+        "receive": "H",
+    }
+    frame = Georeference.among(history.attrs)
+    assert frame is not None
+    places = frame.from_ecef(ground)
+    geometry = over_terrain(history.collection.centred(), ellipsoid(frame, 0.0, (-4e3, 4e3), (-4e3, 4e3)))
+    axis = np.arange(-HALF, HALF + STEP / 2, STEP)
+    chips = [chip for x, y, _ in places for chip in ((x + axis, np.array([y])), (np.array([x]), y + axis))]
+    for channel, amplitude in (("VV", AMPLITUDE), ("VH", AMPLITUDE / 2)):
+        one = history.of_channel(channel)
+        cuts = [np.asarray(each).ravel() for each in form_chips(pulse_reader(one), geometry, chips, threads=2)]
+        for across, along in zip(cuts[::2], cuts[1::2], strict=True):
+            assert np.hypot(peak_of(across), peak_of(along)) < 0.05
+            assert side_lobes(across) == pytest.approx(-13.26, abs=0.2)
+            assert side_lobes(along) == pytest.approx(-19.24, abs=0.5)
+        values = np.array([cut[axis.size // 2] for cut in cuts[::2]])
+        np.testing.assert_allclose(np.abs(values), amplitude, rtol=0.01)
+        assert np.abs(np.angle(values / values.mean())).max() < 0.05
+
+
 def test_two_swaths_of_a_file_see_a_place_alike(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """IW2 farther off, with another PRF and rate of the steering, and one pulse more in the air."""
     target = s1.place_on_the_ellipsoid(10.0, s1.MIDDLE + 1300.0)
