@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,8 +24,9 @@ from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_chips
 from blocksar.ingestion import orbit
 from blocksar.ingestion.sentinel1 import ancillary
+from blocksar.ingestion.sentinel1.calibration import pulse_delay
 from blocksar.ingestion.sentinel1.histories import ColumnResampling
-from blocksar.ingestion.sentinel1.packets import read_headers
+from blocksar.ingestion.sentinel1.packets import read_headers, read_samples
 from blocksar.ingestion.terrain_earth import ellipsoid
 
 # Zero-Doppler time off the middle burst's, s, and range off the swath's middle, m. Two bursts see three of them: beams
@@ -172,7 +175,7 @@ def test_two_swaths_of_a_file_see_a_place_alike(tmp_path: Path, monkeypatch: pyt
     """IW2 farther off, with another PRF and rate of the steering, and one pulse more in the air."""
     target = s1.place_on_the_ellipsoid(10.0, s1.MIDDLE + 1300.0)
     first = s1.write_bursts(tmp_path / "a.dat", [target], bursts=1).read_bytes()
-    middle = s1.MIDDLE + 2600.0
+    middle = s1.MIDDLE + 2611.0  # other than by whole wavelengths, as windows are rounded
     delay = 2 * middle / SPEED_OF_LIGHT + s1.T / 2 - (2 * s1.QUADS - 1) / 2 / s1.SAMPLE_RATE
     pri, rank = 20000 / s1.CLOCK, 10
     window = round((delay - rank * pri) * s1.CLOCK) - 40
@@ -402,6 +405,80 @@ def test_states_are_carried_on_as_gravity_has_it() -> None:
         expected = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ end[:3]
         found, _ = orbit.propagated(place, velocity, seconds)
         assert np.abs(found - expected).max() < 1e-4
+
+
+@pytest.mark.parametrize("apart", [1e-6, 1e-4, 1e-2, 0.1, 1.0])  # s
+@pytest.mark.parametrize("spacing", [1.0, 10.0])  # s
+def test_times_just_outside_of_the_states_have_a_track(apart: float, spacing: float) -> None:
+    """Of states as packets round them, 1 s apart, and of exact ones: within 1 mm and 1e-7 rad at both ends."""
+    start, began = s1.state(3.0)
+    time: FloatArray = 0.123456789 + spacing * np.arange(6)
+    true = [orbit.propagated(start, began, float(each)) for each in time]
+    place: FloatArray = np.array([each[0] for each in true])
+    velocity: FloatArray = np.array([each[1] for each in true])
+    if spacing == 1.0:
+        time, velocity = np.floor(time * 2**24) / 2**24, velocity.astype(np.float32).astype(np.float64)
+    first, last = float(time[0]) - apart, float(time[-1]) + apart
+    track = orbit.States(time, place, velocity).reaching(first, last)
+    asked: FloatArray = np.concatenate(
+        [np.linspace(first, first + 2 * apart, 21), np.linspace(last - 2 * apart, last, 21)]
+    )
+    expected = [orbit.propagated(start, began, float(each)) for each in asked]
+    found = track.at(asked)
+    assert np.abs(found[0] - np.array([each[0] for each in expected])).max() < 1e-3
+    assert np.abs(found[1] - np.array([each[1] for each in expected])).max() < 1e-7 * 7600
+    alone = orbit.States(time[:1], place[:1], velocity[:1]).reaching(float(time[0]), float(time[0]) + 0.3)
+    np.testing.assert_allclose(alone.at(time[:1])[0], place[:1], atol=1e-6)
+
+
+def test_what_calibration_pulses_do_not_tell_is_told(packets: Path, tmp_path: Path) -> None:
+    """Without pulses, with those of another file, and where noise is all that they have."""
+    said = " ".join(blocksar.ingest("sentinel1", packets, tmp_path / "a.zarr", bursts="0:1").summary)
+    assert "no calibration pulse in the packets tells the instrument's internal delay" in said
+    assert re.search(r"433 ns \(64\.9 m of range, 1\d\d m on the ground\)", said) and "stays" in said
+    alone = s1.Writer()
+    for i in range(4):
+        alone.add(
+            float(i), 20 + i, s1.calibration_pulse(0.41e-6, -1.0), signal=8, calibration=1, quads=s1.CALIBRATION_QUADS
+        )
+    (other := tmp_path / "calibration.dat").write_bytes(b"".join(alone.out))
+    both = blocksar.ingest("sentinel1", [packets, other], tmp_path / "b.zarr", bursts="0:1")
+    assert "internal delay of 410 ns (61.5 m of range, 1" in " ".join(both.summary)
+    assert "by 4 calibration pulses (tx); the receive chain's own share is not known" in " ".join(both.summary)
+    first, moved = (stores.open_phase_history(tmp_path / name).raw for name in ("a.zarr", "b.zarr"))
+    assert first is not None and moved is not None
+    assert first.fast_time[0] - moved.fast_time[0] == pytest.approx(0.41e-6, abs=1e-10)  # 15 mm: the pulse is rounded
+    with pytest.raises(InputError, match=r"holds 4 packets of noise or calibration and no echo; give those of echoes"):
+        blocksar.ingest("sentinel1", other, tmp_path / "c.zarr")
+
+
+def test_the_chirp_of_a_measured_calibration_pulse_is_found() -> None:
+    """Of S1A in stripmap; by the slope of its phase over the band it is 439.04 ns."""
+    if (folder := os.environ.get("BLOCKSAR_DATA")) is None:
+        pytest.skip("BLOCKSAR_DATA does not say where measured packets of Sentinel-1 are")
+    with (Path(folder) / "sentinel1" / "000008-txcal.dat").open("rb") as file:
+        headers = read_headers(file)
+        samples = read_samples(file, headers)[0]
+    assert pulse_delay(samples, headers.radar) == pytest.approx(439.04e-9, abs=0.05e-9)
+    assert pulse_delay(np.roll(samples, 200), headers.radar) is None  # 3 us later
+    assert pulse_delay(np.random.default_rng(0).normal(size=3034) + 0j, headers.radar) is None
+
+
+def test_a_file_of_both_receivers_is_as_two(tmp_path: Path) -> None:
+    """And a burst that one of them lacks is left out with a note."""
+    parts = [
+        written(tmp_path / f"{i}.dat", lambda _, i=i: {"receiver": i, "azimuth": 0, "swath": 2}).read_bytes()  # type: ignore[misc]
+        for i in (0, 1)
+    ]
+    (path := tmp_path / "both.dat").write_bytes(b"".join(parts))
+    report = blocksar.ingest("sentinel1", path, tmp_path / "x.zarr")
+    assert stores.open_phase_history(tmp_path / "x.zarr").channels == ("VV", "VH")
+    assert "S3 VV, VH: 1 burst of up to 160 pulses" in report.summary[0]
+    blocksar.ingest("sentinel1", path, tmp_path / "vh.zarr", polarization="VH")
+    assert stores.open_phase_history(tmp_path / "vh.zarr").attrs["polarization"] == {"transmit": "V", "receive": "H"}
+    path.write_bytes(parts[0] + parts[1][: len(parts[1]) // 160 * 10])
+    with pytest.raises(InputError, match=r"no burst has its pulses in all of VV, VH; take one with polarization VV"):
+        blocksar.ingest("sentinel1", path, tmp_path / "y.zarr")
 
 
 def test_an_attitude_that_makes_no_sense_is_not_believed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -33,7 +33,7 @@ import numpy as np
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray
 from blocksar.ingestion.sentinel1.packets import Packets, Radar, read_samples
-from blocksar.kernels.fourier import fast_length
+from blocksar.kernels.fourier import fast_length, fft_rows
 from blocksar.places.ranges import Readable
 
 TX, RX, EPDN, TA, APDN = 8, 9, 10, 11, 12  # signal types
@@ -115,9 +115,13 @@ def pulse_delay(samples: ComplexArray, radar: Radar) -> float | None:
     if samples.size < time.size / 2 or not power > 0:
         return None
     size = fast_length(samples.size + time.size)
-    spectrum = np.fft.fft(samples, size) * np.conj(np.fft.fft(chirp, size))
-    frequency = np.fft.fftfreq(size, 1 / radar.rate)
-    coarse = np.abs(np.fft.ifft(spectrum))
+    both = np.zeros((2, size), np.complex128)
+    both[0, : samples.size], both[1, : time.size] = samples, chirp
+    received, sent = fft_rows(both, inverse=False)
+    spectrum = received * np.conj(sent)
+    cycles = np.arange(size) / size
+    frequency = radar.rate * (cycles - (cycles >= 0.5))
+    coarse = np.abs(fft_rows(spectrum[None], inverse=True)[0])
     peak = int(coarse.argmax())
     late = (peak if peak < size // 2 else peak - size) / radar.rate
     near: FloatArray = late + np.arange(-FINER, FINER + 1) / (FINER * radar.rate)

@@ -409,7 +409,7 @@ def _swath(swath: str, own: Sequence[BurstHistory]) -> list[str]:
 
 
 def _internal(history: BurstHistory) -> list[str]:
-    """What is taken off of each channel's internal delay, or stays."""
+    """Say how much of each channel's internal delay is taken off, or stays."""
     burst = history.burst
     sight = history.frame.from_ecef(history.track[0][burst.n_slot // 2])
     level = float(np.hypot(sight[0], sight[1]) / np.linalg.norm(sight))
