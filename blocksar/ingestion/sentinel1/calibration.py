@@ -121,7 +121,7 @@ def pulse_delay(samples: ComplexArray, radar: Radar) -> float | None:
     spectrum = received * np.conj(sent)
     cycles = np.arange(size) / size
     frequency = radar.rate * (cycles - (cycles >= 0.5))
-    coarse = np.abs(fft_rows(spectrum[None], inverse=True)[0])
+    coarse = np.abs(fft_rows(spectrum[None].copy(), inverse=True)[0])
     peak = int(coarse.argmax())
     late = (peak if peak < size // 2 else peak - size) / radar.rate
     near: FloatArray = late + np.arange(-FINER, FINER + 1) / (FINER * radar.rate)
