@@ -31,6 +31,9 @@ class Orbit:
         s after an epoch, ascending.
     position, velocity : (n, 3) float
         m and m/s.
+    carried : (int, int)
+        How many of the first and last are carried on by gravity: between others the track is that of others alone, so
+        that what gravity's model leaves out does not reach it.
 
     Raises
     ------
@@ -41,6 +44,7 @@ class Orbit:
     time: FloatArray
     position: FloatArray
     velocity: FloatArray
+    carried: tuple[int, int] = (0, 0)
 
     def __post_init__(self) -> None:
         n = self.time.size
@@ -82,10 +86,12 @@ class Orbit:
                 f"{time.max():.6f} s; give the file with all states"
             )
         n, position, velocity = self.time.size, np.empty((time.size, 3)), np.empty((time.size, 3))
+        given = self.carried[0], n - self.carried[1]
         interval = np.clip(np.searchsorted(self.time, time, side="right") - 1, 0, n - 2)
         for i in np.unique(interval):
-            start = int(np.clip(i - (NEIGHBOURS // 2 - 1), 0, max(n - NEIGHBOURS, 0)))
-            near, at = slice(start, start + NEIGHBOURS), interval == i
+            low, high = given if given[0] <= i < given[1] - 1 else (0, n)
+            start = int(np.clip(i - (NEIGHBOURS // 2 - 1), low, max(high - NEIGHBOURS, low)))
+            near, at = slice(start, min(start + NEIGHBOURS, high)), interval == i
             scale, origin = float(self.time[i + 1] - self.time[i]), float(self.time[i])
             nodes = np.repeat((self.time[near] - origin) / scale, 2)
             values = np.stack([self.position[near], scale * self.velocity[near]], axis=1).reshape(-1, 3)
@@ -153,6 +159,7 @@ GRAVITY = 3.986004418e14  # m^3/s^2
 OBLATENESS = 1.08262668e-3  # J2
 RADIUS = 6378137.0  # m
 STEP = 1.0  # s
+CLOSEST = 0.1  # s, of states that are carried on
 LONGEST = 15.0  # s: what J2 leaves out, 3e-5 m/s^2, moves a satellite by 3 mm
 
 
@@ -189,7 +196,11 @@ class States(NamedTuple):
     velocity: FloatArray
 
     def reaching(self, first: float, last: float) -> Orbit:
-        """The orbit of these, with a state at each of two times, s, that lies before or after all of them.
+        """The orbit of these, carried on until it covers two times, s, that may lie before or after all of them.
+
+        States are carried by whole spacings, those of most of the given ones. A state next to a given one would have
+        its polynomial divide the rounding of both by the time between them: 21 m from 100 us, thousands of km from 1
+        us.
 
         Raises
         ------
@@ -202,15 +213,18 @@ class States(NamedTuple):
                 f"states of the orbit in packets begin {early:.3g} s after the bursts do and end {late:.3g} s before "
                 "their end; give the orbit's file with --orbit"
             )
-        states = [self]
-        if early > 0:
-            states.insert(0, self._carried(0, first))
-        if late > 0:
-            states.append(self._carried(-1, last))
+        alone = self.time.size == 1  # of which no track is known without another
+        spacing = STEP if alone else max(float(np.median(np.diff(self.time))), CLOSEST)
+        before, after = (max(int(np.ceil(each / spacing)), int(alone)) for each in (early, late))
+        states = [
+            *(self._carried(0, -spacing * step) for step in range(before, 0, -1)),
+            self,
+            *(self._carried(-1, spacing * step) for step in range(1, after + 1)),
+        ]
         time, position, velocity = (np.concatenate(each) for each in zip(*states, strict=True))
-        return Orbit(time=time, position=position, velocity=velocity)
+        return Orbit(time=time, position=position, velocity=velocity, carried=(before, after))
 
-    def _carried(self, end: int, time: float) -> States:
-        """The first or last state carried to a time."""
-        place, velocity = propagated(self.position[end], self.velocity[end], time - float(self.time[end]))
-        return States(np.array([time]), place[None], velocity[None])
+    def _carried(self, end: int, seconds: float) -> States:
+        """The first or last state carried on by so many seconds."""
+        place, velocity = propagated(self.position[end], self.velocity[end], seconds)
+        return States(self.time[[end]] + seconds, place[None], velocity[None])

@@ -29,6 +29,8 @@ RAMP, PULSE, DECIMATION = 1985, 563, 7
 SAMPLE_RATE = 4 * CLOCK / 6
 N_PULSE, CYCLE = 700, 1.15  # pulses of a burst, and s from burst to burst
 QUADS = 460
+LATITUDE, NODE = 40.0, 60.0  # degrees, at ZERO: along the orbit from the equator, and the node's longitude
+CALIBRATION_QUADS = 250
 LEAN = np.radians(0.03)  # of the antenna's axis across the velocity
 
 
@@ -49,7 +51,7 @@ def state(time: FloatArray | float) -> tuple[FloatArray, FloatArray]:
     """Position and velocity (..., 3) on a circular orbit, Earth-fixed, at times after ZERO."""
     t = np.asarray(time, float)
     rate = np.sqrt(3.986004418e14 / RADIUS**3)
-    angle, node = np.radians(40.0) + rate * t, np.radians(60.0) - SPIN * t
+    angle, node = np.radians(LATITUDE) + rate * t, np.radians(NODE) - SPIN * t
     ci, si, ca, sa, cn, sn = (
         *(f(INCLINATION) for f in (np.cos, np.sin)),
         np.cos(angle),
@@ -98,14 +100,17 @@ def place_on_the_ellipsoid(time: float, slant_range: float) -> FloatArray:
 
 @dataclass
 class Writer:
-    """Packets, one after another, each with the next ancillary word."""
+    """Packets, one after another, each with the next ancillary word; the first state may be of a stated time."""
 
+    first_state: float | None = None
     words: list[tuple[int, int]] = field(default_factory=list)
     out: list[bytes] = field(default_factory=list)
 
     def next_word(self, time: float) -> tuple[int, int]:
         if not self.words:
             at = np.floor(time * 2) / 2  # states have some age
+            if self.first_state is not None:
+                at = self.first_state + max(np.floor((time - self.first_state) * 2) / 2, 0.0)
             place, velocity = state(at)
             stamp = int((ZERO + at) * 2**24).to_bytes(8, "big")
             data = place.astype(">f8").tobytes() + velocity.astype(">f4").tobytes() + stamp
@@ -210,6 +215,13 @@ def echoes(
     return out
 
 
+def calibration_pulse(delay: float, sign: float) -> bytes:
+    """Samples of a calibration pulse whose chirp begins so late after the first of them, s."""
+    u = np.arange(2 * CALIBRATION_QUADS) / SAMPLE_RATE - delay
+    chirp = np.where((u >= 0) & (u <= T), np.exp(2j * np.pi * (FIRST * u + CHIRP / 2 * u**2 + 0.1)), 0)
+    return bypass_rows(sign * 180 * chirp[None])[0]
+
+
 def write_bursts(
     path: Path,
     targets: list[FloatArray],
@@ -218,8 +230,17 @@ def write_bursts(
     amplitude: float = 90.0,
     about: float = 10.0,
     swath: int = 10,
+    receiver: int = 0,
+    internal: float = 0.0,
+    calibration: dict[int, float] | None = None,
+    before: float | None = None,
+    lost: tuple[int, ...] = (),
 ) -> Path:
-    """Write a swath's bursts, middles CYCLE apart about a time after ZERO, s, of targets at Earth-centred places."""
+    """Write a swath's bursts, middles CYCLE apart about a time after ZERO, s, of targets at Earth-centred places.
+
+    Echoes come later by the delay `internal`, s, calibration pulses by those of their types; the first burst begins by
+    `before`, s, ahead of the first state, and states go on for 2 s after the last.
+    """
     writer = Writer()
     for number in range(bursts):
         middle = about + (number - (bursts - 1) / 2) * CYCLE  # when the pulses' ways have their middle, s
@@ -228,11 +249,27 @@ def write_bursts(
         sent += pulse * PRI - sent[0]
         turned = sent + RANK / 2 * PRI  # the beam's law counts with the PRI, between both ways
         angle = RATE * (turned - turned.mean())
-        rows = bypass_rows(echoes(sent, angle, targets, delay=DELAY, amplitude=amplitude))
+        if number == 0 and before is not None:
+            writer.first_state = float(sent[0]) + before
+        rows = bypass_rows(echoes(sent, angle, targets, delay=DELAY - internal, amplitude=amplitude))
         received = sent + RANK * PRI
         address = np.rint(512 + RATE * (received - received.mean()) / STEP).astype(int)
         writer.add(float(received[0] - PRI), pulse + RANK - 1, bytes(8), signal=8, calibration=1, quads=1)
+        for i, (kind, delay) in enumerate([*(calibration or {}).items()] * 2):
+            writer.add(
+                float(received[0]) - (20 - i) * PRI, pulse + RANK - 20 + i,
+                calibration_pulse(delay, 1.0 if i < len(calibration or {}) else -1.0), signal=kind, calibration=1,
+                quads=CALIBRATION_QUADS, swath=52, receiver=receiver,
+            )  # fmt: skip
         for i in range(N_PULSE):
-            writer.add(float(received[i]), pulse + RANK + i, rows[i], azimuth=int(address[i]), swath=swath)
+            if i not in lost:
+                writer.add(
+                    float(received[i]), pulse + RANK + i, rows[i], azimuth=int(address[i]), swath=swath,
+                    receiver=receiver,
+                )  # fmt: skip
+    if before is not None:
+        pulse += RANK + N_PULSE
+        for later in range(0, round(2.5 / PRI), 14):  # noise, whose words hold five more states
+            writer.add(float(received[-1]) + (1 + later) * PRI, pulse + later, bytes(8), signal=1, quads=1, swath=swath)
     path.write_bytes(b"".join(writer.out))
     return path

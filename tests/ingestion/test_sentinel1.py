@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,8 +24,9 @@ from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_chips
 from blocksar.ingestion import orbit
 from blocksar.ingestion.sentinel1 import ancillary
+from blocksar.ingestion.sentinel1.calibration import pulse_delay
 from blocksar.ingestion.sentinel1.histories import ColumnResampling
-from blocksar.ingestion.sentinel1.packets import read_headers
+from blocksar.ingestion.sentinel1.packets import read_headers, read_samples
 from blocksar.ingestion.terrain_earth import ellipsoid
 
 # Zero-Doppler time off the middle burst's, s, and range off the swath's middle, m. Two bursts see three of them: beams
@@ -112,12 +115,68 @@ def test_ten_targets_of_three_bursts_lie_where_they_are(store: Path) -> None:
     assert np.abs(np.angle(values / values.mean())).max() < 0.02
 
 
+TX, RX, EPDN, TA, APDN = 8, 9, 10, 11, 12
+EVERY_PULSE = {TX: 0.39e-6, RX: 0.36e-6, EPDN: 0.34e-6, TA: 0.33e-6, APDN: 0.32e-6}  # 0.42 us
+# Where the orbit is and its node, degrees; how far the burst begins before the first state, s; calibration pulses;
+# the delay that they tell, s; and lost pulses.
+PASSES: dict[str, tuple[float, float, float | None, dict[int, float], float, tuple[int, ...]]] = {
+    "south, date line, descending": (215.0, 3.5, 1e-6, {TX: 0.4e-6}, 0.4e-6, (100, 101, 444)),
+    "south, ascending": (325.0, 100.0, 1e-4, EVERY_PULSE, 0.42e-6, (0, 1, 698, 699)),
+    "far north": (80.0, 250.0, 1e-2, {TX: 0.43e-6, RX: 0.41e-6, EPDN: 0.4e-6}, 0.44e-6, ()),
+}
+IN_BURST = [(-0.3, -1200.0), (-0.25, 700.0), (-0.2, 0.0), (-0.1, 1100.0), (-0.05, -500.0), (0.0, 300.0), (0.1, -900.0),
+            (0.15, 900.0), (0.25, -100.0), (0.3, 500.0)]  # fmt: skip
+
+
+@pytest.mark.parametrize("where", PASSES)
+def test_ten_targets_of_two_receivers_lie_where_they_are(
+    where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Within 0.05 m, whatever the pass, the instrument's delay, the lost pulses and the first state are."""
+    latitude, node, before, calibration, internal, lost = PASSES[where]
+    monkeypatch.setattr(s1, "LATITUDE", latitude)
+    monkeypatch.setattr(s1, "NODE", node)
+    ground = np.array([s1.place_on_the_ellipsoid(10.0 + time, s1.MIDDLE + off) for time, off in IN_BURST])
+    (folder := tmp_path / "S1A_IW_RAW__0SDV_20200615.SAFE").mkdir()
+    for name, receiver, later, gone in (("vv", 0, 0.0, lost), ("vh", 1, 5.3e-9, (300,))):
+        s1.write_bursts(
+            folder / f"s1a-iw-raw-s-{name}.dat", list(ground), bursts=1, amplitude=AMPLITUDE / (1 + receiver),
+            receiver=receiver, internal=internal + later, before=before, lost=gone,
+            calibration={kind: delay + later for kind, delay in calibration.items()},
+        )  # fmt: skip
+    report = blocksar.ingest(None, folder, tmp_path / "x.zarr")
+    said = " ".join(report.summary)
+    assert f"IW1 VV: the instrument's internal delay of {1e9 * internal:.4g} ns" in said and "IW1 VH: the inst" in said
+    assert ("receive chain's own share" in said) == (len(calibration) == 1)
+    history = stores.open_phase_history(tmp_path / "x.zarr")
+    assert history.channels == ("VV", "VH") and history.attrs["polarizations"]["VH"] == {
+        "transmit": "V",
+        "receive": "H",
+    }
+    frame = Georeference.among(history.attrs)
+    assert frame is not None
+    places = frame.from_ecef(ground)
+    geometry = over_terrain(history.collection.centred(), ellipsoid(frame, 0.0, (-4e3, 4e3), (-4e3, 4e3)))
+    axis = np.arange(-HALF, HALF + STEP / 2, STEP)
+    chips = [chip for x, y, _ in places for chip in ((x + axis, np.array([y])), (np.array([x]), y + axis))]
+    for channel, amplitude in (("VV", AMPLITUDE), ("VH", AMPLITUDE / 2)):
+        one = history.of_channel(channel)
+        cuts = [np.asarray(each).ravel() for each in form_chips(pulse_reader(one), geometry, chips, threads=2)]
+        for across, along in zip(cuts[::2], cuts[1::2], strict=True):
+            assert np.hypot(peak_of(across), peak_of(along)) < 0.05
+            assert side_lobes(across) == pytest.approx(-13.26, abs=0.2)
+            assert side_lobes(along) == pytest.approx(-19.24, abs=0.5)
+        values = np.array([cut[axis.size // 2] for cut in cuts[::2]])
+        np.testing.assert_allclose(np.abs(values), amplitude, rtol=0.01)
+        assert np.abs(np.angle(values / values.mean())).max() < 0.05
+
+
 @pytest.mark.slow
 def test_two_swaths_of_a_file_see_a_place_alike(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """IW2 farther off, with another PRF and rate of the steering, and one pulse more in the air."""
     target = s1.place_on_the_ellipsoid(10.0, s1.MIDDLE + 1300.0)
     first = s1.write_bursts(tmp_path / "a.dat", [target], bursts=1).read_bytes()
-    middle = s1.MIDDLE + 2600.0
+    middle = s1.MIDDLE + 2611.0  # other than by whole wavelengths, as windows are rounded
     delay = 2 * middle / SPEED_OF_LIGHT + s1.T / 2 - (2 * s1.QUADS - 1) / 2 / s1.SAMPLE_RATE
     pri, rank = 20000 / s1.CLOCK, 10
     window = round((delay - rank * pri) * s1.CLOCK) - 40
@@ -348,6 +407,80 @@ def test_states_are_carried_on_as_gravity_has_it() -> None:
         expected = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ end[:3]
         found, _ = orbit.propagated(place, velocity, seconds)
         assert np.abs(found - expected).max() < 1e-4
+
+
+@pytest.mark.parametrize("apart", [1e-6, 1e-4, 1e-2, 0.1, 1.0])  # s
+@pytest.mark.parametrize("spacing", [1.0, 10.0])  # s
+def test_times_just_outside_of_the_states_have_a_track(apart: float, spacing: float) -> None:
+    """Of states as packets round them, 1 s apart, and of exact ones: within 1 mm and 1e-7 rad at both ends."""
+    start, began = s1.state(3.0)
+    time: FloatArray = 0.123456789 + spacing * np.arange(6)
+    true = [orbit.propagated(start, began, float(each)) for each in time]
+    place: FloatArray = np.array([each[0] for each in true])
+    velocity: FloatArray = np.array([each[1] for each in true])
+    if spacing == 1.0:
+        time, velocity = np.floor(time * 2**24) / 2**24, velocity.astype(np.float32).astype(np.float64)
+    first, last = float(time[0]) - apart, float(time[-1]) + apart
+    track = orbit.States(time, place, velocity).reaching(first, last)
+    asked: FloatArray = np.concatenate(
+        [np.linspace(first, first + 2 * apart, 21), np.linspace(last - 2 * apart, last, 21)]
+    )
+    expected = [orbit.propagated(start, began, float(each)) for each in asked]
+    found = track.at(asked)
+    assert np.abs(found[0] - np.array([each[0] for each in expected])).max() < 1e-3
+    assert np.abs(found[1] - np.array([each[1] for each in expected])).max() < 1e-7 * 7600
+    alone = orbit.States(time[:1], place[:1], velocity[:1]).reaching(float(time[0]), float(time[0]) + 0.3)
+    np.testing.assert_allclose(alone.at(time[:1])[0], place[:1], atol=1e-6)
+
+
+def test_what_calibration_pulses_do_not_tell_is_told(packets: Path, tmp_path: Path) -> None:
+    """Without pulses, with those of another file, and where noise is all that they have."""
+    said = " ".join(blocksar.ingest("sentinel1", packets, tmp_path / "a.zarr", bursts="0:1").summary)
+    assert "no calibration pulse in the packets tells the instrument's internal delay" in said
+    assert re.search(r"433 ns \(64\.9 m of range, 1\d\d m on the ground\)", said) and "stays" in said
+    alone = s1.Writer()
+    for i in range(4):
+        alone.add(
+            float(i), 20 + i, s1.calibration_pulse(0.41e-6, -1.0), signal=8, calibration=1, quads=s1.CALIBRATION_QUADS
+        )
+    (other := tmp_path / "calibration.dat").write_bytes(b"".join(alone.out))
+    both = blocksar.ingest("sentinel1", [packets, other], tmp_path / "b.zarr", bursts="0:1")
+    assert "internal delay of 410 ns (61.5 m of range, 1" in " ".join(both.summary)
+    assert "by 4 calibration pulses (tx); the receive chain's own share is not known" in " ".join(both.summary)
+    first, moved = (stores.open_phase_history(tmp_path / name).raw for name in ("a.zarr", "b.zarr"))
+    assert first is not None and moved is not None
+    assert first.fast_time[0] - moved.fast_time[0] == pytest.approx(0.41e-6, abs=1e-10)  # 15 mm: the pulse is rounded
+    with pytest.raises(InputError, match=r"holds 4 packets of noise or calibration and no echo; give those of echoes"):
+        blocksar.ingest("sentinel1", other, tmp_path / "c.zarr")
+
+
+def test_the_chirp_of_a_measured_calibration_pulse_is_found() -> None:
+    """Of S1A in stripmap; by the slope of its phase over the band it is 439.04 ns."""
+    if (folder := os.environ.get("BLOCKSAR_DATA")) is None:
+        pytest.skip("BLOCKSAR_DATA does not say where measured packets of Sentinel-1 are")
+    with (Path(folder) / "sentinel1" / "000008-txcal.dat").open("rb") as file:
+        headers = read_headers(file)
+        samples = read_samples(file, headers)[0]
+    assert pulse_delay(samples, headers.radar) == pytest.approx(439.04e-9, abs=0.05e-9)
+    assert pulse_delay(np.roll(samples, 200), headers.radar) is None  # 3 us later
+    assert pulse_delay(np.random.default_rng(0).normal(size=3034) + 0j, headers.radar) is None
+
+
+def test_a_file_of_both_receivers_is_as_two(tmp_path: Path) -> None:
+    """And a burst that one of them lacks is left out with a note."""
+    parts = [
+        written(tmp_path / f"{i}.dat", lambda _, i=i: {"receiver": i, "azimuth": 0, "swath": 2}).read_bytes()  # type: ignore[misc]
+        for i in (0, 1)
+    ]
+    (path := tmp_path / "both.dat").write_bytes(b"".join(parts))
+    report = blocksar.ingest("sentinel1", path, tmp_path / "x.zarr")
+    assert stores.open_phase_history(tmp_path / "x.zarr").channels == ("VV", "VH")
+    assert "S3 VV, VH: 1 burst of up to 160 pulses" in report.summary[0]
+    blocksar.ingest("sentinel1", path, tmp_path / "vh.zarr", polarization="VH")
+    assert stores.open_phase_history(tmp_path / "vh.zarr").attrs["polarization"] == {"transmit": "V", "receive": "H"}
+    path.write_bytes(parts[0] + parts[1][: len(parts[1]) // 160 * 10])
+    with pytest.raises(InputError, match=r"no burst has its pulses in all of VV, VH; take one with polarization VV"):
+        blocksar.ingest("sentinel1", path, tmp_path / "y.zarr")
 
 
 def test_an_attitude_that_makes_no_sense_is_not_believed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

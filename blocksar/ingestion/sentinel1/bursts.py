@@ -24,7 +24,6 @@ from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.places.ranges import Readable
 from blocksar.spans import parse_pulses
-from blocksar.texts import count
 
 # ---------------------------------------------------------------- bursts
 
@@ -40,7 +39,7 @@ RATES = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Burst:
-    """Echoes of a burst.
+    """Echoes of a burst, of one receiver.
 
     Attributes
     ----------
@@ -50,6 +49,10 @@ class Burst:
         In its swath, from 0.
     zero : int
         GPS second from which times count.
+    first, n_slot : int
+        Number of the PRI in which the burst's first pulse was sent, and PRIs from there to that of the last.
+    internal : float
+        Delay of the instrument itself, which is taken off, s.
     options : RawOptions
         What is said of its echoes.
     """
@@ -57,6 +60,9 @@ class Burst:
     packets: Packets
     number: int
     zero: int
+    first: int
+    n_slot: int
+    internal: float = 0.0
     options: RawOptions = RawOptions()  # noqa: RUF009
 
     @property
@@ -84,12 +90,7 @@ class Burst:
     @cached_property
     def slots(self) -> IntArray:
         """Numbers of the pulses on an even axis, from 0: that of the PRI in which they were sent."""
-        sent = self.packets.pulse - self.packets.rank
-        return np.asarray(sent - sent[0])
-
-    @property
-    def n_slot(self) -> int:
-        return int(self.slots[-1]) + 1
+        return np.asarray(self.packets.pulse - self.packets.rank - self.first)
 
     @cached_property
     def sent(self) -> float:
@@ -107,33 +108,18 @@ class Burst:
                 f"times of packets in burst {self.name} wander by {1e6 * np.ptp(late):.3g} us off their numbers of "
                 "PRIs; leave it out with --bursts"
             )
-        return float(late.mean() - self.interval * packets.rank[0])
+        return float(late.mean() - self.interval * (packets.rank[0] + self.slots[0]))
 
     @cached_property
     def delay(self) -> FloatArray:
-        """Of the first sample of each pulse, from the beginning of its transmission, s."""
-        window = self.packets.window / REFERENCE + SUPPRESSED - self.options.range_delay
+        """Of the first sample of each pulse, from the beginning of its transmission by the antenna, s."""
+        window = self.packets.window / REFERENCE + SUPPRESSED - self.internal - self.options.range_delay
         return np.asarray(self.packets.rank * self.interval + window)
 
     @cached_property
     def samples(self) -> tuple[float, int]:
-        """First delay (s) and number of the samples that all pulses have.
-
-        Raises
-        ------
-        InputError
-            If these are less than half of what a pulse has.
-        """
-        count = 2 * self.packets.quads
-        first = float(self.delay.max())
-        last = float((self.delay + (count - 1) / self.radar.rate).min())
-        shared = int(np.floor((last - first) * self.radar.rate + 1e-3)) + 1
-        if shared < np.median(count) / 2:
-            raise InputError(
-                f"receive windows in burst {self.name} have {max(shared, 0)} samples in common, of "
-                f"{int(np.median(count))}; take parts of it alone, or leave it out with --bursts"
-            )
-        return first, shared
+        """First delay (s) and number of the samples that all pulses have; see `shared_samples`."""
+        return shared_samples([self])
 
     @property
     def middle_delay(self) -> float:
@@ -144,6 +130,28 @@ class Burst:
     @property
     def middle_range(self) -> float:
         return SPEED_OF_LIGHT / 2 * self.middle_delay
+
+
+def shared_samples(bursts: Sequence[Burst]) -> tuple[float, int]:
+    """First delay (s) and number of the samples that all pulses of a burst's receivers have.
+
+    Raises
+    ------
+    InputError
+        If these are less than half of what a pulse has.
+    """
+    rate, name = bursts[0].radar.rate, bursts[0].name
+    delay = np.concatenate([burst.delay for burst in bursts])
+    count = np.concatenate([2 * burst.packets.quads for burst in bursts])
+    first = float(delay.max())
+    last = float((delay + (count - 1) / rate).min())
+    shared = int(np.floor((last - first) * rate + 1e-3)) + 1
+    if shared < np.median(count) / 2:
+        raise InputError(
+            f"receive windows in burst {name} have {max(shared, 0)} samples in common, of {int(np.median(count))}; "
+            "take parts of it alone, or leave it out with --bursts"
+        )
+    return first, shared
 
 
 def swath_name(number: int) -> str:
@@ -158,6 +166,9 @@ def polarizations(packets: Packets) -> list[str]:
     ]
 
 
+CONSTANT = ("take", "interval", "ramp", "start", "length", "decimation", "polarization")  # within a burst
+
+
 def find_bursts(packets: Packets, zero: int) -> tuple[list[Burst], list[str]]:
     """Divide the echoes of a file, and say what was left out."""
     echoes = packets[packets.echo]
@@ -167,7 +178,7 @@ def find_bursts(packets: Packets, zero: int) -> tuple[list[Burst], list[str]]:
         own = echoes[echoes.swath == swath]
         sent = own.pulse - own.rank
         changed = np.zeros(len(own) - 1, bool)
-        for name in ("take", "interval", "ramp", "start", "length", "decimation", "polarization", "receiver"):
+        for name in (*CONSTANT, "receiver"):
             changed |= np.diff(getattr(own, name)) != 0
         changed |= (np.diff(sent) < 1) | (np.diff(sent) > LONGEST_GAP) | (np.diff(own.azimuth) < 0)
         number = 0
@@ -175,13 +186,30 @@ def find_bursts(packets: Packets, zero: int) -> tuple[list[Burst], list[str]]:
             if rows.size < LEAST:
                 small += rows.size
                 continue
-            bursts.append(Burst(packets=own[rows], number=number, zero=zero))
+            first, last = int(sent[rows[0]]), int(sent[rows[-1]])
+            bursts.append(Burst(packets=own[rows], number=number, zero=zero, first=first, n_slot=last - first + 1))
             number += 1
     bursts.sort(key=lambda burst: (burst.packets.seconds[0], burst.packets.fine[0]))
     refuse_few(len(echoes) - small, len(echoes), f"most echoes lie in parts of less than {LEAST} pulses",
                "give a longer part of the data")  # fmt: skip
     notes = [f"{small} of {len(echoes)} echoes, in parts of less than {LEAST} pulses, are left out"] if small else []
     return bursts, notes
+
+
+def as_received(burst: Burst, files: Sequence[PacketFile]) -> Channel | None:
+    """The pulses of a burst as another receiver has them, in that of its files with most; None if fewer than LEAST."""
+    found: list[Channel] = []
+    for file in files:
+        packets = file.packets
+        sent = packets.pulse - packets.rank
+        of_it = packets.echo & (sent >= burst.first) & (sent < burst.first + burst.n_slot)
+        for name in (*CONSTANT, "swath"):
+            of_it &= getattr(packets, name) == getattr(burst.packets, name)[0]
+        rows = np.flatnonzero(of_it)
+        _, once = np.unique(sent[rows], return_index=True)
+        if once.size >= LEAST:
+            found.append((file, replace(burst, packets=packets[rows[once]])))
+    return max(found, key=lambda each: len(each[1].packets), default=None)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -269,7 +297,7 @@ class Sentinel1Options(RawOptions):
     swath : str, optional
         The one swath that is read, such as "IW1". Default: all.
     polarization : str, optional
-        Of transmitter and receiver. Default: that of like ones, "VV" or "HH".
+        Of transmitter and receiver. Default: all of one transmitter, as channels of the store.
     bursts : str or (int, int), optional
         Bursts "a:b" of each swath that are read, from a to the one before b, counted from 0. Default: all.
     orbit : path, optional
@@ -288,7 +316,7 @@ class Sentinel1Options(RawOptions):
     ] = None  # fmt: skip
     polarization: Annotated[
         str | None,
-        Option("Of transmitter and receiver.", metavar="VV", default="VV or HH",
+        Option("Of transmitter and receiver.", metavar="VV", default="all of one transmitter, as channels",
                read=partial(_one_of, "--polarization", POLARIZATIONS)),
     ] = None  # fmt: skip
     bursts: Annotated[
@@ -317,26 +345,19 @@ BESIDE = re.compile(r"-(annot|index)\.dat$")  # what lies beside packets in a SA
 
 
 class PacketFile(NamedTuple):
-    """A file of packets, and their headers."""
+    """Packets of one receiver in a file."""
 
     where: Readable
     packets: Packets
 
     @property
-    def polarization(self) -> str:
-        """Polarization of its echoes, the first one's.
-
-        Raises
-        ------
-        InputError
-            If it has none.
-        """
+    def polarization(self) -> str | None:
+        """Polarization of its echoes, the first one's; None if it has only noise and calibration."""
         echoes = self.packets[self.packets.echo]
-        if not len(echoes):
-            raise InputError(
-                f"{self.where} holds {count(len(self.packets), 'packet')} of noise or calibration and no echo"
-            )
-        return polarizations(echoes[:1])[0]
+        return polarizations(echoes[:1])[0] if len(echoes) else None
+
+
+Channel = tuple[PacketFile, Burst]
 
 
 def expand(sources: Sequence[Location]) -> list[Readable]:
@@ -376,58 +397,83 @@ def open_files(sources: Sequence[Location]) -> list[PacketFile]:
         with reading(where, damaged=DAMAGED, remedy=REMEDY):
             refuse_others(where, KIND)
             with where.open() as file:
-                files.append(PacketFile(where, read_headers(file)))
+                packets = read_headers(file)
+            own = [packets[packets.receiver == each] for each in np.unique(packets.receiver)]
+            files += [PacketFile(where, each) for each in own]
     return files
 
 
 class BurstChoice(NamedTuple):
-    """Bursts of one polarisation: all in the order of time with their files, and which of them are wanted."""
+    """Bursts in the order of time, with their files, and those that are wanted, each with all receivers' channels.
 
-    bursts: list[tuple[PacketFile, Burst]]
-    wanted: list[bool]
+    `packets` are those of the first receiver, which also has all bursts.
+    """
+
+    bursts: list[Channel]
+    wanted: list[tuple[Channel, ...]]
     packets: Packets
     zero: int
     notes: list[str]
 
 
 def choose(files: Sequence[PacketFile], options: Sentinel1Options) -> BurstChoice:
-    """The bursts of files, of which one polarisation is wanted, and notes.
+    """The bursts of files that are wanted, of one transmitter, and notes.
 
     Raises
     ------
     InputError
         If none is left.
     """
-    have = list(dict.fromkeys(file.polarization for file in files))
+    have = list(dict.fromkeys(file.polarization for file in files if file.polarization is not None))
+    if not have:
+        n = sum(len(file.packets) for file in files)
+        raise InputError(
+            f"{files[0].where} holds {n} packets of noise or calibration and no echo; give those of echoes"
+        )
     like = [each for each in have if each[0] == each[1]]
-    polarization = options.polarization or (like or have)[0]
-    if polarization not in have:
-        raise InputError(f"--polarization is {polarization}, but the packets have {', '.join(have)}; give one of these")
+    main = options.polarization or (like or have)[0]
+    if main not in have:
+        raise InputError(f"--polarization is {main}, but the packets have {', '.join(have)}; give one of these")
+    others = [] if options.polarization else [each for each in have if each[0] == main[0] and each != main]
     notes = []
-    if len(have) > 1 and options.polarization is None:
-        notes.append(f"of polarisations {', '.join(have)}, {polarization} is taken; others with --polarization")
-    of_it = [file for file in files if file.polarization == polarization]
+    if (left := [each for each in have if each not in (main, *others)]) and options.polarization is None:
+        notes.append(f"of polarisations {', '.join(have)}, {', '.join(left)} is left out; take it with --polarization")
+    of_it = [file for file in files if file.polarization == main]
     zero = min(int(file.packets.seconds.min()) for file in of_it)
-    found: list[tuple[PacketFile, Burst]] = []
+    found: list[Channel] = []
     for file in of_it:
         bursts, said = find_bursts(file.packets, zero)
         found += [(file, burst) for burst in bursts]
         notes += said
     found.sort(key=lambda each: each[1].sent)
     counts: dict[str, int] = {}
-    numbered = []
+    numbered: list[Channel] = []
     for file, burst in found:
         number = counts.get(burst.swath, 0)
         counts[burst.swath] = number + 1
         numbered.append((file, replace(burst, number=number, options=options)))
     first, last = options.bursts
-    wanted = [
-        options.swath in (None, burst.swath) and first <= burst.number and (last is None or burst.number < last)
-        for _, burst in numbered
-    ]
+    wanted: list[tuple[Channel, ...]] = []
+    without: list[str] = []
+    for file, burst in numbered:
+        if options.swath in (None, burst.swath) and first <= burst.number and (last is None or burst.number < last):
+            received = [as_received(burst, [each for each in files if each.polarization == other]) for other in others]
+            if None in received:
+                without.append(burst.name)
+            else:
+                wanted.append(((file, burst), *(each for each in received if each is not None)))
     if not counts:
         raise InputError(f"the packets hold no burst of {LEAST} pulses or more; give a longer part of the data")
-    if not any(wanted):
+    if without and not wanted:
+        raise InputError(
+            f"no burst has its pulses in all of {', '.join((main, *others))}; take one with --polarization {main}"
+        )
+    if without:
+        notes.append(
+            f"{', '.join(without)}: left out, since not all of {', '.join((main, *others))} have its pulses; "
+            f"--polarization {main} takes it alone"
+        )
+    if not wanted:
         held = ", ".join(f"{number} of {swath}" for swath, number in counts.items())
         raise InputError(f"no burst is left by --swath and --bursts; the packets have {held}, counted from 0")
     return BurstChoice(numbered, wanted, Packets.joined([file.packets for file in of_it]), zero, notes)

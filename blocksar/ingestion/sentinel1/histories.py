@@ -18,7 +18,10 @@ the position (above), without which ground at the edges of IW1 would lie 0.7 m o
 one is a Doppler frequency of half of the target's on the chirp, whose compressed peak it moves by -f / 2 K in delay:
 echoes are put later by as much for the beam's centre, an even shift of a pulse's samples.
 
-*Delays* count from the beginning of the pulse in packets, and to its centre in the store.
+*Delays* count from the beginning of the pulse in packets, and to its centre in the store. The instrument's own
+(`calibration`) is taken off, of each receiver by itself. On the carrier packets have the phase of the whole way, of
+which the store lacks that of the reference range R0: samples are turned by exp(4j pi fc / c R0), and so bursts and
+swaths whose receive windows differ agree in phase.
 
 *Beam.* About the antenna's own axis by the attitude, ahead of broadside by the electronic law (`bursts`); the pattern
 along the track is that of an evenly lit aperture as long as the antenna, sinc^2 both ways, out to half of its nulls.
@@ -43,7 +46,17 @@ from blocksar.ingestion.orbit import Orbit
 from blocksar.ingestion.readers import Piece, Reading
 from blocksar.ingestion.reading import reading
 from blocksar.ingestion.sentinel1.ancillary import TILTED, Attitude, utc
-from blocksar.ingestion.sentinel1.bursts import DAMAGED, REMEDY, Burst, PacketFile, Sentinel1Options, Steering
+from blocksar.ingestion.sentinel1.bursts import (
+    DAMAGED,
+    REMEDY,
+    Burst,
+    Channel,
+    PacketFile,
+    Sentinel1Options,
+    Steering,
+    shared_samples,
+)
+from blocksar.ingestion.sentinel1.calibration import USUAL, InternalDelay
 from blocksar.ingestion.sentinel1.packets import CARRIER, COMPRESSIONS, Packets, read_samples
 from blocksar.kernels.fourier import fast_length, fft_rows, unit_phasor
 from blocksar.texts import count, frequency_text
@@ -149,12 +162,31 @@ class Data:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BurstHistory:
-    """A burst as a phase history in a frame."""
+    """A burst as a phase history in a frame, of which each receiver is a channel; all have the geometry of the first.
 
-    file: PacketFile
-    burst: Burst
+    Attributes
+    ----------
+    channels : tuple of (PacketFile, Burst)
+    delays : tuple of InternalDelay or None
+        Of each channel, as the bursts have it.
+    """
+
+    channels: tuple[Channel, ...]
+    delays: tuple[InternalDelay | None, ...]
     data: Data
     frame: Georeference
+
+    @property
+    def burst(self) -> Burst:
+        return self.channels[0][1]
+
+    @property
+    def polarizations(self) -> tuple[str, ...]:
+        return tuple(burst.polarization for _, burst in self.channels)
+
+    @property
+    def name(self) -> str:
+        return f"{self.burst.swath}-{'-'.join(self.polarizations)}-{self.burst.number:03d}"
 
     @cached_property
     def track(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -178,7 +210,8 @@ class BurstHistory:
         """By how much later samples are received than the moment of the position takes them for (n_sample,), s."""
         if self.data.options.time_tags == "middle":
             return np.zeros(self.raw.fast_time.size)
-        return np.asarray((self.raw.fast_time - (self.raw.fast_time[0] + self.raw.fast_time[-1]) / 2) / 2)
+        middle = self.burst.middle_delay - 2 * self.removed / SPEED_OF_LIGHT
+        return np.asarray((self.raw.fast_time - middle) / 2)
 
     @cached_property
     def atmosphere(self) -> float:
@@ -196,8 +229,13 @@ class BurstHistory:
         return self.atmosphere if self.data.options.troposphere else 0.0
 
     @cached_property
+    def samples(self) -> tuple[float, int]:
+        """First delay (s) and number of the samples that all pulses of all channels have."""
+        return shared_samples([burst for _, burst in self.channels])
+
+    @cached_property
     def raw(self) -> RawEcho:
-        radar, (first, count) = self.burst.radar, self.burst.samples
+        radar, (first, count) = self.burst.radar, self.samples
         first -= radar.length / 2 + 2 * self.removed / SPEED_OF_LIGHT
         return RawEcho(
             fast_time=first + np.arange(count) / radar.rate, chirp_rate=radar.ramp,
@@ -224,7 +262,7 @@ class BurstHistory:
             beam_pattern=np.sinc(np.sin(offset) * APERTURE * CARRIER / SPEED_OF_LIGHT) ** 2,
             side_of_track=SIDE,
             ground_height=self.data.options.ground_height,
-            title=f"Sentinel-1 {burst.swath} {burst.polarization}, burst {burst.number}",
+            title=f"Sentinel-1 {burst.swath} {', '.join(self.polarizations)}, burst {burst.number}",
         )
 
     @property
@@ -232,53 +270,62 @@ class BurstHistory:
         burst = self.burst
         start = float(self.data.moment(burst)[0])
         source = {
-            "format": "Sentinel-1 level 0", "file": self.file.where.name, "swath": burst.swath, "burst": burst.number,
+            "format": "Sentinel-1 level 0", "file": ", ".join(file.where.name for file, _ in self.channels),
+            "swath": burst.swath, "burst": burst.number,
             "data_take": int(burst.packets.take[0]), "replica": "nominal chirp of the headers",
             "time_tags": self.data.options.time_tags or "receive",
             **self.data.options.said,
             **({"troposphere_removed": self.removed} if self.removed else {}),
+            **({"internal_delay": burst.internal} if burst.internal else {}),
             "collection_start": utc(self.data.zero, start), "time_zero": burst.interval * (burst.n_slot // 2),
         }  # fmt: skip
-        sent, received = tuple(burst.polarization)
+        known = {each: {"transmit": each[0], "receive": each[1]} for each in self.polarizations}
+        polarized = {"polarizations": known} if len(known) > 1 else {"polarization": known[burst.polarization]}
         return {
             "georeference": self.frame.as_attribute(), "surface": "ellipsoid", "source": source,
-            "collector": "Sentinel-1", "polarization": {"transmit": sent, "receive": received},
+            "collector": "Sentinel-1", **polarized,
         }  # fmt: skip
 
     def reading(self, said: Sequence[str]) -> Reading:
         return Reading(
             collection=self.collection, raw=self.raw, pieces=self.pieces, attributes=self.attributes,
-            messages=lambda: said, parts=PARTS,
+            messages=lambda: said, parts=PARTS, channels=self.polarizations if len(self.channels) > 1 else (),
         )  # fmt: skip
 
     def pieces(self) -> Iterator[Piece]:
-        burst = self.burst
-        # In samples, by which a pulse's first one comes after the first that all have. Codes round the chirp's middle.
-        frequency = burst.radar.middle + self.doppler[burst.slots] / 2
-        shift = (burst.delay - burst.samples[0] + frequency / burst.radar.ramp) * burst.radar.rate
-        resampling = ColumnResampling.of(self.doppler, self.late, burst.interval)
-        rows = max(AT_ONCE // (16 * int(burst.packets.quads.max())), 1)
-        with self.file.where.open() as file:
-            read = partial(self._read, file, shift)
-            for first in range(0, burst.n_slot, rows):
-                pulses = slice(first, min(first + rows, burst.n_slot))
-                yield Piece(0, pulses, partial(self._resampled, resampling, read, pulses))
+        resampling = ColumnResampling.of(self.doppler, self.late, self.burst.interval)
+        for channel, (source, burst) in enumerate(self.channels):
+            # In samples, by which a pulse's first one comes after the first that all have. Codes round the chirp's
+            # middle.
+            frequency = burst.radar.middle + self.doppler[burst.slots] / 2
+            shift = (burst.delay - self.samples[0] + frequency / burst.radar.ramp) * burst.radar.rate
+            rows = max(AT_ONCE // (16 * int(burst.packets.quads.max())), 1)
+            with source.where.open() as file:
+                read = partial(self._read, file, burst, shift)
+                for first in range(0, burst.n_slot, rows):
+                    pulses = slice(first, min(first + rows, burst.n_slot))
+                    yield Piece(channel, pulses, partial(self._resampled, source, resampling, read, pulses))
 
     def _resampled(
-        self, resampling: ColumnResampling, read: Callable[[slice], ComplexArray], pulses: slice
+        self,
+        source: PacketFile,
+        resampling: ColumnResampling,
+        read: Callable[[slice], ComplexArray],
+        pulses: slice,
     ) -> ComplexArray:
-        with reading(self.file.where, damaged=DAMAGED, remedy=REMEDY):
+        with reading(source.where, damaged=DAMAGED, remedy=REMEDY):
             return resampling.apply(read, pulses)
 
-    def _read(self, file: BinaryIO, shift: FloatArray, pulses: slice) -> ComplexArray:
+    def _read(self, file: BinaryIO, burst: Burst, shift: FloatArray, pulses: slice) -> ComplexArray:
         """Samples of some slots, NaN where one is lost."""
-        burst, count = self.burst, self.raw.fast_time.size
+        count = self.raw.fast_time.size
         samples = np.full((pulses.stop - pulses.start, count), np.nan, np.complex64)
         low, high = np.searchsorted(burst.slots, [pulses.start, pulses.stop])
         for some in _alike(burst.packets, low, high):
             read = read_samples(file, burst.packets[some])
             samples[burst.slots[some] - pulses.start] = shifted(read, shift[some], count)
-        return samples
+        cycles = 2 * CARRIER / SPEED_OF_LIGHT * (self.burst.middle_range + self.removed)
+        return np.asarray(samples * np.complex64(np.exp(2j * np.pi * (cycles % 1.0))))
 
 
 def _alike(packets: Packets, low: int, high: int) -> Iterator[slice]:
@@ -335,9 +382,10 @@ def remarks(histories: Sequence[BurstHistory]) -> list[str]:
     taken = "taken out" if first.removed else "in the samples; --troposphere standard takes it out"
     return [
         *(line for swath, own in swaths.items() for line in _swath(swath, own)),
+        *dict.fromkeys(line for own in swaths.values() for line in _internal(own[0])),
         f"orbit from {_orbit(first)}; {_attitude(first)}",
-        "assumed: the nominal chirp of the headers as replica (calibration pulses are not used); a beam pattern of an "
-        "evenly lit aperture along the track, and none in elevation",
+        "assumed: the nominal chirp of the headers as replica; a beam pattern of an evenly lit aperture along the "
+        "track, and none in elevation",
         _times(histories),
         *first.data.options.notes,
         f"the delay of a standard atmosphere, {first.atmosphere:.3g} m of range, is {taken}",
@@ -348,18 +396,48 @@ def remarks(histories: Sequence[BurstHistory]) -> list[str]:
 
 def _swath(swath: str, own: Sequence[BurstHistory]) -> list[str]:
     burst = own[0].burst
-    lost = sum(each.burst.n_slot - len(each.burst.packets) for each in own)
+    lost = sum(burst.n_slot - len(burst.packets) for each in own for _, burst in each.channels)
     windows = sum(bool(np.ptp(each.burst.delay) > UNTOLD) for each in own)
     modes = {COMPRESSIONS.get(int(code), "?") for each in own for code in each.burst.packets.compression}
     missing = f"; {count(lost, 'lost pulse')} missing" if lost else ""
     return [
-        f"{swath} {burst.polarization}: {count(len(own), 'burst')} of up to "
+        f"{swath} {', '.join(own[0].polarizations)}: {count(len(own), 'burst')} of up to "
         f"{max(each.burst.n_slot for each in own)} pulses at {1 / burst.interval:.6g} Hz, "
         f"{own[0].raw.fast_time.size} samples at {frequency_text(burst.radar.rate)} ({', '.join(sorted(modes))}), "
         f"{int(burst.packets.rank[0])} pulses in the air{missing}; {own[0].data.steering[swath].describe()}",
         *([f"receive windows change within {windows} of {swath}'s bursts; what all pulses have is taken"]
           if windows else []),
     ]  # fmt: skip
+
+
+def _internal(history: BurstHistory) -> list[str]:
+    """Say how much of each channel's internal delay is taken off, or stays."""
+    burst = history.burst
+    sight = history.frame.from_ecef(history.track[0][burst.n_slot // 2])
+    level = float(np.hypot(sight[0], sight[1]) / np.linalg.norm(sight))
+
+    def extent(seconds: float) -> str:
+        """Slant and on the ground, m."""
+        slant = SPEED_OF_LIGHT / 2 * seconds
+        return f"{1e9 * seconds:.4g} ns ({slant:.3g} m of range, {slant / level:.3g} m on the ground)"
+
+    lines: list[str] = []
+    for (_, own), delay in zip(history.channels, history.delays, strict=True):
+        name = f"{own.swath} {own.polarization}"
+        if delay is None:
+            lines.append(
+                f"{name}: no calibration pulse in the packets tells the instrument's internal delay; it stays in the "
+                f"samples, some {extent(USUAL)} too far; give files of the data take's calibration packets (RAW__0C) "
+                "as well"
+            )
+            continue
+        other = "" if delay.same_chirp else ", of another chirp"
+        alone = "" if delay.types != "tx" else "; the receive chain's own share is not known and stays"
+        lines.append(
+            f"{name}: the instrument's internal delay of {extent(delay.seconds)} is taken out, by "
+            f"{count(delay.pulses, 'calibration pulse')} ({delay.types}{other}){alone}"
+        )
+    return lines
 
 
 def _orbit(history: BurstHistory) -> str:

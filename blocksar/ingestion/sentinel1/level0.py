@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,12 +17,14 @@ from blocksar.ingestion.sentinel1.bursts import (
     REMEDY,
     Burst,
     BurstChoice,
+    Channel,
     Sentinel1Options,
     Steering,
     choose,
     find_bursts,
     open_files,
 )
+from blocksar.ingestion.sentinel1.calibration import InternalDelay, internal_delay
 from blocksar.ingestion.sentinel1.histories import BurstHistory, Data, frame_of, remarks
 from blocksar.ingestion.sentinel1.packets import KIND
 from blocksar.places import Location
@@ -77,19 +80,34 @@ def begin(sources: Sequence[Location], options: Sentinel1Options) -> dict[str, R
     """
     files = open_files(sources)
     choice = choose(files, options)
-    kept = [each for each, wanted in zip(choice.bursts, choice.wanted, strict=True) if wanted]
     with reading(files[0].where, damaged=DAMAGED, remedy=REMEDY):
-        data = _common(choice, [burst for _, burst in kept], options)
-    frame = frame_of(kept[len(kept) // 2][1], data)
-    ends = [data.track(burst)[0][burst.n_slot // 2] for _, burst in (kept[0], kept[-1])]
+        data = _common(choice, [channels[0][1] for channels in choice.wanted], options)
+    delays: dict[tuple[str, str], InternalDelay | None] = {}
+    sources_of_delay = [(file.where, file.packets) for file in files]
+    kept: list[tuple[tuple[Channel, ...], tuple[InternalDelay | None, ...]]] = []
+    for channels in choice.wanted:
+        for file, burst in channels:
+            if (burst.swath, burst.polarization) not in delays:
+                with reading(file.where, damaged=DAMAGED, remedy=REMEDY):
+                    delays[burst.swath, burst.polarization] = internal_delay(sources_of_delay, burst.packets)
+        own = tuple(delays[burst.swath, burst.polarization] for _, burst in channels)
+        late = [0.0 if delay is None else delay.seconds for delay in own]
+        moved = tuple(
+            (file, replace(burst, internal=seconds))
+            for (file, burst), seconds in zip(channels, late, strict=True)
+        )  # fmt: skip
+        kept.append((moved, own))
+    bursts = [channels[0][1] for channels, _ in kept]
+    frame = frame_of(bursts[len(bursts) // 2], data)
+    ends = [data.track(burst)[0][burst.n_slot // 2] for burst in (bursts[0], bursts[-1])]
     if (apart := float(np.linalg.norm(ends[1] - ends[0]))) > FARTHEST:
         raise InputError(
             f"the bursts lie {apart / 1e3:.0f} km from each other, and one frame has room for {FARTHEST / 1e3:g} km; "
             "take some of them with --bursts"
         )
-    histories = [BurstHistory(file=file, burst=burst, data=data, frame=frame) for file, burst in kept]
+    histories = [BurstHistory(channels=channels, delays=own, data=data, frame=frame) for channels, own in kept]
     said = [*choice.notes, *remarks(histories)]
-    return {each.burst.name: each.reading(() if number else said) for number, each in enumerate(histories)}
+    return {each.name: each.reading(() if number else said) for number, each in enumerate(histories)}
 
 
 def _common(choice: BurstChoice, bursts: Sequence[Burst], options: Sentinel1Options) -> Data:
