@@ -500,12 +500,15 @@ def test_measured_data_are_ingested_once_and_processed_as_a_collection(post: Pos
     arriving = post.inbox / "a.cphd"
     arriving.write_bytes(measured.read_bytes()[:-5000])  # still being copied
     (post.inbox / "notes.txt").write_text("not a collection")
+    (post.inbox / "folder").mkdir()
+    shutil.copy(measured, post.inbox / "folder")
     (post.inbox / "twice.cphd").write_bytes(measured.read_bytes())
     blocksar.ingest(None, measured, post.inbox / "twice.cphd.zarr", progress=False)
     assert post.sweep(grid=ABOUT) == post.module.DONE
     status = post.status()
     assert status["waiting"] == ["a.cphd.zarr"] and post.names("waiting") == ["a.cphd"]
     assert "notes.txt is a text file; give the data that it describes" in status["ignored"]["notes.txt"]
+    assert "a.cphd is a CPHD file; turn it into a phase history first" in status["ignored"]["folder"]
     assert "twice.cphd.zarr lies beside it and is taken" in status["ignored"]["twice.cphd"]
     arriving.write_bytes(measured.read_bytes())
     assert post.sweep(grid=ABOUT) == post.module.DONE and post.status()["waiting"] == ["a.cphd.zarr"]
@@ -513,7 +516,7 @@ def test_measured_data_are_ingested_once_and_processed_as_a_collection(post: Pos
     for _ in range(2):
         assert post.sweep(grid=ABOUT) == post.module.DONE
         assert post.status()["waiting"] == []
-    assert post.names("ingested") == ["a.cphd"] and post.names("done") == ["twice.cphd", "a.cphd"]
+    assert post.names("ingesting") == ["a.cphd"] and post.names("done") == ["twice.cphd", "a.cphd"]
     images = post.images()
     assert set(images) == {"a.cphd", "twice.cphd"} and images["a.cphd"] == images["twice.cphd"]
     assert everything(post.inbox) == before
@@ -743,6 +746,20 @@ def test_collections_of_one_acquisition_become_one_mosaic(post: Post) -> None:
     (post.outbox / "done" / "pass.zarr.json").unlink()
     assert sweep(r"(.+)_b[0-9]")["done"] == ["pass.zarr"]  # and its run is found finished
     assert [path.name for path in (post.outbox / "runs").iterdir()] == ["pass"]
+
+
+@pytest.mark.slow
+def test_a_store_of_several_collections_is_processed(post: Post) -> None:
+    post.deliver("a")
+    several = zarr.open_group(post.inbox / ".bursts", mode="w")
+    several.attrs["collections"] = ["b0", "b1"]
+    for name in ("b0", "b1"):
+        shutil.copytree(post.store, post.inbox / ".bursts" / name)
+        zarr.open_group(post.inbox / ".bursts" / name, mode="r+").attrs["frame"] = "site"
+    (post.inbox / ".bursts").rename(post.inbox / "bursts.zarr")
+    assert post.sweep() == post.module.DONE
+    assert set(post.names("done")) == {"a", "bursts"}
+    assert post.sweep() == post.module.DONE and len(post.names("started")) == 2
 
 
 def test_what_names_an_acquisition_is_checked(post: Post) -> None:

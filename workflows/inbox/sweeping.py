@@ -187,7 +187,7 @@ class Sweep:
         """Make the phase histories of measured data, of those that have none so far."""
         for source, store in arrival.measured:
             if not store.exists():
-                self.journal.write({"event": "ingested", "name": arrival.name, "source": str(source)})
+                self.journal.write({"event": "ingesting", "name": arrival.name, "source": str(source)})
                 blocksar.ingest(None, source, store, progress=False)
 
     def _focus(self, arrival: Arrival, run: Path, standing: Standing) -> list[str]:
