@@ -55,6 +55,13 @@ class Joined:
     r0: FloatArray
 
     @property
+    def notes(self) -> list[str]:
+        """Say how many pulses were left out."""
+        held = sum(len(file.checksums) for file in self.files)
+        repeated = held - self.azimuth.size
+        return [f"{repeated} of {held} pulses repeat another, and are left out"] if repeated else []
+
+    @property
     def step(self) -> float:
         """Step in azimuth between pulses, rad, where none is missing."""
         return float(np.median(np.diff(self.azimuth)))
@@ -351,12 +358,10 @@ def lay_out(channels: Mapping[str, Joined]) -> _Layout:
         title=_title(files, joined.azimuth),
     )
     each = f" in each of the channels {', '.join(names)}" if names else ""
-    held = sum(len(file.checksums) for file in joined.files)
-    repeated = held - joined.azimuth.size
     messages = [
         f"{count(len(files), 'file')}, {joined.azimuth.size} pulses{each}; {collection.title}; "
         f"{describe_band(frequency)}",
-        *([f"{repeated} of {held} pulses repeat another, and are left out"] if repeated else []),
+        *joined.notes,
         f"slow time: {slow_time}; its interval, {PULSE_INTERVAL:g} s, is nominal, as the files have no times",
         *([f"missing pulses: {missing} of {n}"] if missing else []),
         reference_message,

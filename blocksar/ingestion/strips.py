@@ -108,7 +108,7 @@ def check_choices(options: Any, **choices: tuple[str, ...]) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class RawOptions(ReaderOptions):
-    """What is said of raw echoes, of whichever format; see `ReaderOptions`.
+    """Statements about raw echoes, of whichever format; see `ReaderOptions`.
 
     Attributes
     ----------
