@@ -108,7 +108,7 @@ def check_choices(options: Any, **choices: tuple[str, ...]) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class RawOptions(ReaderOptions):
-    """Statements about raw echoes, of whichever format; see `ReaderOptions`.
+    """Options of readers of raw echoes; see `ReaderOptions`.
 
     Attributes
     ----------

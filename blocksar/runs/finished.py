@@ -61,10 +61,7 @@ def _refuse_store(folder: Place) -> None:
         if folder.name == "image.zarr":
             around = str(folder).removesuffix("image.zarr").rstrip("/") or "."
             raise InputError(f"{folder} is the image alone; give the folder of its run, such as {around}")
-        raise InputError(
-            f"{folder} is a store, not a run; give the folder that `blocksar focus --out` left, of a phase history "
-            f"after `blocksar focus {folder} --out RUN`"
-        )
+        raise InputError(f"{folder} is a store, not a run; give the folder that `blocksar focus {folder} --out` leaves")
 
 
 def folder_of(folder: Place, channel: str | None) -> Place:

@@ -39,7 +39,7 @@ MISTAKES = {
     ),
     "a phase history for a run": (
         "quality ph.zarr",
-        "holds no run.json; give the folder that `blocksar focus --out` left",
+        "ph.zarr is a store, not a run; give the folder that `blocksar focus",
     ),
     "a misspelt run": ("report rnu", "rnu does not exist; give the folder that `blocksar focus --out` left"),
     "a misspelt path": ("plan ph.zar", "ph.zar does not exist; did you mean ph.zarr?"),
