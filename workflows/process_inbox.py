@@ -4,8 +4,12 @@
 
 The script makes one sweep and ends; cron or a systemd timer starts it again, as often as required. A sweep lists the
 complete collections of INBOX and focuses them one after the other on one cluster. A collection `NAME.zarr` is complete
-when its group has a zarr.json: write it under another name and rename it when all of it is there. INBOX is only read;
-what else lies in it is ignored, and log and status say why, with the command that makes a phase history of it.
+when its group has a zarr.json: write it under another name and rename it when all of it is there.
+
+A file or folder FILE of measured data that `blocksar ingest FILE` knows is ingested, with that command's defaults, and
+is then the collection FILE.zarr. Nothing says when such a file is complete: a sweep waits with one that the sweep
+before has not seen as it is. If it needs options, ingest it into INBOX/NAME.zarr instead. INBOX is only read. What else
+lies in it is ignored; log and status say why.
 
 Several collections of one acquisition, such as bursts, become one mosaic. List them beside them in a manifest
 NAME.acquisition.json, {"collections": ["NAME_b0.zarr", ...]}: the acquisition is complete when all of them are. Or give
@@ -17,13 +21,15 @@ OUTBOX belongs to the workflow:
     runs/NAME/                   the run; if the collection changes, the next run is NAME.2, and so on
     done/NAME.zarr.json          record of a finished collection: fingerprint, run
     quarantine/NAME.zarr.json    record of a collection that cannot be focused: fingerprint, reason
+    ingested/FILE.zarr           phase history of measured data; may be removed when it is done
+    ingested/FILE.zarr.json      fingerprint that a sweep has seen
     status.json                  results of the sweep, and its progress while it runs
     log.jsonl                    log of all sweeps, one event per line
     lock, scratch/               present while a sweep runs
 
-The folders runs/, done/ and quarantine/ alone decide what is to be done; the clock is not used. An interrupted run is
-resumed. A quarantined collection is tried again when its bytes or the options change, or its record is removed. A
-finished one is focused again when its bytes change, or its record and its run are removed.
+The folders runs/, done/, quarantine/ and ingested/ alone decide what is to be done; the clock is not used. An
+interrupted run is resumed. A quarantined collection is tried again when its bytes or the options change, or its record
+is removed. A finished one is focused again when its bytes change, or its record and its run are removed.
 
     exit status   meaning
     0             all collections are done
@@ -56,7 +62,7 @@ from blocksar.options import options_of, read_values
 from blocksar.places import place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Held
-from inbox.arrivals import list_arrivals
+from inbox.arrivals import list_inbox
 from inbox.cluster import Cluster
 from inbox.hooks import Hook
 from inbox.journal import Journal
@@ -71,7 +77,9 @@ OPTIONS = options_of(FocusSettings, "processor", "blocks", "grid", "workers", "t
 @option_groups.taking(OPTIONS)
 @option_groups.taking(options_of(ChainOptions, "coefficients"), option_groups.ALTERNATIVES)
 def main(
-    inbox: Annotated[str, typer.Argument(metavar="INBOX", help="Folder of phase-history stores; only read.")],
+    inbox: Annotated[
+        str, typer.Argument(metavar="INBOX", help="Folder of phase-history stores and measured data; only read.")
+    ],
     outbox: Annotated[str, typer.Argument(metavar="OUTBOX", help="Folder of runs, records, status and log.")],
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="A running dask scheduler; default: a cluster of its own.")
@@ -135,7 +143,7 @@ def sweep(
     if not isinstance(folder := place(outbox), LocalPlace):
         raise InputError(f"OUTBOX {folder} is not a local folder; give one: lock and log need it")
     source, target = place(inbox), Outbox(folder.path)
-    list_arrivals(source, group)  # before anything is written
+    list_inbox(source, target.ingested, group)  # before anything is written
     if isinstance(source, LocalPlace):
         target.check_apart(source.path)
     target.prepare()

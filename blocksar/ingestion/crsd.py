@@ -27,7 +27,7 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, library_for, printable, quoted
 from blocksar.ingestion.kinds import Kind, begins
 from blocksar.ingestion.orbit import Antenna, OrbitTrack, epoch_of
-from blocksar.ingestion.readers import refuse_others
+from blocksar.ingestion.readers import refuse_few, refuse_others
 from blocksar.ingestion.reading import reading
 from blocksar.ingestion.strips import Even, PartOptions, RawStrip, StripReader, even_pulses
 from blocksar.options import Option
@@ -164,7 +164,9 @@ class _Layout:
         even = even.of_file(order)
         lost = np.flatnonzero(vectors["SIGNAL"][even.pulses] != 1) if "SIGNAL" in vectors.dtype.names else order[:0]
         if lost.size:
-            notes.append(f"{count(lost.size, 'vector')} without a normal signal: missing in the store")
+            n = even.pulses.size
+            refuse_few(n - lost.size, n, "vectors have no normal signal", "take others with --pulses")
+            notes.append(f"{lost.size} of {count(n, 'vector')} without a normal signal: missing in the store")
             even = even.without(lost)
         self.notes += notes
         kept, when = sent[even.pulses], vectors[even.pulses]

@@ -29,7 +29,7 @@ from blocksar.constants import SPEED_OF_LIGHT, TURN
 from blocksar.errors import InputError
 from blocksar.ingestion.gotcha_files import KIND, ROUNDING, GotchaFile, read_headers
 from blocksar.ingestion.kinds import Kind
-from blocksar.ingestion.readers import Described, Piece, ReaderOptions, Reading
+from blocksar.ingestion.readers import Described, Piece, ReaderOptions, Reading, refuse_few
 from blocksar.ingestion.resampling import OCCUPIED, Resampling, plan_resampling
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
@@ -53,6 +53,13 @@ class Joined:
     azimuth: FloatArray
     position: FloatArray
     r0: FloatArray
+
+    @property
+    def notes(self) -> list[str]:
+        """Say how many pulses were left out."""
+        held = sum(len(file.checksums) for file in self.files)
+        repeated = held - self.azimuth.size
+        return [f"{repeated} of {held} pulses repeat another, and are left out"] if repeated else []
 
     @property
     def step(self) -> float:
@@ -330,12 +337,15 @@ def lay_out(channels: Mapping[str, Joined]) -> _Layout:
     reference, reference_message = _reference_range(joined, time, uniform, position)
     radius = _window_radius(frequency, position)
     resampling, usable = None, slice(None)
+    refuse_few(
+        joined.azimuth.size, n, "most pulses are missing, by the steps in azimuth", "ingest files without the gaps"
+    )
     if even:
         slow_time = f"azimuth is even to {unevenness:.1g} steps, so that the pulse's number serves as slow time"
         missing = n - rows.size
     else:
         resampling, usable, within = _plan_resampling(time, uniform, position, radius, float(frequency[-1]))
-        slow_time = _describe_resampling(resampling, unevenness, within)
+        slow_time = _describe_resampling(resampling, n, unevenness, within)
         missing = int(np.count_nonzero(~resampling.good))
     n = uniform[usable].size
     collection = Collection(
@@ -351,6 +361,7 @@ def lay_out(channels: Mapping[str, Joined]) -> _Layout:
     messages = [
         f"{count(len(files), 'file')}, {joined.azimuth.size} pulses{each}; {collection.title}; "
         f"{describe_band(frequency)}",
+        *joined.notes,
         f"slow time: {slow_time}; its interval, {PULSE_INTERVAL:g} s, is nominal, as the files have no times",
         *([f"missing pulses: {missing} of {n}"] if missing else []),
         reference_message,
@@ -440,22 +451,22 @@ def _plan_resampling(
     band = min(extent, OCCUPIED / PULSE_INTERVAL)
     resampling = plan_resampling(time, uniform, band=band)
     good = np.flatnonzero(resampling.good)
-    if good.size < max(8, resampling.good.size // 2):
-        raise InputError(
-            f"x and y place pulses so unevenly in azimuth that {resampling.good.size - good.size} of "
-            f"{resampling.good.size} uniform ones cannot be computed from them; ingest the part where they are denser"
-        )
+    refuse_few(
+        good.size, resampling.good.size,
+        "x and y place pulses so unevenly in azimuth that most uniform ones cannot be computed from them",
+        "ingest the part where they are denser",
+    )  # fmt: skip
     usable = slice(int(good[0]), int(good[-1]) + 1)  # without the pulses at the ends that cannot be computed
     return resampling.part(usable), usable, radius * band / extent
 
 
-def _describe_resampling(resampling: Resampling, unevenness: float, within: float) -> str:
-    """The resampling and its errors in words."""
+def _describe_resampling(resampling: Resampling, n: int, unevenness: float, within: float) -> str:
+    """The resampling to n pulses, but for those at the ends that cannot be computed, and its errors in words."""
     bound, spread = (20 * np.log10(error[resampling.good].max()) for error in (resampling.bound, resampling.spread))
     return (
-        f"azimuth is uneven by up to {unevenness:.2g} steps; pulses were resampled to {resampling.good.size} uniform "
-        f"ones, with an error of at most {bound:.0f} dB on any echo within {within:.0f} m of the centre, {spread:.0f} "
-        "dB r.m.s. over all of them"
+        f"azimuth is uneven by up to {unevenness:.2g} steps; pulses were resampled to {resampling.good.size} of {n} "
+        f"uniform ones, with an error of at most {bound:.0f} dB on any echo within {within:.0f} m of the centre, "
+        f"{spread:.0f} dB r.m.s. over all of them"
     )
 
 

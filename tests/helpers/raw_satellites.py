@@ -47,6 +47,8 @@ class Radar:
     side: int = 1  # to the right of the track; -1: left
     start: float = 36000.25  # s: the first pulse begins
     moving: bool = True  # while a pulse travels
+    east: float = 0.0  # rad, by which the node lies farther east
+    given: Floats | None = None  # times of the orbit's states, s
 
     def earth_centred(self, time: Floats) -> Floats:
         """Positions (..., 3) on a circular orbit, in axes that turn with the Earth, m."""
@@ -54,7 +56,7 @@ class Radar:
         along = LATITUDE + np.sqrt(GRAVITY / self.radius**3) * t
         x, y = self.radius * np.cos(along), self.radius * np.sin(along)
         px, py, pz = x, y * np.cos(INCLINATION), y * np.sin(INCLINATION)
-        cos, sin = np.cos(SPIN * t), np.sin(SPIN * t)
+        cos, sin = np.cos(SPIN * t - self.east), np.sin(SPIN * t - self.east)
         return np.stack([cos * px + sin * py, cos * py - sin * px, pz], axis=-1)
 
     def velocity(self, time: Floats) -> Floats:
@@ -118,7 +120,7 @@ class Radar:
 
     def states(self, interval: float = 10.0) -> tuple[Floats, Floats, Floats]:
         """Times, positions, velocities of the orbit."""
-        time = np.floor(self.start) + interval * np.arange(-6, 7)
+        time = np.floor(self.start) + interval * np.arange(-6, 7) if self.given is None else self.given
         return time, self.earth_centred(time), self.velocity(time)
 
 
@@ -236,7 +238,8 @@ def leader(radar: Radar, channels: int) -> bytes:
     }  # fmt: skip
     day = 86400.0 if time[0] < 0 else 0.0
     platform = {
-        12: "2", 140: f"{time.size:4d}{2026:4d}{3:4d}{4:4d}{63:4d}{time[0] + day:22.15E}{60.0:22.15E}", 204: "ECR",
+        12: "2", 204: "ECR",
+        140: f"{time.size:4d}{2026:4d}{3:4d}{4:4d}{63:4d}{time[0] + day:22.15E}{time[1] - time[0]:22.15E}",
         386: "".join(f"{value:22.15E}" for row in np.hstack([position, velocity]) for value in row),
     }  # fmt: skip
     # An orbit whose flight turns with the Earth as well: the antenna is turned to look where Doppler is zero.

@@ -138,6 +138,19 @@ def test_vectors_of_zeros_are_missing(base: Base, tmp_path: Path, where: str) ->
     assert any(f"160 pulses, {lost.size} of them missing" in line for line in said)
 
 
+def test_a_file_of_which_most_vectors_are_lost_is_refused(base: Base, tmp_path: Path) -> None:
+    flagged, zeros = parts_of(base.path), parts_of(base.path)
+    flagged.vectors["SIGNAL"][40:130] = 0
+    zeros.samples[40:130] = 0
+    for parts, remedy in ((flagged, "such as --pulses 0:40"), (zeros, "with --pulses")):
+        path = write(tmp_path / "few.cphd", parts)
+        refusal = f"vectors are lost: 40 .. 129 .* which leaves 70 of 160 pulses, less than half; .* {remedy}"
+        with pytest.raises(InputError, match=refusal):
+            ingested(path)
+    collection, *_ = ingested(write(tmp_path / "part.cphd", flagged), pulses=(0, 40))
+    assert collection.n_pulse == 40
+
+
 def test_lost_vectors_at_uneven_times_spoil_no_others(base: Base, tmp_path: Path) -> None:
     """Pulses are sums of vectors there: those that lean on a lost one are missing, and the others as they were."""
     parts = parts_of(base.path)

@@ -148,7 +148,8 @@ def test_the_circle_has_no_seam(tmp_path: Path, turn: float) -> None:
 def test_duplicate_pulses_are_kept_once(tmp_path: Path) -> None:
     position = circle(AZIMUTH)
     paths = written(tmp_path, position[:50], position[40:])
-    ingest([*paths, paths[0]], tmp_path / "ph.zarr")
+    made = ingest([*paths, paths[0]], tmp_path / "ph.zarr")
+    assert "60 of 150 pulses repeat another, and are left out" in made.messages
     assert np.array_equal(samples(tmp_path / "ph.zarr"), simulate_pulses(collection_at(position), *SCENE))
 
 
@@ -502,8 +503,11 @@ def test_files_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
 
 def test_pulses_too_uneven_to_resample_are_refused(tmp_path: Path) -> None:
     azimuth = STEP * np.sort(np.random.default_rng(1).uniform(0, 200, 200))  # at random places
-    with pytest.raises(InputError, match="so unevenly in azimuth"):
+    with pytest.raises(InputError, match=r"so unevenly in azimuth .* which leaves .* less than half; ingest the part"):
         ingest(written(tmp_path, circle(azimuth)), tmp_path / "ph.zarr")
+    bursts = np.concatenate([20 * k + np.arange(8) for k in range(9)])
+    with pytest.raises(InputError, match=r"which leaves 72 of 168 pulses, less than half; ingest files without"):
+        ingest(written(tmp_path, circle(STEP * bursts)), tmp_path / "ph.zarr")
 
 
 def test_a_compressed_variable_without_an_end_is_refused(record: Record) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +12,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from raw_satellites import GAIN, Radar, write_crsd, write_nisar, write_palsar
+from typer.testing import CliRunner
 
 import blocksar
 from blocksar import stores
+from blocksar.cli.commands import app
 from blocksar.collection.georeference import Georeference
 
 
@@ -40,6 +44,9 @@ def image(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return name, radar, folder / "run"
 
 
+AT_DATE_LINE = 181.99  # degrees, by which the targets come there
+
+
 def targets_of(store: Path, radar: Radar) -> list[dict[str, Any]]:
     frame = Georeference.among(stores.open_phase_history(store).attrs)
     assert frame is not None
@@ -63,6 +70,36 @@ def test_targets_on_the_ellipsoid_lie_at_their_places(image: tuple[str, Radar, P
     assert np.abs(np.abs(values) / abs(mean) - 1).max() < 0.01
     assert np.abs(np.angle(values / mean)).max() < 0.03
     assert abs(mean) == pytest.approx(GAIN if name == "palsar" else 1.0, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("write", "outside"),
+    [pytest.param(write, outside, marks=() if (write, outside) == (write_palsar, 1e-4) else pytest.mark.slow)
+     for write in (write_nisar, write_palsar) for outside in (1e-6, 1e-4, 1e-2)],
+)  # fmt: skip
+def test_targets_at_the_date_line_of_a_strip_that_the_orbit_does_not_cover(
+    write: Any, outside: float, tmp_path: Path
+) -> None:
+    """The strip begins just before the first state, and ends just after the last."""
+    radar = Radar(east=np.radians(AT_DATE_LINE))
+    middle = radar.sent[[0, -1]] + radar.slant_range / 299792458.0
+    radar = replace(radar, given=np.linspace(middle[0] + outside, middle[1] - outside, 4))
+    source = write(tmp_path / "source", radar)
+    blocksar.ingest(None, source, tmp_path / "ph.zarr", progress=False)
+    frame = Georeference.among(stores.open_phase_history(tmp_path / "ph.zarr").attrs)
+    assert frame is not None and 179.99 < abs(frame.longitude) <= 180
+    run = tmp_path / "run"
+    blocksar.focus(tmp_path / "ph.zarr", run, grid="-900:1000:2.5,-900:900:2.5", workers=0, progress=False)
+    found = blocksar.quality(run, targets=targets_of(tmp_path / "ph.zarr", radar)[:10]).result["targets"]
+    assert len(found) == 10 and all(each["covered"] for each in found)
+    assert max(np.hypot(each["error_x"], each["error_y"]) for each in found) < 0.3
+    blocksar.export("stac", run, tmp_path / "item.json")
+    item = json.loads((tmp_path / "item.json").read_text())
+    west, _, east, _ = item["bbox"]
+    assert 179.97 < west < 180 and -180 < east < -179.97
+    assert item["geometry"]["type"] == "MultiPolygon"
+    ends = np.concatenate([np.array(part[0])[:, 0] for part in item["geometry"]["coordinates"]])
+    assert (np.abs(ends) > 179.97).all() and (np.abs(ends) <= 180).all()
 
 
 @pytest.mark.slow
@@ -196,6 +233,20 @@ def test_what_is_said_of_delay_and_chirp(tmp_path: Path) -> None:
     assert "ingest again with --chirp-sign down" in " ".join(said)
     with pytest.raises(blocksar.InputError, match="chirp_sign is 'left'; it must be up or down"):
         ingested(magnitude, tmp_path / "g", chirp_sign="left")
+
+
+def test_what_is_said_of_delay_and_chirp_on_the_command_line(tmp_path: Path) -> None:
+    """Of other raw echoes as well: `test_sentinel1` has that of its packets."""
+    source = write_crsd(tmp_path / "a.crsd", SHORT)
+    plain, _ = ingested(source, tmp_path / "plain.zarr")
+    words = ["ingest", "crsd", str(source), "--out", str(tmp_path / "b.zarr"), "--range-delay", "4e-7", "--chirp-sign"]
+    assert CliRunner().invoke(app, [*words, "up"]).exit_code == 0
+    moved = stores.open_phase_history(tmp_path / "b.zarr")
+    assert plain.raw is not None and moved.raw is not None
+    np.testing.assert_allclose(moved.raw.fast_time, plain.raw.fast_time - 4e-7, atol=1e-15)
+    assert moved.raw.chirp_rate == abs(SHORT.chirp_rate) and plain.raw.chirp_rate == SHORT.chirp_rate
+    source_of = moved.attrs["source"]
+    assert source_of["range_delay_removed"] == 4e-7 and source_of["chirp_sign"] == "up"
 
 
 def test_replica_and_phases_of_pulses(tmp_path: Path) -> None:
@@ -332,9 +383,12 @@ def test_vectors_of_crsd_without_signal_are_missing(tmp_path: Path) -> None:
     echo = history.read(slice(None), slice(None))
     assert np.flatnonzero(np.isnan(echo).all(axis=1)).tolist() == [
         7
-    ] and "1 vector without a normal signal" in " ".join(said)
+    ] and "1 of 64 vectors without a normal" in " ".join(said)
     assert history.attrs["polarization"] == {"transmit": "V", "receive": "H"}
     assert history.attrs["georeference"]["rotation_deg"] == 0 and history.attrs["surface"] == "ellipsoid"
+    few = write_crsd(tmp_path / "few.crsd", SHORT, SIGNAL=np.arange(64) < 31)
+    with pytest.raises(blocksar.InputError, match="no normal signal, which leaves 31 of 64 pulses, less than half"):
+        blocksar.ingest(None, few, tmp_path / "few", progress=False)
     cut(source)
     with pytest.raises(blocksar.InputError, match=r"ends before its samples do; get it again"):
         blocksar.ingest(None, source, tmp_path / "cut", progress=False)

@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 import sentinel1_packets as s1
 from scipy.integrate import solve_ivp
+from typer.testing import CliRunner
 
 import blocksar
 from blocksar import stores
 from blocksar.api.pulses import pulse_reader
 from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.cli.commands import app
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
@@ -169,6 +171,19 @@ def test_ten_targets_of_two_receivers_lie_where_they_are(
         values = np.array([cut[axis.size // 2] for cut in cuts[::2]])
         np.testing.assert_allclose(np.abs(values), amplitude, rtol=0.01)
         assert np.abs(np.angle(values / values.mean())).max() < 0.05
+
+
+def test_what_is_said_of_delay_and_chirp_is_taken(packets: Path, store: Path, tmp_path: Path) -> None:
+    words = ["ingest", "sentinel1", str(packets), "--out", str(tmp_path / "b.zarr"), "--bursts", "0:1"]
+    assert CliRunner().invoke(app, [*words, "--range-delay", "4e-7", "--chirp-sign", "down"]).exit_code == 0
+    moved, plain = (
+        stores.open_phase_history(tmp_path / "b.zarr"),
+        stores.open_phase_history(stores.collections_in(store)[0]),
+    )
+    assert moved.raw is not None and plain.raw is not None
+    np.testing.assert_allclose(moved.raw.fast_time, plain.raw.fast_time - 4e-7, atol=1e-12)
+    assert moved.raw.chirp_rate == -plain.raw.chirp_rate < 0
+    assert moved.attrs["source"]["range_delay_removed"] == 4e-7 and moved.attrs["source"]["chirp_sign"] == "down"
 
 
 @pytest.mark.slow

@@ -17,6 +17,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import psutil
 import pytest
 import typer
@@ -483,6 +484,57 @@ def test_a_removed_collection_is_not_a_failure(post: Post) -> None:
     assert post.records("quarantine") == {}
 
 
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A CPHD file."""
+    folder = tmp_path_factory.mktemp("cphd")
+    (folder / "scene.toml").write_text(scene(**SCENE))
+    return Path(blocksar.simulate(folder / "scene.toml", folder / "a.cphd", cphd=True))
+
+
+ABOUT = [[-200.0, 200.0, 4.0], [-200.0, 200.0, 4.0]]  # the origin of the file's frame
+
+
+def test_measured_data_are_ingested_once_and_processed_as_a_collection(post: Post, measured: Path) -> None:
+    post.inbox.mkdir()
+    arriving = post.inbox / "a.cphd"
+    arriving.write_bytes(measured.read_bytes()[:-5000])  # still being copied
+    (post.inbox / "notes.txt").write_text("not a collection")
+    (post.inbox / "folder").mkdir()
+    shutil.copy(measured, post.inbox / "folder")
+    (post.inbox / "twice.cphd").write_bytes(measured.read_bytes())
+    blocksar.ingest(None, measured, post.inbox / "twice.cphd.zarr", progress=False)
+    assert post.sweep(grid=ABOUT) == post.module.DONE
+    status = post.status()
+    assert status["waiting"] == ["a.cphd.zarr"] and post.names("waiting") == ["a.cphd"]
+    assert "notes.txt is a text file; give the data that it describes" in status["ignored"]["notes.txt"]
+    assert "a.cphd is a CPHD file; turn it into a phase history first" in status["ignored"]["folder"]
+    assert "twice.cphd.zarr lies beside it and is taken" in status["ignored"]["twice.cphd"]
+    arriving.write_bytes(measured.read_bytes())
+    assert post.sweep(grid=ABOUT) == post.module.DONE and post.status()["waiting"] == ["a.cphd.zarr"]
+    before = everything(post.inbox)
+    for _ in range(2):
+        assert post.sweep(grid=ABOUT) == post.module.DONE
+        assert post.status()["waiting"] == []
+    assert post.names("ingesting") == ["a.cphd"] and post.names("done") == ["twice.cphd", "a.cphd"]
+    images = post.images()
+    assert set(images) == {"a.cphd", "twice.cphd"} and images["a.cphd"] == images["twice.cphd"]
+    assert everything(post.inbox) == before
+    arriving.write_bytes(measured.read_bytes()[:-5000])  # and stays so
+    assert post.sweep(grid=ABOUT) == post.module.DONE
+    assert post.sweep(grid=ABOUT) == post.module.QUARANTINED
+    assert "a.cphd" in post.records("quarantine")["a.cphd"]["reason"]
+
+
+def test_a_missing_grid_is_found_before_a_cluster_starts(post: Post, monkeypatch: pytest.MonkeyPatch) -> None:
+    post.deliver("a")
+    beam = zarr.open_array(post.inbox / "a.zarr" / "beam_azimuth", mode="r+")
+    beam[...] = np.full(beam.shape, np.nan)
+    monkeypatch.setattr(cluster, "open_client", lambda **_: pytest.fail("a cluster was started"))
+    assert post.sweep(grid=None) == post.module.QUARANTINED
+    assert "grid" in post.records("quarantine")["a"]["reason"]
+
+
 def test_a_truncated_log_line_leaves_the_others_intact(post: Post) -> None:
     post.deliver("a")
     assert post.sweep() == post.module.DONE
@@ -694,6 +746,20 @@ def test_collections_of_one_acquisition_become_one_mosaic(post: Post) -> None:
     (post.outbox / "done" / "pass.zarr.json").unlink()
     assert sweep(r"(.+)_b[0-9]")["done"] == ["pass.zarr"]  # and its run is found finished
     assert [path.name for path in (post.outbox / "runs").iterdir()] == ["pass"]
+
+
+@pytest.mark.slow
+def test_a_store_of_several_collections_is_processed(post: Post) -> None:
+    post.deliver("a")
+    several = zarr.open_group(post.inbox / ".bursts", mode="w")
+    several.attrs["collections"] = ["b0", "b1"]
+    for name in ("b0", "b1"):
+        shutil.copytree(post.store, post.inbox / ".bursts" / name)
+        zarr.open_group(post.inbox / ".bursts" / name, mode="r+").attrs["frame"] = "site"
+    (post.inbox / ".bursts").rename(post.inbox / "bursts.zarr")
+    assert post.sweep() == post.module.DONE
+    assert set(post.names("done")) == {"a", "bursts"}
+    assert post.sweep() == post.module.DONE and len(post.names("started")) == 2
 
 
 def test_what_names_an_acquisition_is_checked(post: Post) -> None:

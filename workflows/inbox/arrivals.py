@@ -1,22 +1,33 @@
-"""Collections in the inbox, and acquisitions of several."""
+"""Collections in the inbox, files of measured data that become some, and acquisitions of several."""
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from hashlib import blake2b
-from typing import Any
+from typing import Any, NamedTuple
 
 from blocksar import stores
 from blocksar.errors import InputError
-from blocksar.ingestion.readers import found_at
+from blocksar.ingestion.readers import READERS, found_at
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 
 MANIFEST = ".acquisition.json"  # ending of a file of the inbox that lists the collections of an acquisition
+
+
+class Part(NamedTuple):
+    """What lies in the inbox, and its phase history: the same, or the store that is ingested from it."""
+
+    source: Place
+    store: Place
+
+    @property
+    def measured(self) -> bool:
+        """Whether it is measured data that must be ingested."""
+        return self.source is not self.store
 
 
 @dataclass(frozen=True)
@@ -24,66 +35,75 @@ class Arrival:
     """A complete collection in the inbox, or several of one acquisition. `written` (ns) is used for the order only."""
 
     name: str
-    stores: tuple[Place, ...]
+    parts: tuple[Part, ...]
     written: int
 
     @property
+    def stores(self) -> list[Place]:
+        """The phase histories; those of measured data are not there before these are ingested."""
+        return [part.store for part in self.parts]
+
+    @property
     def source(self) -> str:
-        """The paths, for people."""
-        return ", ".join(map(str, self.stores))
+        """The paths in the inbox, for people."""
+        return ", ".join(str(part.source) for part in self.parts)
+
+    @property
+    def measured(self) -> list[Part]:
+        """What must be ingested."""
+        return [part for part in self.parts if part.measured]
 
     @property
     def gone(self) -> bool:
-        """Whether a collection has been removed since."""
-        return not all(store.exists() for store in self.stores)
+        """Whether something has been removed from the inbox since."""
+        return not all(part.source.exists() for part in self.parts)
 
     def fingerprint(self) -> str:
-        """Hash of every file's name, size and version (time or tag); a damaged store has one as well.
+        """Hash of every file's name, size and version (time or tag) in the inbox; a damaged store has one as well.
 
         If what is hashed here changes, every finished collection counts as a new one.
         """
         digest = blake2b(digest_size=16)
         try:
-            for store in self.stores:
-                if len(self.stores) > 1:
-                    digest.update(os.fsencode(f"{store.name}\n"))
-                for file in sorted(store.files()):
+            for source, _ in self.parts:
+                if len(self.parts) > 1:
+                    digest.update(os.fsencode(f"{source.name}\n"))
+                files = sorted(source.files()) or [("", 0, source.version())]
+                for file in files:
                     digest.update(os.fsencode(repr(file)))
         except OSError as error:  # a store that cannot be listed: the error stands for its contents
             digest.update(os.fsencode(str(error)))
         return digest.hexdigest()
 
 
-def list_ignored(inbox: Place) -> dict[str, str]:
-    """Name and reason of all else that lies in the inbox, which no sweep focuses; names that begin with a dot are not
-    listed.
+class Listing(NamedTuple):
+    """What an inbox holds.
 
-    Raises
-    ------
-    OSError
-        If the inbox cannot be listed.
+    Attributes
+    ----------
+    arrivals : list of Arrival
+        Complete, oldest first.
+    waiting : list of str
+        Names of what is not complete so far.
+    ignored : dict of str to str
+        Name and reason of all else, which no sweep focuses; names that begin with a dot are not listed.
     """
-    return {
-        name: _why_ignored(inbox / name)
-        for name in sorted(inbox.names())
-        if not name.startswith(".") and not name.endswith((".zarr", MANIFEST))
-    }
+
+    arrivals: list[Arrival]
+    waiting: list[str]
+    ignored: dict[str, str]
 
 
-def _why_ignored(what: Place) -> str:
-    found = None
-    with suppress(OSError):
-        found = found_at(what)
-    if found is not None:
-        return f"no phase-history store NAME.zarr: {found.sentence(what)}"
-    return "no phase-history store NAME.zarr, nor of a kind that is known; rename it if it is one"
-
-
-def list_arrivals(inbox: Place, group: re.Pattern[str] | None = None) -> tuple[list[Arrival], list[str]]:
-    """List the inbox: complete collections, oldest first, and the names of what is not complete so far.
+def list_inbox(inbox: Place, ingested: Callable[[str], Place], group: re.Pattern[str] | None = None) -> Listing:
+    """List the inbox.
 
     Collections that a manifest lists, or from whose names `group` takes the same text, are one acquisition. It is
     complete when all of them are.
+
+    Parameters
+    ----------
+    ingested : callable (name)
+        Where the phase history of measured data lies, by the name that it has.
 
     Raises
     ------
@@ -98,14 +118,25 @@ def list_arrivals(inbox: Place, group: re.Pattern[str] | None = None) -> tuple[l
         found = [name for name in inbox.names() if not name.startswith(".")]
     except OSError as error:
         raise InputError(f"INBOX {inbox} cannot be listed ({error.strerror}); give a readable folder") from None
-    names = [name for name in found if name.endswith(".zarr")]
-    for store in (inbox / name for name in names):
+    stored = [name for name in found if name.endswith(".zarr")]
+    for store in (inbox / name for name in stored):
         try:
-            complete[store.name] = Arrival(store.name, (store,), _time_written(store / "zarr.json"))
+            complete[store.name] = Arrival(store.name, (Part(store, store),), _time_written(store / "zarr.json"))
         except (FileNotFoundError, NotADirectoryError):
             waiting.append(store.name)
         except OSError:  # `focus` reports the cause
-            complete[store.name] = Arrival(store.name, (store,), 0)
+            complete[store.name] = Arrival(store.name, (Part(store, store),), 0)
+    ignored = {}
+    for other in (inbox / name for name in found if not name.endswith((".zarr", MANIFEST))):
+        name = f"{other.name}.zarr"
+        try:
+            if (reason := _why_ignored(other, name in stored)) is None:
+                complete[name] = Arrival(name, (Part(other, ingested(name)),), _time_written(other))
+                continue
+        except OSError as error:
+            reason = f"it cannot be read ({error.strerror or error}); check its permissions"
+        ignored[other.name] = reason
+    names = [*complete, *waiting]
     manifests = [name for name in found if name.endswith(MANIFEST)]
     members = {_name(name.removesuffix(MANIFEST), names): _members(inbox / name) for name in manifests}
     members |= _by_pattern(
@@ -114,13 +145,29 @@ def list_arrivals(inbox: Place, group: re.Pattern[str] | None = None) -> tuple[l
     for name, some in members.items():
         if all(member in complete for member in some):
             arrivals = [complete[member] for member in some]
-            joined = tuple(arrival.stores[0] for arrival in arrivals)
+            joined = tuple(arrival.parts[0] for arrival in arrivals)
             complete[name] = Arrival(name, joined, max(arrival.written for arrival in arrivals))
         else:
             waiting.append(name)
     taken = {member for some in members.values() for member in some}
     arrivals = [arrival for name, arrival in complete.items() if name not in taken]
-    return sorted(arrivals, key=lambda arrival: (arrival.written, arrival.name)), waiting
+    return Listing(sorted(arrivals, key=lambda arrival: (arrival.written, arrival.name)), waiting, ignored)
+
+
+def _why_ignored(what: Place, stored: bool) -> str | None:
+    """Why a file or folder that is no store is not ingested; None if a reader takes it.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    """
+    found = found_at(what)
+    if found is None:
+        return "it is no phase-history store NAME.zarr, and nothing in it is of a kind that is known"
+    if found.reader is None or (found.file is not what and not READERS.get(found.reader).several):
+        return f"it is no phase-history store NAME.zarr: {found.sentence(what)}"
+    return f"{what.name}.zarr lies beside it and is taken; rename one of them" if stored else None
 
 
 def _members(manifest: Place) -> Sequence[str]:
@@ -155,7 +202,7 @@ def _name(text: str, names: Sequence[str]) -> str:
 
 
 def _time_written(file: Place) -> int:
-    """Modification time of a local file, ns; 0 for an object, as a bucket is processed in the order of names."""
+    """Modification time of a local file or folder, ns; 0 for an object: a bucket is processed in the order of names."""
     if isinstance(file, LocalPlace):
         return os.stat(file).st_mtime_ns
     if not file.exists():

@@ -17,9 +17,11 @@ from blocksar.places import place
 from blocksar.places.place import Place
 from blocksar.runs.folder import foreign_names
 from blocksar.runs.record import RunRecord
-from inbox.records import Record, Settings
+from inbox.arrivals import Arrival
+from inbox.records import FORMAT, Record, Settings
 
 FOLDERS = ("runs", "done", "quarantine")  # of an outbox
+INGESTED = "ingested"  # another, made when it is needed
 NAME_BYTES = 200  # of a record: file systems end at 255, and temporary names are longer than the name
 
 
@@ -53,7 +55,7 @@ class Outbox:
         source, own = Path(os.path.realpath(inbox)), Path(os.path.realpath(self.folder))
         if own.is_relative_to(source):
             raise InputError(f"OUTBOX {self.folder} lies in INBOX {inbox}, which is only read; give another")
-        if any(source.is_relative_to(own / name) for name in (*FOLDERS, self.scratch.name)):
+        if any(source.is_relative_to(own / name) for name in (*FOLDERS, INGESTED, self.scratch.name)):
             raise InputError(
                 f"INBOX {inbox} lies in a folder that a sweep writes in OUTBOX {self.folder}; give another OUTBOX"
             )
@@ -81,9 +83,25 @@ class Outbox:
 
     def record(self, kind: Literal["done", "quarantine"], name: str) -> Path:
         """Path of a collection's record."""
-        if len(os.fsencode(name)) > NAME_BYTES:
-            name = blake2b(os.fsencode(name), digest_size=16).hexdigest()
-        return self.folder / kind / f"{name}.json"
+        return self.folder / kind / f"{_short(name)}.json"
+
+    def ingested(self, name: str) -> Place:
+        """Where the phase history of measured data lies."""
+        return place(self.folder / INGESTED / _short(name))
+
+    def is_settled(self, arrival: Arrival, fingerprint: str) -> bool:
+        """Whether measured data are as an earlier sweep saw them, so that nobody still writes them.
+
+        If not, this is noted for the next sweep, and what was ingested of them before is removed.
+        """
+        seen = self.folder / INGESTED / f"{_short(arrival.name)}.json"
+        record = _read_record(seen)
+        if record is not None and record.get("fingerprint") == fingerprint:
+            return True
+        for part in arrival.measured:
+            part.store.remove()
+        stores.write_json(seen, {"format": FORMAT, "name": arrival.name, "fingerprint": fingerprint})
+        return False
 
     def settled(self, name: str, fingerprint: str, settings: Settings) -> Record | None:
         """The record of a collection that is done, or that cannot be focused with these settings; else None."""
@@ -131,6 +149,12 @@ class Outbox:
             if not record.finished and (same or os.path.basename(record.input.path) == source.name):
                 return run, Standing.UNFINISHED
         raise AssertionError
+
+
+def _short(name: str) -> str:
+    """A name, or its hash if it is longer than a file system takes."""
+    long = len(os.fsencode(name)) > NAME_BYTES
+    return blake2b(os.fsencode(name), digest_size=16).hexdigest() if long else name
 
 
 def _read_record(path: Path) -> Record | None:

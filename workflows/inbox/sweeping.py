@@ -17,13 +17,15 @@ from blocksar.api.track_places import input_fingerprint
 from blocksar.cli import endings
 from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.places.place import Place
-from inbox.arrivals import Arrival, list_arrivals, list_ignored
+from inbox.arrivals import Arrival, list_inbox
 from inbox.cluster import Cluster, NoClusterError
 from inbox.hooks import Hook
 from inbox.journal import Journal, timestamp
 from inbox.outbox import Outbox, Standing
 from inbox.records import FORMAT, Event, Record, Settings
 from inbox.statuses import DONE, FAILED, QUARANTINED
+
+UNSETTLED = "it is new, or has changed; the next sweep takes it if it is then as it is now"
 
 
 @dataclass
@@ -44,6 +46,7 @@ class Sweep:
     unreported: list[Record] = field(default_factory=list)  # quarantined, and no sweep has exited with 3 since
     hook_failures: int = 0
     remaining: int = 0
+    waiting: list[str] = field(default_factory=list)  # what is not complete so far
 
     def run(self) -> int:
         """Process all collections and return the exit status.
@@ -53,15 +56,14 @@ class Sweep:
         InputError
             If the inbox cannot be listed.
         """
-        arrivals, waiting = list_arrivals(self.inbox, self.group)
+        arrivals, self.waiting, ignored = list_inbox(self.inbox, self.outbox.ingested, self.group)
         self.journal.write({"event": "sweep", "inbox": str(self.inbox), "arrivals": len(arrivals)})
-        ignored = list_ignored(self.inbox)
         for name, reason in ignored.items():
             self.journal.write({"event": "ignored", "name": name, "reason": reason})
         self.remaining = len(arrivals)
         self._note(
             state="running", current=None, exit_status=None, started=timestamp(), inbox=str(self.inbox),
-            waiting=waiting, ignored=ignored,
+            ignored=ignored,
         )  # fmt: skip
         try:
             status = self._process_all(arrivals)
@@ -96,7 +98,7 @@ class Sweep:
     def _note(self, **changes: Any) -> None:
         self.journal.note(
             done=self.done, failed=self.failed, quarantined=self.quarantined, quarantine=self.quarantine,
-            untold=self.hook_failures, left=self.remaining, **changes,
+            untold=self.hook_failures, left=self.remaining, waiting=self.waiting, **changes,
         )  # fmt: skip
 
     def _settle(self, arrival: Arrival) -> None:
@@ -104,6 +106,10 @@ class Sweep:
         fingerprint = arrival.fingerprint()
         record = self.outbox.settled(arrival.name, fingerprint, self.settings)
         if record is None:
+            if arrival.measured and not self.outbox.is_settled(arrival, fingerprint):
+                self.waiting.append(arrival.name)
+                self.journal.write({"event": "waiting", "name": arrival.name, "reason": UNSETTLED})
+                return
             event = self._process(arrival)
             if event is None:
                 return
@@ -170,10 +176,19 @@ class Sweep:
         return event
 
     def _find_run(self, arrival: Arrival) -> tuple[Path, Standing]:
-        histories = [stores.open_phase_history(str(store)) for store in arrival.stores]
+        self._ingest(arrival)
+        members = [member for store in arrival.stores for member in stores.collections_in(store) or [store]]
+        histories = [stores.open_phase_history(member) for member in members]
         if self.settings["grid"] is None:  # a missing one is found before a cluster starts
             check_ground([history.collection.centred() for history in histories], None, any_grid=True)
-        return self.outbox.run_of(arrival.name, arrival.stores[0], input_fingerprint(histories))
+        return self.outbox.run_of(arrival.name, members[0], input_fingerprint(histories))
+
+    def _ingest(self, arrival: Arrival) -> None:
+        """Make the phase histories of measured data, of those that have none so far."""
+        for source, store in arrival.measured:
+            if not store.exists():
+                self.journal.write({"event": "ingesting", "name": arrival.name, "source": str(source)})
+                blocksar.ingest(None, source, store, progress=False)
 
     def _focus(self, arrival: Arrival, run: Path, standing: Standing) -> list[str]:
         """Focus into a run and return its summary; an unfinished run of other options or bytes is replaced."""

@@ -21,8 +21,8 @@ from blocksar.collection.empty_pulses import missing_pulses
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.ingestion.cphd.files import CphdFile, reading_file
 from blocksar.ingestion.cphd.frequency_grid import Delays, Resampler, phasor
-from blocksar.ingestion.cphd.vectors import NOT_FINITE, ZEROS, Lost, Pulses, VectorResampling
-from blocksar.ingestion.readers import Piece
+from blocksar.ingestion.cphd.vectors import NOT_FINITE, ZEROS, Lost, Pulses, VectorResampling, describe_lost
+from blocksar.ingestion.readers import Piece, refuse_few
 from blocksar.ingestion.resampling import MOST_ERROR, Area, AreaCut, plan_cut
 from blocksar.kernels.fourier import fft_rows
 
@@ -300,6 +300,12 @@ def read_samples(
                 yield Piece(number, pulses, partial(reader.stored, echoes.cut, pulses))
             with reading_file(echoes.file.path):
                 reader.missing, lost = reader.lost()
+            there = echoes.pulses.vector >= 0
+            refuse_few(
+                int(np.count_nonzero(there & ~reader.missing)), int(np.count_nonzero(there)),
+                f"vectors are lost: {describe_lost(lost, echoes.file.first_vector)}",
+                "take a part that has echoes with --pulses",
+            )  # fmt: skip
             if reader.missing.any():
                 cut = echoes.cut_without(reader.missing)
                 affected = _affected(reader.missing, cut)

@@ -20,6 +20,7 @@ from blocksar.arrays import UNIFORM_TOLERANCE, BoolArray, FloatArray, IntArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.ingestion.cphd.files import NEEDED, CphdFile
+from blocksar.ingestion.readers import refuse_few
 from blocksar.ingestion.resampling import OCCUPIED, Resampling, plan_resampling
 
 SMALLEST_ORBIT, LARGEST_ORBIT = 6.3e6, 1e9  # m from the Earth's centre
@@ -61,7 +62,7 @@ def find_usable(file: CphdFile, origin: FloatArray) -> Usable:
     Raises
     ------
     InputError
-        If a parameter is wrong in more than `MOST_LOST` of the vectors, or fewer than `LEAST` can be used.
+        If a parameter is wrong in more than `MOST_LOST` of the vectors, or fewer than half or `LEAST` can be used.
     """
     normal = placed = np.ones(file.shape[0], np.bool_)
     lost: list[Lost] = []
@@ -87,6 +88,7 @@ def find_usable(file: CphdFile, origin: FloatArray) -> Usable:
             f"only {np.count_nonzero(normal)} vectors have valid parameters and a normal signal; at least {LEAST} are "
             f"needed ({describe_lost(lost, file.first_vector)})"
         )
+    check_most_used(normal, lost, file.first_vector)
     return Usable(normal, placed, lost)
 
 
@@ -167,6 +169,16 @@ def _neighbours(values: FloatArray, zero: BoolArray, others: IntArray) -> FloatA
     at = np.searchsorted(others, np.arange(values.size))
     padded = np.concatenate([[np.nan], values[others], [np.nan]])
     return np.where(zero, np.stack([padded[at], padded[at + 1]]), np.nan)
+
+
+def check_most_used(used: BoolArray, lost: Sequence[Lost], first: int) -> None:
+    """Raise an InputError, with the part that holds most, if less than half of vectors (n_vector,) are used."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], used, [0]]))).reshape(-1, 2)
+    low, high = ends[np.diff(ends, axis=1).argmax()] if ends.size else (0, 0)
+    refuse_few(
+        int(np.count_nonzero(used)), used.size, f"vectors are lost: {describe_lost(lost, first)}",
+        f"take a part that has echoes, such as --pulses {first + low}:{first + high}",
+    )  # fmt: skip
 
 
 def describe_lost(lost: Sequence[Lost], first: int = 0) -> str:
@@ -390,11 +402,8 @@ def resample_vectors(
         )
     resampling = plan_resampling(time, uniform, band=band)
     good = np.flatnonzero(resampling.good)
-    if good.size < max(8, n // 2):
-        raise InputError(
-            f"{uneven}, so that {n - good.size} of {n} uniform pulses cannot be computed from them; "
-            "cut the collection at its gaps"
-        )
+    remedy = "take a part without gaps with --pulses"
+    refuse_few(good.size, n, f"{uneven}, so that most uniform pulses cannot be computed from them", remedy)
     usable = slice(int(good[0]), int(good[-1]) + 1)
     resampling, uniform = resampling.part(usable), uniform[usable]
     position, moment = (
