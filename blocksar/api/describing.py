@@ -32,7 +32,7 @@ from blocksar.places import Location, place, readable
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.places.ranges import Readable, WebFile
-from blocksar.runs.folder import member
+from blocksar.runs.folder import find_input, member
 from blocksar.runs.record import RECORD, RunRecord
 from blocksar.simulation import shipped_scenes
 from blocksar.stores.records import unreachable
@@ -432,7 +432,7 @@ def _run(where: Place) -> Report:
         *(row for row in seen if row[0] not in skipped),
     ]
     if not record.finished:
-        source = record.input.path or "PH.zarr"
+        source = str(find_input(where, record.input.path)) if record.input.path else "PH.zarr"
         return _report("unfinished run", str(where), rows, [["focus", source, "--out", str(where)]])
     if not is_measurable(record):
         return _report("run", str(where), rows, [])  # of a single row or column, which nothing measures

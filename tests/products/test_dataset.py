@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ import blocksar
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, ProcessingError
+from blocksar.places.local import LocalPlace
 from blocksar.products import geotiff
 from blocksar.products.pixels import Pixels
 
@@ -230,9 +233,15 @@ def test_a_store_given_as_a_run_names_the_run(made: Made) -> None:
 
 
 def test_figures_of_a_run_that_cannot_be_written_to_are_reported(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(path: Any, obj: Any) -> None:
-        raise ProcessingError(f"{path} cannot be written (Read-only file system)")
+    def refuse(number: int) -> None:
+        def write(self: LocalPlace, data: bytes) -> None:
+            raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr("blocksar.stores.write_json", refuse)
+        monkeypatch.setattr(LocalPlace, "write_bytes", write)
+
+    refuse(errno.EROFS)
     report = blocksar.quality(made.folder, area="-5:5,-5:5")
     assert report.result and report.summary[-1].endswith("quality.json cannot be written (Read-only file system)")
+    refuse(errno.ENOSPC)  # which makes room for the file
+    with pytest.raises(ProcessingError, match=r"quality\.json cannot be written \(No space left on device\)"):
+        blocksar.quality(made.folder)
