@@ -365,8 +365,11 @@ def _dataset(dataset: Any) -> Report:
     """A dataset that is a phase history or an image; one as it was opened from a store is what the store is."""
     if "image" in dataset and {"x", "y"} <= set(dataset.coords):
         x, y = dataset["x"].values, dataset["y"].values
+        from blocksar.products.dataset import nested  # loads xarray, as the caller has
+
+        attrs = {name: nested(value) for name, value in dataset.attrs.items()}
         rows = [
-            *general_rows(dataset.attrs), ("grid", _pixels(x, y)),
+            *general_rows(attrs), ("grid", _pixels(x, y)),
             ("in memory", size_text(dataset["image"].nbytes)), *history_rows(dataset.attrs),
         ]  # fmt: skip
         return _report("image", f"{dataset.encoding.get('source', 'a dataset')}", rows, [])

@@ -138,11 +138,13 @@ def test_db_of_a_chunked_image_is_lazy_and_raises_no_warning(made: Made) -> None
 
 def test_derived_datasets_can_be_saved(tmp_path: Path) -> None:
     """netCDF has no complex numbers and only numeric or text attributes; CF forbids a fill value for coordinates."""
-    told = {"settings": {"blocks": 3}, "predicted": [{"block": 0}], "warnings": []}
+    told = {"settings": {"processor": "auto"}, "checked": True, "predicted": [{"block": 0}], "warnings": []}
     run = make(tmp_path / "run", size=(40, 30))
     zarr.open_group(run.folder / "image.zarr").attrs.update(told)
     with blocksar.open(run.folder) as opened:
-        assert opened.attrs["settings"] == told["settings"]
+        assert {name: json.loads(opened.attrs[name]) for name in told} == told
+        assert "processor" in dict(opened.sar._facts()) and blocksar.info(opened).result["kind"] == "image"
+        xr.merge([opened]).drop_vars("image").to_netcdf(tmp_path / "merged.nc")
         opened.to_netcdf(tmp_path / "a.nc")
     with xr.open_dataset(tmp_path / "a.nc") as again:
         assert {name: json.loads(again.attrs[name]) for name in told} == told
