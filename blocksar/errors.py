@@ -177,6 +177,11 @@ def is_full(error: BaseException | None) -> bool:
     return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 
 
+def is_closed(error: BaseException | None) -> bool:
+    """Whether an error says that a place takes no files: of another user, or read-only."""
+    return isinstance(error, OSError) and error.errno in (errno.EACCES, errno.EPERM, errno.EROFS)
+
+
 def no_room(what: object, error: OSError) -> ProcessingError:
     """The error about a file or store for which a disk has no room."""
     remedy = "see to the disk" if error.errno == errno.EIO else "make room"

@@ -32,7 +32,7 @@ from blocksar.places import Location, place, readable
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.places.ranges import Readable, WebFile
-from blocksar.runs.folder import member
+from blocksar.runs.folder import find_input, member
 from blocksar.runs.record import RECORD, RunRecord
 from blocksar.simulation import shipped_scenes
 from blocksar.stores.records import unreachable
@@ -365,8 +365,11 @@ def _dataset(dataset: Any) -> Report:
     """A dataset that is a phase history or an image; one as it was opened from a store is what the store is."""
     if "image" in dataset and {"x", "y"} <= set(dataset.coords):
         x, y = dataset["x"].values, dataset["y"].values
+        from blocksar.products.dataset import nested  # loads xarray, as the caller has
+
+        attrs = {name: nested(value) for name, value in dataset.attrs.items()}
         rows = [
-            *general_rows(dataset.attrs), ("grid", _pixels(x, y)),
+            *general_rows(attrs), ("grid", _pixels(x, y)),
             ("in memory", size_text(dataset["image"].nbytes)), *history_rows(dataset.attrs),
         ]  # fmt: skip
         return _report("image", f"{dataset.encoding.get('source', 'a dataset')}", rows, [])
@@ -432,7 +435,7 @@ def _run(where: Place) -> Report:
         *(row for row in seen if row[0] not in skipped),
     ]
     if not record.finished:
-        source = record.input.path or "PH.zarr"
+        source = str(find_input(where, record.input.path)) if record.input.path else "PH.zarr"
         return _report("unfinished run", str(where), rows, [["focus", source, "--out", str(where)]])
     if not is_measurable(record):
         return _report("run", str(where), rows, [])  # of a single row or column, which nothing measures

@@ -17,7 +17,7 @@ from blocksar.api.target_files import targets_of
 from blocksar.collection.beam import aperture
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import CUT_WIDTHS, Weighting
-from blocksar.errors import InputError, ProcessingError
+from blocksar.errors import InputError, ProcessingError, is_closed
 from blocksar.kernels.occlusion import SHADOW
 from blocksar.measurement.coherence import align
 from blocksar.measurement.figures import TABLE3, PointResponse, as_json, measure_target, rank, summary
@@ -241,6 +241,7 @@ def quality(
     found: int = 0,
     area: str | tuple[tuple[float, float], tuple[float, float]] | None = None,
     channel: str | None = None,
+    source: Location | None = None,
 ) -> Report:
     """Measure the point targets of a finished run, and compare chips with exact back-projection.
 
@@ -266,24 +267,35 @@ def quality(
         looks and the mean power. Default: none.
     channel : str, optional
         Of a run of several channels. Default: the first.
+    source : path, optional
+        The phase history that the run was made from, for the reference; of several, the folder that holds them under
+        their names. Default: where it was, or beside the run under its name, as after both were moved.
 
     Returns
     -------
     Report
         `tables` has the worst case of each figure and the ten worst targets, `details` all targets with all figures;
-        `result` is what RUN/quality.json holds; a note in `summary` says if that file cannot be written.
+        `result` is what RUN/quality.json holds. Of a run on a read-only disk, or another user's, a note in `summary`
+        says that the file is not written.
 
     Raises
     ------
     InputError
         If the run is not finished or damaged, the targets or the area are wrong, or the input for the reference is
-        gone.
+        gone, or another one.
+    ProcessingError
+        If quality.json cannot be written for lack of room.
     """
     folder = place(run)
     chosen, record = folder_of(folder, channel), finished_record(folder)
     looks = [folder_of(folder, name) for name in record.channels] if record.dimension == "look" else []
     other = None if against is None else folder_of(place(against), channel)
-    report = measure(chosen, targets, reference, found=found, area=area, looks=looks, against=other)[0]
+    if source is not None and not reference:
+        raise InputError(f"source is {source}, which only the reference needs; give --reference, or leave it out")
+    report = measure(
+        chosen, targets, reference, found=found, area=area, looks=looks, against=other,
+        source=None if source is None else place(source),
+    )[0]  # fmt: skip
     return replace(report, summary=[*member_line(folder, channel), *report.summary])
 
 
@@ -296,10 +308,12 @@ def measure(
     area: Any = None,
     looks: Sequence[Place] = (),
     against: Place | None = None,
+    source: Place | None = None,
 ) -> tuple[Report, list[Response]]:
     """Do what `quality` does; also return the responses of the targets of the paper's Table 3, to be drawn.
 
-    `looks` are the folders of all looks, if the run is one of several; `against` is that of another run.
+    `looks` are the folders of all looks, if the run is one of several; `against` is that of another run; `source` is
+    where the run's input is, if not where it was.
     """
     run = FinishedRun.open(folder)
     listed = targets_of(targets, run.attrs, run)
@@ -308,14 +322,16 @@ def measure(
     parts = [
         _about_targets(run, listed, measured, alone=not asked), _about_track(run), _beside_table3(run, responses),
         _about_noise(run), _about_area(run, area), _about_found(run, found), _about_looks(looks, area),
-        _beside_exact(run, reference), _beside_another(run, against),
+        _beside_exact(run, reference, source), _beside_another(run, against),
     ]  # fmt: skip
     drawn = [response for target in listed if target.name in TABLE3 and (response := read_target(run, target))]
     result = {name: value for part in parts for name, value in part.result.items()}
     lines = [line for part in parts for line in part.lines]
     try:
         stores.write_json(folder / "quality.json", result)
-    except ProcessingError as error:  # the run is on a read-only disk, or another user's: the figures are not lost
+    except ProcessingError as error:
+        if not is_closed(error.__cause__):
+            raise
         lines.append(f"note: the figures are not kept, as {error}")
     tables = [table for part in parts for table in part.tables]
     worst = [_summary_table(responses), _worst_table(responses)] if responses else []
@@ -441,12 +457,12 @@ def _about_looks(looks: Sequence[Place], area: Any) -> ReportPart:
     return ReportPart({"looks": described}, tables=[looks_table(described)])
 
 
-def _beside_exact(run: FinishedRun, wanted: bool) -> ReportPart:
+def _beside_exact(run: FinishedRun, wanted: bool, source: Place | None) -> ReportPart:
     """Compare chips with exact back-projection, if requested."""
     if not wanted:
         return NOTHING
     result: dict[str, Any] = {}
-    table, lines = compare_with_exact(run, result)
+    table, lines = compare_with_exact(run, result, source)
     return ReportPart(result, lines, [table])
 
 

@@ -22,8 +22,9 @@ from blocksar.focusing.backprojection import form_chips
 from blocksar.graph.machine import machine
 from blocksar.measurement.coherence import ChipComparison, coherence, joint_coherence, power_within_reach, referred
 from blocksar.places import place
+from blocksar.places.place import Place
 from blocksar.runs.finished import FinishedRun
-from blocksar.runs.folder import INPUT
+from blocksar.runs.folder import INPUT, find_input
 from blocksar.runs.record import RunPlan
 
 FULL_DWELL_YAWS = 257  # at which full dwells are looked for under a beam about its axis
@@ -37,15 +38,19 @@ Compared = list[tuple[str, float, float, ChipComparison, float]]  # the last: po
 Chips = list[tuple[str, float, float, ComplexArray, slice, slice]]
 
 
-def compare_with_exact(run: FinishedRun, result: dict[str, Any]) -> tuple[Table, list[str]]:
+def compare_with_exact(
+    run: FinishedRun, result: dict[str, Any], source: Place | None = None
+) -> tuple[Table, list[str]]:
     """Put the chips' figures, the least coherence and that of all into `result`; return their table with sentences.
+
+    `source` is where the input is, if not where it was; see `find_input`.
 
     Raises
     ------
     InputError
-        If the input is unknown or gone, or the plan of the run is unknown.
+        If the input is unknown, gone, or another one, or the plan of the run is unknown.
     """
-    inputs = _open_inputs(run)
+    inputs = _open_inputs(run, source)
     compared = _compare(run, inputs)
     chips: list[dict[str, Any]] = [
         {
@@ -57,8 +62,15 @@ def compare_with_exact(run: FinishedRun, result: dict[str, Any]) -> tuple[Table,
     ]  # fmt: skip
     result["reference"] = chips
     lines = ["reference: exact back-projection of the same samples; chips of 64 x 64 pixels"]
-    if changed := [path for path, history in inputs.items() if _has_changed(run, path, history)]:
+    moved = [path for path, history in inputs.items() if str(history.path) != path and f"/{INPUT}" not in path]
+    if moved:
+        lines.append(f"its samples are those of {', '.join(str(inputs[path].path) for path in moved)}")
+    changed = [path for path, history in inputs.items() if _has_changed(run, path, history)]
+    if changed and not moved:
         lines[0] = f"{', '.join(changed)} has changed since the run: the reference is of other samples than the image"
+    elif changed:
+        lines.append("whose files were written at other times than the run's input, as copies are: see that it is this")
+    if changed:
         result["changed_input"] = changed
     if not chips:
         lines.append("nothing was compared: the image is too small, or hardly covered")
@@ -77,25 +89,46 @@ def compare_with_exact(run: FinishedRun, result: dict[str, Any]) -> tuple[Table,
     return _table(chips), lines
 
 
-def _open_inputs(run: FinishedRun) -> dict[str, stores.PhaseHistory]:
+def _open_inputs(run: FinishedRun, source: Place | None) -> dict[str, stores.PhaseHistory]:
     """Open the phase histories that a run was made from, of its channel, by the paths in its record.
 
     Raises
     ------
     InputError
-        If the input is unknown or gone.
+        If the input is unknown or gone, or has not the run's pulses and range frequencies.
     """
     if not run.record.inputs:
         raise InputError(f"run.json of {run.folder} does not name the input (input.path); focus again with --overwrite")
-    inputs, own = {}, run.folder / INPUT  # goes with the folder, where that is moved
-    for path in run.record.inputs:
-        moved = own / place(path).name if place(path).name != INPUT else own
-        within = f"/{INPUT}" in path and moved.exists()
-        history = stores.open_phase_history(moved if within else path)
+    inputs, names = {}, run.record.inputs
+    for path in names:
+        found = find_input(run.folder, path, source)
+        if not found.exists():
+            raise InputError(
+                f"{found}, which the run was made from, does not exist, nor does {found.name} beside {run.folder}; "
+                "give its place with --source"
+            )
+        if len(names) > 1 and found == source:
+            raise InputError(
+                f"source is {source}, but the run was made from {len(names)} phase histories; give the folder that "
+                f"holds {', '.join(place(each).name for each in names)}"
+            )
+        history = stores.open_phase_history(found)
+        _check_size(run, history)
         if run.record.settings.get("pulses") == PARTS:
             history = history.with_partial_pulses()
         inputs[path] = history.of_channel(run.attrs.get("channel") if history.channels else None)
     return inputs
+
+
+def _check_size(run: FinishedRun, history: stores.PhaseHistory) -> None:
+    """Refuse a phase history that cannot be the run's, of which that of all pulses is known."""
+    own, found = run.collection, history.collection
+    sizes = [(each.n_pulse, each.n_range_frequency) for each in (own, found)]
+    if not run.segments and sizes[0] != sizes[1]:
+        raise InputError(
+            f"{history.path} has {sizes[1][0]} pulses of {sizes[1][1]} range frequencies, and {run.folder} was made "
+            f"from {sizes[0][0]} of {sizes[0][1]}; give the run's own phase history with --source"
+        )
 
 
 def _has_changed(run: FinishedRun, path: str, history: stores.PhaseHistory) -> bool:

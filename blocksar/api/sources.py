@@ -86,6 +86,8 @@ def simulate(
         written = cphd_files.simulate(
             scene, out, origin=origin, threads=threads, overwrite=overwrite, progress=callback
         )
+        if line := cphd_files.off_level(scene, origin):
+            listener.note(line)
     else:
         written = simulation.simulate(scene, out, raw=raw, threads=threads, overwrite=overwrite, progress=callback)
     _note_unlit(scene, listener)

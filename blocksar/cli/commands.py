@@ -212,6 +212,12 @@ def quality(
         str | None, typer.Option(metavar="x0:x1,y0:y1", help="Also measure the equivalent looks of this part, m.")
     ] = None,
     channel: Channel = None,
+    source: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PH.zarr", help="Phase history for --reference; default: where it was, or beside the run."
+        ),
+    ] = None,
     everything: Everything = False,
     explain: Explain = False,
     quiet: Quiet = False,
@@ -225,8 +231,9 @@ def quality(
     from blocksar import api
 
     report = api.quality(
-        run, targets=targets, reference=reference, against=against, found=found, area=area, channel=channel
-    )
+        run, targets=targets, reference=reference, against=against, found=found, area=area, channel=channel,
+        source=source,
+    )  # fmt: skip
     show(report, context)
     hint(context, "report", run)
 

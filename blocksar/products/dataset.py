@@ -78,8 +78,9 @@ def open(folder: Place) -> xr.Dataset:
 def prepare(dataset: xr.Dataset) -> xr.Dataset:
     """Make a dataset one of the class above, and give an image CF metadata: its axes and, if known, its map projection.
 
-    Attributes of the store's layout and place are left out: a part of the dataset would keep them, but they hold for
-    the whole image only. The coordinates and the grid mapping hold for any part.
+    Attributes of an image are numbers and texts, others as JSON text, which netCDF holds. Those of the store's layout
+    and place are left out: a part of the dataset would keep them, but they hold for the whole image only. The
+    coordinates and the grid mapping hold for any part.
 
     Raises
     ------
@@ -91,6 +92,7 @@ def prepare(dataset: xr.Dataset) -> xr.Dataset:
     if "image" not in dataset or not {"x", "y"} <= set(dataset.coords):
         return dataset
     frame = _frame(dataset.attrs)
+    dataset.attrs = flat(dataset.attrs)
     for axis in "xy":
         dataset[axis].attrs["axis"] = axis.upper()
         dataset[axis].encoding["_FillValue"] = None  # else xarray writes one, which CF forbids for coordinates
@@ -109,12 +111,33 @@ def prepare(dataset: xr.Dataset) -> xr.Dataset:
     return dataset
 
 
-def _frame(attrs: dict[str, Any]) -> Georeference | None:
-    """The scene frame of the attribute `georeference`: a mapping, or JSON text as stored by `SarAccessor.netcdf`."""
-    attribute = attrs.get("georeference")
-    if isinstance(attribute, str):
-        with suppress(ValueError):  # from_attribute then rejects the text
-            attribute = json.loads(attribute)
+def flat(attrs: Mapping[Any, Any]) -> dict[Any, Any]:
+    """Attributes as netCDF holds them: numbers and texts as they are, others (mappings, lists, bool) as JSON text."""
+
+    def held(value: Any) -> Any:
+        value = value.item() if isinstance(value, np.generic) else value
+        plain = isinstance(value, str | int | float) and not isinstance(value, bool)
+        return value if plain else json.dumps(value, default=_plain)
+
+    return {name: held(value) for name, value in attrs.items()}
+
+
+def nested(attribute: Any) -> Any:
+    """An attribute as it was before `flat`: a mapping or a list where it is the JSON text of one."""
+    if isinstance(attribute, str) and attribute.startswith(("{", "[")):
+        with suppress(ValueError):
+            return json.loads(attribute)
+    return attribute
+
+
+def _plain(value: Any) -> Any:
+    """An array of numpy, or a number of it, as JSON holds it; the text of anything else."""
+    return value.tolist() if isinstance(value, np.generic | np.ndarray) else str(value)
+
+
+def _frame(attrs: Mapping[Any, Any]) -> Georeference | None:
+    """The scene frame of the attribute `georeference`."""
+    attribute = nested(attrs.get("georeference"))
     return None if attribute is None else Georeference.from_attribute(attribute)
 
 
@@ -275,9 +298,9 @@ class SarAccessor:
         """Convert the dataset to what netCDF can store, for `to_netcdf`.
 
         netCDF has no complex numbers, so `image` becomes `image_real` and `image_imag`, and likewise the samples of a
-        phase history. Attributes other than numbers and text (settings, predicted, warnings, georeference) become JSON
-        text. What `blocksar.open` and `collection` return does this in `to_netcdf`. Reads the whole image unless the
-        dataset has chunks; to read less, `crop` first.
+        phase history. Attributes other than numbers and text (of a phase history: source, targets, georeference) become
+        JSON text, as those of an image are. What `blocksar.open` and `collection` return does this in `to_netcdf`.
+        Reads the whole image unless the dataset has chunks; to read less, `crop` first.
         """
         converted = self._dataset
         for name, variable in self._dataset.data_vars.items():
@@ -287,14 +310,7 @@ class SarAccessor:
             for word, part in (("real", variable.real), ("imag", variable.imag)):
                 attrs = variable.attrs | {"long_name": f"{variable.attrs.get('long_name', name)}, {word} part"}
                 converted[f"{name}_{word}"] = part.assign_attrs(attrs)
-        return converted.assign_attrs(
-            {
-                name: value
-                if isinstance(value, str | int | float) and not isinstance(value, bool)
-                else json.dumps(value, default=_plain)
-                for name, value in self._dataset.attrs.items()
-            }
-        )
+        return converted.assign_attrs(flat(self._dataset.attrs))
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the image in decibels, as cells of mean power, with a scale bar and, if georeferenced, north.
@@ -435,11 +451,6 @@ def _history_facts(collection: Collection) -> list[tuple[str, str]]:
     ]
 
 
-def _plain(value: Any) -> Any:
-    """A number or an array of numpy as JSON holds it; the text of anything else."""
-    return value.tolist() if isinstance(value, np.generic | np.ndarray) else str(value)
-
-
 @xr.register_dataarray_accessor("sar")  # type: ignore[no-untyped-call]
 class ArrayAccessor:
     """Methods of an array over x and y in m, as those of a dataset: `crop` and `netcdf` of any, others of an image."""
@@ -511,7 +522,7 @@ def _image_facts(dataset: xr.Dataset) -> list[tuple[str, str]]:
             axis = dataset[name].values
             step = (axis[-1] - axis[0]) / (axis.size - 1)
             rows.append((name, f"{axis[0]:.6g} .. {axis[-1]:.6g} m every {step:.4g} m"))
-    settings, predicted = attrs.get("settings"), attrs.get("predicted")
+    settings, predicted, warnings = (nested(attrs.get(name)) for name in ("settings", "predicted", "warnings"))
     if isinstance(settings, dict) and "processor" in settings:
         rows.append(("processor", str(attrs.get("processor", settings["processor"]))))
     if "predicted_coherence" in attrs:
@@ -525,7 +536,7 @@ def _image_facts(dataset: xr.Dataset) -> list[tuple[str, str]]:
             )
         )
     rows += [(name, str(attrs[name])) for name in ("calibration",) if attrs.get(name)]
-    rows += [("note", str(line)) for line in attrs.get("warnings") or []]
+    rows += [("note", str(line)) for line in warnings or []]
     return [*rows, ("methods", "db, multilook, crop, plot, cut, netcdf")]
 
 

@@ -33,6 +33,7 @@ from blocksar.measurement.side_lobes import REACH, side_lobe_power
 from blocksar.places.place import Place
 from blocksar.progress.listening import Callback
 from blocksar.runs.finished import FinishedRun
+from blocksar.runs.folder import find_input
 from blocksar.stores import Variable
 from blocksar.stores.contract import X, Y
 from blocksar.version import __version__
@@ -373,7 +374,7 @@ def _remedy(a: FinishedRun, b: FinishedRun) -> str:
         step = float(axis[-1] - axis[0]) / (axis.size - 1)
         spans.append(f"{float(axis[0]):.15g}:{float(axis[-1]) + step / 2:.15g}:{step:.15g}")
     settings = a.record.settings
-    inputs = list(dict.fromkeys(b.record.inputs)) or [b.record.input.path]
+    inputs = [str(find_input(b.folder, path)) for path in b.record.inputs] or [b.record.input.path]
     words = ["blocksar", "focus", *inputs, "--out", f"{b.folder}-on-the-grid-of-{a.folder.name}"]
     words += ["--grid", ",".join(spans)]
     for name in ("terrain", "surface", "vertical"):

@@ -391,6 +391,9 @@ def _features(grid: SIDDGrid, coa: Poly2D, start: datetime) -> dict[str, Any]:
     """The ExploitationFeatures branch, of the reference point at its centre of aperture."""
     from sarkit import sidd as sksidd
 
+    def turn(angle: float) -> float:  # the schema has angles below 360 degrees
+        return float(np.round(angle, 9) % 360)
+
     source, frame, geometry = grid.pixels.source, grid.frame, grid.pixels.source.geometry
     collection = geometry.collection
     point = grid.place(grid.reference[None])[0]
@@ -416,12 +419,12 @@ def _features(grid: SIDDGrid, coa: Poly2D, start: datetime) -> dict[str, Any]:
                 "Polarization": [{"TxPolarization": transmit, "RcvPolarization": receive}],
             },
             "Geometry": {
-                "Azimuth": angles.Azimuth, "Slope": angles.Slope, "Squint": angles.Squint, "Graze": angles.Graze,
+                "Azimuth": turn(angles.Azimuth), "Slope": angles.Slope, "Squint": angles.Squint, "Graze": angles.Graze,
                 "Tilt": angles.Tilt, "DopplerConeAngle": angles.DopplerCone,
             },
             "Phenomenology": {
-                "Shadow": np.array([angles.Shadow, angles.ShadowMagnitude]),
-                "Layover": np.array([angles.Layover, angles.LayoverMagnitude]),
+                "Shadow": np.array([turn(angles.Shadow), angles.ShadowMagnitude]),
+                "Layover": np.array([turn(angles.Layover), angles.LayoverMagnitude]),
                 "MultiPath": angles.MultiPath, "GroundTrack": angles.GroundTrack,
             },
         }],
@@ -429,7 +432,7 @@ def _features(grid: SIDDGrid, coa: Poly2D, start: datetime) -> dict[str, Any]:
             "Resolution": np.array([_width(support, along[:2]) for along in towards]),
             "Ellipticity": float(axes[1] / axes[0]),
             "Polarization": [{"TxPolarizationProc": transmit, "RcvPolarizationProc": receive}],
-            "North": angles.North,
+            "North": turn(angles.North),
         }],
     }  # fmt: skip
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from blocksar import stores
 from blocksar.errors import FolderError, InputError, ProcessingError, is_full, no_room
-from blocksar.places import lies_in
+from blocksar.places import lies_in, place
 from blocksar.places.local import LocalPlace, is_temporary
 from blocksar.places.place import Held, Place
 from blocksar.runs.demonstration import HISTORY
@@ -69,11 +69,53 @@ TEMPORARY = (PLAN, "receipts", "compressed.zarr", "gated", SCRATCH)  # what a fi
 INTERMEDIATE = ("spectrum.zarr", "patches")  # those of OWN that nothing reads once a run is finished
 LEFT_ALONE = (HISTORY,)  # may lie in the folder of a new run: `demo` puts its input there
 LOCK, ASIDE = "run.lock", ".replaced"
+AROUND = 4  # folders in which an input that was moved is looked for: a member's own, two more of its run, what holds it
 
 
 def member(folder: Place, name: str, dimension: str = "channel") -> Place:
     """Return the folder of a channel's or look's own run, in a run of several."""
     return folder / f"{dimension}s" / name
+
+
+def find_input(folder: Place, path: str, source: Place | None = None) -> Place:
+    """Find where a phase history that a run was made from lies now.
+
+    A run may have been moved together with its input, or copied to another machine.
+
+    Parameters
+    ----------
+    folder : Place
+        Folder of the run, or of its channel or look.
+    path : str
+        Where the input was, as the record says.
+    source : Place, optional
+        Where the user says that it is: the store, or the folder that holds it under its name.
+
+    Returns
+    -------
+    Place
+        The place in `source`; else `path`, if it exists; else that of the last one or two names of `path` in the run
+        folder or in one around it; else `path`. What came from memory is looked for in the run folder first.
+    """
+    names = path.rsplit("/", 2)[-2:]
+    if source is not None:
+        within = source / names[-1]
+        return within if within.exists() else source
+    recorded = place(path)
+    if f"/{INPUT}" not in path and recorded.exists():
+        return recorded
+    tried = (around / tail for around in _around(folder) for tail in ("/".join(names), names[-1]))
+    return next((each for each in tried if each.exists()), recorded)
+
+
+def _around(folder: Place) -> Iterator[Place]:
+    """A folder, and those that it lies in."""
+    text = str(folder)
+    for _ in range(AROUND):
+        yield place(text)
+        text = text.rpartition("/")[0]
+        if text in ("", "s3:/"):
+            return
 
 
 @contextmanager

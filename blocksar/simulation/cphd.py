@@ -430,12 +430,16 @@ def _free_file(out: Location, *, overwrite: bool) -> Path:
 def _frame(scene: Scene, origin: tuple[float, float, float] | None) -> Georeference:
     """Return where the scene centre lies on the Earth, and the scene's axes.
 
+    Where the centre is not the origin of the scene's georeference, its plane is laid level at the centre's place, and
+    turned so that x keeps its direction; see `off_level`.
+
     Raises
     ------
     InputError
-        If the origin is wrong, or the scene has a georeference and its centre is not the origin of that.
+        If the origin is wrong.
     """
-    if scene.georeference is None:
+    placed = scene.georeference
+    if placed is None or origin is not None:
         try:
             latitude, longitude, height = map(float, origin or ORIGIN)
             possible = abs(latitude) <= 89.9 and abs(longitude) <= 180 and abs(height) < 1e5
@@ -445,16 +449,39 @@ def _frame(scene: Scene, origin: tuple[float, float, float] | None) -> Georefere
             raise InputError(
                 f"origin is {origin}: give a latitude within 89.9 degrees, a longitude within 180, and a height in m"
             )
-        return Georeference(latitude=latitude, longitude=longitude, height=height)
-    if origin is not None:
-        raise InputError(f"origin is {origin}, but the scene has a [georeference]; leave one of them out")
-    if (away := float(np.hypot(*scene.centre[:2]))) > MOST_AWAY:
-        raise InputError(
-            f"the scene centre lies {away:.6g} m from the origin of its [georeference], but is the reference point of "
-            "a CPHD file; give an Earth-centred track without scene.centre_yaw_deg and scene.centre_range, leave "
-            "[georeference] out, or simulate a store"
-        )
-    return replace(scene.georeference, height=scene.georeference.height + scene.area.ground_height)
+        rotation = 0.0 if placed is None else placed.rotation
+        return Georeference(latitude=latitude, longitude=longitude, height=height, rotation=rotation)
+    if _away(scene) <= MOST_AWAY:
+        return replace(placed, height=placed.height + scene.area.ground_height)
+    level = Georeference.at(placed.to_ecef(scene.centre))
+    east, north = level.east_north_up[:2] @ placed.axes[0]
+    return replace(level, rotation=float(np.degrees(np.arctan2(north, east))))
+
+
+def _away(scene: Scene) -> float:
+    """Distance, m, along the ground of the scene centre from the origin of the frame."""
+    return float(np.hypot(*scene.centre[:2]))
+
+
+def off_level(scene: Scene, origin: tuple[float, float, float] | None) -> str | None:
+    """A sentence about a file whose scene lies level at its centre, away from the origin of its georeference.
+
+    The plane of a CPHD file is that of its reference point. The plane that is level at the origin slopes there by the
+    distance over the radius of the Earth, so that places about the centre differ by as much of their distance to it.
+    """
+    if scene.georeference is None or origin is not None or _away(scene) <= MOST_AWAY:
+        return None
+    level, places = _frame(scene, None), scene.collection().antenna_position
+    ground = np.array([[target.x, target.y, scene.centre[2]] for target in scene.point_targets()]).reshape(-1, 3)
+    off = [
+        float(np.linalg.norm(scene.georeference.to_ecef(at) - level.to_ecef(at - scene.centre), axis=1).max(initial=0))
+        for at in (ground, places)
+    ]
+    return (
+        f"the scene centre lies {1e-3 * _away(scene):.3g} km from the origin of its [georeference], and the file's "
+        f"plane is level at the centre: its targets lie up to {off[0]:.2g} m, its track up to {off[1]:.3g} m from "
+        "where the scene has them; a store has them there"
+    )
 
 
 def _about_centre(scene: Scene) -> Scene:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,8 @@ import blocksar
 from blocksar.api.reference_chips import whole_geometry
 from blocksar.collection.geometry import over_terrain
 from blocksar.collection.terrain import Terrain
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError
 from blocksar.measurement.coherence import coherence
 
 
@@ -46,3 +50,40 @@ def test_a_small_part_of_what_a_block_owns_is_compared(tmp_path: Path, rows: int
     assert any("nothing was compared" in line for line in report.summary) == (compared == 0)
     if compared:
         assert report.result["least_coherence"]["measured"] > 0.99
+
+
+def one_point(*, n_pulse: int = 256, channels: tuple[str, ...] = ()) -> Any:
+    """The phase history of one point, seen from the side."""
+    time, f = (np.arange(n_pulse) - n_pulse // 2) / 400.0, (np.arange(64) - 32) * 1e6
+    track = np.stack([0 * time - 8000.0, 120.0 * time, 0 * time + 5000.0], axis=1)
+    reference = np.linalg.norm(track, axis=1)
+    way = np.linalg.norm(track - [30.0, -24.0, 0.0], axis=1) - reference
+    signal = np.exp(-4j * np.pi / SPEED_OF_LIGHT * np.outer(way, 10e9 + f)).astype(np.complex64)
+    return blocksar.collection(
+        signal=np.stack([signal] * len(channels)) if channels else signal, time=time, range_frequency=f,
+        antenna_position=track, reference_range=reference, carrier_frequency=10e9,
+        **({"channel": list(channels)} if channels else {}),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("channels", [(), ("VV", "VH")])
+def test_the_input_of_a_run_that_was_moved_with_it_is_found(channels: tuple[str, ...], tmp_path: Path) -> None:
+    old, new = tmp_path / "old", tmp_path / "new"
+    blocksar.write(one_point(channels=channels), old / "ph.zarr")
+    grid = "-60:60:1,-60:60:1"
+    blocksar.focus(old / "ph.zarr", old / "run", grid=grid, workers=0, progress=False)
+    before = blocksar.quality(old / "run", reference=True)
+    assert before.result["reference"][0]["coherence"] > 0.99
+    shutil.move(old, new)
+    after = blocksar.quality(new / "run", reference=True)
+    assert after.result["reference"] == before.result["reference"] and "changed_input" not in after.result
+    assert f"its samples are those of {new / 'ph.zarr'}" in after.summary
+    (tmp_path / "elsewhere").mkdir()
+    shutil.move(new / "ph.zarr", tmp_path / "elsewhere" / "other.zarr")
+    with pytest.raises(InputError, match=r"old.ph\.zarr, which .* does not exist, nor does ph\.zarr beside"):
+        blocksar.quality(new / "run", reference=True)
+    told = blocksar.quality(new / "run", reference=True, source=tmp_path / "elsewhere" / "other.zarr")
+    assert told.result["reference"] == before.result["reference"]
+    blocksar.write(one_point(n_pulse=200, channels=channels), new / "ph.zarr")
+    with pytest.raises(InputError, match=r"has 200 pulses of 64 range frequencies, and .* from 256 of 64; give"):
+        blocksar.quality(new / "run", reference=True)

@@ -82,6 +82,7 @@ CASES = {
     "quality run --area=1:2": "area = '1:2': give the ends",
     "quality run --area=0:1,0:1": "area: y from 0 to 1 m has 0 pixels",
     "quality run --against=nothing": "nothing does not exist",
+    "quality run --source=ph.zarr": "which only the reference needs; give --reference, or leave it out",
     "report run --out=a.pdf": "which is that of another kind of file; give report a name that ends in .html",
     "export png run --out=a.jpg": "give png a name that ends in .png",
     "export png run --out=a.png --colour-map=viridiss": "did you mean 'viridis'?",

@@ -110,9 +110,11 @@ def test_options_arrive_as_their_model_reads_them(command: str, api: Calls) -> N
 
 
 def test_quality_and_simulate_pass_their_options(api: Calls) -> None:
-    words = ("--targets", "t.json", "--reference", "--against", "r", "--found=5", "--area", "0:9,-3:3", "--channel=HV")
+    words = ("--targets", "t.json", "--reference", "--against", "r", "--found=5", "--area", "0:9,-3:3", "--channel=HV",
+             "--source=p.zarr")  # fmt: skip
     assert run("quality", "run", *words).exit_code == 0
-    options = {"targets": "t.json", "reference": True, "against": "r", "found": 5, "area": "0:9,-3:3", "channel": "HV"}
+    options = {"targets": "t.json", "reference": True, "against": "r", "found": 5, "area": "0:9,-3:3", "channel": "HV",
+               "source": "p.zarr"}  # fmt: skip
     assert api.seen["quality"] == (("run",), options)
     assert run("simulate", "a.toml", "--out", "p.zarr", "--raw", "--threads", "4").exit_code == 0
     args, kwargs = api.seen["simulate"]

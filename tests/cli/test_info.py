@@ -98,10 +98,10 @@ def test_a_run_says_what_was_done_and_what_is_next(run: Path) -> None:
     (run / "quality.json").write_text("{}")
     assert facts_of(run)[1]["also made"] == "quality.json" and facts_of(run)[2][0] == ["report", str(run)]
     record = json.loads((run / "run.json").read_text())
-    (run / "run.json").write_text(json.dumps(record | {"status": "unfinished", "input": {"path": "ph.zarr"}}))
+    (run / "run.json").write_text(json.dumps(record | {"status": "unfinished", "input": {"path": "/old/ph.zarr"}}))
     kind, facts, following = facts_of(run)
     assert (kind, facts["state"]) == ("unfinished run", "not finished; begun")
-    assert following == [["focus", "ph.zarr", "--out", str(run)]]
+    assert following == [["focus", "/old/ph.zarr", "--out", str(run)]]
     (run / "run.json").write_text(json.dumps(record))
 
 

@@ -134,6 +134,25 @@ def test_a_scene_that_was_used_before_gives_the_same_file(base: Base, tmp_path: 
     assert np.ptp(scene.reference_range) == 0
 
 
+def test_a_scene_away_from_its_georeference_lies_level_at_its_centre(tmp_path: Path) -> None:
+    placed = "\n[georeference]\nlatitude = 39.78\nlongitude = -84.1\nheight = 300.0\nrotation_deg = 20.0\n"
+    scene = Scene.parse(SCENE + placed)
+    assert scene.georeference is not None and np.hypot(*scene.centre[:2]) > 1e3
+    path = tmp_path / "a.cphd"
+    blocksar.simulate(scene, path, cphd=True, progress=False)
+    vectors, collection = parts_of(path).vectors, scene.collection()
+    np.testing.assert_allclose(vectors["SRPPos"], [scene.georeference.to_ecef(scene.centre)] * 160, rtol=0, atol=1e-6)
+    away = np.linalg.norm(collection.antenna_position - scene.centre, axis=1)
+    np.testing.assert_allclose(np.linalg.norm(vectors["TxPos"] - vectors["SRPPos"], axis=1), away, rtol=0, atol=1e-6)
+    apart = np.linalg.norm(vectors["TxPos"] - scene.georeference.to_ecef(collection.antenna_position), axis=1).max()
+    assert 0 < apart < np.hypot(*scene.centre[:2]) / 6.35e6 * away.max()
+    assert f"its track up to {apart:.3g} m from where" in str(cphd_simulation.off_level(scene, None))
+    assert cphd_simulation.off_level(scene, ORIGIN) is None
+    blocksar.simulate(scene, path, cphd=True, origin=ORIGIN, overwrite=True, progress=False)
+    there = Georeference(latitude=ORIGIN[0], longitude=ORIGIN[1], height=ORIGIN[2])
+    np.testing.assert_allclose(parts_of(path).vectors["SRPPos"][0], there.origin, rtol=0, atol=1e-6)
+
+
 def test_vectors_are_consistent(base: Base) -> None:
     v = parts_of(base.path).vectors
     assert (1 / (v["SCSS"] * (v["TOA2"] - v["TOA1"]))).min() >= 1.2

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ import blocksar
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, ProcessingError
+from blocksar.places.local import LocalPlace
 from blocksar.products import geotiff
 from blocksar.products.pixels import Pixels
 
@@ -135,11 +138,13 @@ def test_db_of_a_chunked_image_is_lazy_and_raises_no_warning(made: Made) -> None
 
 def test_derived_datasets_can_be_saved(tmp_path: Path) -> None:
     """netCDF has no complex numbers and only numeric or text attributes; CF forbids a fill value for coordinates."""
-    told = {"settings": {"blocks": 3}, "predicted": [{"block": 0}], "warnings": []}
+    told = {"settings": {"processor": "auto"}, "checked": True, "predicted": [{"block": 0}], "warnings": []}
     run = make(tmp_path / "run", size=(40, 30))
     zarr.open_group(run.folder / "image.zarr").attrs.update(told)
     with blocksar.open(run.folder) as opened:
-        assert opened.attrs["settings"] == told["settings"]
+        assert {name: json.loads(opened.attrs[name]) for name in told} == told
+        assert "processor" in dict(opened.sar._facts()) and blocksar.info(opened).result["kind"] == "image"
+        xr.merge([opened]).drop_vars("image").to_netcdf(tmp_path / "merged.nc")
         opened.to_netcdf(tmp_path / "a.nc")
     with xr.open_dataset(tmp_path / "a.nc") as again:
         assert {name: json.loads(again.attrs[name]) for name in told} == told
@@ -230,9 +235,15 @@ def test_a_store_given_as_a_run_names_the_run(made: Made) -> None:
 
 
 def test_figures_of_a_run_that_cannot_be_written_to_are_reported(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(path: Any, obj: Any) -> None:
-        raise ProcessingError(f"{path} cannot be written (Read-only file system)")
+    def refuse(number: int) -> None:
+        def write(self: LocalPlace, data: bytes) -> None:
+            raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr("blocksar.stores.write_json", refuse)
+        monkeypatch.setattr(LocalPlace, "write_bytes", write)
+
+    refuse(errno.EROFS)
     report = blocksar.quality(made.folder, area="-5:5,-5:5")
     assert report.result and report.summary[-1].endswith("quality.json cannot be written (Read-only file system)")
+    refuse(errno.ENOSPC)  # which makes room for the file
+    with pytest.raises(ProcessingError, match=r"quality\.json cannot be written \(No space left on device\)"):
+        blocksar.quality(made.folder)

@@ -149,7 +149,7 @@ def test_what_is_no_finished_run_is_refused(made: Made, tmp_path: Path) -> None:
     for opened in (xr.open_dataset, xr.open_datatree):
         with pytest.raises(InputError, match="is not finished; run `blocksar focus` again"):
             opened(unfinished, engine=Engine)
-    with pytest.raises(InputError, match="is the image alone; give the folder of its run"):
+    with pytest.raises(InputError, match=r"image\.zarr is the image alone; give the folder of its run"):
         xr.open_datatree(made.folder / "image.zarr", engine=Engine)
     damaged = tmp_path / "damaged"
     damaged.mkdir()

@@ -29,7 +29,7 @@ FAR_EAST = Georeference(latitude=-16.0, longitude=179.99999, height=5.0)  # and 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("look", "looks", "frame"),
-    [(0.1, "1x1", DAYTON), (0.9, "2x3", FAR_EAST), (2.6, "1x1", TURNED), (-1.9, "3x2", DAYTON)],
+    [(0.0, "1x1", DAYTON), (0.9, "2x3", FAR_EAST), (2.6, "1x1", TURNED), (-1.9, "3x2", DAYTON)],
 )
 def test_pixels_are_decibels_at_their_places_on_the_plane(
     look: float, looks: str, frame: Georeference, tmp_path: Path

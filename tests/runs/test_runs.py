@@ -263,7 +263,7 @@ def test_missing_and_impossible_samples_count_as_not_lit_and_are_reported(
     ]
     assert report.result["samples"] == {"missing": whole * n + more, "impossible": 1}
     image = blocksar.open(tmp_path / "run")
-    assert image.attrs["warnings"] == [line.removeprefix("note: ") for line in report.summary[:2]]
+    assert json.loads(image.attrs["warnings"]) == [line.removeprefix("note: ") for line in report.summary[:2]]
     blocksar.focus(store, tmp_path / "clean", **settings)
     np.testing.assert_allclose(image.image.values, blocksar.open(tmp_path / "clean").image.values, atol=0.02)
     assert np.abs(image.image.values).max() == pytest.approx(1, abs=0.01)

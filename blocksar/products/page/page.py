@@ -49,7 +49,7 @@ from blocksar.products.pictures.responses import has_chips, plot_chips, plot_con
 from blocksar.progress.listening import Callback
 from blocksar.runs import demonstration
 from blocksar.runs.finished import FinishedRun
-from blocksar.runs.folder import INPUT
+from blocksar.runs.folder import INPUT, find_input
 from blocksar.runs.track import TrackCorrection
 from blocksar.texts import count, frequency_text
 from blocksar.version import __version__
@@ -301,7 +301,8 @@ def repeat_run(run: Facts, folder: str, looks: int | None = None) -> str:
     """The command that repeats a run: `blocksar demo` for a demonstration, `blocksar focus` for others."""
     history = f"{folder}/{demonstration.HISTORY}"
     settings = run.settings if looks is None else {**run.settings, "looks": looks}
-    command = repeat_command(settings, run.record.inputs, folder)
+    inputs = [str(find_input(run.source.folder, path)) for path in run.record.inputs]
+    command = repeat_command(settings, inputs, folder)
     shown = {"blocks": demonstration.BLOCKS, "grid": [*demonstration.GRID[0], *demonstration.GRID[1]]}
     usual = repeat_command(shown, [history], folder)
     if command == usual and run.source.attrs.get("scene") == demonstration.SCENE:
