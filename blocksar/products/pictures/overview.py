@@ -17,6 +17,8 @@ from blocksar.runs.finished import FinishedRun
 ReadImage = Callable[[slice, slice], ComplexArray]
 ReadBlock = Callable[[slice, slice], NDArray[np.int16]]
 COARSER = 4 / 3  # cells of a level over those of the pixels, at most
+NARROWEST, WIDEST = 25.0, 60.0  # dB between the ends of a grey scale
+CLIPPED = 20.0  # dB by which the strongest cell may lie above one
 LEAST_SHOWN = 0.005  # of the cells, whose power should lie within the range in dB
 NOT_COVERED = "#39506b"  # slate blue: cannot be mistaken for dark ground
 
@@ -179,15 +181,23 @@ def stretch(power_db: FloatArray) -> tuple[float, float]:
     """Darkest and brightest dB of a grey scale that suits both clutter and isolated targets.
 
     The top is the 99.9th percentile, but at least 12 dB above the median, so that even clutter is mid-grey, and
-    at most 20 dB below the strongest cell; the bottom is the 2nd percentile, but at least 25 and at most 60 dB
-    below the top.
+    at most CLIPPED dB below the strongest cell: less by as much as the median would then be below the bottom of the
+    widest scale. So clutter stays visible beside strong targets, and isolated targets, about which there are only side
+    lobes, are drawn with the shape of their main lobe. The bottom is the 2nd percentile, but at least NARROWEST and at
+    most WIDEST dB below the top.
+
+    Examples
+    --------
+    >>> stretch(np.array([-80.0] * 999 + [0.0]))[1], stretch(np.array([-30.0] * 9999 + [10.0]))[1]
+    (0.0, -10.0)
     """
     finite = power_db[np.isfinite(power_db)]
     if finite.size == 0:
         return -60.0, 0.0
     low, median, high = (float(v) for v in np.percentile(finite, [2, 50, 99.9]))
-    high = max(high, median + 12, float(finite.max()) - 20)
-    return float(np.clip(low, high - 60, high - 25)), high
+    strongest = float(finite.max())
+    high = max(high, median + 12, strongest - float(np.clip(median - (strongest - WIDEST), 0.0, CLIPPED)))
+    return float(np.clip(low, high - WIDEST, high - NARROWEST)), high
 
 
 def range_notes(power_db: FloatArray, limits: tuple[float, float]) -> list[str]:
