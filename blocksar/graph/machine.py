@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import multiprocessing
 import os
 from contextlib import suppress
 from functools import lru_cache
@@ -78,6 +79,25 @@ def resources(workers: int | None, threads: int | None, memory_limit: int | None
     workers = min(max(cores // (threads or 1), 1), 4) if workers is None else max(workers, 1)
     threads = threads or max(cores // workers, 1)
     return Resources(workers, threads, memory_limit or memory // workers)
+
+
+def why_no_workers() -> str | None:
+    """Say why this process can start no workers; None if it can.
+
+    `multiprocessing` lets no daemon have children, and tells each child the working folder; a worker that cannot share
+    locks fails before it can say so.
+    """
+    if multiprocessing.current_process().daemon:
+        return "this process is a daemon, as workers of a multiprocessing.Pool, of Celery and of dask are"
+    try:
+        os.getcwd()
+    except OSError:
+        return "the working folder was deleted"
+    try:
+        multiprocessing.get_context("forkserver").Lock()
+    except OSError as error:
+        return f"processes cannot share locks ({error.strerror or error}), which takes a /dev/shm that is writable"
+    return None
 
 
 def _cores() -> int:
