@@ -66,7 +66,7 @@ def active_client(device: str) -> tuple[Client | None, list[str]]:
 
 
 def size_of(client: Client, workers: int | None, memory_limit: int | None) -> tuple[int | None, int | None]:
-    """Return the number of workers of a client, and the smallest of their memory limits, bytes, as far as it has any."""
+    """Return the number of workers of a client, and the least of their memory limits, bytes, as far as it has any."""
     from blocksar.graph import cluster, units
 
     if not units.workers_of(client):

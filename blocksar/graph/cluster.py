@@ -20,6 +20,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing import forkserver, resource_tracker
+from multiprocessing.process import ORIGINAL_DIR  # type: ignore[attr-defined]
 from multiprocessing.util import get_temp_dir
 from pathlib import Path
 from typing import Any
@@ -463,7 +464,7 @@ def _hiding_missing_script() -> Iterator[None]:
     """Leave `__main__` without a file that workers would look for in vain, such as <stdin>: they need nothing of it."""
     main = vars(sys.modules["__main__"])
     file = main.get("__file__")
-    if file is None or os.path.exists(os.path.join(multiprocessing.process.ORIGINAL_DIR or "", file)):
+    if file is None or os.path.exists(os.path.join(ORIGINAL_DIR or "", file)):
         yield
         return
     main["__file__"] = None

@@ -1,4 +1,4 @@
-"""Odd processes and sessions: each does the work, with a note where it is done otherwise, or says at once what to do."""
+"""Odd processes and sessions: each does the work, with a note if done otherwise, or says at once what to do."""
 
 from __future__ import annotations
 
@@ -22,11 +22,20 @@ from blocksar.api.workforce import choose_workforce
 from blocksar.errors import InputError
 
 CALL = "blocksar.focus({store!r}, {out!r}, grid='-9:9:1,-9:9:1', {more})"
-SCRIPT = f"import blocksar\nif __name__ == '__main__':\n    print(*{CALL}.summary, sep='\\n')\n"
-UNGUARDED = f"import blocksar; print(*{CALL}.summary, sep='\\n')\n"
-DELETED = f"import os, tempfile\nwith tempfile.TemporaryDirectory() as folder: os.chdir(folder)\n{SCRIPT}"
+SCRIPT = f"import blocksar; print(*{CALL}.summary, sep='\\n')"
+DELETED = f"""
+import os, tempfile
+import blocksar
+with tempfile.TemporaryDirectory() as folder:
+    os.chdir(folder)
+try:
+    blocksar.focus({{store!r}}, {{out!r}}, grid='-9:9:1,-9:9:1', workers=1)
+except blocksar.InputError as error:
+    print(error, os.path.exists({{out!r}}))
+print({CALL}.summary)
+"""
 HERE = "note: this process does the work: no workers can start, since "
-REFUSED = "InputError: no workers can start: {}; leave workers out, or give 0: this process does the work"
+REFUSED = "no workers can start: {}; leave workers out, or give 0: this process does the work"
 FOLDER, DAEMON = "the working folder was deleted", "this process is a daemon, as workers of a multiprocessing.Pool, "
 
 
@@ -40,24 +49,22 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> str:
 @pytest.mark.parametrize(
     ("way", "script", "more", "said"),
     [
-        ("file", SCRIPT, "workers=1", "peak memory of a worker"),
-        ("stdin", UNGUARDED, "workers=1", "peak memory of a worker"),
-        ("-c", UNGUARDED, "workers=1", "peak memory of a worker"),
-        ("-c without HOME", SCRIPT, "workers=1", "peak memory of a worker"),
-        ("stdin", DELETED, "", HERE + FOLDER),
-        ("stdin", DELETED, "workers=1", REFUSED.format(FOLDER)),
+        ("stdin", SCRIPT, "workers=1", ["peak memory of a worker"]),
+        ("-c without HOME", SCRIPT, "workers=1", ["peak memory of a worker"]),
+        ("stdin in a deleted folder", DELETED, "", [REFUSED.format(FOLDER) + " False", HERE + FOLDER]),
     ],
 )
-def test_a_script_is_run_in_any_way(way: str, script: str, more: str, said: str, store: str, tmp_path: Path) -> None:
+def test_a_script_is_run_in_any_way(
+    way: str, script: str, more: str, said: list[str], store: str, tmp_path: Path
+) -> None:
     text = script.format(store=store, out=str(tmp_path / "run"), more=more)
-    (tmp_path / "script.py").write_text(text)
-    given = {"file": [str(tmp_path / "script.py")], "stdin": ["-"]}.get(way, ["-c", text])
+    given = ["-"] if "stdin" in way else ["-c", text]
     environment = {name: value for name, value in os.environ.items() if name != "HOME" or "HOME" not in way}
     done = subprocess.run(
-        [sys.executable, *given], input=text, capture_output=True, text=True, check=False, env=environment, timeout=60
+        [sys.executable, *given], input=text, capture_output=True, text=True, check=False, env=environment, timeout=100
     )
-    assert said in done.stdout + done.stderr and (done.returncode == 0) == ("Error" not in said), done.stderr
-    assert (tmp_path / "run").exists() == (done.returncode == 0)
+    assert done.returncode == 0 and not done.stderr, done.stderr
+    assert all(line in done.stdout for line in said)
 
 
 def _focus(store: str, out: str, **more: Any) -> str:
@@ -72,8 +79,8 @@ def test_a_daemon_does_the_work_itself(store: str, tmp_path: Path) -> None:
         assert (HERE + DAEMON) in pool.apply(_focus, (store, str(tmp_path / "run")))
         assert "no workers can start: " + DAEMON in pool.apply(_focus, (store, str(tmp_path / "b")), {"workers": 1})
         assert not (tmp_path / "b").exists()
-        lines = pool.apply(blocksar.focus, (store, tmp_path / "run")).summary  # the function, and what it returns
-    assert "holds a run" in str(lines) or "nothing to do" in str(lines)
+        again = pool.apply(blocksar.focus, (store, tmp_path / "run"), {"grid": "-9:9:1,-9:9:1"})
+    assert "nothing to do" in again.summary[-1]
 
 
 def test_a_thread_with_an_event_loop_starts_workers(store: str, tmp_path: Path) -> None:
@@ -118,7 +125,7 @@ def test_functions_that_name_the_package_are_sent_to_workers() -> None:
         return blocksar, blocksar.__version__, blocksar.collection
 
     assert cloudpickle.loads(cloudpickle.dumps(version))() == (blocksar, blocksar.__version__, blocksar.collection)
-    for name in blocksar.__all__:
-        function = getattr(blocksar, name)
-        assert pickle.loads(pickle.dumps(function)) is function, name
+    for name in set(blocksar.__all__) - {"__version__"}:
+        each = getattr(blocksar, name)
+        assert pickle.loads(pickle.dumps(each)) is each, name
     assert dir(blocksar) == sorted(blocksar.__all__)
