@@ -7,6 +7,7 @@ import multiprocessing
 import os
 from contextlib import suppress
 from functools import lru_cache
+from multiprocessing import forkserver
 from numbers import Integral
 from pathlib import Path
 from time import perf_counter
@@ -85,10 +86,16 @@ def why_no_workers() -> str | None:
     """Say why this process can start no workers; None if it can.
 
     `multiprocessing` lets no daemon have children, and tells each child the working folder; a worker that cannot share
-    locks fails before it can say so.
+    locks fails before it can say so. The server that workers are forked from is the child of one process.
     """
     if multiprocessing.current_process().daemon:
         return "this process is a daemon, as workers of a multiprocessing.Pool, of Celery and of dask are"
+    server = getattr(getattr(forkserver, "_forkserver", None), "_forkserver_pid", None)
+    try:
+        if server is not None:
+            os.waitid(os.P_PID, server, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+    except ChildProcessError:
+        return "this process was forked from one that had workers, where it can be spawned instead"
     try:
         os.getcwd()
     except OSError:
