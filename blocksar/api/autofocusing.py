@@ -60,7 +60,7 @@ def autofocus(
     workers: int | None = None,
     threads: int | None = None,
     memory_limit: int | str | None = None,
-    scheduler: str | Client | None = None,
+    scheduler: str | None = None,
     wait_workers: float = WAIT_WORKERS,
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -101,8 +101,8 @@ def autofocus(
         Threads of each worker. Default: cores / workers, at least 1.
     memory_limit : int or str, optional
         Memory of each worker, bytes or a text such as "2GiB". Default: its share of the machine's memory.
-    scheduler : str or distributed.Client, optional
-        Address of a running dask scheduler, used instead of a local cluster; or as `client`.
+    scheduler : str, optional
+        Address of a running dask scheduler, used instead of a local cluster.
     wait_workers : float
         Time to wait for a worker of a running cluster as long as it has none, at the start and whenever the last one is
         lost, s. 0: fail at once. Default: 60.
@@ -111,8 +111,8 @@ def autofocus(
     progress : object with a method update(stage, done, total), or False, optional
         As in `focus`. Default: bars in a notebook, silence elsewhere.
     client : distributed.Client, optional
-        Client of a running cluster, used instead of a local cluster. Default: dask's active client, if there is one and
-        no `workers` are given.
+        Client of a running cluster, used instead of a local cluster; also taken as `scheduler`. Default: dask's active
+        client, if there is one and no `workers` are given.
 
     Returns
     -------

@@ -92,7 +92,7 @@ def focus(
     workers: int | None = None,
     threads: int | None = None,
     memory_limit: int | str | None = None,
-    scheduler: str | Client | None = None,
+    scheduler: str | None = None,
     wait_workers: float = WAIT_WORKERS,
     overwrite: bool = False,
     discard: bool = False,
@@ -181,8 +181,8 @@ def focus(
         Threads of each worker. Default: cores / workers, at least 1.
     memory_limit : int or str, optional
         Memory of each worker, bytes or a text such as "2GiB". Default: its share of the machine's memory.
-    scheduler : str or distributed.Client, optional
-        Address of a running dask scheduler, used instead of a local cluster; or as `client`.
+    scheduler : str, optional
+        Address of a running dask scheduler, used instead of a local cluster.
     wait_workers : float
         Time to wait for a worker of a running cluster as long as it has none, at the start and whenever the last one is
         lost, s. 0: fail at once. Default: 60.
@@ -202,9 +202,9 @@ def focus(
     performance_report : path, optional
         HTML file for dask's performance report, also written if the run fails. Default: none.
     client : distributed.Client, optional
-        Client of a running cluster, used instead of a local cluster. Blocks and memory are planned for its workers and
-        the smallest of their memory limits, or for `workers` and `memory_limit`, if these are less. Default: dask's
-        active client, if there is one and no `workers` are given.
+        Client of a running cluster, used instead of a local cluster; also taken as `scheduler`. Blocks and memory are
+        planned for its workers and the smallest of their memory limits, or for `workers` and `memory_limit`, if these
+        are less. Default: dask's active client, if there is one and no `workers` are given.
     **options
         Those of a processor that another package adds.
 

@@ -99,7 +99,8 @@ def test_the_active_client_does_the_work(client: Client, store: str, tmp_path: P
         plan = blocksar.plan(store, grid="-9:9:1,-9:9:1")
     note = f"note: work goes to dask's active client ({address}); give workers for a cluster of its own"
     assert note in active.summary and note in plan.summary and own == (None, None, 1, [])
-    given = blocksar.focus(store, tmp_path / "given", grid="-9:9:1,-9:9:1", scheduler=client)
+    scheduler: Any = client
+    given = blocksar.focus(store, tmp_path / "given", grid="-9:9:1,-9:9:1", scheduler=scheduler)
     assert not any("active client" in line for line in given.summary)
 
 
