@@ -102,6 +102,7 @@ def _in_python(function: Callable[..., Any]) -> Callable[..., Any]:
 
             raise unreachable(place(error.filename), error) from None
 
+    call.__module__ = __name__  # where pickle finds it
     return call
 
 
@@ -116,9 +117,13 @@ class _Package(ModuleType):
     def collection(self, folder: ModuleType) -> None:
         """Leave the folder where `from blocksar.collection...` finds it: in sys.modules."""
 
+    def __reduce__(self) -> tuple[Callable[[str], ModuleType], tuple[str]]:
+        """Import it where it is unpickled, as cloudpickle does with modules: functions sent to workers name it."""
+        return importlib.import_module, (self.__name__,)
+
 
 sys.modules[__name__].__class__ = _Package
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted(__all__)

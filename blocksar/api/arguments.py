@@ -16,6 +16,7 @@ from blocksar import stores
 from blocksar.collection.collection import Collection
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError, MissingInput, quoted
+from blocksar.graph.machine import why_no_workers
 from blocksar.ingestion.readers import found_at
 from blocksar.places import Location, lies_at, place
 from blocksar.places.local import LocalPlace
@@ -78,9 +79,13 @@ SMALL = 1 << 24  # samples, 128 MiB: for less, a cluster takes longer to start t
 
 
 def in_this_process(workers: int | None, collections: Sequence[Collection]) -> bool:
-    """Whether the calling process does the work: by default that of small collections, in interactive sessions."""
+    """Whether the calling process does the work.
+
+    By default that of small collections, in interactive sessions, and all where no workers can start.
+    """
     if workers is None:
-        return hasattr(sys, "ps1") and sum(each.n_pulse * each.n_range_frequency for each in collections) <= SMALL
+        samples = sum(each.n_pulse * each.n_range_frequency for each in collections)
+        return (hasattr(sys, "ps1") and samples <= SMALL) or why_no_workers() is not None
     return workers == 0
 
 
@@ -96,23 +101,6 @@ def gpu_workers(workers: int | None) -> int:
 
     device("gpu")
     return 1 if workers is None else workers
-
-
-def check_cluster(*, client: object, scheduler: str | None, workers: int | None, wait_workers: Any) -> None:
-    """Check that one cluster is asked for, and that its workers are waited for.
-
-    Raises
-    ------
-    InputError
-        If two running ones are, or one and none at all; or if the time to wait is none.
-    """
-    if isinstance(wait_workers, bool) or not isinstance(wait_workers, int | float | np.number) or not wait_workers >= 0:
-        raise InputError(f"--wait-workers {quoted(wait_workers)} is no time; give seconds, or 0 to wait for no worker")
-    if client is not None and scheduler is not None:
-        raise InputError(f"--scheduler {quoted(scheduler)} is given together with a client; leave one out")
-    if workers == 0 and (client is not None or scheduler is not None):
-        cluster = "a client" if client is not None else "--scheduler"
-        raise InputError(f"--workers 0 is given together with {cluster}, whose workers do the work; leave one out")
 
 
 def collection_of(source: One) -> Collection:

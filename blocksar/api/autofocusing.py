@@ -12,13 +12,14 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from blocksar import stores
-from blocksar.api.arguments import check_cluster, control_points, history_of, on_ground
+from blocksar.api.arguments import control_points, history_of, on_ground
 from blocksar.api.ground import read_ground
 from blocksar.api.parsing import GridLike
 from blocksar.api.reports import Report
 from blocksar.api.settings import Settings
 from blocksar.api.track_places import TrackPlace
 from blocksar.api.tracks import TrackEstimate
+from blocksar.api.workforce import choose_workforce
 from blocksar.autofocusing.finishing import Result
 from blocksar.budget import WAIT_WORKERS
 from blocksar.chunks import stored_bytes
@@ -94,7 +95,8 @@ def autofocus(
         tell. Default: none, and the track is moved by nothing that the samples do not tell.
     workers : int, optional
         Processes of the local cluster; 0: the calling process does the work, without a cluster. Default: the number of
-        cores, or cores / threads where these are given, at most 4.
+        cores, or cores / threads where these are given, at most 4; 0 where no processes can start, as in a
+        `multiprocessing.Pool`.
     threads : int, optional
         Threads of each worker. Default: cores / workers, at least 1.
     memory_limit : int or str, optional
@@ -109,7 +111,8 @@ def autofocus(
     progress : object with a method update(stage, done, total), or False, optional
         As in `focus`. Default: bars in a notebook, silence elsewhere.
     client : distributed.Client, optional
-        Client of a running cluster, used instead of a local cluster.
+        Client of a running cluster, used instead of a local cluster; also taken as `scheduler`. Default: dask's active
+        client, if there is one and no `workers` are given.
 
     Returns
     -------
@@ -123,9 +126,10 @@ def autofocus(
     ProcessingError
         If processing fails; finished work stays, and the same call goes on with it.
     """
+    force = choose_workforce(client=client, scheduler=scheduler, workers=workers, wait_workers=wait_workers)
+    client, scheduler, workers, notes = force
     settings = Settings.of(locals())
     listener, target = as_listener(progress), place(out)
-    check_cluster(client=client, scheduler=scheduler, workers=workers, wait_workers=wait_workers)
     [history] = on_ground([history_of(source)], ground_height, terrain=terrain)
     stored = not isinstance(history, stores.DatasetHistory)
     if stored and (lies_in(history.path, target) or lies_in(target, history.path)):
@@ -174,7 +178,7 @@ def autofocus(
         run_folder.remove_estimate(work.folder)
         summary = estimate.summary([*made.receipts, *copied], attribute, memory)
         return Report(
-            summary=[*summary, f"{target} is finished in {time.perf_counter() - clock:.1f} s"], result=attribute
+            summary=[*notes, *summary, f"{target} is finished in {time.perf_counter() - clock:.1f} s"], result=attribute
         )
 
 

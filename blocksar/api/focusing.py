@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from blocksar import stores
-from blocksar.api.arguments import Source, check_cluster, gpu_workers, in_this_process, on_ground
+from blocksar.api.arguments import Source, gpu_workers, in_this_process, on_ground
 from blocksar.api.jobs import Job, Request
 from blocksar.api.joint import focus_members, members_of
 from blocksar.api.parsing import GridLike
@@ -24,6 +24,7 @@ from blocksar.api.run_stages import carry_out
 from blocksar.api.settings import Settings
 from blocksar.api.shown import RunReport, is_measurable
 from blocksar.api.track_places import TrackPlace
+from blocksar.api.workforce import choose_workforce
 from blocksar.budget import FIDELITY, WAIT_WORKERS
 from blocksar.collection.surface import Surface
 from blocksar.errors import InputError
@@ -175,7 +176,7 @@ def focus(
     workers : int, optional
         Processes of the local cluster; 0: the calling process does the work, without a cluster. Default: the number of
         cores, or cores / threads where these are given, at most 4; in a notebook or another interactive session 0 for a
-        collection of at most 2**24 samples.
+        collection of at most 2**24 samples, and 0 where no processes can start, as in a `multiprocessing.Pool`.
     threads : int, optional
         Threads of each worker. Default: cores / workers, at least 1.
     memory_limit : int or str, optional
@@ -201,8 +202,9 @@ def focus(
     performance_report : path, optional
         HTML file for dask's performance report, also written if the run fails. Default: none.
     client : distributed.Client, optional
-        Client of a running cluster, used instead of a local cluster. Blocks and memory are planned for its workers and
-        the smallest of their memory limits, or for `workers` and `memory_limit`, if these are less.
+        Client of a running cluster, used instead of a local cluster; also taken as `scheduler`. Blocks and memory are
+        planned for its workers and the smallest of their memory limits, or for `workers` and `memory_limit`, if these
+        are less. Default: dask's active client, if there is one and no `workers` are given.
     **options
         Those of a processor that another package adds.
 
@@ -218,13 +220,17 @@ def focus(
     ProcessingError
         If processing fails; finished work stays, and the same call resumes.
     """
-    settings = Settings.of(locals())
+    force = choose_workforce(
+        client=client, scheduler=scheduler, workers=workers, wait_workers=wait_workers, device=device
+    )
+    settings = Settings.of(locals() | {"scheduler": force.scheduler, "workers": force.workers})
     resources(settings.workers, settings.threads, settings.memory_limit)  # which refuses wrong numbers
-    check_cluster(client=client, scheduler=scheduler, workers=workers, wait_workers=wait_workers)
     on = partial(on_ground, height=ground_height, terrain=terrain)
     if (members := members_of(source, looks, settings.points, on)) is not None:
-        return focus_members(_focus_image, members, place(out), settings, progress, client)
-    return _focus_image(source, place(out), settings, progress=progress, client=client)
+        report = focus_members(_focus_image, members, place(out), settings, progress, force.client)
+    else:
+        report = _focus_image(source, place(out), settings, progress=progress, client=force.client)
+    return replace(report, summary=[*force.notes, *report.summary])
 
 
 def _focus_image(

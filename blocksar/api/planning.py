@@ -15,6 +15,7 @@ from blocksar.api.pulses import imaged_collections, recorded_lines
 from blocksar.api.reports import PLAN_COLUMNS
 from blocksar.api.settings import Settings
 from blocksar.api.shown import PlanReport
+from blocksar.api.workforce import active_client, size_of
 from blocksar.budget import FIDELITY
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.surface import Surface
@@ -154,11 +155,14 @@ def plan(
     ground = ground_under(settings.ground, sources_of(source)[0])
     parts = None if looks is None else divide_dwells(collections[0], looks, points)
     points = points if parts is None else parts.grid
-    here = in_this_process(workers, collections)
     runs_on = device_for(settings.processor, device)
+    active, notes = (None, []) if workers is not None else active_client(runs_on)
+    here = active is None and in_this_process(workers, collections)
     if runs_on == "gpu" and not here:
         workers = workers or 1
-    share = resources(0 if here else workers, None, settings.memory_limit)
+    size = (0 if here else workers), settings.memory_limit
+    count, memory = size if active is None else size_of(active, *size)
+    share = resources(count, None, memory)
     assumed = share._replace(workers=0) if here else share
     of_each = _channels_line(source)
     heights = None
@@ -189,7 +193,7 @@ def plan(
     if report.refusal is not None:
         return replace(report, refusal=report.refusal + ANY)
     cut = [] if settings.interference is None else [NOT_KNOWN.format(method=settings.interference)]
-    return replace(report, summary=[*of_each, *report.summary, *cut])
+    return replace(report, summary=[*notes, *of_each, *report.summary, *cut])
 
 
 NOT_KNOWN = (

@@ -20,18 +20,19 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing import forkserver, resource_tracker
+from multiprocessing.process import ORIGINAL_DIR  # type: ignore[attr-defined]
 from multiprocessing.util import get_temp_dir
 from pathlib import Path
 from typing import Any
 
 import dask
 import distributed.utils
-from distributed import Client, LocalCluster
+from distributed import Client, LocalCluster, get_worker
 
 from blocksar.budget import WAIT_WORKERS
 from blocksar.errors import InputError, ProcessingError
 from blocksar.graph.compiling import By, compile_kernels, kernels_cached
-from blocksar.graph.machine import machine
+from blocksar.graph.machine import machine, why_no_workers
 from blocksar.graph.recording import serve_dashboard
 from blocksar.graph.units import GPU, NO_WORKER, ThisProcess, await_workers, waiting_for_workers, workers_of
 from blocksar.progress import Listener
@@ -40,6 +41,7 @@ from blocksar.version import __version__
 WORKER_TTL = 60.0  # s without a message from a worker of the local cluster before it counts as lost
 HUNG = 8.0  # s after which a worker that has been given up, but lives, is killed
 CONNECT = 20.0  # s for a running scheduler to answer
+ANSWER = 5.0  # s for the scheduler of the active client to answer: in a forked process it never does
 PRE_SPAWN = "distributed.nanny.pre-spawn-environ"
 # `start_fork_server` says what the fork server imports. Otherwise dask would import pandas here to say so.
 distributed.utils._forkserver_preload_set = True
@@ -92,6 +94,45 @@ def workers_with_gpu(client: Client) -> int:
         "device gpu: no worker of the cluster has a GPU; start one for each by CUDA_VISIBLE_DEVICES=N dask worker "
         "SCHEDULER --resources GPU=1, or leave --device out"
     )
+
+
+def active_client(*, gpu: bool) -> tuple[Client | None, list[str]]:
+    """Return dask's active client if it can do the work, and a note on it; in a task of a worker, none.
+
+    A task that waits for others would keep its worker from them.
+
+    Parameters
+    ----------
+    gpu : bool
+        Whether its workers need a GPU.
+    """
+    with suppress(ValueError):
+        get_worker()
+        return None, []
+    try:
+        client = Client.current()
+    except ValueError:
+        return None, []
+    if (lacking := _why_unusable(client, gpu=gpu)) is not None:
+        return None, [f"note: dask's active client is not used: {lacking}"]
+    where = client.scheduler_info()["address"]
+    return client, [f"note: work goes to dask's active client ({where}); give workers for a cluster of its own"]
+
+
+def _why_unusable(client: Client, *, gpu: bool) -> str | None:
+    if client.asynchronous:
+        return "it is asynchronous"
+    try:
+        client.sync(client.scheduler.identity, callback_timeout=ANSWER)  # type: ignore[union-attr]
+    except Exception:  # of the connection, the loop, or the scheduler
+        return "its scheduler does not answer"
+    try:
+        _check_versions(client)
+        if gpu:
+            workers_with_gpu(client)
+    except InputError as error:
+        return str(error)
+    return None
 
 
 def _own_cluster(client: Client) -> OwnCluster | None:
@@ -154,7 +195,16 @@ def _short_sockets() -> Iterator[None]:
 
 
 def prepare_workers(threads: int, listener: Listener) -> None:
-    """Compile loops if need be, and let the process that workers are forked from import in the background."""
+    """Compile loops if need be, and let the process that workers are forked from import in the background.
+
+    Raises
+    ------
+    InputError
+        If the caller is a script that its workers would run again, or can start none.
+    """
+    _refuse_unguarded_script()
+    if (reason := why_no_workers()) is not None:
+        raise InputError(f"no workers can start: {reason}; leave --workers out, or give 0: this process does the work")
     if not kernels_cached():
         _compile_once(listener)
     start_fork_server(threads)
@@ -253,17 +303,15 @@ class Starting:
     Raises
     ------
     InputError
-        If the caller is a script that its workers would run again, or processes cannot share locks.
+        If the caller is a script that its workers would run again, or can start none.
     """
 
     def __init__(
         self, workers: int, threads: int, memory_limit: int | None, *, scratch: str | None, listener: Listener
     ) -> None:
-        _refuse_unguarded_script()
-        _check_locks()
         self._workers, self._listener = workers, listener
-        self._stack, self._pool = ExitStack(), ThreadPoolExecutor(1)
         prepare_workers(threads, listener)
+        self._stack, self._pool = ExitStack(), ThreadPoolExecutor(1)
         # Signals are received by the main thread: none interrupts the start.
         self._opened = self._pool.submit(self._open, workers, threads, memory_limit, scratch)
 
@@ -271,6 +319,7 @@ class Starting:
         enter = self._stack.enter_context
         enter(dask.config.set(SETTINGS))
         enter(_silence_dask())
+        enter(_hiding_missing_script())
         if scratch is None:
             scratch = enter(tempfile.TemporaryDirectory(prefix="blocksar-", ignore_cleanup_errors=True))
         return enter(_local_cluster(workers, threads, memory_limit, scratch))
@@ -314,7 +363,7 @@ def _silence_dask() -> Iterator[None]:
 
 def _connect(scheduler: str) -> Client:
     try:
-        return Client(scheduler, timeout=CONNECT)
+        return Client(scheduler, timeout=CONNECT, set_as_default=False)
     except (OSError, ValueError, RuntimeError, TypeError) as error:
         cause = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"no dask scheduler answers at {scheduler} ({cause}); check --scheduler") from None
@@ -365,7 +414,7 @@ def _local_cluster(workers: int, threads: int, memory_limit: int | None, scratch
         stack.enter_context(cluster)
         serve_dashboard(cluster)
         cluster.scale(workers)
-        client = Client(cluster)
+        client = Client(cluster, set_as_default=False)
         stack.callback(client.close)
         try:
             client.wait_for_workers(workers, timeout=NO_WORKER)
@@ -410,21 +459,19 @@ def _refuse_unguarded_script() -> None:
                 )
 
 
-def _check_locks() -> None:
-    """Check that processes can share locks: a worker that cannot have one fails before it can say so.
-
-    Raises
-    ------
-    InputError
-        If they cannot.
-    """
+@contextmanager
+def _hiding_missing_script() -> Iterator[None]:
+    """Leave `__main__` without a file that workers would look for in vain, such as <stdin>: they need nothing of it."""
+    main = vars(sys.modules["__main__"])
+    file = main.get("__file__")
+    if file is None or os.path.exists(os.path.join(ORIGINAL_DIR or "", file)):
+        yield
+        return
+    main["__file__"] = None
     try:
-        multiprocessing.get_context("forkserver").Lock()
-    except OSError as error:
-        raise InputError(
-            f"processes cannot share locks here ({error.strerror or error}); make /dev/shm writable, or focus in one "
-            "process with --workers 0"
-        ) from error
+        yield
+    finally:
+        main["__file__"] = file
 
 
 @contextmanager

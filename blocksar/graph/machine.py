@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import multiprocessing
 import os
 from contextlib import suppress
 from functools import lru_cache
+from multiprocessing import forkserver
 from numbers import Integral
 from pathlib import Path
 from time import perf_counter
@@ -78,6 +80,31 @@ def resources(workers: int | None, threads: int | None, memory_limit: int | None
     workers = min(max(cores // (threads or 1), 1), 4) if workers is None else max(workers, 1)
     threads = threads or max(cores // workers, 1)
     return Resources(workers, threads, memory_limit or memory // workers)
+
+
+def why_no_workers() -> str | None:
+    """Say why this process can start no workers; None if it can.
+
+    `multiprocessing` lets no daemon have children, and tells each child the working folder; a worker that cannot share
+    locks fails before it can say so. The server that workers are forked from is the child of one process.
+    """
+    if multiprocessing.current_process().daemon:
+        return "this process is a daemon, as workers of a multiprocessing.Pool, of Celery and of dask are"
+    server = getattr(getattr(forkserver, "_forkserver", None), "_forkserver_pid", None)
+    try:
+        if server is not None:
+            os.waitid(os.P_PID, server, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+    except ChildProcessError:
+        return "this process was forked from one that had workers, where it can be spawned instead"
+    try:
+        os.getcwd()
+    except OSError:
+        return "the working folder was deleted"
+    try:
+        multiprocessing.get_context("forkserver").Lock()
+    except OSError as error:
+        return f"processes cannot share locks ({error.strerror or error}), which takes a /dev/shm that is writable"
+    return None
 
 
 def _cores() -> int:

@@ -375,7 +375,8 @@ class Watch:
         """
         while True:
             try:
-                wait(list(running), timeout=POLL, return_when="FIRST_COMPLETED")
+                with self._client.as_current():  # `wait` takes no other
+                    wait(list(running), timeout=POLL, return_when="FIRST_COMPLETED")
             except (TimeoutError, CancelledError):
                 self._check(running, stage)
             if ended := [future for future in running if future.status in (*DONE, "cancelled")]:
