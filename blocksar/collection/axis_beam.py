@@ -35,6 +35,7 @@ NODES = 32  # parts of the collection at whose ends offsets are compared, to see
 FEW_PASSES = 2  # for which there is room where every pulse is looked at; more if there are more
 REACH = 64  # the part of the collection, 1 / REACH, whose slope continues an offset beyond the collection's ends
 LEAST_SLOPE = 1e-12  # rad/s
+DOWN = 1e-3  # rad off the nadir, within which a line of sight looks to no side
 ALONG = 0.25  # of its way that an antenna moves along its axis, at least, for a side of the track to be one of the axis
 Height = FloatArray | float
 
@@ -66,6 +67,14 @@ def axis_offset(
     dx, dy, dz = x - px, y - py, z - pz
     sine = (dx * ax + dy * ay + dz * az) / np.sqrt(dx * dx + dy * dy + dz * dz)
     return np.asarray(np.arcsin(np.clip(sine, -1.0, 1.0)) - collection.beam_steering[pulses])
+
+
+def side_of(ahead: FloatArray, sight: FloatArray) -> str | None:
+    """The side, "left" or "right", of a way ahead (3,) on which a line of sight (3,) looks; None if straight down."""
+    across = float(ahead[0] * sight[1] - ahead[1] * sight[0])
+    if abs(across) < DOWN * float(np.hypot(*ahead[:2])) * abs(float(sight[2])):
+        return None
+    return "left" if across > 0 else "right"
 
 
 @lru_cache(maxsize=4)
@@ -104,14 +113,20 @@ def axis_passes(collection: Collection, points: GroundPoints) -> tuple[IntArray,
     (n_pass, n), in the order of time. Those that a point lacks are empty, at the end of the one before; so a point that
     is never lit has 0 and 0.
     """
-    # Numba is loaded here, which other beams do without.
-    from blocksar.kernels.beam_passes import MovingBeam, find_passes
-
-    points, beam = points.each(), MovingBeam.of(_table(collection, _half(collection)))
-    found = _all_found(points.x.size, lambda found: find_passes(beam, *points, found))
+    points = points.each()
+    found = _in_sheet(collection, points)
     if (side := _side(collection)) is not None:
         found = _of_side(side, points, found)
     return _in_order(*found)
+
+
+def _in_sheet(collection: Collection, points: GroundPoints) -> FoundPasses:
+    """Pulses at which points (n,), each with a height, are within the beam's width all round its axis."""
+    # Numba is loaded here, which other beams do without.
+    from blocksar.kernels.beam_passes import MovingBeam, find_passes
+
+    beam = MovingBeam.of(_table(collection, _half(collection)))
+    return _all_found(points.x.size, lambda found: find_passes(beam, *points, found))
 
 
 def _all_found(n: int, find: Callable[[FoundPasses], int]) -> FoundPasses:
@@ -133,6 +148,14 @@ def _side(collection: Collection) -> LitSide | None:
 
     towards = lit_side(collection)
     return None if towards is None else LitSide.of(collection.antenna_position, towards)
+
+
+def _loses(collection: Collection, side: LitSide, points: GroundPoints) -> BoolArray:
+    """Whether points (n,) are in the sheet about the axis at pulses at which they are not on the lit side."""
+    found = _in_sheet(collection, points)
+    kept = _of_side(side, points, found)
+    sheet, lit = ((passes.lasts - passes.firsts).sum(axis=0) for passes in (found, kept))
+    return np.asarray(sheet != lit)
 
 
 def _of_side(side: LitSide, points: GroundPoints, passes: FoundPasses) -> FoundPasses:
@@ -167,8 +190,8 @@ def axis_dwell(collection: Collection, points: GroundPoints, *, uncut: bool) -> 
 
     Of the steady beam where it wobbles. Between pulses, offsets are interpolated linearly; beyond the ends of the
     collection they go on with their slope there. Without `uncut`, times are limited to the collection; the first is not
-    before the last where a point is never lit. Where offsets turn back, or a point is not always on the lit side, times
-    are those of pulses. NaN where x, y or z is.
+    before the last where a point is never lit. Where offsets turn back, or the lit side leaves a point in the
+    sheet, times are those of pulses. NaN where x, y or z is.
     """
     collection = collection.steady
     known = np.isfinite(points.x) & np.isfinite(points.y) & np.isfinite(points.z)
@@ -220,7 +243,7 @@ def _half(collection: Collection) -> float:
 def _turning(collection: Collection, points: GroundPoints) -> tuple[IntArray, BoolArray]:
     """The pulse at which the offset of each point (n,) turns back, and whether it rises before that.
 
-    The pulse is 0 where it never turns, -1 where it does so more than once, or the point is not always on the lit side.
+    The pulse is 0 where it never turns, -1 where it does so more than once, or the lit side leaves it in the sheet.
     """
     from blocksar.kernels.beam_passes import FoundPasses, find_turning
 
@@ -232,7 +255,8 @@ def _turning(collection: Collection, points: GroundPoints) -> tuple[IntArray, Bo
     if (side := _side(collection)) is not None:
         whole = FoundPasses(np.zeros((1, turning.size), np.int64), np.full((1, turning.size), collection.n_pulse))
         kept = _of_side(side, points.each(), whole)
-        turning[(kept.firsts[0] > 0) | (kept.lasts[0] < collection.n_pulse)] = -1
+        doubtful = np.flatnonzero((kept.firsts[0] > 0) | (kept.lasts[0] < collection.n_pulse))
+        turning[doubtful[_loses(collection, side, points.some(doubtful).each())]] = -1
     return turning, rises
 
 

@@ -3,7 +3,8 @@
 A `YawScan` lights a point while |wrapped(yaw - beam_azimuth)| <= beam_width / 2, where yaw is the point's angle about
 the platform's nadir at t = 0. An `AxisScan`, about the antenna's own axis (`axis_beam`), lights it while
 |asin(u . beam_axis) - beam_steering| <= beam_width / 2, with u the unit vector from the antenna to the point, on the
-side of the track that the antenna lights, if that is known. Points on the very edge are lit. An `Unsteered` beam lights every point with every pulse. `Geometry.beam` is one of the three.
+side of the track that the antenna lights, if that is known. Points on the very edge are lit. An `Unsteered` beam lights
+every point with every pulse. `Geometry.beam` is one of the three.
 
 `in_beam` is the first rule for plain angles; compiled loops wrap it by `numba.njit(inline="always")`. `is_lit` and
 `passes` compare without tolerance; `dwell_at`, `yaw_interval` and the sums over lit pulses allow for the rounding of
