@@ -107,8 +107,9 @@ def collection(
     noise_power : float, optional
         Mean squared magnitude of the noise of a sample, the unit of `signal` squared. Default: unknown.
     side_of_track : {"left", "right"}, optional
-        Where the imaged ground lies, seen along the flight, for the default grid of a beam about `beam_axis`, which
-        lights both sides. Default: where the scene frame's origin is, if the reference range follows it.
+        Which side of its track an antenna with `beam_axis` lights, seen along the flight; ground on the other side is
+        dark at that pulse. Default: both, and the default grid is where the scene frame's origin is, if the reference
+        range follows it.
     ground_height : float
         Height of the imaged plane in the scene frame, m. Default: 0.
     title : str

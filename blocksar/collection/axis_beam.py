@@ -7,6 +7,11 @@ With u the unit vector from the antenna to a point, the point lies by
 off the beam's centre, and is lit while |offset| <= beam_width / 2. A fixed beam is stripmap, a slow turn sliding
 spotlight, a fast one TOPS. When a point is lit depends on its range as well as on its yaw.
 
+That is a sheet all round the axis, of which an antenna lights one side. Where `side_of_track` is given, a point is lit
+only at pulses at which it lies on that side of the vertical plane through the antenna that holds the axis, or in the
+plane: `lit_side`. On a straight track that is one half of the ground. On an arc or a circle the plane sweeps over the
+ground, so that it begins and ends dwells as the edges of the beam do.
+
 Which pulses light a point is found exactly, however the beam turns and wobbles (`kernels.beam_passes`). Times of dwells
 are those of a beam that is smooth over a fraction 1 / NODES of the collection: an offset mostly rises or falls
 throughout, or turns back once.
@@ -14,18 +19,24 @@ throughout, or turns back once.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray, IntArray
 from blocksar.collection.collection import Collection
 
+if TYPE_CHECKING:
+    from blocksar.kernels.beam_passes import FoundPasses, LitSide
+
 NODES = 32  # parts of the collection at whose ends offsets are compared, to see whether they turn back
 FEW_PASSES = 2  # for which there is room where every pulse is looked at; more if there are more
 REACH = 64  # the part of the collection, 1 / REACH, whose slope continues an offset beyond the collection's ends
 LEAST_SLOPE = 1e-12  # rad/s
+DOWN = 1e-3  # rad off the nadir, within which a line of sight looks to no side
+ALONG = 0.25  # of its way that an antenna moves along its axis, at least, for a side of the track to be one of the axis
 Height = FloatArray | float
 
 
@@ -58,21 +69,100 @@ def axis_offset(
     return np.asarray(np.arcsin(np.clip(sine, -1.0, 1.0)) - collection.beam_steering[pulses])
 
 
-def axis_passes(collection: Collection, points: GroundPoints) -> tuple[IntArray, IntArray]:
-    """Pulses first <= p < last that light points (n,): exactly those with |offset| <= beam_width / 2.
+def side_of(ahead: FloatArray, sight: FloatArray) -> str | None:
+    """The side, "left" or "right", of a way ahead (3,) on which a line of sight (3,) looks; None if straight down."""
+    across = float(ahead[0] * sight[1] - ahead[1] * sight[0])
+    if abs(across) < DOWN * float(np.hypot(*ahead[:2])) * abs(float(sight[2])):
+        return None
+    return "left" if across > 0 else "right"
 
-    Several passes where the beam turns back or wobbles, leaves a point and comes to it again: (n_pass, n), in the order
-    of time. Those that a point lacks are empty, at the end of the one before; so a point that is never lit has 0 and 0.
+
+@lru_cache(maxsize=4)
+def lit_side(collection: Collection) -> FloatArray | None:
+    """Level unit vectors (n_pulse, 2) across the axis, towards the side of the track that the antenna lights.
+
+    None where either side counts as lit: without `side_of_track`, or where the antenna does not move along its axis, so
+    that a side of the track is none of the axis. The axis may point backwards, which the way of the whole collection
+    tells: an antenna does not change the side of its axis. 0 at pulses where the axis is vertical. Read-only.
     """
-    # Numba is loaded here, which other beams do without.
-    from blocksar.kernels.beam_passes import FoundPasses, MovingBeam, find_passes
+    if collection.side_of_track is None or collection.beam_axis is None:
+        return None
+    axis, steps = collection.beam_axis[:, :2], np.diff(collection.antenna_position[:, :2], axis=0)
+    along = float((axis[:-1] * steps).sum())
+    if abs(along) <= ALONG * float(np.hypot(*steps.T).sum()):
+        return None
+    ahead = axis * np.sign(along) / np.maximum(np.hypot(*axis.T), np.finfo(float).tiny)[:, None]
+    right = np.stack([ahead[:, 1], -ahead[:, 0]], axis=1)
+    towards = right if collection.side_of_track == "right" else -right
+    towards.flags.writeable = False
+    return towards
 
-    points, beam, most, m = points.each(), MovingBeam.of(_table(collection, _half(collection))), FEW_PASSES, 0
+
+def on_lit_side(collection: Collection, x: FloatArray, y: FloatArray, pulses: slice) -> BoolArray:
+    """Whether points x, y (m) lie on the side that the antenna lights at pulses; points and pulses are broadcast."""
+    if (towards := lit_side(collection)) is None:
+        return np.ones((), np.bool_)
+    (px, py), (ax, ay) = collection.antenna_position[pulses, :2].T, towards[pulses].T
+    return np.asarray((x - px) * ax + (y - py) * ay >= 0)
+
+
+def axis_passes(collection: Collection, points: GroundPoints) -> tuple[IntArray, IntArray]:
+    """Pulses first <= p < last that light points (n,): exactly those of |offset| <= beam_width / 2, on the lit side.
+
+    Several passes where the beam turns back or wobbles, or the antenna its side, leaves a point and comes to it again:
+    (n_pass, n), in the order of time. Those that a point lacks are empty, at the end of the one before; so a point that
+    is never lit has 0 and 0.
+    """
+    points = points.each()
+    found = _in_sheet(collection, points)
+    if (side := _side(collection)) is not None:
+        found = _of_side(side, points, found)
+    return _in_order(*found)
+
+
+def _in_sheet(collection: Collection, points: GroundPoints) -> FoundPasses:
+    """Pulses at which points (n,), each with a height, are within the beam's width all round its axis."""
+    # Numba is loaded here, which other beams do without.
+    from blocksar.kernels.beam_passes import MovingBeam, find_passes
+
+    beam = MovingBeam.of(_table(collection, _half(collection)))
+    return _all_found(points.x.size, lambda found: find_passes(beam, *points, found))
+
+
+def _all_found(n: int, find: Callable[[FoundPasses], int]) -> FoundPasses:
+    """Passes of n points that `find` writes, with room for as many as it says that there are."""
+    from blocksar.kernels.beam_passes import FoundPasses
+
+    most, m = FEW_PASSES, 0
     while most > m:
         m = most
-        found = FoundPasses(*np.empty((2, m, points.x.size), np.int64))
-        most = find_passes(beam, *points, found)
-    return _in_order(*found)
+        found = FoundPasses(*np.empty((2, m, n), np.int64))
+        most = find(found)
+    return found
+
+
+@lru_cache(maxsize=4)
+def _side(collection: Collection) -> LitSide | None:
+    """`lit_side` for compiled loops."""
+    from blocksar.kernels.beam_passes import LitSide
+
+    towards = lit_side(collection)
+    return None if towards is None else LitSide.of(collection.antenna_position, towards)
+
+
+def _loses(collection: Collection, side: LitSide, points: GroundPoints) -> BoolArray:
+    """Whether points (n,) are in the sheet about the axis at pulses at which they are not on the lit side."""
+    found = _in_sheet(collection, points)
+    kept = _of_side(side, points, found)
+    sheet, lit = ((passes.lasts - passes.firsts).sum(axis=0) for passes in (found, kept))
+    return np.asarray(sheet != lit)
+
+
+def _of_side(side: LitSide, points: GroundPoints, passes: FoundPasses) -> FoundPasses:
+    """The parts of passes at which points lie on the lit side."""
+    from blocksar.kernels.beam_passes import keep_side
+
+    return _all_found(points.x.size, lambda found: keep_side(side, points.x, points.y, passes, found))
 
 
 def _in_order(firsts: IntArray, lasts: IntArray) -> tuple[IntArray, IntArray]:
@@ -100,8 +190,8 @@ def axis_dwell(collection: Collection, points: GroundPoints, *, uncut: bool) -> 
 
     Of the steady beam where it wobbles. Between pulses, offsets are interpolated linearly; beyond the ends of the
     collection they go on with their slope there. Without `uncut`, times are limited to the collection; the first is not
-    before the last where a point is never lit. Where offsets turn back, times are those of pulses. NaN where x, y or z
-    is.
+    before the last where a point is never lit. Where offsets turn back, or the lit side leaves a point in the
+    sheet, times are those of pulses. NaN where x, y or z is.
     """
     collection = collection.steady
     known = np.isfinite(points.x) & np.isfinite(points.y) & np.isfinite(points.z)
@@ -153,15 +243,20 @@ def _half(collection: Collection) -> float:
 def _turning(collection: Collection, points: GroundPoints) -> tuple[IntArray, BoolArray]:
     """The pulse at which the offset of each point (n,) turns back, and whether it rises before that.
 
-    The pulse is 0 where it never turns, -1 where it does so more than once.
+    The pulse is 0 where it never turns, -1 where it does so more than once, or the lit side leaves it in the sheet.
     """
-    from blocksar.kernels.beam_passes import find_turning
+    from blocksar.kernels.beam_passes import FoundPasses, find_turning
 
     assert collection.beam_steering is not None
     nodes = np.unique(np.linspace(0, collection.n_pulse - 1, NODES + 1).round().astype(np.int64))
     turning, rises = np.empty(points.x.size, np.int64), np.empty(points.x.size, np.bool_)
     table, steering = _table(collection, 0.0), np.array(collection.beam_steering)
     find_turning(table, steering, nodes, *points.each(), turning, rises)
+    if (side := _side(collection)) is not None:
+        whole = FoundPasses(np.zeros((1, turning.size), np.int64), np.full((1, turning.size), collection.n_pulse))
+        kept = _of_side(side, points.each(), whole)
+        doubtful = np.flatnonzero((kept.firsts[0] > 0) | (kept.lasts[0] < collection.n_pulse))
+        turning[doubtful[_loses(collection, side, points.some(doubtful).each())]] = -1
     return turning, rises
 
 

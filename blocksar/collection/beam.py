@@ -2,8 +2,9 @@
 
 A `YawScan` lights a point while |wrapped(yaw - beam_azimuth)| <= beam_width / 2, where yaw is the point's angle about
 the platform's nadir at t = 0. An `AxisScan`, about the antenna's own axis (`axis_beam`), lights it while
-|asin(u . beam_axis) - beam_steering| <= beam_width / 2, with u the unit vector from the antenna to the point. Points on
-the very edge are lit. An `Unsteered` beam lights every point with every pulse. `Geometry.beam` is one of the three.
+|asin(u . beam_axis) - beam_steering| <= beam_width / 2, with u the unit vector from the antenna to the point, on the
+side of the track that the antenna lights, if that is known. Points on the very edge are lit. An `Unsteered` beam lights
+every point with every pulse. `Geometry.beam` is one of the three.
 
 `in_beam` is the first rule for plain angles; compiled loops wrap it by `numba.njit(inline="always")`. `is_lit` and
 `passes` compare without tolerance; `dwell_at`, `yaw_interval` and the sums over lit pulses allow for the rounding of
@@ -28,7 +29,15 @@ from typing import ClassVar, Protocol, TypeVar
 import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray, IntArray
-from blocksar.collection.axis_beam import GroundPoints, Height, axis_dwell, axis_offset, axis_passes, axis_passing
+from blocksar.collection.axis_beam import (
+    GroundPoints,
+    Height,
+    axis_dwell,
+    axis_offset,
+    axis_passes,
+    axis_passing,
+    on_lit_side,
+)
 from blocksar.collection.collection import Collection
 from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import TURN
@@ -409,7 +418,8 @@ class AxisScan(Beam):
 
     def is_lit(self, x: FloatArray, y: FloatArray, pulses: slice = slice(None), z: Height | None = None) -> BoolArray:
         px, py, pz = (np.asarray(axis)[..., None] for axis in (x, y, self.height(x, y, z)))
-        return np.asarray(np.abs(self.offset(px, py, pulses, pz)) <= self.half)
+        within = np.abs(self.offset(px, py, pulses, pz)) <= self.half
+        return np.asarray(within & on_lit_side(self.collection, px, py, pulses))
 
     def passes(self, x: FloatArray, y: FloatArray, z: Height | None = None) -> tuple[IntArray, IntArray]:
         passes = axis_passes(self.collection, _raveled(x, y, self.height(x, y, z)))

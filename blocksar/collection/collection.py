@@ -179,7 +179,7 @@ class Collection:
     noise_power : float or None
         Mean squared magnitude of the noise of a sample of the signal; of a raw echo, of a sample of the echo.
     side_of_track : {"left", "right"} or None
-        On which side of the track the imaged ground lies, seen along the flight; None: unknown.
+        Which side of its track an antenna with an axis lights, seen along the flight; None: unknown, both are lit.
     lit_width : float or None
         Of a look of a steered beam: the width of the whole beam, whose echoes the samples hold, rad; None: beam_width.
     recorded : RecordedRanges or None

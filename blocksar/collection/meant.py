@@ -1,7 +1,8 @@
-"""Units that numbers may be meant in where a grid lies outside the swath: degrees, beam widths, feet or kilometres.
+"""What may be meant where a grid lies outside the swath: degrees, beam widths, feet, kilometres, the other side.
 
-Each candidate changes a unit, one thing at a time. It is named if the middle of the grid then lies in the range window
-while it is lit, which it does not as given. `collection.frames` tells positions in another frame, before that.
+Each candidate changes a unit, or the side of the track, one thing at a time. It is named if the middle of the grid then
+lies in the range window while it is lit, which it does not as given. `collection.frames` tells positions in another
+frame, before that.
 """
 
 from __future__ import annotations
@@ -32,6 +33,12 @@ def find_meant(collection: Collection, grid: Grid, *, on_terrain: bool) -> str |
     x, y = (grid.x0 + grid.x1) / 2, (grid.y0 + grid.y1) / 2
     if _holds(collection, 1000 * x, 1000 * y):
         return "it looks like km: give metres"
+    side = collection.side_of_track
+    if side is not None and _would_hold(collection, {"side_of_track": None}, x, y):
+        return (
+            f"it lies {'right' if side == 'left' else 'left'} of the flight, but side_of_track is '{side}': correct "
+            "one of them, or leave out side_of_track if the antenna lights both sides"
+        )
     if units := [unit for unit, changes in _of_steering(collection) if _would_hold(collection, changes, x, y)]:
         wide = collection.beam_width is not None and collection.beam_width > WIDE
         looks = "and beam_width look" if wide and units[0] == DEGREES else "looks"

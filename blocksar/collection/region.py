@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray
+from blocksar.collection.axis_beam import side_of
 from blocksar.collection.beam import lit_yaw, wrapped
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
@@ -272,10 +273,7 @@ def imaged_side(geometry: Geometry) -> str | None:
     ahead, middle = collection.antenna_position[-1] - collection.antenna_position[0], collection.n_pulse // 2
     sight = np.array([0.0, 0.0, collection.ground_height]) - collection.antenna_position[middle]
     away = abs(float(np.linalg.norm(sight)) - collection.reference_range[middle])
-    across = float(ahead[0] * sight[1] - ahead[1] * sight[0])
-    if away > collection.range_window / 8 or abs(across) < 1e-3 * float(np.hypot(*ahead[:2])) * abs(sight[2]):
-        return None
-    return "left" if across > 0 else "right"
+    return None if away > collection.range_window / 8 else side_of(ahead, sight)
 
 
 def _side_yaws(geometry: Geometry) -> tuple[float, float]:

@@ -3,6 +3,9 @@
 With s the sine of the angle between the line of sight and the plane normal to the axis, a point is lit at a pulse while
 steering - half <= asin(s) <= steering + half. Sines are compared instead: of both limits there is one for each pulse.
 No operations are contracted, so that a point is lit or not whichever loop asks.
+
+An antenna that looks to one side of its track lights points there alone: `keep_side` cuts passes to the pulses at which
+a point lies on that side.
 """
 
 from __future__ import annotations
@@ -87,6 +90,31 @@ class FoundPasses(NamedTuple):
     lasts: IntArray
 
 
+class LitSide(NamedTuple):
+    """The side of its vertical plane that an antenna lights, pulse by pulse, and how fast the plane moves.
+
+    Attributes
+    ----------
+    table : (n_pulse, 4) float
+        Place of the antenna, m, and the unit vector towards the lit side, both level; 0 where either side is lit.
+    moved, turned : float
+        What the antenna moves by from a pulse to the next, m, and what the vector changes by, at most.
+    """
+
+    table: FloatArray
+    moved: float
+    turned: float
+
+    @classmethod
+    def of(cls, position: FloatArray, towards: FloatArray) -> LitSide:
+        """Find the largest steps of positions (n_pulse, 3), m, and vectors towards the lit side (n_pulse, 2)."""
+        table = np.column_stack([position[:, :2], towards])
+        steps = np.diff(table, axis=0)
+        moved, turned = (float(np.hypot(*part.T).max(initial=0.0)) for part in (steps[:, :2], steps[:, 2:]))
+        return cls(fixed(table), moved, turned)
+
+
+SIDE = record(LitSide, REAL_ROWS, types.float64, types.float64)
 BEAM, FOUND = record(MovingBeam, REAL_ROWS, types.float64, types.float64), record(FoundPasses, PASSES, PASSES)
 
 
@@ -341,4 +369,48 @@ def find_passes(beam: MovingBeam, x: FloatArray, y: FloatArray, z: FloatArray, f
             else:
                 count = _pass_spans(beam, k, x[k], y[k], z[k], reach, doubtful, n_span, found)
             most = max(most, count)
+    return most
+
+
+@loop(SIDE, REAL_ROW, REAL_ROW, FOUND, FOUND, **EXACT)
+def keep_side(side: LitSide, x: FloatArray, y: FloatArray, passes: FoundPasses, found: FoundPasses) -> int:
+    """Write the parts of passes of points at which these lie on the lit side of the antenna, in the order of time.
+
+    A point at a level distance d from the antenna is off its plane by what changes by no more than moved + turned d
+    from pulse to pulse: all pulses before it can have reached the plane are as the one that was looked at.
+
+    Parameters
+    ----------
+    side : LitSide
+    x, y : (n,) float
+        m
+    passes : FoundPasses
+    found : FoundPasses
+        Written. Passes that a point lacks are 0 and 0.
+
+    Returns
+    -------
+    int
+        The largest number of passes of a point: if that is above those of `found`, some are not written.
+    """
+    table, moved, turned = side.table, side.moved, side.turned
+    most = 0
+    for k in range(x.size):
+        count = 0
+        for m in range(found.firsts.shape[0]):
+            found.firsts[m, k] = found.lasts[m, k] = 0
+        for m in range(passes.firsts.shape[0]):
+            p, end, before = passes.firsts[m, k], passes.lasts[m, k], False
+            while p < end:
+                dx, dy = x[k] - table[p, 0], y[k] - table[p, 1]
+                off = dx * table[p, 2] + dy * table[p, 3]
+                now = off >= 0
+                if now != before:
+                    count = _note(found, k, count, p, now)
+                before = now
+                rate = max(moved + turned * np.sqrt(dx * dx + dy * dy), ROUNDING)
+                p += max(int(min((1 - ROUNDING) * abs(off) / rate, end)), 1)
+            if before:
+                count = _note(found, k, count, end, False)
+        most = max(most, count)
     return most

@@ -12,6 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from blocksar.arrays import FloatArray
+from blocksar.collection.axis_beam import side_of
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import taylor_coefficients
 from blocksar.errors import InputError
@@ -27,11 +28,10 @@ def axis_beam(
 ) -> dict[str, FloatArray | str]:
     """beam_axis (n, 3) and beam_steering (n,), rad, at slow times (n,), s, and positions (n, 3), m; side_of_track.
 
-    `centre` is the scene centre (3,), m, at which a spotlight looks.
+    `centre` is the scene centre (3,), m, at which a spotlight looks; no side_of_track if it is right below the track.
     """
     middle = time.size // 2
-    ahead, sight = np.gradient(positions, time, axis=0)[middle], centre - positions[middle]
-    side = "left" if ahead[0] * sight[1] > ahead[1] * sight[0] else "right"
+    side = side_of(np.gradient(positions, time, axis=0)[middle], centre - positions[middle])
     if beam.axis_yaw_deg is None:
         axis = _along(np.gradient(positions, time, axis=0))
     else:
@@ -43,7 +43,8 @@ def axis_beam(
         steering = np.arcsin((_along(point - positions) * axis).sum(axis=1))
     else:
         steering = np.deg2rad(beam.squint_deg + (beam.rate_deg or 0.0) * time)
-    return {"beam_axis": axis, "beam_steering": steering, "side_of_track": side}
+    found: dict[str, FloatArray | str] = {"beam_axis": axis, "beam_steering": steering}
+    return found if side is None else found | {"side_of_track": side}
 
 
 def _along(directions: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from axis_beams import MODES, axis_collection, spotlight, with_patterns
+from axis_beams import MODES, axis_collection, boom, spotlight, with_patterns
 from slow_twins import gain, lit, offset
 
 from blocksar.arrays import FloatArray
@@ -54,6 +54,36 @@ def test_lit_pulses_are_those_of_the_double_loop(mode: str) -> None:
     pulse = np.arange(collection.n_pulse)
     np.testing.assert_array_equal((pulse >= first.reshape(-1, 1)) & (pulse < last.reshape(-1, 1)), expected)
     assert (last.ravel()[~expected.any(axis=1)] == 0).all()
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+@pytest.mark.parametrize(("kind", "side"), [("circle", "right"), ("circle", "left"), ("arc", "right"), ("arc", "left")])
+def test_an_antenna_that_turns_round_lights_one_side(kind: str, side: str, backwards: bool) -> None:
+    collection, towards = boom(kind, side, backwards=backwards)
+    beam = Geometry(collection=collection).beam
+    x, y = (np.random.default_rng(axis).uniform(-30, 30, 50) for axis in (1, 2))
+    x[0] = np.nan
+    sight = np.stack([x, y, 0 * x], axis=1)[:, None] - collection.antenna_position
+    sine = (sight * collection.beam_axis).sum(axis=2) / np.linalg.norm(sight, axis=2)
+    expected = (np.abs(np.arcsin(sine)) <= np.pi / 6) & ((sight[..., :2] * towards).sum(axis=2) >= 0)
+    np.testing.assert_array_equal(expected[3, 7], lit(collection, 7, x[3], y[3]))
+    np.testing.assert_array_equal(beam.is_lit(x, y), expected)
+    first, last = beam.passes(x, y)
+    pulse = np.arange(collection.n_pulse)
+    np.testing.assert_array_equal(((pulse >= first[..., None]) & (pulse < last[..., None])).sum(axis=0), expected)
+    begin, end = beam.dwell(x[1:], y[1:])
+    single = np.count_nonzero(last > first, axis=0)[1:] == 1
+    assert single.any()
+    length, count = ((end - begin) * collection.prf)[single], expected[1:].sum(axis=1)[single]
+    assert np.abs(length - count).max() < 1
+    np.testing.assert_array_equal((end > begin), expected[1:].any(axis=1))
+
+
+def test_a_side_is_asked_only_of_antennas_that_move_along_their_axis() -> None:
+    """An antenna at the nose, with its axis across the track, looks ahead: no side of its axis is left or right."""
+    collection = axis_collection(beam_axis=np.tile([1.0, 0.0, 0.0], (400, 1)), beam_steering=np.zeros(400))
+    x, y = np.array([-3.0, 3.0]), np.full(2, 9000.0)
+    assert Geometry(collection=replace(collection, side_of_track="left")).beam.is_lit(x, y).all()
 
 
 @EACH
@@ -227,6 +257,9 @@ def test_the_side_of_the_track_has_to_be_known() -> None:
     collection = axis_collection()
     with pytest.raises(InputError, match=r"grid is missing: .*both sides of the track.*attribute side_of_track"):
         plan_region(Geometry(collection=collection), None)
+    geometry = Geometry(collection=replace(collection, side_of_track="left"))
+    with pytest.raises(InputError, match=r"lies right of the flight, but side_of_track is 'left': correct one of"):
+        plan_region(geometry, Grid(8900.0, 9100.0, 2.0, -60.0, 60.0, 2.0))
     with pytest.raises(InputError, match=r"side_of_track is 'port'; it must be 'left' or 'right'"):
         replace(collection, side_of_track="port")
     moved = {"antenna_position": collection.antenna_position - [9000.0, 0.0, 0.0]}  # the origin is the scene's centre

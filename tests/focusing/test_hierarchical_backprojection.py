@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from axis_beams import axis_collection, spotlight, with_patterns
+from axis_beams import axis_collection, boom, spotlight, with_patterns
 from slow_twins import back_projection
 from turning_beam import around, collection
 
@@ -18,6 +18,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import UNIFORM, Weighting
+from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing import hierarchical_backprojection
 from blocksar.focusing.backprojection import form_image
 from blocksar.focusing.hierarchical_backprojection import MOST_WINDOWS, form_windows
@@ -50,8 +51,9 @@ def error(found: ComplexArray, exact: ComplexArray) -> float:
 
 
 def both(c: Collection, x: FloatArray, y: FloatArray, *, levels: Levels = LEVELS, terrain: Terrain | None = None,
-         weighting: str = "uniform", threads: int = 1) -> tuple[ComplexArray, ComplexArray]:  # fmt: skip
-    samples, geometry = noise(c), Geometry(collection=c, terrain=terrain)
+         weighting: str = "uniform", threads: int = 1,
+         samples: ComplexArray | None = None) -> tuple[ComplexArray, ComplexArray]:  # fmt: skip
+    samples, geometry = noise(c) if samples is None else samples, Geometry(collection=c, terrain=terrain)
     options: dict[str, Any] = {"threads": threads, "weighting": Weighting.parse(weighting)}
 
     def read(pulses: slice) -> ComplexArray:
@@ -134,6 +136,28 @@ def test_a_beam_that_turns_back_passes_places_several_times() -> None:
     x, y = 9000 + np.arange(-30.0, 30.0), np.arange(-25.0, 25.0)
     found, exact = both(c, x, y)
     assert error(found, exact) < -62
+
+
+@pytest.mark.parametrize(("kind", "side"), [("circle", "right"), ("circle", "left"), ("arc", "right"), ("arc", "left")])
+def test_an_antenna_that_turns_round_images_one_side(kind: str, side: str) -> None:
+    """Targets have their amplitudes, and all else that of the exact image, which is that of the double loop."""
+    c, towards = boom(kind, side, backwards=side == "left")
+    targets = [(30.0, 0.0, 1.0), (-20.0, 15.0, 0.7), (0.0, -25.0, 0.5)][: 1 if kind == "arc" and side == "right" else 3]
+    samples = np.zeros((c.n_pulse, c.n_range_frequency), np.complex128)
+    for tx, ty, amplitude in targets:
+        sight = np.array([tx, ty, 0.0]) - c.antenna_position
+        distance = np.linalg.norm(sight, axis=1)
+        within = np.abs((sight * c.beam_axis).sum(axis=1) / distance) <= 0.5
+        seen = within & ((sight[:, :2] * towards).sum(axis=1) > 0)
+        phase = np.outer(distance - c.reference_range, 4 * np.pi / SPEED_OF_LIGHT * (c.carrier + c.range_frequency))
+        samples += amplitude * seen[:, None] * np.exp(-1j * phase)
+    at = 0 if side == "right" or kind == "circle" else 1
+    x, y = targets[at][0] + 0.25 * np.arange(-20, 20), targets[at][1] + 0.25 * np.arange(-15, 15)
+    found, exact = both(c, x, y, levels=replace(LEVELS, sides=(4.0, 1.0)), samples=samples.astype(np.complex64))
+    assert error(found, exact) < -62
+    assert abs(found[15, 20]) == pytest.approx(targets[at][2], abs=0.01)
+    some = np.meshgrid(x[::13], y[::13])
+    np.testing.assert_allclose(exact[::13, ::13], back_projection(c, samples, *some), atol=2e-3)
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
 
 # Steering at t = 0 (rad) and its rate (rad/s). The line of sight to (9 km, 0) turns by 0.02 rad/s against the track.
@@ -73,6 +74,29 @@ def axis_scene(beam: str, **changes: Any) -> str:
     lines += [f"{name} = {s[name]}" for name in ("velocity", "acceleration")]
     lines += ["[time]", s["time"], "[beam]", beam, "[scene]", f"swath = {s['swath']}", f"centre_yaw_deg = {s['yaw']}"]
     return "\n".join([*lines, s["more"], ""])
+
+
+BOOM = {"circle": 2 * np.pi, "arc": 2.4}  # rad, by which it turns
+
+
+def boom(kind: str, side: str, *, backwards: bool = False) -> tuple[Collection, FloatArray]:
+    """An antenna that turns counter-clockwise on a boom of 1.5 m about the origin, 3 m above the ground at z = 0.
+
+    It looks outwards (right of its way) or inwards; the axis lies along its way, or `backwards`. Also returns where it
+    looks, level unit vectors (n_pulse, 2).
+    """
+    turn = BOOM[kind]
+    n = round(360 * turn / (2 * np.pi))
+    angle = turn * (np.arange(n) / n - 0.5)
+    outward = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    along = np.stack([-np.sin(angle), np.cos(angle), np.zeros(n)], axis=1)
+    collection = Collection(
+        carrier=5e9, time=(np.arange(n) - n // 2) / 10.0, range_frequency=(np.arange(128) - 64) * 1.5e6,
+        reference_range=np.full(n, 30.0), antenna_position=np.column_stack([1.5 * outward, np.full(n, 3.0)]),
+        beam_azimuth=np.full(n, np.nan), beam_axis=-along if backwards else along, beam_steering=np.zeros(n),
+        beam_width=np.pi / 3, side_of_track=side,
+    )  # fmt: skip
+    return collection, outward if side == "right" else -outward
 
 
 def with_patterns(collection: Collection) -> Collection:

@@ -97,6 +97,9 @@ def lit(collection: Collection, target: FloatArray) -> np.ndarray:
         return np.ones(len(sight), np.bool_)
     if collection.beam_axis is not None and collection.beam_steering is not None:
         away = np.arcsin((sight * collection.beam_axis).sum(axis=1)) - collection.beam_steering
+        ahead = np.gradient(collection.antenna_position, axis=0)  # which the axis follows in these scenes
+        left = np.cross(ahead, sight)[:, 2] * {"left": 1, "right": -1, None: 0}[collection.side_of_track]
+        away[left < 0] = np.inf
     else:
         middle = int(np.argmin(np.abs(collection.time)))
         nadir = collection.antenna_position[middle]

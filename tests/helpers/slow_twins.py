@@ -24,13 +24,26 @@ def geometry(collection: Collection) -> Geometry:
 def lit(collection: Collection, pulse: int, x: float, y: float) -> bool:
     """Return whether the beam lights a ground point at a pulse, by the definition of the store."""
     if collection.beam_axis is not None:
-        return abs(offset(collection, pulse, x, y)) <= (collection.beam_width or 0.0) / 2
+        within = abs(offset(collection, pulse, x, y)) <= (collection.beam_width or 0.0) / 2
+        return within and on_side(collection, pulse, x, y)
     if collection.beam_width is None:
         return True
     yaw = float(geometry(collection).yaw(np.array(x), np.array(y)))
     away = yaw - collection.beam_azimuth[pulse]
     away = np.arctan2(np.sin(away), np.cos(away))
     return bool(abs(away) <= collection.beam_width / 2)
+
+
+def on_side(collection: Collection, pulse: int, x: float, y: float) -> bool:
+    """Whether a point is on the side of the track that the antenna lights: of the vertical plane through its axis."""
+    if collection.beam_axis is None or collection.side_of_track is None:
+        return True
+    ahead, position = collection.beam_axis[pulse], collection.antenna_position
+    middle = collection.n_pulse // 2
+    if collection.beam_axis[middle] @ (position[middle + 1] - position[middle]) < 0:
+        ahead = -ahead
+    left = float(np.cross(ahead, np.array([x, y, 0.0]) - position[pulse])[2])
+    return left >= 0 if collection.side_of_track == "left" else left <= 0
 
 
 def ray_clearance(terrain: Terrain, antenna: NDArray[np.float64], point: NDArray[np.float64]) -> float:
