@@ -1,4 +1,4 @@
-"""What may be meant where a grid lies outside the swath: degrees, beam widths, feet, kilometres, the other side.
+"""Slips that explain a grid outside the swath: degrees, beam widths, feet, kilometres, the other side of the track.
 
 Each candidate changes a unit, or the side of the track, one thing at a time. It is named if the middle of the grid then
 lies in the range window while it is lit, which it does not as given. `collection.frames` tells positions in another
