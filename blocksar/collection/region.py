@@ -23,10 +23,11 @@ from blocksar.collection.grid import Grid, ground_resolution, ground_steps, outl
 from blocksar.collection.meant import describe_pointing, find_meant
 from blocksar.collection.raw_echo import RecordedRanges
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.errors import InputError, OutsideSwath
+from blocksar.errors import InputError, OutsideSwath, Unfocusable
 
 WINDOW_GUARD = 8  # range cells kept free at either end of the range window
 MOVE = "move the grid"
+ROUND = 1.25 * np.pi  # rad over which a grid is seen by a track that goes round it
 
 
 def why_outside(
@@ -85,8 +86,23 @@ def remedied(geometry: Geometry, grid: Grid) -> Iterator[None]:
     try:
         yield
     except OutsideSwath as error:
+        if (seen := seen_from(geometry.collection, grid)) > ROUND:
+            raise Unfocusable(
+                f"the track goes round the grid, which is seen over {np.degrees(seen):.0f} degrees, and lies on no "
+                "one side of it, which yaws and ranges have to tell; take the pulses of one side"
+            ) from None
         pointing = f"{describe_pointing(geometry, grid)}; " if geometry.collection.has_axis else ""
         raise OutsideSwath(str(error).replace(MOVE, pointing + remedy(geometry, grid))) from None
+
+
+def seen_from(collection: Collection, grid: Grid) -> float:
+    """Angle, rad, over which the bearing of the antenna from the middle of a grid turns, if it sees that all along."""
+    middle = np.array([grid.x0 + grid.x1, grid.y0 + grid.y1]) / 2
+    away = collection.antenna_position - np.array([*middle, collection.ground_height])
+    change = np.linalg.norm(away, axis=1) - collection.reference_range
+    if collection.steered or not (np.abs(change) <= collection.range_window / 2).all():
+        return 0.0
+    return float(np.ptp(np.unwrap(np.arctan2(away[:, 1], away[:, 0]))))
 
 
 def remedy(geometry: Geometry, grid: Grid) -> str:
