@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -253,7 +253,7 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
     if grid is None:
         raise InputError(
             "grid is missing: a collection whose beam is not steered lights everything, so give --grid "
-            "x0:x1:dx,y0:y1:dy for the ground to image"
+            f"x0:x1:dx,y0:y1:dy for the ground to image{_proposed(geometry)}"
         )
     x, y = outline(grid)
     if grid.x0 <= geometry.nadir[0] <= grid.x1 and grid.y0 <= geometry.nadir[1] <= grid.y1:
@@ -275,6 +275,13 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
     with remedied(geometry, grid):
         near, far = range_window(geometry, nodes, (float(rng.min()) - slack, float(rng.max()) + slack))
     return Region(yaw=nodes, near=near, far=far)
+
+
+def _proposed(geometry: Geometry) -> str:
+    """The grid about the scene's origin, for a message on a missing one; nothing where nothing tells of it."""
+    with suppress(InputError):
+        return f", such as --grid={facing_grid(geometry).as_option} about the point that the reference range follows"
+    return ""
 
 
 def imaged_side(geometry: Geometry) -> str | None:
@@ -585,10 +592,23 @@ def facing_grid(geometry: Geometry) -> Grid:
     if (recorded := collection.recorded) is not None:
         room = min(room, float(distance.min()) - recorded.whole[0], recorded.whole[1] - float(distance.max()))
     half = 0.9 * min(room / slope, collection.prf * collection.wavelength / 4 / max(turn, 1e-12))
-    rng, yaw = geometry.epoch_range(np.zeros(1), np.zeros(1)), geometry.yaw(np.zeros(1), np.zeros(1))
-    step = _round_step(min(ground_resolution(geometry, float(rng[0]), float(yaw[0]))) / 2)
+    step = _step_at(geometry, 0.0, 0.0)
     half = max(float(np.floor(half / np.sqrt(2) / step) * step), step)
     return Grid(-half, half, step, -half, half, step)
+
+
+def area_grid(geometry: Geometry, x: tuple[float, float], y: tuple[float, float]) -> Grid:
+    """A grid that holds an area, m, in steps of half the resolution at its middle, on whole multiples of them."""
+    step = _step_at(geometry, sum(x) / 2, sum(y) / 2)
+    x0, x1, y0, y1 = (float(round(end) * step) for low, high in (x, y) for end in (low / step, high / step))
+    return Grid(x0, max(x1, x0 + step), step, y0, max(y1, y0 + step), step)
+
+
+def _step_at(geometry: Geometry, x: float, y: float) -> float:
+    """Half the resolution at a place, m, rounded."""
+    at = np.array([x]), np.array([y])
+    rng, yaw = float(geometry.epoch_range(*at)[0]), float(geometry.yaw(*at)[0])
+    return _round_step(min(ground_resolution(geometry, rng, yaw)) / 2)
 
 
 def _round_step(value: float) -> float:

@@ -42,7 +42,8 @@ class RawCompression:
 
     and the signal, transformed to delay, is divided by it, but by no less than LEAST_SHARE. Ends of the window are in
     neither count: see `collection.raw_echo`. A gap is a notch in the target's band, whose place moves with its delay:
-    under a taper q is right for the mean over pulses in which gaps are elsewhere in the chirp.
+    under a taper q is right for the mean over pulses in which short gaps are elsewhere in the chirp; gaps as long as
+    the pulse leave ends of the band, which a taper lowers (0.87 under Hann, where 1 would be right).
 
     Attributes
     ----------
