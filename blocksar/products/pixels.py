@@ -225,6 +225,7 @@ STEPS = 3  # of the iteration for the height: each leaves the ground's slope tim
 SIDE = 65  # places along each side of an image, from which the map's limits are found
 MARGIN = 3.0  # degrees beyond its area of use in which a CRS is still taken
 UTM_ENDS = -80.0, 84.0  # degrees of latitude, beyond which maps are polar stereographic
+ABOUT_A_POLE = 89.99  # degrees of latitude, beyond which longitudes turn over an image
 TORN = 10.0  # diagonals of the image, by which its map is longer where the CRS breaks in between
 MOST = 1 << 33  # pixels
 
@@ -431,6 +432,8 @@ class MapPixels:
 
 def _check_area(crs: CRS, frame: Georeference, point: FloatArray) -> None:
     area, (latitude, longitude, _) = crs.area_of_use, frame.to_geodetic(point)
+    if crs.is_geographic and abs(latitude) > ABOUT_A_POLE:
+        raise InputError(f"{crs.name} has no even pixels about a pole; {suitable_crs(longitude, latitude)}")
     if area is None:
         return
     width = (area.east - area.west) % 360 or 360.0
