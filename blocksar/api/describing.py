@@ -147,10 +147,7 @@ def _footprint(geometry: Geometry) -> Rows:
 
 def grid_text(grid: Grid) -> str:
     """A grid as --grid takes it, with its number of pixels."""
-    x, y = (f"{low:g}:{high:g}:{step:g}" for low, high, step in (
-        (grid.x0, grid.x1, grid.dx), (grid.y0, grid.y1, grid.dy),
-    ))  # fmt: skip
-    return f"{x},{y} ({grid.shape[1]} x {grid.shape[0]} pixels)"
+    return f"{grid.as_option} ({grid.shape[1]} x {grid.shape[0]} pixels)"
 
 
 def general_rows(attrs: Mapping[str, Any]) -> Rows:

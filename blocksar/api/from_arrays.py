@@ -81,7 +81,7 @@ def collection(
     range_frequency : (n_range_frequency,) float, optional
         Hz, relative to the carrier; uniform, ascending. Needed with `signal`.
     echo : (n_pulse, n_fast_time) complex, optional
-        Raw chirped samples, 1, instead of `signal`; NaN where missing.
+        Raw chirped samples, 1, instead of `signal`; NaN where missing, as in gaps of a pulse.
     fast_time : (n_fast_time,) float, optional
         Two-way delay, s; uniform, ascending. Needed with `echo`.
     chirp_rate : float, optional

@@ -35,12 +35,15 @@ def lit_pulse_reader(history: stores.PhaseHistory) -> Callable[[slice], ComplexA
     first = history.read(slice(None), slice(0, 1))[:, 0]
     with np.errstate(invalid="ignore"):  # garbage may have signalling NaN
         empty = first == 0
+    known = ~np.isnan(first)
     for start in range(0, empty.size, TILE[0]):
         part = slice(start, min(start + TILE[0], empty.size))
         if empty[part].any():
             empty[part] &= ~history.read(part, slice(None)).any(axis=1)
+        if history.raw is not None and not known[part].all():  # of an echo it may be a gap
+            known[part] = np.isfinite(history.read(part, slice(None))).any(axis=1)
     beam = whole_beam(history.collection, history.look)
-    lost = missing_pulses(empty, ~np.isnan(first), beam, lambda pulse: read(slice(pulse, pulse + 1))[0])
+    lost = missing_pulses(empty, known, beam, lambda pulse: read(slice(pulse, pulse + 1))[0])
 
     def read_lit(pulses: slice) -> ComplexArray:
         signal = read(pulses)

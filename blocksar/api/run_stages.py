@@ -14,7 +14,7 @@ from dataclasses import replace
 from functools import cache, partial
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from blocksar import stores
 from blocksar.api.checking import check_samples, refuse_real
@@ -25,7 +25,7 @@ from blocksar.errors import InputError
 from blocksar.focusing.interference import Interference
 from blocksar.graph import cluster, compiling, recording, stages
 from blocksar.graph.pyramid_levels import build_pyramid
-from blocksar.graph.sample_tasks import CUT
+from blocksar.graph.sample_tasks import CUT, ZERO_GAPS
 from blocksar.graph.segments import Segment, by_collection
 from blocksar.graph.stages import ReadSegment
 from blocksar.graph.units import Executor, OnCluster, ThisProcess
@@ -127,6 +127,7 @@ def _of_collection(
     if not inspections[-1].valid:
         raise InputError(without_samples(history, zeros=True))
     lines = _of_interference(segments[0], [each for _, each in read])
+    lines += _of_gaps([each for _, each in read])
     lines += [line for each in inspections for line in samples.describe(each)]
     lines += samples.doubts_of_track(history.collection, exact=exact)
     missing, size = sum(inspections[-1].missing.values()), math.prod(history.shape)
@@ -162,18 +163,32 @@ def without_samples(history: stores.PhaseHistory, *, zeros: bool) -> str:
 
 def _inspections(segments: Sequence[Segment], read: Sequence[ReadSegment]) -> list[Inspection]:
     """The inspections of a collection: of its raw echo, if it is one, and of its samples."""
-    echoes = [
-        Inspection.from_dict({name: value for name, value in receipt.found.items() if name != CUT})
-        for each in read
-        for receipt in each.receipts
-        if receipt.found and receipt.stage == "range-compress"
-    ]
+    echoes = _echoes(read)
     parts = [(segment.pulses or (0, 0))[0] for segment in segments]
     inspection = read[0].inspection
     if len(segments) > 1 or segments[0].pulses:
         whole = segments[0].source.collection.n_pulse
         inspection = samples.join_segments(list(zip(parts, (r.inspection for r in read), strict=True)), whole)
     return [samples.merge_echoes(echoes), inspection] if echoes else [inspection]
+
+
+def _compressed(read: Sequence[ReadSegment]) -> list[dict[str, Any]]:
+    """What was found in the groups of pulses of a raw echo."""
+    receipts = (receipt for each in read for receipt in each.receipts if receipt.stage == "range-compress")
+    return [dict(receipt.found) for receipt in receipts if receipt.found]
+
+
+def _echoes(read: Sequence[ReadSegment]) -> list[Inspection]:
+    return [
+        Inspection.from_dict({name: value for name, value in found.items() if name not in (CUT, ZERO_GAPS)})
+        for found in _compressed(read)
+    ]
+
+
+def _of_gaps(read: Sequence[ReadSegment]) -> list[str]:
+    """Describe the gaps in pulses of a raw echo, if there are any."""
+    echoes = _echoes(read)
+    return samples.describe_gaps(echoes, sum(found.get(ZERO_GAPS, 0) for found in _compressed(read))) if echoes else []
 
 
 def _of_interference(segment: Segment, read: Sequence[ReadSegment]) -> list[str]:

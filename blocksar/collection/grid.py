@@ -55,6 +55,12 @@ class Grid:
         return self._axis(self.y0, self.y1, self.dy)
 
     @property
+    def as_option(self) -> str:
+        """As --grid takes it."""
+        x, y = (self.x0, self.x1, self.dx), (self.y0, self.y1, self.dy)
+        return ",".join(":".join(f"{number:.10g}" for number in axis) for axis in (x, y))
+
+    @property
     def shape(self) -> tuple[int, int]:
         return self.y.size, self.x.size
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -24,10 +24,11 @@ from blocksar.collection.grid import Grid, ground_resolution, ground_steps, outl
 from blocksar.collection.meant import describe_pointing, find_meant
 from blocksar.collection.raw_echo import RecordedRanges
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.errors import InputError, OutsideSwath
+from blocksar.errors import InputError, OutsideSwath, Unfocusable
 
 WINDOW_GUARD = 8  # range cells kept free at either end of the range window
 MOVE = "move the grid"
+ROUND = 1.25 * np.pi  # rad over which a grid is seen by a track that goes round it
 
 
 def why_outside(
@@ -86,8 +87,23 @@ def remedied(geometry: Geometry, grid: Grid) -> Iterator[None]:
     try:
         yield
     except OutsideSwath as error:
+        if (seen := seen_from(geometry.collection, grid)) > ROUND:
+            raise Unfocusable(
+                f"the track goes round the grid, which is seen over {np.degrees(seen):.0f} degrees, and lies on no "
+                "one side of it, which yaws and ranges have to tell; take the pulses of one side"
+            ) from None
         pointing = f"{describe_pointing(geometry, grid)}; " if geometry.collection.has_axis else ""
         raise OutsideSwath(str(error).replace(MOVE, pointing + remedy(geometry, grid))) from None
+
+
+def seen_from(collection: Collection, grid: Grid) -> float:
+    """Angle, rad, over which the bearing of the antenna from the middle of a grid turns, if it sees that all along."""
+    middle = np.array([grid.x0 + grid.x1, grid.y0 + grid.y1]) / 2
+    away = collection.antenna_position - np.array([*middle, collection.ground_height])
+    change = np.linalg.norm(away, axis=1) - collection.reference_range
+    if collection.steered or not (np.abs(change) <= collection.range_window / 2).all():
+        return 0.0
+    return float(np.ptp(np.unwrap(np.arctan2(away[:, 1], away[:, 0]))))
 
 
 def remedy(geometry: Geometry, grid: Grid) -> str:
@@ -238,7 +254,7 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
     if grid is None:
         raise InputError(
             "grid is missing: a collection whose beam is not steered lights everything, so give --grid "
-            "x0:x1:dx,y0:y1:dy for the ground to image"
+            f"x0:x1:dx,y0:y1:dy for the ground to image{_proposed(geometry)}"
         )
     x, y = outline(grid)
     if grid.x0 <= geometry.nadir[0] <= grid.x1 and grid.y0 <= geometry.nadir[1] <= grid.y1:
@@ -260,6 +276,13 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
     with remedied(geometry, grid):
         near, far = range_window(geometry, nodes, (float(rng.min()) - slack, float(rng.max()) + slack))
     return Region(yaw=nodes, near=near, far=far)
+
+
+def _proposed(geometry: Geometry) -> str:
+    """The grid about the scene's origin, for a message on a missing one; nothing where nothing tells of it."""
+    with suppress(InputError):
+        return f", such as --grid={facing_grid(geometry).as_option} about the point that the reference range follows"
+    return ""
 
 
 def imaged_side(geometry: Geometry) -> str | None:
@@ -567,10 +590,23 @@ def facing_grid(geometry: Geometry) -> Grid:
     if (recorded := collection.recorded) is not None:
         room = min(room, float(distance.min()) - recorded.whole[0], recorded.whole[1] - float(distance.max()))
     half = 0.9 * min(room / slope, collection.prf * collection.wavelength / 4 / max(turn, 1e-12))
-    rng, yaw = geometry.epoch_range(np.zeros(1), np.zeros(1)), geometry.yaw(np.zeros(1), np.zeros(1))
-    step = _round_step(min(ground_resolution(geometry, float(rng[0]), float(yaw[0]))) / 2)
+    step = _step_at(geometry, 0.0, 0.0)
     half = max(float(np.floor(half / np.sqrt(2) / step) * step), step)
     return Grid(-half, half, step, -half, half, step)
+
+
+def area_grid(geometry: Geometry, x: tuple[float, float], y: tuple[float, float]) -> Grid:
+    """A grid that holds an area, m, in steps of half the resolution at its middle, on whole multiples of them."""
+    step = _step_at(geometry, sum(x) / 2, sum(y) / 2)
+    x0, x1, y0, y1 = (float(round(end) * step) for low, high in (x, y) for end in (low / step, high / step))
+    return Grid(x0, max(x1, x0 + step), step, y0, max(y1, y0 + step), step)
+
+
+def _step_at(geometry: Geometry, x: float, y: float) -> float:
+    """Half the resolution at a place, m, rounded."""
+    at = np.array([x]), np.array([y])
+    rng, yaw = float(geometry.epoch_range(*at)[0]), float(geometry.yaw(*at)[0])
+    return _round_step(min(ground_resolution(geometry, rng, yaw)) / 2)
 
 
 def _round_step(value: float) -> float:

@@ -16,12 +16,13 @@ from blocksar.focusing.method import Cutting
 from blocksar.focusing.range_gate import RangeGate, RawCompression
 from blocksar.focusing.recovery import Recovery, recover_columns
 from blocksar.graph.spectrum import SpectrumChunks, Window, WritesBehind, chunk_spans, stays_cached
-from blocksar.inspection.samples import zero_impossible
+from blocksar.inspection.samples import count_zero_gaps, zero_impossible
 from blocksar.kernels.rows import Program
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Receipt, Written
 
-CUT = "interference"  # what was cut from a group of pulses, among what a receipt has found
+# Among what a receipt has found: what was cut from a group of pulses, and the zeros that look like gaps in its echo.
+CUT, ZERO_GAPS = "interference", "zero_gaps"
 
 
 @dataclass(frozen=True)
@@ -122,16 +123,20 @@ def prepare_pulses(
 ) -> Receipt:
     """Write pulses into the run's own phase history: a raw echo range-compressed, then without interference.
 
-    A pulse of an echo with a gap becomes missing.
+    Gaps in the pulses of an echo are divided out, see `RawCompression`; a pulse without a number is missing.
     """
     signal, found, cycles = source.read(slice(*pulses), slice(None)), dict[str, Any](), None
     if compression is not None:
+        gaps = ~np.isfinite(signal)
         inspection = zero_impossible(
             signal, range_frequency=np.zeros(signal.shape[1]), recovery=None, threads=run.threads
         )
-        signal = compression.apply(signal, pulses=slice(*pulses), threads=run.threads)
-        signal[list(inspection.missing)] = np.nan
         found, cycles = inspection.as_dict(), compression.cycles(slice(*pulses))
+        if zeros := count_zero_gaps(signal):
+            found[ZERO_GAPS] = zeros
+        if inspection.missing:
+            signal[gaps] = np.nan
+        signal = compression.apply(signal, pulses=slice(*pulses), threads=run.threads)
     if interference is not None:
         signal = np.ascontiguousarray(signal) if signal.flags.writeable else signal.copy()
         found[CUT] = cut_interference(signal, method=interference, cycles=cycles).as_dict()

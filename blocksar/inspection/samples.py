@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.track_shape import find_flaw
+from blocksar.focusing.recorded_pulses import LEAST_SHARE
 from blocksar.focusing.recovery import Recovery
 from blocksar.inspection.scan import BEYOND_ALL, STANDS_OUT, scan_pulses, sum_pairs
 from blocksar.kernels.groups import run_groups
@@ -379,7 +380,44 @@ def mask_outliers(signal: ComplexArray, inspection: Inspection, *, pulses: slice
 MAX_OUTLIERS = 0.01  # of the valid samples and outliers; beyond that the store is damaged
 SATURATED = (1e-3, 0.5)  # share of the components at the extreme value: fewer is chance, more is a coarse quantiser
 
+GAP, BESIDE = 8, 4  # samples that a gap has at least, and pulses before and after that have others there
+
 SLOW, HIGH = 10.0, 1000.0  # m/s, m: what flies higher than this is faster than that
+
+
+def count_zero_gaps(echo: ComplexArray) -> int:
+    """Count samples that look like gaps written as zeros in pulses (n, n_fast_time) of a raw echo.
+
+    They are runs of more than GAP zeros which the pulses BESIDE before and after have not. Zeros where nothing echoes,
+    as before the first target of an echo without noise, are in all of these pulses.
+    """
+    zero = echo == 0
+    alone = zero[BESIDE:-BESIDE] & ~(zero[: -2 * BESIDE] | zero[2 * BESIDE :])
+    if not alone.any():
+        return 0
+    edges = np.flatnonzero(np.diff(np.pad(alone, ((0, 0), (1, 1))).ravel().astype(np.int8)))
+    lengths = edges[1::2] - edges[::2]
+    return int(lengths[lengths > GAP].sum())
+
+
+def describe_gaps(parts: Sequence[Inspection], zeros: int) -> list[str]:
+    """Describe the gaps in pulses of a raw echo, from its groups' inspections and the number of zeros like gaps."""
+    counts = [n for part in parts for n in part.missing.values() if n < part.n_column]
+    size = sum(part.n_pulse for part in parts) * parts[0].n_column
+    messages = []
+    if counts:
+        messages.append(
+            f"{100 * sum(counts) / size:.2g} % of the echo's samples are missing, gaps in {len(counts)} pulses: these "
+            "are divided by the part of them that was recorded; noise rises by its inverse, and echoes of which less "
+            f"than {LEAST_SHARE:g} was recorded stay too weak"
+        )
+    if zeros:
+        messages.append(
+            f"{100 * zeros / size:.2g} % of the echo's samples are zeros in gaps that the pulses beside do not have, "
+            "as of transmit events: echoes are too weak by their share; give NaN there, and pulses are divided by the "
+            "part of them that was recorded"
+        )
+    return messages
 
 
 def is_saturated(inspection: Inspection) -> bool:

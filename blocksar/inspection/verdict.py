@@ -242,6 +242,11 @@ class Findings:
         """Whether what a refocus gains is each place's own, as of clutter and broad targets."""
         return self.points is not None and self.sharpness < SHARP and self.points.given > SHARP * self.points.by_others
 
+    @property
+    def untold(self) -> bool:
+        """Whether an alternative that mirrors or moves the image may be as sharp: one that was tried, or none was."""
+        return len(self.trials) == 1 or self.mirrored or any(t.verdict == "not told" for t in self.trials[1:])
+
     def warning(self) -> str | None:
         """Say what is wrong, with figures and the remedy; None if nothing is."""
         if (beam := self.beam) is not None and self.pointing is not None:
@@ -293,8 +298,11 @@ class Findings:
                 f"nothing that was tried is sharper, but the {self.given.echoes} most prominent places are no points "
                 f"in focus: they hold {self.given.in_focus:.2f} of the energy about them{self._compared()}"
             )
+        fit = "the samples fit what is said of them"
+        if self.untold:
+            fit = "the image is sharp as given, but whether it is mirrored or moved is not told"
         return (
-            f"the samples fit what is said of them, as far as {self.given.echoes} prominent places tell: they reach "
+            f"{fit}, as far as {self.given.echoes} prominent places tell: they reach "
             f"{min(self.sharpness, 1):.2f} of the sharpness that a refocus gives them{self._of_the_beam()}"
             f"{self._compared()}"
         )
@@ -307,7 +315,7 @@ class Findings:
     def _compared(self) -> str:
         """Name the alternatives that were ruled out, and those that remain undecided."""
         if len(self.trials) == 1:
-            return "; a mirrored image, or one seen a PRF away, may be as sharp, which `blocksar check` tries"
+            return "; `blocksar check` tries a mirrored image, and one seen a PRF away"
         said = ""
         for verdict, lead in (("ruled out", "ruled out"), ("not told", "not told from what is given")):
             names = [t.name for t in self.trials[1:] if t.verdict == verdict]

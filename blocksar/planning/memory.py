@@ -21,7 +21,7 @@ from blocksar.errors import InputError
 from blocksar.focusing.backprojection import gpu_memory, image_memory
 from blocksar.focusing.hierarchical_backprojection import PULSE_BLOCK_BYTES
 from blocksar.focusing.interference import GROUP
-from blocksar.focusing.range_gate import COMPRESSED_ROWS, RangeGate, RawCompression
+from blocksar.focusing.range_gate import COMPRESSED_ROWS, GAPPED_ROWS, RangeGate, RawCompression
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.groups import GROUP_BYTES, ROOM
 from blocksar.planning.tiling import image_chunk, inspection_width
@@ -75,7 +75,7 @@ def compression_memory(collection: Collection, raw: RawEcho | None) -> int:
     echo, band = raw.fast_time.size, collection.n_range_frequency
     length = RawCompression.of_echo(raw, collection).length
     pulses = 8 * TILE[0] * (2 * echo + 2 * band)  # as arrays, and as chunks read and written
-    return PROCESS_MEMORY + pulses + COMPRESSED_ROWS * (8 * length + 5 * 16 * band)
+    return PROCESS_MEMORY + pulses + COMPRESSED_ROWS * (8 * length + 5 * 16 * band) + GAPPED_ROWS * 64 * length
 
 
 def interference_memory(collection: Collection) -> int:

@@ -224,6 +224,8 @@ MESH = 16  # pixels between places whose verticals are computed; between them th
 STEPS = 3  # of the iteration for the height: each leaves the ground's slope times the angle between vertical and z
 SIDE = 65  # places along each side of an image, from which the map's limits are found
 MARGIN = 3.0  # degrees beyond its area of use in which a CRS is still taken
+UTM_ENDS = -80.0, 84.0  # degrees of latitude, beyond which maps are polar stereographic
+ABOUT_A_POLE = 89.99  # degrees of latitude, beyond which longitudes turn over an image
 TORN = 10.0  # diagonals of the image, by which its map is longer where the CRS breaks in between
 MOST = 1 << 33  # pixels
 
@@ -306,9 +308,10 @@ class MapPixels:
         for axis, step in enumerate(steps):
             low, high = places[..., axis].min(), places[..., axis].max()
             if high - low > longest * step:
+                latitude, longitude, _ = frame.to_geodetic(points[SIDE // 2, SIDE // 2]).tolist()
                 raise InputError(
-                    f"{crs.name} tears the image apart, as longitudes do at 180 degrees: give a projection that suits "
-                    "the place, such as UTM"
+                    f"{crs.name} tears the image apart, as longitudes do at 180 degrees and at the poles: give a "
+                    f"projection that suits the place; {suitable_crs(longitude, latitude)}"
                 )
             first = np.floor(low / step)
             axes.append(step * (first + 0.5 + np.arange(int(np.ceil(high / step) - first))))
@@ -429,18 +432,27 @@ class MapPixels:
 
 def _check_area(crs: CRS, frame: Georeference, point: FloatArray) -> None:
     area, (latitude, longitude, _) = crs.area_of_use, frame.to_geodetic(point)
+    if crs.is_geographic and abs(latitude) > ABOUT_A_POLE:
+        raise InputError(f"{crs.name} has no even pixels about a pole; {suitable_crs(longitude, latitude)}")
     if area is None:
         return
     width = (area.east - area.west) % 360 or 360.0
     across = (longitude - area.west + MARGIN) % 360
     if across <= width + 2 * MARGIN and area.south - MARGIN <= latitude <= area.north + MARGIN:
         return
-    zone = int((longitude + 180) // 6) % 60 + 1
-    code = 32600 + zone + (100 if latitude < 0 else 0)
     raise InputError(
         f"{crs.name} is for longitudes {area.west:g} .. {area.east:g} and latitudes {area.south:g} .. {area.north:g}, "
-        f"and the image lies at {longitude:.4f}, {latitude:.4f}; UTM there is EPSG:{code}"
+        f"and the image lies at {longitude:.4f}, {latitude:.4f}; {suitable_crs(longitude, latitude)}"
     )
+
+
+def suitable_crs(longitude: float, latitude: float) -> str:
+    """The projection that suits a place, degrees, in words: UTM, and polar stereographic where UTM ends."""
+    if not UTM_ENDS[0] <= latitude <= UTM_ENDS[1]:
+        ups, other = ("EPSG:5041", "EPSG:3413") if latitude > 0 else ("EPSG:5042", "EPSG:3031")
+        return f"polar stereographic there is {ups}, or {other}"
+    zone = int((longitude + 180) // 6) % 60 + 1
+    return f"UTM there is EPSG:{32600 + zone + (100 if latitude < 0 else 0)}"
 
 
 def _steps(crs: CRS, frame: Georeference, point: FloatArray, spacing: float) -> tuple[float, float]:

@@ -169,21 +169,34 @@ def _footprint(source: FinishedRun, frame: Georeference, vertices: FloatArray) -
     from shapely.geometry import mapping
     from shapely.geometry.polygon import orient
 
-    outline = Polygon(_degrees(source, frame, vertices[:, 0], vertices[:, 1]))
+    outline = Polygon(_to_the_pole(_degrees(source, frame, vertices[:, 0], vertices[:, 1])))
     if not outline.is_valid:
         outline = outline.convex_hull
     west, south, east, north = outline.bounds
     parts = [outline]
-    if east > 180 or west < -180:
+    if east - west >= 360:
+        west, east = -180.0, 180.0
+    elif east > 180 or west < -180:
+        west, east = ((at + 180) % 360 - 180 for at in (west, east))
+    if outline.bounds[2] > 180 or outline.bounds[0] < -180:
         worlds = ((box(k * 360 - 180, -90, k * 360 + 180, 90), -360 * k) for k in (-1, 0, 1))
         pieces = (affinity.translate(outline.intersection(world), shift) for world, shift in worlds)
         parts = [part for piece in pieces for part in getattr(piece, "geoms", [piece]) if part.area > 0]
-        west, east = ((at + 180) % 360 - 180 for at in (west, east))
     rings = [mapping(orient(part))["coordinates"] for part in parts]
     kind = {"type": "Polygon", "coordinates": rings[0]} if len(rings) == 1 else {
         "type": "MultiPolygon", "coordinates": rings,
     }  # fmt: skip
     return kind, [west, south, east, north]
+
+
+def _to_the_pole(places: FloatArray) -> FloatArray:
+    """Longitudes and latitudes (n, 2), degrees, of an outline; one that goes round a pole is led there and back."""
+    after = places[-1, 0] + (places[0, 0] - places[-1, 0] + 180) % 360 - 180
+    if abs(after - places[0, 0]) < 180:
+        return places
+    pole = np.copysign(90.0, places[:, 1].mean())
+    (first, latitude), last = places[0], places[0, 0] + np.copysign(360.0, after - places[0, 0])
+    return np.concatenate([places, [[last, latitude], [last, pole], [first, pole]]])
 
 
 def _degrees(source: FinishedRun, frame: Georeference, x: FloatArray, y: FloatArray) -> FloatArray:

@@ -19,6 +19,7 @@ from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_image
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_gate import RawCompression
+from blocksar.inspection.samples import count_zero_gaps
 
 GRID = ((-1760.0, 1800.0, STEP), (-40.0, 40.0, STEP))
 
@@ -178,6 +179,48 @@ def test_a_preview_shows_them_as_bright(store: Path) -> None:
     power = blocksar.preview(store, grid=GRID, size=1600).result
     peaks = [float(power.sel(x=slice(t.x - 8, t.x + 8), y=slice(t.y - 8, t.y + 8)).max()) for t in TARGETS[:3]]
     assert 10 * np.log10(max(peaks) / min(peaks)) < 2  # looks of a few pulses each
+
+
+@pytest.mark.parametrize("weighting", ["uniform", "hann"])
+def test_targets_keep_their_amplitude_under_gaps_of_pulses(weighting: str) -> None:
+    """As of transmit events between a pulse and its echo, up to whole pulses long, which move from pulse to pulse."""
+    given = strip(TARGETS[:4])
+    lengths = ((80, 0.01), (300, 0.04)) if weighting == "uniform" else ((80, 0.01),)
+    for length, tolerance in lengths:  # of a pulse of 300 samples
+        echo = np.array(given["echo"])
+        for pulse, start in enumerate(np.random.default_rng(1).integers(-length, echo.shape[1], len(echo))):
+            echo[pulse, max(start, 0) : start + length] = np.nan
+        history = stores.history_of(blocksar.collection(**{**given, "echo": echo})).with_partial_pulses()
+        for target in TARGETS[: 4 if length < 300 else 1]:  # a gap as long hides all that the window has of others
+            value = exact(history, np.array([target.x]), np.array([target.y]), weighting)[0, 0]
+            assert abs(value - 1) < tolerance + 0.02 * (target.part < 1) + 0.02 * (weighting == "hann")
+
+
+def test_gaps_of_pulses_are_told_and_so_are_zeros_in_their_place(tmp_path: Path) -> None:
+    given = strip(TARGETS[:1])
+    noise = np.random.default_rng(0).normal(size=(2, *given["echo"].shape))
+    echo = given["echo"] + 1e-3 * (noise[0] + 1j * noise[1])
+    for pulse, start in enumerate(np.random.default_rng(2).integers(0, 900, len(echo))):
+        echo[pulse, start : start + 100] = np.nan
+    for name, values in (("nan", echo), ("zeros", np.nan_to_num(echo))):
+        run = blocksar.focus(
+            blocksar.collection(**{**given, "echo": values}), tmp_path / name, grid="-8:8:2,-8:8:2", workers=0,
+            processor="backprojection", progress=False,
+        )  # fmt: skip
+        notes, peak = "\n".join(run.summary), abs(at(run.open(), TARGETS[0]))
+        if name == "nan":
+            assert "9.8 % of the echo's samples are missing, gaps in 192 pulses" in notes and abs(peak - 1) < 0.01
+        else:
+            assert "of the echo's samples are zeros in gaps" in notes and "give NaN there" in notes and peak < 0.95
+    plain = strip(TARGETS)["echo"]  # without noise, zeros are where nothing echoes
+    assert count_zero_gaps(plain) == 0
+
+
+def test_a_grid_about_the_reference_point_is_proposed_and_can_be_planned(dataset: xr.Dataset) -> None:
+    with pytest.raises(InputError, match=r"grid is missing: .*, such as grid=") as error:
+        blocksar.plan(dataset)
+    proposed = str(error.value).partition("such as grid=")[2].split()[0]
+    assert blocksar.plan(dataset, grid=proposed, processor="backprojection").plan.grid.shape[0] > 10
 
 
 @pytest.mark.slow

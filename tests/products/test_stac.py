@@ -110,6 +110,25 @@ def test_an_item_across_the_antimeridian_is_cut_there(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("latitude", [90.0, -89.9999])
+def test_an_outline_about_a_pole_reaches_it(latitude: float, tmp_path: Path) -> None:
+    frame = Georeference(latitude=latitude, longitude=20.0, height=10.0)
+    run = make(tmp_path / "run", frame=frame)
+    blocksar.export("stac", run.folder, tmp_path / "item.json")
+    item = checked(tmp_path / "item.json")
+    west, south, east, north = item.bbox or [0] * 4
+    assert (west, east) == (-180, 180) and (north == 90 if latitude > 0 else south == -90)
+    assert shapely.geometry.shape(item.geometry).contains(shapely.Point(10.0, np.sign(latitude) * 89.99999))
+    with pytest.raises(blocksar.InputError, match=r"polar stereographic there is EPSG:504[12], or EPSG:3[40][13][31]"):
+        blocksar.export("geotiff", run.folder, tmp_path / "image.tif", crs="EPSG:32633")
+    with pytest.raises(blocksar.InputError, match=r"polar stereographic there is"):
+        blocksar.export("geotiff", run.folder, tmp_path / "image.tif", crs="EPSG:4326")
+    for crs in ("EPSG:5041", "EPSG:3413") if latitude > 0 else ("EPSG:5042", "EPSG:3031"):
+        blocksar.export("geotiff", run.folder, tmp_path / f"{crs[5:]}.tif", crs=crs)
+    blocksar.export("geotiff", run.folder, tmp_path / "own.tif")
+
+
+@pytest.mark.slow
 def test_channels_have_their_polarizations_together_or_alone(polarised: Path, tmp_path: Path) -> None:
     blocksar.export("stac", polarised, tmp_path / "all.json")
     whole = checked(tmp_path / "all.json")

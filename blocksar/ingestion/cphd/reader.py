@@ -18,7 +18,9 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
+from blocksar.collection.region import area_grid
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, printable
 from blocksar.ingestion.cphd.areas import ImageArea, ecef_of, read_area
@@ -320,6 +322,10 @@ def prepare(file: CphdFile, choices: Choices) -> Prepared:
     slow = [slow_time.message] if slow_time else []
     beside = [troposphere.message, area.message, _same_samples(file), cut.message if cut else None]
     notes = [*delays.messages, *slow, *(text for text in beside if text)]
+    if not collection.steered:
+        notes.append(
+            _describe_area(Geometry(collection=echoes.stored.centred()), frame.from_ecef(ecef_of(file, area.corners)))
+        )
     return Prepared(
         echoes=echoes, frame=frame, bistatic=bistatic, attributes=attributes, notes=notes, beam=beam.messages
     )
@@ -462,6 +468,13 @@ def _describe_resampling(resampler: Resampler, delays: Delays) -> str:
                 f"are, with an error of up to {error:.2g} rad at the ends of the saved delays, and none at their middle"
             )
     return "samples are taken as they are"
+
+
+def _describe_area(geometry: Geometry, corners: FloatArray) -> str:
+    """The image area in words, as a grid, from its corners (4, 3) in the scene frame, m."""
+    (x0, y0), (x1, y1) = (end(corners[:, :2], axis=0).tolist() for end in (np.min, np.max))
+    grid = area_grid(geometry, (x0, x1), (y0, y1))
+    return f"the beam is not steered, so a run needs a grid: the image area is --grid={grid.as_option}"
 
 
 def _describe_frame(frame: Georeference) -> str:
