@@ -419,7 +419,11 @@ def _local_cluster(workers: int, threads: int, memory_limit: int | None, scratch
         try:
             client.wait_for_workers(workers, timeout=NO_WORKER)
         except TimeoutError:
-            raise ProcessingError(f"the workers did not start within {NO_WORKER:.0f} s") from None
+            raise ProcessingError(
+                f"the workers did not start within {NO_WORKER:.0f} s, in which each imports blocksar and connects to "
+                "this process by 127.0.0.1; the same command resumes: give fewer --workers if the machine is busy, or "
+                "--workers 0 to do without"
+            ) from None
         stack.enter_context(_replacing_hung_workers(cluster))
         try:
             yield client

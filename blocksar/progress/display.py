@@ -154,7 +154,7 @@ class Progress(Listener):
         self._quiet = quiet
         self._lock = threading.Lock()
         self._live: Live | None = None
-        self._printed: dict[str, float] = {}  # when a line of a stage was printed, or it began
+        self._printed: dict[str, float] = {}  # when a line of a stage was printed, or it began; inf: ended
         self._logged: dict[str, float] = {}
         self._units: Sequence[str] = ()
         self._workers = NOBODY
@@ -236,16 +236,20 @@ class Progress(Listener):
                 print(line, file=sys.stderr, flush=True)
 
     def _print_stage(self, stage: TimedStage, left: float | None) -> None:
-        """Print a plain line at the stage's end, and each minute of one that lasts; its times are of all stages."""
-        now = self.estimate.clock()
-        if stage.done < stage.total and now - self._printed.setdefault(stage.name, now) < PLAIN_SECONDS:
+        """Print a plain line at the stage's end, and each minute of one that lasts; its times are of all stages.
+
+        A stage that has ended before, and ends again at once, as where all loops are compiled, is not said again.
+        """
+        now, ends = self.estimate.clock(), stage.done >= stage.total
+        last = self._printed.setdefault(stage.name, now)
+        ended = last == math.inf
+        least = PLAIN_SECONDS if not ends else LOG_SECONDS if ended else 0.0
+        if (stage.seconds(now) if ended else now - last) < least:
             return
-        self._printed[stage.name] = now
+        self._printed[stage.name] = math.inf if ends else now
         remaining = f", about {time_text(left)} left" if left else ""
-        self._print_line(
-            f"{stage.name}: {stage.done} of {stage.total}; "
-            f"in all {clock_time(self.estimate.elapsed)} elapsed{remaining}"
-        )
+        count = "done" if stage.total == 1 else f"{stage.done} of {stage.total}"
+        self._print_line(f"{stage.name}: {count}; in all {clock_time(self.estimate.elapsed)} elapsed{remaining}")
 
     def _log_stage(self, stage: TimedStage, left: float | None) -> None:
         now, last = self.estimate.clock(), self._logged.get(stage.name)

@@ -428,7 +428,7 @@ def test_plain_progress_is_a_line_a_stage(api: Calls) -> None:
     api.updates = [("recover", i, 1000) for i in range(1001)] + [("mosaic", 1, 1), ("nothing", 0, 0)]
     lines = run("focus", "ph.zarr", "--out", "run").stderr.splitlines()
     told = [line.split(";")[0] for line in lines]
-    assert told == ["recover: 1000 of 1000", "mosaic: 1 of 1", "nothing: 0 of 0", "next: blocksar quality run"]
+    assert told == ["recover: 1000 of 1000", "mosaic: done", "nothing: 0 of 0", "next: blocksar quality run"]
     assert run("focus", "ph.zarr", "--out", "run", "--quiet").stderr == ""
 
 

@@ -69,6 +69,8 @@ def test_a_dumb_terminal_gets_plain_lines(monkeypatch: pytest.MonkeyPatch) -> No
 def test_plain_lines_in_a_pipe(capsys: pytest.CaptureFixture[str]) -> None:
     clock = Clock()
     with under_way(clock) as told:
+        for done in range(2):
+            told.update("plan", done, 1)  # it has ended before
         told.dashboard("http://127.0.0.1:8787/status")
         told.note("said with the result", again=True)
         told.note("one pulse is missing")
@@ -77,7 +79,7 @@ def test_plain_lines_in_a_pipe(capsys: pytest.CaptureFixture[str]) -> None:
             told.update("focus", done, 120)
     lines = capsys.readouterr().err.splitlines()
     assert lines[:5] == [
-        "plan: 1 of 1; in all 0:00 elapsed",
+        "plan: done; in all 0:00 elapsed",
         "recover: 4 of 4; in all 0:00 elapsed",
         "focus: 60 of 120; in all 1:06:40 elapsed, about 68 min left",
         "dashboard: http://127.0.0.1:8787/status",
