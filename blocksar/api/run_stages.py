@@ -173,7 +173,7 @@ def _inspections(segments: Sequence[Segment], read: Sequence[ReadSegment]) -> li
 
 
 def _compressed(read: Sequence[ReadSegment]) -> list[dict[str, Any]]:
-    """What was found in the groups of pulses of a raw echo."""
+    """Findings of the groups of pulses of a raw echo."""
     receipts = (receipt for each in read for receipt in each.receipts if receipt.stage == "range-compress")
     return [dict(receipt.found) for receipt in receipts if receipt.found]
 

@@ -36,5 +36,8 @@ def test_without_shared_locks_workers_are_refused_at_once(monkeypatch: pytest.Mo
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(multiprocessing.get_context("forkserver"), "Lock", fail)
-    with pytest.raises(InputError, match=r"\(Permission denied\); make /dev/shm writable"), cluster.open_client():
+    with (
+        pytest.raises(InputError, match=r"\(Permission denied\), which takes a /dev/shm that is writable"),
+        cluster.open_client(),
+    ):
         pass

@@ -189,7 +189,7 @@ class Process:
         return "".join(
             line
             for line in self.stderr.splitlines(keepends=True)
-            if not re.search(r": \d+ of \d+, |^dashboard: ", line)
+            if not re.search(r"^[\w -]+: (done|\d+ of \d+); in all |^dashboard: ", line)
         )
 
     def await_line(self, text: str) -> None:

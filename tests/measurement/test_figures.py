@@ -491,7 +491,7 @@ def test_the_stretch_suits_clutter_and_isolated_targets() -> None:
     assert 0.4 < (-23 - low) / (high - low) < 0.6  # uniform clutter is mid-grey
     targets = np.full(10_000, -90.0)
     targets[::2000] = 0.0
-    assert stretch(targets) == (-80.0, -20.0)  # the background is black, targets are white
+    assert stretch(targets) == (-60.0, 0.0)  # the background is black; only their peaks are white
     assert stretch(np.full(5, np.nan)) == (-60.0, 0.0)
 
 

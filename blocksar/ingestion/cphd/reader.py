@@ -301,10 +301,8 @@ def prepare(file: CphdFile, choices: Choices) -> Prepared:
     except InputError as error:
         raise InputError(f"PVP TxPos, RcvPos, SRPPos, TOA1 and TOA2 make no phase history: {error}") from None
     bistatic = _bistatic_error(file, pulses, area, collection.wavelength)
-    echoes = ChannelEchoes(
-        file=file, collection=collection, pulses=pulses, slow_time=slow_time, resampler=resampler, delays=delays,
-        area=choices.area,
-    )  # fmt: skip
+    echoes = ChannelEchoes(file=file, collection=collection, pulses=pulses, slow_time=slow_time, resampler=resampler,
+                           delays=delays, area=choices.area)  # fmt: skip
     cut = echoes.cut
     removed = float(troposphere.removed[used].mean()) if choices.troposphere else None
     attributes = {
@@ -321,11 +319,9 @@ def prepare(file: CphdFile, choices: Choices) -> Prepared:
         attributes["source"] |= {"area": choices.area, "time_zero": attributes["source"]["time_zero"] + cut.later}
     slow = [slow_time.message] if slow_time else []
     beside = [troposphere.message, area.message, _same_samples(file), cut.message if cut else None]
-    notes = [*delays.messages, *slow, *(text for text in beside if text)]
-    if not collection.steered:
-        notes.append(
-            _describe_area(Geometry(collection=echoes.stored.centred()), frame.from_ecef(ecef_of(file, area.corners)))
-        )
+    corners = frame.from_ecef(ecef_of(file, area.corners))
+    seen = [] if collection.steered else [_describe_area(Geometry(collection=echoes.stored.centred()), corners)]
+    notes = [*delays.messages, *slow, *(text for text in beside if text), *seen]
     return Prepared(
         echoes=echoes, frame=frame, bistatic=bistatic, attributes=attributes, notes=notes, beam=beam.messages
     )
