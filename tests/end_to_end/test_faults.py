@@ -269,7 +269,7 @@ def test_a_run_resumes_after_its_scheduler_was_killed(
 ) -> None:
     with cluster(launcher, tmp_path / "dask") as made:
         process = launcher.start("blocksar", *words(store, tmp_path / "run", "--scheduler", made.address))
-        process.await_line("focus: 0")
+        process.await_line("recover: ")
         made.scheduler.send(signal.SIGKILL)
         assert process.wait() == 1, process.stderr
         assert "scheduler" in one_sentence(process)
@@ -344,7 +344,7 @@ def test_a_hung_worker_is_replaced(
     """Also the only one."""
     own = ("--workers", str(workers), "--memory-limit", "2GiB")
     process = launcher.start("blocksar", *words(store, tmp_path / "run", *own), WORKER_TTL=4, HUNG=1)
-    process.await_line("focus: 0")
+    process.await_line("recover: ")
     hung = workers_of(process.pid)[0]
     os.kill(hung, signal.SIGSTOP)
     assert process.wait() == 0, process.stderr
@@ -373,7 +373,7 @@ def test_a_signal_stops_a_run_cleanly(
     for attempt in itertools.count():
         run = tmp_path / f"run{attempt}"
         process = launcher.start("blocksar", *words(store, run, *OWN))
-        process.await_line("focus: 0")
+        process.await_line("recover: ")
         time.sleep(random.Random(attempt).random() * 0.3)
         if process.poll() is None:
             (process.send_all if number == signal.SIGINT else process.send)(number)
@@ -394,7 +394,7 @@ def test_a_signal_stops_a_run_cleanly(
 def test_a_second_writer_is_refused(launcher: Launcher, store: Path, undisturbed: Undisturbed, tmp_path: Path) -> None:
     typed = words(store, tmp_path / "run", *ALONE)
     first = launcher.start("blocksar", *typed)
-    first.await_line("recover: 0")
+    first.await_line("plan: ")
     first.send(signal.SIGSTOP)
     for more in ((), ("--overwrite",)):
         second = launcher.start("blocksar", *typed, *more)
