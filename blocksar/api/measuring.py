@@ -523,7 +523,8 @@ def _unjudged_lines(run: FinishedRun, responses: Sequence[PointResponse]) -> lis
     lines = []
     if crowded := [r.name for r in responses if r.full_dwell and r.covered and r.crowded]:
         lines.append(
-            f"{len(crowded)} have a side lobe above their peak ({_first(crowded)}): not measured, another peak is near"
+            f"{len(crowded)} have a side lobe above their peak ({_first(crowded)}): another peak is near, or "
+            "the image is out of focus there; not measured"
         )
     if seam:
         lines.append(

@@ -281,7 +281,7 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
 def _proposed(geometry: Geometry) -> str:
     """The grid about the scene's origin, for a message on a missing one; nothing where nothing tells of it."""
     with suppress(InputError):
-        return f", such as --grid={facing_grid(geometry).as_option} about the point that the reference range follows"
+        return f", such as --grid='{facing_grid(geometry).as_option}' about the point that the reference range follows"
     return ""
 
 

@@ -383,7 +383,7 @@ def check_type(given: Given, _: Arguments) -> None:
 
 
 def check_finite(given: Given, _: Arguments) -> None:
-    """NaN, infinities | samples are missing; `beam_azimuth`, `beam_width`: NaN if not steered; refused elsewhere"""
+    """NaN, infinities | samples are missing, also in gaps; `beam_azimuth`: NaN if not steered; refused elsewhere"""
     # Arrays are checked where it is known what each pulse needs (`Collection`).
     if given.kind != "number" or not isinstance(given.value, float) or np.isfinite(given.value):
         return

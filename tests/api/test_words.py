@@ -202,7 +202,7 @@ def test_an_error_speaks_of_parameters(dataset: xr.Dataset, tmp_path: Path) -> N
     blocksar.focus(dataset, tmp_path / "run", **small)
     with pytest.raises(InputError, match=r"use overwrite=True to replace it, or another out$"):
         blocksar.focus(dataset, tmp_path / "run", blocks=1, **small)
-    with pytest.raises(InputError, match=r"so give grid x0:x1:dx,y0:y1:dy for the ground to image$"):
+    with pytest.raises(InputError, match=r"so give grid x0:x1:dx,y0:y1:dy for the ground to image, such as grid='"):
         blocksar.plan(blocksar.collection(**arrays(steered=False)))
 
 

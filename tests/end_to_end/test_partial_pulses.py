@@ -219,7 +219,7 @@ def test_gaps_of_pulses_are_told_and_so_are_zeros_in_their_place(tmp_path: Path)
 def test_a_grid_about_the_reference_point_is_proposed_and_can_be_planned(dataset: xr.Dataset) -> None:
     with pytest.raises(InputError, match=r"grid is missing: .*, such as grid=") as error:
         blocksar.plan(dataset)
-    proposed = str(error.value).partition("such as grid=")[2].split()[0]
+    proposed = str(error.value).partition("such as grid='")[2].partition("'")[0]
     assert blocksar.plan(dataset, grid=proposed, processor="backprojection").plan.grid.shape[0] > 10
 
 

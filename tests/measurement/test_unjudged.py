@@ -35,4 +35,4 @@ def test_a_target_beside_a_brighter_one_is_not_measured(tmp_path: Path) -> None:
     assert not own["crowded"] and own["range_pslr"] < 0
     assert beside["crowded"] and beside["range_pslr"] is beside["azimuth_pslr"] is beside["error_x"] is None
     assert report.result["summary"]["measured"] == 1
-    assert any("(beside): not measured, another peak is near" in line for line in report.summary)
+    assert any("(beside): another peak is near, or the image is out of focus there" in line for line in report.summary)

@@ -470,7 +470,7 @@ def _describe_area(geometry: Geometry, corners: FloatArray) -> str:
     """The image area in words, as a grid, from its corners (4, 3) in the scene frame, m."""
     (x0, y0), (x1, y1) = (end(corners[:, :2], axis=0).tolist() for end in (np.min, np.max))
     grid = area_grid(geometry, (x0, x1), (y0, y1))
-    return f"the beam is not steered, so a run needs a grid: the image area is --grid={grid.as_option}"
+    return f"the beam is not steered, so a run needs a grid: the image area is --grid='{grid.as_option}'"
 
 
 def _describe_frame(frame: Georeference) -> str:
