@@ -113,9 +113,9 @@ def _open_inputs(run: FinishedRun, source: Place | None) -> dict[str, stores.Pha
                 f"holds {', '.join(place(each).name for each in names)}"
             )
         history = stores.open_phase_history(found)
-        _check_size(run, history)
         if run.record.settings.get("pulses") == PARTS:
             history = history.with_partial_pulses()
+        _check_size(run, history)
         inputs[path] = history.of_channel(run.attrs.get("channel") if history.channels else None)
     return inputs
 

@@ -407,8 +407,8 @@ def describe_gaps(parts: Sequence[Inspection], zeros: int) -> list[str]:
     messages = []
     if counts:
         messages.append(
-            f"{100 * sum(counts) / size:.2g} % of the echo's samples are missing, gaps in {len(counts)} pulses: these "
-            "are divided by the part of them that was recorded; noise rises by its inverse, and echoes of which less "
+            f"{100 * sum(counts) / size:.2g} % of the echo's samples are missing, gaps in {len(counts)} "
+            f"pulse{'s' if len(counts) > 1 else ''}: these are divided by the part of them that was recorded; noise rises by its inverse, and echoes of which less "
             f"than {LEAST_SHARE:g} was recorded stay too weak"
         )
     if zeros:

@@ -293,7 +293,7 @@ def test_a_saturated_echo_with_a_gap_is_reported(tmp_path: Path) -> None:
 
     report = blocksar.focus(changed(raw, tmp_path, "echo", clip), tmp_path / "run", blocks=3, grid=GRID, workers=0)
     said = " ".join(report.result["warnings"])
-    assert "1 of 4800 pulses is missing" in said and "saturated" in said
+    assert "gaps in 1 pulse: these are divided" in said and "saturated" in said
 
 
 def ground(rng: float, yaw_deg: float) -> tuple[float, float]:
