@@ -408,8 +408,8 @@ def describe_gaps(parts: Sequence[Inspection], zeros: int) -> list[str]:
     if counts:
         messages.append(
             f"{100 * sum(counts) / size:.2g} % of the echo's samples are missing, gaps in {len(counts)} "
-            f"pulse{'s' if len(counts) > 1 else ''}: these are divided by the part of them that was recorded; noise rises by its inverse, and echoes of which less "
-            f"than {LEAST_SHARE:g} was recorded stay too weak"
+            f"pulse{'s' if len(counts) > 1 else ''}: these are divided by the part of them that was recorded; noise "
+            f"rises by its inverse, and echoes of which less than {LEAST_SHARE:g} was recorded stay too weak"
         )
     if zeros:
         messages.append(
