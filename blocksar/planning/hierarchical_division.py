@@ -16,8 +16,9 @@ sums over what is left, are counted with the frames of `focusing.hierarchy`, whi
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache, partial
 from itertools import pairwise, product
 
 import numpy as np
@@ -44,6 +45,8 @@ PLACES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the image, along either side, at which 
 FEW = 3  # of so many places one, by which divisions are ranked
 PROFILES = 2  # arrays of range profiles at once: transformed in place, and with margins
 GPU_PROFILES = 3  # besides, on a GPU: transformed out of place, with work areas of two lengths
+
+Pair = tuple[float, float]  # m along x and y
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,6 +144,18 @@ class Cost:
     on_gpu: int
 
 
+def part_at(geometry: Geometry, place: Pair, side: Pair) -> Part:
+    """A part of a size (m along x and y) about a place, as its border sees the beam."""
+    x, y = (centre + size / 2 * np.linspace(-1, 1, NODES) for centre, size in zip(place, side, strict=True))
+    mesh = np.meshgrid(x, y)
+    first, last = geometry.beam.passes(*mesh)
+    longest = int((last - first).sum(axis=(1, 2)).argmax())
+    z, _ = geometry.known_height(*mesh)
+    part = Part(x=x, y=y, z=z, first=first[longest], last=last[longest])
+    leave_outside(geometry, part)
+    return part
+
+
 class Ladders:
     """Finds what a unit costs that is divided along a ladder of sides, at one place of the image.
 
@@ -150,25 +165,18 @@ class Ladders:
     geometry : Geometry
     grid : Grid
     rates : Rates
+    part : callable
+        `part_at` of the geometry.
     """
 
-    def __init__(self, hierarchy: Hierarchy, geometry: Geometry, grid: Grid, rates: Rates) -> None:
-        self.hierarchy, self.geometry, self.grid, self.rates = hierarchy, geometry, grid, rates
+    def __init__(
+        self, hierarchy: Hierarchy, geometry: Geometry, grid: Grid, rates: Rates, part: Callable[[Pair, Pair], Part]
+    ) -> None:
+        self.hierarchy, self.geometry, self.grid, self.rates, self.part = hierarchy, geometry, grid, rates, part
         # Waves are those of a taper over the beam, by whose sums the image is divided.
         self.gains = effort.GAINS if geometry.collection.has_pattern or hierarchy.waves else 0.0
 
-    def part(self, place: tuple[float, float], side: tuple[float, float]) -> Part:
-        """A part of a size (m along x and y) about a place, as its border sees the beam."""
-        x, y = (centre + size / 2 * np.linspace(-1, 1, NODES) for centre, size in zip(place, side, strict=True))
-        mesh = np.meshgrid(x, y)
-        first, last = self.geometry.beam.passes(*mesh)
-        longest = int((last - first).sum(axis=(1, 2)).argmax())
-        z, _ = self.geometry.known_height(*mesh)
-        part = Part(x=x, y=y, z=z, first=first[longest], last=last[longest])
-        leave_outside(self.geometry, part)
-        return part
-
-    def cost(self, place: tuple[float, float], sides: Sequence[tuple[float, float]]) -> Cost | None:
+    def cost(self, place: Pair, sides: Sequence[Pair]) -> Cost | None:
         """Cost of the first of some parts, each of which is divided into the next; None where nothing lights it."""
         part = self.part(place, sides[0])
         entered = self.hierarchy.enter(part)
@@ -304,6 +312,7 @@ class _Trial:
     def __init__(self, geometry: Geometry, grid: Grid, fidelity: float, weighting: Weighting, device: str) -> None:
         self.geometry, self.grid, self.fidelity, self.device = geometry, grid, fidelity, device
         self.chunk, self.waves, self.path = image_chunk(grid), dwell_waves(geometry, weighting), Path(geometry)
+        self.part = cache(partial(part_at, geometry))  # ladders and units have most of their parts in common
         nodes = sorted(product(PLACES, PLACES), key=lambda node: math.hypot(node[0] - 0.5, node[1] - 0.5))
         self.places = [(grid.x0 + u * grid.dx * grid.shape[1], grid.y0 + v * grid.dy * grid.shape[0]) for u, v in nodes]
 
@@ -329,7 +338,9 @@ class _Trial:
         ratio, last = ladder
         below = _ladder(sides[-1], (last * grid.dx, last * grid.dy), ratio)
         levels = levels_for(self.fidelity, tuple(max(side) for side in below), stages=len(sides) + len(below))
-        ladders = Ladders(Hierarchy(geometry, levels, waves=self.waves, path=self.path), geometry, grid, rates)
+        ladders = Ladders(
+            Hierarchy(geometry, levels, waves=self.waves, path=self.path), geometry, grid, rates, self.part
+        )
         unlit = Cost(seconds=rates.pixel * unit[0] * unit[1], samples=0, on_gpu=0)
         each_place = (ladders.cost(place, [*sides, *below]) for place in places)
         if first_lit:
