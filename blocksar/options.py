@@ -110,14 +110,15 @@ def read_options(model: type[Model], given: Mapping[str, Any], of: str, elsewher
 
 
 def nearest_argument(function: Callable[..., Any], name: str) -> str | None:
-    """Say which argument of a function, or option in its signature, has nearly this name; None if there is none.
+    """Say which argument of a function, or option in its signature, has nearly this name; None if none, or just this.
 
     Examples
     --------
     >>> nearest_argument(showing_options, "model")
     "showing_options has no argument 'model'; did you mean models?"
     """
-    close = difflib.get_close_matches(name, [each for each in signature(function).parameters if each != name], n=1)
+    known = signature(function).parameters
+    close = [] if name in known else difflib.get_close_matches(name, known, n=1)
     label = getattr(function, "__name__", "the function")
     return f"{label} has no argument {name!r}; did you mean {close[0]}?" if close else None
 

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
-from blocksar.arrays import BoolArray, Complex128Array, ComplexArray, FloatArray
+from blocksar.arrays import Complex128Array, ComplexArray, FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import ground_spectrum
 from blocksar.collection.weighting import Taper, Weighting
@@ -283,11 +283,11 @@ def sides_at(geometry: Geometry, x: float, y: float) -> tuple[FloatArray, FloatA
     return ground_spectrum(geometry, float(geometry.epoch_range(*at)), float(geometry.yaw(*at)))
 
 
-def changed(estimate: FloatArray, limit: FloatArray) -> NDArray[np.uint8]:
+def changed(estimate: FloatArray, limit: FloatArray, chance: float) -> NDArray[np.uint8]:
     """Flags (...) of where a coherence lies below a limit: 0 unchanged, 1 changed, 2 not judged, 255 not covered.
 
-    Not judged is where the limit is NaN.
+    Not judged is what lies above a limit that is below `chance`, the median where nothing is coherent: most change
+    would, too.
     """
-    judged: BoolArray = np.isfinite(limit)
-    flags = np.where(judged, estimate < limit, 2)
+    flags = np.where(estimate < limit, 1, np.where(limit > chance, 0, 2))
     return np.where(np.isfinite(estimate), flags, 255).astype(np.uint8)

@@ -248,15 +248,19 @@ def write_pair(pair: Pair, out: Place, *, overwrite: bool, progress: Callback) -
     """
     parts = list(pair.windows())
     median = _median(pair, parts[:: -(-len(parts) // SAMPLED)])
-    scene = float(coherence_of_median(median, pair.looks))
-    limit = float(_limit(pair, np.asarray(scene)))
+    scene = expected = float(coherence_of_median(median, pair.looks))
+    chance = float(threshold(0.0, pair.looks, 0.5))
+    limit = float(threshold(scene, pair.looks, pair.false_alarms))
+    if limit <= chance:
+        limit = expected = float("nan")
     flags = np.zeros(256, np.int64)
 
     def fill(place: Place) -> None:
         for number, window in enumerate(parts, 1):
             means = pair.over_window(*window)
             estimate = means.coherence
-            flag = changed(estimate, _limit(pair, scene * pair.left_for_ground(means, *window)))
+            left = pair.left_for_ground(means, *window)
+            flag = changed(estimate, threshold(expected * left, pair.looks, pair.false_alarms), chance)
             values = {
                 "interferogram": means.inner, "coherence": estimate, "amplitude_ratio": means.amplitude_ratio,
                 "vertical_wavenumber": np.where(np.isfinite(estimate), pair.wavenumbers(*window), np.nan),
@@ -272,12 +276,6 @@ def write_pair(pair: Pair, out: Place, *, overwrite: bool, progress: Callback) -
         chunks={"y": pair.chunk[0], "x": pair.chunk[1]}, fill=fill, overwrite=overwrite,
     )  # fmt: skip
     return Made(median, scene, limit, int(flags[:255].sum()), int(flags[:2].sum()), int(flags[1]))
-
-
-def _limit(pair: Pair, coherence: FloatArray) -> FloatArray:
-    """Below which an estimate shows change where the coherence (...) is expected; NaN where chance is not below it."""
-    limit = threshold(coherence, pair.looks, pair.false_alarms)
-    return np.where(limit > threshold(0.0, pair.looks, 0.5), limit, np.nan)
 
 
 def _median(pair: Pair, parts: Sequence[tuple[slice, slice]]) -> float:

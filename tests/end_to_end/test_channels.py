@@ -161,7 +161,10 @@ def test_a_run_that_fails_as_channels_are_joined_goes_on_to_the_same_bytes(
         chunk.write_bytes(content)
         os.utime(chunk, ns=(written, written))
         if content != data:
-            with pytest.raises(FolderError, match=r"HH was finished, but 1 .* \(first: image/c/0/0\); use overwrite=T"):
+            with pytest.raises(
+                FolderError,
+                match=r"HH was finished, but its image has 1 .* \(first: image/c/0/0\); use overwrite=T",
+            ):
                 blocksar.focus(store, tmp_path / "run", **SETTINGS)
     summary = blocksar.focus(store, tmp_path / "run", overwrite=True, **SETTINGS).summary  # of a run that is unfinished
     assert sum("nothing to do" in line for line in summary) == 2
