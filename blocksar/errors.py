@@ -48,7 +48,15 @@ def in_python(text: str) -> str:
 
 
 class InputError(ValueError):
-    """The user's input is wrong: one sentence with the field, the value and the remedy (exit status 2)."""
+    """The user's input is wrong: one sentence with the field, the value and the remedy (exit status 2).
+
+    Attributes
+    ----------
+    file : str, optional
+        The file that is at fault, which the sentence begins with.
+    """
+
+    file: str | None = None
 
     def __init__(self, message: str) -> None:
         super().__init__(LONG_WORD.sub(lambda word: f"{word[0][:SHORT]}...{word[0][-SHORT:]}", printable(message)))

@@ -394,11 +394,12 @@ def begin(sources: Sequence[Readable], options: StripOptions) -> RawStrip:
     files = find_files(sources)
     with reading_file(files.leader), files.leader.open() as stream:
         leader = Leader.parse(stream.read(MOST_LEADER))
-        images = [Image.open(path) for path in files.images]
-        for image in images:
-            with reading_file(image.path):
-                image.check()
-        chosen, notes = _chosen(images, options)
+    images = [Image.open(path) for path in files.images]
+    for image in images:
+        with reading_file(image.path):
+            image.check()
+    chosen, notes = _chosen(images, options)
+    with reading_file(files.leader):
         return _strip(leader, chosen, options, notes).taking(options)
 
 
@@ -428,10 +429,11 @@ def _chosen(images: Sequence[Image], options: StripOptions) -> tuple[list[Image]
 def _strip(leader: Leader, images: list[Image], options: StripOptions, notes: list[str]) -> RawStrip:
     fields = images[0].fields
     epoch = datetime(int(fields["year"][0]), 1, 1, tzinfo=UTC) + timedelta(days=int(fields["day of year"][0]) - 1)
-    even = _even(images[0], options, leader.known("number of SAR channels") == 4, notes)
+    with reading_file(images[0].path):
+        even = _even(images[0], options, leader.known("number of SAR channels") == 4, notes)
+        first = _first_delay(fields, even.pulses, leader, notes)
     sampling_rate = 1e6 * leader.number("sampling rate")
     width = (images[0].length - PREFIX) // 2
-    first = _first_delay(fields, even.pulses, leader, notes)
     shift = np.rint((first - first[0]) * sampling_rate).astype(np.int64)
     pulses = even.pulses
     pixels = np.where(fields["pixels"][pulses] > 0, fields["pixels"][pulses], width)

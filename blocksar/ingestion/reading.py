@@ -27,21 +27,28 @@ class Ingested:
 def reading(path: Readable, *, damaged: str, remedy: str) -> Iterator[None]:
     """Turn any error of the libraries that read a file into one InputError that names the file.
 
+    Where another file is read meanwhile, its error names that one.
+
     `damaged` describes a file that a library fails on, and `remedy` says what to do about it. MemoryError and
     ProcessingError are not the file's fault, and pass unchanged.
     """
     try:
         yield
-    except InputError as error:
-        text = str(error)
-        kind = MissingInput if isinstance(error, MissingInput) else InputError
-        raise kind(text if str(path) in text else f"{path}: {text}") from error.__cause__
-    except FileNotFoundError as error:
-        raise MissingInput(f"{path} does not exist; check the path") from error
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror or error}); check it and its permissions") from error
+        return
     except (MemoryError, ProcessingError):
         raise
+    except InputError as error:
+        if error.file is not None:
+            raise
+        kind, cause = MissingInput if isinstance(error, MissingInput) else InputError, error.__cause__
+        found = kind(str(error) if str(path) in str(error) else f"{path}: {error}")
+    except FileNotFoundError as error:
+        found, cause = MissingInput(f"{path} does not exist; check the path"), error
+    except OSError as error:
+        found = InputError(f"{path} cannot be read ({error.strerror or error}); check it and its permissions")
+        cause = error
     except Exception as error:
-        cause = shorten(f"{type(error).__name__}: {error}", 200, placeholder=" ...")
-        raise InputError(f"{path} is {damaged} ({printable(cause)}); {remedy}") from error
+        what = printable(shorten(f"{type(error).__name__}: {error}", 200, placeholder=" ..."))
+        found, cause = InputError(f"{path} is {damaged} ({what}); {remedy}"), error
+    found.file = str(path)
+    raise found from cause
