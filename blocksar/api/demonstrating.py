@@ -85,7 +85,10 @@ def demo(
     if not simulated:
         check_room(folder, demonstration.ROOM - folder.taken())
         listener.note(f"{folder} will take 0.3 GB, and 0.6 GB while the demonstration runs")
-    listener.expect(effort.of_demo(simulated=simulated, compiled=compiling.kernels_cached()), 1)
+    listener.expect(effort.of_demo(simulated=simulated, compiled=compiling.kernels_cached(compiling.DEMO)), 1)
+    listener.update("compile", 0, 1)
+    compiling.compile_missing(compiling.DEMO, listener=listener)
+    listener.update("compile", 1, 1)
     if not simulated:
         simulate(demonstration.SCENE, history, threads=threads, overwrite=overwrite, progress=listener)
     focused = focus(

@@ -29,7 +29,7 @@ from blocksar.budget import FIDELITY, WAIT_WORKERS
 from blocksar.collection.surface import Surface
 from blocksar.errors import InputError
 from blocksar.focusing.method import Coefficients, Cutting, Derotation, Perturbation, RangeModel
-from blocksar.graph import cluster, recording
+from blocksar.graph import cluster, compiling, recording
 from blocksar.graph.machine import Resources, resources
 from blocksar.graph.units import Executor, OnCluster, ThisProcess
 from blocksar.ingestion.heights import terrain_notes
@@ -38,7 +38,7 @@ from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.planning.disk import has_pyramid
-from blocksar.processors import OwnDevice, OwnProcessor
+from blocksar.processors import AUTO, PROCESSORS, OwnDevice, OwnProcessor
 from blocksar.progress import Listener, as_listener
 from blocksar.progress import Wanted as Progress
 from blocksar.runs import folder as run_folder
@@ -293,7 +293,7 @@ def _focus_image(
         if record is not None and record.finished:
             return _report_finished(request.folder, record, discard=discard, claimed=True)
         if here:
-            executor = cluster.open_here(listener)
+            executor = cluster.open_here(listener, _loops(request))
         said: list[str] = []
         if request.track is not None:
             from blocksar.api.tracks import track_corrected  # with all of `autofocusing`, which takes 20 ms to load
@@ -398,6 +398,12 @@ def _focus(
     return RunReport(summary=lines, result=finished.as_json(), folder=request.folder, measurable=measurable)
 
 
+def _loops(request: Request) -> Sequence[str]:
+    """The loops that planning and tasks of any plan of a request run."""
+    universal = PROCESSORS.get(request.processor).universal and request.processor != AUTO
+    return compiling.READ if universal else compiling.TASKS
+
+
 @contextmanager
 def _start_workers(
     request: Request, earlier: RunRecord | None, machine: Resources, listener: Listener
@@ -407,12 +413,13 @@ def _start_workers(
     Its temporary files lie there.
     """
     if earlier is None and (request.folder / RECORD).exists():
-        cluster.prepare_workers(machine.threads, listener)
+        cluster.prepare_workers(machine.threads, listener, _loops(request))
         yield None
         return
     try:
         scratch = run_folder.scratch(request.folder)
-        with cluster.Starting(**machine._asdict(), scratch=scratch, listener=listener) as starting:
+        starts = cluster.Starting(**machine._asdict(), scratch=scratch, listener=listener, loops=_loops(request))
+        with starts as starting:
             yield starting
     finally:
         (request.folder / run_folder.SCRATCH).remove()

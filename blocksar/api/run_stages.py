@@ -274,7 +274,9 @@ def carry_out(
         on_terrain = compiling.TERRAIN if job.request.terrain is not None else ()
         pyramid = compiling.PYRAMID if run.pyramid else ()
         compiling.compile_missing(
-            [*job.plan.loops(), *on_terrain, *pyramid], by="others" if isinstance(workers, ThisProcess) else "all"
+            [*job.plan.loops(), *on_terrain, *pyramid],
+            "others" if isinstance(workers, ThisProcess) else "all",
+            listener,
         )
         if workers is None:
             scratch = run_folder.scratch(run.folder)

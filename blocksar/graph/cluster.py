@@ -16,7 +16,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing import forkserver, resource_tracker
@@ -31,7 +31,7 @@ from distributed import Client, LocalCluster, get_worker
 
 from blocksar.budget import WAIT_WORKERS
 from blocksar.errors import InputError, ProcessingError
-from blocksar.graph.compiling import By, compile_kernels, kernels_cached
+from blocksar.graph.compiling import TASKS, By, compile_missing, kernels_cached
 from blocksar.graph.machine import machine, why_no_workers
 from blocksar.graph.recording import serve_dashboard
 from blocksar.graph.units import GPU, NO_WORKER, ThisProcess, await_workers, waiting_for_workers, workers_of
@@ -194,8 +194,8 @@ def _short_sockets() -> Iterator[None]:
         tempfile.tempdir = usual
 
 
-def prepare_workers(threads: int, listener: Listener) -> None:
-    """Compile loops if need be, and let the process that workers are forked from import in the background.
+def prepare_workers(threads: int, listener: Listener, loops: Sequence[str] = TASKS) -> None:
+    """Compile these loops if need be, and let the process that workers are forked from import in the background.
 
     Raises
     ------
@@ -205,25 +205,24 @@ def prepare_workers(threads: int, listener: Listener) -> None:
     _refuse_unguarded_script()
     if (reason := why_no_workers()) is not None:
         raise InputError(f"no workers can start: {reason}; leave --workers out, or give 0: this process does the work")
-    if not kernels_cached():
-        _compile_once(listener)
+    if not kernels_cached(loops):
+        _compile_once(listener, loops)
     start_fork_server(threads)
 
 
-def open_here(listener: Listener) -> ThisProcess:
-    """Return what runs the tasks of a run in this process, after the loops are compiled by others."""
-    _compile_once(listener, by="others")
+def open_here(listener: Listener, loops: Sequence[str] = TASKS) -> ThisProcess:
+    """Return what runs the tasks of a run in this process, after these loops are compiled by others."""
+    _compile_once(listener, loops, by="others")
     return ThisProcess(listener)
 
 
-def _compile_once(listener: Listener, by: By = "all") -> None:
-    """Compile the loops, unless numba's cache has them.
+def _compile_once(listener: Listener, loops: Sequence[str], by: By = "all") -> None:
+    """Compile these loops, unless numba's cache has them.
 
     Compilation takes more memory than a worker may use: the process that workers are forked from finds them compiled.
     """
     listener.update("compile", 0, 1)
-    if not kernels_cached():
-        compile_kernels(by)
+    compile_missing(loops, by, listener)
     listener.update("compile", 1, 1)
 
 
@@ -299,6 +298,8 @@ class Starting:
     ----------
     workers, threads, memory_limit, scratch, listener
         As in `open_client`.
+    loops : sequence of str
+        Loops that tasks run, which are compiled first if need be.
 
     Raises
     ------
@@ -307,10 +308,17 @@ class Starting:
     """
 
     def __init__(
-        self, workers: int, threads: int, memory_limit: int | None, *, scratch: str | None, listener: Listener
+        self,
+        workers: int,
+        threads: int,
+        memory_limit: int | None,
+        *,
+        scratch: str | None,
+        listener: Listener,
+        loops: Sequence[str] = TASKS,
     ) -> None:
-        self._workers, self._listener = workers, listener
-        prepare_workers(threads, listener)
+        self._workers, self._listener, self._loops = workers, listener, loops
+        prepare_workers(threads, listener, loops)
         self._stack, self._pool = ExitStack(), ThreadPoolExecutor(1)
         # Signals are received by the main thread: none interrupts the start.
         self._opened = self._pool.submit(self._open, workers, threads, memory_limit, scratch)
@@ -332,7 +340,7 @@ class Starting:
         ProcessingError
             If the workers do not start.
         """
-        _compile_once(self._listener)
+        _compile_once(self._listener, self._loops)
         self._listener.update("start-workers", 0, self._workers)
         client = self._stack.enter_context(self._opened.result())
         self._listener.update("start-workers", self._workers, self._workers)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from importlib import import_module
@@ -19,19 +19,23 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Literal
 
 from blocksar.garbage import uncollected
-from blocksar.graph.machine import machine
+from blocksar.graph.machine import machine, pace
 from blocksar.loop_cache import note_compilation
+from blocksar.texts import time_text
 
 if TYPE_CHECKING:
     from blocksar.kernels.loops import Loop, Tally
+    from blocksar.progress import Listener
 
 By = Literal["this", "all", "others"]  # the processes that compile loops
 
 # Those that take longest come first, so that processes end together.
+READ = ("kernels.phase", "inspection.scan")  # of what reads, compresses and inspects samples, for any processor
 TASKS = (
-    "kernels.levelling", "focusing.correction", "kernels.interpolation", "inspection.scan", "kernels.phase",
+    "kernels.levelling", "focusing.correction", *READ, "kernels.interpolation:stretch_rows",
     "focusing.surfaces:sum_series",
 )  # fmt: skip
+RESAMPLING = ("kernels.interpolation:resample_rows",)
 TERRAIN = (
     "focusing.relief_correction", "kernels.occlusion", "kernels.terrain_rows", "focusing.surfaces:sum_layers",
 )  # fmt: skip
@@ -41,9 +45,23 @@ PYRAMID = ("kernels.halving",)
 HIERARCHY = ("kernels.decimation",)
 TRACKS = ("autofocusing.range_lines", "autofocusing.information", "autofocusing.chips", "autofocusing.phase_gradient")
 LOOPS = (
-    *TERRAIN[:1], *TASKS, *PULSES, "kernels.beam_passes", *TERRAIN[1:], "simulation.scatterers", *WEIGHTS,
+    *TERRAIN[:1], *TASKS, *RESAMPLING, *PULSES, "kernels.beam_passes", *TERRAIN[1:], "simulation.scatterers", *WEIGHTS,
     *HIERARCHY, *PYRAMID, *TRACKS, "kernels.posts", "kernels.quantised_packets",
 )  # fmt: skip
+DEMO = *TASKS, "kernels.pulse_sums", "simulation.scatterers", *PYRAMID
+SECONDS = {
+    "focusing.relief_correction": 7.0,
+    "kernels.levelling": 5.0,
+    "focusing.pattern_sums": 4.5,
+    "kernels.beam_passes": 4.0,
+    "simulation.scatterers": 4.0,
+    "focusing.correction": 3.0,
+    "kernels.occlusion": 3.0,
+    "kernels.phase": 3.0,
+    "kernels.pulse_sums": 2.5,
+    "inspection.scan": 2.0,
+}  # of one core, to compile those of a name where `machine.pace` is 1
+OTHERS = 1.5  # the same of each other name
 HELP = "import sys; from blocksar.graph import compiling; print(compiling.help_to_compile(sys.argv[1:]))"
 
 
@@ -87,20 +105,29 @@ def _is_younger(file: Path, changed: float) -> bool:
     return False
 
 
-def kernels_cached() -> bool:
-    """Tell whether numba's cache has the loops that planning and the tasks of all chains of steps run."""
-    return not missing(TASKS)
+def kernels_cached(names: Iterable[str] = TASKS) -> bool:
+    """Tell whether numba's cache has these loops: by default those that planning and tasks of all chains run."""
+    return not missing(names)
 
 
-def compile_kernels(by: By = "all") -> None:
-    """Compile the loops that planning and the tasks of all chains of steps run, or load them from numba's cache."""
-    compile_modules(TASKS, by)
+def seconds_to_compile(names: Collection[str]) -> float:
+    """Predict how long all cores take to compile loops, s."""
+    seconds = [SECONDS.get(name, OTHERS) for name in names]
+    return pace() * max([sum(seconds) / machine()[0], *seconds])
 
 
-def compile_missing(names: Iterable[str], by: By = "all") -> None:
+def compile_missing(names: Iterable[str], by: By = "all", listener: Listener | None = None) -> None:
     """Compile the loops that the cache of numba does not have: by a process a core, or each worker would have to."""
     if lacking := missing(names):
+        if listener is not None:
+            listener.note(f"compiling once for this installation, about {time_text(seconds_to_compile(lacking))}")
         compile_modules(lacking, by)
+
+
+def load_cached(names: Sequence[str]) -> None:
+    """Load those of the loops that numba's cache has."""
+    lacking = set(missing(names))
+    compile_modules([name for name in names if name not in lacking])
 
 
 def compile_modules(names: Sequence[str], by: By = "this") -> Tally:

@@ -10,12 +10,12 @@ import distributed  # noqa: E402, F401
 import numpy as np  # noqa: E402
 
 from blocksar.graph import patching, sample_tasks  # noqa: E402, F401
-from blocksar.graph.compiling import compile_kernels  # noqa: E402
+from blocksar.graph.compiling import TASKS, load_cached  # noqa: E402
 from blocksar.kernels.fourier import fft_rows  # noqa: E402
 from blocksar.kernels.fresnel import fresnel_integral  # noqa: E402
 from blocksar.stores.chunk_files import zstd  # noqa: E402
 
-compile_kernels(by="this")
+load_cached(TASKS)
 fft_rows(np.zeros((1, 2), np.complex64), inverse=False)  # imports, on the first call
 fresnel_integral(np.zeros(1))
 zstd()

@@ -160,7 +160,7 @@ class ImagePlan(ABC):
         return ()
 
     def loops(self) -> Sequence[str]:
-        """Modules of compiled loops of its own tasks besides `graph.compiling.TASKS`."""
+        """Compiled loops of its own tasks besides `graph.compiling.TASKS`; of a universal processor, besides `READ`."""
         return ()
 
     def notes(self) -> list[str]:

@@ -350,7 +350,8 @@ class ChainPlan(ImagePlan):
         return tuple(chain.from_iterable(map(predicted_blocks, self.plans)))
 
     def loops(self) -> Sequence[str]:
-        return (*(compiling.WEIGHTS if any(plan.blends for plan in self.plans) else ()),)
+        resampling = compiling.RESAMPLING if self.processor == "keystone-resampling" else ()
+        return (*resampling, *(compiling.WEIGHTS if any(plan.blends for plan in self.plans) else ()))
 
     def notes(self) -> list[str]:
         doubts = undersampling, short_dwells, cut_dwells, jittering_beam, missed_fidelity

@@ -90,8 +90,8 @@ def test_a_mistake_gets_one_sentence_with_its_remedy(mistake: str, desk: Path, m
 def test_a_grid_is_judged_before_loops_are_compiled(line: str, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """That takes half a minute on the first day, and says so in a line of its own."""
     monkeypatch.chdir(desk)
-    monkeypatch.setattr(cluster, "kernels_cached", lambda: False)
-    monkeypatch.setattr(cluster, "compile_kernels", lambda: pytest.fail("loops were compiled"))
+    monkeypatch.setattr(cluster, "kernels_cached", lambda _: False)
+    monkeypatch.setattr(cluster, "compile_missing", lambda *_: pytest.fail("loops were compiled"))
     done = CliRunner().invoke(commands.app, line.split(), prog_name="blocksar")
     assert (done.exit_code, done.stderr.count("\n")) == (2, 1), done.output
 

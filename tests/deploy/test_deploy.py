@@ -587,7 +587,7 @@ def test_external_clusters_use_the_settings_of_a_local_cluster(recipe: Any, monk
         raise Enough
 
     monkeypatch.setattr(cluster, "OwnCluster", look)
-    monkeypatch.setattr(cluster, "compile_kernels", lambda: None)
+    monkeypatch.setattr(cluster, "compile_missing", lambda *_: None)
     with pytest.raises(Enough), cluster.open_client():
         pass
     assert own.pop("environment") == recipe.ENVIRONMENT

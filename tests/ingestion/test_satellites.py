@@ -300,8 +300,16 @@ def no_wavelength(folder: Path) -> None:
 
 WRONG: dict[str, tuple[Any, Any, str]] = {
     "cut": (write_nisar, cut, "is damaged, or no level 0B of NISAR's layout"),
-    "cut image": (write_palsar, lambda folder: cut(next(folder.glob("IMG*"))), r"^\S+/IMG-\S+ has \S+ lines of .*, but should have 64; get it again"),
-    "cut leader": (write_palsar, lambda folder: cut(next(folder.glob("LED*"))), r"^\S+/LED-\S+ ends after .*within a record of 8192"),
+    "cut image": (
+        write_palsar,
+        lambda folder: cut(next(folder.glob("IMG*"))),
+        r"^\S+/IMG-\S+ has \S+ lines of .*, but should have 64; get it again",
+    ),
+    "cut leader": (
+        write_palsar,
+        lambda folder: cut(next(folder.glob("LED*"))),
+        r"^\S+/LED-\S+ ends after .*within a record of 8192",
+    ),
     "no leader": (write_palsar, without_leader, "0 leaders .* are there; give the files of one scene"),
     "another mission": (write_palsar, another_mission, "is of the mission 'ERS1'; only level 1.0 of ALOS PALSAR"),
     "no wavelength": (write_palsar, no_wavelength, "the leader's wavelength is 'none', no number"),
