@@ -14,7 +14,9 @@ STEPS = 32  # of the table of the envelope, per cycle over the band
 FALLING = 2.0  # cycles: beyond those of the table the envelope falls as those of equal weights, 1 / u^2
 
 
-def side_lobe_power(power: FloatArray, axes: ResponseAxes, spacing: tuple[float, float]) -> FloatArray:
+def side_lobe_power(
+    power: FloatArray, axes: ResponseAxes, spacing: tuple[float, float], reach: int = REACH
+) -> FloatArray:
     """Upper bound of the power (n_y, n_x) that the side lobes of other places make at each pixel, beyond the usual.
 
     A place of power p has side lobes of at most p e(u) e(v) at u and v cycles over band and dwell along its axes, with
@@ -34,13 +36,15 @@ def side_lobe_power(power: FloatArray, axes: ResponseAxes, spacing: tuple[float,
         Of a target in the middle.
     spacing : (float, float)
         Distance of pixels in x and y, m.
+    reach : int
+        Pixels over which side lobes are followed.
 
     References
     ----------
     Sum of the power of independent places, as in the definition of the integrated side lobe ratio.
     """
     known = np.nan_to_num(power, nan=0.0)
-    rows, columns = (min(REACH, n - 1) for n in known.shape)
+    rows, columns = (min(reach, n - 1) for n in known.shape)
     dx, dy = np.arange(-columns, columns + 1) * spacing[0], np.arange(-rows, rows + 1) * spacing[1]
     along_range, along_azimuth = axes.own_offset(dx[None, :], dy[:, None])
     kernel, main = np.ones(along_range.shape), np.ones(along_range.shape, bool)

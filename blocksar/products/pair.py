@@ -185,10 +185,21 @@ def _unwanted(run: FinishedRun, window: tuple[int, int], rows: slice, columns: s
         (top, own_rows), (left, own_columns) = (
             _widened(part, n, REACH) for part, n in zip((rows, columns), (run.y.size, run.x.size), strict=True)
         )
-        pixels = run.read(top, left)
-        lobes = side_lobe_power(np.abs(pixels.astype(np.complex128)) ** 2, axes, run.spacing)
+        # Side lobes hardly change within half a window, over whose whole the mean is taken.
+        cell = tuple(max(side // 2, 1) for side in window)
+        coarse = _means(np.abs(run.read(top, left).astype(np.complex128)) ** 2, cell)
+        lobes = side_lobe_power(coarse, axes, (run.spacing[0] * cell[1], run.spacing[1] * cell[0]), REACH // max(cell))
+        lobes = lobes.repeat(cell[0], axis=0).repeat(cell[1], axis=1)[: top.stop - top.start, : left.stop - left.start]
         power += np.maximum(uniform_filter(lobes, window, mode="nearest")[own_rows, own_columns], 0.0)
     return power
+
+
+def _means(power: FloatArray, cell: tuple[int, ...]) -> FloatArray:
+    """Means over cells of so many rows and columns, of which the last are filled up with 0, as what is not covered."""
+    rows, columns = (-(-n // side) for n, side in zip(power.shape, cell, strict=True))
+    padded = np.zeros((rows * cell[0], columns * cell[1]))
+    padded[: power.shape[0], : power.shape[1]] = np.nan_to_num(power, nan=0.0)
+    return np.asarray(padded.reshape(rows, cell[0], columns, cell[1]).mean(axis=(1, 3)))
 
 
 def _segments(run: FinishedRun, rows: slice, columns: slice) -> NDArray[np.int64] | None:
