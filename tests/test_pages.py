@@ -132,7 +132,7 @@ def _scripts_can_be_imported(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def split(command: str) -> tuple[str, list[str]]:
     """Return the program's name and its arguments."""
-    first, *words = shlex.split(command, comments=True)
+    first, *words = shlex.split(command.partition(" > ")[0], comments=True)
     if Path(first).name == "blocksar":
         return "blocksar", words
     return Path(words[0]).stem, words[1:]

@@ -221,8 +221,6 @@ def test_what_is_no_terrain_is_refused_with_figures(tmp_path: Path) -> None:
     path = frame_file(tmp_path / "dem.nc")
     with pytest.raises(InputError, match=r"lies elsewhere: it spans x -5000 .. 5900 m.*image x 90000"):
         read_frame_grid(path, (90e3, 91e3), Y)
-    with pytest.raises(InputError, match="is in feet"):
-        read_frame_grid(frame_file(tmp_path / "feet.nc", units="feet"), X, Y)
     (tmp_path / "text.nc").write_text("no heights")
     with pytest.raises(InputError, match=r"is no netCDF file that an installed library reads .* give zarr or netCDF"):
         read_frame_grid(tmp_path / "text.nc", X, Y)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import Counter
+from functools import cache
 
 import pytest
 from exact_scenes import exact_scene
@@ -26,6 +27,7 @@ LEAST = {
     "the beam looks to the other side": 0.6, "the beam is off by its width": 0.7, "the beam is off by a PRF": 0.7,
     "a beam twice too wide": 0.6, "beam_width is in degrees": 0.7, "the beam's angle is in degrees": 0.0,
 }  # fmt: skip
+scene_of = cache(exact_scene)
 
 
 @pytest.mark.slow
@@ -41,16 +43,12 @@ def test_exact_samples_are_not_accused(seed: int) -> None:
 
 
 @SLOW
-def test_wrong_inputs_are_named(capsys: pytest.CaptureFixture[str]) -> None:
-    """The table of the page: for each wrong input, how often it was named, and what was said otherwise."""
-    table: defaultdict[str, Counter[str]] = defaultdict(Counter)
-    for seed in SCENES:
-        for wrong in wrong_inputs(exact_scene(seed)):
-            table[wrong.kind][outcome(wrong)[0]] += 1
+@pytest.mark.parametrize("kind", LEAST)
+def test_wrong_inputs_are_named(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """A row of the page's table: how often a wrong input was named, and what was said otherwise."""
+    wrong = (each for seed in SCENES for each in wrong_inputs(scene_of(seed)) if each.kind == kind)
+    counts = Counter(outcome(each)[0] for each in wrong)
     with capsys.disabled():
-        print(f"\n{'':55s}" + "".join(f"{each:>9s}" for each in OUTCOMES))
-        for kind, counts in table.items():
-            print(f"{kind:55s}" + "".join(f"{counts[each]:9d}" for each in OUTCOMES))
-    for kind, counts in table.items():
-        assert counts["named"] + counts["tied"] >= LEAST[kind] * counts.total(), kind
-        assert counts["other"] + counts["missed"] <= 0.2 * counts.total(), kind
+        print(f"\n{kind}: " + ", ".join(f"{each} {counts[each]}" for each in OUTCOMES))
+    assert counts["named"] + counts["tied"] >= LEAST[kind] * counts.total() > 0 or not LEAST[kind]
+    assert counts["other"] + counts["missed"] <= 0.2 * counts.total()

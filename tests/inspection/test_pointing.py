@@ -71,7 +71,9 @@ def off(collection: Collection, degrees: float) -> Collection:
 def test_a_true_beam_passes_and_what_was_tried_is_said() -> None:
     findings = found(*made("fast tops"), thorough=True)
     assert findings.warning() is None
-    assert findings.sentence().startswith("the samples fit what is said of them")
+    assert findings.sentence().startswith(
+        "the image is sharp as given, but whether it is mirrored or moved is not told"
+    )
     assert "the beam lights them when it should (errors up to " in findings.sentence()
 
 

@@ -368,7 +368,7 @@ def test_a_demonstration_is_repeated_as_one(
     record = SimpleNamespace(
         settings={"blocks": blocks, "grid": grid}, record=SimpleNamespace(inputs=[f"/runs/a b/{source}"])
     )
-    record.source = SimpleNamespace(attrs={"scene": scene})
+    record.source = SimpleNamespace(attrs={"scene": scene}, folder=place("/runs/a b"))
     facts = shlex.split(page.repeat_run(record, "/runs/a b"))
     assert facts[:2] == ["blocksar", command] and facts[facts.index("--out") + 1] == "/runs/a b"
     assert CliRunner().invoke(commands.app, [*facts[1:], "--help"]).exit_code == 0

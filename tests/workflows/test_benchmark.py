@@ -72,7 +72,7 @@ def every_number(value: Any, name: str = "") -> list[tuple[str, float]]:
     return [(name, value)] if isinstance(value, int | float) else []
 
 
-@pytest.mark.timeout(600)  # two clusters are started and warmed up
+@pytest.mark.timeout(1800)  # two clusters are started and warmed up
 @pytest.mark.slow
 def test_a_benchmark_measures_every_quantity(
     benchmark: Any, small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
