@@ -6,9 +6,10 @@ Sentences on a chain's plan beside its tables, one a line.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
-from functools import cached_property, partial
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from itertools import chain, product
 from typing import TYPE_CHECKING, Any
 
@@ -16,9 +17,11 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.budget import side_lobe_budget
+from blocksar.collection.collection import Collection
 from blocksar.collection.grid import folds, ground_spectrum
 from blocksar.collection.region import default_grid, share_outside
 from blocksar.constants import MIB
+from blocksar.errors import InputError, OutsideSwath
 from blocksar.focusing.method import Chain as Name
 from blocksar.focusing.method import ChainOptions, Method
 from blocksar.graph import compiling
@@ -29,15 +32,22 @@ from blocksar.planning.block import BlockPlan
 from blocksar.planning.disk import run_bytes
 from blocksar.planning.dwell_ends import reaches_full
 from blocksar.planning.plan import Plan
-from blocksar.planning.planner import plan_collection
+from blocksar.planning.planner import (
+    DivisionPlanner,
+    explain_refusal,
+    fewest_blocks,
+    plan_collection,
+    prepare_division,
+)
+from blocksar.planning.probes import find_shortfall
 from blocksar.planning.strip_segments import PlannedSegment, plan_segments
-from blocksar.processors.base import Execution, ImagePlan, Problem
+from blocksar.processors.base import Bound, Execution, ImagePlan, Problem, usual_seconds
 from blocksar.processors.chain_tables import block_table, digits, plan_details
 from blocksar.processors.sentences import lit_pulses
 from blocksar.progress import Work
 from blocksar.runs.record import PredictedBlock, Receipt
 from blocksar.table import Table
-from blocksar.texts import count, size_text
+from blocksar.texts import count, size_text, time_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -298,12 +308,65 @@ class Chain:
         InputError
             As `planning.strip_segments.plan_segments`.
         """
+        return self._plan(problem, {})
+
+    def plan_within(self, problem: Problem, seconds: float) -> ImagePlan | Bound:
+        """Plan an image, or say why it does not keep the fidelity in so many seconds: see `planning.probes`.
+
+        Raises
+        ------
+        InputError
+            As `plan`.
+        """
+        if problem.blocks != "auto":
+            return self.plan(problem)
+        machine, joint = problem.machine, problem.terrain is not None or len(problem.collections) > 1
+        grid = problem.points if joint else problem.grid
+        least: dict[int, Plan] = {}
+        prepared: dict[int, DivisionPlanner] = {}
+
+        def bound() -> Bound | None:
+            """What is known of the time, if that is too long."""
+            known = effort.together([effort.of_plan(plan) for plan in least.values()])
+            needed = usual_seconds(known, machine)
+            return Bound(f"it takes at least {time_text(needed)}", needed) if needed > seconds else None
+
+        if (late := bound()) is not None:  # to start and to end
+            return late
+        for number, collection in enumerate(problem.collections):
+            with suppress(OutsideSwath):
+                prepared[number] = prepare_division(
+                    collection, method=self.method(problem.options), fidelity=problem.fidelity,
+                    weighting=problem.weighting, grid=grid, terrain=problem.terrain,
+                )  # fmt: skip
+                least[number] = prepared[number].undivided()
+        if (late := bound()) is not None:
+            return late
+        for number, planner in prepared.items():
+            short = find_shortfall(planner, problem.collections[number], workers=machine.workers)
+            if short is not None and short.refusal is not None:
+                raise InputError(explain_refusal(replace(short, searched=True), planner))
+            if short is not None:
+                figure = f"coherence {digits(short.coherence)} at most"
+                return Bound(f"its finest division does not keep the fidelity ({figure})", 0.0, short.coherence, False)
+            with suppress(OutsideSwath):
+                least[number] = planner.plan(fewest_blocks(machine.workers), 1, True)
+            if (late := bound()) is not None:
+                return late
+        return self._plan(problem, {id(problem.collections[number]): each for number, each in prepared.items()})
+
+    def _plan(self, problem: Problem, prepared: Mapping[int, DivisionPlanner]) -> ChainPlan:
+        """Plan an image; `prepared` has what is known of whole collections, by their identity."""
         machine, grid, collections = problem.machine, problem.grid, problem.collections
-        plan = partial(
-            plan_collection, method=self.method(problem.options), blocks=problem.blocks, fidelity=problem.fidelity,
-            weighting=problem.weighting, terrain=problem.terrain, workers=machine.workers,
-            memory_limit=machine.memory_limit,
-        )  # fmt: skip
+
+        def plan(collection: Collection, **more: Any) -> Plan:
+            settings = {
+                "method": self.method(problem.options), "blocks": problem.blocks, "fidelity": problem.fidelity,
+                "weighting": problem.weighting, "terrain": problem.terrain, "workers": machine.workers,
+                "memory_limit": machine.memory_limit, **more,
+            }  # fmt: skip
+            return plan_collection(collection, prepared=prepared.get(id(collection)), **settings)
+
         if problem.terrain is not None:  # the grid that its heights were read for
             grid = problem.points
         return chain_plan(self.name, plan_segments(plan, collections, grid=grid, cut=problem.blocks == "auto"))
