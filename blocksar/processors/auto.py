@@ -1,9 +1,9 @@
 """The choice of a processor: the one that keeps the fidelity in the least time, or nearly.
 
-Processors that take any collection come first: their plans cost little, and one of them serves nearly always. One that
-expands about a place or a time, as chains do, errs more and fits fewer collections, and searching for its division takes
-long. It is taken where it keeps the fidelity in at most `WORTH` of the time of those; it is not planned whole where it
-is known early that it does not (`base.Bounding`).
+Processors that take any collection come first: their plans cost little, and one of them serves nearly always. Those
+that expand about a place or a time, as chains do, err more, serve fewer collections, and search long for a division.
+One of them is taken where it keeps the fidelity in at most WORTH of the time of the others, and is not planned whole
+where it is known early that it does not (`base.Bounding`).
 
 Of the chains, which are alike, only that of the main paper is compared.
 
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,10 +26,11 @@ from blocksar.processors.base import Bound, Bounding, Comparison, ImagePlan, Pro
 from blocksar.processors.chain_tables import digits
 from blocksar.texts import time_text
 
+# Where an image is not planned whole, coherence is at most, and time at least, what is shown.
 HEADER = ("processor", "coherence", "time, usual pace", "memory (MiB)", "disk (MiB)", "keeps the fidelity")
 
 
-WORTH = 0.5  # of the time of a processor that takes any collection, which another one takes at most to be chosen
+WORTH = 0.5  # of the time of those that take any collection: half, in words as well
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,8 @@ class Auto:
             for name, part in PROCESSORS.sound()
             if part.compared and (part.on_gpu or problem.device == "cpu")
         }
+        with suppress(InputError):
+            _ = problem.pieces  # found once for all of them
         found = {name: _candidate(name, problem) for name, part in parts.items() if part.universal}
         usual = min((each for each in found.values() if each.serves), key=_seconds, default=None)
         most = math.inf if usual is None else WORTH * usual.seconds
@@ -125,7 +129,7 @@ def _choose(candidates: Sequence[Candidate], usual: Candidate | None, most: floa
     elif usual is not None:
         best = usual
         reason = (
-            f"{best.processor} is chosen: of those that take any collection, it keeps the fidelity in the least time"
+            f"{best.processor} is chosen: it keeps the fidelity in the least time of those that take any collection"
         )
     elif planned:
         best = max(planned, key=lambda each: each.plan.coherence if each.plan else 0.0)
@@ -134,20 +138,18 @@ def _choose(candidates: Sequence[Candidate], usual: Candidate | None, most: floa
         return candidates[-1], ""
     for each in candidates:
         if each.bound is not None:
-            late = f", more than {WORTH:g} of that" if each.bound.seconds else ""
+            late = ", more than half as long" if each.bound.seconds else ""
             reason += f"; {each.processor} is not planned: {each.bound.reason}{late}"
+        elif each.serves and each.seconds < best.seconds:
+            reason += f"; {each.processor} does too, but takes more than half as long"
         elif each.plan is not None and each.seconds < best.seconds:
-            reason += (
-                f"; {each.processor}, which takes less, does not"
-                if not each.serves
-                else (f"; {each.processor} does too, but takes more than {WORTH:g} of that")
-            )
+            reason += f"; {each.processor}, which takes less, does not"
     return best, reason
 
 
 def _candidate(name: str, problem: Problem, most: float = math.inf) -> Candidate:
     """Plan an image by a processor; one that has to take at most so many seconds may say that it takes longer."""
-    part, problem = PROCESSORS.get(name), replace(problem, options=options_for(name, {}))
+    part, problem = PROCESSORS.get(name), problem.with_options(options_for(name, {}))
     try:
         within = part.plan_within if isinstance(part, Bounding) and most < math.inf else None
         plan = part.plan(problem) if within is None else within(problem, most)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, runtime_checkable
 
@@ -71,6 +71,12 @@ class Problem:
     options: Any
     machine: Resources
     device: str = "cpu"
+
+    def with_options(self, options: Any) -> Problem:
+        """Copy for another processor; what is known of the ground stays known."""
+        other = replace(self, options=options)
+        vars(other).update({name: value for name, value in vars(self).items() if name in ("points", "pieces")})
+        return other
 
     @cached_property
     def points(self) -> Grid:

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import chain, product
 from typing import TYPE_CHECKING, Any
 
@@ -39,7 +38,7 @@ from blocksar.planning.planner import (
     plan_collection,
     prepare_division,
 )
-from blocksar.planning.probes import find_shortfall
+from blocksar.planning.probes import find_shortfall, plan_coarsest, prepare_segment
 from blocksar.planning.strip_segments import PlannedSegment, plan_segments
 from blocksar.processors.base import Bound, Execution, ImagePlan, Problem, usual_seconds
 from blocksar.processors.chain_tables import block_table, digits, plan_details
@@ -51,6 +50,8 @@ from blocksar.texts import count, size_text, time_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from blocksar.graph.machine import Resources
 
 OTHER, SMALLER, TAPER = (
     "try --processor auto", "image a smaller --grid", "taper the dwells, for example with --weighting-azimuth hann"
@@ -322,38 +323,34 @@ class Chain:
             return self.plan(problem)
         machine, joint = problem.machine, problem.terrain is not None or len(problem.collections) > 1
         grid = problem.points if joint else problem.grid
-        least: dict[int, Plan] = {}
+        prepare = partial(
+            prepare_division, method=self.method(problem.options), fidelity=problem.fidelity,
+            weighting=problem.weighting, grid=grid, terrain=problem.terrain,
+        )  # fmt: skip
         prepared: dict[int, DivisionPlanner] = {}
-
-        def bound() -> Bound | None:
-            """What is known of the time, if that is too long."""
-            known = effort.together([effort.of_plan(plan) for plan in least.values()])
-            needed = usual_seconds(known, machine)
-            return Bound(f"it takes at least {time_text(needed)}", needed) if needed > seconds else None
-
-        if (late := bound()) is not None:  # to start and to end
-            return late
-        for number, collection in enumerate(problem.collections):
-            with suppress(OutsideSwath):
-                prepared[number] = prepare_division(
-                    collection, method=self.method(problem.options), fidelity=problem.fidelity,
-                    weighting=problem.weighting, grid=grid, terrain=problem.terrain,
-                )  # fmt: skip
-                least[number] = prepared[number].undivided()
-        if (late := bound()) is not None:
-            return late
-        for number, planner in prepared.items():
-            short = find_shortfall(planner, problem.collections[number], workers=machine.workers)
-            if short is not None and short.refusal is not None:
-                raise InputError(explain_refusal(replace(short, searched=True), planner))
-            if short is not None:
-                figure = f"coherence {digits(short.coherence)} at most"
-                return Bound(f"its finest division does not keep the fidelity ({figure})", 0.0, short.coherence, False)
-            with suppress(OutsideSwath):
-                least[number] = planner.plan(fewest_blocks(machine.workers), 1, True)
-            if (late := bound()) is not None:
+        works: list[Work] = []  # of what is known of each collection
+        for collection in problem.collections:
+            if (late := _is_late(works, machine, seconds)) is not None:
                 return late
-        return self._plan(problem, {id(problem.collections[number]): each for number, each in prepared.items()})
+            try:
+                segment = prepare_segment(prepare, collection, grid)
+                if segment is not None and (short := find_shortfall(segment)) is not None:
+                    return _unfaithful(short, segment)
+                division = prepare(collection)
+            except OutsideSwath:
+                continue
+            if (late := _is_late([*works, _least_work(division.undivided())], machine, seconds)) is not None:
+                return late
+            if segment is None and (coarse := division.middle(fewest_blocks(machine.workers))) is not None:
+                if (late := _is_late([*works, _least_work(coarse)], machine, seconds)) is not None:
+                    return late
+                if (short := find_shortfall(division, coarse)) is not None:
+                    return _unfaithful(short, division)
+            works.append(_least_work(plan_coarsest(division, machine.workers)))
+            prepared[id(collection)] = division
+        if (late := _is_late(works, machine, seconds)) is not None:
+            return late
+        return self._plan(problem, prepared)
 
     def _plan(self, problem: Problem, prepared: Mapping[int, DivisionPlanner]) -> ChainPlan:
         """Plan an image; `prepared` has what is known of whole collections, by their identity."""
@@ -370,6 +367,39 @@ class Chain:
         if problem.terrain is not None:  # the grid that its heights were read for
             grid = problem.points
         return chain_plan(self.name, plan_segments(plan, collections, grid=grid, cut=problem.blocks == "auto"))
+
+
+def _least_work(plan: Plan) -> Work:
+    """The work of what is planned; nothing is known of that of a plan that is refused."""
+    return effort.of_plan(plan) if plan.refusal is None else {}
+
+
+LEAST = 0.7  # of the time of the blocks of the coarsest division, that of finer ones: 0.75 was found, as lengths differ
+
+
+def _is_late(works: Sequence[Work], machine: Resources, seconds: float) -> Bound | None:
+    """What is known of the time, if works together, of coarsest divisions or parts of them, take more seconds."""
+    work = effort.together(works)
+    needed = usual_seconds(work, machine)
+    if needed <= seconds:
+        return None
+    least = usual_seconds({**work, "focus": [LEAST * each for each in work.get("focus", ())]}, machine)
+    return Bound(f"its coarsest division takes at least {time_text(needed)}", least)
+
+
+def _unfaithful(short: Plan, division: DivisionPlanner) -> Bound:
+    """What is known of the coherence by a block of the finest division, which does not keep the fidelity.
+
+    Raises
+    ------
+    InputError
+        If the block cannot be focused at all.
+    """
+    if short.refusal is not None:
+        raise InputError(explain_refusal(replace(short, searched=True), division))
+    figure = f"coherence {short.coherence:.6g} at most"
+    reason = f"even fine divisions do not keep the fidelity ({figure})"
+    return Bound(reason, coherence=short.coherence, faithful=False)
 
 
 ANGULAR_DIVISION = Chain("angular-division", "the chain of the main paper", compared=True)
