@@ -384,7 +384,8 @@ def _is_late(works: Sequence[Work], machine: Resources, seconds: float) -> Bound
     if needed <= seconds:
         return None
     least = usual_seconds({**work, "focus": [LEAST * each for each in work.get("focus", ())]}, machine)
-    return Bound(f"its coarsest division takes at least {time_text(needed)}", least)
+    what = "its coarsest division" if work.get("focus") else "it"
+    return Bound(f"{what} takes at least {time_text(needed)}", least)
 
 
 def _unfaithful(short: Plan, division: DivisionPlanner) -> Bound:
