@@ -1,4 +1,4 @@
-"""What the plan of a chain cannot be better than, known from a few of its blocks: whether it is worth to be made.
+"""Probes of a chain: a few blocks, by which it is known whether a plan of all is worth to be made.
 
 Blocks reduce all errors that vary with angle, and segments along time those that grow along a strip; what ends of
 dwells lose stays. So the finest division has the least excess over what the fidelity allows. Where the beam is

@@ -98,7 +98,7 @@ class Problem:
 
 
 class Bound(NamedTuple):
-    """What an image by a processor cannot be better than: why it is not planned whole.
+    """Bounds of what an image by a processor takes and is like, and why it is not planned whole.
 
     Attributes
     ----------

@@ -378,7 +378,7 @@ LEAST = 0.7  # of the time of the blocks of the coarsest division, that of finer
 
 
 def _is_late(works: Sequence[Work], machine: Resources, seconds: float) -> Bound | None:
-    """What is known of the time, if works together, of coarsest divisions or parts of them, take more seconds."""
+    """Bound the time where works together, of coarsest divisions or parts of them, take more than so many seconds."""
     work = effort.together(works)
     needed = usual_seconds(work, machine)
     if needed <= seconds:
@@ -389,7 +389,7 @@ def _is_late(works: Sequence[Work], machine: Resources, seconds: float) -> Bound
 
 
 def _unfaithful(short: Plan, division: DivisionPlanner) -> Bound:
-    """What is known of the coherence by a block of the finest division, which does not keep the fidelity.
+    """Bound the coherence by that of a block of a fine division, which does not keep the fidelity.
 
     Raises
     ------
