@@ -116,8 +116,8 @@ def focus(
     processor : str
         How the image is formed: by a chain of steps ("angular-division", "keystone-resampling", "high-order-phase");
         "hierarchical-backprojection": any geometry, as exactly as `fidelity` asks; "backprojection": exact and slow;
-        "auto" (default): the fastest of all that keeps `fidelity`; with `blocks` or
-        an option of chains, "angular-division".
+        "auto" (default): back-projection, or the main chain where it keeps `fidelity` in half the time; with `blocks`
+        or an option of chains, "angular-division".
     device : {"cpu", "gpu", "auto"}
         What back-projection runs on; chains run on the CPU. "auto": a GPU if this process finds one and the processor
         runs there. Default: "cpu".

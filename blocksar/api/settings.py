@@ -34,7 +34,7 @@ else:  # as the command line has them: a help is shown before NumPy could be loa
 _TAPERS = "uniform, taylor:NBAR:SLL (such as taylor:4:-35), hamming, hann, or kaiser:BETA"
 OVERWRITE = Option("Replace an existing output.", flags=("--overwrite",))  # as other commands have it, too
 _PROCESSOR = Option(
-    f"{', '.join(PROCESSORS.own)}: the fastest of the main ones that keeps the fidelity.",
+    f"{', '.join(PROCESSORS.own)}: a fast one of the main ones, which keeps the fidelity.",
     metavar="NAME",
     choices=lambda: tuple(PROCESSORS.own),
 )

@@ -29,7 +29,7 @@ from blocksar.arrays import BoolArray, FloatArray, IntArray
 from blocksar.collection.collection import Collection
 
 if TYPE_CHECKING:
-    from blocksar.kernels.beam_passes import FoundPasses, LitSide
+    from blocksar.kernels.beam_passes import FoundPasses, LitSide, MovingBeam
 
 NODES = 32  # parts of the collection at whose ends offsets are compared, to see whether they turn back
 FEW_PASSES = 2  # for which there is room where every pulse is looked at; more if there are more
@@ -123,9 +123,9 @@ def axis_passes(collection: Collection, points: GroundPoints) -> tuple[IntArray,
 def _in_sheet(collection: Collection, points: GroundPoints) -> FoundPasses:
     """Pulses at which points (n,), each with a height, are within the beam's width all round its axis."""
     # Numba is loaded here, which other beams do without.
-    from blocksar.kernels.beam_passes import MovingBeam, find_passes
+    from blocksar.kernels.beam_passes import find_passes
 
-    beam = MovingBeam.of(_table(collection, _half(collection)))
+    beam = _moving(collection)
     return _all_found(points.x.size, lambda found: find_passes(beam, *points, found))
 
 
@@ -183,6 +183,14 @@ def _table(collection: Collection, half: float) -> FloatArray:
     table = beam_table(collection.antenna_position, collection.beam_axis, collection.beam_steering, half)
     table.flags.writeable = False
     return table
+
+
+@lru_cache(maxsize=4)
+def _moving(collection: Collection) -> MovingBeam:
+    """The beam for compiled loops, with how fast it changes."""
+    from blocksar.kernels.beam_passes import MovingBeam
+
+    return MovingBeam.of(_table(collection, _half(collection)))
 
 
 def axis_dwell(collection: Collection, points: GroundPoints, *, uncut: bool) -> tuple[FloatArray, FloatArray]:

@@ -178,24 +178,30 @@ def of_preparation(echoes: Iterable[tuple[int, int]], *, raw: bool) -> Work:
 
 
 def projection_seconds(
-    geometry: Geometry, x: FloatArray, y: FloatArray, update: float = BACK_PROJECT, profiles: float = PROFILES
-) -> float:
-    """Seconds of back-projection of a chunk at x (n_x,) and y (n_y,), by the lit pulses of a few of its pixels.
+    geometry: Geometry, chunks: Sequence[tuple[FloatArray, FloatArray]], update: float = BACK_PROJECT,
+    profiles: float = PROFILES,
+) -> list[float]:  # fmt: skip
+    """Seconds of back-projection of chunks at x (n_x,) and y (n_y,) each, by the lit pulses of a few of their pixels.
 
-    Range profiles are formed of all pulses that light any of them, `profiles` seconds a sample.
+    Range profiles are formed of all pulses that light any of a chunk's, `profiles` seconds a sample.
     """
     collection = geometry.collection
-    start, end = geometry.beam.dwell(*np.meshgrid(x[:: max(x.size // 8, 1)], y[:: max(y.size // 8, 1)]))
-    dwell, lit = np.maximum(end - start, 0.0), end > start
-    spread = float(end[lit].max() - start[lit].min()) if lit.any() else 0.0
     per_pulse = update + (GAINS if collection.has_pattern else 0.0)
-    sums = per_pulse * x.size * y.size * max(float(dwell.mean()) / collection.pulse_interval, 1.0)
-    return sums + profiles * collection.n_range_frequency * spread / collection.pulse_interval
+    some = [np.meshgrid(x[:: max(x.size // 8, 1)], y[:: max(y.size // 8, 1)]) for x, y in chunks]
+    ends = np.cumsum([x.size for x, _ in some])
+    dwells = geometry.beam.dwell(*(np.concatenate([mesh[k].ravel() for mesh in some]) for k in (0, 1)))
+    seconds = []
+    for (x, y), start, end in zip(chunks, *(np.split(each, ends[:-1]) for each in dwells), strict=True):
+        dwell, lit = np.maximum(end - start, 0.0), end > start
+        spread = float(end[lit].max() - start[lit].min()) if lit.any() else 0.0
+        sums = per_pulse * x.size * y.size * max(float(dwell.mean()) / collection.pulse_interval, 1.0)
+        seconds.append(sums + profiles * collection.n_range_frequency * spread / collection.pulse_interval)
+    return seconds
 
 
 def gpu_seconds(geometry: Geometry, grid: Grid, windows: Sequence[tuple[slice, slice]]) -> float:
     """Seconds to form windows of the image together on a GPU, from one reading of the samples."""
     rows, columns = window_around(windows)
     collection, pixels = geometry.collection, (rows.stop - rows.start) * (columns.stop - columns.start)
-    sums = projection_seconds(geometry, grid.x[columns], grid.y[rows], GPU_UPDATE, profiles=0.0)
+    (sums,) = projection_seconds(geometry, [(grid.x[columns], grid.y[rows])], GPU_UPDATE, profiles=0.0)
     return sums + GPU_PIXEL * pixels + GPU_SAMPLE * collection.n_pulse * collection.n_range_frequency

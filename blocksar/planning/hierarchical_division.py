@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import pairwise, product
 
@@ -144,16 +144,21 @@ class Cost:
     on_gpu: int
 
 
-def part_at(geometry: Geometry, place: Pair, side: Pair) -> Part:
-    """A part of a size (m along x and y) about a place, as its border sees the beam."""
-    x, y = (centre + size / 2 * np.linspace(-1, 1, NODES) for centre, size in zip(place, side, strict=True))
-    mesh = np.meshgrid(x, y)
-    first, last = geometry.beam.passes(*mesh)
-    longest = int((last - first).sum(axis=(1, 2)).argmax())
-    z, _ = geometry.known_height(*mesh)
-    part = Part(x=x, y=y, z=z, first=first[longest], last=last[longest])
-    leave_outside(geometry, part)
-    return part
+def parts_at(geometry: Geometry, places: Sequence[Pair], side: Pair) -> list[Part]:
+    """Parts of a size (m along x and y) about places, as their borders see the beam."""
+    x, y = (
+        centre[:, None] + size / 2 * np.linspace(-1, 1, NODES)
+        for centre, size in zip(np.array(places).T, side, strict=True)
+    )
+    mesh = np.broadcast_arrays(x[:, None, :], y[:, :, None])
+    ends, (z, _) = np.stack(geometry.beam.passes(*mesh)), geometry.known_height(*mesh)
+    longest = (ends[1] - ends[0]).sum(axis=(2, 3)).argmax(axis=0)
+    parts = []
+    for number, one in enumerate(longest):
+        first, last = ends[:, one, number]
+        parts.append(Part(x=x[number], y=y[number], z=z[number], first=first, last=last))
+        leave_outside(geometry, parts[-1])
+    return parts
 
 
 class Ladders:
@@ -166,7 +171,7 @@ class Ladders:
     grid : Grid
     rates : Rates
     part : callable
-        `part_at` of the geometry.
+        The part about a place, of a size: see `parts_at`.
     """
 
     def __init__(
@@ -312,7 +317,10 @@ class _Trial:
     def __init__(self, geometry: Geometry, grid: Grid, fidelity: float, weighting: Weighting, device: str) -> None:
         self.geometry, self.grid, self.fidelity, self.device = geometry, grid, fidelity, device
         self.chunk, self.waves, self.path = image_chunk(grid), dwell_waves(geometry, weighting), Path(geometry)
-        self.part = cache(partial(part_at, geometry))  # ladders and units have most of their parts in common
+        self.levels = cache(partial(levels_for, fidelity, ()))
+        # Ladders and units have most of their parts in common, and some of their costs.
+        self.parts: dict[tuple[Pair, Pair], Part] = {}
+        self.costs: dict[tuple[Pair, tuple[Pair, ...]], Cost | None] = {}
         nodes = sorted(product(PLACES, PLACES), key=lambda node: math.hypot(node[0] - 0.5, node[1] - 0.5))
         self.places = [(grid.x0 + u * grid.dx * grid.shape[1], grid.y0 + v * grid.dy * grid.shape[0]) for u, v in nodes]
 
@@ -337,12 +345,12 @@ class _Trial:
         sides = [(columns * grid.dx, rows * grid.dy) for rows, columns in _halved((unit[0], unit[1]), self.chunk)]
         ratio, last = ladder
         below = _ladder(sides[-1], (last * grid.dx, last * grid.dy), ratio)
-        levels = levels_for(self.fidelity, tuple(max(side) for side in below), stages=len(sides) + len(below))
-        ladders = Ladders(
-            Hierarchy(geometry, levels, waves=self.waves, path=self.path), geometry, grid, rates, self.part
-        )
+        ways, stages = (*sides, *below), len(sides) + len(below)
+        levels = replace(self.levels(stages=stages), sides=tuple(max(side) for side in below))
         unlit = Cost(seconds=rates.pixel * unit[0] * unit[1], samples=0, on_gpu=0)
-        each_place = (ladders.cost(place, [*sides, *below]) for place in places)
+        if not first_lit:
+            self._find_parts(places, ways)
+        each_place = (self._cost(place, ways) for place in places)
         if first_lit:
             costs = [next((cost for cost in each_place if cost is not None), unlit)]
         else:
@@ -354,8 +362,27 @@ class _Trial:
             chunks=division, levels=levels, seconds=area * float(np.mean([cost.seconds for cost in costs])),
             memory=hierarchical_memory(geometry.collection, samples, self.chunk, on_gpu=gpu),
             on_gpu=hierarchical_gpu_memory(geometry.collection, most, self.chunk) if gpu else 0,
-            stages=len(sides) + len(below),
+            stages=stages,
         )  # fmt: skip
+
+    def _find_parts(self, places: Sequence[Pair], sides: Sequence[Pair]) -> None:
+        """Find the parts of some sizes about places that are not known yet, those of a size together."""
+        for side in sides:
+            if missing := [place for place in places if (place, side) not in self.parts]:
+                found = parts_at(self.geometry, missing, side)
+                self.parts.update(zip(((place, side) for place in missing), found, strict=True))
+
+    def _part(self, place: Pair, side: Pair) -> Part:
+        self._find_parts([place], [side])
+        return self.parts[place, side]
+
+    def _cost(self, place: Pair, sides: tuple[Pair, ...]) -> Cost | None:
+        """`Ladders.cost` of a ladder at a place, which is found once."""
+        if (place, sides) not in self.costs:
+            hierarchy = Hierarchy(self.geometry, self.levels(stages=len(sides)), waves=self.waves, path=self.path)
+            ladders = Ladders(hierarchy, self.geometry, self.grid, RATES[self.device], self._part)
+            self.costs[place, sides] = ladders.cost(place, sides)
+        return self.costs[place, sides]
 
 
 def _unit_sizes(grid: Grid, counts: list[int]) -> list[tuple[int, int]]:

@@ -163,6 +163,11 @@ class Planned(Protocol):
 P = TypeVar("P", bound=Planned)
 
 
+def fewest_blocks(workers: int) -> int:
+    """The number of blocks of the coarsest division that is tried: one a worker."""
+    return min(max(workers, 1), MAX_BLOCKS)
+
+
 def find_division(plan: Callable[[int, bool], P], *, workers: int) -> P:
     """The plan with the fewest blocks that keep the fidelity, at least one a worker.
 
@@ -176,7 +181,7 @@ def find_division(plan: Callable[[int, bool], P], *, workers: int) -> P:
         Plan for a number of blocks; True for a probe.
     workers : int
     """
-    plan, numbers, far = cache(plan), [min(max(workers, 1), MAX_BLOCKS)], False
+    plan, numbers, far = cache(plan), [fewest_blocks(workers)], False
     while numbers[-1] < MAX_BLOCKS:
         numbers.append(min(math.ceil(GROWTH * numbers[-1]), MAX_BLOCKS))
     first = plan(numbers[0], True)
@@ -224,6 +229,40 @@ MAX_PARTS = 64  # range sub-blocks of a block
 WHOLE_WINDOWS, PART_WINDOWS = 2.5, 0.97  # range windows that a whole block, and a range sub-block, may hold
 
 
+def prepare_division(
+    collection: Collection,
+    *,
+    method: Method = DEFAULT,
+    fidelity: float = FIDELITY,
+    weighting: Weighting = UNIFORM,
+    grid: Grid | None = None,
+    owned: Owned | None = None,
+    terrain: Terrain | None = None,
+) -> DivisionPlanner:
+    """Find all that is common to the divisions of a collection; no block is planned.
+
+    Raises
+    ------
+    InputError
+        If the PRF is too low, the grid is empty or outside the swath, or the beam or ground is none for chains.
+    """
+    geometry = over_terrain(collection, terrain)
+    region = plan_region(geometry, grid)
+    grid = grid or default_grid(geometry, region)
+    extent = grid_extent(geometry, region, grid, owned)
+    if beam_stays(geometry, region, extent):
+        raise Unfocusable(
+            "the beam stays on its ground, as in a spotlight, and chains follow only dwells that pass over it"
+        )
+    if terrain is not None and collection.elevation_pattern is not None:
+        raise Unfocusable("chains take a pattern in elevation over a plane only, and this ground has heights")
+    beam = smoothed_beam(geometry, region, fidelity, weighting.azimuth)
+    return DivisionPlanner(
+        geometry=beam.geometry, beam=beam, region=region, recovery=plan_recovery(beam.geometry, region, method),
+        grid=grid, extent=extent, method=method, fidelity=fidelity, weighting=weighting,
+    )  # fmt: skip
+
+
 def plan_collection(
     collection: Collection,
     *,
@@ -237,52 +276,41 @@ def plan_collection(
     terrain: Terrain | None = None,
     workers: int = 1,
     memory_limit: int | None = None,
+    prepared: DivisionPlanner | None = None,
 ) -> Plan:
     """Plan a collection for a method; with `owned`, only the blocks with ground for which it is true.
 
     `auto` takes the fewest blocks that keep the fidelity, at least one a worker (`find_division`), and the fewest range
-    sub-blocks of each that fit a worker's memory.
+    sub-blocks of each that fit a worker's memory. `prepared` is what `prepare_division` has found with these settings.
 
     Raises
     ------
     InputError
-        If the PRF is too low, the grid is empty or outside the swath, or no number of sub-blocks fits the memory.
+        As `prepare_division`, or if no number of sub-blocks fits the memory.
     """
     if blocks != "auto" and not 1 <= blocks <= MOST_BLOCKS:
         raise InputError(f"blocks = {blocks}: ask for 1 to {MOST_BLOCKS}, or for 'auto'")
-    geometry = over_terrain(collection, terrain)
-    region = plan_region(geometry, grid)
-    grid = grid or default_grid(geometry, region)
-    extent = grid_extent(geometry, region, grid, owned)
-    if beam_stays(geometry, region, extent):
-        raise Unfocusable(
-            "the beam stays on its ground, as in a spotlight, and chains follow only dwells that pass over it"
-        )
-    if terrain is not None and collection.elevation_pattern is not None:
-        raise Unfocusable("chains take a pattern in elevation over a plane only, and this ground has heights")
-    beam = smoothed_beam(geometry, region, fidelity, weighting.azimuth)
-    planner = DivisionPlanner(
-        geometry=beam.geometry, beam=beam, region=region, recovery=plan_recovery(beam.geometry, region, method),
-        grid=grid, extent=extent, method=method, fidelity=fidelity, weighting=weighting,
-    )  # fmt: skip
+    division = prepared or prepare_division(
+        collection, method=method, fidelity=fidelity, weighting=weighting, grid=grid, owned=owned, terrain=terrain
+    )
     n_parts = 1 if parts == "auto" else parts
     if blocks == "auto":
-        first = find_division(lambda count, probe: planner.plan(count, n_parts, probe), workers=workers)
+        first = find_division(lambda count, probe: division.plan(count, n_parts, probe), workers=workers)
     else:
-        first = planner.plan(blocks, n_parts, False)
+        first = division.plan(blocks, n_parts, False)
     first = replace(first, searched=blocks == "auto")
     if first.refusal is not None:
-        return replace(first, refusal=_explain(first, planner))
+        return replace(first, refusal=explain_refusal(first, division))
     if memory_limit is None:
         return first
 
     def divide(n_parts: int) -> Plan:
-        return replace(planner.plan(first.n_blocks, n_parts, False), searched=first.searched)
+        return replace(division.plan(first.n_blocks, n_parts, False), searched=first.searched)
 
     return _fewest_parts(divide, first, memory_limit, fixed=parts != "auto")
 
 
-def _explain(refused: Plan, planner: DivisionPlanner) -> str:
+def explain_refusal(refused: Plan, planner: DivisionPlanner) -> str:
     """Why a plan is refused: the track, if that has a flaw, or else its own reason, with what more blocks do to it."""
     if (flaw := find_flaw(refused.geometry.collection)) is not None:
         return str(flaw)
@@ -360,11 +388,25 @@ class DivisionPlanner:
             return self.plan(count, n_parts, False)
         if not planned:
             raise OutsideSwath(f"no block of {count} has a lit point of the grid; give it a finer step, or move it")
+        return self._collect(seams, n_parts, planned)
+
+    def _collect(self, seams: FloatArray, n_parts: int, planned: Sequence[BlockPlan]) -> Plan:
+        """The plan of some blocks."""
         return Plan(
             geometry=self.geometry, grid=self.grid, region=self.region, recovery=self.recovery, seams=seams,
             parts=n_parts, blocks=tuple(planned), method=self.method, fidelity=self.fidelity,
             weighting=self.weighting, away=self.beam.away, refusal=find_refusal(planned, self.method),
         )  # fmt: skip
+
+    def undivided(self) -> Plan:
+        """A plan without any block: of what all divisions have in common."""
+        return self._collect(np.zeros(1), 1, [])
+
+    def middle(self, count: int) -> Plan | None:
+        """A plan of the middle one of so many blocks alone; None where the grid has no lit point there."""
+        seams, touched = self._touched(count, False)
+        planned = self._plan_index(seams, touched[len(touched) // 2], 1, None) if touched else []
+        return self._collect(seams, 1, planned) if planned else None
 
     def _touched(self, count: int, probe: bool) -> tuple[FloatArray, list[int]]:
         """The seams of so many blocks, rad, and the indices of those that the grid touches, for a probe of some."""

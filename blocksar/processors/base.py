@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
@@ -72,6 +72,12 @@ class Problem:
     machine: Resources
     device: str = "cpu"
 
+    def with_options(self, options: Any) -> Problem:
+        """Copy for another processor; what is known of the ground stays known."""
+        other = replace(self, options=options)
+        vars(other).update({name: value for name, value in vars(self).items() if name in ("points", "pieces")})
+        return other
+
     @cached_property
     def points(self) -> Grid:
         """The grid, or the box around the ground that they light."""
@@ -89,6 +95,33 @@ class Problem:
         ground = [over_terrain(each, self.terrain) for each in self.collections]
         check_seen(ground, self.points)
         return tuple(PlannedSegment(collection=i, geometry=each, first_block=i) for i, each in enumerate(ground))
+
+
+class Bound(NamedTuple):
+    """Bounds of what an image by a processor takes and is like, and why it is not planned whole.
+
+    Attributes
+    ----------
+    reason : str
+        In half a sentence, with the figure.
+    seconds : float
+        The least that a run takes, as `usual_seconds`; 0 where nothing is known.
+    coherence : float
+        The largest with exact back-projection; 1 where nothing is known.
+    faithful : bool
+        False where it does not keep the fidelity; True where nothing is known.
+    """
+
+    reason: str
+    seconds: float = 0.0
+    coherence: float = 1.0
+    faithful: bool = True
+
+
+def usual_seconds(work: Work, machine: Resources) -> float:
+    """Seconds of a run with as many workers, on a machine whose pace is 1: those by which processors are compared."""
+    seconds = effort.seconds_of(work, workers=max(machine.workers, 1), threads=machine.threads, pace=1.0)
+    return sum(seconds.values())
 
 
 class Comparison(NamedTuple):
@@ -331,6 +364,22 @@ class Processor(Protocol):
         ------
         InputError
             If there is no such plan, or a worker has too little memory.
+        """
+
+
+@runtime_checkable
+class Bounding(Processor, Protocol):
+    """A processor that may know early that a plan is not worth to be made."""
+
+    def plan_within(self, problem: Problem, seconds: float) -> ImagePlan | Bound:
+        """Plan an image, or say why no plan keeps the fidelity in so many seconds, as soon as that is known.
+
+        The plan is that of `plan`. It may still take longer, or not keep the fidelity.
+
+        Raises
+        ------
+        InputError
+            As `plan`.
         """
 
 

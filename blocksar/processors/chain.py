@@ -6,8 +6,8 @@ Sentences on a chain's plan beside its tables, one a line.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from itertools import chain, product
 from typing import TYPE_CHECKING, Any
@@ -16,9 +16,11 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.budget import side_lobe_budget
+from blocksar.collection.collection import Collection
 from blocksar.collection.grid import folds, ground_spectrum
 from blocksar.collection.region import default_grid, share_outside
 from blocksar.constants import MIB
+from blocksar.errors import InputError, OutsideSwath
 from blocksar.focusing.method import Chain as Name
 from blocksar.focusing.method import ChainOptions, Method
 from blocksar.graph import compiling
@@ -29,18 +31,27 @@ from blocksar.planning.block import BlockPlan
 from blocksar.planning.disk import run_bytes
 from blocksar.planning.dwell_ends import reaches_full
 from blocksar.planning.plan import Plan
-from blocksar.planning.planner import plan_collection
+from blocksar.planning.planner import (
+    DivisionPlanner,
+    explain_refusal,
+    fewest_blocks,
+    plan_collection,
+    prepare_division,
+)
+from blocksar.planning.probes import find_shortfall, plan_coarsest, prepare_segment
 from blocksar.planning.strip_segments import PlannedSegment, plan_segments
-from blocksar.processors.base import Execution, ImagePlan, Problem
+from blocksar.processors.base import Bound, Execution, ImagePlan, Problem, usual_seconds
 from blocksar.processors.chain_tables import block_table, digits, plan_details
 from blocksar.processors.sentences import lit_pulses
 from blocksar.progress import Work
 from blocksar.runs.record import PredictedBlock, Receipt
 from blocksar.table import Table
-from blocksar.texts import count, size_text
+from blocksar.texts import count, size_text, time_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from blocksar.graph.machine import Resources
 
 OTHER, SMALLER, TAPER = (
     "try --processor auto", "image a smaller --grid", "taper the dwells, for example with --weighting-azimuth hann"
@@ -298,15 +309,98 @@ class Chain:
         InputError
             As `planning.strip_segments.plan_segments`.
         """
-        machine, grid, collections = problem.machine, problem.grid, problem.collections
-        plan = partial(
-            plan_collection, method=self.method(problem.options), blocks=problem.blocks, fidelity=problem.fidelity,
-            weighting=problem.weighting, terrain=problem.terrain, workers=machine.workers,
-            memory_limit=machine.memory_limit,
+        return self._plan(problem, {})
+
+    def plan_within(self, problem: Problem, seconds: float) -> ImagePlan | Bound:
+        """Plan an image, or say why it does not keep the fidelity in so many seconds: see `planning.probes`.
+
+        Raises
+        ------
+        InputError
+            As `plan`.
+        """
+        if problem.blocks != "auto":
+            return self.plan(problem)
+        machine, joint = problem.machine, problem.terrain is not None or len(problem.collections) > 1
+        grid = problem.points if joint else problem.grid
+        prepare = partial(
+            prepare_division, method=self.method(problem.options), fidelity=problem.fidelity,
+            weighting=problem.weighting, grid=grid, terrain=problem.terrain,
         )  # fmt: skip
+        prepared: dict[int, DivisionPlanner] = {}
+        works: list[Work] = []  # of what is known of each collection
+        for collection in problem.collections:
+            if (late := _is_late(works, machine, seconds)) is not None:
+                return late
+            try:
+                segment = prepare_segment(prepare, collection, grid)
+                if segment is not None and (short := find_shortfall(segment)) is not None:
+                    return _unfaithful(short, segment)
+                division = prepare(collection)
+            except OutsideSwath:
+                continue
+            if (late := _is_late([*works, _least_work(division.undivided())], machine, seconds)) is not None:
+                return late
+            if segment is None and (coarse := division.middle(fewest_blocks(machine.workers))) is not None:
+                if (late := _is_late([*works, _least_work(coarse)], machine, seconds)) is not None:
+                    return late
+                if (short := find_shortfall(division, coarse)) is not None:
+                    return _unfaithful(short, division)
+            works.append(_least_work(plan_coarsest(division, machine.workers)))
+            prepared[id(collection)] = division
+        if (late := _is_late(works, machine, seconds)) is not None:
+            return late
+        return self._plan(problem, prepared)
+
+    def _plan(self, problem: Problem, prepared: Mapping[int, DivisionPlanner]) -> ChainPlan:
+        """Plan an image; `prepared` has what is known of whole collections, by their identity."""
+        machine, grid, collections = problem.machine, problem.grid, problem.collections
+
+        def plan(collection: Collection, **more: Any) -> Plan:
+            settings = {
+                "method": self.method(problem.options), "blocks": problem.blocks, "fidelity": problem.fidelity,
+                "weighting": problem.weighting, "terrain": problem.terrain, "workers": machine.workers,
+                "memory_limit": machine.memory_limit, **more,
+            }  # fmt: skip
+            return plan_collection(collection, prepared=prepared.get(id(collection)), **settings)
+
         if problem.terrain is not None:  # the grid that its heights were read for
             grid = problem.points
         return chain_plan(self.name, plan_segments(plan, collections, grid=grid, cut=problem.blocks == "auto"))
+
+
+def _least_work(plan: Plan) -> Work:
+    """The work of what is planned; nothing is known of that of a plan that is refused."""
+    return effort.of_plan(plan) if plan.refusal is None else {}
+
+
+LEAST = 0.7  # of the time of the blocks of the coarsest division, that of finer ones: 0.75 was found, as lengths differ
+
+
+def _is_late(works: Sequence[Work], machine: Resources, seconds: float) -> Bound | None:
+    """Bound the time where works together, of coarsest divisions or parts of them, take more than so many seconds."""
+    work = effort.together(works)
+    needed = usual_seconds(work, machine)
+    if needed <= seconds:
+        return None
+    least = usual_seconds({**work, "focus": [LEAST * each for each in work.get("focus", ())]}, machine)
+    what = "its coarsest division" if work.get("focus") else "it"
+    return Bound(f"{what} takes at least {time_text(needed)}", least)
+
+
+def _unfaithful(short: Plan, division: DivisionPlanner) -> Bound:
+    """Bound the coherence by that of a block of a fine division, which does not keep the fidelity.
+
+    Raises
+    ------
+    InputError
+        If the block cannot be focused at all.
+    """
+    if short.refusal is not None:
+        raise InputError(explain_refusal(replace(short, searched=True), division))
+    figure = f"coherence {short.coherence:.6g} at most"
+    reason = f"even fine divisions do not keep the fidelity ({figure})"
+    return Bound(reason, coherence=short.coherence, faithful=False)
 
 
 ANGULAR_DIVISION = Chain("angular-division", "the chain of the main paper", compared=True)

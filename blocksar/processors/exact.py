@@ -22,7 +22,7 @@ from blocksar.inspection.samples import doubts_of_track
 from blocksar.kernels.device import on_device
 from blocksar.planning import effort
 from blocksar.planning.memory import checked_back_projection_memory, gpu_back_projection_memory
-from blocksar.planning.tiling import window_around
+from blocksar.planning.tiling import chunks_of, window_around
 from blocksar.processors.base import ChunkPlan, ImagePlan, Problem, Window
 from blocksar.processors.sentences import lit_pulses
 from blocksar.progress import Work
@@ -93,16 +93,19 @@ class BackprojectionPlan(ChunkPlan):
         return self.grid
 
     def seconds(self, geometry: Geometry, x: FloatArray, y: FloatArray) -> float:
-        return effort.projection_seconds(geometry, x, y)
+        return effort.projection_seconds(geometry, [(x, y)])[0]
 
     def work(self) -> Work:
         geometries = [piece.geometry for piece in self.pieces]
-        if self.device == "cpu":
-            return effort.of_chunks(geometries, self.grid, self.processor, self.seconds)
-        costs = [
-            sum(effort.gpu_seconds(each, self.grid, windows) for each in geometries)
-            for windows in self.parts().values()
-        ]
+        if self.device == "cpu":  # as `ChunkPlan.work`, with all chunks at once
+            chunks = chunks_of(self.grid)
+            each = [effort.projection_seconds(geometry, chunks) for geometry in geometries]
+            costs = [sum(parts) for parts in zip(*each, strict=True)]
+        else:
+            costs = [
+                sum(effort.gpu_seconds(each, self.grid, windows) for each in geometries)
+                for windows in self.parts().values()
+            ]
         return effort.of_parts(geometries, self.grid, self.processor, costs)
 
     def forming(self, weighting: Weighting) -> Form:

@@ -1,4 +1,4 @@
-"""Images of collections drawn at random, under `auto`, beside exact back-projection and beside their own plans.
+"""Images of collections drawn at random, by a chain or `auto`, beside exact back-projection and their own plans.
 
 Seeds follow from the day, so that every day sees collections that nobody has seen. A failure prints its seed and the
 command that repeats it.
@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from random_collections import draw, judge, platform_of
 
-SEEDS, QUICK = 30, 3  # a day, and how many of them are not slow: of platforms for which `auto` plans few blocks
+SEEDS, QUICK = 30, 3  # a day, and how many of them are not slow: of platforms for which few blocks are planned
 # Least difference by which the measured coherence may lie below the predicted one; of losses above 0.008, which a plan
 # says are too large, an eighth.
 WITHIN = 1e-3

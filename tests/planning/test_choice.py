@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
 import pytest
 from scenes import PAPERS, scene
+from strips import strip_collection
 
 import blocksar
+from blocksar.api.arguments import collections_of
+from blocksar.collection.grid import Grid
+from blocksar.collection.weighting import Weighting
+from blocksar.focusing.method import ChainOptions
+from blocksar.graph.machine import Resources
+from blocksar.planning import planner, strip_segments
+from blocksar.planning.block import BlockPlan, plan_block
+from blocksar.processors.base import Bound, Problem, usual_seconds
+from blocksar.processors.chain import ANGULAR_DIVISION, ChainPlan
 
 
 def test_the_frequency_perturbation_alone_does_not_focus_paper_b() -> None:
@@ -70,7 +81,9 @@ def test_auto_takes_the_fastest_that_keeps_the_fidelity() -> None:
     by_name = {row[0]: dict(zip(header, row, strict=True)) for row in rows}
     assert list(by_name) == ["angular-division", "hierarchical-backprojection", "backprojection"]
     chosen = report.plan.processor
-    assert report.summary[0].startswith(f"{chosen} is chosen: it keeps the fidelity in the least time")
+    assert report.summary[0].startswith(
+        f"{chosen} is chosen: it keeps the fidelity in the least time of those that take"
+    )
     assert by_name[chosen]["keeps the fidelity"] == by_name["backprojection"]["keeps the fidelity"] == "yes"
     own = blocksar.plan("paper_c", processor=chosen, grid=grid).plan
     assert float(by_name[chosen]["coherence"]) == pytest.approx(own.coherence, abs=1e-4)
@@ -80,10 +93,67 @@ def test_auto_gives_the_reason_why_a_processor_does_not_serve(tmp_path: Path) ->
     """A PRF that holds what is lit at one time, and not the derotated band of the whole scene."""
     (tmp_path / "scene.toml").write_text(scene(prf=3000.0))
     report = blocksar.plan(
-        tmp_path / "scene.toml", processor="auto", grid=((16000.0, 16100.0, 1.0), (19000.0, 19100.0, 1.0))
+        tmp_path / "scene.toml", processor="auto", grid=((16000.0, 18000.0, 0.5), (19000.0, 21000.0, 0.5))
     )
     assert not report.plan.processor.startswith("angular")
     assert "angular-division cannot: " in report.summary[0] and "PRF 3000 Hz is too low" in report.summary[0]
+
+
+def problem(name: str, **changes: Any) -> Problem:
+    """The problem of a scene by the main chain on two workers."""
+    grid = Grid(*PAPERS[name][1][0], *PAPERS[name][1][1]) if name in PAPERS else None
+    return Problem(**{
+        "collections": collections_of(name, None, terrain=None), "grid": grid, "terrain": None, "blocks": "auto",
+        "fidelity": 0.999, "weighting": Weighting.parse("uniform"), "options": ChainOptions(),
+        "machine": Resources(2, 1, 2**31), **changes,
+    })  # fmt: skip
+
+
+def test_a_bound_is_right_and_takes_a_few_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of paper C no division of the chain keeps the fidelity; of Table 1 two blocks do, which take 6 s."""
+    planned: list[int] = []
+
+    def counted(*arguments: Any, **settings: Any) -> BlockPlan:
+        planned.append(settings["index"])
+        return plan_block(*arguments, **settings)
+
+    monkeypatch.setattr(planner, "plan_block", counted)
+    bound = ANGULAR_DIVISION.plan_within(problem("paper_c"), math.inf)
+    assert isinstance(bound, Bound) and not bound.faithful and len(planned) <= 3
+    whole = ANGULAR_DIVISION.plan(problem("paper_c"))
+    assert not whole.faithful and whole.coherence <= bound.coherence < 0.999
+
+    planned.clear()
+    table1 = problem("table1")
+    found = ANGULAR_DIVISION.plan_within(table1, math.inf)
+    assert isinstance(found, ChainPlan) and found.faithful and planned == [1, 0]  # each once
+    assert found.work() == ANGULAR_DIVISION.plan(table1).work()
+    needed = usual_seconds(found.work(), table1.machine)
+    late = ANGULAR_DIVISION.plan_within(table1, 0.9 * needed)
+    assert isinstance(late, Bound) and late.faithful and needed / 2 < late.seconds < needed
+    early = ANGULAR_DIVISION.plan_within(table1, 2.0)  # a cluster starts and ends in more
+    assert isinstance(early, Bound) and 2.0 < early.seconds < late.seconds
+
+
+@pytest.mark.slow
+def test_a_strip_that_a_chain_does_not_serve_is_not_cut_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One block of the shortest segment tells of all; the plan of all agrees."""
+    grid = Grid(900.0, 940.0, 1.0, -60.0, 60.0, 0.5)
+    strip = problem("table1", collections=[strip_collection(1.5)], grid=grid, fidelity=0.9998)
+    whole = ANGULAR_DIVISION.plan(strip)
+    monkeypatch.setattr(strip_segments, "_cut", pytest.fail)
+    bound = ANGULAR_DIVISION.plan_within(strip, math.inf)
+    assert isinstance(bound, Bound) and not bound.faithful
+    assert not whole.faithful and whole.coherence <= bound.coherence
+
+
+@pytest.mark.slow
+def test_a_chain_that_saves_less_than_half_of_the_time_is_not_taken() -> None:
+    report = blocksar.plan("paper_b", grid=PAPERS["paper_b"][1], workers=2)
+    by_name = {row[0]: row for row in report.tables[0][1]}
+    assert report.plan.processor == "hierarchical-backprojection"
+    assert "angular-division" in report.summary[0] and report.summary[0].endswith("more than half as long")
+    assert by_name["angular-division"][5] in ("yes", "-")
 
 
 def test_what_only_chains_have_asks_for_the_main_chain() -> None:
