@@ -1,4 +1,4 @@
-"""info: what a path holds, in a page, and which command comes next. Reads no samples."""
+"""info: describe what a path holds on one page, and name the next command. Reads no samples."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def _beam(collection: Collection) -> str:
 
 
 def _footprint(geometry: Geometry) -> Rows:
-    """Find what a steered beam lights, and the grid that would cover it; nothing where neither can be said."""
+    """Rows on the ground that a steered beam lights, its resolution and default grid; none if these are unknown."""
     collection = geometry.collection
     if not collection.steered:
         return []
@@ -224,12 +224,12 @@ def _state(record: RunRecord) -> str:
 
 
 def _told(name: str, value: Any) -> bool:
-    """Whether a setting is listed: not the grid, which has a row of its own, and no default."""
+    """Tell whether a setting is listed: neither the grid, which has its own row, nor a default."""
     return name != "grid" and USUAL.get(name) != value
 
 
 def made_row(made: Sequence[str]) -> Rows:
-    """Describe the other parts of a run folder."""
+    """Return the row that lists the other files in a run folder, such as reports and pictures."""
     return [("also made", ", ".join(made))] if made else []
 
 
@@ -305,7 +305,7 @@ def _unknown(where: Place, names: list[str]) -> InputError:
 
 
 def _report(kind: str, name: str, rows: Rows, following: Following) -> Report:
-    """A report of one table, and its rows as a dict, in which an empty name goes on with the row above."""
+    """Make a report of one table; `result` holds its rows as a dict, where an empty label continues the row above."""
     entries: dict[str, str] = {}
     last = ""
     for label, text in rows:
@@ -337,7 +337,7 @@ def _store(where: Place, names: list[str]) -> Report:
 
 
 def _collections(where: Place, several: Sequence[Place]) -> Report:
-    """A store of several phase histories in one frame."""
+    """Describe a store of several phase histories in one frame."""
     histories = [stores.open_phase_history(each) for each in several]
     first = histories[0]
     rows = [
@@ -359,7 +359,7 @@ def _size(where: Place) -> Rows:
 
 
 def _dataset(dataset: Any) -> Report:
-    """A dataset that is a phase history or an image; one as it was opened from a store is what the store is."""
+    """Describe a dataset of xarray: an image or a phase history; one that was opened from a store like its store."""
     if "image" in dataset and {"x", "y"} <= set(dataset.coords):
         x, y = dataset["x"].values, dataset["y"].values
         from blocksar.products.dataset import nested  # loads xarray, as the caller has
@@ -376,7 +376,7 @@ def _dataset(dataset: Any) -> Report:
 
 
 def _phase_history(history: stores.PhaseHistory, where: Place | None) -> Report:
-    """A phase history at a place; None: it is in memory only."""
+    """Describe a phase history, stored at `where` or, if that is None, in memory only."""
     pulses, columns = history.shape
     axis = "range frequencies" if history.raw is None else "fast-time samples (a raw echo, not range-compressed)"
     count = max(len(history.channels), 1)
@@ -459,7 +459,7 @@ def _file(where: Readable) -> Report:
 
 
 def _described(reader: Reader, files: Sequence[Readable], name: str, given: str) -> Report:
-    """Find what a reader says of files, which lie at a place of this name, and are given so to its command."""
+    """Describe files by their reader; `name` is their place, `given` how the user wrote it, for the next command."""
     found = reader.describe(files, given)
     rows = [
         *found.rows,

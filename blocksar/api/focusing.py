@@ -243,7 +243,7 @@ def _focus_image(
     track: TrackPlace | None = None,
     following: int = 0,
 ) -> RunReport:
-    """Focus one image, of one channel; `track` is where others share the correction of its track, if they do.
+    """Focus one image of one channel; `track` is the place of the estimated track where several images share it.
 
     As many like it are `following`, in folders of their own.
     """
@@ -306,7 +306,7 @@ def _focus_image(
 
 
 def _has_pyramid(job: Job, *, resumed: bool) -> bool:
-    """Whether the image of a run has a pyramid: one that is there already keeps what it has."""
+    """Tell whether the image of a run has, or will have, a pyramid; an existing image keeps the levels that it has."""
     image = job.request.folder / "image.zarr"
     if resumed and (image / "zarr.json").exists():
         return stores.levels_of(image) > 0
@@ -314,7 +314,7 @@ def _has_pyramid(job: Job, *, resumed: bool) -> bool:
 
 
 def _beside(request: Request, following: int) -> RoomBeside:
-    """Find what a run needs room for besides its own stores: so many that follow, and the correction of its track."""
+    """Return the disk space needed besides a run's stores: for `following` more images and the track's estimate."""
     if request.track is None:
         return RoomBeside(following)
     from blocksar.api.tracks import estimates_of
@@ -323,7 +323,7 @@ def _beside(request: Request, following: int) -> RoomBeside:
 
 
 def _check_room_before_track(request: Request, earlier: RunRecord | None, machine: Resources, following: int) -> None:
-    """Check that a run fits the disk, by its plan with the track as it is, which needs as much as the corrected one.
+    """Check that a run fits the disk before its track is corrected: a plan with the given track needs as much space.
 
     Raises
     ------

@@ -177,7 +177,7 @@ def collection(
 
 
 def _into_frame(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Earth-centred positions (n, 3), m, and axes (n, 3) in the frame of the georeference."""
+    """Transform Earth-centred antenna positions (n, 3), m, and beam axes (n, 3) into the frame of the georeference."""
     if given["georeference"] is None:
         raise InputError(
             "earth_centred = True, but no georeference is given, which says where the scene frame lies; give one"
@@ -282,7 +282,7 @@ def _check_samples(given: Mapping[str, Any]) -> None:
 
 
 def _check_reference(given: Mapping[str, Any]) -> None:
-    """Check that the reference range is plausible: zero is so only where half a range window reaches the ground."""
+    """Check the reference range: zero is plausible only if half the range window reaches the ground."""
     range_frequency = given["range_frequency"]
     try:
         least = float(np.nanmin(given["reference_range"]))

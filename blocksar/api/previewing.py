@@ -1,4 +1,4 @@
-"""preview: a picture of a collection, in seconds."""
+"""preview: draw a coarse picture of a collection in seconds."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def preview(
 
 
 def _told(callback: Callback, number: int, count: int, done: int, total: int) -> None:
-    """Report the progress on one of several collections as a share of all."""
+    """Report the progress of one of `count` collections as a share of all."""
     callback(number * total + done, count * total)
 
 
@@ -168,7 +168,7 @@ def _refuse_dark(geometries: Sequence[Geometry], grid: Grid, power: Float32Array
 
 
 def _ground(geometries: Sequence[Geometry], given: Grid | None) -> tuple[Grid, Grid]:
-    """The ground to show, and the grid that a run would take."""
+    """Return the ground to show, and the grid that a run would use by default."""
     if given is None and len(geometries) > 1:
         joint = joint_grid(geometries)
         return joint, joint

@@ -48,7 +48,7 @@ Check = tuple[str | None, str]  # of a collection's samples: a warning, or a sen
 
 @contextmanager
 def checking(job: Job, *, beside: bool) -> Iterator[Callable[[], list[Check]]]:
-    """Check the samples of all collections, in a thread if `beside`: a function that waits for what was found.
+    """Yield a function that returns the checks of all collections' samples; `beside`: made in a thread meanwhile.
 
     Otherwise they are checked when that function is called first.
     """
@@ -60,14 +60,14 @@ def checking(job: Job, *, beside: bool) -> Iterator[Callable[[], list[Check]]]:
 
 
 def check_later(job: Job) -> Callable[[], list[Check]]:
-    """A function that checks the samples of all collections when it is called first."""
+    """Return a function that checks the samples of all collections when it is first called."""
     return cache(partial(_check_collections, job))
 
 
 def add_findings(
     job: Job, record: RunRecord, read: Sequence[ReadSegment], checked: Callable[[], list[Check]], listener: Listener
 ) -> RunRecord:
-    """Add the findings of the inspections of all segments to the record, and those of the checks.
+    """Add the findings of inspections and checks of the samples to the record of a run.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def _of_collection(
     several: bool,
     exact: bool,
 ) -> _Told:
-    """Find what the inspections of a collection's segments tell, then its check; of one of `several`, with its path.
+    """Collect the findings of a collection: inspection of its segments, then its check; with its path if `several`.
 
     `exact`: for an image that takes any track.
 
@@ -149,7 +149,7 @@ def _of_collection(
 
 
 def _universal(job: Job) -> bool:
-    """Whether the processor takes any track."""
+    """Tell whether the processor takes any track."""
     return PROCESSORS.get(job.plan.processor).universal
 
 
@@ -173,7 +173,7 @@ def _inspections(segments: Sequence[Segment], read: Sequence[ReadSegment]) -> li
 
 
 def _compressed(read: Sequence[ReadSegment]) -> list[dict[str, Any]]:
-    """Findings of the groups of pulses of a raw echo."""
+    """Return the findings of range compression, by group of pulses of a raw echo."""
     receipts = (receipt for each in read for receipt in each.receipts if receipt.stage == "range-compress")
     return [dict(receipt.found) for receipt in receipts if receipt.found]
 
@@ -192,7 +192,7 @@ def _of_gaps(read: Sequence[ReadSegment]) -> list[str]:
 
 
 def _of_interference(segment: Segment, read: Sequence[ReadSegment]) -> list[str]:
-    """Describe the interference that was cut from a collection, if it was looked for."""
+    """Describe the interference that was removed from a collection, if it was looked for."""
     if segment.interference is None:
         return []
     found = [receipt.found or {} for each in read for receipt in each.receipts]
@@ -223,7 +223,7 @@ def _check_collections(job: Job) -> list[Check]:
 
 
 def _check_samples(job: Job, segments: Sequence[Segment]) -> Check:
-    """Check the samples against the metadata at prominent places.
+    """Check the samples against the metadata at prominent places of the scene.
 
     Of several segments of a collection, in the middle one. Nothing of a look: its samples saw the whole beam.
     """
@@ -305,7 +305,7 @@ def carry_out(
 
 
 def _compilation(compiled: float) -> dict[str, float]:
-    """The seconds in which loops were compiled for a run, if any were."""
+    """Return the seconds in which loops were compiled for a run, if any were."""
     seconds = compilation_seconds() - compiled
     return {"compile": seconds} if seconds else {}
 
@@ -361,7 +361,7 @@ def _form(
 
 
 def any_covered(receipts: Sequence[Receipt], image: str) -> bool:
-    """Whether the image of that name has any chunk: those without a covered pixel are not written."""
+    """Tell whether any chunk of the image was written: chunks without a covered pixel are not."""
     written = (part for receipt in receipts for part in receipt.written)
     return any(part.store == image and part.variable == "image" for part in written)
 

@@ -1,4 +1,4 @@
-"""simulate, ingest: where phase histories come from."""
+"""simulate, ingest: make phase histories from scenes and from measured data."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def simulate(
 
 
 def _note_unlit(scene: Scene, listener: Listener) -> None:
-    """Note the targets of a scene that no pulse lights."""
+    """Note the targets of a scene that no pulse lights, to the listener."""
     if unlit := scene.unlit_targets():
         names = ", ".join(unlit[:4]) + (", ..." if len(unlit) > 4 else "")
         listener.note(
@@ -202,7 +202,7 @@ def _entries(documented: object, section: str) -> dict[str, str]:
 
 
 def _of_reader(function: Reads) -> Reads:
-    """Complete signature and docstring of `ingest_NAME` by the reader's model of options, and by what `ingest` has.
+    """Complete signature and docstring of `ingest_NAME` from the reader's options and the arguments of `ingest`.
 
     What the function's own docstring says stays.
     """
@@ -238,7 +238,7 @@ Part = str | tuple[int | None, int | None] | None
 
 
 class _Options(TypedDict, total=False):
-    """Options of every reader as type checkers know them; a test holds it to the model."""
+    """Options of every reader as type checkers see them; a test compares them with the model."""
 
     ground_height: float
     collection_start: str | None

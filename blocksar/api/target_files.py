@@ -1,4 +1,4 @@
-"""Files of targets that a user names: JSON, CSV or GeoJSON, each fault said with its record and its remedy."""
+"""Files of targets: JSON, CSV or GeoJSON; errors name the record and the remedy."""
 
 from __future__ import annotations
 
@@ -204,7 +204,7 @@ def _in_scene(
 
 
 def _like_csv(text: str) -> bool:
-    """Whether all lines have the same number of separators, at least two columns, and nothing of JSON."""
+    """Tell whether a text looks like CSV: lines of equally many separators, at least two columns, and no JSON."""
     lines = [line for line in text.splitlines()[:20] if line.strip()]
     counts = {len(re.findall(r"[,;\t]", line)) for line in lines[:-1] or lines}
     return len(counts) == 1 and min(counts) >= 1 and not re.match(r"\s*[\[{]", text)

@@ -100,7 +100,7 @@ class TrackEstimate:
 
     @property
     def key(self) -> tuple[str, str]:
-        """Sets it apart from those of other collections, also of equal ones."""
+        """Return a key that distinguishes estimates by folder and identity, also of equal collections."""
         return str(self.folder), self.identity
 
     def run(self, threads: int) -> Run:
@@ -123,7 +123,7 @@ class TrackEstimate:
         return checked_memory("autofocus", needed, machine.memory_limit)
 
     def room(self, store: int = 0) -> int:
-        """Bytes that the estimate needs in its folder at least, besides what is there.
+        """Return the bytes that must be free for an estimate in its folder, besides the files there.
 
         They are for samples that are written or compressed first, for the chips of the loops that are always made, and
         for the bytes of a corrected `store`.
@@ -137,7 +137,7 @@ class TrackEstimate:
 
     @contextmanager
     def opened(self, machine: Resources, executor: Executor | None, listener: Listener) -> Iterator[Executor]:
-        """An executor: the one given, or a new local cluster, whose temporary files lie in the folder."""
+        """Yield an executor: the one given, or a new local cluster with its temporary files in the folder."""
         if executor is not None:
             yield executor
             return
@@ -203,7 +203,7 @@ class TrackEstimate:
             raise changes_while_read(self.history.path)
 
     def _begin(self) -> None:
-        """Leave in the folder what belongs to this estimate only."""
+        """Clear the folder of other estimates' files, and record this one."""
         record = None
         with suppress(InputError):  # there is none, or it is damaged
             record = stores.read_json(self.folder / RECORD)
@@ -213,7 +213,7 @@ class TrackEstimate:
         stores.write_json(self.folder / RECORD, {"identity": self.identity, "settings": self.settings})
 
     def attribute(self, result: Result) -> dict[str, Any]:
-        """The attribute `autofocus`."""
+        """Return the attribute `autofocus` that describes the correction."""
         shown = np.unique(np.linspace(0, result.time.size - 1, SHOWN).round().astype(int))
         before, after = levels(result.chips_before, result.chips_after)
         correction = TrackCorrection(
@@ -248,7 +248,7 @@ class TrackEstimate:
 def track_corrected(
     request: Request, machine: Resources, executor: Executor | None, listener: Listener
 ) -> Iterator[tuple[Request, list[str], Executor | None]]:
-    """Correct the track of a run's input, in the request's `TrackPlace`: the request, sentences and an executor.
+    """Correct the track of a run's input, in the request's `TrackPlace`; yield the request, sentences and an executor.
 
     The executor is the local cluster which the correction started, if it needed one: the run goes on with it. The
     folder stays until the run is finished, for runs that are resumed; an InputError removes it.
@@ -294,7 +294,7 @@ def track_corrected(
 
 @contextmanager
 def _named(estimate: TrackEstimate | None) -> Iterator[None]:
-    """Say of which of several collections an InputError in the block is."""
+    """Add to an InputError in the block which of several collections it concerns."""
     try:
         yield
     except FolderError:
