@@ -1,4 +1,4 @@
-"""Control points: what the samples alone do not tell, a constant and a linear error of the track.
+"""Control points: they determine the constant and linear error of the track, which samples alone leave open.
 
 Let e(t) = a + b s(t) be what is left of the track's error, s from -1 at the first pulse to 1 at the last. A point whose
 place is known then lies off by u . e in range, and its deramped phase is arg(sigma) - k u . e. Range, Doppler and the
@@ -44,7 +44,7 @@ APART = 2 * PADDING  # samples of Doppler: half the main lobe of a Hann window
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Seen:
-    """Where a response is seen, relative to the known place of a control point along the corrected track.
+    """Response in the chip of a control point, measured relative to its known place along the corrected track.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class Seen:
 
 
 def find_responses(work: Work, name: str, values: ComplexArray, s: FloatArray, sight: FloatArray) -> list[Seen]:
-    """Measure what stands out in the chip (n_line, n) of a control point, the brightest first.
+    """Measure the responses in the chip (n_line, n) of a control point, the brightest first.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def find_responses(work: Work, name: str, values: ComplexArray, s: FloatArray, s
 
 
 def _peaks(power: FloatArray, floor: float) -> list[tuple[int, int]]:
-    """Line and column of the largest samples of power (n_line, n) that lie `APART` along Doppler, at least `floor`."""
+    """Find line and column of peaks of power (n_line, n), at least `floor` high and `APART` apart along Doppler."""
     best: FloatArray = power.max(axis=0)
     order: IntArray = np.argsort(-best, kind="stable")
     free, found = best >= floor, []
@@ -166,7 +166,7 @@ def _measure(
 
 
 def _at_vertex(at: FloatArray, values: FloatArray) -> float:
-    """Where the largest of values (n,) at even steps `at` (n,) lies, between samples where it has neighbours."""
+    """Locate the maximum of values (n,) at evenly spaced `at` (n,), by a parabola through its neighbours."""
     best = int(values.argmax())
     if not 0 < best < values.size - 1:
         return float(at[best])
@@ -189,7 +189,7 @@ BEND_TO_RMS = math.sqrt(4 / 45)  # r.m.s. over a dwell of a parabola that bends 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Control:
-    """Points whose places, and reflectivities, are known.
+    """Control points: targets with known places and, where given, known phases.
 
     Attributes
     ----------
@@ -222,7 +222,7 @@ class Control:
 
 
 def anchor(work: Work, result: Result, control: Control, parts: Sequence[ChipPart], correction: Correction) -> Result:
-    """Take off the constant and linear error that control points tell.
+    """Remove the constant and linear error of the track that control points show.
 
     Parameters
     ----------
@@ -255,7 +255,7 @@ def _middle_and_half(work: Work) -> tuple[float, float]:
 
 
 def anchored(work: Work, result: Result, names: Sequence[str], found: Sequence[Sequence[Seen]]) -> Result:
-    """Take off the constant and linear error that the responses of control points tell.
+    """Remove the constant and linear error of the track, given the responses found at each control point.
 
     Raises
     ------
@@ -315,13 +315,13 @@ class _Fit:
 
     @property
     def moved(self) -> float:
-        """The farthest that a + b s comes from 0, m."""
+        """Largest length of a + b s over the collection, -1 <= s <= 1, m."""
         a, b = self.left[:3], self.left[3:]
         return float(max(np.linalg.norm(a + b), np.linalg.norm(a - b)))
 
 
 def _agreeing(work: Work, names: Sequence[str], found: Sequence[Sequence[Seen]]) -> _Fit:
-    """The fit of the points that agree with each other and with FREE; `found` has the responses of each point.
+    """Fit the points that agree with each other and with the prior FREE; `found` has the responses of each point.
 
     A few others are left out: those at whose place no response is, then one by one that without which the rest agrees
     best.
@@ -367,7 +367,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _associated(work: Work, found: Sequence[Sequence[Seen]]) -> tuple[list[Seen], list[bool]]:
-    """The response of each point that one e explains best, and whether it lies within `BELONGS` of its errors.
+    """Choose one response of each point, by the e that fits them best; also tell which agree within `BELONGS` errors.
 
     e is tried from none, and from each response; all points then choose the responses next to their places, and e is
     solved for from those that belong. A response that does not belong costs `BELONGS`, however far off it is.
@@ -396,7 +396,7 @@ def _associated(work: Work, found: Sequence[Sequence[Seen]]) -> tuple[list[Seen]
 
 
 def _measured(work: Work, one: Seen) -> tuple[FloatArray, FloatArray]:
-    """Factors (3, 6) of a and b in the range, the bend and the Doppler of a response, and these (3,), over errors."""
+    """Equations for a and b: factors (3, 6) and values (3,) of range, bend and Doppler, divided by their errors."""
     k, (begin, middle, end) = work.wavenumber, one.terms
     errors = np.array([
         _error(RANGE_ERROR, one) * work.cell, _error(BEND_ERROR, one), 2 * np.pi * _error(RATE_ERROR, one),
@@ -407,12 +407,12 @@ def _measured(work: Work, one: Seen) -> tuple[FloatArray, FloatArray]:
 
 
 def _error(kind: tuple[float, float], one: Seen) -> float:
-    """Standard deviation of what is measured of a response."""
+    """Standard deviation of a measurement of a response: `kind` has a constant part, and a factor of the noise."""
     return math.hypot(kind[0], kind[1] * one.noise)
 
 
 def _solved(work: Work, seen: Sequence[Seen], kept: Sequence[int]) -> _Fit:
-    """The fit of the points `kept`."""
+    """Fit a and b to the points `kept`."""
     k, some = work.wavenumber, [seen[i] for i in kept]
     rows = [_measured(work, one) for one in some]
     terms, told = (np.concatenate(list(part)) for part in zip(*rows, strict=True))
@@ -440,7 +440,7 @@ def _solved(work: Work, seen: Sequence[Seen], kept: Sequence[int]) -> _Fit:
 
 
 def _bend_left(work: Work, some: Sequence[Seen], terms: FloatArray, left: FloatArray) -> float:
-    """Bend, rad rms, that a and b (6,) leave: of what is measured, less its noise, and by their own errors.
+    """Bend of the phase, rad rms, that a and b (6,) leave: as measured, without noise, plus that of their errors.
 
     `terms` (n, 6) are the factors of a and b in all measurements, over errors.
     """
@@ -455,7 +455,7 @@ def _bend_left(work: Work, some: Sequence[Seen], terms: FloatArray, left: FloatA
 
 
 def _least(terms: FloatArray, values: FloatArray) -> FloatArray:
-    """a and b (6,), m, from factors (n, 6) and values (n,), both over errors."""
+    """Solve for a and b (6,), m, by least squares: factors (n, 6) and values (n,) are divided by their errors."""
     return least_squares(terms.T.copy(), values, damping=1 / FREE**2)
 
 

@@ -1,4 +1,4 @@
-"""Phase too fine for the splines: along the line of sight, of each sample, from the points' strongest lines.
+"""Phase too fine for splines: the line-of-sight phase of each sample, from the points' strongest range lines.
 
 Once the chips are sharp, each sample's phase can be read off the points themselves: the angle of the sum of their
 strongest lines, each turned back by its own phase. That is noise, unless the track really has so fine an error, as a
@@ -43,7 +43,7 @@ INTERFERENCE = 2.0
 
 
 class FinePhase(NamedTuple):
-    """A phase that is believed.
+    """Phase that both halves of the points confirm, with its expected error.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class FinePhase(NamedTuple):
 
 
 def shared_samples(chips: Chips, weights: FloatArray) -> FloatArray:
-    """Phase, rad, and relative amplitude that the points share in each sample, (n_sample, 2).
+    """Estimate phase, rad, and relative amplitude common to all points in each sample: (n_sample, 2).
 
     Slow parts of the phase are arbitrary.
     """
@@ -88,7 +88,7 @@ def shared_samples(chips: Chips, weights: FloatArray) -> FloatArray:
 
 
 def is_pattern(first: FloatArray, second: FloatArray) -> bool:
-    """Whether amplitudes (n,) of two halves of the points change together.
+    """Tell whether the amplitudes (n,) of two halves of the points vary together, as by an antenna pattern.
 
     Then the points of a regular pattern add the same to each other in all lines, phases as well as amplitudes: what the
     halves have in common is no error of the track, which changes phases alone.
@@ -98,7 +98,7 @@ def is_pattern(first: FloatArray, second: FloatArray) -> bool:
 
 
 def standing_alone(chips: Chips) -> BoolArray:
-    """Find which points (n_point,) have most of the power of their strongest lines.
+    """Mask (n_point,) of the points that hold most of the power of their strongest lines.
 
     The others share these with more points.
     """
@@ -116,7 +116,7 @@ def strongest_rows(chips: Chips) -> ComplexArray:
 
 
 def own_phase(rows: ComplexArray, chips: Chips) -> tuple[Complex128Array, FloatArray]:
-    """Each row's amplitude with its own phase and Doppler (n_point, n), and its power besides, (n_point,)."""
+    """Amplitude of each row with its phase and Doppler, (n_point, n), and the remaining power, (n_point,)."""
     n_point, n = rows.shape
     own, noise = np.zeros((n_point, n), np.complex128), np.ones(n_point)
     told = chips.told
@@ -146,7 +146,7 @@ def own_phase(rows: ComplexArray, chips: Chips) -> tuple[Complex128Array, FloatA
 
 
 def believed(first: FloatArray, second: FloatArray) -> FinePhase:
-    """Find what two independent estimates (n, 2) of a phase, rad, and of a relative amplitude have in common.
+    """Combine two independent estimates (n, 2) of a phase, rad, and relative amplitude by a Wiener filter.
 
     By a Wiener filter: of a signal S and noise N in each, the mean of both has the power S + N / 2, and half of their
     difference N / 2. That tells S, less what amplitudes have in common. Where it does not stand out of the noise,
@@ -185,7 +185,7 @@ ENTROPY_ERROR = 0.02  # rad rms: of the displacement that is refined
 
 
 def by_least_squares(chips: Chips, start: FloatArray, before: FloatArray, weights: FloatArray) -> FloatArray:
-    """Refine a displacement (n_sample, 3), m, that makes chips sharp which were taken with `before` (n_sample, 3).
+    """Refine a displacement (n_sample, 3), m, that sharpens chips taken with `before` (n_sample, 3), by least squares.
 
     Minimises sum_i w_i sum_t (phase_it - k u_it . e(t) - line_i)^2 + the prior of e by Gauss-Newton steps, with
     w_i = weights_i / variance_i. The prior: displacements of `EstimatorSettings.displacement`, and accelerations of
@@ -223,14 +223,14 @@ def roughness(knots: Knots, values: FloatArray) -> float:
 
 
 def point_phases(chips: Chips) -> FloatArray:
-    """Phase (n_point, n) of each point's strongest line, rad, less a line of its own; 0 where it is not lit."""
+    """Phase (n_point, n) of each point's strongest line, rad, without its linear trend; 0 where it is not lit."""
     rows = strongest_rows(chips)
     own, _ = own_phase(rows, chips)
     return without_lines(np.asarray(np.angle(rows * np.conj(own)), np.float64), chips)
 
 
 def without_lines(phase: FloatArray, chips: Chips) -> FloatArray:
-    """Phases (n_point, n) less the line through each point's; 0 where there are none."""
+    """Subtract from phases (n_point, n) the linear trend of each point; 0 where there are none."""
     out, told = np.zeros(phase.shape), chips.told
     for i in range(phase.shape[0]):
         at = np.flatnonzero(told[i])
@@ -247,6 +247,6 @@ def rms(phase: FloatArray, chips: Chips) -> FloatArray:
 
 
 def point_shares(errors: FloatArray, chips: Chips) -> FloatArray:
-    """Samples over variance (n_point,), rad^-2, of points with phase errors (n_point,), rad; less for outliers."""
+    """Weights (n_point,), rad^-2, of points: samples over variance of phase errors (n_point,); less for outliers."""
     robust, count = 1 / (1 + (errors / TOLERANCE) ** 4), chips.told.sum(axis=1)
     return np.asarray(np.where(count < LEAST_COUNT, 0.0, count * robust / (errors**2 + FLOOR**2)))

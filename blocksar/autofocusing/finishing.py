@@ -1,4 +1,4 @@
-"""The end of an estimate: two estimates from disjoint halves of the points, refusal, and the corrected track.
+"""The end of an estimate: comparison of two halves of the points, refusal, and the corrected track.
 
 The error that is predicted to be left, from what the points tell: of its sources, the root of the sum of squares.
 """
@@ -38,7 +38,7 @@ LEAST_COUNT = 8  # samples of a chip that counts
 
 
 def predicted_error(chips: Chips, points: Points, correction: Correction, halves: Sequence[FloatArray]) -> float:
-    """Phase error over a dwell that is expected to be left, rad rms.
+    """Predict the phase error that remains over a dwell, rad rms.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def predicted_error(chips: Chips, points: Points, correction: Correction, halves
 
 
 def alike_nearby(chips: Chips, points: Points, correction: Correction) -> float:
-    """Error by what points that lie near each other have alike in their own phases, rad rms over chips.
+    """Error common to points near each other in their own phases, rad rms over chips.
 
     Heights that are not known bend the phases of all points of a hill, the air those of all that are seen through it,
     and neighbours of a pattern add the same to each other. The mean of such bends is taken for an error of the track by
@@ -97,7 +97,7 @@ def alike_nearby(chips: Chips, points: Points, correction: Correction) -> float:
 
 
 def bends(phase: FloatArray, chips: Chips) -> FloatArray:
-    """Parabola in phases (n_point, n) over each dwell: its rms with its sign (n_point,), rad."""
+    """Rms with sign (n_point,), rad, of the parabola in phases (n_point, n) over each dwell."""
     out = np.zeros(phase.shape[0])
     for i, told in enumerate(chips.told):
         at = np.flatnonzero(told)
@@ -109,7 +109,7 @@ def bends(phase: FloatArray, chips: Chips) -> FloatArray:
 
 
 def told_across_gaps(chips: Chips, correction: Correction) -> float:
-    """Error of how both sides of gaps fit, rad rms over all chips, of which few see both sides; 0 without gaps.
+    """Uncertainty of how the sides of gaps fit together, rad rms over chips; 0 without gaps.
 
     These few alone tell by how much the phase, and its slope, differ from one side to the other; and both halves hold
     on to what the whole has found. By the standard error of the mean of either in the phases that they have left.
@@ -137,7 +137,7 @@ def told_across_gaps(chips: Chips, correction: Correction) -> float:
 
 
 def amplitude_in_common(chips: Chips, correction: Correction) -> float:
-    """Relative amplitude, rms, that the points share over the dwell of a chip, of the median chip.
+    """Relative amplitude, rms, that all points have in common over a dwell, of the median chip.
 
     As slow as splines follow, without a line over the dwell. `chips` are corrected, about their brightest scatterers.
     """
@@ -155,7 +155,7 @@ def amplitude_in_common(chips: Chips, correction: Correction) -> float:
 
 
 def far_from_gaps(chips: Chips) -> BoolArray:
-    """Find which samples (n_sample,) lie outside the long gaps, and the low-pass of which does not reach into one."""
+    """Mask (n_sample,) of samples outside the long gaps whose low-pass does not reach into one."""
     far = np.ones(chips.seen.size, bool)
     for run in missing_runs(chips.seen):
         if run.stop - run.start > SHORT_GAP:
@@ -164,7 +164,7 @@ def far_from_gaps(chips: Chips) -> BoolArray:
 
 
 def fine_samples(chips: Chips, correction: Correction) -> float:
-    """Phase of the samples that splines do not follow, rad rms, of the median chip: the error, noise and neighbours.
+    """Rms phase of the samples beyond what splines follow, rad, of the median chip: error, noise and neighbours.
 
     `chips` are corrected, about their brightest scatterers.
     """
@@ -175,7 +175,7 @@ def fine_samples(chips: Chips, correction: Correction) -> float:
 
 
 def unfollowed(chips: Chips, correction: Correction, halves: Sequence[FloatArray]) -> float:
-    """Error too fine for the splines, rad rms, of the median chip: what is left if nothing so fine is believed.
+    """Error too fine for the splines, rad rms, of the median chip, if no fine phase is accepted.
 
     From what both halves share of the two finest octaves that splines follow: power falls from octave to octave by the
     same ratio q, and of all beyond there is 1 / (q - 1) of the last one's.
@@ -327,7 +327,7 @@ def finish(
 
 
 def unknown_turns(chips: Chips, displacement: FloatArray) -> float:
-    """Steps between samples that are expected to exceed half a turn, and count as whole turns less, of all samples.
+    """Expected number of steps between samples that exceed half a turn, and are therefore unwrapped wrongly.
 
     The steps are normally distributed, as those of a random walk: slow motion, which splines follow, is taken out.
     """
@@ -357,7 +357,7 @@ def _uncertainty(chips: Chips, correction: Correction, predicted: float) -> Floa
 
 
 def _pictures(chips: Chips, correction: Correction) -> tuple[FloatArray, FloatArray, list[int]]:
-    """Power of some points' chips, before any correction and after the last; and which points."""
+    """Power of some points' chips before and after the correction, and the indices of these points."""
     shown = [int(i) for i in np.argsort(-correction.weights, kind="stable")[:PICTURES]]
     some = chips.some(np.array(shown))
 

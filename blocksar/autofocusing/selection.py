@@ -1,4 +1,4 @@
-"""Prominent points: where short apertures see power that stands out.
+"""Prominent points: places whose power stands out in images of short apertures.
 
 A short aperture has so coarse a resolution that the track's error does not blur it. Its deramped lines, over all
 ranges and a few yaws, are transformed along slow time: a coarse image of all that the beam lights.
@@ -65,7 +65,7 @@ class Bright:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidates:
-    """Bright places that one short aperture sees.
+    """Bright places in the image of one short aperture.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class Points:
 
 
 class Refused(InputError):
-    """The samples do not determine the track's error: a sentence with its figures."""
+    """Error: the samples do not determine the track's error; the sentence has the figures."""
 
 
 def find_candidates(signal: ComplexArray, work: Work, pulses: slice, threads: int = 1) -> Candidates:
@@ -172,7 +172,7 @@ def _lit_yaws(work: Work, pulses: slice) -> tuple[float, float] | None:
 
 
 def _seen(work: Work, point: FloatArray, pulse: int) -> tuple[FloatArray, FloatArray]:
-    """Range of points (n, 3) at a pulse, m, and the phase rate of that, rad/s."""
+    """Range of points (n, 3) at a pulse, m, and rate of their phase, rad/s."""
     collection = work.geometry.collection
     pulse = min(max(pulse, 1), collection.n_pulse - 2)
     distance = [_distance(work, point, slice(p, p + 1))[:, 0] for p in (pulse - 1, pulse, pulse + 1)]
@@ -188,7 +188,7 @@ def _distance(work: Work, point: FloatArray, pulses: slice) -> FloatArray:
 def _coarse_image(
     work: Work, pulses: slice, profiles: ComplexArray, spacing: float, ground: FloatArray, threads: int
 ) -> FloatArray:
-    """Power (n_range, n) over the Doppler that points `ground` (n_range, 3) do not have."""
+    """Power (n_range, n) over Doppler relative to that of ground points (n_range, 3), one for each range."""
     n = pulses.stop - pulses.start
     power, window = np.zeros((ground.shape[0], n)), np.hanning(n + 2)[1:-1].astype(np.float32)
     reference = work.geometry.collection.reference_range[pulses]
@@ -205,7 +205,7 @@ def _coarse_image(
 
 
 def _range_sidelobes(bright: Bright, work: Work, pulses: slice) -> NDArray[np.bool_]:
-    """Find which of bright samples (n,) may be sidelobes in range of others, of their Doppler and brighter."""
+    """Mask of bright samples (n,) that may be range side lobes of brighter ones of the same Doppler."""
     n = work.geometry.collection.n_range_frequency
     cells = np.abs(bright.distance[:, None] - bright.distance) / work.cell
     apart = np.abs(bright.rate[:, None] - bright.rate) / (2 * np.pi) / _doppler_cell(work, pulses)
@@ -221,7 +221,7 @@ def _doppler_cell(work: Work, pulses: slice) -> float:
 
 
 def _brightest(work: Work, pulses: slice, power: FloatArray, ground: FloatArray, span: float) -> Bright:
-    """The brightest sample in each part of a coarse image whose Doppler spans +- span / 2, Hz."""
+    """Find the brightest sample in each part of a coarse image whose Doppler spans +- span / 2, Hz."""
     n = power.shape[1]
     step = _doppler_cell(work, pulses)
     reach = min(int(span / 2 / step) + 1, (n - 1) // 2)
@@ -249,7 +249,7 @@ def _brightest(work: Work, pulses: slice, power: FloatArray, ground: FloatArray,
 def _located(
     work: Work, pulses: slice, x: FloatArray, y: FloatArray, wanted: FloatArray, goal: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Points (n,) that have the ranges `wanted`, m, and the phase rates `goal`, rad/s; others nearby are known.
+    """Solve for ground points (n,) with ranges `wanted`, m, and phase rates `goal`, rad/s, from points nearby.
 
     On a terrain they stand on it, and are NaN where it has none such.
     """
@@ -274,7 +274,7 @@ class Chosen(NamedTuple):
 
 
 def select_points(channels: Sequence[Sequence[Candidates]], work: Work) -> Chosen:
-    """Keep the points that stand out in most of the short apertures that see them, spread over the scene.
+    """Select the points that stand out in most of the short apertures that see them, spread over the scene.
 
     Of several channels, which have one track, those of the one whose points tell most of it: the sum of their scores,
     the logarithm of their power over that of their surroundings. It is what points that err independently tell of a
@@ -314,7 +314,7 @@ def select_points(channels: Sequence[Sequence[Candidates]], work: Work) -> Chose
 
 
 def stands_out(prominence: FloatArray, cells: int) -> NDArray[np.bool_]:
-    """Find which prominences (n,) noise does not show, but once in 1 / FALSE searches of so many cells.
+    """Mask of prominences (n,) too high for noise: with probability FALSE, noise exceeds it in any of `cells`.
 
     The power of a cell of noise is distributed exponentially: with probability 2^-p it is over p times its median. So
     is that of clutter of many scatterers a cell.
@@ -323,7 +323,7 @@ def stands_out(prominence: FloatArray, cells: int) -> NDArray[np.bool_]:
 
 
 def gaps_between(seen: Sequence[IntArray], work: Work) -> list[slice]:
-    """Pulses that are missing in a row, as `Candidates.seen` of the short apertures tell, with some on either side."""
+    """Find gaps, as slices of pulses, from the valid pulses of each short aperture (`Candidates.seen`)."""
     missing = np.zeros(work.geometry.collection.n_pulse, bool)
     for aperture, pulses in zip(work.apertures, seen, strict=True):
         missing[aperture] = True
@@ -376,7 +376,7 @@ def _yaw_cell(work: Work) -> float:
 def _spread(
     score: FloatArray, epoch: FloatArray, yaw: FloatArray, work: Work, cell_yaw: float, before: Sequence[int] = ()
 ) -> list[int]:
-    """Indices of the best points, apart from each other, with a cap on those of one part of the scene.
+    """Select the best points: apart from each other, with a cap for each part of the scene. Returns their indices.
 
     Those `before` come first.
     """
