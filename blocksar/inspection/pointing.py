@@ -1,4 +1,4 @@
-"""Whether a steered beam points as stated: measured against predicted lit times of prominent places.
+"""Check of a steered beam: measured against predicted lit times of prominent places.
 
 The angle of a place about the antenna's axis, or its yaw, follows from its range and Doppler at any pulse, whatever is
 said of the beam. So places are looked for in all the angle that the PRF tells apart, and their lines are taken over
@@ -47,7 +47,7 @@ TOLD_APART = 0.4  # dB in the median, for which an angle is told from that a PRF
 
 
 class Pointing(NamedTuple):
-    """Pointing of the beam, as places show it.
+    """Error of the beam's pointing, as prominent places show it.
 
     Attributes
     ----------
@@ -74,12 +74,12 @@ class Pointing(NamedTuple):
 
     @property
     def told(self) -> bool:
-        """Whether the places tell of the beam."""
+        """Tell whether enough places were found to judge the beam."""
         return self.places >= FEWEST
 
 
 class _Hypotheses(NamedTuple):
-    """Beams that are tried, the stated one first. `law` (n,): index of the beam's angles; error, width (n,), rad."""
+    """Beams to try, the stated one first. `law` (n,): index of the beam's angles; error, width (n,), rad."""
 
     laws: list[FloatArray]
     law: FloatArray
@@ -169,7 +169,7 @@ def _hypotheses(collection: Collection, reach: float) -> _Hypotheses:
 
 
 def _line(source: Lines, place: ProminentPoint, turns: int, collection: Collection) -> PointLine | None:
-    """The line of a place, or of what a PRF turns it into, over several dwells about the pulse that saw it."""
+    """Form the line of a place, or of its ambiguity `turns` PRFs away, over several dwells about its pulse."""
     geometry, n = source.geometry, collection.n_pulse
     if turns:
         place = source.ambiguous(place, turns)
@@ -208,7 +208,7 @@ def _captured(source: Lines, line: PointLine, collection: Collection, hypotheses
 def _judged(
     collection: Collection, hypotheses: _Hypotheses, scores: FloatArray, counts: FloatArray, period: float, reach: float
 ) -> Pointing:
-    """Find what places with `scores` (n_place, n_hypothesis) of their best, of so many pulses each, say together."""
+    """Judge the beam from all places: `scores` (n_place, n_hypothesis) relative to their best, `counts` of pulses."""
     width, decibels = collection.beam_width or 0.0, 10 * np.log10(np.maximum(scores, 1e-6))
     together = scores.mean(axis=0)
     best = int(together.argmax())
@@ -243,7 +243,7 @@ def _judged(
 
 
 def _names(collection: Collection, hypotheses: _Hypotheses, which: int) -> tuple[str, str]:
-    """Say what is wrong under a hypothesis, and what to change."""
+    """Describe what is wrong under a hypothesis, and what to change."""
     field = "beam_azimuth" if collection.beam_steering is None else "beam_steering"
     error, width, said = hypotheses.error[which], hypotheses.width[which], collection.beam_width or 1.0
     if hypotheses.law[which] == 1:
@@ -258,7 +258,7 @@ def _names(collection: Collection, hypotheses: _Hypotheses, which: int) -> tuple
 
 
 def _alternative(collection: Collection, hypotheses: _Hypotheses, which: int) -> Alternative:
-    """The collection as a hypothesis says it."""
+    """Make the alternative with the collection as a hypothesis describes it."""
     field = "beam_azimuth" if collection.beam_steering is None else "beam_steering"
     beam = hypotheses.laws[int(hypotheses.law[which])] + hypotheses.error[which]
     changes: dict[str, Any] = {field: beam, "beam_width": float(hypotheses.width[which])}
