@@ -1,4 +1,4 @@
-"""Power that the side lobes of bright places lay over an image, of which coherence tells nothing about the ground."""
+"""Power of side lobes that bright places lay over an image; coherence there does not describe the ground."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FALLING = 2.0  # cycles: beyond those of the table the envelope falls as those o
 
 
 def side_lobe_power(power: FloatArray, axes: ResponseAxes, spacing: tuple[float, float]) -> FloatArray:
-    """Upper bound of the power (n_y, n_x) that the side lobes of other places make at each pixel, beyond the usual.
+    """Upper bound of the side-lobe power (n_y, n_x) from brighter places at each pixel, beyond that of even ground.
 
     A place of power p has side lobes of at most p e(u) e(v) at u and v cycles over band and dwell along its axes, with
     the envelope e(u) = max over w >= u of |W(w)|^2 of the response W. A pixel stands for the share dx dy / A of a place
