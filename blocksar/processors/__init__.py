@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def _check(processor: Processor) -> None:
-    """Ask a processor for all that is needed before it plans."""
+    """Check that a processor has all attributes that planning needs."""
     options_of(processor.options)
     if not all((processor.summary, callable(processor.plan), callable(processor.check))):
         raise TypeError("a processor has a summary, options, and functions to check these and to plan")
@@ -48,7 +48,7 @@ CHAIN = "angular-division"  # of the chains, which are alike, the one that it co
 
 
 def device_for(name: str, asked: str) -> str:
-    """Find what a processor runs on, "cpu" or "gpu"; `asked` may be "auto": a GPU if one is found.
+    """Return the device that a processor runs on, "cpu" or "gpu"; `asked` may be "auto": a GPU if one is found.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def device_for(name: str, asked: str) -> str:
 
 
 def options_for(name: str, given: Mapping[str, Any]) -> Any:
-    """The options of a processor, from what is given by name; None stands for a default.
+    """Make the options of a processor from values by name; None stands for a default.
 
     Raises
     ------

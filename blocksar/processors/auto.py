@@ -1,4 +1,4 @@
-"""The choice of a processor: several are planned, and the one is taken that keeps the fidelity in the least time.
+"""Automatic choice of a processor: several are planned, the fastest that keeps the fidelity is taken.
 
 Of the chains, which are alike, only that of the main paper is compared: to plan where they do not serve takes long.
 
@@ -24,7 +24,7 @@ HEADER = ("processor", "coherence", "time, usual pace", "memory (MiB)", "disk (M
 
 @dataclass(frozen=True)
 class Candidate:
-    """A processor with its plan and predicted seconds, or with the reason why it has none."""
+    """A processor with its plan and predicted seconds, or the reason why it has no plan."""
 
     processor: str
     plan: ImagePlan | None = None
@@ -43,10 +43,10 @@ class Auto:
     on_gpu = True
 
     def check(self, options: Any) -> None:
-        """Processors are compared as they are: options of chains ask for a chain."""
+        """Refuse options of chains: processors are compared with their defaults."""
 
     def plan(self, problem: Problem) -> ImagePlan:
-        """Plan an image by several processors; the plan of the chosen one, with all of them in `compared`.
+        """Plan an image by several processors; return the chosen plan, with all others in `compared`.
 
         Raises
         ------

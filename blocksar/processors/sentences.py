@@ -1,4 +1,4 @@
-"""Sentences on plans of any processor: who does the work, and how long that takes."""
+"""Sentences on plans of any processor: its workers, and the time that it takes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LOOKED_AT = 64  # points along a side of a grid at which lit pulses are counted
 
 
 def time_line(work: Work, assumed: Resources, stored: int, planning: float = 0.0) -> str:
-    """How long a run would take on this machine, by stage; the only part of a plan that is measured.
+    """State how long a run would take on this machine, by stage; the only measured part of a plan.
 
     `stored` is what it writes, bytes, for which the disk may need longer where the page cache cannot take them;
     `planning` what the plan took, s, which a run makes again: told where it is long.
@@ -45,12 +45,12 @@ def stage_seconds(work: Work, assumed: Resources, planning: float = 0.0) -> dict
 
 
 def workforce(assumed: Resources) -> str:
-    """Who does the work, in words."""
+    """Name the workers of a run."""
     return f"with {count(assumed.workers, 'worker')}" if assumed.workers else "in one process"
 
 
 def _shares(seconds: Mapping[str, float]) -> str:
-    """Parts of a time, rounded in the unit in which `time_text` writes their sum, so that they add up to it.
+    """Format parts of a time, rounded in the unit in which `time_text` writes their sum, so that they add up.
 
     Examples
     --------
