@@ -1,4 +1,4 @@
-"""The folder in which compiled loops are kept, where that cannot be the package's own, and the time to compile them."""
+"""The folder for compiled loops where the package's own is not writable, and the time spent compiling."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def note_compilation(seconds: float) -> None:
 
 
 def compilation_seconds() -> float:
-    """Seconds that were counted since this process began."""
+    """Return the seconds counted by `note_compilation` since this process began."""
     return _spent[0]
 
 
@@ -50,7 +50,7 @@ def _user_folder() -> str | None:
 
 
 def _temporary_folder() -> str | None:
-    """A folder that no other user can write to: what lies in it is run.
+    """Return a folder that no other user can write to, since the loops in it are executed; None if there is none.
 
     It has one name for each user, so that the next command finds the loops; where another owns that name, one for this
     process.

@@ -140,7 +140,7 @@ def through_nodes(values: FloatArray) -> FloatArray:
 
 
 def _solve(q: FloatArray, right: FloatArray) -> FloatArray:
-    """`least_squares` with the terms q, which are overwritten.
+    """Solve least squares as `least_squares` does, overwriting the terms q.
 
     The right side is made orthogonal along with them, which keeps the solution stable without a second pass.
     """

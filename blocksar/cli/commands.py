@@ -47,7 +47,7 @@ from blocksar.version import __version__
 
 
 class Products(Plugged):
-    """A command for each product."""
+    """The group `export`: one command for each product."""
 
     @classmethod
     def names(cls) -> tuple[str, ...]:
@@ -103,7 +103,7 @@ TimeZero = Annotated[
 
 
 class Readers(Plugged):
-    """A command for each reader; given a file instead of a reader's name, the reader is chosen by its first bytes."""
+    """The group `ingest`: one command for each reader; given a file, the reader is chosen by its first bytes."""
 
     @classmethod
     def names(cls) -> tuple[str, ...]:
@@ -430,7 +430,7 @@ def preview(
     json_log: JsonLog = None,
     **options: Any,
 ) -> None:
-    """Draw a coarse picture of a collection in seconds, and say what grid a run would take.
+    """Draw a coarse picture of a collection in seconds, and print the grid that a run would use.
 
     Short apertures and a part of the band, back-projected exactly: bright targets lie at their places.
 

@@ -95,7 +95,7 @@ def _nearest(name: str, known: dict[str, Any]) -> str:
 
 
 def _as_typed(value: Any, parameter: Any, place: str) -> Any:
-    """A value of TOML as the command line gives it: text, except for a flag, and a list where several are taken."""
+    """Convert a TOML value to text as on the command line; a flag stays bool, several values become a list."""
     if getattr(parameter, "is_flag", False):
         if not isinstance(value, bool):
             raise InputError(f"{place} = {_shown(value)} is neither true nor false; write one of them")
@@ -190,7 +190,7 @@ OF_PLAN = ("everything", "explain")  # its options that `focus` has not
 
 
 def _hint_after_plan(context: typer.Context, sources: list[str]) -> None:
-    """Simulate a scene, or focus phase histories with the same options."""
+    """Suggest the next command: simulate a scene, or focus phase histories with the same options."""
     from blocksar.api.arguments import is_scene
 
     for source in sources:
@@ -237,7 +237,7 @@ def focus(
 
 
 class OfProcessors(Commands):
-    """All commands. When `plan` or `focus` is called, it takes the processors of other packages and their options."""
+    """The group of all commands; `plan` and `focus` also take processors of other packages and their options."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         if args and args[0] in ("plan", "focus") and (others := set(PROCESSORS.names()) - set(PROCESSORS.own)):
@@ -246,7 +246,7 @@ class OfProcessors(Commands):
 
 
 def _taking_processors(command: Callable[..., None], names: Sequence[str]) -> Any:
-    """A command with processors of other packages besides: their names, summaries and options."""
+    """Create a command that also takes processors of other packages: their names, summaries and options."""
     own = {each.name for each in options_taken(command.__name__)}
     known, said, taken = set(signature(command).parameters), list[str](), unwrap(command)
     for name in names:
