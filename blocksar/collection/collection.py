@@ -454,7 +454,7 @@ class Collection:
         return f"<Collection: {self.headline()}>"
 
     def headline(self) -> str:
-        """The collection in half a sentence: its size, band, rate and beam."""
+        """Summary of the collection on one line: size, band, rate and beam."""
         beam = "not steered" if not self.steered else "about its axis" if self.has_axis else "steered in yaw"
         return (
             f"{self.n_pulse} pulses x {self.n_range_frequency} range frequencies, {frequency_text(self.carrier)}, "
@@ -471,7 +471,7 @@ class Collection:
 
     @property
     def steered(self) -> bool:
-        """Whether the beam is steered, so that a target may be lit for a part of the time only."""
+        """Tell whether the beam is steered, so that a target may be lit for part of the time only."""
         return self.beam_width is not None
 
     @property
@@ -486,7 +486,7 @@ class Collection:
 
     @property
     def has_pattern(self) -> bool:
-        """Whether the signal has an antenna pattern in it that is known."""
+        """Tell whether the signal contains a known antenna pattern."""
         return self.beam_pattern is not None or self.elevation_pattern is not None
 
     @property
@@ -496,7 +496,7 @@ class Collection:
 
     @cached_property
     def without_elevation(self) -> Collection:
-        """The collection as if the antenna had no pattern in elevation."""
+        """Copy of the collection without the antenna's pattern in elevation."""
         if self.elevation_pattern is None:
             return self
         return Collection(**{**self.as_dict(), "elevation": None, "elevation_pattern": None})
@@ -548,7 +548,7 @@ class Collection:
         return Collection(**{**self.as_dict(), **cut, "time": time})
 
     def steadied(self, n_interval: int) -> Collection:
-        """Copy under a steered beam that follows cubic splines of so many intervals; 0: straight lines.
+        """Copy whose steered beam follows cubic splines of `n_interval` intervals; with 0, straight lines.
 
         Itself where its pulses are too few for that, or a yaw would turn back or stand still.
         """
@@ -575,7 +575,7 @@ class Collection:
 
     @cached_property
     def steady(self) -> Collection:
-        """For a beam about its axis, one that is smooth over a part 1 / STEADY_PARTS of the collection.
+        """Copy whose beam about its axis is smooth over 1 / STEADY_PARTS of the collection.
 
         The same collection where they lie next to nothing apart.
         """
@@ -595,7 +595,7 @@ class Collection:
 
     @property
     def lit_widths(self) -> float:
-        """Widths of the beam over which the samples hold echoes: 1, and of a look those of the whole beam."""
+        """Width over which the samples hold echoes, in beam widths: 1, or for a look whole beam over look."""
         return 1.0 if self.lit_width is None or self.beam_width is None else self.lit_width / self.beam_width
 
     def as_dict(self) -> dict[str, Any]:

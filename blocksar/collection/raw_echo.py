@@ -88,7 +88,7 @@ class RecordedRanges:
 
     @property
     def whole(self) -> tuple[float, float]:
-        """First and last range of which whole pulses were recorded, m; first > last where of none."""
+        """First and last range of which whole pulses were recorded, m; first > last if there are none."""
         return self.near + self.pulse / 2, self.far - self.pulse / 2
 
     @property
@@ -194,7 +194,7 @@ class RawEcho:
         return np.asarray((np.arange(count) - (count - 1) / 2) * step)
 
     def recorded(self, *, partial: bool = False) -> RecordedRanges:
-        """The ranges that it holds."""
+        """The ranges that the echo recorded."""
         half, step = SPEED_OF_LIGHT / 2, 1 / self.sampling_rate
         return RecordedRanges(
             near=half * (float(self.fast_time[0]) - step / 2), far=half * (float(self.fast_time[-1]) + step / 2),

@@ -1,4 +1,4 @@
-"""Tracks that are no single way along the scene: the antenna stands still, turns back, scans a raster, or repeats.
+"""Unusual tracks: the antenna stands still, turns back, scans a raster, or repeats positions.
 
 Chains transform slow time to Doppler, which has to change with the yaw of a target, one to one. Where the antenna
 stands still it does not change, and on the way back it takes its values again. An image depends on positions only, not
@@ -31,7 +31,7 @@ REPEATS = 0.5  # of the pulses at the very place of the pulse before, from which
 
 
 class Flaw(NamedTuple):
-    """Unusual way of a track: the fact with its figures, what to do for chains to focus it, and its ways."""
+    """Unusual shape of a track: a sentence with figures, the remedy for chains, and the number of passes."""
 
     fact: str
     remedy: str
@@ -42,7 +42,7 @@ class Flaw(NamedTuple):
 
 
 def find_flaw(collection: Collection) -> Flaw | None:
-    """Flaw of a track that no transform to Doppler can take; None if it has none."""
+    """Find the shape of a track that no transform to Doppler can handle; None if there is none."""
     every = math.ceil(collection.n_pulse / MOST_PULSES)
     position, step = (
         collection.antenna_position[::every],
@@ -64,7 +64,7 @@ def find_flaw(collection: Collection) -> Flaw | None:
 
 
 def _standing(position: FloatArray, width: int) -> BoolArray:
-    """Whether each pulse (n,) lies in a window of so many intervals in which positions (n, 3), m, hardly differ."""
+    """Mask of pulses (n,) inside a window of `width` intervals in which positions (n, 3), m, hardly differ."""
     windows = sliding_window_view(position, width + 1, axis=0)
     extent = np.linalg.norm(windows.max(axis=-1) - windows.min(axis=-1), axis=-1)
     first = np.flatnonzero(extent < STANDS * np.quantile(extent, USUAL))
@@ -75,7 +75,7 @@ def _standing(position: FloatArray, width: int) -> BoolArray:
 
 
 def _turns(position: FloatArray, width: int) -> IntArray:
-    """Pulses at which positions (n, 3), m, turn back, or fly back to begin another row, ascending."""
+    """Pulses at which positions (n, 3), m, turn back, or jump back to begin another row, ascending."""
     n = len(position)
     way = position[width:] - position[:-width]
     length = np.linalg.norm(way, axis=1)
@@ -94,7 +94,7 @@ def _turns(position: FloatArray, width: int) -> IntArray:
 
 
 def _flights_back(position: FloatArray) -> IntArray:
-    """The last pulses before steps against the way, many times as long as usual."""
+    """Last pulses before steps backwards that are many times the usual length."""
     step = np.diff(position, axis=0)
     length = np.linalg.norm(step, axis=1)
     usual = float(np.median(length))
@@ -150,7 +150,7 @@ def _raster(turns: IntArray) -> Flaw:
 
 
 def _repeats(step: FloatArray) -> Flaw | None:
-    """Positions that are held between steps; None if the antenna moves on for good, and then stands still."""
+    """Describe positions that stay constant between steps; None if the antenna keeps moving, or stops for good."""
     moves = np.flatnonzero(step)
     if moves.size < ROWS or np.diff(moves).max() > 4 * max(float(np.median(np.diff(moves))), 1.0):
         return None

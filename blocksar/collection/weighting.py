@@ -1,4 +1,4 @@
-"""Weighting: the tapers over band and dwell with which an image is summed, and the ideal responses they give.
+"""Weighting: the tapers over band and dwell of an image's sum, and their ideal responses.
 
     image(p) = sum w(p, t) W(f) signal exp(+4j pi (fc + f) / c (R(p, t) - reference_range)) / sum w(p, t) W(f) g(p, t)
 
