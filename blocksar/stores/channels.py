@@ -24,13 +24,13 @@ POLARIZATIONS = ("V", "H", "X", "Y", "S", "E", "RHC", "LHC")  # of transmitter o
 
 
 def with_channels(schema: Mapping[str, Variable], *names: str, dimension: str = "channel") -> dict[str, Variable]:
-    """The schema with a leading dimension, of channels or looks, for some variables, and its coordinate."""
+    """Add a leading dimension, of channels or looks, to some variables of a schema, with its coordinate."""
     more = {name: replace(schema[name], dims=(dimension, *schema[name].dims)) for name in names}
     return {**schema, **more, dimension: Variable((dimension,), "T", "1", NAMED[dimension])}
 
 
 def check_channels(names: Sequence[str]) -> tuple[str, ...]:
-    """Return names of channels, if they can be.
+    """Check names of channels.
 
     Raises
     ------
@@ -70,12 +70,12 @@ def read_channels(place: Place, count: int) -> tuple[str, ...]:
 
 
 def unnamed_channels(count: int) -> InputError:
-    """The error of samples whose channels have no names."""
+    """Make the error about samples whose channels have no names."""
     return InputError(f"variable channel (channel) is missing, and the samples have {count} channels; {REMEDY}")
 
 
 def text(value: Any) -> str:
-    """The text of a name, of whatever type."""
+    """Convert a name of any type to text."""
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
@@ -85,7 +85,7 @@ def look_name(number: int) -> str:
 
 
 def number_of(channels: Sequence[str], channel: str | None, label: str) -> int:
-    """Find which of the channels is meant; the first if none is named.
+    """Return the number of a channel by name; 0 if none is given.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def number_of(channels: Sequence[str], channel: str | None, label: str) -> int:
 
 
 def attrs_of_channel(attrs: Mapping[str, Any], channels: Sequence[str], number: int) -> dict[str, Any]:
-    """Attributes of a store as a channel has them: its name as `channel`, and targets with their reflectivity in it.
+    """Attributes of a store for one channel: its name as `channel`, and targets with their reflectivity in it.
 
     If `polarizations` has the channel, that is its `polarization`.
 
@@ -129,7 +129,7 @@ def attrs_of_channel(attrs: Mapping[str, Any], channels: Sequence[str], number: 
 
 
 def without_unseen(attrs: Mapping[str, Any]) -> dict[str, Any]:
-    """Attributes of a channel without the targets that it does not see."""
+    """Remove the targets that a channel does not see from its attributes."""
     targets = attrs.get("targets")
     if "channel" not in attrs or not isinstance(targets, list):
         return dict(attrs)
