@@ -418,7 +418,7 @@ class Job:
 
 
 def _preparation_memory(history: stores.PhaseHistory, asked: Settings, machine: Resources) -> int:
-    """Return the peak memory, bytes, of a worker that compresses a raw echo or removes interference; 0 without either.
+    """Return the peak memory, bytes, of a worker that compresses a raw echo or cuts interference; 0 without either.
 
     Raises
     ------

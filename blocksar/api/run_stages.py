@@ -192,7 +192,7 @@ def _of_gaps(read: Sequence[ReadSegment]) -> list[str]:
 
 
 def _of_interference(segment: Segment, read: Sequence[ReadSegment]) -> list[str]:
-    """Describe the interference that was removed from a collection, if it was looked for."""
+    """Describe the interference that was cut from a collection, if it was looked for."""
     if segment.interference is None:
         return []
     found = [receipt.found or {} for each in read for receipt in each.receipts]
