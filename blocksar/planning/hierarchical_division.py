@@ -1,4 +1,4 @@
-"""How hierarchical back-projection divides an image, and what that costs: levels, error, time and memory.
+"""Division of an image for hierarchical back-projection, and its cost: levels, error, time and memory.
 
 The error of an image is that of its filters and of the last interpolation. A filter of attenuation A errs in its pass
 band and leaves of what it stops 10^(-A / 10) of the power at most. Over the pass band it errs by half of that on
@@ -51,7 +51,7 @@ Pair = tuple[float, float]  # m along x and y
 
 @dataclass(frozen=True, kw_only=True)
 class Rates:
-    """Rates of work, s, of one thread where `graph.machine.pace` is 1; or of a GPU.
+    """Times of elementary work, s, of one thread where `graph.machine.pace` is 1, or of a GPU.
 
     Attributes
     ----------
@@ -106,18 +106,18 @@ RATES = {
 
 
 def planned_error(levels: Levels, *, stages: int) -> float:
-    """Error power of an image over its own, after `stages` filters along either axis."""
+    """Error power of an image relative to its own, after `stages` filters along either axis."""
     filters = stages * 10 ** (-levels.attenuation / 10)  # two axes, half of the largest error each
     return filters + spline_error(upsampling=levels.upsampling) ** 2
 
 
 def coherence_of(error: float) -> float:
-    """Coherence of an image with one from which it differs by an error power."""
+    """Coherence of two images that differ by an error power."""
     return (1 + error) ** -0.5
 
 
 def levels_for(fidelity: float, sides: tuple[float, ...], *, stages: int) -> Levels:
-    """Levels whose error power is 1 - fidelity at most, or ERROR where that is less."""
+    """Choose levels whose error power is at most 1 - fidelity, or ERROR if that is less."""
     allowed = SHARE * min(1 - fidelity, ERROR)
     attenuation = 10 * math.log10(stages / allowed)
     upsampling = next((n for n in UPSAMPLINGS if spline_error(upsampling=n) ** 2 <= allowed), UPSAMPLINGS[-1])
@@ -145,7 +145,7 @@ class Cost:
 
 
 def part_at(geometry: Geometry, place: Pair, side: Pair) -> Part:
-    """A part of a size (m along x and y) about a place, as its border sees the beam."""
+    """Make the part of a size (m along x and y) about a place, with the passes seen from its border."""
     x, y = (centre + size / 2 * np.linspace(-1, 1, NODES) for centre, size in zip(place, side, strict=True))
     mesh = np.meshgrid(x, y)
     first, last = geometry.beam.passes(*mesh)
@@ -157,7 +157,7 @@ def part_at(geometry: Geometry, place: Pair, side: Pair) -> Part:
 
 
 class Ladders:
-    """Finds what a unit costs that is divided along a ladder of sides, at one place of the image.
+    """Costs of units divided along ladders of sides, at one place of the image.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ class Ladders:
         self.gains = effort.GAINS if geometry.collection.has_pattern or hierarchy.waves else 0.0
 
     def cost(self, place: Pair, sides: Sequence[Pair]) -> Cost | None:
-        """Cost of the first of some parts, each of which is divided into the next; None where nothing lights it."""
+        """Cost of a unit whose parts are divided by the given sides in turn; None where nothing is lit."""
         part = self.part(place, sides[0])
         entered = self.hierarchy.enter(part)
         if entered is None:
@@ -213,7 +213,7 @@ class Ladders:
         return Cost(seconds=seconds, samples=samples, on_gpu=on_gpu)
 
     def _last(self, frame: Frame, part: Part, side: tuple[float, float]) -> float:
-        """Seconds to back-project a last part from the range profiles of what is left."""
+        """Seconds to back-project a last part from the profiles of its remaining samples."""
         pixels = max(side[0] / self.grid.dx, 1) * max(side[1] / self.grid.dy, 1)
         lit = float((part.last - part.first).mean())
         each = frame.size + lit - (frame.inside[1] - frame.inside[0]) if frame.size else lit
@@ -221,7 +221,7 @@ class Ladders:
         return self.rates.part + pixels * pixel
 
     def _filtering(self, filters: Filters, left: Frame, edges: int, interior: int, columns: int) -> float:
-        """Seconds to turn and filter rows of `columns` samples, so many edges and of the interior, to a frame."""
+        """Seconds to turn and filter rows of `columns` samples, of edges and interior, to a frame."""
         across = 2 * filters.across.half if filters.across.factor > 1 else 0
         rows = edges + interior
         seconds = rows * (self.rates.turn * columns + self.rates.tap * left.columns * across)
@@ -238,7 +238,7 @@ def _samples(frame: Frame) -> int:
 
 
 def _halved(unit: tuple[int, int], chunk: tuple[int, int]) -> list[tuple[int, int]]:
-    """Rows and columns of a unit, of its halves as `form_windows` makes them, and of its windows."""
+    """Rows and columns of a unit, of the halves that `form_windows` makes, and of its windows."""
     steps, now = [unit], unit
     while math.ceil(now[0] / chunk[0]) * math.ceil(now[1] / chunk[1]) > MOST_WINDOWS:
         axis = int(now[1] > now[0])
@@ -251,7 +251,7 @@ def _halved(unit: tuple[int, int], chunk: tuple[int, int]) -> list[tuple[int, in
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Division:
-    """How an image is divided, at all levels, and what that takes.
+    """Division of an image at all levels, with its cost.
 
     Attributes
     ----------
@@ -277,7 +277,7 @@ class Division:
 
     @property
     def error(self) -> float:
-        """Error power of the image over that of all that its data hold."""
+        """Error power of the image relative to the total power in its data."""
         return planned_error(self.levels, stages=self.stages)
 
 
@@ -285,7 +285,7 @@ def divide(
     geometry: Geometry, grid: Grid, *, fidelity: float, weighting: Weighting, workers: int, memory_limit: float,
     device: str = "cpu",
 ) -> Division:  # fmt: skip
-    """The division that takes the least predicted time on so many workers of one thread, within their memory, bytes.
+    """Find the division with the least predicted time for `workers` of one thread, within their memory, bytes.
 
     Divisions are ranked by what they cost at a few places; the chosen one is known at all. Where none fits, it is the
     one that takes the least memory.
@@ -307,7 +307,7 @@ def divide(
 
 
 class _Trial:
-    """Divisions of an image, with what they cost."""
+    """Search over divisions of an image by cost."""
 
     def __init__(self, geometry: Geometry, grid: Grid, fidelity: float, weighting: Weighting, device: str) -> None:
         self.geometry, self.grid, self.fidelity, self.device = geometry, grid, fidelity, device
@@ -317,13 +317,13 @@ class _Trial:
         self.places = [(grid.x0 + u * grid.dx * grid.shape[1], grid.y0 + v * grid.dy * grid.shape[0]) for u, v in nodes]
 
     def unit_sizes(self) -> list[tuple[int, int]]:
-        """Chunks of units along rows and columns, of all sizes that are tried."""
+        """Sizes of units to try, in chunks along rows and columns."""
         return _unit_sizes(
             self.grid, [math.ceil(n / side) for n, side in zip(self.grid.shape, self.chunk, strict=True)]
         )
 
     def best_ladder(self, division: tuple[int, int]) -> tuple[float, int]:
-        """Ratio of sides and last side, pixels, that serve units of a size best, at a place that is lit."""
+        """Best ratio of sides and last side, pixels, for units of a size, at a lit place."""
         ladders = list(product(RATIOS, RATES[self.device].last_sides))
         return min(ladders, key=lambda each: self.division(division, each, self.places, first_lit=True).seconds)
 
@@ -331,7 +331,7 @@ class _Trial:
         self, division: tuple[int, int], ladder: tuple[float, int], places: Sequence[tuple[float, float]],
         *, first_lit: bool = False,
     ) -> Division:  # fmt: skip
-        """The division into units of so many chunks, by what they cost at places, or at the first that is lit."""
+        """Evaluate the division into units of a size by its costs at places, or at the first lit one."""
         grid, geometry, rates = self.grid, self.geometry, RATES[self.device]
         unit = tuple(min(c * side, n) for c, side, n in zip(division, self.chunk, grid.shape, strict=True))
         sides = [(columns * grid.dx, rows * grid.dy) for rows, columns in _halved((unit[0], unit[1]), self.chunk)]
@@ -359,7 +359,7 @@ class _Trial:
 
 
 def _unit_sizes(grid: Grid, counts: list[int]) -> list[tuple[int, int]]:
-    """Chunks of a unit along rows and columns, from all of the image to single chunks; about as high as wide."""
+    """Sizes of a unit in chunks along rows and columns, from the whole image to single chunks, nearly square."""
     sizes: list[tuple[int, int]] = []
     for number in DIVISIONS:
         high = abs(grid.dy) * grid.shape[0] / (abs(grid.dx) * grid.shape[1])
