@@ -1,4 +1,4 @@
-"""The image area of a CPHD file: where the scene lies.
+"""The image area of a CPHD file, which locates the scene.
 
 ImageArea gives it in image-area coordinates, m along uIAX and uIAY from the scene's reference point (IARP), and
 ImageAreaCornerPoints in latitude and longitude. Some files have numbers of samples in ImageArea, its axes swapped, or
@@ -29,7 +29,7 @@ BEYOND = 0.25  # of the saved delays, by which a scene's ranges may exceed them
 
 
 class ImageArea(NamedTuple):
-    """The scene's rectangle, m in image-area coordinates, and what was wrong with it.
+    """The scene's rectangle, m in image-area coordinates, and the fault that was corrected in it.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class ImageArea(NamedTuple):
 
 
 def read_area(file: CphdFile) -> ImageArea:
-    """The scene's rectangle.
+    """Read the scene's rectangle.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def read_area(file: CphdFile) -> ImageArea:
 
 
 def area_points(file: CphdFile, area: ImageArea) -> tuple[FloatArray, FloatArray]:
-    """x and y of points all over the channel's image area, or else the scene's, m.
+    """x and y of points spread over the channel's image area, or else the scene's, m.
 
     Of an area that is not as the file has it, the rectangle alone: outlines are in the same coordinates.
     """
@@ -113,19 +113,19 @@ def area_points(file: CphdFile, area: ImageArea) -> tuple[FloatArray, FloatArray
 
 
 def ecef_of(file: CphdFile, points: FloatArray) -> FloatArray:
-    """Points (n, 2), m in image-area coordinates: (n, 3) m, Earth-centred."""
+    """Convert points (n, 2), m in image-area coordinates, to Earth-centred ones, (n, 3) m."""
     return np.asarray(library().iac_to_ecf(file.tree, points))
 
 
 def area_delays(file: CphdFile, area: ImageArea, vector: int) -> tuple[float, float]:
-    """Least and largest delay of the area's corners after the SRP at a vector, s."""
+    """Least and largest delay of the area's corners relative to the SRP at a vector, s."""
     antenna, srp = ((file.parameter(f"{name}Pos")[vector]) for name in ("Tx", "SRP"))
     ranges = np.linalg.norm(ecef_of(file, area.corners) - antenna, axis=1) - np.linalg.norm(srp - antenna)
     return float(ranges.min()) * 2 / SPEED_OF_LIGHT, float(ranges.max()) * 2 / SPEED_OF_LIGHT
 
 
 def _fits(file: CphdFile, area: ImageArea) -> bool:
-    """Whether the area's ranges lie within the saved delays, at the middle of the vectors."""
+    """Tell whether the area's ranges lie within the saved delays at the middle vector."""
     early, late = file.parameter("TOA1"), file.parameter("TOA2")
     known = np.flatnonzero(np.isfinite(early + late + file.parameter("TxPos").sum(axis=1)) & (early < late))
     if not known.size:
@@ -137,7 +137,7 @@ def _fits(file: CphdFile, area: ImageArea) -> bool:
 
 
 def _corner_points(file: CphdFile) -> FloatArray | None:
-    """The corner points in image-area coordinates, (4, 2) m; None if the file has none that can be used."""
+    """Corner points in image-area coordinates, (4, 2) m; None if the file has no usable ones."""
     import sarkit.wgs84
 
     points = file.root.findall("{*}SceneCoordinates/{*}ImageAreaCornerPoints/{*}IACP")
@@ -154,13 +154,13 @@ def _corner_points(file: CphdFile) -> FloatArray | None:
 
 
 def describe_turn(turn: FloatArray) -> str:
-    """Describe the fault of turned coordinates."""
+    """Describe the fault of rotated or mirrored coordinates."""
     wrong = ["x and y were swapped"] if turn[0, 0] == 0 else []
     return " and ".join([*wrong, *(["an axis were reversed"] if turn.sum() < 2 else [])])
 
 
 def _apart(first: FloatArray, second: FloatArray) -> float:
-    """Largest distance of corners (4, 2) to the nearest of others, m, in whatever order."""
+    """Largest distance, m, of corners (4, 2) from the nearest of others, in any order."""
     distance = np.linalg.norm(first[:, None] - second, axis=2)
     return float(max(distance.min(axis=0).max(), distance.min(axis=1).max()))
 

@@ -1,4 +1,4 @@
-"""Sentinel-1 level 0: space packets to bursts, each a phase history of its own in one frame.
+"""Sentinel-1 level 0: conversion of space packets to bursts, each a phase history, in one frame.
 
 `packets` reads headers and decodes samples, `ancillary` has orbit and attitude from the words that packets carry one at
 a time, `bursts` divides the pulses of files where swath, PRF or steering jump, and has the beam's electronic law, the

@@ -1,4 +1,4 @@
-"""Sentinel-1 level 0 as a reader: what `blocksar ingest sentinel1` and `info` ask."""
+"""Sentinel-1 level 0 as a reader, for `blocksar ingest sentinel1` and `info`."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ FARTHEST = 1e6  # m along the track, in which the Earth falls 20 km below a plan
 
 
 def begin(sources: Sequence[Location], options: Sentinel1Options) -> dict[str, Reading]:
-    """Read all but the samples: the bursts' phase histories by name.
+    """Read everything but the samples: the selected bursts' phase histories, by name.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def begin(sources: Sequence[Location], options: Sentinel1Options) -> dict[str, R
 
 
 def _common(choice: BurstChoice, bursts: Sequence[Burst], options: Sentinel1Options) -> Data:
-    """Find what the wanted bursts have in common; the law of the steering is told by all of a swath."""
+    """Collect the facts that the selected bursts share; the steering is derived from all bursts of a swath."""
     zero = choice.zero
     first = min(burst.sent for burst in bursts)
     last = max(burst.sent + (burst.n_slot + 32) * burst.interval for burst in bursts)  # with what is in the air
@@ -128,7 +128,7 @@ def _common(choice: BurstChoice, bursts: Sequence[Burst], options: Sentinel1Opti
 
 
 class Sentinel1Reader:
-    """Stripmap, wave and TOPS bursts of Sentinel-1."""
+    """Reader of stripmap, wave and TOPS bursts of Sentinel-1."""
 
     summary = (
         "Convert Sentinel-1 level 0 (packets) to phase histories.\n\n"
