@@ -1,4 +1,4 @@
-"""Compile loops when first called, for one fixed signature each, or load them from numba's cache.
+"""Compilation of loops on their first call, for one fixed signature each, or loading from numba's cache.
 
 A decorator with signatures compiles when the module is imported, also in a process that never calls the loop; one
 without compiles again for each type of argument, read-only arrays and writable ones included.
@@ -56,7 +56,7 @@ UNCHECKED: dict[str, Any] = {"error_model": "numpy"}  # divisions by zero give i
 
 
 def record(kind: type[tuple[Any, ...]], *fields: Any) -> Any:
-    """The numba type of a NamedTuple whose fields have these types; arrays to be read are `fixed` ones."""
+    """Numba type of a NamedTuple with fields of these types; arrays that are only read are `fixed`."""
     return _BASE.from_types(fields, kind)
 
 
@@ -95,7 +95,7 @@ class Loop:
         self._arguments, self._ready, self._lock = tuple(arguments), False, Lock()
 
     def compile(self, *, wait: bool = True) -> bool:
-        """Compile, or load from numba's cache, unless that is done.
+        """Compile, or load from numba's cache, if not yet done.
 
         While another process compiles the loop, wait for it, or do not and return False.
         """
@@ -170,12 +170,12 @@ def loop(*arguments: Any, **options: Any) -> Callable[[Callable[..., Any]], Loop
 
 
 def loops_of(module: ModuleType) -> list[Loop]:
-    """The loops of a module, in the order of their definition."""
+    """List the loops of a module in the order of their definition."""
     return [found for found in vars(module).values() if isinstance(found, Loop) and found.__module__ == module.__name__]
 
 
 class Tally(NamedTuple):
-    """The loops that this process has loaded, those of them that it had to compile, and the folder of numba's cache."""
+    """Counts of the loops that this process has loaded and compiled, and the folder of numba's cache."""
 
     loaded: int
     compiled: int
@@ -183,7 +183,7 @@ class Tally(NamedTuple):
 
 
 def tally(package: str) -> Tally:
-    """Count the loops of a package's loaded modules that are kept in numba's cache."""
+    """Count the loops of a package's loaded modules that numba's cache stores."""
     loaded, compiled, folder = 0, 0, ""
     for dispatcher in dispatchers(package).values():
         stats = dispatcher.stats
