@@ -75,7 +75,7 @@ def range_profiles(
     upsampling: int = UPSAMPLING,
     device: Device = CPU,
 ) -> Profiles:
-    """Range profiles of pulses: mean over frequency of signal exp(4j pi (f - f_middle) d / c) on a fine grid of d.
+    """Form range profiles: mean over frequency of signal exp(4j pi (f - f_middle) d / c), d = R - reference_range.
 
     The zero-padded samples are divided by the frequency response of the quadratic spline, sinc(f / f_bins)^3. The
     spline through the transformed bins then has the exact level over the band; spectral images are its only error.
