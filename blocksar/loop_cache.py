@@ -29,8 +29,8 @@ def choose_cache() -> None:
     numba defines no loop that it cannot keep. The folder is `blocksar` among the user's caches, or else one in the
     folder for temporary files.
     """
-    beside = os.path.join(MODULES, "__pycache__")
-    if os.environ.get(VARIABLE) or os.access(beside if os.path.isdir(beside) else MODULES, os.W_OK):
+    package_cache = os.path.join(MODULES, "__pycache__")
+    if os.environ.get(VARIABLE) or os.access(package_cache if os.path.isdir(package_cache) else MODULES, os.W_OK):
         return
     folder = _user_folder() or _temporary_folder()
     if folder is not None:

@@ -199,12 +199,12 @@ def run_rows(record: RunRecord) -> Rows:
         rows.append(("settings", ", ".join(chosen)))
     if plan.blocks is not None:
         parts = f" of {plan.parts} range sub-blocks each" if (plan.parts or 1) > 1 else ""
-        kept = (
+        coherence = (
             ""
             if math.isnan(plan.least)
             else f"; predicted coherence with exact back-projection at least {plan.least:.6g}"
         )
-        rows.append(("plan", f"{count(plan.blocks, 'angular block')}{parts}{kept}"))
+        rows.append(("plan", f"{count(plan.blocks, 'angular block')}{parts}{coherence}"))
     if plan.coherence is not None:
         rows.append(("plan", f"{PREDICTED} {plan.coherence:.8g}"))
     if plan.processor:

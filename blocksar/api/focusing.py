@@ -44,22 +44,23 @@ from blocksar.progress import Wanted as Progress
 from blocksar.runs import folder as run_folder
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import RECORD, Receipt, RunRecord
-from blocksar.texts import size_text
+from blocksar.texts import count, size_text
 
 if TYPE_CHECKING:
     from distributed import Client
 
+PARTS = "part of the mosaic", "parts of the mosaic"
 UNITS = {
-    "range-compress": "groups of pulses",
-    "interference": "groups of pulses",
-    "recover": "column groups",
-    "inspect": "column groups",
-    "gate": "groups of Doppler bins",
-    "focus": "blocks",
-    "mosaic": "parts of the mosaic",
-    "layers": "parts of the mosaic",
-    "backprojection": "parts of the mosaic",
-    "hierarchical-backprojection": "parts of the mosaic",
+    "range-compress": ("group of pulses", "groups of pulses"),
+    "interference": ("group of pulses", "groups of pulses"),
+    "recover": ("column group", "column groups"),
+    "inspect": ("column group", "column groups"),
+    "gate": ("group of Doppler bins", "groups of Doppler bins"),
+    "focus": ("block", "blocks"),
+    "mosaic": PARTS,
+    "layers": PARTS,
+    "backprojection": PARTS,
+    "hierarchical-backprojection": PARTS,
 }  # names of each stage's units of work, in the summary
 
 
@@ -294,15 +295,15 @@ def _focus_image(
             return _report_finished(request.folder, record, discard=discard, claimed=True)
         if here:
             executor = cluster.open_here(listener)
-        said: list[str] = []
+        sentences: list[str] = []
         if request.track is not None:
             from blocksar.api.tracks import track_corrected  # with all of `autofocusing`, which takes 20 ms to load
 
             _check_room_before_track(request, record, machine, following)
             corrected = track_corrected(request, machine, executor, listener)
-            request, said, executor = stack.enter_context(corrected)
+            request, sentences, executor = stack.enter_context(corrected)
         report = _focus(request, record, machine, executor, listener, profile, following, compiled)
-        return replace(report, summary=[*said, *report.summary])
+        return replace(report, summary=[*sentences, *report.summary])
 
 
 def _has_pyramid(job: Job, *, resumed: bool) -> bool:
@@ -330,12 +331,12 @@ def _check_room_before_track(request: Request, earlier: RunRecord | None, machin
     NoRoom
         If it does not.
     """
-    beside = _beside(request, following)
+    needed_besides = _beside(request, following)
     try:
         job = Job.of(request, earlier, machine)
     except InputError:  # there may be a plan once the track is corrected
         return
-    check_room_for_run(job, beside, resumed=earlier is not None)
+    check_room_for_run(job, needed_besides, resumed=earlier is not None)
 
 
 def _report_finished(folder: Place, record: RunRecord, *, discard: bool, claimed: bool = False) -> RunReport:
@@ -442,8 +443,8 @@ def _resumed_line(receipts: Sequence[Receipt]) -> list[str]:
     counts = []
     for stage in dict.fromkeys(receipt.stage for receipt in receipts):
         units = [receipt for receipt in receipts if receipt.stage == stage]
-        name = UNITS.get(stage, f"units of {stage}")  # those of another package's processor
-        counts.append(f"{sum(receipt.reused for receipt in units)} of {len(units)} {name}")
+        names = UNITS.get(stage, (f"unit of {stage}", f"units of {stage}"))  # those of another package's processor
+        counts.append(f"{sum(receipt.reused for receipt in units)} of {count(len(units), *names)}")
     damaged = sum(receipt.damaged for receipt in receipts)
-    also = f"; {damaged} more were found damaged and computed again" if damaged else ""
-    return [f"went on from an unfinished run: {', '.join(counts)} were used again{also}"]
+    also = f"; {damaged} more found damaged and computed again" if damaged else ""
+    return [f"went on from an unfinished run: {', '.join(counts)} used again{also}"]

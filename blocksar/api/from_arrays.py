@@ -157,8 +157,8 @@ def collection(
     if np.ndim(given["reference_range"]) == 0:
         given["reference_range"] = np.broadcast_to(given["reference_range"], np.shape(given["time"])[:1])
     variables = {name: given[name] for name in (*stores.SCHEMA, "channel")}
-    kept = (*stores.NUMBERS, "side_of_track", "pulse_reference", "title")
-    attrs: dict[str, Any] = {name: given[name] for name in kept if name != "time_zero"}
+    unchanged = (*stores.NUMBERS, "side_of_track", "pulse_reference", "title")
+    attrs: dict[str, Any] = {name: given[name] for name in unchanged if name != "time_zero"}
     attrs["Conventions"] = stores.CONVENTIONS
     if targets is not None:
         if not np.iterable(targets):

@@ -202,8 +202,8 @@ def raised_line(listed: Sequence[Target], seen: Sequence[Target]) -> list[str]:
         return []
     named = ", ".join(f"{target.name} {way:.3g} m" for target, way in moved[:5])
     return [
-        f"off the ground, and measured where the ground has their range and Doppler: {len(moved)} of {len(listed)} "
-        f"targets (away by: {named}{', ...' if len(moved) > 5 else ''})"
+        f"off the ground, and measured where the ground has their range and Doppler: {len(moved)} of "
+        f"{count(len(listed), 'target')} (away by: {named}{', ...' if len(moved) > 5 else ''})"
     ]
 
 
@@ -401,7 +401,8 @@ def _about_targets(run: FinishedRun, listed: Sequence[Target], measured: Measure
     if alone and not responses:
         lines.append("the collection names no targets: give --targets FILE to measure some, or --found N to find some")
     if dark := [target.name for target, hidden in zip(listed, measured.dark, strict=True) if hidden]:
-        lines.append(f"in shadow of the terrain, and not judged: {len(dark)} of {len(listed)} targets ({_first(dark)})")
+        lines.append(f"in shadow of the terrain, and not judged: {len(dark)} of "
+                     f"{count(len(listed), 'target')} ({_first(dark)})")  # fmt: skip
     return ReportPart(as_json(responses, run.weighting), lines)
 
 
@@ -501,13 +502,14 @@ def _weighting_lines(weighting: Weighting, patterned: bool) -> list[str]:
         f"ISLR {taper.ideal.islr:.2f} dB"
         for name, taper in along
     ]
-    beside = "; in azimuth each target has those of the weighting times the antenna's pattern" if patterned else ""
-    return [f"ideal responses of the weighting: {'; '.join(figures)}{beside}"]
+    besides = "; in azimuth each target has those of the weighting times the antenna's pattern" if patterned else ""
+    return [f"ideal responses of the weighting: {'; '.join(figures)}{besides}"]
 
 
 def _count_line(responses: Sequence[PointResponse]) -> list[str]:
     figures = summary(responses)
-    return [f"{figures.measured} of {figures.full_dwell} full-dwell targets measured ({figures.targets} in all)"]
+    noun = "target" if figures.full_dwell == 1 else "targets"
+    return [f"{figures.measured} of {figures.full_dwell} full-dwell {noun} measured ({figures.targets} in all)"]
 
 
 def _unjudged_lines(run: FinishedRun, responses: Sequence[PointResponse]) -> list[str]:
@@ -519,25 +521,27 @@ def _unjudged_lines(run: FinishedRun, responses: Sequence[PointResponse]) -> lis
     seam = [r for r in missed if len(run.record.inputs) > 1 and _measured_in_any(run, r)]
     ends = (run.x[0], run.x[-1], run.y[0], run.y[-1])
     outside = [r for r in missed if not (ends[0] <= r.x <= ends[1] and ends[2] <= r.y <= ends[3])]
-    beside = [r for r in missed if r not in seam and r not in outside]
+    edge = [r for r in missed if r not in seam and r not in outside]
     lines = []
     if crowded := [r.name for r in responses if r.full_dwell and r.covered and r.crowded]:
         lines.append(
-            f"{len(crowded)} have a side lobe above their peak ({_first(crowded)}): another peak is near, or "
-            "the image is out of focus there; not measured"
+            f"{count(len(crowded), 'target')} with a side lobe above the peak ({_first(crowded)}): another peak is "
+            "near, or the image is out of focus there; not measured"
         )
     if seam:
         lines.append(
-            f"{len(seam)} lie within 10 widths of a seam between collections, which see them from different sides: not "
-            "judged"
+            f"{count(len(seam), 'target')} within 10 widths of a seam between collections, which see a target from "
+            "different sides: not judged"
         )
     if outside:
-        lines.append(f"{len(outside)} lie outside the image ({_first([r.name for r in outside])}): not measured")
-    if beside:
+        names = _first([r.name for r in outside])
+        lines.append(f"{count(len(outside), 'target')} outside the image ({names}): not measured")
+    if edge:
         lines.append(
-            f"{len(beside)} lie close to the edge of what the image covers ({_first([r.name for r in beside])}): not "
-            f"judged, figures that need pixels beyond it are nan; they need {CUT_WIDTHS:g} widths and {MIN_HALF_TAPS} "
-            "pixels on either side, and the value of a target on a pixel needs that pixel alone"
+            f"{count(len(edge), 'target')} close to the edge of what the image covers "
+            f"({_first([r.name for r in edge])}): not judged, figures that need pixels beyond it are nan; they need "
+            f"{CUT_WIDTHS:g} widths and {MIN_HALF_TAPS} pixels on either side, and the value of a target on a pixel "
+            "needs that pixel alone"
         )
     return lines
 

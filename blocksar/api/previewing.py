@@ -117,8 +117,8 @@ def preview(
         grid = planned[0].grid
         power, most = np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, -np.inf)
         for number, (history, each) in enumerate(zip(imaged, planned, strict=True)):
-            told = partial(_told, callback, number, len(planned))
-            own = coarse.form_preview(_reader(history), each, threads=count, progress=told)
+            report = partial(_told, callback, number, len(planned))
+            own = coarse.form_preview(_reader(history), each, threads=count, progress=report)
             if len(planned) == 1:
                 power = own
             else:

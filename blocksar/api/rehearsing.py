@@ -27,16 +27,16 @@ from blocksar.texts import size_text
 def room_of(job: Job) -> Room:
     """Return the disk space that a run takes, starting from an empty folder."""
     request = job.request
-    beside = 0 if request.surroundings is None else request.surroundings.heights.nbytes
+    terrain_bytes = 0 if request.surroundings is None else request.surroundings.heights.nbytes
     temporary = len(job.packed)
     for history in {segment.collection: segment.source for segment in job.segments}.values():
         collection = history.collection
         if isinstance(history, stores.DatasetHistory):
-            beside += stored_bytes(history.shape)
+            terrain_bytes += stored_bytes(history.shape)
         if history.raw is not None or request.asked.interference is not None:  # written anew first
             temporary += stored_bytes((collection.n_pulse, collection.n_range_frequency))
     stored = with_pyramid(job.plan.stored(), job.grid, request.asked.pyramid)
-    return room_of_run(stored, beside=beside, temporary=temporary, discard=request.asked.discard)
+    return room_of_run(stored, beside=terrain_bytes, temporary=temporary, discard=request.asked.discard)
 
 
 class RoomBeside(NamedTuple):

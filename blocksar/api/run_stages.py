@@ -76,19 +76,19 @@ def add_findings(
     """
     read_of, several = dict(zip(job.segments, read, strict=True)), len(job.request.histories) > 1
     exact = _universal(job)
-    told = [
+    findings = [
         _of_collection(
             number, [(segment, read_of[segment]) for segment in segments], checked, several=several, exact=exact
         )
         for number, segments in enumerate(by_collection(job.segments).values())
     ]
-    warnings = (*chain.from_iterable(each.warnings for each in told), *job.left_out())
+    warnings = (*chain.from_iterable(each.warnings for each in findings), *job.left_out())
     for warning in warnings:
         listener.note(warning, again=True)
-    offsets = chain.from_iterable(each.offsets for each in told)
+    offsets = chain.from_iterable(each.offsets for each in findings)
     return replace(
-        record, warnings=warnings, check="; ".join(each.check for each in told if each.check),
-        samples=SampleCounts(sum(each.missing for each in told), sum(each.impossible for each in told)),
+        record, warnings=warnings, check="; ".join(each.check for each in findings if each.check),
+        samples=SampleCounts(sum(each.missing for each in findings), sum(each.impossible for each in findings)),
         doppler_centroid=max(offsets, key=lambda offset: abs(offset.error), default=None),
     )  # fmt: skip
 
@@ -286,8 +286,8 @@ def carry_out(
             listener.dashboard(address)
         with recording.record_performance(client, profile, listener):
             # Beside the first stage: the check takes a few samples, and the stage's tasks run in other processes.
-            beside = client is not None and job.request.asked.interference is None
-            checked = stack.enter_context(checking(job, beside=beside))
+            in_thread = client is not None and job.request.asked.interference is None
+            checked = stack.enter_context(checking(job, beside=in_thread))
             record = _form(job, run, record, workers, checked, input_read)
         listener.watch((), NOBODY)
         listener.begin("finish")

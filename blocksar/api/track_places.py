@@ -76,8 +76,8 @@ class TrackPlace:
 
     def settings(self, fingerprint: str) -> dict[str, Any]:
         """Return the run's settings on its track; with the fingerprint of the track's input if that is another one."""
-        told = joint_fingerprint(self.fingerprints)
-        return {"autofocus": True, **({} if told == fingerprint else {"track_input": told})}
+        track_input = joint_fingerprint(self.fingerprints)
+        return {"autofocus": True, **({} if track_input == fingerprint else {"track_input": track_input})}
 
     @contextmanager
     def removed_if_wrong(self) -> Iterator[None]:

@@ -37,7 +37,7 @@ from blocksar.runs import folder as run_folder
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import RECORD, Receipt
 from blocksar.runs.track import ATTRIBUTE, SHOWN, TrackCorrection, levels
-from blocksar.texts import size_text
+from blocksar.texts import count, size_text
 from blocksar.version import __version__
 
 FORMAT = 4  # of the folder of an estimate
@@ -235,7 +235,7 @@ class TrackEstimate:
     def summary(self, receipts: Sequence[Receipt], attribute: Mapping[str, Any], memory: int) -> list[str]:
         """Sentences on the correction, on resumed work and on memory; `memory` is the planned peak, bytes."""
         reused = sum(receipt.reused for receipt in receipts)
-        resumed = [f"went on from an unfinished estimate: {reused} of {len(receipts)} units were used again"]
+        resumed = [f"went on from an unfinished estimate: {reused} of {count(len(receipts), 'unit')} used again"]
         peak = max((receipt.peak_memory or 0 for receipt in receipts), default=0)
         return [
             *TrackCorrection.of(attribute, str(self.history.path)).sentences(),
@@ -265,7 +265,7 @@ def track_corrected(
     with ExitStack() as stack:
         stack.enter_context(place.removed_if_wrong())
         run_folder.refuse_foreign(place.folder)
-        estimates, said = estimates_of(request, place), []
+        estimates, sentences = estimates_of(request, place), []
         if not all(estimate.key in place.results for estimate in estimates):
             memory = 0
             for estimate in estimates:
@@ -283,13 +283,13 @@ def track_corrected(
             for estimate, one in zip(estimates, found, strict=True):
                 place.results[estimate.key] = one.result
                 lines = estimate.summary(one.receipts, estimate.attribute(one.result), memory)
-                said += lines if len(found) == 1 else [f"{estimate.history.path}: {line}" for line in lines]
+                sentences += lines if len(found) == 1 else [f"{estimate.history.path}: {line}" for line in lines]
         histories = []
         for history, estimate in zip(request.histories, estimates, strict=True):
             result = place.results[estimate.key]
             attrs = {**history.attrs, ATTRIBUTE: estimate.attribute(result)}
             histories.append(replace(history, collection=estimate.corrected(history, result), attrs=attrs))
-        yield replace(request, histories=tuple(histories)), said, executor
+        yield replace(request, histories=tuple(histories)), sentences, executor
 
 
 @contextmanager

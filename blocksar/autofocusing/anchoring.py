@@ -337,9 +337,10 @@ def _agreeing(work: Work, names: Sequence[str], found: Sequence[Sequence[Seen]])
     advice = "take points that stand apart from their neighbours, or leave control out"
     if len(off) > n - least:
         reach = (work.settings.lines - 1) / 2 * work.settings.line_spacing * work.cell
+        verb = "is" if len(off) == 1 else "are"
         raise InputError(
-            f"control: {len(off)} of {n} points ({_listed(off)}) are not seen where the same error of the track puts "
-            f"the others, and {n - least} may be left out (points are looked for within {reach:.2g} m of range of "
+            f"control: {len(off)} of {n} points ({_listed(off)}) {verb} not seen where the same error of the track "
+            f"puts the others, and {n - least} may be left out (points are looked for within {reach:.2g} m of range of "
             f"their places); correct their x, y, z (datum, height above the ellipsoid), {advice}"
         )
     fit = _solved(work, seen, [i for i in range(n) if at_place[i]])
@@ -373,16 +374,16 @@ def _associated(work: Work, found: Sequence[Sequence[Seen]]) -> tuple[list[Seen]
     solved for from those that belong. A response that does not belong costs `BELONGS`, however far off it is.
     """
     points, most = np.arange(len(found)), max(map(len, found))
-    terms, told = np.zeros((points.size, most, 3, 6)), np.full((points.size, most, 3), np.inf)
+    terms, values = np.zeros((points.size, most, 3, 6)), np.full((points.size, most, 3), np.inf)
     for i, responses in enumerate(found):
         for j, one in enumerate(responses):
-            terms[i, j], told[i, j] = _measured(work, one)
-    given = np.isfinite(told[:, :, 0])
+            terms[i, j], values[i, j] = _measured(work, one)
+    given = np.isfinite(values[:, :, 0])
     best, chosen, near = np.inf, np.zeros(points.size, np.intp), np.zeros(points.size, bool)
-    for start in [np.zeros(6), *(_least(terms[i, j], told[i, j]) for i, j in zip(*np.nonzero(given), strict=True))]:
+    for start in [np.zeros(6), *(_least(terms[i, j], values[i, j]) for i, j in zip(*np.nonzero(given), strict=True))]:
         left = start
         for _ in range(ROUNDS):
-            cost = ((told - (terms * left).sum(axis=3)) ** 2).sum(axis=2)
+            cost = ((values - (terms * left).sum(axis=3)) ** 2).sum(axis=2)
             nearest = cost.argmin(axis=1)
             belong = cost[points, nearest] <= BELONGS**2
             total = np.minimum(cost.min(axis=1), BELONGS**2).sum() + (left * left).sum() / FREE**2
@@ -391,7 +392,7 @@ def _associated(work: Work, found: Sequence[Sequence[Seen]]) -> tuple[list[Seen]
             if not belong.any():
                 break
             these = points[belong], nearest[belong]
-            left = _least(terms[these].reshape(-1, 6), told[these].ravel())
+            left = _least(terms[these].reshape(-1, 6), values[these].ravel())
     return [responses[k] for responses, k in zip(found, chosen.tolist(), strict=True)], near.tolist()
 
 
@@ -415,19 +416,19 @@ def _solved(work: Work, seen: Sequence[Seen], kept: Sequence[int]) -> _Fit:
     """Fit a and b to the points `kept`."""
     k, some = work.wavenumber, [seen[i] for i in kept]
     rows = [_measured(work, one) for one in some]
-    terms, told = (np.concatenate(list(part)) for part in zip(*rows, strict=True))
+    terms, values = (np.concatenate(list(part)) for part in zip(*rows, strict=True))
     middle = np.array([one.terms[1] for one in some])
     phases = np.array([one.phase for one in some])
     errors = np.array([math.hypot(_error(PHASE_ERROR, one), one.doubt) for one in some])
-    coarse = k * (middle * _least(terms, told)).sum(axis=1)
+    coarse = k * (middle * _least(terms, values)).sum(axis=1)
     shared = np.exp(1j * (phases + coarse)).sum()
     # of the turns, those nearest to each other
     turned = np.angle(shared) + np.angle(np.exp(1j * (phases + coarse)) * np.conj(shared)) - coarse
-    measured = told.size + int(np.isfinite(errors).sum())
+    measured = values.size + int(np.isfinite(errors).sum())
     terms = np.concatenate([terms, -k * middle / errors[:, None]])
     tried = []
     for turns in range(-TURNS, TURNS + 1):
-        whole = np.concatenate([told, (turned + 2 * np.pi * turns) / errors])
+        whole = np.concatenate([values, (turned + 2 * np.pi * turns) / errors])
         fine = _least(terms, whole)
         misfit = whole - (terms * fine).sum(axis=1)
         tried.append((float((misfit * misfit).sum() + (fine * fine).sum() / FREE**2), turns, fine))

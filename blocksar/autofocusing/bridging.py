@@ -67,8 +67,8 @@ def stitched(chips: Chips, displacement: FloatArray, weights: FloatArray) -> Flo
 
 def straddling(chips: Chips, gap: slice) -> BoolArray:
     """Find which points (n_point,) are seen on either side of a gap."""
-    told, later = chips.told, chips.index >= gap.stop
-    return np.asarray(np.minimum((told & later).sum(axis=1), (told & ~later).sum(axis=1)) >= SLOPE)
+    valid, later = chips.told, chips.index >= gap.stop
+    return np.asarray(np.minimum((valid & later).sum(axis=1), (valid & ~later).sum(axis=1)) >= SLOPE)
 
 
 def sight_across(chips: Chips, gap: slice) -> FloatArray:
@@ -130,8 +130,8 @@ def jump(chips: Chips, gap: slice, weights: FloatArray) -> Jump:
             whole = spectra[0][:, near % length] + moved * np.exp(-2j * np.pi * turn)
             power[i, k] = (share * (whole.real**2 + whole.imag**2).max(axis=1)).sum()
     step, best = np.unravel_index(int(power.argmax()), power.shape)
-    beside = solvers.vertex(power[step, [best - 1, best, (best + 1) % turns.size]])
-    return Jump(2 * np.pi * (float(turns[best]) + beside / turns.size), 2 * np.pi * float(steps[step]) / length)
+    offset = solvers.vertex(power[step, [best - 1, best, (best + 1) % turns.size]])
+    return Jump(2 * np.pi * (float(turns[best]) + offset / turns.size), 2 * np.pi * float(steps[step]) / length)
 
 
 def bridged(chips: Chips, displacement: FloatArray, before: FloatArray) -> FloatArray:

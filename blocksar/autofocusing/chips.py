@@ -363,10 +363,10 @@ def brightest_places(chips: Chips) -> FloatArray:
         padded[:, :n] = chips.values[i]
         power = np.abs(fft_rows(padded, inverse=False)) ** 2 * _nearness(work, length, interval)
         line, cell = np.unravel_index(int(power.argmax()), power.shape)
-        beside = vertex(power[max(line - 1, 0) : line + 2, cell])
+        fraction = vertex(power[max(line - 1, 0) : line + 2, cell])
         finer = vertex(power[line, [cell - 1, cell, (cell + 1) % length]])
         rate = 2 * np.pi * ((cell + finer + length / 2) % length - length / 2) / (length * interval)
-        offset = (line + beside - n_line // 2) * work.settings.line_spacing * work.cell
+        offset = (line + fraction - n_line // 2) * work.settings.line_spacing * work.cell
         middle = min(max(int(chips.count[i]) // 2, 1), n - 2)
         sight, turned = chips.sight[i, middle, :2], chips.sight[i, middle + 1, :2] - chips.sight[i, middle - 1, :2]
         along = np.stack([sight, turned / (2 * interval)])

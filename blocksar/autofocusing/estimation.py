@@ -154,8 +154,8 @@ def entropies(values: ComplexArray, phase: FloatArray, threads: int = 1) -> tupl
         share = image.real**2
         share += image.imag**2
         total = share.sum(axis=(1, 2), dtype=np.float64)
-        told = total > 0
-        scale = np.where(told, 1 / np.where(told, total, 1.0), 0.0)
+        positive = total > 0
+        scale = np.where(positive, 1 / np.where(positive, total, 1.0), 0.0)
         share *= scale.astype(np.float32)[:, None, None]
         logarithm = share + np.float32(TINY)
         np.log(logarithm, out=logarithm)
@@ -236,8 +236,8 @@ class Polish:
     @cached_property
     def units(self) -> FloatArray:
         """Scale from the minimiser's argument to coefficients, rad, (size * 3, size * 3): the Hessian becomes unit."""
-        told, flat = information(self.chips, self.knots, self.weights / self.weights.sum())
-        return factor(2 * (SHARPNESS * told + ANCHOR * flat + self.prior + self.tether * np.eye(told.shape[0])))
+        form, flat = information(self.chips, self.knots, self.weights / self.weights.sum())
+        return factor(2 * (SHARPNESS * form + ANCHOR * flat + self.prior + self.tether * np.eye(form.shape[0])))
 
     def coefficients(self, argument: FloatArray) -> FloatArray:
         """Coefficients (size, 3), rad, at an argument (size * 3,)."""
@@ -455,9 +455,9 @@ def phase_step(chips: Chips, phase: FloatArray, weights: FloatArray) -> float:
 
 def defocus(chips: Chips, phase: FloatArray) -> FloatArray:
     """Rms (n_point,) of phases (n_point, n) over each chip, without what a constant and a ground shift explain."""
-    out, told = np.zeros(phase.shape[0]), chips.told
+    out, valid = np.zeros(phase.shape[0]), chips.told
     for i in range(phase.shape[0]):
-        at = np.flatnonzero(told[i])
+        at = np.flatnonzero(valid[i])
         if at.size < 4:
             continue
         sight = chips.sight[i, at, :2].T

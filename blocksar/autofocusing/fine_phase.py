@@ -119,9 +119,9 @@ def own_phase(rows: ComplexArray, chips: Chips) -> tuple[Complex128Array, FloatA
     """Amplitude of each row with its phase and Doppler, (n_point, n), and the remaining power, (n_point,)."""
     n_point, n = rows.shape
     own, noise = np.zeros((n_point, n), np.complex128), np.ones(n_point)
-    told = chips.told
+    valid = chips.told
     for i in range(n_point):
-        count, there = int(chips.count[i]), np.flatnonzero(told[i])
+        count, there = int(chips.count[i]), np.flatnonzero(valid[i])
         samples, half = there.size, there.size // 2
         if half < 2:
             continue
@@ -173,8 +173,8 @@ def believed(first: FloatArray, second: FloatArray) -> FinePhase:
             lost[band], lost[-band] = signal / power, signal / power
         if number == max(len(bands) - OFF_END, 0):
             beyond = share * power * float(band.mean()) ** 2 / half
-    kept = np.stack([gain * middle, np.sqrt(gain) * apart + np.sqrt(lost) * middle])
-    phase, doubt = fft_rows(kept, inverse=True).real
+    accepted = np.stack([gain * middle, np.sqrt(gain) * apart + np.sqrt(lost) * middle])
+    phase, doubt = fft_rows(accepted, inverse=True).real
     return FinePhase(np.asarray(phase), np.asarray(doubt), float(np.sqrt(2 * beyond) / n))
 
 
@@ -207,12 +207,12 @@ def by_least_squares(chips: Chips, start: FloatArray, before: FloatArray, weight
     for _ in range(TURNS):
         phase = point_phases(narrow.corrected(knots.values(coefficients) / wavenumber))
         share = weights * point_shares(rms(phase, narrow), narrow)
-        told, _ = information(narrow, knots, share)
+        form, _ = information(narrow, knots, share)
         each = np.where(narrow.told, (share / np.maximum(narrow.told.sum(axis=1), 1))[:, None], 0.0)
         slope = knots.adjoint(narrow.spread(each * phase)).ravel()
         slope -= np.einsum("ij,j->i", prior, (whole + coefficients).ravel())
         slope -= np.einsum("ij,j->i", believed, coefficients.ravel())
-        moved = solve(told + believed + prior, slope)
+        moved = solve(form + believed + prior, slope)
         coefficients = coefficients + moved.reshape(-1, 3)
     return np.asarray(start + wide.values(coefficients) / wavenumber)
 
@@ -231,9 +231,9 @@ def point_phases(chips: Chips) -> FloatArray:
 
 def without_lines(phase: FloatArray, chips: Chips) -> FloatArray:
     """Subtract from phases (n_point, n) the linear trend of each point; 0 where there are none."""
-    out, told = np.zeros(phase.shape), chips.told
+    out, valid = np.zeros(phase.shape), chips.told
     for i in range(phase.shape[0]):
-        at = np.flatnonzero(told[i])
+        at = np.flatnonzero(valid[i])
         if at.size < LEAST_COUNT:
             continue
         u, flat = at - at.mean(), phase[i, at] - phase[i, at].mean()

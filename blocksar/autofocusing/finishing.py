@@ -61,8 +61,8 @@ def predicted_error(chips: Chips, points: Points, correction: Correction, halves
     beyond = correction.fine_error or min(unfollowed(chips, correction, halves), fine_samples(sharp, correction))
     patterns = AMPLITUDE_TO_PHASE * amplitude_in_common(sharp, correction)
     across = told_across_gaps(sharp, correction)
-    alike = alike_nearby(sharp, points, correction)
-    parts = (HALVES_TO_WHOLE * usual, beyond, unsettled, patterns, across, alike)
+    common = alike_nearby(sharp, points, correction)
+    parts = (HALVES_TO_WHOLE * usual, beyond, unsettled, patterns, across, common)
     return float(np.sqrt(sum(part**2 for part in parts)))
 
 
@@ -91,16 +91,16 @@ def alike_nearby(chips: Chips, points: Points, correction: Correction) -> float:
     for first, end in zip(chips.first, last, strict=True):
         part = share * np.maximum(np.minimum(last, end) - np.maximum(chips.first, first), 0)
         if part.sum() > 0:
-            told = part / part.sum() * bend
-            variances.append(float((told[:, None] * told[neighbours]).sum()))
+            weighted = part / part.sum() * bend
+            variances.append(float((weighted[:, None] * weighted[neighbours]).sum()))
     return math.sqrt(max(sum(variances) / max(len(variances), 1), 0.0))
 
 
 def bends(phase: FloatArray, chips: Chips) -> FloatArray:
     """Rms with sign (n_point,), rad, of the parabola in phases (n_point, n) over each dwell."""
     out = np.zeros(phase.shape[0])
-    for i, told in enumerate(chips.told):
-        at = np.flatnonzero(told)
+    for i, valid in enumerate(chips.told):
+        at = np.flatnonzero(valid)
         if at.size >= LEAST_COUNT:
             u = at - at.mean()
             parabola = solvers.orthogonal_basis(np.stack([np.ones(at.size), u, u * u]))[0][2]
@@ -125,9 +125,9 @@ def told_across_gaps(chips: Chips, correction: Correction) -> float:
         weights = correction.weights[both] * point_shares(rms(phase, some), some)  # as in least squares
         weights /= weights.sum()
         left = np.zeros((both.size, 2))
-        for i, told in enumerate(some.told):
-            at = np.flatnonzero(told)
-            u, after = np.linspace(-1, 1, told.size)[at], (some.index[i, at] >= gap.stop).astype(np.float64)
+        for i, valid in enumerate(some.told):
+            at = np.flatnonzero(valid)
+            u, after = np.linspace(-1, 1, valid.size)[at], (some.index[i, at] >= gap.stop).astype(np.float64)
             terms = solvers.orthogonal_basis(np.stack([np.ones(at.size), u, after, after * u]))[0]
             left[i] = (terms[2:] * phase[i, at]).sum(axis=1) / np.sqrt(at.size)
         mean = (weights[:, None] * left).sum(axis=0)
@@ -288,8 +288,8 @@ def finish(
     distinct = int(points.distinct.sum())
     if not (correction.finished and apart <= limit and predicted <= limit and last["step"] <= UNSETTLED):
         few = (
-            f"{distinct} of {points.x.size} points stand out of noise and clutter, and {work.settings.least_points} "
-            "tell it as a rule; "
+            f"{distinct} of {points.x.size} points {'stands' if distinct == 1 else 'stand'} out of noise and clutter, "
+            f"and {work.settings.least_points} tell it as a rule; "
         )
         raise Refused(
             f"the samples do not tell the track's error: {few if distinct < work.settings.least_points else ''}"
@@ -342,9 +342,9 @@ def _uncertainty(chips: Chips, correction: Correction, predicted: float) -> Floa
     """Standard deviation (n_sample, 3) of the displacement, m."""
     work = chips.work
     knots = Knots(work=work, n_interval=intervals(work), time=chips.time)
-    told, _ = information(chips, knots, correction.weights / correction.weights.sum())
+    form, _ = information(chips, knots, correction.weights / correction.weights.sum())
     far = work.settings.displacement * work.wavenumber
-    precision = told * (knots.size / max(predicted, 1e-3) ** 2) + np.eye(told.shape[0]) / far**2
+    precision = form * (knots.size / max(predicted, 1e-3) ** 2) + np.eye(form.shape[0]) / far**2
     root = factor(precision).reshape(knots.size, 3, -1)
     first, basis = knots.basis
     out = np.zeros((chips.time.size, 3))

@@ -82,8 +82,8 @@ class Information(NamedTuple):
 
 def information(chips: Chips, knots: Knots, weights: FloatArray) -> Information:
     """Compute the information of chips about coefficients, with weights (n_point,)."""
-    told = chips.told
-    each = np.where(told, (weights / np.maximum(told.sum(axis=1), 1))[:, None], 0.0)
+    valid = chips.told
+    each = np.where(valid, (weights / np.maximum(valid.sum(axis=1), 1))[:, None], 0.0)
     squares, form = np.zeros((chips.time.size, 3, 3)), np.zeros((3 * knots.size, 3 * knots.size))
     collect_squares(chips.sight, chips.first, each, squares)
     add_to_form(squares, *knots.basis, form)
@@ -101,14 +101,14 @@ def told_within_sides(chips: Chips, knots: Knots, weights: FloatArray) -> FloatA
     sides = missing_runs(~chips.seen)
     if len(sides) < 2:
         return information(chips, knots, weights).told
-    told = np.zeros((3 * knots.size, 3 * knots.size))
+    form = np.zeros((3 * knots.size, 3 * knots.size))
     for side in sides:
         within = np.zeros(chips.seen.size, bool)
         within[side] = True
         some = replace(chips, seen=within)
         share = some.told.sum(axis=1) / np.maximum(chips.told.sum(axis=1), 1)
-        told += information(some, knots, weights * share).told
-    return told
+        form += information(some, knots, weights * share).told
+    return form
 
 
 def bending(size: int) -> FloatArray:

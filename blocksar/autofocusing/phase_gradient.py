@@ -186,13 +186,13 @@ def own_errors(chips: Chips) -> FloatArray:
     values = np.ascontiguousarray(chips.values[np.arange(strongest.size), strongest])
     rows, _ = centred_rows(values, chips.count, LEAST_BAND)
     errors = np.full(strongest.size, np.pi)
-    u, told = np.linspace(-1, 1, PARTS), chips.told
+    u, valid = np.linspace(-1, 1, PARTS), chips.told
     for i, row in enumerate(rows):
         n = int(chips.count[i])
         if n < PARTS or energy[i].max() <= 0:
             continue
         sums = np.array([part.sum(dtype=np.complex128) for part in np.array_split(row[:n], PARTS)])
-        there = np.array([part.any() for part in np.array_split(told[i, :n], PARTS)])  # those in a gap have no phase
+        there = np.array([part.any() for part in np.array_split(valid[i, :n], PARTS)])  # those in a gap have no phase
         sums, at = sums[there], u[there]
         if at.size < LEAST_PARTS:
             continue

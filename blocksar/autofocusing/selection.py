@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from blocksar import texts
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.autofocusing.range_lines import range_profiles, take_lines, taps
 from blocksar.autofocusing.work import Work
@@ -290,23 +291,23 @@ def select_points(channels: Sequence[Sequence[Candidates]], work: Work) -> Chose
     Refused
         If no channel has as many as `EstimatorSettings.least_points`.
     """
-    places, told = [], []
+    places, totals = [], []
     for candidates in channels:
         x, y, prominence = (np.concatenate([getattr(c, name) for c in candidates]) for name in ("x", "y", "prominence"))
         middles = np.concatenate([c.middle for c in candidates])
         gaps = gaps_between([c.seen for c in candidates], work)
-        kept, score = best_points(x, y, prominence, middles, gaps, work) if x.size else ([], np.zeros(0))
-        distinct = stands_out(prominence[kept], int(sum(c.cells.sum() for c in candidates)))
-        places.append((x[kept], y[kept], distinct))
-        told.append(float(score[kept].sum()) if len(kept) >= work.settings.least_points else -1.0)
-    if max(told) < 0:
+        selected, score = best_points(x, y, prominence, middles, gaps, work) if x.size else ([], np.zeros(0))
+        distinct = stands_out(prominence[selected], int(sum(c.cells.sum() for c in candidates)))
+        places.append((x[selected], y[selected], distinct))
+        totals.append(float(score[selected].sum()) if len(selected) >= work.settings.least_points else -1.0)
+    if max(totals) < 0:
         most = max(x.size for x, _, _ in places)
         of = "" if len(channels) == 1 else ", in the channel that has most of them"
         raise Refused(
-            f"{most} points stand out in the scene{of}, but the track's error is told from at least "
+            f"the scene has {texts.count(most, 'prominent point')}{of}, but the track's error is told from at least "
             f"{work.settings.least_points}; give a larger --grid, or focus the phase history as it is"
         )
-    channel = told.index(max(told))
+    channel = totals.index(max(totals))
     x, y, distinct = places[channel]
     first, last = work.geometry.beam.longest_pass(x, y)
     z = np.broadcast_to(work.geometry.height(x, y), x.shape).copy()
@@ -354,13 +355,13 @@ def best_points(
         taken |= same
         score[i] = np.log(np.maximum(prominence[same], 1)).sum() / max(int(seen_by[i]), 1)
     score = np.where(last - first >= work.dwell // 4, score, 0.0)
-    kept = _spread(score, epoch, yaw, work, cell_yaw)
+    selected = _spread(score, epoch, yaw, work, cell_yaw)
     for gap in gaps:
         both = np.minimum(gap.start - first, last - gap.stop) >= BESIDE * work.dwell
-        if both[kept].sum() < ACROSS:
+        if both[selected].sum() < ACROSS:
             across = _spread(np.where(both, score, 0.0), epoch, yaw, work, cell_yaw)[:ACROSS]
-            kept = _spread(score, epoch, yaw, work, cell_yaw, across)
-    return kept, score
+            selected = _spread(score, epoch, yaw, work, cell_yaw, across)
+    return selected, score
 
 
 def _yaw_cell(work: Work) -> float:
@@ -388,14 +389,14 @@ def _spread(
     wide = APART * settings.lines * settings.line_spacing * work.cell
     seconds = work.short * work.geometry.collection.pulse_interval
     across = APART * settings.narrow_speed * work.wavenumber / np.pi * seconds * cell_yaw
-    kept = list(before)
-    count = np.bincount(part[kept], minlength=REGIONS[0] * REGIONS[1])
+    selected = list(before)
+    count = np.bincount(part[selected], minlength=REGIONS[0] * REGIONS[1])
     for i in np.argsort(-score, kind="stable"):
-        if score[i] <= 0 or len(kept) == settings.points:
+        if score[i] <= 0 or len(selected) == settings.points:
             break
-        near = np.array(kept, np.int64)
+        near = np.array(selected, np.int64)
         crowded = ((np.abs(epoch[near] - epoch[i]) < wide) & (np.abs(yaw[near] - yaw[i]) < across)).any()
         if count[part[i]] < cap and not crowded:
-            kept.append(int(i))
+            selected.append(int(i))
             count[part[i]] += 1
-    return kept
+    return selected

@@ -142,10 +142,10 @@ def tie(work: Work, result: Result, places: Places, parts: Sequence[ChipPart], c
     with suppress(InputError):  # they do not agree
         if len(names) >= LEAST:
             tied = anchored(work, result, names, found)
-            told = tied.figures["control"]
+            fit = tied.figures["control"]
             figures = {name: tied.figures[name] for name in tied.figures if name != "control"}
-            kept = {"points": told["points"], "moved": told["moved"], "range_left": told["range_left"]}
-            return replace(tied, figures={**figures, "tied": kept})
+            summary = {"points": fit["points"], "moved": fit["moved"], "range_left": fit["range_left"]}
+            return replace(tied, figures={**figures, "tied": summary})
     return replace(result, figures={**result.figures, "tied": {"points": 0}})
 
 

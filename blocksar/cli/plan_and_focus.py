@@ -248,27 +248,27 @@ class OfProcessors(Commands):
 def _taking_processors(command: Callable[..., None], names: Sequence[str]) -> Any:
     """Create a command that also takes processors of other packages: their names, summaries and options."""
     own = {each.name for each in options_taken(command.__name__)}
-    known, said, taken = set(signature(command).parameters), list[str](), unwrap(command)
+    known, notes, taken = set(signature(command).parameters), list[str](), unwrap(command)
     for name in names:
         try:
             part = PROCESSORS.get(name)
             stated = options_of(part.options)
             if twice := [each.name for each in stated if each.name in own]:
-                said.append(f"{name} has an option {twice[0]}, which is the command's own; repair or remove it.")
+                notes.append(f"{name} has an option {twice[0]}, which is the command's own; repair or remove it.")
                 continue
             more = [each for each in stated if each.name not in known]
             taken = taking(more, f"Options of {name}")(taken)
             known |= {each.name for each in more}
-            said.append(f"{name}: {part.summary}.")
+            notes.append(f"{name}: {part.summary}.")
         except InputError as error:
-            said.append(f"{error}.")
+            notes.append(f"{error}.")
 
     def with_names(stated: Stated) -> Stated:
         option = stated.option
         if option.choices is None:
             return stated
         choices = *option.choices(), *names
-        return stated._replace(option=replace(option, help=" ".join([option.help, *said]), choices=lambda: choices))
+        return stated._replace(option=replace(option, help=" ".join([option.help, *notes]), choices=lambda: choices))
 
     of_all = taking(map(with_names, options_taken(command.__name__)))
     return single_command(command.__name__, of_all(taking(options_of(ChainOptions), ALTERNATIVES)(taken)))

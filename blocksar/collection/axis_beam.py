@@ -153,8 +153,8 @@ def _side(collection: Collection) -> LitSide | None:
 def _loses(collection: Collection, side: LitSide, points: GroundPoints) -> BoolArray:
     """Tell which points (n,) lose pulses when passes are limited to the lit side."""
     found = _in_sheet(collection, points)
-    kept = _of_side(side, points, found)
-    sheet, lit = ((passes.lasts - passes.firsts).sum(axis=0) for passes in (found, kept))
+    on_side = _of_side(side, points, found)
+    sheet, lit = ((passes.lasts - passes.firsts).sum(axis=0) for passes in (found, on_side))
     return np.asarray(sheet != lit)
 
 
@@ -254,8 +254,8 @@ def _turning(collection: Collection, points: GroundPoints) -> tuple[IntArray, Bo
     find_turning(table, steering, nodes, *points.each(), turning, rises)
     if (side := _side(collection)) is not None:
         whole = FoundPasses(np.zeros((1, turning.size), np.int64), np.full((1, turning.size), collection.n_pulse))
-        kept = _of_side(side, points.each(), whole)
-        doubtful = np.flatnonzero((kept.firsts[0] > 0) | (kept.lasts[0] < collection.n_pulse))
+        on_side = _of_side(side, points.each(), whole)
+        doubtful = np.flatnonzero((on_side.firsts[0] > 0) | (on_side.lasts[0] < collection.n_pulse))
         turning[doubtful[_loses(collection, side, points.some(doubtful).each())]] = -1
     return turning, rises
 

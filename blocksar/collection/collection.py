@@ -92,7 +92,8 @@ def check_pattern(name: str, coordinate: str, angle: FloatArray, amplitude: Floa
         )
     for which, values in ((coordinate, angle), (name, amplitude)):
         if not np.isfinite(values).all():
-            raise InputError(f"{which} has {np.count_nonzero(~np.isfinite(values))} values that are not finite")
+            wrong = np.count_nonzero(~np.isfinite(values))
+            raise InputError(f"{which} is not finite at {wrong} of {values.size} values")
     if np.abs(angle).max() > MOST_ANGLE:
         raise InputError(
             f"{coordinate} runs from {angle.min():.6g} to {angle.max():.6g} rad, more than half a turn away; "

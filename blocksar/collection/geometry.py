@@ -229,8 +229,8 @@ class Geometry:
         return beam_of(self)
 
     def _keeping_track(self, other: Geometry) -> Geometry:
-        kept = ("track", "epoch", "nadir", "epoch_position", "track_powers")
-        other.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
+        cached = ("track", "epoch", "nadir", "epoch_position", "track_powers")
+        other.__dict__.update({name: self.__dict__[name] for name in cached if name in self.__dict__})
         return other
 
     @property

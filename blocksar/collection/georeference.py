@@ -338,11 +338,11 @@ def find_scene_centre(
     up, own = _up(position), geodetic_of(position)[2] - height
     down = -(up - float((up * along).sum()) * along)
     down /= np.linalg.norm(down)
-    beside = np.cross(along, down) if side == "left" else np.cross(down, along)
+    across = np.cross(along, down) if side == "left" else np.cross(down, along)
     centre, radius = position + slant_range * np.sin(squint) * along, slant_range * np.cos(squint)
 
     def point(angle: float) -> FloatArray:
-        return np.asarray(centre + radius * (np.cos(angle) * down + np.sin(angle) * beside))
+        return np.asarray(centre + radius * (np.cos(angle) * down + np.sin(angle) * across))
 
     if geodetic_of(point(0.0))[2] >= height:
         raise InputError(

@@ -18,6 +18,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from blocksar.arrays import BoolArray, FloatArray, IntArray
 from blocksar.collection.collection import Collection
+from blocksar.texts import count
 
 WINDOW, LEAST_WINDOW = 1 / 64, 4  # of the pulses, over which ways are judged, and the fewest intervals
 STANDS, USUAL = 0.05, 0.75  # of the usual way over a window: it stands still with less. Usual: that quantile
@@ -112,7 +113,7 @@ def _runs(mask: BoolArray) -> list[tuple[int, int]]:
 def _stands_still(collection: Collection, standing: BoolArray) -> Flaw:
     runs, n, time = _runs(standing), collection.n_pulse, collection.time
     places = ", ".join(f"{first} .. {last} (t = {time[first]:.6g} .. {time[last]:.6g} s)" for first, last in runs[:3])
-    more = f" and in {len(runs) - 3} more places" if len(runs) > 3 else ""
+    more = f" and in {count(len(runs) - 3, 'more place')}" if len(runs) > 3 else ""
     inside = [run for run in runs if run[0] > 0 and run[1] < n - 1]
     first = runs[0][1] + 1 if runs[0][0] == 0 else 0
     last = runs[-1][0] if runs[-1][1] == n - 1 else n

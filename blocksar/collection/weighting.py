@@ -24,6 +24,7 @@ from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.constants import SINC_ISLR, SINC_PSLR, SINC_WIDTH
 from blocksar.errors import InputError
+from blocksar.texts import count
 
 Name = Literal["uniform", "taylor", "hamming", "hann", "kaiser"]
 FORMS = "uniform, taylor:NBAR:SLL (such as taylor:4:-35), hamming, hann, or kaiser:BETA (such as kaiser:2.5)"
@@ -73,8 +74,8 @@ class Taper:
         needed = {"taylor": 2, "kaiser": 1}.get(self.name, 0)
         if len(self.parameters) != needed:
             raise InputError(
-                f"weighting {self.text!r} has {len(self.parameters)} parameters, but {self.name} takes {needed}; give "
-                f"{FORMS}"
+                f"weighting {self.text!r} has {count(len(self.parameters), 'parameter')}, but {self.name} takes "
+                f"{needed}; give {FORMS}"
             )
         if self.name == "taylor":
             nbar, level = self.parameters

@@ -115,11 +115,11 @@ class Path:
         change : (n, k) float
             Change of R_x - R_c from a pulse to the next, of each of them, m.
         """
-        kept = self._index(pulses)
+        index = self._index(pulses)
         points = np.concatenate([part.centre[None], part.border])
-        sight = self._smooth[kept][:, None] - points
+        sight = self._smooth[index][:, None] - points
         distance = np.sqrt((sight * sight).sum(axis=2))
-        rate = (sight * self._velocity[kept][:, None]).sum(axis=2) / distance
+        rate = (sight * self._velocity[index][:, None]).sum(axis=2) / distance
         return float(np.abs(distance[:, 1:] - distance[:, :1]).max()), rate[:, 1:] - rate[:, :1]
 
     def bend(self, low: int, high: int, part: Part) -> float:
@@ -355,8 +355,8 @@ class Hierarchy:
         (begin, end), inside = child.lit()
         if begin == end:
             return None
-        kept = slice(*np.searchsorted(frame.pulses, (begin, end)))
-        pulses, grid = frame.pulses[kept], frame.grid
+        edges = slice(*np.searchsorted(frame.pulses, (begin, end)))
+        pulses, grid = frame.pulses[edges], frame.grid
         rows = np.concatenate([grid, pulses])
         reach, change = self.path.reach(rows[:: max(rows.size // LOOKS, 1)], child)
         single = self._along_pulses(change, frame, inside)
@@ -377,7 +377,7 @@ class Hierarchy:
             pulses=pulses[(pulses < inside[0]) | (pulses >= inside[1])],
             start=frame.start + first * frame.step, step=frame.step * across.factor,
         )  # fmt: skip
-        return Filters(across, single, further, kept), left
+        return Filters(across, single, further, edges), left
 
     def _along_range(self, reach: float, frame: Frame) -> Decimation:
         """Design the filter along range frequencies for ranges up to `reach` m from the centre's."""

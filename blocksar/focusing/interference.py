@@ -204,11 +204,11 @@ def _cut_group(signal: ComplexArray, method: Cutting, turn: Complex128Array | No
         signal[valid] = samples.astype(np.complex64)[valid]
         ratio = over_medians(samples, valid & ~missing)
     missing |= lines_of(ratio)
-    kept = float((np.abs(samples[:, ~missing]) ** 2).sum())
+    remaining = float((np.abs(samples[:, ~missing]) ** 2).sum())
     signal[np.ix_(there, missing)] = np.nan
     return Interference(
         groups=1, affected=1, lines=runs(missing), cut=int((valid & there[:, None])[:, missing].sum()),
-        samples=signal.size, peak=peak, removed=max(energy - kept, 0.0), kept=kept,
+        samples=signal.size, peak=peak, removed=max(energy - remaining, 0.0), kept=remaining,
     )  # fmt: skip
 
 

@@ -62,7 +62,7 @@ def merge_chunks(
 
     Where several segments cover some of a chunk, `margins` has theirs; `noises` has those of segments, if known.
     """
-    heights, alike = GroundHeights(run, grid), AlikeChunks(run)
+    heights, layer_chunks = GroundHeights(run, grid), AlikeChunks(run)
     pool = ThreadPoolExecutor(READS_AT_ONCE)
     with pool, WritesBehind() as behind:
         coming = _read_ahead(pool, run, cells, grid)
@@ -75,7 +75,7 @@ def merge_chunks(
             collections = {part.block: part.collection for part in patches if part.collection is not None}
             of_blocks = {part.block: noises[part.segment] for part in patches} if noises else {}
             height = heights.over(window) if of_blocks else None
-            turn.submit(write_image, run, window, image, owner, collections, source, patches[0].checksum, alike)
+            turn.submit(write_image, run, window, image, owner, collections, source, patches[0].checksum, layer_chunks)
             turn.submit(write_noise, run, window, owner, grid, of_blocks, height)
     return Receipt(unit=unit, stage="mosaic", written=behind.written)
 

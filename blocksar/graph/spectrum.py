@@ -179,8 +179,8 @@ class SpectrumChunks:
         """Select the chunks with some of the bins first_bin .. last_bin - 1."""
         rows = first_bin - self.first_bin, last_bin - self.first_bin
         first = rows[0] - rows[0] % self.chunk[0]
-        kept = {place: checksum for place, checksum in self.checksums.items() if first <= place[0] < rows[1]}
-        return replace(self, checksums=kept)
+        checksums = {place: checksum for place, checksum in self.checksums.items() if first <= place[0] < rows[1]}
+        return replace(self, checksums=checksums)
 
     def read(self, region: Window) -> ComplexArray:
         """Read a region (n_bin, n_column), complex64; its columns are whole chunks.

@@ -454,5 +454,5 @@ def prepare_samples(
 
 def _create_compressed(run: Run, collection: Collection, of_echo: bool) -> None:
     # The noise of an echo is that of its samples, not of the signal's.
-    kept = Collection(**{**collection.as_dict(), "noise_power": None}) if of_echo else collection
-    stores.create_phase_history(run.compressed, kept, overwrite=True)
+    stored = Collection(**{**collection.as_dict(), "noise_power": None}) if of_echo else collection
+    stores.create_phase_history(run.compressed, stored, overwrite=True)

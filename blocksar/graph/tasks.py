@@ -199,14 +199,14 @@ def add_layers(
     `sights` has the antenna as the pixels of each owner see it. Chunks are written by other threads while the next ones
     are computed.
     """
-    layers, alike = TerrainLayers(run, grid, sights), AlikeChunks(run)
+    layers, layer_chunks = TerrainLayers(run, grid, sights), AlikeChunks(run)
     with WritesBehind() as behind:
         for _, strip in strips_of(cells, grid):
             found = layers.of(strip)
             for number, columns in enumerate(strip.columns):
                 turn, window = behind.turn(), (strip.rows, columns)
                 owner = stores.read_region(run.image, "block", window, cached=False)
-                turn.submit(write_layers, alike, window, found.over(number, owner))
+                turn.submit(write_layers, layer_chunks, window, found.over(number, owner))
     return Receipt(unit=unit, stage="layers", written=behind.written)
 
 
@@ -218,7 +218,7 @@ def form_chunks(
     sources = [source._replace(geometry=source.geometry.over(terrain)) for source in sources]
     collections = {source.number: source.collection for source in sources if source.collection is not None}
     noises = {source.number: source.noise for source in sources if source.noise is not None}
-    heights, alike = GroundHeights(run, grid), AlikeChunks(run)
+    heights, layer_chunks = GroundHeights(run, grid), AlikeChunks(run)
     written: list[Written] = []
     for formed in zip(*(_form(run, source, windows, grid) for source in sources), strict=True):
         window, image = formed[0]
@@ -233,7 +233,7 @@ def form_chunks(
             written += [
                 write(run, run.image, "image", window, image),
                 *write_level(run, window, image),
-                *write_owner(alike, window, owner, collections),
+                *write_owner(layer_chunks, window, owner, collections),
                 *write_noise(run, window, owner, grid, noises, heights.over(window) if noises else None),
             ]
     return Receipt(unit=unit, stage=stage, written=tuple(written))

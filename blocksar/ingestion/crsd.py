@@ -169,8 +169,8 @@ class _Layout:
             notes.append(f"{lost.size} of {count(n, 'vector')} without a normal signal: missing in the store")
             even = even.without(lost)
         self.notes += notes
-        kept, when = sent[even.pulses], vectors[even.pulses]
-        width, rate, carrier = (self._constant(kept, field) for field in ("TXmt", "FxRate", "FxFreq0"))
+        transmit, when = sent[even.pulses], vectors[even.pulses]
+        width, rate, carrier = (self._constant(transmit, field) for field in ("TXmt", "FxRate", "FxFreq0"))
         if np.any(when["FICRate"] != 0):
             raise InputError("has echoes that were mixed with a chirp (FICRate is not 0); compress them first")
         sampling_rate = float(self.said("Fs", self.parameters))
@@ -183,9 +183,9 @@ class _Layout:
             )
         delay = float(begun.mean()) + np.arange(n_sample) / sampling_rate + width / 2
         centre = _vectors_of(self.root, "SceneCoordinates/IARP/ECF")
-        track = self._track(even, kept, when, begun, centre)
+        track = self._track(even, transmit, when, begun, centre)
         start = epoch_of(self.said("Global/CollectionRefTime"), "CollectionRefTime")
-        axis, steering = self._antenna(kept, track, even)
+        axis, steering = self._antenna(transmit, track, even)
         form = self.said("Data/Receive/SignalArrayFormat")
         if form not in FORMATS:
             raise InputError(f"has samples in {quoted(form)}; only {', '.join(FORMATS)} are read")
@@ -194,7 +194,7 @@ class _Layout:
             path=self.path, dtype=np.dtype(FORMATS[form]), count=n_sample,
             first_byte=signals + int(self.said("SignalArrayByteOffset", data)),
             numbers=even.pulses, scale=when["AmpSF"].astype(float) if "AmpSF" in when.dtype.names else None,
-            phase=self._phase(kept, when, begun), mixed=float(carrier - when["RefFreq"][0]),
+            phase=self._phase(transmit, when, begun), mixed=float(carrier - when["RefFreq"][0]),
             delay=delay - width / 2,
         )  # fmt: skip
         self.stream.seek(0, 2)
@@ -257,8 +257,8 @@ class _Layout:
 
     def _phase(self, pulses: NDArray[Any], vectors: NDArray[Any], begun: FloatArray) -> FloatArray:
         """Phase to remove from each vector, cycles (see the package)."""
-        told = _whole(pulses["PhiX0"]) - _whole(vectors["RefPhi0"])
-        return np.asarray(np.mod(told + np.mod(vectors["RefFreq"].astype(float) * begun, 1), 1))
+        reference = _whole(pulses["PhiX0"]) - _whole(vectors["RefPhi0"])
+        return np.asarray(np.mod(reference + np.mod(vectors["RefFreq"].astype(float) * begun, 1), 1))
 
 
 def _vectors_of(root: Any, path: str) -> FloatArray:

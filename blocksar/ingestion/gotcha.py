@@ -59,7 +59,7 @@ class Joined:
         """Describe how many pulses were left out."""
         held = sum(len(file.checksums) for file in self.files)
         repeated = held - self.azimuth.size
-        return [f"{repeated} of {held} pulses repeat another, and are left out"] if repeated else []
+        return [f"{repeated} of {held} pulses that repeat another: left out"] if repeated else []
 
     @property
     def step(self) -> float:
@@ -153,7 +153,7 @@ def join(files: list[GotchaFile]) -> Joined:
     position, r0 = np.concatenate([f.position for f in files]), np.concatenate([f.r0 for f in files])
     azimuth = np.mod(np.arctan2(position[:, 1], position[:, 0]), TURN)
     if azimuth.size < 8:
-        raise InputError(f"source holds {azimuth.size} pulses altogether; at least 8 are needed")
+        raise InputError(f"source holds {count(azimuth.size, 'pulse')} altogether; at least 8 are needed")
     order = np.lexsort((file, azimuth))
     ahead = np.append(np.diff(azimuth[order]), azimuth[order[0]] + TURN - azimuth[order[-1]])
     order = np.roll(order, -1 - int(ahead.argmax()))

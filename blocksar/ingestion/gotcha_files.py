@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from blocksar import stores
+from blocksar import stores, texts
 from blocksar.arrays import UNIFORM_TOLERANCE, ComplexArray, FloatArray
 from blocksar.collection.beam import wrapped
 from blocksar.constants import SPEED_OF_LIGHT
@@ -330,7 +330,9 @@ def _numbers(fields: dict[str, Value], name: str, count: int | None = None) -> F
     if values.size != max(values.shape, default=0) or values.size == 0:
         raise InputError(f"{name} has shape {values.shape}; it must be a vector")
     if count is not None and values.size != count:
-        raise InputError(f"{name} has {values.size} values, but fp has {count} pulses; make them agree")
+        raise InputError(
+            f"{name} has {texts.count(values.size, 'value')}, but fp has {texts.count(count, 'pulse')}; make them agree"
+        )
     vector = values.astype(np.float64).ravel()
     if not np.isfinite(vector).all():
         where = int(np.argmin(np.isfinite(vector)))
@@ -348,7 +350,7 @@ def _describe(values: Value) -> str:
 def _frequency(values: FloatArray) -> FloatArray:
     """Return the uniform grid that the values match up to rounding."""
     if values.size < 8:
-        raise InputError(f"freq has {values.size} values; at least 8 are needed")
+        raise InputError(f"freq has {texts.count(values.size, 'value')}; at least 8 are needed")
     step = (values[-1] - values[0]) / (values.size - 1)
     if not step > 0 or not values[0] > 0:
         raise InputError(f"freq runs from {values[0]:.6g} to {values[-1]:.6g} Hz; it must ascend, above 0 Hz")

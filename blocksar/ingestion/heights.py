@@ -20,6 +20,7 @@ from blocksar.ingestion.terrain_earth import MOST_HEIGHTS, ellipsoid, read_geoti
 from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.stores.contract import UNITS
+from blocksar.texts import count
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -136,7 +137,9 @@ def _axis(height, axis: str) -> tuple[float, float, int]:  # type: ignore[no-unt
 def _uniform(values: FloatArray, axis: str) -> tuple[float, float, int]:
     """Start, step (m; of either sign) and size of positions, if they are uniform."""
     if values.size < LEAST or not np.isfinite(values).all():
-        raise InputError(f"{axis} has {values.size} positions, or some that are not finite; give at least {LEAST}")
+        raise InputError(
+            f"{axis} has {count(values.size, 'place')}, or some that are not finite; give at least {LEAST}"
+        )
     step = float(values[-1] - values[0]) / (values.size - 1)
     off = float(np.abs(values - (values[0] + step * np.arange(values.size))).max())
     if step == 0 or off > UNIFORM * abs(step):

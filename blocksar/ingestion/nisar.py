@@ -207,25 +207,25 @@ class _Layout:
         misses the slope's by more than BENT at its ends, the replica is what was sent.
         """
         rate, width = self.number("chirpSlope"), self.number("chirpDuration")
-        told = Chirp(rate=rate, width=width, centre=width / 2)
+        chirp = Chirp(rate=rate, width=width, centre=width / 2)
         if "chirpWaveform" not in self.transmitter:
-            return told
+            return chirp
         found = fitted_chirp(np.asarray(self.transmitter["chirpWaveform"][()]).ravel(), sampling_rate)
         if found is None or not 0 < found.centre < found.width:
             self.notes.append("chirpWaveform is no linear chirp; chirpSlope and chirpDuration are taken")
-            return told
+            return chirp
         if np.pi * abs(found.rate - rate) * (width / 2) ** 2 > BENT or abs(found.width - width) * sampling_rate > 2:
             self.notes.append(
                 f"chirpWaveform is a chirp of {found.rate:.6g} Hz/s over {1e6 * found.width:.4g} us, and is taken; "
                 f"chirpSlope and chirpDuration say {rate:.6g} Hz/s over {1e6 * width:.4g} us"
             )
-            told = found
-        if abs(found.centre - told.width / 2) * sampling_rate > CENTRED:
+            chirp = found
+        if abs(found.centre - chirp.width / 2) * sampling_rate > CENTRED:
             self.notes.append(
                 f"by chirpWaveform the pulse's centre comes {1e6 * found.centre:.6g} us after its beginning, "
-                f"{1e6 * (found.centre - told.width / 2):.3g} us off the middle of its duration"
+                f"{1e6 * (found.centre - chirp.width / 2):.3g} us off the middle of its duration"
             )
-        return told._replace(centre=found.centre)
+        return chirp._replace(centre=found.centre)
 
     def _correction(self, channel: str) -> ComplexArray | None:
         """Factors (n_pulse,) that give echoes a constant phase relative to transmission; None without such data."""
@@ -315,11 +315,10 @@ class _Layout:
         lost = power(marked) < HALF * power(near)
         if not lost.any():
             return even
-        kept = even.pulses.size - int(np.count_nonzero(lost))
-        refuse_few(kept, even.pulses.size, "calibration pulses have no echo", "take others with --pulses")
+        n_left = even.pulses.size - int(np.count_nonzero(lost))
+        refuse_few(n_left, even.pulses.size, "calibration pulses have no echo", "take others with --pulses")
         self.notes.append(
-            f"{even.pulses.size - kept} of {even.pulses.size} pulses are calibration pulses without echo, and are "
-            "missing in the store"
+            f"{even.pulses.size - n_left} of {even.pulses.size} pulses for calibration only: missing in the store"
         )
         return even.without(marked[lost])
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.errors import InputError, quoted
+from blocksar.texts import count
 
 NEIGHBOURS = 4  # states, of which one polynomial has places and velocities
 SPIN = 7.292115e-5  # rad/s, of the Earth
@@ -49,7 +50,7 @@ class Orbit:
     def __post_init__(self) -> None:
         n = self.time.size
         if n < 2 or self.position.shape != (n, 3) or self.velocity.shape != (n, 3):
-            raise InputError(f"the orbit has {n} states; at least two with position and velocity are needed")
+            raise InputError(f"the orbit has {count(n, 'state')}; at least two with position and velocity are needed")
         finite = all(np.isfinite(each).all() for each in (self.time, self.position, self.velocity))
         if not finite or not (np.diff(self.time) > 0).all():
             raise InputError("the orbit's states are not finite, or their times do not ascend; give the file anew")

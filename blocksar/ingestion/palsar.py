@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from blocksar import texts
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, MissingInput, quoted
@@ -340,13 +341,13 @@ class Image:
             if len(head) < DESCRIPTOR + PREFIX or not ceos(Start(path.name, head, whole=False), b"\x32\x0a"):
                 raise InputError("ends before its first line, or has no CEOS descriptor; get it again")
             length = int.from_bytes(head[DESCRIPTOR + 8 : DESCRIPTOR + 12], "big")
-            told = head[180:186].decode("latin-1").strip()
+            count = head[180:186].decode("latin-1").strip()
             size = path.path.stat().st_size - DESCRIPTOR
             if length < PREFIX + 16 or length > 1 << 20:
                 raise InputError(f"has lines of {length} bytes, which cannot be; get it again")
-            if size % length or (told.isdigit() and int(told) != size // length):
+            if size % length or (count.isdigit() and int(count) != size // length):
                 raise InputError(
-                    f"has {size / length:.6g} lines of {length} bytes, but should have {told or 'some'}; get it again"
+                    f"has {size / length:.6g} lines of {length} bytes, but should have {count or 'some'}; get it again"
                 )
             unsigned = head[428:432].decode("latin-1").strip().upper() in ("CIU1", "UI*1", "CIU*")
             return cls(path=path, length=length, count=size // length, unsigned=unsigned)
@@ -481,7 +482,8 @@ def _even(image: Image, options: StripOptions, quad: bool, notes: list[str]) -> 
     run = chosen[ends[longest] : ends[longest + 1]]
     prf = float(fields["PRF"][run[0]]) * MILLI
     if not prf > 0 or run.size < LEAST:
-        raise InputError(f"{image.path}: the PRF is {prf:g} Hz over {run.size} lines at most; get it again")
+        run_length = texts.count(run.size, "line")
+        raise InputError(f"{image.path}: the PRF is {prf:g} Hz over at most {run_length}; get it again")
     if run.size < chosen.size:
         refuse_few(run.size, chosen.size, "the PRF changes", f"lines {run[0]}:{run[-1] + 1} have one of {prf:.6g} Hz: "
                    "take them with --pulses")  # fmt: skip
@@ -494,9 +496,9 @@ def _even(image: Image, options: StripOptions, quad: bool, notes: list[str]) -> 
     nought = fields["nought"][run] != 0
     counted = _counted(fields, run, seconds)
     if counted is not None:
-        even, said = even_pulses(counted)
+        even, even_notes = even_pulses(counted)
         even = even.of_file(run)
-        notes += ["times of lines are those of their counters of microseconds", *said]
+        notes += ["times of lines are those of their counters of microseconds", *even_notes]
         return _with_echoes(even, nought[np.searchsorted(run, even.pulses)], image, notes)
     way = float(seconds[-1] - seconds[0])
     # Of four channels every other pulse is one's; the times tell how the PRF counts.
@@ -516,7 +518,7 @@ def _even(image: Image, options: StripOptions, quad: bool, notes: list[str]) -> 
     notes.append("lines have no counters of microseconds: their times are by milliseconds and the PRF")
     slots = slots.astype(np.int64)
     if lost := int(time.size - slots.size):
-        notes.append(f"{lost} of {time.size} lines are lost, and missing in the store")
+        notes.append(f"{lost} of {time.size} lines lost: missing in the store")
     whole = Even(run, np.asarray(time[slots]), slots, time, interval, (int(run[0]), int(run[-1]) + 1))
     return _with_echoes(whole, nought, image, notes)
 
@@ -524,12 +526,13 @@ def _even(image: Image, options: StripOptions, quad: bool, notes: list[str]) -> 
 def _with_echoes(even: Even, nought: BoolArray, image: Image, notes: list[str]) -> Even:
     """Drop lines (n,) that are marked as empty."""
     if nought.any():
-        kept = int(np.count_nonzero(~nought))
-        refuse_few(kept, nought.size, "lines are marked as empty", "take others with --pulses")
-        notes.append(f"{nought.size - kept} of {nought.size} lines are marked as empty, and missing in the store")
+        n_left = int(np.count_nonzero(~nought))
+        refuse_few(n_left, nought.size, "lines are marked as empty", "take others with --pulses")
+        notes.append(f"{nought.size - n_left} of {nought.size} lines marked as empty: missing in the store")
         even = even.without(np.flatnonzero(nought))
     if even.pulses.size < LEAST:
-        raise InputError(f"{image.path}: {even.pulses.size} lines have echoes; at least {LEAST} are needed")
+        lines = texts.count(even.pulses.size, "line")
+        raise InputError(f"{image.path}: {lines} with echoes; at least {LEAST} are needed")
     return even
 
 
@@ -562,12 +565,12 @@ def _chirp_rate(
     InputError
         If none can be.
     """
-    told = (
+    stated = (
         ("the lines", 1e6 * float(fields["linear coefficient"][0])),
         ("the leader", leader.known("linear coefficient of the pulse")),
         ("the leader's bandwidth", leader.bandwidth / pulse_width),
     )
-    for name, rate in told:
+    for name, rate in stated:
         if rate and 0.1 * sampling_rate < abs(rate) * pulse_width <= sampling_rate:
             notes.append(
                 f"chirp of {abs(rate):.6g} Hz/s over {1e6 * pulse_width:g} us, by {name}, taken to fall; --chirp-sign "

@@ -295,7 +295,7 @@ def ingest(
         stores.create_collections(target, groups, origin=origin, overwrite=overwrite, fill=fill, identity=identity)
     messages = [sentence for each in readings.values() for sentence in each.messages()]
     if there:
-        messages.append(f"{there} of {sum(each.total for each in samples)} pulses were there from one that ended early")
+        messages.append(f"{there} of {sum(each.total for each in samples)} pulses kept from a call that ended early")
     return Ingested(
         path=target.path if isinstance(target, LocalPlace) else target, collection=first.collection, messages=messages
     )

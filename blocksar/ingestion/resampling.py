@@ -231,17 +231,17 @@ class LowPass:
         out = np.empty((samples.shape[0], self.places.size), np.complex64)
         usual = self.kind[self.places.size // 2]
         every = groups(self.places.size)
-        alike = [some for some in every if some.stop - some.start == TOGETHER and (self.kind[some] == usual).all()]
-        if len(alike) < 2 or alike[-1].stop - alike[0].start > TOGETHER * len(alike):
-            alike = []
-        for some in [each for each in every if each not in alike]:
+        regular = [some for some in every if some.stop - some.start == TOGETHER and (self.kind[some] == usual).all()]
+        if len(regular) < 2 or regular[-1].stop - regular[0].start > TOGETHER * len(regular):
+            regular = []
+        for some in [each for each in every if each not in regular]:
             out[:, some] = samples[:, self.inputs(some)] @ self.matrix(some).T
-        if alike:
-            first, second = (self.inputs(some) for some in alike[:2])
+        if regular:
+            first, second = (self.inputs(some) for some in regular[:2])
             windows = sliding_window_view(samples[:, first.start :], first.stop - first.start, axis=1)
-            windows = windows[:, :: second.start - first.start][:, : len(alike)]
-            sums = windows.reshape(-1, first.stop - first.start) @ self.matrix(alike[0]).T
-            out[:, alike[0].start : alike[-1].stop] = sums.reshape(samples.shape[0], -1)
+            windows = windows[:, :: second.start - first.start][:, : len(regular)]
+            sums = windows.reshape(-1, first.stop - first.start) @ self.matrix(regular[0]).T
+            out[:, regular[0].start : regular[-1].stop] = sums.reshape(samples.shape[0], -1)
         return out
 
     def over_rows(self, read: Callable[[slice], ComplexArray], some: slice) -> ComplexArray:
@@ -453,8 +453,8 @@ def plan_cut(collection: Collection, area: Area, present: BoolArray) -> AreaCut:
     pulses = plan_lowpass(len(antenna), steps[0], band / collection.prf, present[lit])
     frequencies = plan_lowpass(frequency.size, steps[1], delays * step)
     within = (asked.start - lit.start - steps[0], asked.stop - lit.start + steps[0])
-    kept = _good(pulses, shown, within), _good(frequencies, shown)
-    at, f = pulses.places[kept[0]], frequency[frequencies.places[kept[1]]]
+    selected = _good(pulses, shown, within), _good(frequencies, shown)
+    at, f = pulses.places[selected[0]], frequency[frequencies.places[selected[1]]]
     changed = max(steps) > 1
     carrier = float(f[0] + f[-1]) / 2
     time = collection.time[lit][at]
@@ -475,7 +475,7 @@ def plan_cut(collection: Collection, area: Area, present: BoolArray) -> AreaCut:
         f"from beyond fall to as much; ground to {ROOM:g} m off the plane stays"
     )
     return AreaCut(
-        collection=new, first=lit.start, pulses=pulses, frequencies=frequencies, kept=kept,
+        collection=new, first=lit.start, pulses=pulses, frequencies=frequencies, kept=selected,
         shift=shift if changed else None, later=later, message=message,
     )  # fmt: skip
 
@@ -521,7 +521,10 @@ def _good(filtered: LowPass, shown: str, within: tuple[float, float] = (-np.inf,
     inside = (filtered.places > within[0]) & (filtered.places < within[1])
     good = np.flatnonzero(filtered.good & inside)
     if good.size < 8:
-        raise InputError(f"{shown} leaves {good.size} pulses or frequencies; at least 8 are needed: give a larger one")
+        raise InputError(
+            f"{shown} leaves {good.size} of {filtered.good.size} pulses or frequencies; at least 8 are needed: give a "
+            "larger one"
+        )
     return slice(int(good[0]), int(good[-1]) + 1)
 
 

@@ -59,7 +59,7 @@ from blocksar.places import Location, readable
 from blocksar.places.ranges import Readable
 from blocksar.spans import parse_pulses
 from blocksar.stores import blocks_of
-from blocksar.texts import frequency_text
+from blocksar.texts import count, frequency_text
 
 # ---------------------------------------------------------------- options
 
@@ -279,7 +279,7 @@ def even_pulses(time: FloatArray) -> tuple[Even, list[str]]:
         If there are too few, or their times do not ascend, or gaps leave less than half of them.
     """
     if time.size < LEAST or not np.isfinite(time).all():
-        raise InputError(f"{time.size} pulses with finite times are left; at least {LEAST} are needed")
+        raise InputError(f"{count(time.size, 'pulse')} with finite times left; at least {LEAST} are needed")
     steps = np.diff(time)
     if (steps <= 0).any():
         raise InputError(f"times of pulses do not ascend at pulse {int(np.argmax(steps <= 0)) + 1}; give the file anew")
@@ -287,12 +287,12 @@ def even_pulses(time: FloatArray) -> tuple[Even, list[str]]:
     notes = []
     part = _longest(steps <= LONGEST_GAP * usual)
     if part[1] - part[0] < time.size:
-        kept = f"pulses {part[0]} .. {part[1] - 1}, {part[1] - part[0]} of {time.size}"
+        taken = f"pulses {part[0]} .. {part[1] - 1}, {part[1] - part[0]} of {time.size}"
         refuse_few(
             part[1] - part[0], time.size, f"there are gaps of more than {LONGEST_GAP} pulses",
             "take the part between two with --pulses",
         )  # fmt: skip
-        notes.append(f"there are gaps of more than {LONGEST_GAP} pulses; {kept}, are taken: others with --pulses")
+        notes.append(f"there are gaps of more than {LONGEST_GAP} pulses; {taken}, are taken: others with --pulses")
     pulses = np.arange(*part)
     time, steps = time[pulses], steps[pulses[:-1]]
     whole = np.rint(steps / usual)
@@ -302,7 +302,7 @@ def even_pulses(time: FloatArray) -> tuple[Even, list[str]]:
     if placed is not None:
         slots, at, step = placed
         if lost := int(slots[-1] + 1 - slots.size):
-            notes.append(f"{lost} of {slots[-1] + 1} pulses are lost, and missing in the store")
+            notes.append(f"{lost} of {slots[-1] + 1} pulses lost: missing in the store")
     else:
         slots = None
         step = float(steps[steps < SKIPPED * usual].mean())
@@ -550,9 +550,9 @@ class RawStrip:
         """Describe the errors of the resampling."""
         good, band = resampling.good, max(self.doppler[1], BAND_OF_PRF / self.even.interval)
         return (
-            f"{np.count_nonzero(~good)} of {good.size} even pulses have too few beside them to be computed, and are "
-            f"missing; the error of others is at most {20 * np.log10(resampling.bound[good].max()):.0f} dB of an echo "
-            f"within {band:.5g} Hz of Doppler about the beam's centre"
+            f"{np.count_nonzero(~good)} of {good.size} even pulses with too few neighbours to be computed: missing "
+            f"in the store; the error of others is at most {20 * np.log10(resampling.bound[good].max()):.0f} dB of an "
+            f"echo within {band:.5g} Hz of Doppler about the beam's centre"
         )
 
     def told_sign(self) -> list[str]:

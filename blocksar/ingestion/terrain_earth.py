@@ -327,10 +327,10 @@ def remarks_on(heights: FloatArray, plane: float, path: Place, *, feet: bool) ->
             f"{path} is exactly 0 m all over the grid, {abs(plane):.0f} m {_side(-plane)} the scene's plane: if "
             "0 stands for no data, give a file that has the heights, or leave --terrain out",
         )
-    if (beside := _beside(heights, zero)) > FAR:
+    if (step := _beside(heights, zero)) > FAR:
         return (
             f"{path} is exactly 0 m at {100 * zero.sum() / known.sum():.2g} % of its heights about the grid, beside "
-            f"heights of {beside:.0f} m: if 0 stands for no data, tag it (`rio edit-info --nodata 0 "
+            f"heights of {step:.0f} m: if 0 stands for no data, tag it (`rio edit-info --nodata 0 "
             f"{shlex.quote(str(path))}`)",
         )
     middle = float(np.median(heights[known]))
@@ -552,5 +552,5 @@ def _extents(file: DatasetReader, image: FloatArray) -> str:
     west, south, east, north = transform_bounds(file.crs, "EPSG:4326", *file.bounds)
     own = (float(limit(image[..., axis])) for axis in (1, 0) for limit in (np.min, np.max))
     spans = ((west, east, south, north), tuple(own))
-    told = [f"longitude {a:.5g} .. {b:.5g}, latitude {c:.5g} .. {d:.5g} degrees" for a, b, c, d in spans]
-    return f"it spans {told[0]}, and the image {told[1]}"
+    extents = [f"longitude {a:.5g} .. {b:.5g}, latitude {c:.5g} .. {d:.5g} degrees" for a, b, c, d in spans]
+    return f"it spans {extents[0]}, and the image {extents[1]}"

@@ -99,13 +99,13 @@ def judged_by_others(lines: Sequence[PointLine], n_pulse: int) -> Judged:
     """
     order = sorted(range(len(lines)), key=lambda i: lines[i].pulses.start)
     found, covered = np.zeros(len(lines)), np.zeros(len(lines))
-    for others, judged in ((order[0::2], order[1::2]), (order[1::2], order[0::2])):
-        if not judged or not others:
+    for others, tested in ((order[0::2], order[1::2]), (order[1::2], order[0::2])):
+        if not tested or not others:
             continue
         phase, seen = refocus([lines[i] for i in others], n_pulse).phase, np.zeros(n_pulse, np.bool_)
         for i in others:
             seen[lines[i].pulses] = True
-        for i in judged:
+        for i in tested:
             found[i] = concentration(lines[i].values * np.exp(-1j * phase[lines[i].pulses]))
             covered[i] = seen[lines[i].pulses].mean()
     return Judged(found, covered)

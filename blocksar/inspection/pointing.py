@@ -187,12 +187,12 @@ def _line(source: Lines, place: ProminentPoint, turns: int, collection: Collecti
 
 def _captured(source: Lines, line: PointLine, collection: Collection, hypotheses: _Hypotheses) -> FloatArray:
     """|sum|^2 / n of a line under each hypothesis, its concentration there, and n, (3, n_hypothesis)."""
-    geometry, said = source.geometry, beam_angle(collection)[line.pulses]
+    geometry, angle = source.geometry, beam_angle(collection)[line.pulses]
     offset = geometry.beam.offset(np.array(line.place.x), np.array(line.place.y), line.pulses)
     energy, focus, n = np.zeros((3, hypotheses.law.size))
     for number, law in enumerate(hypotheses.laws):
         which: BoolArray = hypotheses.law == number
-        away = wrapped(offset + said - law[line.pulses])
+        away = wrapped(offset + angle - law[line.pulses])
         order = np.argsort(away)
         away, values = away[order], line.values[order]
         sums, powers = (np.concatenate([[0], np.cumsum(part)]) for part in (values, np.abs(values) ** 2))
@@ -245,13 +245,13 @@ def _judged(
 def _names(collection: Collection, hypotheses: _Hypotheses, which: int) -> tuple[str, str]:
     """Describe what is wrong under a hypothesis, and what to change."""
     field = "beam_azimuth" if collection.beam_steering is None else "beam_steering"
-    error, width, said = hypotheses.error[which], hypotheses.width[which], collection.beam_width or 1.0
+    error, width, stated = hypotheses.error[which], hypotheses.width[which], collection.beam_width or 1.0
     if hypotheses.law[which] == 1:
         return "the beam turns the other way", f"reverse {field} along pulse"
     if hypotheses.law[which] == 2:
         return "the beam looks to the other side", f"negate {field}"
-    if width < said:
-        name = f"the beam has about {width / said:.2g} of the {np.degrees(said):.3g} degrees of beam_width"
+    if width < stated:
+        name = f"the beam has about {width / stated:.2g} of the {np.degrees(stated):.3g} degrees of beam_width"
         return name, f"give beam_width as {width:.3g} rad"
     degrees = np.degrees(error)
     return f"the beam is off by {-degrees:+.3g} degrees", f"add {degrees:+.3g} degrees to {field}"

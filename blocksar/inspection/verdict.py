@@ -228,8 +228,8 @@ class Findings:
     @property
     def blurred(self) -> bool:
         """Whether a refocus helps so much that the track must be wrong."""
-        said = bool(self.given.concentration) and (self.better or self.beam) is None and self.sharpness < SHARP
-        return said and self.judged.refocused >= REFOCUSED and not self.spread
+        settled = bool(self.given.concentration) and (self.better or self.beam) is None and self.sharpness < SHARP
+        return settled and self.judged.refocused >= REFOCUSED and not self.spread
 
     @property
     def as_sharp(self) -> list[Trial]:
@@ -316,13 +316,13 @@ class Findings:
         """Name the alternatives that were ruled out, and those that remain undecided."""
         if len(self.trials) == 1:
             return "; `blocksar check` tries a mirrored image, and one seen a PRF away"
-        said = ""
+        text = ""
         for verdict, lead in (("ruled out", "ruled out"), ("not told", "not told from what is given")):
             names = [t.name for t in self.trials[1:] if t.verdict == verdict]
             names += [MIRRORED] if verdict == "not told" and self.mirrored else []
             more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-            said += f"; {lead}: {', '.join(names[:NAMED])}{more}" if names else ""
-        return said
+            text += f"; {lead}: {', '.join(names[:NAMED])}{more}" if names else ""
+        return text
 
     def _of_the_beam(self) -> str:
         """State whether the beam was checked."""

@@ -24,10 +24,10 @@ class Scratch:
     def array(self, name: Hashable, shape: tuple[int, ...]) -> ComplexArray:
         """Return an array of complex64, not cleared; the previous one of this name is overwritten."""
         size = math.prod(shape)
-        kept = self._kept.get(name)
-        if kept is None or kept.size < size:
-            kept = self._kept[name] = self._empty(int(ROOM * size), np.complex64)
-        return kept[:size].reshape(shape)
+        memory = self._kept.get(name)
+        if memory is None or memory.size < size:
+            memory = self._kept[name] = self._empty(int(ROOM * size), np.complex64)
+        return memory[:size].reshape(shape)
 
 
 GROUP_BYTES = 768 * 1024  # of the rows in a group, to stay within a core's second-level cache

@@ -92,7 +92,7 @@ def level_lines(problem: LevellingProblem, damping: float, enough: float, steps:
     damped, below = np.empty((n + 1, 2 * n)), np.empty((n, n))
     for i in range(n):
         x[i], at[i], norm[i], scale[i], step[i], found[i] = start[i], start[i], 0.0, 1.0, 0.0, 0.0
-    cost, growth, taken, probing, kept = np.inf, 2.0, 0, False, False
+    cost, growth, taken, probing, accepted = np.inf, 2.0, 0, False, False
     while True:
         sound = evaluate(problem, at, trial, trial_rows, not probing)
         if probing:
@@ -105,8 +105,8 @@ def level_lines(problem: LevellingProblem, damping: float, enough: float, steps:
             new_cost = _dot(trial, trial)
             if taken == 0 and not new_cost < np.inf:
                 break
-            if new_cost < cost and (sound or not kept):
-                kept = sound
+            if new_cost < cost and (sound or not accepted):
+                accepted = sound
                 last = taken == steps or cost - new_cost <= enough * new_cost
                 cost = new_cost
                 for i in range(n):

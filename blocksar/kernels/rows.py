@@ -268,10 +268,10 @@ class _CutPass:
     def __call__(self, group: ComplexArray, rows: slice, out: ComplexArray | None = None) -> ComplexArray:
         if out is None:
             out = np.empty((group.shape[0], self.size), np.complex64)
-        for row, kept, first in zip(group, out, (self.first[rows] % group.shape[1]).tolist(), strict=True):
+        for row, target, first in zip(group, out, (self.first[rows] % group.shape[1]).tolist(), strict=True):
             ahead = row[first : first + self.size]
-            kept[: ahead.size] = ahead
-            kept[ahead.size : self.size] = row[: self.size - ahead.size]
+            target[: ahead.size] = ahead
+            target[ahead.size : self.size] = row[: self.size - ahead.size]
         return out
 
 

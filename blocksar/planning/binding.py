@@ -122,7 +122,7 @@ class RangePart:
 
     @property
     def freedom(self) -> FittedSteps:
-        """Which polynomials of the following steps are fitted."""
+        """Kinds of polynomials to fit in the steps after range compression."""
         fitted = {kind.fitted for kind in self.azimuth_kinds}
         return FittedSteps("time" in fitted, "doppler" in fitted, "resampling" in fitted)
 

@@ -273,8 +273,8 @@ def _predict(
         layers = [_layer(sector, azimuth, lines, ground) for ground in grounds]
         predicted = predict(layers[0].targets, gate, reached=reached, imaged=imaged, band=band)
         for targets, _ in layers[1:]:
-            judged = JudgedTargets.of(targets, reached, imaged)
-            predicted = predicted.or_lobes(worst_lobes(targets, gate, judged, band=band))
+            masks = JudgedTargets.of(targets, reached, imaged)
+            predicted = predicted.or_lobes(worst_lobes(targets, gate, masks, band=band))
         seen &= reached
     return predicted.less(sector.beam_loss, map_loss(ground, lines, seen, layers))
 

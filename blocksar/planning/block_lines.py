@@ -266,7 +266,7 @@ def lit_beside(sector: Sector, azimuth: AzimuthPart, lines: TracedTargets) -> Tr
     folds = (np.abs(np.log2(np.maximum(wider.line.stretch, LEAST_STRETCH))) > FOLDED).any(axis=(0, 2))
     if not folds.any():
         return wider
-    before, behind = (np.flatnonzero(folds & beside) for beside in (wider.yaw < sector.low, wider.yaw > sector.high))
+    before, behind = (np.flatnonzero(folds & outside) for outside in (wider.yaw < sector.low, wider.yaw > sector.high))
     first, last = before.max(initial=-1) + 1, behind.min(initial=wider.yaw.size) - 1
     ends = min(float(wider.yaw[first]), sector.low), max(float(wider.yaw[last]), sector.high)
     return _trace_wider(sector, azimuth, lines, *ends)

@@ -187,7 +187,7 @@ class Ladders:
         seconds = self.rates.read * (end - begin) * n_frequency
         filters, frame = entered
         seconds += self._filtering(filters, frame, end - begin, 0, n_frequency)
-        kept = samples = on_gpu = _samples(frame)
+        held_samples = samples = on_gpu = _samples(frame)
         count = 1.0
         for above, below in pairwise(sides):
             part = self.part(place, below)
@@ -201,14 +201,14 @@ class Ladders:
             filters, left = descended
             edges = len(range(*filters.kept.indices(frame.pulses.size)))
             seconds += count * (self.rates.part + self._filtering(filters, left, edges, frame.size, frame.columns))
-            kept += _samples(left)
+            held_samples += _samples(left)
             between = max(frame.size, edges)
-            samples = max(samples, kept + between * left.columns)
-            on_gpu = max(on_gpu, kept + between * (frame.columns + left.columns))
+            samples = max(samples, held_samples + between * left.columns)
+            on_gpu = max(on_gpu, held_samples + between * (frame.columns + left.columns))
             frame = left
         rows, bins = frame.size + frame.pulses.size, fast_length(self.hierarchy.levels.upsampling * frame.columns)
-        samples = max(samples, kept + PROFILES * rows * bins)
-        on_gpu = max(on_gpu, kept + (PROFILES + GPU_PROFILES) * rows * bins)
+        samples = max(samples, held_samples + PROFILES * rows * bins)
+        on_gpu = max(on_gpu, held_samples + (PROFILES + GPU_PROFILES) * rows * bins)
         seconds += count * (self.rates.profile * rows * bins + self._last(frame, part, sides[-1]))
         return Cost(seconds=seconds, samples=samples, on_gpu=on_gpu)
 

@@ -127,8 +127,8 @@ def predict(
     rng, yaw = targets.epoch_range, targets.yaw
     range_cell = SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
     residual = spots.residual
-    judged = JudgedTargets.of(targets, reached, imaged or ())
-    lobes = worst_lobes(targets, gate, judged, band=band)
+    masks = JudgedTargets.of(targets, reached, imaged or ())
+    lobes = worst_lobes(targets, gate, masks, band=band)
     slope = np.gradient(spots.doppler, yaw, axis=1)
     dwell = (line.weight * line.stretch).sum(axis=-1)
     width = weights.taper.ideal.width
@@ -139,13 +139,13 @@ def predict(
     middle = yaw.size // 2
     track_phase = _track_phase(geometry, rng, yaw)
     track_loss = 1 - float(np.exp(-(track_phase**2) / 2))
-    phase_loss, range_loss, dispersion_loss = worst_losses(targets, gate, judged, reached=reached, band=band)
+    phase_loss, range_loss, dispersion_loss = worst_losses(targets, gate, masks, reached=reached, band=band)
     return Prediction(
-        residual_phase=float(residual[judged.there].max()),
-        quadratic_phase=float(spots.quadratic[judged.there].max()),
+        residual_phase=float(residual[masks.there].max()),
+        quadratic_phase=float(spots.quadratic[masks.there].max()),
         pslr=lobes.side,
         width=lobes.widened,
-        migration=float(spots.migration[judged.there].max() / range_cell),
+        migration=float(spots.migration[masks.there].max() / range_cell),
         resolution=float(widths[rng.size // 2, middle] * ground[rng.size // 2]),
         track_phase=track_phase,
         coherence=max(1 - (phase_loss + range_loss + dispersion_loss + track_loss), 0.0),
@@ -408,12 +408,12 @@ def worst_lobes(targets: TracedTargets, gate: DwellGate | None, judged: JudgedTa
     worst = tuple(int(i) for i in np.unravel_index(int(np.argmax(residual)), residual.shape))
     some = [worst] if uniform or not full.any() else [worst, *_corners(full)]
     changed = _at_ends(targets, gate) if gate is not None and gate.lift else None
-    beside = None if targets.weights.taper.uniform else _beside(targets, band)
-    found = [_azimuth_lobes(targets, target, changed if full[target] else None, beside) for target in some]
+    neighbours = None if targets.weights.taper.uniform else _beside(targets, band)
+    found = [_azimuth_lobes(targets, target, changed if full[target] else None, neighbours) for target in some]
     for edge in judged.edges:
         for outer, inner in edge.beside(worst):
-            beyond = _azimuth_lobes(targets, outer, changed, beside)
-            inside = _azimuth_lobes(targets, inner, changed if full[inner] else None, beside)
+            beyond = _azimuth_lobes(targets, outer, changed, neighbours)
+            inside = _azimuth_lobes(targets, inner, changed if full[inner] else None, neighbours)
             found.append(inside.towards(beyond, float(edge.share[outer])))
     return max(found, key=Lobes.change)
 

@@ -162,11 +162,11 @@ def find_relief(samples: ReliefPoints, geometry: Geometry, *, low: float, high: 
     depth = Depth(x=float(x), y=float(y), z=float(geometry.epoch_position[2]))
     turn = wrapped(samples.yaw - (low + high) / 2)
     u, v = along.place(samples.epoch_range), 2 * turn / (high - low)
-    inside, beside = (np.abs(u) <= 1) & (np.abs(v) <= 1), _beside(samples, turn, (high - low) / 2, along)
-    inside = inside if inside.any() else beside
+    inside, around = (np.abs(u) <= 1) & (np.abs(v) <= 1), _beside(samples, turn, (high - low) / 2, along)
+    inside = inside if inside.any() else around
     u, v, z = u[inside], v[inside], samples.z[inside]
     level = float(z.mean()) if z.size else geometry.collection.ground_height
-    bounds = samples.z[beside] if z.size else np.array([level])
+    bounds = samples.z[around] if z.size else np.array([level])
     spare = ROOM * float(np.ptp(bounds))  # between samples heights may go beyond them
     cells = _in_cells(u, v, z, level)
     smooth, fine = (

@@ -75,18 +75,18 @@ def describe_shortfall(plan: Plan, *, compared: bool = False) -> str:
     if plan.method.variant:
         remedy += ", or leave the alternative methods out"
     if 1 - p.coherence > 1 - plan.fidelity:
-        kept, figure = f"fidelity {plan.fidelity:.12g} is", f"coherence {p.coherence:.6g}"
+        subject, figure = f"fidelity {plan.fidelity:.12g} is", f"coherence {p.coherence:.6g}"
     else:  # said apart, for it is no matter of coherence
         allowed = side_lobe_budget(plan.fidelity, p.ideal_pslr)
-        kept = f"fidelity {plan.fidelity:.12g} is kept in coherence, but side lobes to {allowed:.2g} dB are"
+        subject = f"fidelity {plan.fidelity:.12g} is kept in coherence, but side lobes to {allowed:.2g} dB are"
         figure = f"side lobes of {p.pslr:.2f} dB instead of {p.ideal_pslr:.2f}"
     if plan.searched:
         closest = "block comes" if plan.n_blocks == 1 else "blocks come"
         return (
-            f"{kept} not kept by any division that was tried: {plan.n_blocks} {closest} closest, with {figure} "
+            f"{subject} not kept by any division that was tried: {plan.n_blocks} {closest} closest, with {figure} "
             f"predicted in block {worst.name}, and most is lost by {cause}; {remedy}"
         )
-    return f"{kept} not kept: block {worst.name} predicts {figure}, and most is lost by {cause}; {remedy}"
+    return f"{subject} not kept: block {worst.name} predicts {figure}, and most is lost by {cause}; {remedy}"
 
 
 TRACK_TOLD = 0.01  # rad: noise of the track that leaves less is not mentioned
@@ -162,7 +162,8 @@ def cut_lobes(plan: Plan) -> str | None:
     if not cut:
         return None
     worst = max(cut, key=lambda block: block.prediction.ideal_pslr)
-    some = f"{len(cut)} of {len(plan.blocks)} blocks have" if len(plan.blocks) > 1 else "the block has"
+    verb = "has" if len(cut) == 1 else "have"
+    some = f"{len(cut)} of {len(plan.blocks)} blocks {verb}" if len(plan.blocks) > 1 else "the block has"
     return (
         f"{some} no full dwell: the weighting of cut dwells is cut as well, with side lobes of up to "
         f"{worst.prediction.ideal_pslr:.2f} dB in back-projection (block {worst.name})"

@@ -63,8 +63,8 @@ def _shares(seconds: Mapping[str, float]) -> str:
     left = max(round(total / step), 1) - sum(parts.values())
     for name in sorted(seconds, key=lambda each: parts[each] - seconds[each] / step)[:left]:  # most cut off first
         parts[name] += 1
-    told = {name: f"{count / 10:.1f}" if unit == "h" else str(count) for name, count in parts.items() if count}
-    return ", ".join(f"{name} {text} {unit}" for name, text in told.items())
+    shares = {name: f"{count / 10:.1f}" if unit == "h" else str(count) for name, count in parts.items() if count}
+    return ", ".join(f"{name} {text} {unit}" for name, text in shares.items())
 
 
 def lit_pulses(geometry: Geometry, grid: Grid) -> int:

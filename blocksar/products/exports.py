@@ -41,8 +41,8 @@ class SICD:
         from blocksar.products import sicd
         from blocksar.products.writing import opened
 
-        source, said = opened(run, channel)
-        return [*said, *sicd.write(source, out, overwrite=overwrite, progress=progress)]
+        source, lines = opened(run, channel)
+        return [*lines, *sicd.write(source, out, overwrite=overwrite, progress=progress)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,11 +72,11 @@ class SIDD:
         from blocksar.products.pixels import pixels_of
         from blocksar.products.writing import opened
 
-        source, said = opened(run, channel, options.crop)
+        source, lines = opened(run, channel, options.crop)
         looks = (1, 1) if options.looks is None else options.looks
         frame = source.placed("a SIDD")
         pixels = pixels_of(source, content="db", looks=looks, scale="uint8", limits=options.range)
-        return [*said, *sidd.write(pixels, frame, out, overwrite=overwrite, progress=progress)]
+        return [*lines, *sidd.write(pixels, frame, out, overwrite=overwrite, progress=progress)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +124,7 @@ class GeoTIFF:
         from blocksar.products.pixels import pixels_of
         from blocksar.products.writing import opened
 
-        source, said = opened(run, channel, options.crop)
+        source, lines = opened(run, channel, options.crop)
         pixels = pixels_of(
             source,
             content=options.content,
@@ -132,7 +132,7 @@ class GeoTIFF:
             scale=options.scale,
             limits=options.range,
         )
-        return [*said, *geotiff.write(pixels, out, crs=options.crs, overwrite=overwrite, progress=progress)]
+        return [*lines, *geotiff.write(pixels, out, crs=options.crs, overwrite=overwrite, progress=progress)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,10 +174,10 @@ class PNG:
 
         drawn = {"limits": options.range, "size": options.size, "overwrite": overwrite, "progress": progress}
         if options.composite is None:
-            source, said = opened(run, channel, options.crop)
+            source, lines = opened(run, channel, options.crop)
             cell = _cell(options, source)
             quicklook = _pictures("quicklook")
-            return [*said, *quicklook.write(source, out, cell=cell, colour_map=options.colour_map, **drawn)]
+            return [*lines, *quicklook.write(source, out, cell=cell, colour_map=options.colour_map, **drawn)]
         sources = _composed(run, options, channel)
         first, *others = sources.values()
         cell = _cell(options, first)
@@ -263,8 +263,8 @@ class STAC:
         from blocksar.products import stac
         from blocksar.products.writing import opened
 
-        source, said = opened(run, channel)
+        source, notes = opened(run, channel)
         whole = run if channel is None else source.folder
         lines = stac.write(source, whole, out, options.assets or (), overwrite=overwrite)
         progress(1, 1)
-        return [*(said if channel else ()), *lines]
+        return [*(notes if channel else ()), *lines]

@@ -295,8 +295,8 @@ def _valid_data(grid: SIDDGrid, points: FloatArray) -> Any:
     pixels = np.clip(np.rint(grid.at(points)), 0, np.array(grid.shape) - 1)
     hull = MultiPoint(pixels).convex_hull
     if not hull.area > 0:
-        beside = np.array([[0, 0], [0, 1], [1, 0]])
-        hull = MultiPoint((pixels[:, None] + beside).reshape(-1, 2)).convex_hull
+        steps = np.array([[0, 0], [0, 1], [1, 0]])
+        hull = MultiPoint((pixels[:, None] + steps).reshape(-1, 2)).convex_hull
     vertices = np.array(orient(hull, -1.0).exterior.coords[:-1])
     start = np.lexsort((vertices[:, 1], vertices[:, 0]))[0]
     return np.roll(vertices, -start, axis=0).astype(int)

@@ -47,6 +47,7 @@ from blocksar.products.shared_metadata import (
 )
 from blocksar.products.writing import replacing
 from blocksar.runs.finished import FinishedRun, finished_record, folder_of
+from blocksar.texts import count
 from blocksar.version import __version__
 
 if TYPE_CHECKING:
@@ -130,7 +131,7 @@ def build(
     }
     geometry, bbox = _footprint(source, frame, layout.point(*valid_data(coverage, layout).T.astype(np.float64)))
     used = [name for name in EXTENSIONS if name != "sat" or satellite]
-    notes.append(f"item of {len(assets)} assets, with the extensions {', '.join(used)}")
+    notes.append(f"item of {count(len(assets), 'asset')}, with the extensions {', '.join(used)}")
     return {
         "type": "Feature",
         "stac_version": VERSION,
@@ -148,11 +149,11 @@ def build(
 
 def _times(source: FinishedRun) -> tuple[datetime, datetime, bool]:
     """UTC of the first and the last pulse of all segments, and whether they are known."""
-    told = [(source.attrs.get("source"), source.collection)]
+    sources = [(source.attrs.get("source"), source.collection)]
     for number in range(len(source.segments)):
         collection, attrs = stores.read_collection(source.folder / "segments" / str(number) / "collection.zarr")
-        told.append((attrs.get("source"), collection))
-    dates = [date_of(of, float(collection.time[end])) for of, collection in told for end in (0, -1)]
+        sources.append((attrs.get("source"), collection))
+    dates = [date_of(of, float(collection.time[end])) for of, collection in sources for end in (0, -1)]
     if known := [date for date in dates if date is not None]:
         return min(known), max(known), True
     first, last = source.collection.time[[0, -1]]
@@ -304,9 +305,9 @@ def _described(path: Path, source: FinishedRun) -> dict[str, Any]:
     ending = path.suffix.lower()
     kind = TYPES.get(ending) or mimetypes.guess_type(path.name)[0] or "application/octet-stream"
     picture = kind in ("image/png", "text/html")
-    told: dict[str, Any] = {"type": kind, "roles": ["overview" if picture else "data"], "title": path.name}
+    asset: dict[str, Any] = {"type": kind, "roles": ["overview" if picture else "data"], "title": path.name}
     if ending not in (".tif", ".tiff"):
-        return told
+        return asset
     with library_for("a GeoTIFF as an asset needs", "geotiff"):
         import rasterio
         from pyproj import CRS
@@ -317,7 +318,7 @@ def _described(path: Path, source: FinishedRun) -> dict[str, Any]:
         types = {"complex64": "cfloat32"}
         nodata = "nan" if np.isnan(file.nodata) else file.nodata
         return {
-            **told, "data_type": types.get(file.dtypes[0], file.dtypes[0]), "nodata": nodata,
+            **asset, "data_type": types.get(file.dtypes[0], file.dtypes[0]), "nodata": nodata,
             **_projection(CRS.from_wkt(file.crs.to_wkt()), (file.height, file.width), list(file.transform)[:6]),
         }  # fmt: skip
 

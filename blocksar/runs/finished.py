@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from blocksar import stores
+from blocksar import stores, texts
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
@@ -315,8 +315,9 @@ class FinishedRun:
             inside = np.flatnonzero((axis >= low) & (axis <= high))
             if inside.size < 2:
                 raise InputError(
-                    f"{name}: {along} from {low:g} to {high:g} m has {inside.size} pixels of the image, which runs "
-                    f"from {axis[0]:g} to {axis[-1]:g} m every {axis[1] - axis[0]:g} m; give a part with two at least"
+                    f"{name}: {along} from {low:g} to {high:g} m has {texts.count(inside.size, 'pixel')} of the "
+                    f"image, which runs from {axis[0]:g} to {axis[-1]:g} m every {axis[1] - axis[0]:g} m; give a "
+                    "part with two at least"
                 )
             parts.append(slice(int(inside[0]), int(inside[-1]) + 1))
         first = self.first[0] + parts[0].start, self.first[1] + parts[1].start

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from blocksar import texts
 from blocksar.errors import InputError, printable
 from blocksar.places.place import Place
 from blocksar.stores.contract import Variable
@@ -38,7 +39,7 @@ def check_channels(names: Sequence[str]) -> tuple[str, ...]:
         If there is none, or too many, or one is given twice or is no name.
     """
     if not 0 < len(names) <= MOST:
-        raise InputError(f"channel has {len(names)} names; give 1 to {MOST}")
+        raise InputError(f"channel has {texts.count(len(names), 'name')}; give 1 to {MOST}")
     for name in names:
         if not NAME.fullmatch(name):
             raise InputError(f"channel {printable(str(name))[:40]!r} is no name of a channel; {REMEDY}")
@@ -62,8 +63,8 @@ def read_channels(place: Place, count: int) -> tuple[str, ...]:
         array = open_variable(place, "channel")
         if dimension_names(array) != ("channel",) or array.shape != (count,):
             raise InputError(
-                f"channel has shape {array.shape} over {dimension_names(array)}, but the samples have {count} "
-                "channels; make them agree"
+                f"channel has shape {array.shape} over {dimension_names(array)}, but the samples have "
+                f"{texts.count(count, 'channel')}; make them agree"
             )
         names = read_array(array, (slice(None),), place, "channel", label="channel")
         return check_channels([text(name) for name in names])
@@ -71,7 +72,8 @@ def read_channels(place: Place, count: int) -> tuple[str, ...]:
 
 def unnamed_channels(count: int) -> InputError:
     """Make the error about samples whose channels have no names."""
-    return InputError(f"variable channel (channel) is missing, and the samples have {count} channels; {REMEDY}")
+    samples = f"the samples have {texts.count(count, 'channel')}"
+    return InputError(f"variable channel (channel) is missing, and {samples}; {REMEDY}")
 
 
 def text(value: Any) -> str:

@@ -102,11 +102,11 @@ class Ledger:
     @classmethod
     def begin(cls, store: Place, identity: str, samples: Sequence[Samples]) -> Self:
         """Begin the ledger of a store, or resume it as far as the store agrees with it."""
-        told, written = ledger_of(store), []
-        if told is not None and told.get("identity") == identity:
+        stored, written = ledger_of(store), []
+        if stored is not None and stored.get("identity") == identity:
             try:
-                written = [_Written(*entry) for entry in told["written"]]
-                for each, notes in zip(samples, told["notes"], strict=True):
+                written = [_Written(*entry) for entry in stored["written"]]
+                for each, notes in zip(samples, stored["notes"], strict=True):
                     for name, values in each.notes.items():
                         data = zlib.decompress(base64.b64decode(notes[name]))
                         values[...] = np.frombuffer(data, values.dtype).reshape(values.shape)
@@ -160,16 +160,16 @@ class Ledger:
 def ledger_of(store: Place) -> dict[str, Any] | None:
     """Read the ledger of an unfinished store; None if there is none."""
     try:
-        told = read_json(store / LEDGER)
+        ledger = read_json(store / LEDGER)
     except InputError:
         return None
-    return told if isinstance(told, dict) else None
+    return ledger if isinstance(ledger, dict) else None
 
 
 def is_begun(store: Place, identity: str) -> bool:
     """Tell whether a store is an unfinished one of this identity."""
-    told = ledger_of(store)
-    return told is not None and told.get("identity") == identity
+    ledger = ledger_of(store)
+    return ledger is not None and ledger.get("identity") == identity
 
 
 def _sums(values: ComplexArray) -> list[str]:

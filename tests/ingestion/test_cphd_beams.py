@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -429,7 +430,7 @@ def test_antennas_of_some_vectors_are_given_by_others(value: float, tops: Made, 
     collection, said = ingested(edited(tops, tmp_path / "lost.cphd", lose))
     assert not any("not finite" in line for line in before)
     for name in names:
-        assert any(f"PVP {name} of 6 vectors (first: vector 0) that is not finite or 0" in line for line in said)
+        assert any(re.search(rf"PVP {name} of 6 of \d+ vectors \(first: vector 0\) that is", line) for line in said)
     assert np.abs(collection.beam_axis - whole.beam_axis).max() < 1e-5  # of a width of 0.017 rad
     assert np.abs(collection.beam_steering - whole.beam_steering).max() < 1e-5
     assert collection.beam_width == pytest.approx(whole.beam_width, rel=1e-3) and differing(tops, collection) <= 2

@@ -28,6 +28,7 @@ from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
 from blocksar.ingestion.cphd.files import CphdFile, child_of, numbers_of, polynomial_of, text_of
 from blocksar.ingestion.cphd.vectors import MOST_LOST, Pulses, filled_with_zeros
+from blocksar.texts import count
 
 UNIT = 1e-3  # by which ACX and ACY may be off unit length and a right angle
 ALONG = 0.5  # least cosine of the azimuth axis with the velocity
@@ -275,10 +276,11 @@ def _vectors(source: _Source, name: str, left: list[str]) -> FloatArray:
     file, used, pulses = source.file, source.used, source.pulses
     values = np.asarray(file.vectors[name][used], np.float64)
     if values.shape != (used.size, 2 if name.endswith("EB") else 3):
-        raise InputError(f"PVP {name} has {values[0].size} values in a vector; correct its format in the XML")
+        raise InputError(f"PVP {name} has {count(values[0].size, 'value')} in a vector; correct its format in the XML")
     wrong = ~np.isfinite(values).all(axis=1) | filled_with_zeros(np.linalg.norm(values, axis=1))
     if wrong.any():
-        where = f"{np.count_nonzero(wrong)} vectors (first: vector {file.first_vector + used[int(np.argmax(wrong))]})"
+        first = file.first_vector + used[int(np.argmax(wrong))]
+        where = f"{np.count_nonzero(wrong)} of {wrong.size} vectors (first: vector {first})"
         if np.count_nonzero(wrong) > MOST_LOST * wrong.size:
             raise InputError(f"PVP {name} is not finite or 0 in {where}")
         left.append(f"PVP {name} of {where} that is not finite or 0")

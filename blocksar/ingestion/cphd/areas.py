@@ -16,6 +16,7 @@ from blocksar.arrays import FloatArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.ingestion.cphd.files import CphdFile, child_of, library, numbers_of
+from blocksar.texts import count
 
 ACROSS = 33  # points along either side of the image area
 AS_IT_IS, SWAPPED = np.eye(2), np.eye(2)[::-1]  # turns of image-area coordinates
@@ -66,8 +67,8 @@ def read_area(file: CphdFile) -> ImageArea:
     corners = _corner_points(file)
     if corners is None:
         return given
-    told = ImageArea(corners.min(axis=0), corners.max(axis=0))
-    size = float(np.linalg.norm(told.high - told.low))
+    by_corners = ImageArea(corners.min(axis=0), corners.max(axis=0))
+    size = float(np.linalg.norm(by_corners.high - by_corners.low))
     apart = _apart(given.corners, corners)
     if apart <= AGREE * size or not size > 0:
         return given
@@ -75,10 +76,10 @@ def read_area(file: CphdFile) -> ImageArea:
     why = f"corners lie up to {apart:.4g} m apart"
     if turn is not None:
         why = f"as if {describe_turn(turn)}"
-    given_fits, told_fits = _fits(file, given), _fits(file, told)
-    taken, which = (given, "ImageArea is") if given_fits and not told_fits else (told, "the corner points are")
+    given_fits, told_fits = _fits(file, given), _fits(file, by_corners)
+    taken, which = (given, "ImageArea is") if given_fits and not told_fits else (by_corners, "the corner points are")
     message = (
-        f"ImageArea of {_size(given)} disagrees with its corner points, {_size(told)} ({why}): {which} taken"
+        f"ImageArea of {_size(given)} disagrees with its corner points, {_size(by_corners)} ({why}): {which} taken"
         f"{', as the saved delays have it' if given_fits != told_fits else ''}"
     )
     return taken._replace(message=message, turn=AS_IT_IS if turn is None or taken is given else turn)
@@ -103,7 +104,7 @@ def area_points(file: CphdFile, area: ImageArea) -> tuple[FloatArray, FloatArray
         return x, y
     corners = sorted(outline.findall("{*}Vertex"), key=lambda vertex: int(vertex.get("index")))
     if not 3 <= len(corners) <= 10_000:
-        raise InputError(f"the image area's polygon has {len(corners)} corners")
+        raise InputError(f"the image area's polygon has {count(len(corners), 'corner')}")
     polygon = np.array([[float(corner.findtext(f"{{*}}{axis}")) for axis in "XY"] for corner in corners])
     inside = np.zeros(x.size, bool)
     for (ax, ay), (bx, by) in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):

@@ -239,10 +239,10 @@ def _with_patterns(
     shift = float(steering[0] - antenna.steering[0])
     offset = np.linspace(-width / 2, width / 2, PATTERN_SAMPLES)
     gain = antenna.azimuth_gain(offset + shift)
-    kept, notes = [], list(notes)
+    taken, notes = [], list(notes)
     if _usable("azimuth", gain, float(antenna.azimuth_gain(np.zeros(1))[0]), notes):
         found |= sampled(("beam_offset", "beam_pattern"), offset, gain)
-        kept.append(f"over the beam ({gain.min() - gain.max():.2g} dB at its lowest)")
+        taken.append(f"over the beam ({gain.min() - gain.max():.2g} dB at its lowest)")
     # The origin is where the reference point lies, which the store wants within the pattern.
     across = _across(antenna, position, np.concatenate([ground, np.zeros((1, 3))]), width)
     down, gain = antenna.elevation_gain(across)
@@ -252,15 +252,15 @@ def _with_patterns(
             notes.append("the antenna's gain across the beam is left out: the boresight passes the nadir")
     elif _usable("elevation", gain, 0.0, notes):
         found |= sampled(("elevation", "elevation_pattern"), down, gain)
-        kept.append(f"over elevation ({gain.min() - gain.max():.2g} dB)")
+        taken.append(f"over elevation ({gain.min() - gain.max():.2g} dB)")
         turned = _turned_gain(antenna, across, down, gain)
         if turned > CHANGE:
             notes.append(
                 f"the antenna's gain over elevation changes by {turned:.2g} dB as the beam is steered or the antenna "
                 "turned; that of the middle is taken"
             )
-    if kept:
-        notes.append(f"antenna patterns of both ways taken from the gain polynomials: {' and '.join(kept)}")
+    if taken:
+        notes.append(f"antenna patterns of both ways taken from the gain polynomials: {' and '.join(taken)}")
     scanned = _scanned_gain(antenna)
     if scanned > CHANGE:
         notes.append(f"the antenna's gain changes by {scanned:.2g} dB as the beam is steered, which stays in the image")
@@ -301,8 +301,8 @@ def _turned_gain(antenna: ChannelAntenna, across: FloatArray, down: FloatArray, 
         other, changed = antenna.elevation_gain(across, pulse)
         common = (other >= down.min()) & (other <= down.max())
         if common.any():
-            kept = np.interp(other[common], down[order], gain[order])
-            worst = max(worst, float(np.abs(changed[common] - kept).max()))
+            reference = np.interp(other[common], down[order], gain[order])
+            worst = max(worst, float(np.abs(changed[common] - reference).max()))
     return worst
 
 

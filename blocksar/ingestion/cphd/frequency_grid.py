@@ -68,8 +68,8 @@ def find_delays(file: CphdFile, used: IntArray, area: ImageArea, window: RangeWi
                 "--range-window reference is given, but the samples are over delay (DomainType TOA), and SC0 and SCSS "
                 "say where; leave it out"
             )
-        told = f"the {_metres(unambiguous):.6g} m of range about the SRP are taken, whatever TOA1 and TOA2 say"
-        return Delays(np.zeros(early.size), unambiguous, (told,))
+        window_text = f"the {_metres(unambiguous):.6g} m of range about the SRP are taken, whatever TOA1 and TOA2 say"
+        return Delays(np.zeros(early.size), unambiguous, (window_text,))
     own = late - early
     where = int(used[own[used].argmax()])
     fold = float(own[where] / unambiguous)

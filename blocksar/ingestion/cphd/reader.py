@@ -47,7 +47,7 @@ from blocksar.options import Option
 from blocksar.places import Location, readable
 from blocksar.places.ranges import Readable
 from blocksar.spans import parse_crop, parse_pulses, parse_span
-from blocksar.texts import frequency_text, size_text
+from blocksar.texts import count, frequency_text, size_text
 
 # ---------------------------------------------------------------- options
 
@@ -188,8 +188,8 @@ def begin(source: Location, choices: Choices) -> Reading:
     noted = [notes_of(each) for each in echoes]
 
     def messages() -> list[str]:
-        told = [each.messages(some, choices) for each, some in zip(prepared, found, strict=True)]
-        first, *others = told
+        by_channel = [each.messages(some, choices) for each, some in zip(prepared, found, strict=True)]
+        first, *others = by_channel
         more = dict.fromkeys(line for some in others for line in some if line not in first)
         return [*notes[:1], *first, *more, *notes[1:]]
 
@@ -271,7 +271,7 @@ def prepare(file: CphdFile, choices: Choices) -> Prepared:
     pulses = assign_pulses(file, frame.origin)
     used = pulses.vector[pulses.vector >= 0]
     if used.size < 8:
-        raise InputError(f"only {used.size} vectors hold a normal signal; at least 8 are needed")
+        raise InputError(f"{count(used.size, 'vector')} with a normal signal; at least 8 are needed")
     delays = find_delays(file, used, area, choices.range_window)
     resampler = choose_resampler(file, used, delays)
     cell = SPEED_OF_LIGHT / 2 / float(resampler.frequency[-1] - resampler.frequency[0])
@@ -318,10 +318,10 @@ def prepare(file: CphdFile, choices: Choices) -> Prepared:
     if cut is not None:
         attributes["source"] |= {"area": choices.area, "time_zero": attributes["source"]["time_zero"] + cut.later}
     slow = [slow_time.message] if slow_time else []
-    beside = [troposphere.message, area.message, _same_samples(file), cut.message if cut else None]
+    found_notes = [troposphere.message, area.message, _same_samples(file), cut.message if cut else None]
     corners = frame.from_ecef(ecef_of(file, area.corners))
     seen = [] if collection.steered else [_describe_area(Geometry(collection=echoes.stored.centred()), corners)]
-    notes = [*delays.messages, *slow, *(text for text in beside if text), *seen]
+    notes = [*delays.messages, *slow, *(text for text in found_notes if text), *seen]
     return Prepared(
         echoes=echoes, frame=frame, bistatic=bistatic, attributes=attributes, notes=notes, beam=beam.messages
     )

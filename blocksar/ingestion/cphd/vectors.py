@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from blocksar import texts
 from blocksar.arrays import UNIFORM_TOLERANCE, BoolArray, FloatArray, IntArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
@@ -85,8 +86,8 @@ def find_usable(file: CphdFile, origin: FloatArray) -> Usable:
         lost.append(Lost(name, wrong & flagged))
     if np.count_nonzero(normal) < LEAST:
         raise InputError(
-            f"only {np.count_nonzero(normal)} vectors have valid parameters and a normal signal; at least {LEAST} are "
-            f"needed ({describe_lost(lost, file.first_vector)})"
+            f"{np.count_nonzero(normal)} of {normal.size} vectors with valid parameters and a normal signal; at least "
+            f"{LEAST} are needed ({describe_lost(lost, file.first_vector)})"
         )
     check_most_used(normal, lost, file.first_vector)
     return Usable(normal, placed, lost)
@@ -160,8 +161,8 @@ def filled_with_zeros(values: FloatArray) -> BoolArray:
     if not zero.any() or not others.size:
         return np.zeros(values.shape, np.bool_)
     usual = float(np.median(np.abs(values[others])))
-    beside = np.nan_to_num(np.abs(_neighbours(values, zero, others)), nan=np.inf)
-    return zero & (beside.min(axis=0) >= usual / 2)
+    neighbours = np.nan_to_num(np.abs(_neighbours(values, zero, others)), nan=np.inf)
+    return zero & (neighbours.min(axis=0) >= usual / 2)
 
 
 def _neighbours(values: FloatArray, zero: BoolArray, others: IntArray) -> FloatArray:
@@ -211,9 +212,9 @@ def _ranges(vectors: Sequence[int]) -> str:
     """
     breaks = np.flatnonzero(np.diff(vectors) > 1)
     first, last = np.append(0, breaks + 1), np.append(breaks, len(vectors) - 1)
-    texts = [f"{vectors[a]}" if a == b else f"{vectors[a]} .. {vectors[b]}" for a, b in zip(first, last, strict=True)]
-    more = len(texts) - MOST_RANGES
-    return ", ".join(texts[:MOST_RANGES]) + (f" and {more} more ranges" if more > 0 else "")
+    ranges = [f"{vectors[a]}" if a == b else f"{vectors[a]} .. {vectors[b]}" for a, b in zip(first, last, strict=True)]
+    more = len(ranges) - MOST_RANGES
+    return ", ".join(ranges[:MOST_RANGES]) + (f" and {texts.count(more, 'more range')}" if more > 0 else "")
 
 
 MAX_GAPS = 1.0  # missing vectors over those present
@@ -317,7 +318,7 @@ def _slots(time: FloatArray, number: IntArray) -> tuple[IntArray, float, float]:
         If times do not ascend, or leave more than half of the axis empty.
     """
     if time.size < 8:
-        raise InputError(f"only {time.size} vectors have a time and positions; at least 8 are needed")
+        raise InputError(f"{texts.count(time.size, 'vector')} with a time and positions; at least 8 are needed")
     steps = np.diff(time)
     if not (steps > 0).all():
         where = number[1:][int(np.argmin(steps > 0))]

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from blocksar import texts
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.errors import InputError
 from blocksar.ingestion.orbit import Orbit, States
@@ -76,8 +77,8 @@ def read_states(packets: Packets, zero: int) -> States:
     _, first = np.unique(time, return_index=True)
     if not first.size:
         raise InputError(
-            f"no state of the orbit is in its {len(packets)} packets, of which 64 hold one: give the orbit's file with "
-            "--orbit, or a longer part of the data"
+            f"no state of the orbit is in its {texts.count(len(packets), 'packet')}, of which 64 hold one: give "
+            "the orbit's file with --orbit, or a longer part of the data"
         )
     return States(time[first], place[first].astype(float), velocity[first].astype(float))
 

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
+from blocksar import texts
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, quoted
@@ -192,7 +193,7 @@ def find_bursts(packets: Packets, zero: int) -> tuple[list[Burst], list[str]]:
     bursts.sort(key=lambda burst: (burst.packets.seconds[0], burst.packets.fine[0]))
     refuse_few(len(echoes) - small, len(echoes), f"most echoes lie in parts of less than {LEAST} pulses",
                "give a longer part of the data")  # fmt: skip
-    notes = [f"{small} of {len(echoes)} echoes, in parts of less than {LEAST} pulses, are left out"] if small else []
+    notes = [f"{small} of {len(echoes)} echoes in parts of less than {LEAST} pulses: left out"] if small else []
     return bursts, notes
 
 
@@ -428,7 +429,8 @@ def choose(files: Sequence[PacketFile], options: Sentinel1Options) -> BurstChoic
     if not have:
         n = sum(len(file.packets) for file in files)
         raise InputError(
-            f"{files[0].where} holds {n} packets of noise or calibration and no echo; give those of echoes"
+            f"{files[0].where} holds {texts.count(n, 'packet')} of noise or calibration and no echo; give those of "
+            "echoes"
         )
     like = [each for each in have if each[0] == each[1]]
     main = options.polarization or (like or have)[0]
@@ -442,9 +444,9 @@ def choose(files: Sequence[PacketFile], options: Sentinel1Options) -> BurstChoic
     zero = min(int(file.packets.seconds.min()) for file in of_it)
     found: list[Channel] = []
     for file in of_it:
-        bursts, said = find_bursts(file.packets, zero)
+        bursts, burst_notes = find_bursts(file.packets, zero)
         found += [(file, burst) for burst in bursts]
-        notes += said
+        notes += burst_notes
     found.sort(key=lambda each: each[1].sent)
     counts: dict[str, int] = {}
     numbered: list[Channel] = []

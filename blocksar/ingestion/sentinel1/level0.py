@@ -84,7 +84,7 @@ def begin(sources: Sequence[Location], options: Sentinel1Options) -> dict[str, R
         data = _common(choice, [channels[0][1] for channels in choice.wanted], options)
     delays: dict[tuple[str, str], InternalDelay | None] = {}
     sources_of_delay = [(file.where, file.packets) for file in files]
-    kept: list[tuple[tuple[Channel, ...], tuple[InternalDelay | None, ...]]] = []
+    corrected: list[tuple[tuple[Channel, ...], tuple[InternalDelay | None, ...]]] = []
     for channels in choice.wanted:
         for file, burst in channels:
             if (burst.swath, burst.polarization) not in delays:
@@ -96,8 +96,8 @@ def begin(sources: Sequence[Location], options: Sentinel1Options) -> dict[str, R
             (file, replace(burst, internal=seconds))
             for (file, burst), seconds in zip(channels, late, strict=True)
         )  # fmt: skip
-        kept.append((moved, own))
-    bursts = [channels[0][1] for channels, _ in kept]
+        corrected.append((moved, own))
+    bursts = [channels[0][1] for channels, _ in corrected]
     frame = frame_of(bursts[len(bursts) // 2], data)
     ends = [data.track(burst)[0][burst.n_slot // 2] for burst in (bursts[0], bursts[-1])]
     if (apart := float(np.linalg.norm(ends[1] - ends[0]))) > FARTHEST:
@@ -105,9 +105,9 @@ def begin(sources: Sequence[Location], options: Sentinel1Options) -> dict[str, R
             f"the bursts lie {apart / 1e3:.0f} km from each other, and one frame has room for {FARTHEST / 1e3:g} km; "
             "take some of them with --bursts"
         )
-    histories = [BurstHistory(channels=channels, delays=own, data=data, frame=frame) for channels, own in kept]
-    said = [*choice.notes, *remarks(histories)]
-    return {each.name: each.reading(() if number else said) for number, each in enumerate(histories)}
+    histories = [BurstHistory(channels=channels, delays=own, data=data, frame=frame) for channels, own in corrected]
+    notes = [*choice.notes, *remarks(histories)]
+    return {each.name: each.reading(() if number else notes) for number, each in enumerate(histories)}
 
 
 def _common(choice: BurstChoice, bursts: Sequence[Burst], options: Sentinel1Options) -> Data:

@@ -162,8 +162,8 @@ class Facts:
         self.responses = responses_of(quality) if quality else []
         self.judged = select_judged(self.responses)
         worst = sorted(self.responses, key=rank)[:MOST_ROWS]
-        kept = {id(r) for r in worst}
-        self.listed = [r for r in self.responses if id(r) in kept]
+        listed = {id(r) for r in worst}
+        self.listed = [r for r in self.responses if id(r) in listed]
         self.marked: Sequence[PointResponse | Target] = self.listed or [
             Target.from_record(record) for record in list(source.attrs.get("targets") or [])[:MOST_ROWS]
         ]

@@ -128,8 +128,8 @@ def plan_table(run: Facts) -> PageTable | None:
 
 def _plan_row(run: Facts, block: PredictedBlock, metres: float) -> Row:
     """Predicted and measured figures of one block, with ranges in units of so many metres."""
-    judged = [r for r in run.judged if run.places[id(r)] == block.name]
-    pslr, width = _worst_of(judged, "azimuth_pslr"), _worst_of(judged, "azimuth_irw")
+    responses = [r for r in run.judged if run.places[id(r)] == block.name]
+    pslr, width = _worst_of(responses, "azimuth_pslr"), _worst_of(responses, "azimuth_irw")
     fidelity, predicted = _fidelity(run), block.pslr
     receipt = run.receipt(block)
     peak = None if receipt is None else receipt.peak_memory
@@ -146,7 +146,7 @@ def _plan_row(run: Facts, block: PredictedBlock, metres: float) -> Row:
             width and width.azimuth_irw / width.azimuth_irw_theory, 4,
             off=width is not None and excess(width, "azimuth_irw") > 1,
         ),
-        Cell(str(len(judged))),
+        Cell(str(len(responses))),
         _cell(block.memory / MIB, 0),
         _cell(peak and peak / MIB, 0, off=peak is not None and peak > (run.planned_memory or np.inf)),
         _cell(block.migration, 3),
@@ -196,20 +196,20 @@ def quality_table(run: Facts, image: Picture) -> PageTable:
         columns.append(Column("ground", "z, m"))
     rows = [_quality_row(run, r, image) for r in run.listed]
     rest = len(run.responses) - len(run.listed)
-    note = f"The {len(run.listed)} worst; {number(rest, 0)} more are in quality.json." if rest else ""
+    note = f"The {len(run.listed)} worst; {number(rest, 0)} more in quality.json." if rest else ""
     return PageTable("targets", "Point targets measured in the image", columns, rows, sortable=True, note=note)
 
 
 def _quality_row(run: Facts, r: PointResponse, image: Picture) -> Row:
     """Figures of one target."""
-    judged = r.full_dwell and r.covered and not r.crowded
+    counts = r.full_dwell and r.covered and not r.crowded
 
     def off(figure: str) -> bool:
-        return judged and excess(r, figure) > 1
+        return counts and excess(r, figure) > 1
 
-    share = 100 * worst_excess(r) if judged else None
+    share = 100 * worst_excess(r) if counts else None
     status = (
-        "yes" if judged else "not covered" if not r.covered else "another peak is near" if r.crowded else "partly lit"
+        "yes" if counts else "not covered" if not r.covered else "another peak is near" if r.crowded else "partly lit"
     )
     cells = [
         Cell(r.name, r.name),

@@ -79,8 +79,8 @@ def draw_plan(
     axes.add_patch(_box(grid, label=f"image, {grid.shape[1]} x {grid.shape[0]} pixels"))
     axes.autoscale_view()
     axes.margins(0.04)
-    told = ", with predicted coherence" if 0 < len(blocks) <= MOST_NAMED_BLOCKS // 4 else ""
-    _finish(axes, title or ("blocks on the ground" + told if blocks else "image on the ground"))
+    legend_note = ", with predicted coherence" if 0 < len(blocks) <= MOST_NAMED_BLOCKS // 4 else ""
+    _finish(axes, title or ("blocks on the ground" + legend_note if blocks else "image on the ground"))
     return axes
 
 

@@ -131,8 +131,8 @@ def pauli_powers(
     """
     colours, rows = [], sources["HH"].y.size
     for number, weights in enumerate((RED, _green(sources), BLUE)):
-        told = None if progress is None else _of_three(progress, number, rows)
-        colours.append(_reduced(sources, weights, max_pixels, cell, told))
+        report = None if progress is None else _of_three(progress, number, rows)
+        colours.append(_reduced(sources, weights, max_pixels, cell, report))
     power = np.stack([colour.power for colour in colours], axis=-1)
     power[~np.isfinite(power).all(axis=-1)] = np.nan
     return colours[0]._replace(power=power[..., 0]), power
