@@ -76,7 +76,7 @@ class UnknownOption(InputError, TypeError):
 
 
 class Unfocusable(InputError):
-    """No chain forms the image that is asked for, although the input is right: exact back-projection does."""
+    """Error: no chain forms the requested image, although the input is right; exact back-projection does."""
 
 
 class PrfTooLow(Unfocusable):

@@ -1,4 +1,4 @@
-"""Options, each stated once: the field of a frozen dataclass, whose annotation carries what people read of it.
+"""Options, each stated once: fields of a frozen dataclass whose annotations carry their descriptions.
 
     @dataclass(frozen=True, kw_only=True)
     class TableOptions:
@@ -133,7 +133,7 @@ def check_arguments(function: Callable[..., Any], given: Iterable[str]) -> None:
     """
     known = signature(function).parameters
     if any(each.kind is Parameter.VAR_KEYWORD for each in known.values()):
-        return  # told where the options are read
+        return  # reported when the options are read
     for name in given:
         if name not in known:
             message = nearest_argument(function, name)

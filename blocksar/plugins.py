@@ -1,4 +1,4 @@
-"""Registries of what can be plugged in: own parts, and those that other packages install as entry points."""
+"""Registries of plug-ins: own parts, and those that other packages install as entry points."""
 
 from __future__ import annotations
 

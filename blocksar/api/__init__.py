@@ -1,5 +1,4 @@
-"""The commands as functions: simulate, ingest, check, autofocus, plan, focus, quality, report, export, compare, open,
-info, preview, view, demo, compile; and collection, scene_centre and write, for data in memory.
+"""The functions of the commands, from simulate to compile; and collection, scene_centre and write for data in memory.
 
 One module for each stage: `sources`, `datasets`, `describing`, `previewing`, `checking`, `autofocusing`
 (with `tracks`), `planning`, `focusing` (with `jobs`), `measuring`, `reporting`, `exporting`, `comparing`, `viewing`,

@@ -36,7 +36,7 @@ def mistaken(source: Location) -> str | None:
     where = place(source)
     try:
         return _told(where, str(source))
-    except OSError:  # the first error says what cannot be read
+    except OSError:  # the caller's error states what cannot be read
         return None
 
 

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 Rows = list[tuple[str, str]]
 PREDICTED = "predicted coherence with exact back-projection at least"
-# Settings of a run that go without saying; the processor is always named.
+# Default settings of a run, which are not listed; the processor always is.
 USUAL = {
     **{name: value for name, value in Method().as_settings().items() if name != "processor"},
     "blocks": "auto", "fidelity": FIDELITY, "weighting_range": FLAT.text, "weighting_azimuth": FLAT.text,
@@ -166,7 +166,7 @@ def general_rows(attrs: Mapping[str, Any]) -> Rows:
             zero = source.get("time_zero", 0.0)
             later = f"{zero:.6g}" if isinstance(zero, int | float) else repr(zero)
             rows.append(("collection start", f"{start}, t = 0 is {later} s later"))
-    # Of several channels, each has its own; the row of their names says which.
+    # Several channels have a polarisation each, which the row of their names shows.
     if "polarizations" not in attrs and isinstance(polarization := attrs.get("polarization"), Mapping):
         rows.append(("polarization", f"{polarization.get('transmit', '?')}{polarization.get('receive', '?')}"))
     if targets := attrs.get("targets"):
@@ -181,7 +181,7 @@ def _origin(attribute: Any) -> str:
 
 
 def history_rows(attrs: Mapping[str, Any]) -> Rows:
-    """The newest lines of a store's history: what was done to it."""
+    """The newest lines of a store's history."""
     lines = [line for line in str(attrs.get("history") or "").splitlines() if line.strip()]
     return [("done" if k == 0 else "", line.strip()) for k, line in enumerate(lines[:HISTORY_LINES])]
 
@@ -245,7 +245,7 @@ MADE = ("quality.json", "report.html", "mosaic.png", "contours.png")  # in a run
 
 
 def info(path: Location | xr.Dataset) -> Report:
-    """Say what a path or a dataset holds: its size, geometry, band, beam, grid, what was done to it, what comes next.
+    """Describe a path or a dataset: its size, geometry, band, beam, grid, history, and the next command.
 
     Reads metadata only, and writes nothing.
 

@@ -289,7 +289,7 @@ def _check_reference(given: Mapping[str, Any]) -> None:
         height = float(np.nanmin(given["antenna_position"][..., 2])) - given["ground_height"]
         step = 0.0 if range_frequency is None else abs(float(np.diff(range_frequency[:2])[0]))
     except (TypeError, ValueError, IndexError):
-        return  # said later, with the shape
+        return  # refused later, with the shape
     if least > 0 or (least == 0 and step and SPEED_OF_LIGHT / (4 * step) > height):
         return
     raise InputError(

@@ -196,7 +196,7 @@ class Request:
             "weighting_azimuth": self.weighting.azimuth.text,
             "grid": None if self.grid is None else list(grid_numbers(self.grid)),
             **ground_settings(self.ground, self.terrain, self.surroundings),
-            # Not in runs without them, also those of earlier versions.
+            # Runs without these settings, such as those of earlier versions, do not record them.
             **({} if self.asked.interference is None else {"interference": self.asked.interference}),
             **({} if self.history.ground_height is None else {"ground_height": self.history.ground_height}),
             **(self.track.settings(self.fingerprint) if self.track is not None else {}),

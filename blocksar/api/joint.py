@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 Focus = Callable[..., RunReport]
 OWN = ("image", "noise_equivalent")  # of each channel or look
-# Attributes of a member's image that are not those of all: also those of its pyramid, as the whole has its own.
+# Attributes of a member's image that differ between members, and those of its pyramid: the whole has its own.
 NOT_SHARED = ("warnings", "run", "channel", "look", "multiscales", "zarr_conventions")
 SAME = ("block", "collection", *stores.ON_TERRAIN)  # those of the first
 
@@ -285,7 +285,7 @@ def _nothing_left(folder: Place, *, there: bool) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        if isinstance(error, FolderError) and not isinstance(error, NoRoom):  # what is there may be another's
+        if isinstance(error, FolderError) and not isinstance(error, NoRoom):  # the folder may belong to another run
             raise
         if folder.exists():
             with run_folder.claim(folder):

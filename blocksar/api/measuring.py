@@ -222,7 +222,7 @@ def _seen(geometry: Geometry, target: Target) -> Target:
 
 
 WORST = 10  # targets that are shown of more
-# Names of the figures of a summary, their unit, what a value is multiplied by for it, and decimals.
+# For each figure of a summary: name with unit, factor to that unit, and decimals.
 NAMES = {
     "range_pslr": ("range PSLR (dB)", 1, 2), "range_islr": ("range ISLR (dB)", 1, 2),
     "range_irw_over_theory": ("range IRW / theory", 1, 4), "azimuth_pslr": ("azimuth PSLR (dB)", 1, 2),

@@ -160,7 +160,7 @@ def _refuse_dark(geometries: Sequence[Geometry], grid: Grid, power: Float32Array
     """
     if np.isfinite(power).any():
         return
-    if len(geometries) == 1:  # says what is lit, if the grid lies beside it
+    if len(geometries) == 1:  # raises an error with the lit ground, if the grid lies beside it
         grid_extent(geometries[0], plan_region(geometries[0], grid), grid)
     raise InputError(
         f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g} has no lit pixel; move the grid, or give a larger one"

@@ -56,7 +56,7 @@ def lit_pulse_reader(history: stores.PhaseHistory) -> Callable[[slice], ComplexA
 # ---------------------------------------------------------------- pulses of which parts were recorded
 
 WHOLE, PARTS = "whole", "parts"
-LOOKED_AT = 64  # points along a side of a grid that are asked what was recorded of their pulses
+LOOKED_AT = 64  # points along a side of a grid whose recorded pulses are examined
 
 
 def imaging_parts(

@@ -285,7 +285,8 @@ def carry_out(
         if (address := recording.dashboard(client)) is not None:
             listener.dashboard(address)
         with recording.record_performance(client, profile, listener):
-            # Beside the first stage: the check takes a few samples, and the stage's tasks run in other processes.
+            # In parallel with the first stage: the check takes few samples, and the stage's tasks run in other
+            # processes.
             in_thread = client is not None and job.request.asked.interference is None
             checked = stack.enter_context(checking(job, beside=in_thread))
             record = _form(job, run, record, workers, checked, input_read)
@@ -332,7 +333,7 @@ def _form(
         timings[stage] = begun[-1] - begun[-2]
 
     segments, compressed = stages.prepare_samples(executor, job.segments, run)
-    if job.request.asked.interference is not None:  # the check is of what is imaged
+    if job.request.asked.interference is not None:  # check the samples that are imaged
         checked = check_later(replace(job, segments=tuple(segments)))
 
     def accept_read(stage: str, read: Sequence[ReadSegment]) -> list[ReadSegment]:

@@ -198,7 +198,7 @@ class Settings(Output, Machine, Imaging):  # whose fields stand in the opposite 
 
 _GROUND = ("grid", "terrain", "surface", "vertical", "ground_height")
 _LOCAL = ("workers", "threads", "memory_limit")
-_NOT_PLANNED = ("autofocus", "control")  # of what the image depends on
+_NOT_PLANNED = ("autofocus", "control")  # settings of the image that plans do not take
 _TAKEN = {
     "plan": (*(each.name for each in fields(Imaging) if each.name not in _NOT_PLANNED), "workers", "memory_limit"),
     "autofocus": (*_GROUND, "control", *_LOCAL, "scheduler", "wait_workers", "overwrite"),

@@ -84,7 +84,7 @@ class TrackPlace:
         """Remove what is estimated there if an InputError is raised in the block."""
         try:
             yield
-        except FolderError:  # what is there may be another's
+        except FolderError:  # the folder may belong to another run
             raise
         except InputError:
             run_folder.remove_estimate(self.folder)

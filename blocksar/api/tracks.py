@@ -190,7 +190,7 @@ class TrackEstimate:
             raise ProcessingError(str(error)) from error
 
     def check_unchanged(self) -> None:
-        """Check that a store is still what the track was estimated from.
+        """Check that a store has not changed since the track was estimated from it.
 
         Raises
         ------

@@ -422,7 +422,7 @@ def _solved(work: Work, seen: Sequence[Seen], kept: Sequence[int]) -> _Fit:
     errors = np.array([math.hypot(_error(PHASE_ERROR, one), one.doubt) for one in some])
     coarse = k * (middle * _least(terms, values)).sum(axis=1)
     shared = np.exp(1j * (phases + coarse)).sum()
-    # of the turns, those nearest to each other
+    # Choose the phases nearest to each other, modulo whole turns.
     turned = np.angle(shared) + np.angle(np.exp(1j * (phases + coarse)) * np.conj(shared)) - coarse
     measured = values.size + int(np.isfinite(errors).sum())
     terms = np.concatenate([terms, -k * middle / errors[:, None]])

@@ -17,7 +17,7 @@ from blocksar.autofocusing.fine_phase import strongest_rows
 from blocksar.autofocusing.selection import Refused
 from blocksar.kernels.fourier import fast_length, fft_rows
 
-LONGEST = 0.22  # of the collection: over longer gaps, errors across the line of sight are not told well enough
+LONGEST = 0.22  # of the collection: over longer gaps, errors across the line of sight are poorly determined
 DEGREE = 3  # of the polynomial through both sides of a gap
 LEAST_SIDE = 16  # samples of either side, at least
 TRIALS = 8  # phases within half a turn, with which both sides of a gap are put together

@@ -243,7 +243,7 @@ class Chips:
 def take_chips(
     signal: ComplexArray, work: Work, points: Points, displacement: FloatArray, pulses: slice, threads: int = 1
 ) -> ChipPart:
-    """Take what a block of pulses adds to the chips, with a corrected track.
+    """Take the contribution of a block of pulses to the chips, along a corrected track.
 
     The lines lie at exact ranges from the corrected positions, with the phase of these ranges removed: a perfect track
     leaves a point with constant phase, an error e that of -k u . e, where u is the unit vector to the point.

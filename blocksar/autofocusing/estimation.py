@@ -175,7 +175,7 @@ GRADIENTS = 8  # iterations of the phase gradient
 WIDEST_BAND = 0.45  # of a chip's Doppler cells to either side, in the first of them
 DRIFT_BAND = 0.06  # likewise where it starts from the drift of spectra
 LEVELS = 3  # splines, each with twice the intervals of the one before
-LEAST_LOOPS = 2  # least squares of the first still hold on to what the polish found
+LEAST_LOOPS = 2  # least squares of the first loop are still biased towards the polish
 ITERATIONS = 40  # of the polish, for each of them
 BY_FAR = 0.3  # nats a chip
 GAIN = 1e-5  # nats a chip: two steps of the polish that gain less are the last
@@ -328,7 +328,7 @@ def refined(
     knots = Knots(work=work, n_interval=intervals(work), time=chips.time)
     sight = mean_sight(chips)
     smooth = knots.smooth(before + displacement)
-    sharp = chips.corrected(smooth - before)  # without fine parts that are believed already: halves must not share them
+    sharp = chips.corrected(smooth - before)  # without accepted fine parts, which halves must not share
 
     def estimates(weights: FloatArray) -> list[FloatArray]:
         each = [shared_samples(sharp.some(half), weights[half]) for half in halves(chips)]
@@ -338,10 +338,10 @@ def refined(
     if is_pattern(found[0][:, 1], found[1][:, 1]):
         found = estimates(np.where(standing_alone(chips.corrected(displacement)), weights, 0.0))
     fine = believed(found[0], found[1])
-    # Across the mean line of sight errors are alike, but splines alone tell them.
+    # Across the mean line of sight, errors are common to all points, and only splines determine them.
     unseen = float(np.sqrt((fine.phase**2).mean())) * spread_of_sights(chips)
     beyond = 0.0 if work.decimation == 1 else fine.beyond
-    # Of chips as most are: where few points are lit, at the ends of a collection, halves differ most.
+    # Use chips of typical length: at the ends of a collection, where few points are lit, halves differ most.
     doubt = float(np.median(defocus(chips, fine.doubt[chips.index])))
     error = float(np.sqrt(doubt**2 + unseen**2 + beyond**2))
     return smooth + sight * (fine.phase / wavenumber)[:, None] - before, error

@@ -30,7 +30,7 @@ from blocksar.kernels.fourier import fft_rows
 
 TURNS = 4  # of points' own phases and the shared one
 BANDS = 8  # of frequencies, at most
-OFF_END = 3  # from the last band: the one from which power beyond is told, not dimmed by the chips' low-pass
+OFF_END = 3  # from the last band: reference for power beyond the band, not attenuated by the low-pass
 LEAST_BINS = 8  # of a band
 NEAR_CELLS = np.arange(-64, 65) / 16  # Doppler cells from the brightest of a row in which its own line is looked for
 PARTS = 128  # of a row, whose sums tell it: within one, lines so near to each other are alike
@@ -38,7 +38,7 @@ WHOLE = 8  # times the Doppler cells: a band that cuts nothing
 ALONE = 0.5  # of the power of its line: a point with less does not stand alone
 PATTERN = 0.15  # correlation of amplitudes
 DOUBT = 3.0  # standard deviations of the halves' common power that are not believed
-# Times the common power of amplitudes that is taken off: angles of weak sums turn further than their amplitudes change.
+# Factor of the common amplitude power that is subtracted: phases of weak sums vary more than their amplitudes.
 INTERFERENCE = 2.0
 
 
@@ -165,7 +165,7 @@ def believed(first: FloatArray, second: FloatArray) -> FinePhase:
     for number, band in enumerate(bands):
         power, noise = float(mean[band].mean()), float(differ[band].mean())
         signal = power - noise - INTERFERENCE * max(float(shared[band].mean()), 0.0)
-        # Lines of a spectrum, as regular patterns have, count for few: with each frequency's own noise.
+        # Spectral lines, as from regular patterns, get a low weight: use the noise of each frequency.
         chance = float(np.sqrt(2 * (mean[band] * differ[band]).mean() / band.size))
         share = min(signal / power, 1.0) if signal > DOUBT * chance and signal > 0 else 0.0
         gain[band], gain[-band] = share, share
@@ -179,8 +179,8 @@ def believed(first: FloatArray, second: FloatArray) -> FinePhase:
 
 
 LEAST_COUNT = 8  # samples of a point that counts
-FLOOR = 0.03  # rad: errors that points have besides what is seen in their own phases
-TOLERANCE = 0.5  # rad: points with such errors count half; with larger ones, angles tell nothing
+FLOOR = 0.03  # rad: errors of points in addition to those seen in their own phases
+TOLERANCE = 0.5  # rad: points with such errors have half weight; with larger ones, angles are meaningless
 ENTROPY_ERROR = 0.02  # rad rms: of the displacement that is refined
 
 

@@ -51,13 +51,13 @@ def predicted_error(chips: Chips, points: Points, correction: Correction, halves
     """
     settings, last = chips.work.settings, correction.history[-1]
     each = defocus(chips, chips.work.wavenumber * chips.los(halves[0] - halves[1]))
-    # Of chips as most are: those at the very ends of a collection would count for all. Beside a gap they are to count.
+    # Use chips of typical length: those at the ends of a collection would dominate. Next to a gap they must count.
     usual = float(np.median(each) if far_from_gaps(chips).all() else each.mean())
-    # The last two loops are two estimates, too; half of what they differ by is how far each is from their mean.
+    # The last two loops are two estimates as well: each deviates from their mean by half of their difference.
     unsettled = 0.5 * last["step"] if last["step"] > settings.step else 0.0
     moved = correction.displacement - correction.previous
     sharp = chips.recentred(moved).corrected(moved)
-    # As a random walk goes on, but never more than the samples show.
+    # Extrapolate as a random walk, but never beyond what the samples show.
     beyond = correction.fine_error or min(unfollowed(chips, correction, halves), fine_samples(sharp, correction))
     patterns = AMPLITUDE_TO_PHASE * amplitude_in_common(sharp, correction)
     across = told_across_gaps(sharp, correction)
@@ -205,7 +205,7 @@ PICTURES = 6  # points whose chips are kept for pictures
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Result:
-    """The corrected track, and what is known of it.
+    """The corrected track, and the figures of its estimate.
 
     Attributes
     ----------

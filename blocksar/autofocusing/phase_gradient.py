@@ -161,7 +161,7 @@ def line_of_sight(chips: Chips, phase: FloatArray, band: int, weights: FloatArra
         energy[into] = (np.abs(rows) ** 2).sum(axis=1, dtype=np.float64)
         steps = np.conj(rows[:, :-1]).astype(np.complex128) * rows[:, 1:]
         products[into] = steps / np.maximum(np.abs(steps).sum(axis=1), 1e-300)[:, None]
-    # Chips count alike, and their lines by their power.
+    # Chips have equal weight, and their lines the weight of their power.
     energy = energy.reshape(n_point, n_line)
     share = np.sqrt(weights)[:, None] * energy / np.maximum(energy.sum(axis=1, keepdims=True), 1e-300)
     last = chips.time.size - 1

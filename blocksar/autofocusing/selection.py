@@ -27,18 +27,18 @@ from blocksar.solvers import newton
 RANGE_STEP = 0.75  # range cells between lines
 DOPPLER_SHARE = 0.8  # of the PRF that lines about one yaw may fill
 CELLS = (6, 8)  # parts of a coarse image along range and Doppler; its brightest sample in each may become a point
-SIDELOBES = 1e-4  # of the brightest sample's power: what may be a sidelobe of it does not stand out
-RANGE_SIDELOBES = 2.0  # times those of a band without a taper: what is weaker may be one of a brighter sample
+SIDELOBES = 1e-4  # of the brightest sample's power: fainter ones may be its side lobes
+RANGE_SIDELOBES = 2.0  # times those of a band without a taper: fainter samples may be side lobes of brighter ones
 MAIN_LOBE = 2.0  # Doppler cells of a short aperture: within them a sample has its sidelobes in range
 FALSE = 0.01  # maxima of noise that may be taken for points that stand out of it, in all of a search
 STEPS = 3  # of Newton's method, from the plane to a place on it
 UNEVEN_STEPS = 12  # to one on a terrain, whose slopes change
 YAWS = 65  # at which the beam's edges are looked for
 NEAR = 2.5  # range cells, and Doppler cells of a short aperture, within which candidates are the same point
-APART = 0.5  # of the width of a chip, narrowed in Doppler: points closer than this share what they tell
+APART = 0.5  # of the width of a chip, narrowed in Doppler: closer points carry the same information
 REGIONS = (4, 8)  # parts of the scene in range and yaw
 CAP = 2.0  # times the even share: points of one part, at most
-ACROSS = 12  # points that see both sides of a gap, if there are so many: they alone tell how these fit
+ACROSS = 12  # points that see both sides of a gap, if available: only they determine how the sides fit
 BESIDE = 1 / 16  # of a dwell: that they see on either side, at least
 
 

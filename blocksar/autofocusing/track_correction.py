@@ -64,7 +64,7 @@ def between_samples(work: Work, displacement: FloatArray, time: FloatArray) -> F
     at = np.interp(time, work.sample_times, np.arange(float(n)))
     before = np.clip(np.floor(at), 0, n - 2).astype(np.int64)
     s = (at - before)[:, None]
-    # Beyond the ends, lines through the last two.
+    # Extrapolate linearly beyond the ends.
     padded = np.concatenate(
         [2 * displacement[:1] - displacement[1:2], displacement, 2 * displacement[-1:] - displacement[-2:-1]]
     )

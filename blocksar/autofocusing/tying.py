@@ -25,7 +25,7 @@ from blocksar.autofocusing.work import Work
 from blocksar.errors import InputError
 from blocksar.solvers import newton
 
-SHARED = 0.75  # of a dwell of either collection: what it sees of a point
+SHARED = 0.75  # of a dwell that each collection must see of a shared point
 LEAST = 4  # points that tie two collections
 STEPS = 6  # of Newton's method, from a point to a place in its chip
 

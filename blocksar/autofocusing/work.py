@@ -70,7 +70,7 @@ class EstimatorSettings:
 
 BLOCK = 512  # pulses whose samples are in memory at a time, about
 LEAST_PULSES = 64
-LEAST_SAMPLES = 4096  # of a chip over the collection, if it has so many pulses: a random walk needs them
+LEAST_SAMPLES = 4096  # of a chip over the collection, if it has enough pulses: a random walk needs them
 COARSE_SAMPLES = 1024  # likewise where only smooth errors are looked for
 APERTURES = 5  # short ones within a dwell
 FILTER_LENGTH = 7  # decimated samples: of the low-pass filter; odd, so that it lies about a sample's centre

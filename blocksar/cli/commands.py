@@ -377,7 +377,7 @@ def info(
     ],
     quiet: Quiet = False,
 ) -> None:
-    """Say what a file or folder holds: size, band, track, beam, grid, what was done to it, and what comes next.
+    """Describe a file or folder: size, band, track, beam, grid, its history, and the command that comes next.
 
     Reads no samples.
 
@@ -400,7 +400,7 @@ def check(
     quiet: Quiet = False,
     **options: Any,
 ) -> None:
-    """Check that the samples are what is said of them: sign, order, track and beam.
+    """Check the samples against their metadata: sign, order, track and beam.
 
     Compares the sharpness of prominent places as given with what it would be if something were said wrongly, and says
     what to change. Reads a part of the samples.

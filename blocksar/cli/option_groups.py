@@ -123,7 +123,7 @@ def _parameter(stated: Stated, panel: str | None) -> Parameter:
         kind = Literal[tuple(option.choices())]
     elif option.read is not None and kind not in (int, float):
         kind = str | None
-    if stated.default is False and not option.flags:  # there is no option not to do what is not done
+    if stated.default is False and not option.flags:  # such flags have no negative form
         option = replace(option, flags=(f"--{stated.name.replace('_', '-')}",))
     if panel is not None and option.metavar is None:
         option = replace(option, metavar=", ".join(map(str, get_args(kind))) or None)  # which few columns can fold

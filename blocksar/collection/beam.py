@@ -251,7 +251,7 @@ class Beam(ABC):
         return np.asarray(gain)
 
     def dwell_weight(self, x: FloatArray, y: FloatArray, time: FloatArray, taper: Taper) -> FloatArray:
-        """w g of ground points x, y (m) at slow times (s): what they count in the sum to an image; broadcast."""
+        """Weight w g of ground points x, y (m) at slow times (s) in the sum to an image; broadcast."""
         return self.at_times(time, lambda pulses: self.weights(x, y, pulses, taper) * self.gain(x, y, pulses))
 
     def at_times(self, time: FloatArray, value: Callable[[IntArray], FloatArray]) -> FloatArray:

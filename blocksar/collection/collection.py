@@ -272,7 +272,7 @@ class Collection:
     def _check_spikes(self, name: str) -> None:
         """Refuse a pulse far off both neighbours: steps and noise may be meant, a single pulse elsewhere is not."""
         values = getattr(self, name).reshape(self.n_pulse, -1)
-        # Beyond either end, what its two neighbours lead one to expect.
+        # At either end, extrapolate from the two neighbours.
         before = np.concatenate([2 * values[1:2] - values[2:3], values[:-1]])
         after = np.concatenate([values[1:], 2 * values[-2:-1] - values[-3:-2]])
         median = np.maximum(np.minimum(before, after), np.minimum(np.maximum(before, after), values))

@@ -203,7 +203,7 @@ def _check_rounding(carrier: float, position: FloatArray) -> None:
 
 
 def _check_inertial(time: FloatArray, position: FloatArray, reference: FloatArray, frame: Georeference) -> None:
-    """Refuse positions of a satellite in an inertial frame (ECI) that are said to be Earth-fixed.
+    """Refuse positions of a satellite in an inertial frame (ECI) that are labelled Earth-fixed.
 
     A satellite falls freely: its acceleration is g = -GM r / r^3 in an inertial frame, and
     g - 2 w x v - w x (w x r) in one that turns with the Earth at w, 1 m/s^2 apart on low orbits. Where the reference
@@ -228,7 +228,7 @@ def _check_inertial(time: FloatArray, position: FloatArray, reference: FloatArra
         return
     if np.ndim(reference) and np.ptp(reference) > 0:
         away = np.sqrt((frame.from_ecef(position) ** 2).sum(axis=1)) - reference
-        turned = float(SPIN * np.hypot(*middle[:2]) * span)  # what the Earth's rotation moves the ground by
+        turned = float(SPIN * np.hypot(*middle[:2]) * span)  # motion of the ground by the Earth's rotation
         if np.ptp(away) < FOLLOWS * turned:
             return
     raise InputError(

@@ -239,7 +239,7 @@ def _tie(crs: CRS, longitude: float, latitude: float) -> tuple[float, str]:
 
     longitude = longitude - 360 * round(longitude / 360)
     about = AreaOfInterest(longitude, latitude, longitude, latitude)
-    with warnings.catch_warnings():  # of what is returned
+    with warnings.catch_warnings():  # warnings about the transformations that are returned
         warnings.simplefilter("ignore")
         ties = TransformerGroup("EPSG:4326", crs, always_xy=True, area_of_interest=about)
     accuracy = float(ties.transformers[0].accuracy) if ties.transformers else -1.0

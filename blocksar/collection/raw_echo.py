@@ -112,7 +112,7 @@ class RecordedRanges:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RawEcho:
-    """Fast-time metadata of a raw echo, beside its `Collection`.
+    """Fast-time metadata of a raw echo, in addition to its `Collection`.
 
     The pulse is rect(tau / T) exp(j pi K tau^2), centred on the delay 2 R / c.
 

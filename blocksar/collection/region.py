@@ -188,15 +188,15 @@ def _between(
     )
 
 
-# Yaws of a grid at which a beam about its axis is asked what it lights, yaws beyond it that are asked at a time, and
-# yaws at which the first and the last lit one are found; ranges for that, and for the lit ranges of a yaw.
+# Yaws of a grid at which the lit ground of a beam about its axis is sought, yaws beyond the grid examined at a time,
+# and yaws between which its ends are refined; ranges for both.
 LEAST_YAWS, MOST_YAWS, YAWS_AT_ONCE, FINE_YAWS = 16, 4096, 16, 257
 FEW_RANGES, LIT_RANGES = 17, 129
 SIDE_ENDS = 0.02  # rad along the flight and against it, where nothing is imaged
 LONG = 0.9  # of the longest dwell: less is seen with other resolution and noise
 FULL_RANGES, FULL_YAWS = 33, 257  # at which the ground with full dwell is looked for
-MOST_SAMPLES = 1024  # of a terrain, along each axis, that are asked for their range
-SEEN_AT = 64  # points along a side of a grid, of which it is asked whether any is seen
+MOST_SAMPLES = 1024  # of a terrain, along each axis, whose range is computed
+SEEN_AT = 64  # points along a side of a grid that are tested for being seen
 LOOKED_AT = 256  # points along a side of a grid, of which those outside the window are counted
 
 

@@ -130,7 +130,7 @@ class Taper:
         if self.name == "kaiser":
             beta, away = self.parameters[0], 1 - np.square(v)
             within = np.i0(beta * np.sqrt(np.maximum(away, 0.0))) / np.i0(beta)
-            # Its series of cosines grows without limit there, into weights that cancel for targets that are not lit.
+            # Its cosine series grows without limit there, into weights that would cancel for targets that are not lit.
             beyond = np.exp(-(beta**2) / 2 * np.clip(np.abs(v) - 1, 0.0, KAISER_BEYOND)) / np.i0(beta)
             return np.asarray(np.where(away >= 0, within, beyond))
         return _sum(*self.series, np.asarray(v, np.float64))
@@ -287,7 +287,8 @@ def _series(taper: Taper) -> tuple[FloatArray, float]:
             a = np.concatenate([[1.0], 2 * taylor_coefficients(int(taper.parameters[0]), taper.parameters[1])])
         case "kaiser":
             frequency = 0.5
-            # Beyond the ends, where I0(beta sqrt(1 - v^2)) would grow into a Bessel function, the series is free.
+            # Beyond the ends, where I0(beta sqrt(1 - v^2)) would turn into a Bessel function, the series may take any
+            # value.
             v = solvers.gauss_legendre(4 * KAISER_TERMS)[0]
             beta = taper.parameters[0]
             values = np.i0(beta * np.sqrt(1 - v**2)) / np.i0(beta)

@@ -376,7 +376,7 @@ def image_memory(n_pixels: int, collection: Collection, *, threads: int = 1) -> 
     n, bins = collection.n_range_frequency, profile_bins(collection)
     pulses = pulse_block_size(collection)
     pixel = 8 * 5 + 4 + 1 + 2  # bytes: x, y, first, last and image; weight; outside and a mask
-    pixel += 16 if collection.has_pattern else 0  # sums of gains, and what is divided by
+    pixel += 16 if collection.has_pattern else 0  # sums of gains, and divisors
     scratch = 4 * (GROUP_BYTES + 8 * bins) + 16 * 8 * TILE**2
     return n_pixels * pixel + pulses * 8 * (n + bins) + threads * scratch + 16 * 8 * (bins + collection.n_pulse)
 

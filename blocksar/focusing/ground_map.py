@@ -162,7 +162,7 @@ def straighten(line: Line, about: Callable[[Focus], FloatArray]) -> tuple[Line, 
     # The quadratic that is orthogonal to a constant and a slope.
     square = offset**2
     square = square - mean(square)[..., None] - (mean(square * offset) / mean(offset**2))[..., None] * offset
-    # A dwell that is cut short has no bend worth the name.
+    # The bend of a dwell that is cut short is negligible.
     power = mean(square**2)
     bend = mean(level * square) / np.maximum(power, SHORT * power.max())
     bent, offset = bend[..., None], line.time - about(spots)[..., None]

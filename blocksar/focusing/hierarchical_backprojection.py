@@ -31,7 +31,7 @@ CHECKED = 8  # pixels a side of the parts of which each pixel is tested for the 
 MOST_WINDOWS = 16  # that are formed from the same echoes
 SAMPLED = 16  # places along the side of a window at which it is found which pulses light it
 Window = tuple[slice, slice]
-Outlined = tuple[Window, list[Part]]  # with what lights it, pass by pass
+Outlined = tuple[Window, list[Part]]  # with the lit part in each pass
 
 
 def form_windows(
@@ -73,7 +73,7 @@ def form_windows(
         Of each window, in an order that depends on the windows only, as `backprojection.form_image` defines it.
     """
     whole = [(window, _outline(geometry, x, y, window)) for window in windows]
-    # A single window knows itself which pulses light it.
+    # A single window determines its own lit pulses.
     parts = _joined([outline for _, outline in whole]) if len(windows) > 1 else []
     with on_device(device, memory) as opened:
         former = _Former(geometry, levels, weighting, opened)
@@ -100,7 +100,7 @@ def _outline(geometry: Geometry, x: FloatArray, y: FloatArray, window: Window) -
         free = begin == 0 and start == 0, end == n and stop == n  # all of the collection lights it
         begin, end = max(begin - apart, 0), min(end + apart, n)
         start, stop = (0 if free[0] else start + apart), (n if free[1] else stop - apart)
-        # Two places that say as much: where no pulse lights all of the window, none lights both.
+        # Two places suffice: if no pulse lights all of the window, none lights both.
         ends = [(begin, end), (start, stop)] if start < stop else [(begin, begin + 1), (end - 1, end)]
         ends = ends if lit else [(0, 0)]
         places = np.array(ends).T
@@ -141,7 +141,7 @@ def _joined(outlines: Sequence[Sequence[Part]]) -> list[Part]:
             name: np.concatenate([getattr(part, name) for part in parts]) for name in ("x", "y", "z", "first", "last")
         }
         ends = {name: np.array([every[name].min(), every[name].max()]) for name in ("x", "y", "z")}
-        whole = len(parts) == len(outlines)  # else a window has no such pass
+        whole = len(parts) == len(outlines)  # else some window has no such pass
         light = {name: every[name] if whole else np.append(every[name], 0) for name in ("first", "last")}
         joined.append(Part(**ends, **light))
     return joined
@@ -213,7 +213,7 @@ class _Former:
     ) -> list[tuple[Part, Echoes | None]]:
         """Decimate the echoes of all windows for some of them, pass by pass."""
         parts = _joined([outline for _, outline in outlines])
-        # Of passes that these lack, as of tops that have no echoes, nothing is left.
+        # Passes that these windows lack, and tops without echoes, are dropped.
         return [
             (part, None if echoes is None else self.hierarchy.divide(top, echoes, part, self._scratch(), -1))
             for part, (top, echoes) in zip(parts, tops, strict=False)
@@ -343,7 +343,7 @@ def _whole_passes(sums: PixelSums) -> list[tuple[IntArray, IntArray]]:
     (_, *first_pass), *further = sums.passes
     passes = [(first_pass[0], first_pass[1])]
     for window, first, last in further:
-        # The next pass that this tile has not.
+        # The next pass that has no part of this tile yet.
         number = next((k for k, (_, ends) in enumerate(passes) if k and not ends[window].any()), len(passes))
         if number == len(passes):
             passes.append((np.zeros_like(passes[0][0]), np.zeros_like(passes[0][1])))

@@ -55,12 +55,12 @@ from blocksar.arrays import BoolArray, Complex128Array, ComplexArray, FloatArray
 from blocksar.errors import InputError
 from blocksar.focusing.method import Cutting
 
-FALSE_ALARMS = 1e-8  # of the cells, at most, in a scene of many targets that all pulses see alike
+FALSE_ALARMS = 1e-8  # of the cells, at most, in a scene of many targets with equal echoes in all pulses
 GROUP = 128  # pulses in which a line is found, about: a pulsed one is cut in all of them
 LEAST = 64  # range frequencies
-STANDS_OUT = np.log(1 / FALSE_ALARMS) / np.log(2)  # over the medians beside it
-SKIRT, NEIGHBOURS = 1.5, 3  # a line ends where the mean of so many cells falls to this, over the medians
-NEAR = 16  # cells beside a line's, in which its leak is looked for
+STANDS_OUT = np.log(1 / FALSE_ALARMS) / np.log(2)  # over the medians on either side
+SKIRT, NEIGHBOURS = 1.5, 3  # a line ends where the mean of NEIGHBOURS cells falls to SKIRT times the medians
+NEAR = 16  # cells on either side of a line in which its leakage is sought
 PASSES = 8  # at most: lines that are hidden by others' leak
 LOST = 0.1  # of a frequency's echoes with the courses: beyond it is missing
 MOST = 0.25  # of the pulses of a group: vectors over them that are subtracted

@@ -279,7 +279,7 @@ class RowPolynomial:
         terms, z = self._terms(np.asarray(rng))[..., None], self.variable(values)
         value, slope, bend = (np.zeros(np.broadcast_shapes(z.shape, terms.shape[1:])) for _ in range(3))
         value += terms[-1]
-        for power, term in enumerate(terms[-2::-1]):  # Horner's scheme; what is still zero is passed over
+        for power, term in enumerate(terms[-2::-1]):  # Horner's scheme; terms that are still zero are skipped
             if power > 1:
                 bend *= z
             if power > 0:

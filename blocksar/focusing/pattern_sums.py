@@ -28,9 +28,9 @@ from blocksar.kernels.projection import LitPixels
 TOGETHER = 32  # pixels of a row
 DEGREE = 12  # of P: 2e-12 rad for angles up to WIDEST
 LEAST, WIDEST = 0.3, 0.8  # rad off a direction that P serves at least; arc sines of larger ones are computed singly
-# Where the mean of the pattern in elevation over the pulses that light a pixel is a smaller part of the pattern's peak,
-# the pixel is not in the image (NaN), whichever processor forms it: what such a pixel would show are the side lobes of
-# its neighbours and the noise, divided by next to nothing.
+# Smallest mean of the pattern in elevation over the lit pulses of a pixel, relative to the pattern's peak, of a pixel
+# in the image; others are NaN with every processor: they would show their neighbours' side lobes and noise, divided by
+# almost nothing.
 LEAST_ELEVATION = 0.01  # two-way amplitude: -40 dB
 ELEVATIONS = 16  # pulses of a dwell at which the pattern in elevation is looked up for its mean
 EVEN = 1e-9  # of the spacing of a pattern's angles, by which they may differ from even ones

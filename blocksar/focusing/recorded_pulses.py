@@ -23,8 +23,8 @@ from blocksar.kernels.phase import Float32Array
 
 Tile = tuple[slice, slice]
 
-# Least share of a pulse that is divided by: clutter and noise then rise by 10 dB under equal weights, and responses are
-# 10 times as broad. Ground with less, which is NaN, would show the side lobes of its neighbours.
+# Smallest recorded share of a pulse that pixels are divided by: there clutter and noise rise by 10 dB under equal
+# weights, and responses are 10 times as broad. Ground below it is NaN: it would show the side lobes of its neighbours.
 LEAST_SHARE = 0.1
 TIMES = 5  # of a dwell, both ends among them
 ROUNDING = 1e-9  # of a share

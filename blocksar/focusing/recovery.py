@@ -127,7 +127,7 @@ class Recovery:
         u = (time - middle) / half
         held = np.clip(u, -GUARD, GUARD)
         rate = chebyshev.chebval(held, chebyshev.chebder(self.derotation))
-        # In the guard, where it would grow, it goes on at the rate of its ends: what rings there keeps its Doppler.
+        # In the guard, where the phase would grow, it continues at the end's rate: ringing there keeps its Doppler.
         return np.asarray(chebyshev.chebval(held, self.derotation) + rate * (u - held))
 
     def derotation_rate(self, time: FloatArray) -> FloatArray:

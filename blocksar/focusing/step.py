@@ -117,7 +117,7 @@ class Motion:
     def integrate(
         cls, bend: FloatArray, like: FloatArray, *, start: float, step: float, near: float, far: float
     ) -> Self:
-        """From second derivatives (n, n_term); constant and slope such that the values are `like` on average."""
+        """Integrate second derivatives (n, n_term), with constant and slope that make the values `like` on average."""
         half_step = step / 2
         slope = np.zeros_like(bend)
         slope[1:] = np.cumsum(half_step * (bend[1:] + bend[:-1]), axis=0)

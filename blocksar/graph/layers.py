@@ -120,7 +120,7 @@ class StripLayers:
         """
         incidence = by_owner(self._sights, owner, lambda sight: self._of(sight)[number].angle, np.nan)
         seen = by_owner(self._sights, owner, lambda sight: self._visibility(number, sight), UNKNOWN)
-        # Heights do not depend on the sight: those that are known serve.
+        # Heights do not depend on the sight: use those already computed.
         found = next(iter(self._found.values()), None) or self._of(next(iter(self._sights.values())))
         layers = {"height": found[number].rounded, "incidence_angle": incidence, "visibility": seen}
         return {name: layers[name].astype(kind.dtype, copy=False) for name, kind in stores.ON_TERRAIN.items()}

@@ -21,7 +21,7 @@ from blocksar.kernels.rows import Program
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Receipt, Written
 
-# Among what a receipt has found: what was cut from a group of pulses, and the zeros that look like gaps in its echo.
+# Keys of findings in receipts: interference cut from a group of pulses, and zeros that look like gaps in its echo.
 CUT, ZERO_GAPS = "interference", "zero_gaps"
 
 

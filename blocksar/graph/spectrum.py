@@ -171,7 +171,7 @@ class SpectrumChunks:
         cls, store: Place, written: Sequence[Written], *, first_bin: int = 0, shape: tuple[int, int],
         chunk: tuple[int, int], recovered: bool = False,
     ) -> SpectrumChunks:  # fmt: skip
-        """All chunks, from what receipts say was written to the store."""
+        """All chunks of a store, from the receipts of what was written to it."""
         checksums = {(part.region[0][0], part.region[1][0]): part.checksum for part in written}
         return cls(store, first_bin, shape, chunk, checksums, recovered)
 

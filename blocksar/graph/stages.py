@@ -41,7 +41,7 @@ from blocksar.planning.tiling import chunk_window, image_chunk, inspection_width
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import Receipt, Written, block_unit
 
-Parts = defaultdict[str, list[Written]]  # what units have written, by store
+Parts = defaultdict[str, list[Written]]  # regions written by units, by store
 
 
 class ReadSegment(NamedTuple):

@@ -361,7 +361,7 @@ class Watch:
         return max(self._workers.number, 1)
 
     def notify(self, units: Iterable[Unit]) -> None:
-        """Report the units in flight and the last known state of the workers; the scheduler is not asked."""
+        """Report the units in flight and the last known state of the workers, without asking the scheduler."""
         self._listener.watch([unit.name for unit in units], self._workers)
 
     def wait_for_any(self, running: Mapping[Future[Any], Unit], stage: str) -> list[Future[Any]]:

@@ -161,7 +161,7 @@ def _members(parts: list[_Element], name: str, endian: str) -> dict[str, Value]:
 
 
 def _value(element: _Element, endian: str) -> Value:
-    """The numbers of an array, or a description of what else the element holds."""
+    """The numbers of an array, or a description of another element's contents."""
     if element.kind != MATRIX:
         raise InputError(f"it is damaged: a field is of type {element.kind} instead of an array; fetch it again")
     if not element.data:

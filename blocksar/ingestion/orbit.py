@@ -60,7 +60,8 @@ class Orbit:
                 f"the orbit's states lie {radius.min():.6g} .. {radius.max():.6g} m from the Earth's centre, where no "
                 "satellite flies: they must be Earth-centred, in m"
             )
-        # The cubic's chord tells axes that do not turn with the Earth, and other units.
+        # Steps between positions and mean velocities disagree in axes that do not rotate with the Earth, or other
+        # units.
         moved, mean = np.diff(self.position, axis=0), (self.velocity[1:] + self.velocity[:-1]) / 2
         way = mean * np.diff(self.time)[:, None]
         apart = np.linalg.norm(moved - way, axis=1) / np.linalg.norm(way, axis=1)

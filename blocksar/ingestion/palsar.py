@@ -501,7 +501,7 @@ def _even(image: Image, options: StripOptions, quad: bool, notes: list[str]) -> 
         notes += ["times of lines are those of their counters of microseconds", *even_notes]
         return _with_echoes(even, nought[np.searchsorted(run, even.pulses)], image, notes)
     way = float(seconds[-1] - seconds[0])
-    # Of four channels every other pulse is one's; the times tell how the PRF counts.
+    # With four channels, every other pulse belongs to one; the times show how the PRF counts.
     likely = [(2 if quad else 1) / prf, (1 if quad else 2) / prf]
     interval = min(likely, key=lambda each: abs(each * slots[-1] - way))
     if abs(interval * slots[-1] - way) > max(2 * MILLI, 0.02 * way):

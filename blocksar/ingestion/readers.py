@@ -325,7 +325,7 @@ def _identity(origin: Sequence[Any], groups: Mapping[str, stores.Group]) -> str:
     return stores.json_checksum([__version__, list(origin), held])
 
 
-KEPT = 0.5  # of the pulses that are asked for: fewer are not what a user means
+KEPT = 0.5  # of the requested pulses: fewer are hardly intended
 
 
 def refuse_few(kept: int, of: int, cause: str, remedy: str) -> None:

@@ -348,7 +348,7 @@ Area = tuple[tuple[float, float], tuple[float, float]]  # x and y, from .. to, m
 # ---------------------------------------------------------------- areas
 
 ROOM = 50.0  # m by which the ground of an area may lie off the plane
-PLACES = 9  # along each side, at which it is asked who lights the area
+PLACES = 9  # along each side, at which the lit pulses of the area are found
 LEAST = 256  # pulses, and frequencies, that are left at least: one or two at either end have no sum that is good
 PART = 64  # pulses whose frequencies are filtered at a time
 

@@ -341,9 +341,9 @@ def _placed(time: FloatArray, whole: FloatArray, usual: float) -> tuple[IntArray
 PARTS = "--pulses, --polarization"
 HALF_POWER = 0.886  # wavelengths over length: width of an evenly lit antenna's beam
 BAND_OF_PRF = 0.8  # of the PRF, that the Doppler band of a beam of unknown width fills
-MOMENTS = 9  # at which the Doppler frequency of the beam's centre is asked
+MOMENTS = 9  # at which the Doppler frequency of the beam's centre is computed
 TILTED = np.radians(10.0)  # an antenna's axis that lies farther off the track is none
-SATELLITE = 1e5  # m: what flies higher
+SATELLITE = 1e5  # m: platforms above it are satellites
 TOLD = 0.05  # m along the track that are worth a note
 
 Rows = Callable[[int, IntArray], ComplexArray]  # samples of a channel at some pulses of the file

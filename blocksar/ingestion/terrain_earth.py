@@ -28,7 +28,7 @@ HIGHER = 3000.0  # m: relief about an area that is looked for, above its own hig
 MOST_HEIGHTS = 1 << 27  # of a window: 1 GiB
 MOST_AROUND = 1 << 24  # heights of the terrain about an area: of a finer one, less far away
 
-# What programs write by custom, and what no ground has: -11 km to 9 km on the Earth, and less by its bend.
+# Fill values that programs use by custom, and impossible heights: the Earth's are -11 km to 9 km, less its curvature.
 CUSTOMARY = (-9999.0, 9999.0, -32767.0, -32768.0, 32767.0, 65535.0, -99999.0, 99999.0)
 HIGHEST = 1e5  # m
 

@@ -33,10 +33,10 @@ from blocksar.inspection.verdict import FOCUSED, SHARP, Concentrations, Findings
 
 FEWEST = 2  # of these, from which the track is judged
 CLEAR = 0.65  # concentration that only points in focus have
-EXPLAINED = 0.8  # of a phase error: what is named as its cause
+EXPLAINED = 0.8  # of a phase error: causes that explain more are named
 COVERED = 0.5  # of a dwell: with less, other places do not judge a place, and it judges itself if it is CLEAR
 POINTS = 1 / 3  # of the places: as many that become FOCUSED judge the track alone, without those that are clutter
-# To be read: a part of the band, and of very many pulses those in the middle. Under a beam that is not steered less
+# Samples to read: a part of the band and, of very many pulses, the middle ones. Under a beam that is not steered less
 # depends on the sign and order of the samples.
 MOST_SAMPLES, MOST_UNSTEERED = 1 << 20, 1 << 21
 SPIKE = 1e4  # times the median modulus: samples that are left out

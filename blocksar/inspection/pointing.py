@@ -29,21 +29,21 @@ from blocksar.inspection.alternatives import Alternative, doppler_period
 from blocksar.inspection.prominent import EDGE, FEW_ROWS, SHORT, Lines, PointLine, ProfiledSamples, ProminentPoint
 
 CANDIDATES = 16  # places that are looked at
-FEWEST, ENOUGH = 3, 5  # of those in focus: on which anything is said, and that are enough beside a run
+FEWEST, ENOUGH = 3, 5  # places in focus: fewest for a verdict, and enough for a check during a run
 APART = 4.0  # range cells between places: less is the same one, seen in two apertures
 FURTHEST = 4.0  # beam widths: larger errors are not tried
 STEP = 0.02  # beam widths between errors that are tried
-NARROWER = (0.5, 0.42, 0.35, 0.3, 0.25)  # of the width said, that are tried
+NARROWER = (0.5, 0.42, 0.35, 0.3, 0.25)  # of the stated width, that are tried
 SPAN = 4.0  # dwells to either side of where a place was found, over which its line is taken
 FOCUSED = 0.5  # concentration of points
 OFF = 0.2  # beam widths: smaller errors cost little
-GAIN = 1.0  # dB over what is said, in the median of the places: 1.9 dB for an error of OFF
+GAIN = 1.0  # dB over the stated beam, median of the places: 1.9 dB for an error of OFF
 EMPTY = (
     0.8  # of the gain, dB, if what a narrower beam leaves out were dark, in the median: a pattern's nulls come to 0.65
 )
 SHARE = 0.75  # of the places, that gain
 AGREED = 0.7  # of its own best, that the median place has
-TOLD_APART = 0.4  # dB in the median, for which an angle is told from that a PRF away
+TOLD_APART = 0.4  # median dB that distinguishes an angle from that a PRF away
 
 
 class Pointing(NamedTuple):
@@ -158,7 +158,7 @@ def _hypotheses(collection: Collection, reach: float) -> _Hypotheses:
     beam, width = beam_angle(collection), collection.beam_width or 0.0
     count = round(reach / (STEP * width))
     errors = np.arange(-count, count + 1) * STEP * width
-    errors = errors[np.argsort(np.abs(errors), kind="stable")]  # as said first
+    errors = errors[np.argsort(np.abs(errors), kind="stable")]  # the stated beam first
     narrower = [] if collection.has_pattern else NARROWER
     return _Hypotheses(
         laws=[beam, beam[::-1], -beam],

@@ -425,7 +425,7 @@ class Lines:
 
     def _solved(self, place: ProminentPoint, wanted: FloatArray) -> ProminentPoint | None:
         """Solve for the place with an offset (m) and a Doppler (Hz) at its pulse, by Newton's method from another."""
-        tolerance = np.array([self.cell, self.geometry.collection.prf / SHORT])  # what a short aperture tells apart
+        tolerance = np.array([self.cell, self.geometry.collection.prf / SHORT])  # resolution of a short aperture
         for _ in range(NEWTON):
             left = wanted - self._seen(np.array(place.x), np.array(place.y), place.pulse)
             if (np.abs(left) < CONVERGED * tolerance).all():

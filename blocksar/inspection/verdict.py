@@ -12,9 +12,9 @@ from blocksar.inspection.prominent import SIGNIFICANT, Contrast, deviations
 
 IN_FOCUS = 0.5  # share of the energy near it that a point in focus holds; the largest of speckle holds a fifth
 AS_SHARP = 0.6  # of the best focus of any alternative: with less, one is not believed
-TIED = 0.75  # of the concentration as given: a beam that is moved is believed if places keep as much
+TIED = 0.75  # of the concentration as given: a moved beam is accepted if places keep as much
 REFOCUSED = 0.15  # concentration that a refocus reaches where the track is doubted: what stays below is no point
-FOCUSED = 0.5  # concentration of points after a refocus, where no beam is doubted beside the track
+FOCUSED = 0.5  # concentration of points after a refocus, where the track and not the beam is doubted
 SHARP = 0.8  # of the concentration after a refocus: below it the track is doubted
 ALIKE = 3.0  # standard deviations: gains of two alternatives that differ by less do not tell them apart
 MIRRORED = "the axes of the scene are mirrored"
@@ -182,7 +182,7 @@ class Findings:
         than something else.
         """
         good = [t for t in self.trials[1:] if t.deviations >= SIGNIFICANT]
-        if self.mended:  # what sees a part of the dwell is less blurred
+        if self.mended:  # an alternative that sees part of the dwell is less blurred
             good = [t for t in good if not t.of_beam]
         focus = AS_SHARP * max(trial.in_focus for trial in self.trials)
         good = [t for t in good if not t.focus or t.in_focus >= focus]

@@ -11,7 +11,7 @@ import numpy as np
 
 from blocksar.arrays import ComplexArray
 
-ROOM = 1.25  # times what is asked for: later arrays are often a little larger
+ROOM = 1.25  # times the requested size: later arrays are often a little larger
 
 
 class Scratch:

@@ -46,11 +46,11 @@ TUPLE: Any = types.Tuple  # carries no types
 PAIR = TUPLE((types.int64,) * 2)
 _BASE: Any = types.BaseTuple
 COMPILED: dict[str, Any] = {"nogil": True, "fastmath": {"contract", "nsz"}}
-# No operations are contracted. Said of every such function: numba hands the options of a caller to what it calls, and
-# keeps what it compiled so for other callers.
+# No operations are contracted. Stated for every such function, since numba passes the options of a caller on to its
+# callees, and caches these for other callers too.
 UNCONTRACTED: dict[str, Any] = {"nogil": True, "fastmath": False}
-# Of a function that compiled loops call, and Python does not: no entry points for Python and C, each of which would be
-# compiled with a copy of the function.
+# A function that only compiled loops call: no entry points for Python and C, each of which would be compiled with a
+# copy of the function.
 PART: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 UNCHECKED: dict[str, Any] = {"error_model": "numpy"}  # divisions by zero give infinity, without a test of each
 
@@ -145,7 +145,7 @@ def _load(cache: Any, held: ExitStack, wait: bool, signature: Any, context: Any)
     """
     context.refresh = lambda: None
     try:
-        with suppress(Exception):  # whatever a file raises that is torn, or names what is gone
+        with suppress(Exception):  # a torn file, or one that names missing objects, may raise anything
             if (found := type(cache).load_overload(cache, signature, context)) is not None:
                 return found
         if isinstance(cache, NullCache):

@@ -129,8 +129,8 @@ def _crosses(
     heights, low, high = grid.heights, grid.low, grid.high
     step, (column, row), (along_column, along_row) = min(grid.dx, grid.dy) / STEPS, at, pace
     square = distance * distance + above * above
-    # What the terrain nears the curve by, at most, per metre of the way: curves are least steep where they begin, but
-    # the near one where it ends.
+    # Largest rate, per metre of the way, at which the terrain can approach the curve: curves are least steep where they
+    # begin, but the near one where it ends.
     gain = steepest - distance / above if kind == _FAR else steepest - above / distance
     if kind == _NEAR:
         down = z + above - limits[0]

@@ -20,7 +20,7 @@ from blocksar.kernels.loops import COMPILED, PART, REAL_ROW, REAL_ROWS, SAMPLES_
 
 HALF_TAPS = 8  # on either side
 PHASES = 512  # intervals of a sample in the table of taps, between which taps are linear: error 4e-6
-ATTENUATION = 60.0  # dB, of what lies beyond the band of 0.39 cycles a sample
+ATTENUATION = 60.0  # dB, beyond the band of 0.39 cycles a sample
 
 
 @cache
@@ -108,7 +108,7 @@ def heights_between(posts: FloatArray, filled: FloatArray, *, row: FloatArray, c
 def continued(posts: FloatArray) -> FloatArray:
     """Extend posts by one on every side, (n_row + 2, n_column + 2), extrapolating from known ones."""
     filled = np.pad(posts, 1, constant_values=np.nan)
-    for _ in range(2):  # beside them, then across corners
+    for _ in range(2):  # along sides, then across corners
         rim = np.pad(filled, 3, constant_values=np.nan)
         n_row, n_column = filled.shape
 

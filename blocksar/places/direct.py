@@ -98,7 +98,7 @@ class Writer:
                 left = left[os.write(self._descriptor, left) :]
 
     def finish(self) -> None:
-        """Write the rest: whole sectors, and what is left of the last one through the page cache.
+        """Write the rest: whole sectors, and the remainder of the last one through the page cache.
 
         To write that sector as a whole and cut the file takes longer: the system reads it again for the cut.
         """

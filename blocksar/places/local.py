@@ -56,7 +56,7 @@ class LocalPlace(Place):
         return []
 
     def _found(self) -> Iterator[tuple[str, os.stat_result]]:
-        """Paths of files, in order; not of links that lead nowhere, nor of what is removed meanwhile."""
+        """Paths of files, in order; links that lead nowhere, and files removed meanwhile, are skipped."""
         for parent, folders, names in os.walk(self.path):
             folders.sort()
             for name in sorted(names):

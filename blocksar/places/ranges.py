@@ -41,7 +41,7 @@ class Readable(ABC):
 
     @abstractmethod
     def open(self) -> BinaryIO:
-        """Open the file; only what is read is fetched."""
+        """Open the file; only the parts that are read are fetched."""
 
     @abstractmethod
     def version(self) -> str:

@@ -24,7 +24,7 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.kernels.fourier import fast_length, fft_rows
 
 SHARES = (0.05, 0.5, 0.95)  # of a grid along either side, at which ghosts are looked for
-TOLD = 0.01  # amplitude below which a ghost is not told
+TOLD = 0.01  # amplitude below which a ghost is not reported
 PADDING = 4  # of the transform over pulses
 
 

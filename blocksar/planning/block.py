@@ -308,7 +308,7 @@ def plan_ground(sector: Sector, azimuth: AzimuthPart, sampling: Sampling, target
     offset, doppler_focus, phase, gain, dwell_time = _surfaces(sector, targets, degree)
     yaw_axis = np.linspace(sector.low, sector.high, _yaw_steps(sector))
     near_limit, far_limit = sector.region.at(yaw_axis)
-    # Of the sampling rate, what a target's response fills along Doppler without its own carrier.
+    # The share of the sampling rate that a target's response occupies along Doppler without its carrier.
     reach = np.abs(targets.line.time - _carrier_time(targets, targets.spots)[..., None]).max()
     filled = float(min(2.2 * reach * sampling.image_doppler.step, 0.9))
     ground = GroundMap(

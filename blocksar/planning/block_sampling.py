@@ -67,7 +67,7 @@ def plan_rows(spots: Focus, range_frequency: Axis, turns: FloatArray, tap_error:
 def range_scale(collection: Collection, range_frequency: Axis, period: int, taper: Taper) -> float:
     """Sum of the weights over the band, in steps of `range_frequency`, divided by the length of the range transform."""
     weights = taper.samples(collection.n_range_frequency)
-    # Those of a sub-block reach beyond the band; those of a whole block are the band's, without a rounding error.
+    # The frequencies of a sub-block reach beyond the band; those of a whole block are the band's, up to rounding.
     n_band = round(collection.range_frequency_step * collection.n_range_frequency / range_frequency.step, 9)
     return float(n_band / period * weights.mean())
 
@@ -118,9 +118,9 @@ def plan_sampling(
     bandwidth = max(max(bands) - min(bands), IMAGE_ROOM * float(np.ptp(spots.doppler)) / SLOW_ROOM)
     time = _plan_time(sector.recovery, slab, straight, bandwidth=bandwidth, duration=duration)
 
-    # Slow time before the final transform: the lines and what is smeared beyond them, room for resampling and windows.
-    # Without a gate half of the room beyond is not summed: steps in Doppler delay echoes from beside a block into it,
-    # or round the end of time, from where the deramp would take them to the block's Doppler.
+    # Slow time before the final transform: the lines and their smear, with room for resampling and windows. Without a
+    # gate, half of the room beyond is not summed: steps in Doppler delay echoes from beside a block into it, or around
+    # the end of the axis, and the deramp would shift those to the block's Doppler.
     guard, gated = GUARD * duration, beam_moves(sector.geometry.collection)
     if not gated:  # all is summed, to the end of the smear
         guard += smear_room(focused, biased.rate) * (IMAGE_TAP_ERROR / sector.tap_error) ** (2 / 3)

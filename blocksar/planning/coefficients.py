@@ -261,7 +261,7 @@ def _orders(size: int, **terms: FloatArray) -> FloatArray:
 GOOD_RESIDUAL = 0.02  # rad: the most that is good; see `good_residual`
 RESIDUAL_SHARE = 0.5  # of the allowed loss that residual phase may take before a better chain is preferred
 GOOD_LOSS = 4e-4  # of coherence, at the ends of the dwell: below this a cheaper chain is preferred to a better one
-ENOUGH_COST = 1.2  # of a kind of chain, or of its fit at all ranges over what few promised: no other is tried
+ENOUGH_COST = 1.2  # cost of a kind of chain, or of the fit at all ranges over that at few: below it no other is tried
 FINER = (1.4, 1.2, 1.1, 1.05)  # factors by which the spread of the best bias is varied, one after the other
 
 

@@ -18,8 +18,8 @@ from blocksar.planning.plan import Plan
 from blocksar.planning.tiling import image_chunk, touched_chunks
 
 CELL = 4  # bytes of a cell of a pyramid, a height or an angle: float32, which hardly compress; visibility does
-POINTS = 40_000  # at about so many points of the grid, ownership is asked
-SPECTRA = ("spectrum", "gated")  # what a run that discards these removes before the mosaic
+POINTS = 40_000  # number of grid points at which ownership is evaluated, about
+SPECTRA = ("spectrum", "gated")  # stores removed before the mosaic by a run that discards intermediate results
 
 
 class Room(NamedTuple):

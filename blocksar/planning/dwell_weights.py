@@ -163,7 +163,7 @@ def dwell_weights(
             place = (2 * lit.time - (uncut[0] + uncut[1])[..., None]) / dwell
         nodes = taper(place)
         if collection.steered and moves is not None:
-            # A beam that turns back before it reaches a target gives it a dwell of 0 s: no weights that would move.
+            # A beam that turns back before a target gives it a dwell of 0 s: its weights do not move.
             change = taper.slope(place) * 2 / np.where(dwell > 0, dwell, np.inf) * moves
     weights = DwellWeights(
         taper=taper, nodes=nodes, edge=edge, patterned=False, alone=nodes, change=change, lit_band=lit_band,

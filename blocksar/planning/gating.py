@@ -50,7 +50,7 @@ def plan_range_gate(full: Axis, slab: Axis, line: Line, carrier: float) -> Range
     u = (2 * line.doppler - slab.start - (slab.start + slab.extent)) / slab.extent
     centre = middle_line(u.ravel(), line.range.ravel(), order=6)
     spread = line.range - chebyshev.chebval(u, centre)
-    # In a Doppler bin the ends of the band belong to other times than the carrier: a smear that SRC removes later.
+    # In a Doppler bin, the band's ends are lit at other times than the carrier: a smear that SRC removes later.
     edge = max(abs(full.start), abs(full.start + full.extent)) / carrier
     rate = np.maximum(np.abs(line.rate), 1e-3 * np.abs(line.rate).max())
     smear = SPEED_OF_LIGHT / (2 * carrier) * line.doppler**2 / rate * edge
@@ -113,7 +113,7 @@ def plan_dwell_gate(sector: Sector, azimuth: AzimuthPart, sampling: Sampling, li
     at_middle = fit.integral((begin + end) / 2).coefficients(np.array((fit.near + fit.far) / 2))[None]
     common = fit.polynomial(at_middle)
 
-    # The smear that the windows have to have, and the time that they need.
+    # The smear that the windows must have, and the time span that they need.
     (_, shared, _), *along = (each.evaluate(spots.range, spots.doppler[..., None]) for each in (common, *phases))
     apart = max(float(np.abs(at - shared).max()) for _, at, _ in along)
     smear = end_smear(lines.line, lines.rate)

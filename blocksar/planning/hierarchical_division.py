@@ -35,14 +35,14 @@ from blocksar.planning.memory import hierarchical_gpu_memory, hierarchical_memor
 from blocksar.planning.tiling import image_chunk, units_of
 
 ERROR = 1e-5  # error power that no image exceeds: less costs hardly any time, and dark places show it
-SHARE = 0.4  # of what is allowed: some places of an image err by 1 dB more than its mean
+SHARE = 0.4  # of the allowed error: some places of an image err by 1 dB more than its mean
 EDGE = 0.38  # e of the filters: higher ones have long tails, lower ones leave more samples
 RATIOS = (2.0, 3.0, 4.0, 6.0)  # of the sides of a level and the next
 UPSAMPLINGS = range(2, 25)
-NODES = 3  # along a part's side, at which it is found what lights it
+NODES = 3  # along a part's side, at which its lit pulses are found
 DIVISIONS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # of the image along either side, into units of work
 PLACES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the image, along either side, at which costs are found
-FEW = 3  # of so many places one, by which divisions are ranked
+FEW = 3  # every third place, by which divisions are ranked
 PROFILES = 2  # arrays of range profiles at once: transformed in place, and with margins
 GPU_PROFILES = 3  # besides, on a GPU: transformed out of place, with work areas of two lengths
 
@@ -173,7 +173,7 @@ class Ladders:
         self, hierarchy: Hierarchy, geometry: Geometry, grid: Grid, rates: Rates, part: Callable[[Pair, Pair], Part]
     ) -> None:
         self.hierarchy, self.geometry, self.grid, self.rates, self.part = hierarchy, geometry, grid, rates, part
-        # Waves are those of a taper over the beam, by whose sums the image is divided.
+        # Frequencies of the taper over the beam, whose sums the image is divided by.
         self.gains = effort.GAINS if geometry.collection.has_pattern or hierarchy.waves else 0.0
 
     def cost(self, place: Pair, sides: Sequence[Pair]) -> Cost | None:
@@ -192,7 +192,7 @@ class Ladders:
         for above, below in pairwise(sides):
             part = self.part(place, below)
             (begin, end), _ = part.lit()
-            # Between the few places that are looked at, a part may be lit when its parent is not.
+            # Only a few places are examined, so a part may be lit when its parent is not.
             held = frame.size or bool(((frame.pulses >= begin) & (frame.pulses < end)).any())
             descended = self.hierarchy.descend(frame, part) if held else None
             if descended is None:

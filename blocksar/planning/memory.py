@@ -81,7 +81,7 @@ def compression_memory(collection: Collection, raw: RawEcho | None) -> int:
 def interference_memory(collection: Collection) -> int:
     """Peak memory of a worker that cuts interference from samples, bytes."""
     columns = collection.n_range_frequency
-    # As an array and as chunks read and written; of a group in double precision, and what of it is projected out.
+    # The samples as an array and as chunks read and written; a group in double precision, and its projected-out part.
     return PROCESS_MEMORY + 8 * 3 * TILE[0] * columns + 16 * 6 * 2 * GROUP * columns
 
 
@@ -145,7 +145,7 @@ def gating_memory(gate: RangeGate, *, n_bin: int, n_group: int) -> int:
     read = n_bin * gate.full.size
     read += min(read, SPECTRUM_BYTES // 8)  # and the chunks of a part
     delays = n_group * gate.to_delay.period
-    # Groups that are written or wait for it; the one that is computed, alone and in whole chunks; copies of chunks.
+    # Groups being written or waiting for it; the one being computed, alone and in whole chunks; copies of chunks.
     gated = (WRITES_AT_ONCE + 4) * n_group * gate.range_frequency.size
     return PROCESS_MEMORY + 8 * (read + delays + gated) + group_memory(gate.to_delay.period)
 

@@ -143,8 +143,8 @@ def _describe_block(block: BlockPlan) -> str:
 
 MAX_BLOCKS = 32  # that `auto` tries
 GROWTH = 1.5  # factor by which the number of blocks, or of segments, grows at a time
-# By this factor excesses may differ though blocks are no better or worse: on a terrain each division is predicted at
-# other places of it (1.5 .. 3.0 from 1 to 10 blocks of hills of 60 m every 450 m under Table 1, without a trend).
+# Factor by which excesses may differ although blocks are equally good: on a terrain each division is predicted at other
+# places of it (1.5 .. 3.0 from 1 to 10 blocks of hills of 60 m every 450 m under Table 1, without a trend).
 ALIKE = 1.5
 
 
@@ -184,7 +184,7 @@ def find_division(plan: Callable[[int, bool], P], *, workers: int) -> P:
         return plan(numbers[0], False)
     if excess_of(first) > 1.0 and (finest := _probe_finest(plan)) is not None:
         if first.refusal is not None and finest.refusal is not None:
-            return first  # which has the reason, and nothing else is asked of it
+            return first  # only its reason is used
         far = ALIKE < excess_of(finest) < math.inf
     if not far and (found := _fewest_blocks(plan, numbers, 1.0)) is not None:
         return found
@@ -353,10 +353,10 @@ class DivisionPlanner:
         seams, touched = self._touched(count, probe)
         planned: list[BlockPlan] = []
         for index in touched:
-            # Narrow blocks are of one kind: each takes what the one before it chose, if that serves.
+            # Narrow blocks are alike: each takes the choice of the previous one, if that suffices.
             like = planned[-1].choice if planned and count > MAX_BLOCKS else None
             planned += self._plan_index(seams, index, n_parts, like)
-        if not planned and probe:  # what it would tell of is not lit
+        if not planned and probe:  # the probed block is not lit
             return self.plan(count, n_parts, False)
         if not planned:
             raise OutsideSwath(f"no block of {count} has a lit point of the grid; give it a finer step, or move it")
@@ -388,7 +388,7 @@ class DivisionPlanner:
         """Range sub-blocks of one block; empty if the grid has no point there, or nothing is lit."""
         near, far = self.region.limits(low, high)
         near, far = max(near, self.extent.near), min(far, self.extent.far)
-        # At each yaw ranges are those of the range window, which slants over a wide block: rows go on periodically.
+        # The range window limits ranges at each yaw, and slants over a wide block: rows continue periodically.
         windows = WHOLE_WINDOWS if n_parts == 1 else PART_WINDOWS * n_parts
         excess = max((far - near) - windows * self.geometry.collection.range_window, 0.0)
         near, far = near + excess / 2, far - excess / 2

@@ -74,7 +74,7 @@ class Prediction(NamedTuple):
     width: float  # azimuth width over the limit that the dwell sets
     migration: float  # range resolution cells over the dwell
     resolution: float  # azimuth, m
-    track_phase: float  # rad, root mean square: what the noise of the track leaves
+    track_phase: float  # rad, root mean square, due to the noise of the track
     coherence: float  # with exact back-projection: 1 less the four losses of the target that loses most, or 0
     phase_loss: float
     range_loss: float
@@ -167,7 +167,7 @@ class JudgedTargets(NamedTuple):
     @classmethod
     def of(cls, targets: TracedTargets, reached: BoolArray | None, imaged: Sequence[ImageEdges]) -> JudgedTargets:
         """Select the targets that the image shows; on a terrain, those `reached`."""
-        # Cut dwells have other side lobes under weights: of those with full dwell, where there are any.
+        # Under weights, cut dwells have other side lobes: use targets with full dwell, if there are any.
         uncut = beyond = targets.full
         there, edges = np.ones(uncut.shape, np.bool_), []
         for known in (*(each.held for each in imaged), reached):
@@ -233,7 +233,7 @@ class ImageEdges(NamedTuple):
 
 
 MIGRATION_NODES = 12  # of the mean over the phase by range migration, under a weighting
-CHIPS = 1.6  # what the worst chips of an image lose at whole ends, over the mean: 1.1 to 1.6 measured
+CHIPS = 1.6  # loss of an image's worst chips at whole ends over the mean: 1.1 to 1.6 measured
 
 
 def worst_losses(
@@ -305,7 +305,7 @@ def _by_place(line: Line, spots: Focus, gate: DwellGate, weights: DwellWeights) 
         made *= half.blended(gate.taper.taper, share * length, length)
     wanted, found = weights.nodes, made * weights.nodes / weights.alone
     power = (line.weight * wanted**2).sum(axis=-1) * (line.weight * found**2).sum(axis=-1)
-    # Under a taper to zero targets that are hardly lit weigh nothing at all.
+    # Under a taper to zero, targets that are hardly lit have no weight at all.
     return 1 - np.abs((line.weight * wanted * found).sum(axis=-1)) / np.sqrt(np.where(power > 0, power, np.inf))
 
 

@@ -100,7 +100,7 @@ def beam_stays(geometry: Geometry, region: Region, extent: Extent) -> bool:
     collection = geometry.collection
     if not collection.has_axis:
         return False
-    if (steady := collection.steady) is not collection:  # where a beam that jitters goes on is seen in a smooth one
+    if (steady := collection.steady) is not collection:  # follow a jittering beam beyond the collection by a smooth one
         geometry = geometry.lit_by(steady)
     yaw = np.linspace(extent.low, extent.high, PLACES)
     near, far = region.at(yaw)

@@ -21,7 +21,7 @@ def _check(processor: Processor) -> None:
     _ = processor.universal, processor.compared, processor.on_gpu
 
 
-# For editors; the registry knows more.
+# Names for editors; the registry may have more.
 OwnProcessor = Literal[
     "angular-division", "keystone-resampling", "high-order-phase", "hierarchical-backprojection", "backprojection",
     "auto",
@@ -77,10 +77,10 @@ def options_for(name: str, given: Mapping[str, Any]) -> Any:
     processor = PROCESSORS.get(name)
     given = {key: value for key, value in given.items() if value is not None}
     own = {each.name for each in options_of(processor.options)}
-    if not own.issuperset(given):  # what another processor has as its default is not asked for
+    if not own.issuperset(given):  # another processor's default values are ignored
         stated = {each.name: each.default for _, other in PROCESSORS.sound() for each in options_of(other.options)}
         given = {key: value for key, value in given.items() if key in own or value != stated.get(key)}
-    # The reference and the choice only keep those of chains in settings.
+    # The reference and the automatic choice have the options of chains only to record them in settings.
     sound = ((other, part) for other, part in PROCESSORS.sound() if other not in (REFERENCE, AUTO))
     others = ((other, part.options) for other, part in sound if part.options is not processor.options)
     options: Any = read_options(processor.options, given, f"processor {name}", others)

@@ -121,7 +121,7 @@ class ImagePlan(ABC):
     refusal: str | None = None  # why the image cannot be formed, with the figure
     device: str = "cpu"  # or "gpu": what back-projection runs on
     coherence: float = 1.0  # least predicted coherence with exact back-projection
-    faithful: bool = True  # whether it keeps the fidelity that was asked for
+    faithful: bool = True  # whether it keeps the requested fidelity
     compared: Comparison | None = None  # with other processors, where one was chosen
 
     @abstractmethod

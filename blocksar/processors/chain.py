@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 OTHER, SMALLER, TAPER = (
     "try --processor auto", "image a smaller --grid", "taper the dwells, for example with --weighting-azimuth hann"
 )  # fmt: skip
-# What helps where no number of blocks does, by what takes most of the coherence.
+# Remedies where no number of blocks suffices, by the main cause of lost coherence.
 REMEDIES = {
     "residual phase": (OTHER, SMALLER),
     "range migration": (OTHER, SMALLER),
@@ -76,7 +76,7 @@ def describe_shortfall(plan: Plan, *, compared: bool = False) -> str:
         remedy += ", or leave the alternative methods out"
     if 1 - p.coherence > 1 - plan.fidelity:
         subject, figure = f"fidelity {plan.fidelity:.12g} is", f"coherence {p.coherence:.6g}"
-    else:  # said apart, for it is no matter of coherence
+    else:  # stated separately, since it is not about coherence
         allowed = side_lobe_budget(plan.fidelity, p.ideal_pslr)
         subject = f"fidelity {plan.fidelity:.12g} is kept in coherence, but side lobes to {allowed:.2g} dB are"
         figure = f"side lobes of {p.pslr:.2f} dB instead of {p.ideal_pslr:.2f}"

@@ -14,7 +14,7 @@ from blocksar.progress import Work
 from blocksar.texts import count, time_text
 
 PLANNING_TOLD = 1.0  # s to plan, which are counted in the time of a run
-DISK_RATE = 200e6  # bytes/s that a usual disk writes, and at which the time of large runs is told
+DISK_RATE = 200e6  # bytes/s of a typical disk, by which the time of large runs is stated
 PAGE_CACHE = 0.5  # of the machine's memory, which writes fill before they wait for the disk
 LOOKED_AT = 64  # points along a side of a grid at which lit pulses are counted
 

@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 NEAREST = ("complex", "visibility")  # contents without a mean
 AT_ONCE = 1 << 18  # pixels of the full image
 
-State = NDArray[Any]  # (1, rows, columns): pixels; (2, rows, columns): sums of what is covered, and how many
+State = NDArray[Any]  # (1, rows, columns): pixels; (2, rows, columns): sums and numbers of covered pixels
 
 
 def sizes_of(width: int, height: int, tile: int) -> list[tuple[int, int]]:
@@ -135,7 +135,7 @@ UNITS = {"height": "m", "incidence": "rad"}
 GAMMA = "power times cos psi / cos theta over that of level ground, psi: slant plane to slope, theta: local incidence"
 FLAGS = "0 visible, 1 layover, 2 shadow, 255 not covered"
 MAX_ERROR = 0.05  # pixels that a pixel may lie off its exact place
-NOTED = 0.5  # pixels, from which on the remedy is told
+NOTED = 0.5  # pixels, from which on the remedy is stated
 POINTS = 17, 65  # along a side, at which places are compared: on the plane, on a terrain
 TILE = 512  # pixels a side
 TRAILER = 4  # bytes after each tile of GDAL's COG, which repeat its last four

@@ -123,7 +123,7 @@ def _turn(geometry: Geometry, span_at: SpanAt, middle: FloatArray, x: FloatArray
 
 
 CHIP, LEAST_CHIP = 128, 16  # pixels along a side, at most and at least
-PLACES = 5  # along each side of the image, at which chips are tried, beside the targets
+PLACES = 5  # along each side of the image, at which chips are tried, in addition to targets
 MOST_TARGETS = 16
 
 

@@ -42,7 +42,7 @@ SAME = 1e-3  # of a pixel, that the grids may lie apart
 NODES = 32  # pixels between the points at which the vertical wavenumber is computed
 SAME_HEIGHT = 0.01  # m, that their grounds may
 HEIGHTS = 129  # points along either axis at which these are compared
-SAMPLED = 64  # chunks, evenly over the image, of which the coherence of the scene is told
+SAMPLED = 64  # chunks, evenly over the image, from which the scene's coherence is estimated
 BINS = 2000  # of the histogram of coherences
 CLEAR = 0.7  # coherence that noise and side lobes leave of the pixels whose median tells that of the scene
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 LAYERS = {"height": "height", "incidence": "incidence_angle", "visibility": "visibility"}  # in image.zarr, on a terrain
 CONTENTS: tuple[Content, ...] = get_args(Content)
 SCALES: tuple[Scale, ...] = get_args(Scale)
-STRETCHED = 1000  # cells along the longer side of what the range in dB is chosen from
+STRETCHED = 1000  # cells along the longer side of the overview that determines the range in dB
 
 
 @dataclass(frozen=True, eq=False)

@@ -358,7 +358,7 @@ class PlaneImage(FinishedRun):
             self._samples, np.array([terrain.x[0], terrain.y[0]]), np.ascontiguousarray(places),
             np.ascontiguousarray(antenna), np.ascontiguousarray(velocity), z,
         )  # fmt: skip
-        # From the bilinear ground to the one that the image lies on, by the secant of the clearance over the height.
+        # Move from the bilinear ground to the image's own, by the secant method on the clearance over height.
         before, at = z - 0.01, _on_circle(geometry, places, time, z - 0.01)
         clear_before = before - terrain(at[:, 0], at[:, 1])
         for _ in range(REFINEMENTS):

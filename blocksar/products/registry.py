@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from blocksar.progress.listening import Callback
 
 REPORT = "report", (".html", ".htm")  # no product, but a file that a user names, too
-# Of files that nothing here writes.
+# Endings of formats that the package does not write.
 OTHERS = (".jpg", ".jpeg", ".gif", ".webp", ".svg", ".pdf", ".csv", ".zarr", ".nc", ".h5", ".toml")
 
 

@@ -163,7 +163,7 @@ class GeographicGrid(SIDDGrid):
 
     @cached_property
     def raster(self) -> MapPixels:
-        # Longitudes from half a turn before the origin's on, which the image does not reach: none of them jumps.
+        # Longitudes start half a turn before the origin's, outside the image, so that none jumps within it.
         crs = parse_crs(f"+proj=longlat +datum=WGS84 +lon_wrap={self.frame.longitude!r} +type=crs")
         return MapPixels.over(self.pixels, crs, self.frame)
 

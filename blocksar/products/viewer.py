@@ -207,7 +207,7 @@ def page_of(tiles: ViewerTiles, targets: Sequence[Target]) -> bytes:
         "stored": tiles.stored, "arrows": directions(source),
         "targets": [{"name": each.name, "x": each.x, "y": each.y} for each in targets],
     }  # fmt: skip
-    # No text of a run may end the script or begin a comment in it.
+    # Escape the text of a run, so that it can neither end the script nor begin a comment in it.
     text = json.dumps(facts).replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
     template = (resources.files("blocksar.products") / "view.html").read_text(encoding="utf-8")
     return template.replace("/*FACTS*/null", text).encode()

@@ -71,7 +71,7 @@ def replacing(out: Location, *, overwrite: bool, room: int = 0) -> Iterator[str]
     check_room(target, room)
     try:
         os.makedirs(target.path.parent, exist_ok=True)
-        # It fails now if it cannot be written, with the same message whichever library writes.
+        # Fail now if the file cannot be written, with the same message whichever library writes it.
         with held_part(target.path, new_file) as part:
             yield part
             flush_file(part)

@@ -126,7 +126,7 @@ BAR_COLUMNS = 36  # largest width of a bar in the live display
 BAR_NEEDS = 40  # columns of a terminal from which bars are shown
 RATE_NEEDS = 56  # columns of a terminal from which rates are shown
 
-_ACTIVE: list[Progress] = []  # what `abandon` must end
+_ACTIVE: list[Progress] = []  # displays that `abandon` must end
 
 
 class Progress(Listener):

@@ -65,11 +65,11 @@ ESTIMATE = (
     "receipts",
     SCRATCH,
 )
-TEMPORARY = (PLAN, "receipts", "compressed.zarr", "gated", SCRATCH)  # what a finished run does not need
+TEMPORARY = (PLAN, "receipts", "compressed.zarr", "gated", SCRATCH)  # files that a finished run does not need
 INTERMEDIATE = ("spectrum.zarr", "patches")  # those of OWN that nothing reads once a run is finished
 LEFT_ALONE = (HISTORY,)  # may lie in the folder of a new run: `demo` puts its input there
 LOCK, ASIDE = "run.lock", ".replaced"
-AROUND = 4  # folders in which an input that was moved is looked for: a member's own, two more of its run, what holds it
+AROUND = 4  # parent folders searched for a moved input: the member's own, two more of its run, and the one around it
 
 
 def member(folder: Place, name: str, dimension: str = "channel") -> Place:
@@ -190,7 +190,7 @@ def find_run(folder: Place, settings: Mapping[str, Any], fingerprint: str, *, ov
             "another --out",
             replaceable=True,
         )
-    # Versions may divide the work into other units, or compute other numbers.
+    # Versions may divide the work into other units, or compute other values.
     if not record.finished and record.version != __version__:
         raise FolderError(
             f"{folder} holds an unfinished run of blocksar {record.version or 'unknown'}, which {__version__} does not "

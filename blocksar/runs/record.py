@@ -213,7 +213,7 @@ class Written(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Receipt(Record):
-    """The receipt of a unit of work: what it wrote, and what it cost.
+    """The receipt of a unit of work: what it wrote, its time and memory.
 
     Attributes
     ----------

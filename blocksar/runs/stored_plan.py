@@ -23,7 +23,7 @@ from blocksar.places.place import Place
 from blocksar.runs.folder import PLAN
 
 T = TypeVar("T")
-# What pickles of numpy call, besides types of this package.
+# Functions that pickles of numpy call, in addition to types of this package.
 _NUMPY = {
     ("numpy._core.multiarray", "_reconstruct"), ("numpy._core.multiarray", "scalar"),
     ("numpy._core.numeric", "_frombuffer"), ("numpy", "ndarray"), ("numpy", "dtype"),

@@ -18,7 +18,7 @@ from blocksar.collection.weighting import taylor_coefficients
 from blocksar.errors import InputError
 from blocksar.simulation.scene_fields import BeamTable
 
-SIDE, YAWS = 80, 641  # degrees of yaw on either side of the centre that a beam may light, and yaws that are asked
+SIDE, YAWS = 80, 641  # degrees of yaw on either side of the centre that a beam may light, and yaws examined
 PATTERN_SAMPLES = 257  # of a named pattern over its width
 NBAR, SIDE_LOBES = 4, -35.0  # of the Taylor illumination: its nearly constant side lobes, and their level, dB
 

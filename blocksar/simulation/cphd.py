@@ -248,7 +248,7 @@ def _seen_across(scene: Scene, collection: Collection, frame: AntennaFrame) -> t
         cosines.append((sight[lit] * frame.y[pulse]).sum(axis=1))
         elevations.append(np.arcsin(-sight[lit, 2]))
     seen = np.concatenate(cosines)
-    # The polynomial is to hold a little beyond, for readers that take it there.
+    # Fit a little beyond the swath, for readers that evaluate the polynomial there.
     margin = MARGIN * np.ptp(seen) * np.linspace(0, 1, RANGES)
     beyond = np.concatenate([seen.min() - margin, seen.max() + margin])
     directions = frame.directions(np.full(beyond.shape, frame.boresight[frame.pulse, 0]), beyond)
@@ -261,7 +261,7 @@ def _fit_gain(name: str, cosine: FloatArray, amplitude: FloatArray) -> FloatArra
     gain = 10 * np.log10(np.maximum(amplitude, FLOOR * peak))
     best, least = np.zeros(1), np.inf
     for order in GAIN_ORDERS:
-        # An error of the gain in dB is one of the amplitude in proportion to it.
+        # Weight by amplitude: an error of the gain in dB is a relative error of the amplitude.
         fit = polynomial.polyfit(cosine / scale, gain, order, w=np.maximum(amplitude, FLOOR * peak))
         error = float(np.abs(10 ** (polynomial.polyval(cosine / scale, fit) / 10) - amplitude).max()) / peak
         if error < least:

@@ -246,7 +246,7 @@ def read_map(table: ReflectivityTable) -> PlacedScatterers:
     return PlacedScatterers(x, y, values)
 
 
-RANGE_GUARD = 1.05  # ratio of the range window to what lit targets need
+RANGE_GUARD = 1.05  # ratio of the range window to the extent of lit targets
 MAX_FAST_TIME_SAMPLES = 1 << 20
 CHECKED_PULSES = 257  # number of pulses at which ranges of lit targets are evaluated
 

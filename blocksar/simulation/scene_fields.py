@@ -138,7 +138,7 @@ MAX_PULSES = 1 << 22
 IndexPair = Annotated[tuple[int, int], Field(strict=False)]
 Sample = Annotated[tuple[float, float, float, float], Field(strict=False)]
 State = Annotated[tuple[float, float, float, float, float, float, float], Field(strict=False)]
-STATE_ERROR = 0.02  # of the speed, by which velocities may differ from what positions tell
+STATE_ERROR = 0.02  # of the speed: allowed difference between velocities and the positions' changes
 
 Rows = Annotated[tuple[Pair, ...], Field(strict=False, min_length=2)]
 Pattern = Literal["sinc2", "gaussian", "taylor"] | Rows

@@ -36,7 +36,7 @@ from blocksar.kernels.occlusion import STEPS, HeightGrid, find_shadow
 from blocksar.simulation.scene_fields import Positive, Table
 
 RAYS = 1 << 18  # that are followed at a time
-ROOM = 1.0  # dwells on either side of one that are looked at, as the dwell of a raised point may lie beside the plane's
+ROOM = 1.0  # dwells of margin on either side, as a raised point's dwell differs from the plane's
 
 Rays = Callable[[IntArray, IntArray], BoolArray]  # of scatterers and pulses: whether they are hidden
 

@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 
 METADATA = (".zarray", ".zattrs", ".zgroup", ".zmetadata", "zarr.json")  # all names of files of metadata
 NODE_METADATA = ("zarr.json", ".zgroup", ".zarray")  # one of which each group and array has
-# Images: noise does not compress, and passes at the speed of memory; what is not covered takes no room. The checksum
-# lets every reader notice an altered chunk. Chunks are written at ZSTD_LEVEL. Readers do not need the level, but GDAL
-# (3.12) refuses arrays that state a negative one, so the metadata state the level of a writer who appends.
+# Compression of images: noise does not compress and passes at the speed of memory; uncovered parts take no space. The
+# checksum lets every reader notice an altered chunk. Chunks are written at ZSTD_LEVEL. Readers do not need the level,
+# but GDAL (3.12) refuses arrays that state a negative one, so the metadata state the level of a program that appends.
 ZSTD_LEVEL = -5
 COMPRESSION: dict[str, Any] = {"name": "zstd", "configuration": {"level": 1, "checksum": True}}
 HIGHEST_LEVEL = 22  # of zstd
@@ -116,7 +116,7 @@ def metadata_bytes(metadata: Mapping[str, Any]) -> bytes:
 
 @lru_cache(maxsize=256)
 def layout_of(content: bytes) -> VariableLayout | None:
-    """Return what a variable's metadata file states, if it is as `create` writes it, at any level of compression."""
+    """Return the layout that a variable's metadata file states, if `create` writes such, at any compression level."""
     try:
         metadata = json.loads(content)
     except (ValueError, RecursionError):
@@ -155,7 +155,7 @@ def _is_zstd(codec: Any) -> bool:
 def group_attrs(metadata: Any) -> dict[str, Any] | None:
     """Return the attributes in a store's metadata; None if it is not as `create` writes it, or zarr's consolidation."""
     match metadata:
-        # A copy of the variables' metadata may be out of date, and is not looked at.
+        # A copy of the variables' metadata may be out of date, and is ignored.
         case {"attributes": dict(attrs), "zarr_format": 3, "node_type": "group", **rest}:
             return attrs if rest.keys() <= {"consolidated_metadata"} else None
     return None
@@ -489,7 +489,7 @@ def _is_dense(chunk: Array) -> bool:
     if chunk.dtype not in (np.float32, np.complex64) or chunk.size < 2 * DENSE_PARTS * DENSE_SAMPLE:
         return False
     parts = chunk[: chunk.size // DENSE_PARTS * DENSE_PARTS].reshape(DENSE_PARTS, -1)[:, -DENSE_SAMPLE:].copy()
-    # Real and imaginary parts as they lie: numpy takes twice as long for complex numbers.
+    # View real and imaginary parts as real numbers: numpy takes twice as long for complex ones.
     return len(zstd().encode(parts)) > parts.nbytes and bool(np.isfinite(chunk.view(np.float32)).all())
 
 

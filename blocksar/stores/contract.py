@@ -67,7 +67,7 @@ TRACK_AND_BEAM = {
     ),
     "beam_azimuth": Variable(("pulse",), "float64", "rad", "beam-centre yaw; NaN where the beam is not steered"),
 }
-# Of a beam about the antenna's own axis, instead of beam_azimuth; and what a collection may have besides.
+# A beam about the antenna's own axis, in place of beam_azimuth; and optional variables of a collection.
 AXIS_BEAM = {
     "beam_axis": Variable(
         ("pulse", "axis"), "float64", "1", "unit vector along the antenna's azimuth axis, scene frame"

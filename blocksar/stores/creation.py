@@ -49,7 +49,7 @@ from blocksar.stores.regions import metadata_file
 
 RENAMES = 32  # attempts to replace a store that other processes replace at the same time
 UNFINISHED = ".unfinished"  # object in a store that is being created; it identifies the creating process
-LOCK = ".lock"  # what the name of an object beside one has more, while it is written that others could go on with
+LOCK = ".lock"  # suffix of the object that locks another while it is written
 
 
 class Group(NamedTuple):

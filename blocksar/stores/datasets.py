@@ -43,7 +43,7 @@ from blocksar.stores.regions import metadata_file, write_region
 if TYPE_CHECKING:
     import xarray as xr
 
-CONTENT = "content"  # attribute of a store written from memory: the fingerprint of what it holds
+CONTENT = "content"  # attribute of a store written from memory: the fingerprint of its content
 IN_MEMORY = "the dataset"  # stands for the path in messages
 STORE_LAYERS = 2  # of dask's graph of a variable that was opened and nothing else
 AXES = ("time", "range_frequency", "fast_time", "beam_offset", "elevation")

@@ -220,7 +220,7 @@ def check_dimensions(given: Given, arguments: Arguments) -> None:
     if given.is_samples and "channel" in arguments:
         wanted = ("channel", *wanted)
     if np.ndim(given.value) != len(wanted):
-        return  # said with the shape
+        return  # refused later, with the shape
     dims = canonical_dims(given.name, given.dims, wanted)
     if dims is None:  # names that xarray gives by itself
         given.dims = wanted

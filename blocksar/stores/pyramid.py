@@ -101,7 +101,7 @@ def pyramid_of(
     for level, (n_y, n_x) in enumerate(shapes, 1):
         attrs = {**_declared(names[1:]), **shared, **places[level], "spatial:registration": "pixel"}
         axes = {name: _middles(axis, level, n) for name, axis, n in (("x", x, n_x), ("y", y, n_y))}
-        # A chunk of the first level is that of a single chunk of the image.
+        # One chunk of the first level covers one chunk of the image.
         sides = [min(n, IMAGE_CHUNK) for n in ((y.size, x.size) if level == 1 else (n_y, n_x))]
         chunks = dict(zip("yx", [-(-n // 2) for n in sides] if level == 1 else sides, strict=True))
         groups[f"{PYRAMID}/{level}"] = Group(schema, axes | named, attrs, lead | chunks, variables)

@@ -171,7 +171,7 @@ def dimension_names(array: ChunkFiles | zarr.Array[Any]) -> tuple[str | None, ..
 
 
 def file_shape(array: ChunkFiles | zarr.Array[Any]) -> tuple[int, ...]:
-    """Return the shape of what one file of an array holds: a chunk, or a shard."""
+    """Return the shape of the contents of one file of an array: a chunk, or a shard."""
     return array.chunks if isinstance(array, ChunkFiles) else array.shards or array.chunks
 
 

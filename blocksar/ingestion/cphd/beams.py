@@ -243,7 +243,7 @@ def _with_patterns(
     if _usable("azimuth", gain, float(antenna.azimuth_gain(np.zeros(1))[0]), notes):
         found |= sampled(("beam_offset", "beam_pattern"), offset, gain)
         taken.append(f"over the beam ({gain.min() - gain.max():.2g} dB at its lowest)")
-    # The origin is where the reference point lies, which the store wants within the pattern.
+    # Include the reference point, at the origin: the store requires the pattern to cover it.
     across = _across(antenna, position, np.concatenate([ground, np.zeros((1, 3))]), width)
     down, gain = antenna.elevation_gain(across)
     steps = np.diff(down)

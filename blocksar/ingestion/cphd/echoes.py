@@ -30,7 +30,7 @@ from blocksar.kernels.fourier import fft_rows
 
 GROUP = 256  # pulses that are transformed at a time
 GUARD = 8  # bins about the ends of the window that are left out: a Hann weighting leaks 1e-6 of a target beyond
-LEAK = 1e-4  # of all energy: with less in either part, they hold what leaks from between them
+LEAK = 1e-4  # of all energy: with less in either part, both hold only leakage from between them
 CLEAR = 3.0  # dB
 SIGNIFICANT = 5.0  # standard deviations; by chance once in 3 million
 

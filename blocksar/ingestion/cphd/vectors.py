@@ -270,7 +270,7 @@ def assign_pulses(file: CphdFile, origin: FloatArray) -> Pulses:
     except InputError:
         if normal.all():
             raise
-        # Vectors that are lost need no position: many files have anything there.
+        # Lost vectors need no position: many files have arbitrary values there.
         return _placed(file, normal, normal, lost)
 
 

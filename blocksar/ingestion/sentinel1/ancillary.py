@@ -27,7 +27,7 @@ from blocksar.ingestion.sentinel1.packets import Packets
 from blocksar.places import Location, readable
 
 GPS = datetime(1980, 1, 6, tzinfo=UTC)
-# Seconds that GPS time is ahead of UTC, from a GPS second on.
+# Seconds by which GPS time is ahead of UTC, by the GPS second from which they hold.
 LEAPS = ((0, 16), (1119744017, 17), (1167264018, 18))
 
 

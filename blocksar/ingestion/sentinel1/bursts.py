@@ -342,7 +342,7 @@ class Sentinel1Options(RawOptions):
 
 
 DAMAGED, REMEDY = "damaged", "get it again"
-BESIDE = re.compile(r"-(annot|index)\.dat$")  # what lies beside packets in a SAFE folder
+BESIDE = re.compile(r"-(annot|index)\.dat$")  # files next to the packets in a SAFE folder
 
 
 class PacketFile(NamedTuple):

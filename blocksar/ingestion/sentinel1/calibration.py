@@ -38,7 +38,7 @@ from blocksar.places.ranges import Readable
 
 TX, RX, EPDN, TA, APDN = 8, 9, 10, 11, 12  # signal types
 MOST = 16  # pulses of a type that are read
-LONGEST = 2e-6  # s, of a delay that is believed
+LONGEST = 2e-6  # s, longest plausible delay
 ALIKE = 0.5  # of a pulse's power, which at least is that of the chirp
 FINER = 20  # steps of a sample, between which the peak is a parabola
 USUAL = 433e-9  # s, annotated in a level 1 product

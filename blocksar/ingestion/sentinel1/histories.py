@@ -295,8 +295,7 @@ class BurstHistory:
     def pieces(self) -> Iterator[Piece]:
         resampling = ColumnResampling.of(self.doppler, self.late, self.burst.interval)
         for channel, (source, burst) in enumerate(self.channels):
-            # In samples, by which a pulse's first one comes after the first that all have. Codes round the chirp's
-            # middle.
+            # Offset of each pulse's first sample from the first common one, in samples. Codes round the chirp's middle.
             frequency = burst.radar.middle + self.doppler[burst.slots] / 2
             shift = (burst.delay - self.samples[0] + frequency / burst.radar.ramp) * burst.radar.rate
             rows = max(AT_ONCE // (16 * int(burst.packets.quads.max())), 1)

@@ -114,7 +114,7 @@ def _common(choice: BurstChoice, bursts: Sequence[Burst], options: Sentinel1Opti
     """Collect the facts that the selected bursts share; the steering is derived from all bursts of a swath."""
     zero = choice.zero
     first = min(burst.sent for burst in bursts)
-    last = max(burst.sent + (burst.n_slot + 32) * burst.interval for burst in bursts)  # with what is in the air
+    last = max(burst.sent + (burst.n_slot + 32) * burst.interval for burst in bursts)  # with pulses in the air
     if options.orbit is not None:
         orbit = read_orbit_file(options.orbit, first, last, zero)
     else:

@@ -27,7 +27,7 @@ FINE = 2.0**-16  # s, of the time of a packet, which is cut off
 SUPPRESSED = 40 / REFERENCE  # s after the start of the window, in which the decimation's filter settles (3.2.5.11)
 ECHO = 0  # signal type
 AT_ONCE = 16 * MIB  # bytes of a file
-# Samples over those of the converter, which are four a period of the clock, by the code of decimation (3.2.5.4).
+# Sampling rate relative to the converter's, four times the clock, by the code of decimation (3.2.5.4).
 DECIMATION = {
     0: (3, 4), 1: (2, 3), 3: (5, 9), 4: (4, 9), 5: (3, 8), 6: (1, 3), 7: (1, 6), 8: (3, 7), 9: (5, 16), 10: (3, 26),
     11: (4, 11),
