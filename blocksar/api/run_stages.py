@@ -1,6 +1,7 @@
 """The stages of a run, in order: from a folder that is claimed and a job that is planned to the record at the end.
 
-Findings in the samples of a run's collections: warnings, counts, and how they fit track and beam.
+The record gets the findings in the samples of the run's collections: warnings, counts, and their agreement with track
+and beam.
 """
 
 from __future__ import annotations

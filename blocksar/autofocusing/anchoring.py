@@ -1,19 +1,15 @@
 """Control points: they determine the constant and linear error of the track, which samples alone leave open.
 
-Let e(t) = a + b s(t) be what is left of the track's error, s from -1 at the first pulse to 1 at the last. A point whose
-place is known then lies off by u . e in range, and its deramped phase is arg(sigma) - k u . e. Range, Doppler and the
-bend of the phase over a dwell give a coarse solution, the phases, known up to turns, a fine one: of some numbers of
-turns, the likeliest. A line of e bends the phases where the line of sight turns. What the points do not tell
-stays as it is: of all solutions the smallest is taken.
+Let e(t) = a + b s(t) be the remaining error of the track, s from -1 at the first pulse to 1 at the last. A point whose
+place is known then appears displaced by u . e in range, and its deramped phase is arg(sigma) - k u . e. Range, Doppler
+and the bend of the phase over a dwell give a coarse solution; the phases, known up to whole turns, a fine one, for the
+likeliest numbers of turns. A linear e bends the phases where the line of sight turns. Components that the points do not
+determine stay as they are: of all solutions the smallest is taken.
 
-Which response in a chip is the point's, and not a neighbour's, the coarse solution decides: one e puts all points at
-their places. Points that lie elsewhere are left out.
-
-Responses in the chip of a control point: of the point, and of its neighbours.
-
-A chip reaches far beyond a point: over some range cells, and along azimuth over all of its band of Doppler, often 100 m
-to either side. The brightest response in it may be a neighbour's. So all that stand out are measured, and what agrees
-with the other points and with the navigation decides which is the point's (`anchoring.py`).
+The chip of a control point reaches far beyond it: over some range cells, and along azimuth over its whole band of
+Doppler, often 100 m to either side, so that the brightest response in it may be a neighbour's. All that stand out are
+measured. The coarse solution then decides which is the point's: one e puts all points at their places. Points that lie
+elsewhere are left out.
 """
 
 from __future__ import annotations

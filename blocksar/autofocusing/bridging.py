@@ -1,7 +1,8 @@
 """Gaps of the collection: the displacement while pulses are missing, which the samples do not show.
 
-The points tell the phase on either side of a gap. How both sides fit is seen in their power, up to whole turns: no
-pulse saw the displacement in between. The turns are those of the smoothest motion, and so is what lies between.
+The points determine the phase on either side of a gap. Their power shows how both sides fit, up to whole turns, since
+no pulse saw the displacement in between. The turns are those of the smoothest motion, and so is the displacement in the
+gap.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Chips: deramped range lines about each point over its lit pulses, low-passed and decimated in slow time.
 
-Sums over the samples of chips, each with its line of sight, in compiled loops.
+Compiled loops project displacements on the lines of sight of all samples, and sum back.
 
 Sample m of chip i lies at the collection's sample min(first[i] + m, n_sample - 1), and has the unit vector sight[i, m].
 """

@@ -2,17 +2,17 @@
 
 Once the chips are sharp, each sample's phase can be read off the points themselves: the angle of the sum of their
 strongest lines, each turned back by its own phase. That is noise, unless the track really has so fine an error, as a
-random walk of the position has. What two halves of the points have in common tells how much of it to believe: each
-band of frequencies is weighed as a Wiener filter would. In regular patterns other scatterers add the same to the lines
-of many points. That changes amplitudes as much as phases, and an error of the track changes phases alone: what the
-amplitudes of both halves have in common is taken off.
+random walk of the position has. What two halves of the points have in common shows how much of it is real: each band of
+frequencies is weighted as by a Wiener filter. In regular patterns other scatterers add the same to the lines of many
+points. That changes amplitudes as much as phases, while an error of the track changes phases alone: the common part of
+the amplitudes of both halves is subtracted.
 
-Least squares: splines through the phases of the points' strongest lines, each weighed by its own variance.
+`by_least_squares` fits splines to the phases of the points' strongest lines, each weighted by its own variance.
 
-Entropy counts all chips alike, whatever their points stand out of; and its prior has to serve clutter. Once the chips
-are sharp, a point's phase is known sample by sample, and how well: the variance of what the splines do not explain. A
-point that stands alone tells thousands of times more than clutter. Weighed so, splines are the estimate of maximum
-likelihood, with a prior of the track's error in the same units.
+Entropy gives all chips the same weight, however far their points stand out of the clutter, and its prior has to serve
+clutter. Once the chips are sharp, a point's phase is known sample by sample, and its accuracy too: the variance that
+splines do not explain. A point that stands alone has thousands of times the information of clutter. With these weights,
+splines are the estimate of maximum likelihood, with a prior of the track's error in the same units.
 """
 
 from __future__ import annotations

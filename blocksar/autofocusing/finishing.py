@@ -1,6 +1,6 @@
 """The end of an estimate: comparison of two halves of the points, refusal, and the corrected track.
 
-The error that is predicted to be left, from what the points tell: of its sources, the root of the sum of squares.
+The predicted remaining error is the root of the sum of squares over its sources.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Information of chips about spline coefficients: an approximate Hessian, its factors and solutions.
 
-Positive definite forms of hundreds of coefficients: Cholesky factors and their inverses, in compiled loops.
+The forms are positive definite, in hundreds of coefficients: compiled loops compute Cholesky factors and their
+inverses.
 
-Without BLAS, and with sums in one order, so that every process gets the same bits, see `blocksar.solvers`.
+BLAS is avoided, and sums have one order, so that every process gets the same bits, see `blocksar.solvers`.
 """
 
 from __future__ import annotations

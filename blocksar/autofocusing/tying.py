@@ -1,10 +1,10 @@
 """Ties between the tracks of collections that overlap, such as bursts.
 
-The samples of a collection do not tell a constant and a line of its track's error along the line of sight, which
-shift and turn its image. Those of two collections differ, and their images do not fit where they meet: by metres, where
-errors of centimetres change within a second. Points that both see tell the difference: the places where one sees them
-are control points of the other, without phases. A place is known to some hundredths of a resolution cell, which is many
-turns of the phase over the time between both dwells.
+The samples of a collection do not determine a constant and a linear error of its track along the line of sight, which
+shift and rotate its image. Those of two collections differ, and their images do not fit where they meet: by metres,
+where errors of centimetres change within a second. Points that both see show the difference: the places where one sees
+them are control points of the other, without phases. A place is known to some hundredths of a resolution cell, which is
+many turns of the phase over the time between both dwells.
 """
 
 from __future__ import annotations

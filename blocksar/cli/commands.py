@@ -3,9 +3,7 @@
 Exit status: 0 success; 1 processing failed; 2 the user's input is wrong; 130 interrupted; 143 terminated.
 Tables go to stdout, progress and messages to stderr.
 
-The commands below `export`, one for each product: the image of a run in standard formats.
-
-The commands below `ingest`: measured data to phase histories, one for each reader.
+The group `export` has a command for each product, the group `ingest` one for each reader.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ every point with every pulse. `Geometry.beam` is one of the three.
 computed yaws (`EDGE`).
 Points x, y lie on the ground, or at heights z, m, which count under a beam about its axis and in elevation patterns.
 
-Which of several collections, or segments of one, an image's pixel comes from: the one that saw more of its dwell.
+Where several collections, or segments of one, see a pixel, the one that saw more of its dwell forms it.
 
 The share of a point's dwell that a collection saw is 1 + margin / dwell, with the margin by which the dwell lies inside
 the collection's time, below 0 where an end of the collection cuts it. Where several saw all of it, the one with the

@@ -3,7 +3,7 @@
 Simulation, planning, focusing and back-projection all compute from a `Collection`. It is frozen, in SI units, and
 validated on construction, so that they need not check it again.
 
-Checks of a beam about the antenna's own axis, and of antenna patterns.
+Checks of a beam about the antenna's own axis, and of antenna patterns, are part of this.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Checks of positions for other frames and units: km, degrees, Earth-centred, inertial, rounded to float32.
 
-Each is told by sizes and by the speed over ground, and named with its remedy. A position is never changed.
+Each is recognised by sizes and by the speed over ground, and reported with its remedy. Positions are never changed.
 """
 
 from __future__ import annotations

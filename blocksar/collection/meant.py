@@ -1,8 +1,8 @@
 """Likely mistakes behind a grid outside the swath: degrees, beam widths, feet, kilometres, side of the track.
 
-Each candidate changes a unit, or the side of the track, one thing at a time. It is named if the middle of the grid then
-lies in the range window while it is lit, which it does not as given. `collection.frames` tells positions in another
-frame, before that.
+Each candidate changes one thing: a unit, or the side of the track. It is reported if the middle of the grid then lies
+in the range window while it is lit, which it does not as given. `collection.frames` has recognised positions in another
+frame before.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Fast-time axis and chirp of a raw echo.
 
-What part of its pulse a raw echo recorded from each range.
+From each range, a raw echo records the whole pulse or a part of it.
 
 A target at range R answers during the two-way delays 2 R / c +- T / 2, of which the fast-time window holds a part p(R):
 all of it between whole ranges, and outwards from these, over one pulse length c T / 2, less and less. A linear chirp

@@ -2,7 +2,7 @@
 
 Regions are given in yaw, and in range from the antenna position at the epoch.
 
-Sentences on a grid that lies outside the swath: why, and what to do.
+Errors about a grid outside the swath give the reason and a remedy.
 """
 
 from __future__ import annotations

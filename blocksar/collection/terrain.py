@@ -1,9 +1,9 @@
 """The height of the ground: samples on a grid of the scene frame, and the height between them.
 
-Whatever asks for a height of the ground, from simulation to products, asks a `Terrain`. It interpolates by cubic
-convolution (Keys, IEEE Trans. ASSP 29(6), 1981), which is smooth to its first derivative and exact for a paraboloid.
-The arithmetic is the same for scattered points and for grids, and for a terrain and its windows, so that the same point
-has the same height, to the bit, for everybody.
+All heights of the ground, from simulation to products, come from a `Terrain`. It interpolates by cubic convolution
+(Keys, IEEE Trans. ASSP 29(6), 1981), which is smooth to its first derivative and exact for a paraboloid. The arithmetic
+is the same for scattered points and for grids, and for a terrain and its windows, so that the same point has the same
+height everywhere, to the bit.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ Chains transform slow time to Doppler, which has to change with the yaw of a tar
 stands still it does not change, and on the way back it takes its values again. An image depends on positions only, not
 on the times at which the antenna was there, and exact back-projection takes any positions.
 
-Ways are judged over a window of some pulses, so that noise of the positions does not count; what stays below that
-noise is not told.
+Tracks are examined over windows of some pulses, so that noise of the positions does not count; shapes below that noise
+are not reported.
 """
 
 from __future__ import annotations

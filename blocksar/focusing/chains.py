@@ -7,7 +7,7 @@
 Only this module knows the order of steps. Planning binds their constants and traces lines through them, the graph
 applies them, and both treat all processors alike.
 
-Motion compensation for a measured track: what the track has besides a polynomial is taken out block by block.
+Motion compensation removes the deviation of a measured track from a polynomial, block by block.
 
 Let e(t) be the wobble of a track, `geometry.Track.wobble`, and u_T the unit vector from the antenna to a target. The
 signal of the target then has the additional phase +2 fc / c e(t) . u_T(t), in cycles. Removing e . u_b of the beam's

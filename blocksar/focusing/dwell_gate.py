@@ -1,6 +1,6 @@
 """The dwell gate: it limits each Doppler of the image to the dwell of its targets.
 
-The weighting over dwells, and the windows in time that give it to them.
+Under a weighting over dwells, the windows in time also apply it.
 
 After the steps in Doppler, dwells differ in length from target to target, and the beam's centre need not pass amid
 their ends. So a dwell is divided there, at its middle, into two halves. A window rises over one half, from its end to

@@ -1,6 +1,6 @@
 """Loops over rows of a tile's pixels: ownership, position in the focused block, and weighted sums.
 
-Parts of the compiled loops of the geometric correction, on the plane and on a terrain.
+The geometric corrections on the plane and on a terrain share these compiled loops.
 """
 
 from __future__ import annotations

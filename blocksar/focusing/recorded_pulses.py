@@ -1,8 +1,8 @@
 """Divisors of pixels whose pulses a raw echo recorded only in part.
 
-The mean over a pixel's dwell of `RecordedRanges.share`, under the weights of the image's sum, is what a target's peak
-is too low by. Ranges change little over a dwell against the length of a pulse, over which the share falls: the mean is
-taken at a few times.
+The peak of a target is too low by the mean of `RecordedRanges.share` over the pixel's dwell, under the weights of the
+image's sum. Ranges change little over a dwell compared with the length of a pulse, over which the share falls: the mean
+is taken at a few times.
 """
 
 from __future__ import annotations

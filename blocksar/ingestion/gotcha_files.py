@@ -1,6 +1,6 @@
 """One file of the Gotcha set: reading and checks of its fields.
 
-Reader for a struct of numbers in a MATLAB file of version 5 (MAT-File Format, The MathWorks), plain or compressed.
+The files are MATLAB files of version 5 (MAT-File Format, The MathWorks), plain or compressed, with a struct of numbers.
 
 Only this part of the format is supported: a file is a header of 128 bytes and then elements, each a type, a length and
 that many bytes. The element of an array holds elements: flags and class, dimensions, name, and its numbers or, for a

@@ -19,8 +19,8 @@ side only.
 antenna at pulse n from a point p of the area and R_c(n) that from its middle, samples times exp(4j pi f/c (R_c -
 reference_range)) are sigma exp(-4j pi f/c (R - R_c)) of p: over frequencies an oscillation of the delay 2 (R - R_c)/c,
 over pulses one of the Doppler frequency -2 f/c d(R - R_c)/dt. The area's corners, and those of its prisms ROOM above
-and below the ground, bound both. What lies beyond is stopped by low-passes (`lowpass`), first over frequencies, then
-over pulses, and as many samples are left out as the bounds allow. The samples kept have the antenna's positions at
+and below the ground, bound both. What lies beyond is stopped by low-pass filters (`LowPass`), first over frequencies,
+then over pulses, and as many samples are left out as the bounds allow. The samples kept have the antenna's positions at
 their own pulses and R_c as their reference range, so that phases are exact: nothing is interpolated. Under a steered
 beam as many pulses are kept as hold all that it lights at once, since that is what processing takes it to light.
 

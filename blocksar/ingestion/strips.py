@@ -1,7 +1,7 @@
 """Raw echoes of satellite strips: the common part of their formats.
 
-Options, times of pulses, the strip that a format states as a phase history in a frame on the ellipsoid, and the reader
-of such a format.
+The module has the options, the time axis of pulses, the conversion of a strip to a phase history in a frame on the
+ellipsoid, and the reader of such a format.
 
 *Time.* While a pulse travels the antenna moves on, by v 2 R / c, some 40 m. Its echo is that of a still antenna at the
 middle of this way: the sum of both distances exceeds twice that from there by (v R / c)^2 / R, half a millimetre. A

@@ -1,6 +1,6 @@
 """Comparison of the same echoes as given and under an alternative.
 
-How sharp prominent places are over the whole dwell, and how much sharper a refocus makes them.
+It measures the sharpness of prominent places over the whole dwell, and the gain by a refocus.
 
 Concentration is the power at the peak of a deramped line's spectrum over the power of the line: 1 for a lone point in
 focus, about 1 / n where n samples add up by chance. A phase error of the track that all lines share is estimated by

@@ -7,7 +7,7 @@ pulse by pulse - are constant if the long aperture is right too.
 What was found is an echo: a pulse, and at it a range and a Doppler. Those are in the samples, and whatever is said of
 them places the same echo somewhere on its own ground.
 
-The contrast of an echo's surroundings, and how likely a gain of it is by chance.
+The contrast of an echo's surroundings is compared, with the probability of a gain by chance.
 
 Contrast is m = N sum(I^2) / (sum I)^2 over the N cells of a small image about an echo, formed over its whole dwell. It
 needs no targets: of speckle m is 2 wherever it is smeared to, of points in focus N over a few, and what blurs an image,

@@ -6,7 +6,7 @@ pixel's offset from the middle, and g = 1 / (2 R), the range of the pixel is tha
 
     z (1 - q + 2 q^2),  z = e u + g |u|^2,  q = g z,
 
-in float32. `near` tells whether that has enough of the phase; otherwise a thread sums one pixel, which is its middle.
+in float32. `_near` tells whether that has enough of the phase; otherwise a thread sums one pixel, which is its middle.
 
 The same source runs in numba's simulator, in which tests without a GPU compare it with the loops of the CPU.
 """

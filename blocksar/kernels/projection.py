@@ -20,10 +20,7 @@ Pixels are summed in groups, squares where they can be. Where a group is so smal
 MOST_CYCLES from its middle, only the middle's range is found as above, FEW pulses at a time, with the direction there;
 those of the pixels follow from it by the same series to 2 q^2, in float32, with 1e-4 rad at most of the phase lost.
 
-Under a taper over a steered beam a pulse's weight changes from pixel to pixel (below); tiles are divided until
-the polynomial of the place in the beam is precise.
-
-Weights of pulses over a tile of pixels, under a taper over a steered beam.
+Under a taper over a steered beam, the weights of pulses change from pixel to pixel.
 
 The place v in the beam is a quadratic polynomial over a tile, through 3 x 3 places; tiles are divided until it errs by
 less than PLACE_ERROR.

@@ -63,7 +63,7 @@ HUFFMAN = (
 
 
 def deviations() -> Float32Array:
-    """Standard deviations (256,) by threshold, rounded as in table 5.2-3: steps of sqrt(pi / 8), doubled from 100 on."""
+    """Standard deviations (256,) by threshold, rounded as in table 5.2-3: steps of sqrt(pi / 8), twice from 100 on."""
     index = np.arange(256)
     step = np.sqrt(np.pi / 8)
     coarse = 62.982 + 0.002 * (index < 137) + 2 * step * (index - 100)

@@ -1,6 +1,6 @@
 """Complex coherence, gain and phase between two images of the same pixels.
 
-The power about a chip that its errors may come from, and what a comparison of the chip then says.
+The errors of a chip also come from the power around it, which a comparison has to take into account.
 
 A processor spreads an error of the power 2 (1 - g) of each target about its place, with g the coherence that is
 predicted for clutter of even power. Where the ground about a chip is brighter, its error is larger than that of the
@@ -12,7 +12,7 @@ mean power M of any box about it, and the error of a chip of mean power P relati
 
 with c the coherence of the chip, whose error does not depend on its echoes. `referred` solves this for g.
 
-Coherence of two images of a scene that differ by what no sample tells of a track: a shift, and a ramp of the phase.
+Images may also differ by what no sample shows of a track's error: a shift, and a ramp of the phase.
 
 A constant error along the line of sight moves the image; a line over time turns it about the antenna, which moves it
 and ramps its phase along azimuth. Neither blurs. What is left after both are taken out is what images really differ by.

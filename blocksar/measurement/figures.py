@@ -10,7 +10,7 @@ The response's own axes are neither x and y nor orthogonal. Its range cut runs a
 (across the direction in which grad R turns during the dwell), its azimuth cut along constant range (across
 grad R at t_m).
 
-The ideal response of a point target: the exact back-projection of its echo alone.
+The ideal response of a point target is the exact back-projection of its echo alone.
 
 With dR(t) the range of a point p less that of the target q, over the times at which both are lit,
 

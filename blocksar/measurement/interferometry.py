@@ -13,7 +13,7 @@ with the ranges R at the middles of the dwells and the carriers f. It comes from
 - motion: P moves by r along the line of sight, away from the antenna, after image a: phase = 4 pi f_b / c r;
 - all else that changes the path or the reflectivity: the air, errors of the tracks, moisture, growth.
 
-The coherence that is estimated over a window: its bias, and below which value it shows that a scene has changed.
+The coherence estimated over a window has a bias, and a threshold below which it shows that a scene has changed.
 
 The estimate |sum a conj(b)| / sqrt(sum |a|^2 sum |b|^2) over N independent pixels of circular Gaussian clutter of
 coherence c has the density

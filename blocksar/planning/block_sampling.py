@@ -1,6 +1,6 @@
 """Sampling of a block along its chain: axes dense and long enough for its targets' lines.
 
-The ranges of a block's rows: dense enough for the band, and for what the steps in azimuth turn from row to row.
+The rows of a block are dense enough for the band, and for the change of azimuth phases from row to row.
 
 A phase of azimuth that changes with range, psi(r, t) in cycles, multiplies a target's response along range by
 exp(2j pi (r - r0) d psi / dr): its range frequencies move by c / 2 d psi / dr. The Doppler rate that the deramp removes

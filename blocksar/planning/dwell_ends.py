@@ -1,7 +1,7 @@
 """Ends of dwells after a chain's steps: their times, their smear, and the energy lost there.
 
-Steps in Doppler delay a signal, and the more the farther its Doppler is from the block's: a dwell begins and ends at
-other times after the steps of a chain than when its target was lit, and its ends are no longer sharp.
+Steps in Doppler delay a signal by more the farther its Doppler is from the block's: after the steps of a chain, a dwell
+begins and ends at other times than those at which its target was lit, and its ends are no longer sharp.
 
 SMEARED ENDS. Steps in Doppler that delay by D(f) smear a sharp end of the dwell gate into a Fresnel integral of area D'
 (less the mean of the block, with which the gate is made), and displace it where the gate's fit does not meet it. The

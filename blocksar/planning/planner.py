@@ -5,8 +5,9 @@ No sample is read.
 Division: the fewest angular blocks that keep the fidelity. Blocks reduce all errors that vary with angle; where they do
 not suffice, hierarchical back-projection does.
 
-Refused are beams that stay on their ground, as in a spotlight (`steadiness`), and targets that share their Doppler, or
-that stay blurred. Exact back-projection has none of these limits; who shows a reason adds that, with its time.
+Beams that stay on their ground, as in a spotlight (`steadiness`), and targets that share their Doppler, or stay
+blurred, are refused. Exact back-projection has none of these limits; the caller adds that remedy to the reason, with
+its time.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Several collections in one image, and long strips divided along time: segments planned one by one.
 
-Strips that are longer than one epoch serves: segments along time, each planned about its own middle.
+Strips that one epoch cannot serve are divided into segments along time, each planned about its own middle.
 
 Under a beam about the antenna's axis, a strip may be any number of dwells long, but range histories that are expanded
 about one epoch serve a few of them only. Segments overlap by more than the longest dwell: ground in the middle of what

@@ -1,6 +1,7 @@
 """Automatic choice of a processor: several are planned, the fastest that keeps the fidelity is taken.
 
-Of the chains, which are alike, only that of the main paper is compared: to plan where they do not serve takes long.
+Of the chains, which have similar limits, only that of the main paper is compared: planning chains takes long where they
+do not apply.
 
 Times are those of a machine whose pace is 1, so that the choice is the same on every machine with as many workers.
 """

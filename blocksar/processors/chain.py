@@ -1,6 +1,6 @@
 """The chains of the three papers as processors: recovery, blocks focused by a list of steps, mosaic.
 
-Sentences on a chain's plan beside its tables, one a line.
+A plan is described by tables, and by sentences, one a line.
 """
 
 from __future__ import annotations

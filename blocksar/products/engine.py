@@ -1,6 +1,6 @@
 """The engine `blocksar` of xarray, by entry point: `xarray.open_dataset(run, engine="blocksar")`, and `open_datatree`.
 
-Whatever is opened by xarray without an engine loads this module, so it loads nothing else before it is asked.
+xarray loads this module whenever it opens something without an engine, so it imports everything else on use.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The package's own products for `export`: their options, file endings, and writing functions.
 
-The registry imports this module for every help, so what writes a product is imported on use.
+The registry imports this module for every help, so the modules that write products are imported on use.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ is rotated from north, the projection is centred on the image instead, and the b
 rotated if need be. The largest error of a pixel's place against exact conversion through ECEF is reported and stored in
 the file.
 
-Overviews of a GeoTIFF: each level has half as many rows and columns, and what the product holds of the mean there.
+Each level of overviews has half as many rows and columns, with the means of the product's quantity.
 
 Means are of what was measured, before it is coded: power for amplitude and decibels, whose own means say nothing. A
 cell of level k is the mean of all covered pixels among the 2^k x 2^k that it stands for; not that of the means of the

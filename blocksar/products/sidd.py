@@ -11,8 +11,6 @@ height of each pixel's ground (GeographicProjection, `pixels`), north up.
 
 TimeCOAPoly gives the middle of the lit time of a pixel's ground, over rows and columns from the reference point, as the
 points of the standard are given; its first coefficient is that of the reference point.
-
-The pixels of a SIDD file: where they lie on the Earth, and what they hold.
 """
 
 from __future__ import annotations

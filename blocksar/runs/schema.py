@@ -1,6 +1,6 @@
 """Records in JSON: frozen dataclasses whose fields pydantic reads and checks.
 
-pydantic is imported then, and not before: a run that begins anew writes records, and reads none.
+pydantic is imported only to read records: a new run writes records, and reads none.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Simulation of a scene into a CPHD 1.1.0 file: FX domain, SGN -1, CF8 (see `ingestion.cphd` for the format).
 
-The beam of a scene as CPHD describes it: image area, dwell polynomials, antenna frame, boresight and gain.
+CPHD describes the beam by image area, dwell polynomials, antenna frame, boresight and gain.
 
 The antenna coordinate frame has ACX along the beam's axis and ACX x ACY towards the swath: at the depression of the
 scene centre, at right angles to the axis. The electrical boresight is the beam's centre. Transmitter and receiver are

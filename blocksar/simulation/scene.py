@@ -21,7 +21,7 @@ about a wrong file lists every wrong field with its value and the remedy.
     [noise]         power, seed
     [dropped]       pulses, ranges, fraction, seed
 
-Messages about errors in a scene file: the field, the value, the remedy, and the nearest known key.
+Messages about errors name the field, the value, the remedy, and the nearest known key.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The tables of a scene file: their fields, units, limits and checks.
 
-Errors of the track: how the antenna really moved off the track that the phase history states.
+Errors of the track describe how the antenna really moved relative to the track that the phase history states.
 
 The scene's track is what the navigation says. Samples are simulated from the track plus its error; the store has the
 track, and a reference range that follows the track. The track as flown is kept beside the store, see `phase_history`.

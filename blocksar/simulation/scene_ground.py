@@ -1,6 +1,6 @@
 """The ground of a scene as a `Terrain`: from a file of heights, or hills.
 
-Shadow: pulses that do not reach scatterers, since the terrain lies between them and the antenna.
+Shadow: the terrain may lie between a scatterer and the antenna, so that pulses do not reach the scatterer.
 
 A scatterer is hidden from a pulse if the ray from it to the antenna's place at that pulse passes below the terrain,
 which is bilinear between its samples here, as in the layer `visibility` of images. Rays are followed for some pulses of

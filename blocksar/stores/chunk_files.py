@@ -1,6 +1,6 @@
 """Chunks as plain files of a local file system: reading, writing and linking them without zarr.
 
-The layout of stores that `create` writes: zarr's metadata, version 3, written and recognised without zarr.
+Their layout is the one that `create` writes: zarr's metadata, version 3, written and recognised without zarr.
 
 Loading zarr takes 0.1 to 0.3 s, and creating a store through it 4 to 9 ms instead of 1 ms: every run would wait.
 """

@@ -1,7 +1,7 @@
 """Piecewise writing of phase histories' samples, resumable after an interruption.
 
-Until a store is finished it has a ledger: what it is made from (its *identity*), and which pieces are written, in their
-order, with checksums. Whoever writes a store of the same identity passes over those pieces that are intact.
+An unfinished store has a ledger: its *identity*, a hash of everything it is made from, and the pieces already written,
+in order, with checksums. A later write of a store with the same identity skips the pieces that are intact.
 """
 
 from __future__ import annotations

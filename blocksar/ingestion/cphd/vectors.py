@@ -1,6 +1,6 @@
 """Assignment of vectors to pulses, and resampling of uneven vectors to uniform pulses.
 
-Vectors that cannot be used: which parameter is wrong, in which vectors.
+Unusable vectors are reported with the parameter that is wrong.
 
 Files hold vectors of pulses that were lost: without position, with NaN or zeros in any parameter, flagged by SIGNAL or
 not. Such a vector is a missing pulse. A parameter that is wrong in more than half of the vectors is no lost pulse: the

@@ -6,7 +6,7 @@ identical bytes.
 
 Import this module only where a page is made: matplotlib is slow to load.
 
-The Pauli composite of a page is an overlay: colours that are switched on over the grey levels of a channel.
+The Pauli composite of a page is an overlay of colours that can be switched on over the grey levels of a channel.
 """
 
 from __future__ import annotations

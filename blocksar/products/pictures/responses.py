@@ -1,14 +1,6 @@
 """Pictures of point responses: contours and cuts; and of tracks and looks.
 
 Import this module only where a picture is drawn: matplotlib is slow to load.
-
-Pictures of the correction of a track: its error over time, and chips before and after.
-
-Import this module only where a picture is drawn: matplotlib is slow to load.
-
-Picture of the spectra of sub-aperture looks.
-
-Import this module only where a picture is drawn: matplotlib is slow to load.
 """
 
 from __future__ import annotations
