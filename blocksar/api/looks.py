@@ -31,7 +31,7 @@ from blocksar.processors.sentences import time_line
 
 @dataclass(frozen=True)
 class Looks:
-    """How dwells are divided into looks.
+    """Division of dwells into looks.
 
     Attributes
     ----------

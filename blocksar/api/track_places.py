@@ -36,7 +36,7 @@ def fingerprint_of_members(members: Iterable[Sequence[stores.PhaseHistory]]) -> 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrackPlace:
-    """Where the track of a run's collections is estimated. Channels were taken by one antenna and share the estimate.
+    """Place where the track of a run's collections is estimated. Channels have one antenna and share the estimate.
 
     Attributes
     ----------

@@ -86,7 +86,7 @@ def _holds(collection: Collection, x: float, y: float) -> bool:
 
 
 def describe_pointing(geometry: Geometry, grid: Grid) -> str:
-    """Where the middle of a grid and a beam about its axis lie, in degrees off the plane normal to the axis."""
+    """Describe the middle of a grid and a beam about its axis, in degrees off the plane normal to the axis."""
     collection = geometry.collection
     assert collection.beam_steering is not None and collection.beam_width is not None
     x, y = ((np.asarray(low + high) / 2) for low, high in ((grid.x0, grid.x1), (grid.y0, grid.y1)))

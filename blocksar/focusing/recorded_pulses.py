@@ -41,7 +41,7 @@ class RecordedMeans(NamedTuple):
 def recorded_means(
     geometry: Geometry, x: FloatArray, y: FloatArray, z: Height | None = None, *, weighting: Weighting = UNIFORM
 ) -> RecordedMeans:
-    """Compute the means at points x, y (...), m, on the ground, or at heights z, m, for a former raw echo.
+    """Compute the means at points x, y (...), m, on the ground, or at heights z, m, of a compressed raw echo.
 
     NaN where the first is below LEAST_SHARE, or below 1 where only ground with whole pulses is imaged.
     """

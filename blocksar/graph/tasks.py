@@ -60,7 +60,7 @@ class FormParts(Protocol):
         self, read: ReadPulses, geometry: Geometry, x: FloatArray, y: FloatArray, windows: Sequence[Window], *,
         threads: int,
     ) -> Iterator[tuple[Window, ComplexArray]]:  # fmt: skip
-        """Yield the windows of the grid x (n_column,), y (n_row,), m, with their pixels, in any order."""
+        """Yield the windows of the grid x (n_column,), y (n_row,), m, with pixels, in an order set by them alone."""
         ...
 
 

@@ -206,7 +206,7 @@ SETTLED = 3  # echoes that rule an alternative out, if they do beyond chance: no
 
 @dataclass(frozen=True)
 class ClutterGround:
-    """Where echoes come from, and the yaws and ranges at which clutter is compared."""
+    """Ground of the echoes, and the yaws and ranges at which clutter is compared."""
 
     grid: Grid | None
     terrain: Terrain | None

@@ -69,7 +69,7 @@ LOOKED_AT = 64  # points along a side of a grid at which full dwells are looked 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
-    """How a collection is focused: everything that the tasks need, and the quality to expect.
+    """Plan of a collection: everything that the tasks need, and the expected quality.
 
     Attributes
     ----------

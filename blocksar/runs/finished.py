@@ -246,7 +246,7 @@ class FinishedRun:
 
     @cached_property
     def track(self) -> TrackCorrection | None:
-        """How the track was corrected from the samples; None if it was not.
+        """Correction of the track from the samples; None if it was not corrected.
 
         Raises
         ------

@@ -113,7 +113,7 @@ def named_pattern(name: str, width: float) -> tuple[FloatArray, FloatArray]:
 
 @lru_cache
 def _half_power(name: str) -> float:
-    """Where the one-way amplitude of an aperture is 1 / sqrt(2), in wavelengths over the aperture."""
+    """Angle at which the one-way amplitude of an aperture is 1 / sqrt(2), in wavelengths over the aperture."""
     factors = taylor_coefficients(NBAR, SIDE_LOBES) if name == "taylor" else np.zeros(0)
     low, high = 0.0, 1.0
     for _ in range(60):
