@@ -395,7 +395,10 @@ WRONG: dict[str, tuple[Edit, str]] = {
     "quotation mark": (put("Antenna/AntPhaseCenter/ACFId", "a'b"), "without a quotation mark"),
     "frequency": (put("Antenna/AntPattern/FreqZero", "-1"), "FreqZero is -1"),
     "no number": (put("Antenna/AntPattern/FreqZero", "x"), "no number"),
-    "not finite": (vectors_of("TxACX", lambda v: v * np.nan), "PVP TxACX is not finite or 0 in 601 vectors (first"),
+    "not finite": (
+        vectors_of("TxACX", lambda v: v * np.nan),
+        "PVP TxACX is not finite or 0 in 601 of 601 vectors (first",
+    ),
     "length": (vectors_of("RcvACY", lambda v: 2 * v), "RcvACY has a length of 2"),
     "angle": (vectors_of("TxACY", lambda v: v[::-1] * 0 + 1 / np.sqrt(3)), "not at a right angle"),
     "boresight": (vectors_of("TxEB", lambda v: v + 1), "TxEB has direction cosines of length"),
