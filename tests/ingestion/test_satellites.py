@@ -184,7 +184,7 @@ def test_lost_lines_other_windows_and_another_prf(tmp_path: Path) -> None:
     assert (
         "the PRF changes: lines 0 .. 49, 50 of 64" in text
         and "3 of 53 lines lost" in text
-        and "1 of 50 lines are" in text
+        and "1 of 50 lines marked as empty" in text
     )
     assert "receive windows change; the 630 samples that all pulses have" in text
     echo = history.read(slice(None), slice(None))
