@@ -80,7 +80,7 @@ def __getattr__(name: str) -> Any:
 
 @cache
 def _in_python(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Copy of the function whose errors name parameters where they would name options of the command line."""
+    """Return a copy of the function whose errors name parameters of Python instead of options of the command line."""
     from blocksar.errors import InputError, ProcessingError, UnknownOption, in_python, shortened_trace
     from blocksar.options import check_arguments, nearest_argument
 
@@ -107,7 +107,7 @@ def _in_python(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 class _Package(ModuleType):
-    """The package, whose function `collection` keeps its name: importing the folder of that name would replace it."""
+    """Module type of the package that keeps its function `collection` when the subpackage of that name is imported."""
 
     @property
     def collection(self) -> Any:
@@ -115,10 +115,10 @@ class _Package(ModuleType):
 
     @collection.setter
     def collection(self, folder: ModuleType) -> None:
-        """Leave the folder where `from blocksar.collection...` finds it: in sys.modules."""
+        """Ignore the subpackage, which `from blocksar.collection...` finds in sys.modules."""
 
     def __reduce__(self) -> tuple[Callable[[str], ModuleType], tuple[str]]:
-        """Import it where it is unpickled, as cloudpickle does with modules: functions sent to workers name it."""
+        """Pickle the package by name: functions sent to workers refer to it."""
         return importlib.import_module, (self.__name__,)
 
 

@@ -28,7 +28,7 @@ def check_axis(axis: FloatArray, name: str, unit: str) -> None:
     if axis.ndim != 1 or axis.size < 8:
         raise InputError(f"{name} has shape {axis.shape}, but an axis of at least 8 samples is needed")
     if not np.isfinite(axis).all():
-        raise InputError(f"{name} has {np.count_nonzero(~np.isfinite(axis))} values that are not finite")
+        raise InputError(f"{name} is not finite at {np.count_nonzero(~np.isfinite(axis))} of {axis.size} values")
     if np.abs(axis).max() > WIDEST:
         raise InputError(f"{name} reaches {np.abs(axis).max():.3g} {unit}, which cannot be meant; correct its values")
     steps = np.diff(axis)

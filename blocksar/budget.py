@@ -1,4 +1,4 @@
-"""Limits of error, how far a planned image may deviate from the ideal one; and of the time that a run waits."""
+"""Limits of error by which a planned image may deviate from the ideal one, and limits of waiting time."""
 
 from __future__ import annotations
 

@@ -20,13 +20,13 @@ SIGNAL_COLUMNS = 512  # columns of the phase history read at a time, at most
 IMAGE_CHUNK = 512  # pixels on a side of an image's chunk: 2 MiB
 COPY_BYTES = 256 * MIB  # bytes of files that one task copies, about
 TILED_CHUNKS = 32  # output chunks whose tiles are found at once: 1 MiB of polynomials
-STRIP_CHUNKS = 8  # output chunks, beside each other, whose heights and layers are found at once
+STRIP_CHUNKS = 8  # adjacent output chunks whose heights and layers are computed at once
 READS_AT_ONCE = 2  # patches that a task reads while it merges those before
 WRITES_AT_ONCE = 2  # chunks that a task of one thread writes while it computes the next
 WRITES_PER_THREAD = 2 / 3  # and of several threads, for each: writing takes up to so much of the time of computing
 IMAGE_PIXELS = IMAGE_CHUNK**2
 PYRAMID_LEVELS = 3  # the last of those that many tasks make: one makes the few that remain
-PYRAMID_FROM = 4096  # pixels along a side, beyond which an image has a pyramid unless that is asked for or against
+PYRAMID_FROM = 4096  # pixels along a side, beyond which an image has a pyramid by default
 TILE = (512, 1024)  # pulses by columns in a chunk of a phase history: 4 MiB, efficient to read along both axes
 
 

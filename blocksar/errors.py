@@ -67,7 +67,7 @@ class MissingInput(InputError, FileNotFoundError):
 
 
 class UnknownOption(InputError, TypeError):
-    """A function has no argument of a name: also the error that Python itself raises then.
+    """Error: a function has no argument of that name; also a TypeError, as Python raises then.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class UnknownOption(InputError, TypeError):
 
 
 class Unfocusable(InputError):
-    """No chain forms the image that is asked for, although the input is right: exact back-projection does."""
+    """Error: no chain forms the requested image, although the input is right; exact back-projection does."""
 
 
 class PrfTooLow(Unfocusable):
@@ -109,7 +109,7 @@ class OutsideSwath(InputError):
 
 
 class FolderError(InputError):
-    """The run folder cannot be used: the fault is the folder's, not that of the phase history or the settings.
+    """The run folder cannot be used, while phase history and settings are fine.
 
     The same call may succeed later: when another process has left the folder, or the folder is writable again.
 
@@ -128,21 +128,21 @@ class FolderError(InputError):
 
 
 class NoRoom(FolderError):
-    """Refusal of what will not fit the disk; nothing of it is written yet."""
+    """Something will not fit on the disk; nothing of it has been written yet."""
 
 
 def in_the_way(path: object, state: str = "exists") -> InputError:
-    """The error about a file or store that is there, and is replaced only if that is asked for."""
+    """Make the error about an existing file or store that is only overwritten on request."""
     return InputError(f"{path} {state}; choose another name, or have it overwritten (--overwrite)")
 
 
 def changes_while_read(path: object, detail: str = "") -> InputError:
-    """The error about a store that something writes to while it is read; `detail` follows the sentence's first part."""
+    """Make the error about a store that changes while it is read; `detail` follows the sentence's first part."""
     return InputError(f"{path} changes while it is read{detail}; start again once nothing writes to it")
 
 
 def shortened_trace(error: Exception) -> None:
-    """Cut what a trace shows before an error in a sentence to the file system's own, without its causes and frames."""
+    """Drop the causes and frames of the file system's error that a trace would show before `error`."""
     cause = error.__cause__
     if isinstance(cause, OSError) and cause.errno is not None:
         cause.__cause__, cause.__suppress_context__, cause.__traceback__ = None, True, None
@@ -191,7 +191,7 @@ def is_closed(error: BaseException | None) -> bool:
 
 
 def no_room(what: object, error: OSError) -> ProcessingError:
-    """The error about a file or store for which a disk has no room."""
+    """Make the error about a file or store for which a disk has no room."""
     remedy = "see to the disk" if error.errno == errno.EIO else "make room"
     return ProcessingError(f"{what} cannot be written ({error.strerror}); {remedy}, and give the same command again")
 
@@ -206,7 +206,7 @@ def is_final(error: BaseException) -> bool:
 
 
 def unwritable(what: object, error: OSError) -> InputError | ProcessingError:
-    """The error about a file or store that cannot be written: where it lies is wrong, unless the disk is full."""
+    """Make the error about a file or store that cannot be written: wrong input, unless the disk is full."""
     if is_full(error):
         return no_room(what, error)
     why = error.strerror or error

@@ -1,4 +1,4 @@
-"""The folder in which compiled loops are kept, where that cannot be the package's own, and the time to compile them."""
+"""The folder for compiled loops where the package's own is not writable, and the time spent compiling."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def note_compilation(seconds: float) -> None:
 
 
 def compilation_seconds() -> float:
-    """Seconds that were counted since this process began."""
+    """Return the seconds counted by `note_compilation` since this process began."""
     return _spent[0]
 
 
@@ -29,8 +29,8 @@ def choose_cache() -> None:
     numba defines no loop that it cannot keep. The folder is `blocksar` among the user's caches, or else one in the
     folder for temporary files.
     """
-    beside = os.path.join(MODULES, "__pycache__")
-    if os.environ.get(VARIABLE) or os.access(beside if os.path.isdir(beside) else MODULES, os.W_OK):
+    package_cache = os.path.join(MODULES, "__pycache__")
+    if os.environ.get(VARIABLE) or os.access(package_cache if os.path.isdir(package_cache) else MODULES, os.W_OK):
         return
     folder = _user_folder() or _temporary_folder()
     if folder is not None:
@@ -50,7 +50,7 @@ def _user_folder() -> str | None:
 
 
 def _temporary_folder() -> str | None:
-    """A folder that no other user can write to: what lies in it is run.
+    """Return a folder that no other user can write to, since the loops in it are executed; None if there is none.
 
     It has one name for each user, so that the next command finds the loops; where another owns that name, one for this
     process.

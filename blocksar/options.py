@@ -1,4 +1,4 @@
-"""Options, each stated once: the field of a frozen dataclass, whose annotation carries what people read of it.
+"""Options, each stated once: fields of a frozen dataclass whose annotations carry their descriptions.
 
     @dataclass(frozen=True, kw_only=True)
     class TableOptions:
@@ -85,7 +85,7 @@ def _all_options(model: type) -> tuple[Stated, ...]:
 
 
 def read_options(model: type[Model], given: Mapping[str, Any], of: str, elsewhere: Iterable[tuple[str, type]]) -> Model:
-    """Make a model of what is given by name; None stands for a default.
+    """Make a model from values by name; None stands for a default.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def read_options(model: type[Model], given: Mapping[str, Any], of: str, elsewher
 
 
 def nearest_argument(function: Callable[..., Any], name: str) -> str | None:
-    """Say which argument of a function, or option in its signature, has nearly this name; None if none, or just this.
+    """Return the argument or signature option of a function most similar to a misspelt name; None if there is none.
 
     Examples
     --------
@@ -124,7 +124,7 @@ def nearest_argument(function: Callable[..., Any], name: str) -> str | None:
 
 
 def check_arguments(function: Callable[..., Any], given: Iterable[str]) -> None:
-    """Check the names of arguments of a function that takes no others than it states.
+    """Check the names of arguments for a function that takes only the arguments it states.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def check_arguments(function: Callable[..., Any], given: Iterable[str]) -> None:
     """
     known = signature(function).parameters
     if any(each.kind is Parameter.VAR_KEYWORD for each in known.values()):
-        return  # told where the options are read
+        return  # reported when the options are read
     for name in given:
         if name not in known:
             message = nearest_argument(function, name)
@@ -142,7 +142,7 @@ def check_arguments(function: Callable[..., Any], given: Iterable[str]) -> None:
 
 
 def read_values(options: Iterable[Stated], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Values by name, those of options as they are read; a default of None stays.
+    """Read values by name with the checks of their options; None as default stays None.
 
     Raises
     ------
@@ -161,7 +161,7 @@ def read_values(options: Iterable[Stated], given: Mapping[str, Any]) -> dict[str
 
 
 def showing_options(*models: type) -> Callable[[Function], Function]:
-    """Decorate a function with **options: its signature, for people and editors, has the options of models as well."""
+    """Decorate a function with **options: its displayed signature gets the options of models as well."""
 
     def decorate(function: Function) -> Function:
         plain = signature(function)
@@ -178,7 +178,7 @@ def showing_options(*models: type) -> Callable[[Function], Function]:
 
 
 def _not_one(name: str, value: Any, of: str, known: Mapping[str, Stated], elsewhere: Iterable[tuple[str, type]]) -> str:
-    """Why an option cannot be given."""
+    """Explain why an option cannot be given."""
     others = [other for other, model in elsewhere if name in (each.name for each in options_of(model))]
     if others:
         *first, last = others

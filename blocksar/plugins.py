@@ -1,4 +1,4 @@
-"""Registries of what can be plugged in: own parts, and those that other packages install as entry points."""
+"""Registries of plug-ins: own parts, and those that other packages install as entry points."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Part = TypeVar("Part")
 
 
 class Registry(Generic[Part]):
-    """Parts by name. None is loaded, and no other package is asked, before that is needed.
+    """Parts by name, own ones and entry points of other packages; each is loaded on demand.
 
     Parameters
     ----------
@@ -38,20 +38,20 @@ class Registry(Generic[Part]):
 
     @cached_property
     def _installed(self) -> dict[str, EntryPoint]:
-        """Entry points of other packages by name; an own part keeps its name."""
+        """Entry points of other packages by name; a name of an own part is skipped."""
         from importlib.metadata import entry_points  # takes longer to load than all other imports here
 
         return {each.name: each for each in entry_points(group=self.group) if each.name not in self.own}
 
     def names(self) -> tuple[str, ...]:
-        """The own parts, then those of other packages."""
+        """Return the names of own parts, then those of other packages."""
         return (*self.own, *sorted(self._installed))
 
     def __contains__(self, name: Any) -> bool:
         return isinstance(name, str) and (name in self.own or name in self._installed)
 
     def sound(self) -> Iterator[tuple[str, Part]]:
-        """The parts by name, one after the other, without those that cannot be loaded."""
+        """Iterate over the parts by name; those that cannot be loaded are skipped."""
         for name in self.names():
             try:
                 part = self.get(name)
@@ -63,7 +63,7 @@ class Registry(Generic[Part]):
         return (part for _, part in self.sound())
 
     def get(self, name: Any) -> Part:
-        """The part of a name.
+        """Return the part of a name.
 
         Raises
         ------

@@ -140,7 +140,7 @@ def through_nodes(values: FloatArray) -> FloatArray:
 
 
 def _solve(q: FloatArray, right: FloatArray) -> FloatArray:
-    """`least_squares` with the terms q, which are overwritten.
+    """Solve least squares as `least_squares` does, overwriting the terms q.
 
     The right side is made orthogonal along with them, which keeps the solution stable without a second pass.
     """
@@ -203,7 +203,7 @@ def newton(
 
 
 def vertex(values: FloatArray) -> float:
-    """Where a parabola through three values is highest, from the middle one, in steps; 0 for fewer values."""
+    """Offset of a parabola's maximum through three values from the middle one, in steps; 0 for fewer values."""
     if values.size < 3:
         return 0.0
     bend = float(values[0]) - 2 * float(values[1]) + float(values[2])

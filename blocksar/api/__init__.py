@@ -1,9 +1,8 @@
-"""The commands as functions: simulate, ingest, check, autofocus, plan, focus, quality, report, export, compare, open,
-info, preview, view, demo, compile; and collection, scene_centre and write, for data in memory.
+"""The functions of the commands, from simulate to compile; and collection, scene_centre and write for data in memory.
 
-One module for each stage: `sources`, `datasets`, `describing`, `previewing`, `checking`, `autofocusing`
-(with `tracks`), `planning`, `focusing` (with `jobs`), `measuring`, `reporting`, `exporting`, `comparing`, `viewing`,
-`demonstrating`, `compile_ahead`. They share `settings`, which states every option once, `arguments` and `reports`.
+One module for each stage: `sources`, `describing`, `previewing`, `checking`, `autofocusing` (with `tracks`),
+`planning`, `focusing` (with `jobs`), `measuring`, `reporting`, `exporting`, `comparing`, `viewing`, `demonstrating`,
+`compile_ahead`. They share `settings`, which states every option once, `arguments` and `reports`.
 """
 
 from __future__ import annotations

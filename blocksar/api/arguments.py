@@ -32,11 +32,11 @@ if TYPE_CHECKING:
 
 
 def mistaken(source: Location) -> str | None:
-    """Say what a path holds that is no phase history, with the remedy; None if there is nothing to say."""
+    """Describe what lies at a path that is no phase history, with the remedy; None if nothing useful can be said."""
     where = place(source)
     try:
         return _told(where, str(source))
-    except OSError:  # the first error says what cannot be read
+    except OSError:  # the caller's error states what cannot be read
         return None
 
 
@@ -59,7 +59,7 @@ def _told(where: Place, text: str) -> str | None:
 
 
 def _missing(path: Path, text: str) -> str | None:
-    """A shipped scene given for its phase history, a link that leads nowhere, or the nearest name to a missing one."""
+    """Explain a missing path: a shipped scene's name, a broken link, or a similar name nearby; None if neither."""
     if text in shipped_scenes():
         return (
             f"{text} is a shipped scene, not a phase history; write one first: `blocksar simulate {text} --out "
@@ -79,7 +79,7 @@ SMALL = 1 << 24  # samples, 128 MiB: for less, a cluster takes longer to start t
 
 
 def in_this_process(workers: int | None, collections: Sequence[Collection]) -> bool:
-    """Whether the calling process does the work.
+    """Tell whether the calling process does the work.
 
     By default that of small collections, in interactive sessions, and all where no workers can start.
     """
@@ -90,7 +90,7 @@ def in_this_process(workers: int | None, collections: Sequence[Collection]) -> b
 
 
 def gpu_workers(workers: int | None) -> int:
-    """The workers of a local run on a GPU, which share it: one by default; 0 is the calling process.
+    """Return the number of workers of a local run on a GPU, which share it: one by default; 0 is the calling process.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def sources_of(source: Source) -> list[One]:
 
 
 def _members(source: One) -> list[One]:
-    """The phase histories of a store of several, or the source itself."""
+    """Return the phase histories of a store that holds several, or the source itself."""
     return [*(stores.collections_in(source) if isinstance(source, str | os.PathLike | Place) else ())] or [source]
 
 
@@ -201,7 +201,7 @@ def collections_of(source: Source, ground_height: float | None, *, terrain: obje
 
 
 def is_scene(source: One) -> bool:
-    """Whether a source is a scene: a TOML file, or the name of a shipped one if nothing lies there."""
+    """Tell whether a source is a scene: a TOML file, or the name of a shipped one if nothing lies there."""
     text = str(source) if isinstance(source, str | Path) else ""
     if text.endswith(".toml") or not text or os.path.exists(text):
         return text.endswith(".toml")
@@ -279,7 +279,7 @@ def control_points(
     *,
     used: bool = True,
 ) -> tuple[Target, ...]:
-    """Read control points in the frame of a phase history, as targets of `quality` are read; none by default.
+    """Read control points in the frame of a phase history, from a file or a list of targets; none by default.
 
     Without heights they lie at `ground_height`, m, by default that of the phase history.
 

@@ -183,7 +183,7 @@ def autofocus(
 
 
 def _finished(target: Place, estimate: TrackEstimate) -> dict[str, Any] | None:
-    """The attribute of a store that is what this estimate would write, or None."""
+    """Return the attribute `autofocus` of an existing store that this same estimate has written; None otherwise."""
     if not target.exists():
         return None
     try:
@@ -194,7 +194,7 @@ def _finished(target: Place, estimate: TrackEstimate) -> dict[str, Any] | None:
 
 
 def _copied(history: stores.PhaseHistory) -> int:
-    """Bytes of the copy of a phase history."""
+    """Return the size of the copy of a phase history, bytes."""
     if isinstance(history, stores.DatasetHistory):
         return stored_bytes(history.shape)
     return sum(size for _, size, _ in history.path.files())
@@ -209,7 +209,7 @@ def _write(
     *,
     overwrite: bool,
 ) -> tuple[Sequence[Receipt], dict[str, Any]]:
-    """Write the store with its track corrected, in a folder that this process has claimed; receipts and attribute."""
+    """Write the store with the corrected track into a folder that this process locked; return receipts, attribute."""
     source, made = estimate.stored()[0], estimate.folder / STORE
     receipts = copy_store(executor, source.path, made, run)
     executor.listener.begin("finish")

@@ -1,4 +1,4 @@
-"""check: whether the samples of a phase history fit its metadata."""
+"""check: compare the samples of a phase history with its metadata."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def check(
 
 
 def refuse_real(history: stores.PhaseHistory) -> None:
-    """Refuse real samples; reads no more than the first chunk that tells.
+    """Refuse real samples; reads only up to the first chunk that shows whether they are complex.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def refuse_real(history: stores.PhaseHistory) -> None:
 def check_samples(
     history: stores.PhaseHistory, grid: Grid | None, *, threads: int, thorough: bool, terrain: Terrain | None = None
 ) -> Findings:
-    """Check the samples of a phase history in the middle of its band.
+    """Check samples from the middle of the band of a phase history against its metadata.
 
     Raises
     ------
@@ -157,7 +157,7 @@ def check_samples(
 
 
 def _compressed(history: stores.PhaseHistory, pulses: slice, columns: slice) -> ComplexArray:
-    """Some range frequencies of a raw echo, which is compressed a few pulses at a time."""
+    """Compress a raw echo, a few pulses at a time, and return some of its range frequencies."""
     read = pulse_reader(history)
     signal = np.empty((pulses.stop - pulses.start, columns.stop - columns.start), np.complex64)
     for first in range(pulses.start, pulses.stop, TILE[0]):

@@ -123,7 +123,7 @@ def _check_out(folder: Place, *, overwrite: bool) -> None:
 
 
 def _lines(pair: Pair, made: Made) -> Sequence[str]:
-    """Describe what was found."""
+    """Describe the baseline, coherence and change of a pair in sentences."""
     baseline, (n_y, n_x) = pair.baseline, pair.window
     lines = ["one of the runs does not see the middle of the image, so that no baseline is given"]
     if math.isfinite(baseline.wavenumber):

@@ -1,4 +1,4 @@
-"""compile: all loops ahead of time, into numba's cache."""
+"""compile: compile all loops ahead of time, into numba's cache."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The demonstration: simulate the paper's scene, focus it, measure it, draw it."""
+"""demo: simulate the paper's scene, focus it, measure it, draw it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""info: what a path holds, in a page, and which command comes next. Reads no samples."""
+"""info: describe what a path holds on one page, and name the next command. Reads no samples."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 Rows = list[tuple[str, str]]
 PREDICTED = "predicted coherence with exact back-projection at least"
-# Settings of a run that go without saying; the processor is always named.
+# Default settings of a run, which are not listed; the processor always is.
 USUAL = {
     **{name: value for name, value in Method().as_settings().items() if name != "processor"},
     "blocks": "auto", "fidelity": FIDELITY, "weighting_range": FLAT.text, "weighting_azimuth": FLAT.text,
@@ -124,7 +124,7 @@ def _beam(collection: Collection) -> str:
 
 
 def _footprint(geometry: Geometry) -> Rows:
-    """Find what a steered beam lights, and the grid that would cover it; nothing where neither can be said."""
+    """Rows on the ground that a steered beam lights, its resolution and default grid; none if these are unknown."""
     collection = geometry.collection
     if not collection.steered:
         return []
@@ -166,7 +166,7 @@ def general_rows(attrs: Mapping[str, Any]) -> Rows:
             zero = source.get("time_zero", 0.0)
             later = f"{zero:.6g}" if isinstance(zero, int | float) else repr(zero)
             rows.append(("collection start", f"{start}, t = 0 is {later} s later"))
-    # Of several channels, each has its own; the row of their names says which.
+    # Several channels have a polarisation each, which the row of their names shows.
     if "polarizations" not in attrs and isinstance(polarization := attrs.get("polarization"), Mapping):
         rows.append(("polarization", f"{polarization.get('transmit', '?')}{polarization.get('receive', '?')}"))
     if targets := attrs.get("targets"):
@@ -181,7 +181,7 @@ def _origin(attribute: Any) -> str:
 
 
 def history_rows(attrs: Mapping[str, Any]) -> Rows:
-    """The newest lines of a store's history: what was done to it."""
+    """The newest lines of a store's history."""
     lines = [line for line in str(attrs.get("history") or "").splitlines() if line.strip()]
     return [("done" if k == 0 else "", line.strip()) for k, line in enumerate(lines[:HISTORY_LINES])]
 
@@ -199,12 +199,12 @@ def run_rows(record: RunRecord) -> Rows:
         rows.append(("settings", ", ".join(chosen)))
     if plan.blocks is not None:
         parts = f" of {plan.parts} range sub-blocks each" if (plan.parts or 1) > 1 else ""
-        kept = (
+        coherence = (
             ""
             if math.isnan(plan.least)
             else f"; predicted coherence with exact back-projection at least {plan.least:.6g}"
         )
-        rows.append(("plan", f"{count(plan.blocks, 'angular block')}{parts}{kept}"))
+        rows.append(("plan", f"{count(plan.blocks, 'angular block')}{parts}{coherence}"))
     if plan.coherence is not None:
         rows.append(("plan", f"{PREDICTED} {plan.coherence:.8g}"))
     if plan.processor:
@@ -224,12 +224,12 @@ def _state(record: RunRecord) -> str:
 
 
 def _told(name: str, value: Any) -> bool:
-    """Whether a setting is listed: not the grid, which has a row of its own, and no default."""
+    """Tell whether a setting is listed: neither the grid, which has its own row, nor a default."""
     return name != "grid" and USUAL.get(name) != value
 
 
 def made_row(made: Sequence[str]) -> Rows:
-    """Describe the other parts of a run folder."""
+    """Return the row that lists the other files in a run folder, such as reports and pictures."""
     return [("also made", ", ".join(made))] if made else []
 
 
@@ -245,7 +245,7 @@ MADE = ("quality.json", "report.html", "mosaic.png", "contours.png")  # in a run
 
 
 def info(path: Location | xr.Dataset) -> Report:
-    """Say what a path or a dataset holds: its size, geometry, band, beam, grid, what was done to it, what comes next.
+    """Describe a path or a dataset: its size, geometry, band, beam, grid, history, and the next command.
 
     Reads metadata only, and writes nothing.
 
@@ -305,7 +305,7 @@ def _unknown(where: Place, names: list[str]) -> InputError:
 
 
 def _report(kind: str, name: str, rows: Rows, following: Following) -> Report:
-    """A report of one table, and its rows as a dict, in which an empty name goes on with the row above."""
+    """Make a report of one table; `result` holds its rows as a dict, where an empty label continues the row above."""
     entries: dict[str, str] = {}
     last = ""
     for label, text in rows:
@@ -337,7 +337,7 @@ def _store(where: Place, names: list[str]) -> Report:
 
 
 def _collections(where: Place, several: Sequence[Place]) -> Report:
-    """A store of several phase histories in one frame."""
+    """Describe a store of several phase histories in one frame."""
     histories = [stores.open_phase_history(each) for each in several]
     first = histories[0]
     rows = [
@@ -359,7 +359,7 @@ def _size(where: Place) -> Rows:
 
 
 def _dataset(dataset: Any) -> Report:
-    """A dataset that is a phase history or an image; one as it was opened from a store is what the store is."""
+    """Describe a dataset of xarray: an image or a phase history; one that was opened from a store like its store."""
     if "image" in dataset and {"x", "y"} <= set(dataset.coords):
         x, y = dataset["x"].values, dataset["y"].values
         from blocksar.products.dataset import nested  # loads xarray, as the caller has
@@ -376,7 +376,7 @@ def _dataset(dataset: Any) -> Report:
 
 
 def _phase_history(history: stores.PhaseHistory, where: Place | None) -> Report:
-    """A phase history at a place; None: it is in memory only."""
+    """Describe a phase history, stored at `where` or, if that is None, in memory only."""
     pulses, columns = history.shape
     axis = "range frequencies" if history.raw is None else "fast-time samples (a raw echo, not range-compressed)"
     count = max(len(history.channels), 1)
@@ -459,7 +459,7 @@ def _file(where: Readable) -> Report:
 
 
 def _described(reader: Reader, files: Sequence[Readable], name: str, given: str) -> Report:
-    """Find what a reader says of files, which lie at a place of this name, and are given so to its command."""
+    """Describe files by their reader; `name` is their place, `given` how the user wrote it, for the next command."""
     found = reader.describe(files, given)
     rows = [
         *found.rows,

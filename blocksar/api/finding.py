@@ -1,4 +1,4 @@
-"""Figures that quality finds by itself: bright points, an area, the floor, places of ambiguities."""
+"""Figures that `quality` measures without a list of targets: bright points, an area, the noise floor, ambiguities."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ORDERS = (-1, 1)  # of azimuth ambiguities, PRFs
 
 
 def find_points(run: FinishedRun, count: int) -> list[dict[str, Any]]:
-    """Measure the brightest isolated points of an image; records with null for what could not be measured.
+    """Measure the brightest isolated points of an image; records hold null where a figure could not be measured.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def _record(run: FinishedRun, point: BrightPoint, number: int) -> dict[str, Any]
 
 
 def _ambiguities(run: FinishedRun, target: Target, power: float) -> list[dict[str, Any]]:
-    """Places of the first azimuth ambiguities, and the strongest power about them over that of the point, dB."""
+    """Find the places of a point's first azimuth ambiguities, and the strongest power near them over its own, dB."""
     geometry, found = run.geometry_at(target.x, target.y), []
     axes = response_axes(geometry, target.x, target.y, run.weighting)
     for order in ORDERS:
@@ -101,12 +101,12 @@ def describe_area(run: FinishedRun, area: Any) -> dict[str, Any]:
 
 
 def floor_of(run: FinishedRun) -> float | None:
-    """The noise floor in dB: the mean power that a hundredth of the image's cells of 16 x 16 pixels stays below."""
+    """Return the noise floor, dB: the mean power that 1 % of the image's cells of 16 x 16 pixels stay below."""
     return _decibels(scenery.noise_floor(run.read, run.strips(0)))
 
 
 def area_sentence(area: dict[str, Any]) -> str:
-    """An area's figures in words."""
+    """Describe an area's figures in a sentence."""
     looks = "unknown" if area["looks"] is None else f"{area['looks']:.2f}"
     per_area = "" if area["per_m2"] is None else f" ({area['per_m2']:.1f} dB per m2)"
     cells = "" if area["cells"] is None else f", {area['cells']:.0f} resolution cells"
@@ -115,7 +115,7 @@ def area_sentence(area: dict[str, Any]) -> str:
 
 
 def floor_sentence(floor: float | None) -> str:
-    """The floor in words."""
+    """Describe the noise floor in a sentence."""
     return f"noise floor {rounded(floor, 1)} dB: a hundredth of the cells of 16 x 16 pixels has less power"
 
 

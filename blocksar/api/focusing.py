@@ -44,22 +44,23 @@ from blocksar.progress import Wanted as Progress
 from blocksar.runs import folder as run_folder
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import RECORD, Receipt, RunRecord
-from blocksar.texts import size_text
+from blocksar.texts import count, size_text
 
 if TYPE_CHECKING:
     from distributed import Client
 
+PARTS = "part of the mosaic", "parts of the mosaic"
 UNITS = {
-    "range-compress": "groups of pulses",
-    "interference": "groups of pulses",
-    "recover": "column groups",
-    "inspect": "column groups",
-    "gate": "groups of Doppler bins",
-    "focus": "blocks",
-    "mosaic": "parts of the mosaic",
-    "layers": "parts of the mosaic",
-    "backprojection": "parts of the mosaic",
-    "hierarchical-backprojection": "parts of the mosaic",
+    "range-compress": ("group of pulses", "groups of pulses"),
+    "interference": ("group of pulses", "groups of pulses"),
+    "recover": ("column group", "column groups"),
+    "inspect": ("column group", "column groups"),
+    "gate": ("group of Doppler bins", "groups of Doppler bins"),
+    "focus": ("block", "blocks"),
+    "mosaic": PARTS,
+    "layers": PARTS,
+    "backprojection": PARTS,
+    "hierarchical-backprojection": PARTS,
 }  # names of each stage's units of work, in the summary
 
 
@@ -243,7 +244,7 @@ def _focus_image(
     track: TrackPlace | None = None,
     following: int = 0,
 ) -> RunReport:
-    """Focus one image, of one channel; `track` is where others share the correction of its track, if they do.
+    """Focus one image of one channel; `track` is the place of the estimated track where several images share it.
 
     As many like it are `following`, in folders of their own.
     """
@@ -300,13 +301,13 @@ def _focus_image(
 
             _check_room_before_track(request, record, machine, following)
             corrected = track_corrected(request, machine, executor, listener)
-            request, said, executor = stack.enter_context(corrected)
+            request, sentences, executor = stack.enter_context(corrected)
         report = _focus(request, record, machine, executor, listener, profile, following, compiled)
-        return replace(report, summary=[*said, *report.summary])
+        return replace(report, summary=[*sentences, *report.summary])
 
 
 def _has_pyramid(job: Job, *, resumed: bool) -> bool:
-    """Whether the image of a run has a pyramid: one that is there already keeps what it has."""
+    """Tell whether the image of a run has, or will have, a pyramid; an existing image keeps the levels that it has."""
     image = job.request.folder / "image.zarr"
     if resumed and (image / "zarr.json").exists():
         return stores.levels_of(image) > 0
@@ -314,7 +315,7 @@ def _has_pyramid(job: Job, *, resumed: bool) -> bool:
 
 
 def _beside(request: Request, following: int) -> RoomBeside:
-    """Find what a run needs room for besides its own stores: so many that follow, and the correction of its track."""
+    """Return the disk space needed besides a run's stores: for `following` more images and the track's estimate."""
     if request.track is None:
         return RoomBeside(following)
     from blocksar.api.tracks import estimates_of
@@ -323,19 +324,19 @@ def _beside(request: Request, following: int) -> RoomBeside:
 
 
 def _check_room_before_track(request: Request, earlier: RunRecord | None, machine: Resources, following: int) -> None:
-    """Check that a run fits the disk, by its plan with the track as it is, which needs as much as the corrected one.
+    """Check that a run fits the disk before its track is corrected: a plan with the given track needs as much space.
 
     Raises
     ------
     NoRoom
         If it does not.
     """
-    beside = _beside(request, following)
+    needed_besides = _beside(request, following)
     try:
         job = Job.of(request, earlier, machine)
     except InputError:  # there may be a plan once the track is corrected
         return
-    check_room_for_run(job, beside, resumed=earlier is not None)
+    check_room_for_run(job, needed_besides, resumed=earlier is not None)
 
 
 def _report_finished(folder: Place, record: RunRecord, *, discard: bool, claimed: bool = False) -> RunReport:
@@ -449,8 +450,8 @@ def _resumed_line(receipts: Sequence[Receipt]) -> list[str]:
     counts = []
     for stage in dict.fromkeys(receipt.stage for receipt in receipts):
         units = [receipt for receipt in receipts if receipt.stage == stage]
-        name = UNITS.get(stage, f"units of {stage}")  # those of another package's processor
-        counts.append(f"{sum(receipt.reused for receipt in units)} of {len(units)} {name}")
+        names = UNITS.get(stage, (f"unit of {stage}", f"units of {stage}"))  # those of another package's processor
+        counts.append(f"{sum(receipt.reused for receipt in units)} of {count(len(units), *names)}")
     damaged = sum(receipt.damaged for receipt in receipts)
-    also = f"; {damaged} more were found damaged and computed again" if damaged else ""
-    return [f"went on from an unfinished run: {', '.join(counts)} were used again{also}"]
+    also = f"; {damaged} more found damaged and computed again" if damaged else ""
+    return [f"went on from an unfinished run: {', '.join(counts)} used again{also}"]

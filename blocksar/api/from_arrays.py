@@ -157,8 +157,8 @@ def collection(
     if np.ndim(given["reference_range"]) == 0:
         given["reference_range"] = np.broadcast_to(given["reference_range"], np.shape(given["time"])[:1])
     variables = {name: given[name] for name in (*stores.SCHEMA, "channel")}
-    kept = (*stores.NUMBERS, "side_of_track", "pulse_reference", "title")
-    attrs: dict[str, Any] = {name: given[name] for name in kept if name != "time_zero"}
+    unchanged = (*stores.NUMBERS, "side_of_track", "pulse_reference", "title")
+    attrs: dict[str, Any] = {name: given[name] for name in unchanged if name != "time_zero"}
     attrs["Conventions"] = stores.CONVENTIONS
     if targets is not None:
         if not np.iterable(targets):
@@ -177,7 +177,7 @@ def collection(
 
 
 def _into_frame(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Earth-centred positions (n, 3), m, and axes (n, 3) in the frame of the georeference."""
+    """Transform Earth-centred antenna positions (n, 3), m, and beam axes (n, 3) into the frame of the georeference."""
     if given["georeference"] is None:
         raise InputError(
             "earth_centred = True, but no georeference is given, which says where the scene frame lies; give one"
@@ -282,14 +282,14 @@ def _check_samples(given: Mapping[str, Any]) -> None:
 
 
 def _check_reference(given: Mapping[str, Any]) -> None:
-    """Check that the reference range is plausible: zero is so only where half a range window reaches the ground."""
+    """Check the reference range: zero is plausible only if half the range window reaches the ground."""
     range_frequency = given["range_frequency"]
     try:
         least = float(np.nanmin(given["reference_range"]))
         height = float(np.nanmin(given["antenna_position"][..., 2])) - given["ground_height"]
         step = 0.0 if range_frequency is None else abs(float(np.diff(range_frequency[:2])[0]))
     except (TypeError, ValueError, IndexError):
-        return  # said later, with the shape
+        return  # refused later, with the shape
     if least > 0 or (least == 0 and step and SPEED_OF_LIGHT / (4 * step) > height):
         return
     raise InputError(

@@ -1,4 +1,4 @@
-"""The ground that an image is formed on: what the user says of it, read and put under a collection."""
+"""The ground that an image is formed on: options and attributes read as a plane or a terrain under the collection."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PLANE = Ground()
 def read_ground(
     ground: Ground, collection: Collection, grid: Grid | None, source: One | dict[str, Any]
 ) -> Terrain | None:
-    """The ground under an image; None for the plane. The source is a phase history, a scene, or attributes of such.
+    """Read the terrain under an image; None for a plane. `source` is a phase history, a scene, or their attributes.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def read_ground(
 
 
 def ground_under(ground: Ground, source: One) -> Ground:
-    """Find what the user says of the ground, and else the phase history or scene.
+    """Return the ground that the user's options name, completed by that of the phase history or scene.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def ground_under(ground: Ground, source: One) -> Ground:
 
 
 def _attributes(source: One) -> Mapping[str, Any]:
-    """The attributes of a phase history; of a scene, its georeference."""
+    """Return the attributes of a phase history, or the georeference of a scene."""
     scene = scene_of(source)
     if scene is not None:
         return {} if scene.georeference is None else {"georeference": scene.georeference.as_attribute()}
@@ -61,7 +61,7 @@ def _attributes(source: One) -> Mapping[str, Any]:
 
 
 def image_grid(collection: Collection, grid: Grid | None) -> Grid:
-    """The grid, by default that of the lit sector on the plane z = ground_height."""
+    """Return the given grid, or by default that of the lit sector on the plane z = ground_height."""
     if grid is not None:
         return grid
     geometry = Geometry(collection=collection)
@@ -81,7 +81,7 @@ def ground_settings(ground: Ground, terrain: Terrain | None, surroundings: Terra
 
 
 def check_ground(collections: Sequence[Collection], grid: Grid | None, *, any_grid: bool) -> None:
-    """Find the ground to image before the work starts: the plan does so only after loops are compiled.
+    """Check before the work starts that the beam lights ground; the plan would find out only after loops are compiled.
 
     Of several collections, those that cover nothing of a grid are left out later. Back-projection takes any grid of
     which something is seen.
@@ -108,7 +108,7 @@ def read_surroundings(
     grid: Grid,
     georeference: Georeference | None,
 ) -> Terrain | None:
-    """The terrain as far as anything on it hides or overlies places of the grid; None if that is all under it.
+    """Read the terrain outside the grid that shadows or overlays places of it; None if the terrain below it suffices.
 
     Parameters
     ----------

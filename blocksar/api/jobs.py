@@ -58,7 +58,7 @@ ANY = f"; hierarchical back-projection has no such limit: --processor {HIERARCHY
 
 @contextmanager
 def naming_hierarchy() -> Iterator[None]:
-    """Complete errors about images that no chain can form: name hierarchical back-projection as the remedy."""
+    """Add to errors about images that no chain can form that hierarchical back-projection can."""
     try:
         yield
     except Unfocusable as error:
@@ -155,7 +155,7 @@ class Request:
         )  # fmt: skip
 
     def asking(self, **changes: Any) -> Request:
-        """Copy with other settings, of those that nothing read from files depends on."""
+        """Return a copy with other settings; only settings that need no file to be read again may change."""
         return replace(self, asked=replace(self.asked, **changes))
 
     @property
@@ -196,7 +196,7 @@ class Request:
             "weighting_azimuth": self.weighting.azimuth.text,
             "grid": None if self.grid is None else list(grid_numbers(self.grid)),
             **ground_settings(self.ground, self.terrain, self.surroundings),
-            # Not in runs without them, also those of earlier versions.
+            # Runs without these settings, such as those of earlier versions, do not record them.
             **({} if self.asked.interference is None else {"interference": self.asked.interference}),
             **({} if self.history.ground_height is None else {"ground_height": self.history.ground_height}),
             **(self.track.settings(self.fingerprint) if self.track is not None else {}),
@@ -340,7 +340,7 @@ class Job:
         return replace(self, request=replace(self.request, histories=histories), segments=segments)
 
     def noises(self, lit: Sequence[FloatArray]) -> list[NoiseMap | None]:
-        """The noise of the image in each segment; None unless that of the samples is known in all of them.
+        """Return the noise map of each segment of the image; None unless the noise of all samples is known.
 
         `lit` has the valid fraction of each pulse of each segment.
         """
@@ -374,7 +374,7 @@ class Job:
         return {**preparing, **work, **effort.of_pyramid(self.grid, self.request.asked.pyramid), **last}
 
     def _run_segments(self) -> tuple[RunSegment, ...]:
-        """The segments for the record; none in a run of one."""
+        """Return the segments as the record of the run lists them; empty if there is only one."""
         if self.segments[0].number is None:
             return ()
         indices = [segment.collection or 0 for segment in self.segments]
@@ -418,7 +418,7 @@ class Job:
 
 
 def _preparation_memory(history: stores.PhaseHistory, asked: Settings, machine: Resources) -> int:
-    """Peak memory of a worker that compresses a raw echo, or cuts interference, bytes; 0 without either.
+    """Return the peak memory, bytes, of a worker that compresses a raw echo or cuts interference; 0 without either.
 
     Raises
     ------

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 Focus = Callable[..., RunReport]
 OWN = ("image", "noise_equivalent")  # of each channel or look
-# Attributes of a member's image that are not those of all: also those of its pyramid, as the whole has its own.
+# Attributes of a member's image that differ between members, and those of its pyramid: the whole has its own.
 NOT_SHARED = ("warnings", "run", "channel", "look", "multiscales", "zarr_conventions")
 SAME = ("block", "collection", *stores.ON_TERRAIN)  # those of the first
 
@@ -68,7 +68,7 @@ class Members:
         return run_folder.member(run, name, self.dimension)
 
     def input(self) -> RunInput:
-        """The input, as the record of the whole names it from the beginning; empty where it lies in memory."""
+        """Return the input as the record of the whole run names it from the start; empty if it is in memory."""
         if any(isinstance(each, stores.DatasetHistory) for some in self.histories.values() for each in some):
             return RunInput()
         return RunInput(self.path, fingerprint_of_members(self.histories.values()))
@@ -87,7 +87,7 @@ class Members:
 
 
 def members_of(source: Source, looks: int | None, grid: Grid | None, on_ground: OnGround) -> Members | None:
-    """Return the channels, or the looks that are asked for; None if there is one image only.
+    """Return the channels of a source, or the looks that were requested; None if there is only one image.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def _looks_of(source: Source, count: int, grid: Grid | None, on_ground: OnGround
 def focus_members(
     focus: Focus, members: Members, folder: Place, settings: Settings, progress: Progress | None, client: Client | None
 ) -> RunReport:
-    """Focus all channels or looks; with `overwrite`, an unfinished run of these is gone on with where it can be.
+    """Focus all channels or looks; an unfinished run of these is resumed where possible, even with `overwrite`.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ def _focus_members(
 
 
 def _rehearse(members: Members, focus_one: Callable[[str], RunReport]) -> RunReport:
-    """Say what would be done: of every look, or of the first channel, whose plan is that of all."""
+    """Report what `focus` would do: for every look, or for the first channel, whose plan holds for all."""
     names, kinds = members.names, f"{members.dimension}s"
     if members.dimension == "channel":
         first = focus_one(names[0])
@@ -239,7 +239,7 @@ def _rehearse(members: Members, focus_one: Callable[[str], RunReport]) -> RunRep
 
 
 def _plans_of(report: RunReport) -> tuple[Any, ...]:
-    """The plans of a run that was rehearsed; none for back-projection or if nothing is left to do."""
+    """Return the plans of a rehearsed run; none for back-projection, or if nothing is left to do."""
     if report.result is None:
         return ()
     return report.result if isinstance(report.result, tuple) else (report.result,)
@@ -264,7 +264,7 @@ def _own_workers(
 
 
 def _refuse_empty(members: Members) -> None:
-    """Raise an InputError if a member has no sample: before others are focused, and an earlier run is replaced."""
+    """Raise an InputError if a member has no valid sample, before others are focused and an earlier run is replaced."""
     for name, histories in members.histories.items():
         for history in histories:
             n_pulse, n_column = history.shape
@@ -285,7 +285,7 @@ def _nothing_left(folder: Place, *, there: bool) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        if isinstance(error, FolderError) and not isinstance(error, NoRoom):  # what is there may be another's
+        if isinstance(error, FolderError) and not isinstance(error, NoRoom):  # the folder may belong to another run
             raise
         if folder.exists():
             with run_folder.claim(folder):
@@ -329,14 +329,14 @@ def _is_finished(folder: Place) -> bool:
 
 
 def _identity(records: Mapping[str, RunRecord]) -> str:
-    """Hash of all that the channels' images depend on."""
+    """Hash everything that the channels' images depend on."""
     return stores.checksum_bytes(repr([(name, record.identity) for name, record in records.items()]).encode())
 
 
 def _join(
     folder: Place, dimension: str, source: str, members: Mapping[str, Place], records: Mapping[str, RunRecord]
 ) -> RunRecord:
-    """Make the image of all channels out of theirs, and the record of the whole."""
+    """Assemble the image of all channels from their own images, and write the record of the whole."""
     started = time.perf_counter()
     first, image = next(iter(members.values())), folder / "image.zarr"
     x, y = (stores.read_region(first / "image.zarr", name, (slice(None),)) for name in ("x", "y"))
@@ -385,7 +385,7 @@ def _join(
 
 
 def _parts(record: RunRecord, variable: str) -> Iterator[Written]:
-    """Chunks that a run wrote of a variable of its image."""
+    """Iterate over the chunks that a run wrote of one variable of its image."""
     for receipt in record.receipts:
         yield from (part for part in receipt.written if part.store == "image.zarr" and part.variable == variable)
 

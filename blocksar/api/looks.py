@@ -1,4 +1,4 @@
-"""Looks that are asked for: whether they can be formed, and how dwells are divided into them."""
+"""Looks on request: check that they can be formed, and divide dwells into them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from blocksar.processors.sentences import time_line
 
 @dataclass(frozen=True)
 class Looks:
-    """How dwells are divided into looks.
+    """Division of dwells into looks.
 
     Attributes
     ----------
@@ -54,12 +54,12 @@ class Looks:
         return [stores.look_name(number) for number in range(self.count)]
 
     def collections(self, collection: Collection) -> list[Collection]:
-        """The collection as each look sees it."""
+        """Return the collection as each look sees it: with its part of every dwell."""
         return [look_of(collection, number, self.count, self.sign) for number in range(self.count)]
 
 
 def one_source(source: Source, count: int) -> One:
-    """Return the only source, of one channel, of which looks are to be formed.
+    """Return the only source, of one channel, from which looks are to be formed.
 
     Raises
     ------
@@ -159,7 +159,7 @@ def report_looks(
 
 
 def _of_each(plan: Callable[[Collection], ImagePlan], collection: Collection, looks: Looks) -> dict[str, ImagePlan]:
-    """The plan of each look, by its name."""
+    """Plan each look; return the plans by its name."""
     planned = {}
     for name, seen in zip(looks.names, looks.collections(collection), strict=True):
         try:
@@ -170,7 +170,7 @@ def _of_each(plan: Callable[[Collection], ImagePlan], collection: Collection, lo
 
 
 def _row(name: str, plan: ImagePlan | None) -> list[str]:
-    """The worst figures of any block of an image, and its memory and disk; none where it cannot be focused."""
+    """Return the worst figures of any block of an image, its memory and disk; empty cells if it cannot be focused."""
     if plan is None or plan.refusal is not None:
         return [name, *["-"] * (len(HEADER) - 1)]
     blocks = plan.blocks()
@@ -193,6 +193,6 @@ def _row(name: str, plan: ImagePlan | None) -> list[str]:
 
 
 def name_rows(name: str, table: Table) -> Table:
-    """A table of blocks whose first column says which look they are of."""
+    """Return a table of blocks with a first column that names the look."""
     (first, *header), rows = table
     return [f"{name}: {first}", *header], rows

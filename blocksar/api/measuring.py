@@ -37,7 +37,7 @@ OVER_SHADOW = 1.0  # m over the ground, from which on the ground's shadow is not
 
 
 def in_shadow(run: FinishedRun, targets: Sequence[Target]) -> list[bool]:
-    """Whether the image has shadow at the targets, at the middle of the dwell."""
+    """Tell for each target whether the image has shadow there, in the middle of its dwell."""
     terrain = run.geometry.terrain
     if terrain is None or not (run.image / "visibility" / "zarr.json").exists():
         return [False] * len(targets)
@@ -102,7 +102,7 @@ def compare_with(run: FinishedRun, other: FinishedRun) -> list[dict[str, Any]]:
 
 
 def _places(run: FinishedRun) -> Iterator[tuple[slice, slice]]:
-    """Rows and columns of the chips."""
+    """Iterate over the rows and columns of the chips that are compared."""
     spans = []
     for size in (run.y.size, run.x.size):
         starts = np.linspace(0, max(size - SIDE, 0), min(-(-size // SIDE), CHIPS)).round().astype(int).tolist()
@@ -113,7 +113,7 @@ def _places(run: FinishedRun) -> Iterator[tuple[slice, slice]]:
 
 
 def alignment_lines(chips: list[dict[str, Any]], run: FinishedRun, other: FinishedRun) -> list[str]:
-    """Least and median coherence, as it is and aligned; and that weights differ, if they do."""
+    """State least and median coherence, as is and after alignment; and whether the weightings differ."""
     texts = []
     for name, words in FIGURES:
         values = [chip[name] for chip in chips]
@@ -143,7 +143,7 @@ def alignment_table(chips: list[dict[str, Any]]) -> Table:
 
 
 def describe_looks(looks: Sequence[FinishedRun], area: Any) -> dict[str, Any]:
-    """Part of the dwell and share of power in it of each look; of an area, the equivalent numbers of looks.
+    """Describe each look by its part of the dwell and share of power; with an area, also by equivalent number of looks.
 
     That of an area also has that of the mean power of all looks: as large as their number times that of one, if their
     speckle is independent.
@@ -163,7 +163,7 @@ def describe_looks(looks: Sequence[FinishedRun], area: Any) -> dict[str, Any]:
 
 
 def _of_mean(parts: Sequence[FinishedRun]) -> float:
-    """Equivalent number of looks of the mean power of several images, NaN where not covered by all."""
+    """Return the equivalent number of looks of the mean power of several images, where all of them are covered."""
     return measure_area(mean_of([part.read for part in parts]), parts[0].strips(0)).looks
 
 
@@ -188,7 +188,7 @@ RAISED = 0.01  # m over or under the ground
 
 
 def seen_places(run: FinishedRun, targets: Sequence[Target]) -> list[Target]:
-    """The targets, those off the ground moved to the ground with their range and Doppler at the middle of the dwell.
+    """Return the targets; one above or below the ground is moved to where its range and Doppler at mid-dwell put it.
 
     They stay where they are if there is no such ground, or it has no height.
     """
@@ -196,14 +196,14 @@ def seen_places(run: FinishedRun, targets: Sequence[Target]) -> list[Target]:
 
 
 def raised_line(listed: Sequence[Target], seen: Sequence[Target]) -> list[str]:
-    """A sentence that names targets that were moved; none if there are none."""
+    """Return a sentence that names the targets that `seen_places` moved; none if there are none."""
     moved = [(a, float(np.hypot(a.x - b.x, a.y - b.y))) for a, b in zip(listed, seen, strict=True) if a.z != b.z]
     if not moved:
         return []
     named = ", ".join(f"{target.name} {way:.3g} m" for target, way in moved[:5])
     return [
-        f"off the ground, and measured where the ground has their range and Doppler: {len(moved)} of {len(listed)} "
-        f"targets (away by: {named}{', ...' if len(moved) > 5 else ''})"
+        f"off the ground, and measured where the ground has their range and Doppler: {len(moved)} of "
+        f"{count(len(listed), 'target')} (away by: {named}{', ...' if len(moved) > 5 else ''})"
     ]
 
 
@@ -222,7 +222,7 @@ def _seen(geometry: Geometry, target: Target) -> Target:
 
 
 WORST = 10  # targets that are shown of more
-# Names of the figures of a summary, their unit, what a value is multiplied by for it, and decimals.
+# For each figure of a summary: name with unit, factor to that unit, and decimals.
 NAMES = {
     "range_pslr": ("range PSLR (dB)", 1, 2), "range_islr": ("range ISLR (dB)", 1, 2),
     "range_irw_over_theory": ("range IRW / theory", 1, 4), "azimuth_pslr": ("azimuth PSLR (dB)", 1, 2),
@@ -310,7 +310,7 @@ def measure(
     against: Place | None = None,
     source: Place | None = None,
 ) -> tuple[Report, list[Response]]:
-    """Do what `quality` does; also return the responses of the targets of the paper's Table 3, to be drawn.
+    """Measure as `quality` does; also return the responses of the targets of the paper's Table 3, to be drawn.
 
     `looks` are the folders of all looks, if the run is one of several; `against` is that of another run; `source` is
     where the run's input is, if not where it was.
@@ -355,7 +355,7 @@ NOTHING = ReportPart({})
 
 
 def read_target(run: FinishedRun, target: Target) -> Response | None:
-    """The response of a target; None if the image does not hold it."""
+    """Read the response of a target; None if it lies outside the image."""
     geometry, read = run.geometry_at(target.x, target.y), run.reader_at(target.x, target.y)
     return read_response(read, run.x, run.y, geometry, target, run.weighting)
 
@@ -392,7 +392,7 @@ def measure_targets(run: FinishedRun, targets: Sequence[Target]) -> Measured:
 
 
 def _about_targets(run: FinishedRun, listed: Sequence[Target], measured: Measured, *, alone: bool) -> ReportPart:
-    """The responses, and which targets are measured elsewhere, or not judged; `alone`: nothing else is asked for."""
+    """Report responses, and which targets are measured elsewhere or not judged; `alone`: nothing else was requested."""
     responses, lines = measured.responses, []
     if responses:
         lines += _weighting_lines(run.weighting, run.collection.has_pattern)
@@ -401,19 +401,20 @@ def _about_targets(run: FinishedRun, listed: Sequence[Target], measured: Measure
     if alone and not responses:
         lines.append("the collection names no targets: give --targets FILE to measure some, or --found N to find some")
     if dark := [target.name for target, hidden in zip(listed, measured.dark, strict=True) if hidden]:
-        lines.append(f"in shadow of the terrain, and not judged: {len(dark)} of {len(listed)} targets ({_first(dark)})")
+        lines.append(f"in shadow of the terrain, and not judged: {len(dark)} of "
+                     f"{count(len(listed), 'target')} ({_first(dark)})")  # fmt: skip
     return ReportPart(as_json(responses, run.weighting), lines)
 
 
 def _about_track(run: FinishedRun) -> ReportPart:
-    """How the track was corrected, if it was."""
+    """Report how the track was corrected, if it was."""
     if run.track is None:
         return NOTHING
     return ReportPart({"autofocus": dict(run.track.figures)}, run.track.sentences(), [_track_table(run.track)])
 
 
 def _beside_table3(run: FinishedRun, responses: Sequence[PointResponse]) -> ReportPart:
-    """The paper's figures of the shipped scene."""
+    """Report the paper's figures beside those of the shipped scene."""
     if run.attrs.get("scene") != "table1" or not responses:
         return NOTHING
     line = (
@@ -424,12 +425,12 @@ def _beside_table3(run: FinishedRun, responses: Sequence[PointResponse]) -> Repo
 
 
 def _about_noise(run: FinishedRun) -> ReportPart:
-    """The noise of the image, if that of the samples is known."""
+    """Report the noise of the image, if that of the samples is known."""
     return NOTHING if run.noise is None else ReportPart({"noise": run.noise.as_json()}, [run.noise.sentence()])
 
 
 def _about_area(run: FinishedRun, area: Any) -> ReportPart:
-    """Figures of an area, if they are asked for."""
+    """Report the figures of an area, if one is given."""
     if area is None:
         return NOTHING
     described = finding.describe_area(run, area)
@@ -437,7 +438,7 @@ def _about_area(run: FinishedRun, area: Any) -> ReportPart:
 
 
 def _about_found(run: FinishedRun, count: int) -> ReportPart:
-    """Bright points and the floor, if they are asked for."""
+    """Report bright points and the noise floor, if they are requested."""
     if not count:
         return NOTHING
     points, floor = finding.find_points(run, count), finding.floor_of(run)
@@ -450,7 +451,7 @@ def _about_found(run: FinishedRun, count: int) -> ReportPart:
 
 
 def _about_looks(looks: Sequence[Place], area: Any) -> ReportPart:
-    """Spectra of the looks of a run, and figures of an area in each."""
+    """Report the spectra of a run's looks, and the figures of an area in each."""
     if not looks:
         return NOTHING
     described = describe_looks([FinishedRun.open(look) for look in looks], area)
@@ -492,7 +493,7 @@ def _response_table(responses: Sequence[PointResponse]) -> Table:
 
 
 def _weighting_lines(weighting: Weighting, patterned: bool) -> list[str]:
-    """Find what the tapers of a weighted image make of its ideal response."""
+    """Describe the ideal response that the tapers of the weighting lead to."""
     if weighting.uniform:
         return []
     along = (("range", weighting.range), ("azimuth", weighting.azimuth))
@@ -501,17 +502,18 @@ def _weighting_lines(weighting: Weighting, patterned: bool) -> list[str]:
         f"ISLR {taper.ideal.islr:.2f} dB"
         for name, taper in along
     ]
-    beside = "; in azimuth each target has those of the weighting times the antenna's pattern" if patterned else ""
-    return [f"ideal responses of the weighting: {'; '.join(figures)}{beside}"]
+    besides = "; in azimuth each target has those of the weighting times the antenna's pattern" if patterned else ""
+    return [f"ideal responses of the weighting: {'; '.join(figures)}{besides}"]
 
 
 def _count_line(responses: Sequence[PointResponse]) -> list[str]:
     figures = summary(responses)
-    return [f"{figures.measured} of {figures.full_dwell} full-dwell targets measured ({figures.targets} in all)"]
+    noun = "target" if figures.full_dwell == 1 else "targets"
+    return [f"{figures.measured} of {figures.full_dwell} full-dwell {noun} measured ({figures.targets} in all)"]
 
 
 def _unjudged_lines(run: FinishedRun, responses: Sequence[PointResponse]) -> list[str]:
-    """How many targets are not measured, for want of pixels: of their own collection, outside the image, or beside it.
+    """Count the targets that are not measured because pixels are missing, by where these lie.
 
     Pixels of another collection show a target as seen from another side.
     """
@@ -519,31 +521,33 @@ def _unjudged_lines(run: FinishedRun, responses: Sequence[PointResponse]) -> lis
     seam = [r for r in missed if len(run.record.inputs) > 1 and _measured_in_any(run, r)]
     ends = (run.x[0], run.x[-1], run.y[0], run.y[-1])
     outside = [r for r in missed if not (ends[0] <= r.x <= ends[1] and ends[2] <= r.y <= ends[3])]
-    beside = [r for r in missed if r not in seam and r not in outside]
+    edge = [r for r in missed if r not in seam and r not in outside]
     lines = []
     if crowded := [r.name for r in responses if r.full_dwell and r.covered and r.crowded]:
         lines.append(
-            f"{len(crowded)} have a side lobe above their peak ({_first(crowded)}): another peak is near, or "
-            "the image is out of focus there; not measured"
+            f"{count(len(crowded), 'target')} with a side lobe above the peak ({_first(crowded)}): another peak is "
+            "near, or the image is out of focus there; not measured"
         )
     if seam:
         lines.append(
-            f"{len(seam)} lie within 10 widths of a seam between collections, which see them from different sides: not "
-            "judged"
+            f"{count(len(seam), 'target')} within 10 widths of a seam between collections, which see a target from "
+            "different sides: not judged"
         )
     if outside:
-        lines.append(f"{len(outside)} lie outside the image ({_first([r.name for r in outside])}): not measured")
-    if beside:
+        names = _first([r.name for r in outside])
+        lines.append(f"{count(len(outside), 'target')} outside the image ({names}): not measured")
+    if edge:
         lines.append(
-            f"{len(beside)} lie close to the edge of what the image covers ({_first([r.name for r in beside])}): not "
-            f"judged, figures that need pixels beyond it are nan; they need {CUT_WIDTHS:g} widths and {MIN_HALF_TAPS} "
-            "pixels on either side, and the value of a target on a pixel needs that pixel alone"
+            f"{count(len(edge), 'target')} close to the edge of what the image covers "
+            f"({_first([r.name for r in edge])}): not judged, figures that need pixels beyond it are nan; they need "
+            f"{CUT_WIDTHS:g} widths and {MIN_HALF_TAPS} pixels on either side, and the value of a target on a pixel "
+            "needs that pixel alone"
         )
     return lines
 
 
 def _measured_in_any(run: FinishedRun, r: PointResponse) -> bool:
-    """Whether a response has all its pixels if those of any collection count."""
+    """Tell whether a response is covered if the pixels of all collections count, not only those of its own."""
     target = Target(r.name, r.x, r.y)
     return measure_target(run.read, run.x, run.y, run.geometry_at(r.x, r.y), target, run.weighting).covered
 
@@ -601,7 +605,7 @@ def _table3(responses: Sequence[PointResponse]) -> Table:
 
 
 def _track_table(track: TrackCorrection) -> Table:
-    """Describe what was taken off the track, axis by axis, mm."""
+    """Tabulate the correction of the track along each axis, mm."""
     header = ("track's error", "at the first pulse (mm)", "in the middle (mm)", "at the last pulse (mm)", "r.m.s. (mm)",
               "largest uncertainty (mm)")  # fmt: skip
     middle = track.time.size // 2

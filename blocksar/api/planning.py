@@ -1,4 +1,4 @@
-"""plan: how a collection would be focused, and how sharp its image would be."""
+"""plan: predict how a collection would be focused, and how sharp its image would be."""
 
 from __future__ import annotations
 
@@ -203,7 +203,7 @@ NOT_KNOWN = (
 
 
 def _channels_line(source: Source) -> list[str]:
-    """State that the plan is one of several channels, if it is."""
+    """State which channel the plan is for, if the source has several."""
     names = channels_of(source)
     return [f"{len(names)} channels ({', '.join(names)}), one after the other, each as follows"] if names else []
 

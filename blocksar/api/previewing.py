@@ -1,4 +1,4 @@
-"""preview: a picture of a collection, in seconds."""
+"""preview: draw a coarse picture of a collection in seconds."""
 
 from __future__ import annotations
 
@@ -117,8 +117,8 @@ def preview(
         grid = planned[0].grid
         power, most = np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, -np.inf)
         for number, (history, each) in enumerate(zip(imaged, planned, strict=True)):
-            told = partial(_told, callback, number, len(planned))
-            own = coarse.form_preview(_reader(history), each, threads=count, progress=told)
+            report = partial(_told, callback, number, len(planned))
+            own = coarse.form_preview(_reader(history), each, threads=count, progress=report)
             if len(planned) == 1:
                 power = own
             else:
@@ -146,7 +146,7 @@ def preview(
 
 
 def _told(callback: Callback, number: int, count: int, done: int, total: int) -> None:
-    """Report the progress on one of several collections as a share of all."""
+    """Report the progress of one of `count` collections as a share of all."""
     callback(number * total + done, count * total)
 
 
@@ -160,7 +160,7 @@ def _refuse_dark(geometries: Sequence[Geometry], grid: Grid, power: Float32Array
     """
     if np.isfinite(power).any():
         return
-    if len(geometries) == 1:  # says what is lit, if the grid lies beside it
+    if len(geometries) == 1:  # raises an error with the lit ground, if the grid lies beside it
         grid_extent(geometries[0], plan_region(geometries[0], grid), grid)
     raise InputError(
         f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g} has no lit pixel; move the grid, or give a larger one"
@@ -168,7 +168,7 @@ def _refuse_dark(geometries: Sequence[Geometry], grid: Grid, power: Float32Array
 
 
 def _ground(geometries: Sequence[Geometry], given: Grid | None) -> tuple[Grid, Grid]:
-    """The ground to show, and the grid that a run would take."""
+    """Return the ground to show, and the grid that a run would use by default."""
     if given is None and len(geometries) > 1:
         joint = joint_grid(geometries)
         return joint, joint

@@ -1,4 +1,4 @@
-"""Pulses of a raw echo: compressed in range; and ground of whose pulses only parts were recorded."""
+"""Pulses as they are imaged: raw echoes are compressed in range, with or without partly recorded pulses."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def lit_pulse_reader(history: stores.PhaseHistory) -> Callable[[slice], ComplexA
 # ---------------------------------------------------------------- pulses of which parts were recorded
 
 WHOLE, PARTS = "whole", "parts"
-LOOKED_AT = 64  # points along a side of a grid that are asked what was recorded of their pulses
+LOOKED_AT = 64  # points along a side of a grid whose recorded pulses are examined
 
 
 def imaging_parts(
@@ -66,7 +66,7 @@ def imaging_parts(
     *,
     whole_pulses: bool = False,
 ) -> tuple[stores.PhaseHistory, ...]:
-    """Phase histories as they are imaged on a grid: raw echoes with partial pulses where it has ground of such.
+    """Return phase histories as imaged on a grid: raw echoes with partial pulses where the grid reaches into these.
 
     Not without a grid, nor where only whole pulses are wanted. Elsewhere whole pulses do with a shorter transform.
     """
@@ -86,7 +86,7 @@ def imaged_collections(
     ground_height: float | None,
     whole_pulses: bool,
 ) -> list[Collection]:
-    """The centred collections of a source as `imaging_parts` has them; those of scenes as they are."""
+    """Return the centred collections of a source as `imaging_parts` has them; those of scenes unchanged."""
     if all(collection.recorded is None for collection in collections):
         return collections
     histories = on_ground([history_of(each) for each in sources_of(source)], ground_height, terrain=terrain)
@@ -95,7 +95,7 @@ def imaged_collections(
 
 
 def pulses_of(histories: Sequence[stores.PhaseHistory]) -> str | None:
-    """Find which pulses are imaged, as a run's settings say it: WHOLE, or PARTS as well; None without a raw echo."""
+    """Name the pulses that are imaged, for the settings of a run: WHOLE, or PARTS as well; None without a raw echo."""
     recorded = [each for history in histories if (each := history.collection.recorded) is not None]
     return None if not recorded else PARTS if any(each.partial for each in recorded) else WHOLE
 
@@ -108,7 +108,7 @@ def _has_parts(collection: Collection, grid: Grid, terrain: Terrain | None) -> b
 
 
 def _shares(geometry: Geometry, grid: Grid) -> FloatArray:
-    """Mean recorded shares at lit points of a grid, the outermost among them: (n,), NaN where not imaged."""
+    """Mean recorded share of the pulse at lit points spread over a grid, edges included: (n,), NaN where not imaged."""
     axes = (axis[np.unique(np.linspace(0, axis.size - 1, LOOKED_AT).round().astype(int))] for axis in (grid.x, grid.y))
     x, y = np.meshgrid(*axes)
     first, last = geometry.beam.dwell(x, y)
@@ -116,7 +116,7 @@ def _shares(geometry: Geometry, grid: Grid) -> FloatArray:
 
 
 def recorded_text(geometry: Geometry) -> str | None:
-    """From which ranges a raw echo has whole pulses, m of slant range and on the ground, and from which parts."""
+    """Describe the ranges whose pulses a raw echo holds whole, and those with parts: slant and ground range, m."""
     recorded = geometry.collection.recorded
     if recorded is None:
         return None
@@ -131,7 +131,7 @@ def recorded_text(geometry: Geometry) -> str | None:
 
 
 def recorded_lines(geometries: Sequence[Geometry], grid: Grid, *, swath: bool = True) -> list[str]:
-    """Sentences on the whole pulses of raw echoes, if there are any, and on what a grid has of others."""
+    """Describe the swath of whole pulses of raw echoes, and how much of a grid lies outside; none without these."""
     geometries = [geometry for geometry in geometries if geometry.collection.recorded is not None]
     lines = [f"whole pulses {recorded_text(geometry)}" for geometry in geometries] if swath else []
     shares = np.concatenate([_shares(geometry, grid) for geometry in geometries] or [np.ones(0)])

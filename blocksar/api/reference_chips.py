@@ -1,4 +1,4 @@
-"""Chips of an image beside exact back-projection of the run's input."""
+"""Chips of an image compared with exact back-projection of the run's input."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ Chips = list[tuple[str, float, float, ComplexArray, slice, slice]]
 def compare_with_exact(
     run: FinishedRun, result: dict[str, Any], source: Place | None = None
 ) -> tuple[Table, list[str]]:
-    """Put the chips' figures, the least coherence and that of all into `result`; return their table with sentences.
+    """Add chips, least and joint coherence to `result`; return a table of the chips, and sentences.
 
     `source` is where the input is, if not where it was; see `find_input`.
 
@@ -121,7 +121,7 @@ def _open_inputs(run: FinishedRun, source: Place | None) -> dict[str, stores.Pha
 
 
 def _check_size(run: FinishedRun, history: stores.PhaseHistory) -> None:
-    """Refuse a phase history that cannot be the run's, of which that of all pulses is known."""
+    """Refuse a phase history whose size differs from that of the run's input, as far as that is known."""
     own, found = run.collection, history.collection
     sizes = [(each.n_pulse, each.n_range_frequency) for each in (own, found)]
     if not run.segments and sizes[0] != sizes[1]:
@@ -132,7 +132,7 @@ def _check_size(run: FinishedRun, history: stores.PhaseHistory) -> None:
 
 
 def _has_changed(run: FinishedRun, path: str, history: stores.PhaseHistory) -> bool:
-    """Whether a phase history is no longer the one that a run began with.
+    """Tell whether a phase history has changed since the run began.
 
     Not told of what came from memory, nor of looks: their fingerprints cover more than the store.
     """
@@ -166,7 +166,7 @@ def _compare(run: FinishedRun, inputs: Mapping[str, stores.PhaseHistory]) -> Com
 
 
 def _within_reach(run: FinishedRun, rows: slice, columns: slice) -> float:
-    """The power within reach of a chip of the image; see `measurement.coherence`."""
+    """Return the mean power near a chip that its side lobes could come from; see `measurement.coherence`."""
     spans = [
         slice(max(span.start - SURROUNDINGS, 0), min(span.stop + SURROUNDINGS, size))
         for span, size in ((rows, run.y.size), (columns, run.x.size))
@@ -187,7 +187,7 @@ def whole_geometry(run: FinishedRun, history: stores.PhaseHistory) -> Geometry:
 
 
 def _chips(run: FinishedRun, path: str, geometry: Geometry) -> Chips:
-    """Name, x and y (m), pixels, rows and columns of the chips to compare; pixels of other collections are NaN.
+    """Chips to compare: name, x and y (m), pixels, rows and columns; pixels of other collections are NaN.
 
     `geometry` is that of the whole collection at `path`. Where none of the plan's places lies in the image, which may
     be a small part of what the blocks own, they are spread over the image.
@@ -234,7 +234,7 @@ def _places_of(run: FinishedRun, path: str) -> list[tuple[str, float, float]]:
 
 
 def reference_places(geometry: Geometry, plan: RunPlan) -> list[tuple[str, float, float]]:
-    """Return name, x and y (m) of block centres, seams, near and far range, and the last yaws of full dwell.
+    """Return name, x and y (m) of places to compare: block centres, seams, near and far range, ends of full dwell.
 
     Raises
     ------
@@ -277,7 +277,7 @@ def reference_places(geometry: Geometry, plan: RunPlan) -> list[tuple[str, float
 
 
 def _window_at(geometry: Geometry, plan: RunPlan, yaw: Sequence[float]) -> tuple[list[float], list[float]]:
-    """Nearest and farthest ranges, m, in the range window at each yaw, which slants over a wide block."""
+    """Nearest and farthest range, m, in the range window at each yaw: over a wide block the window slants."""
     region = plan_region(geometry, None if plan.grid is None else Grid(*plan.grid))
     near, far = region.at(np.array(yaw))
     return near.tolist(), far.tolist()

@@ -1,4 +1,4 @@
-"""Dry run of `focus`: what it would do, without doing it."""
+"""Dry run of `focus`: report what it would do, without doing it."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ from blocksar.texts import size_text
 
 
 def room_of(job: Job) -> Room:
-    """The room that a run takes, from an empty folder on."""
+    """Return the disk space that a run takes, starting from an empty folder."""
     request = job.request
-    beside = 0 if request.surroundings is None else request.surroundings.heights.nbytes
+    terrain_bytes = 0 if request.surroundings is None else request.surroundings.heights.nbytes
     temporary = len(job.packed)
     for history in {segment.collection: segment.source for segment in job.segments}.values():
         collection = history.collection
         if isinstance(history, stores.DatasetHistory):
-            beside += stored_bytes(history.shape)
+            terrain_bytes += stored_bytes(history.shape)
         if history.raw is not None or request.asked.interference is not None:  # written anew first
             temporary += stored_bytes((collection.n_pulse, collection.n_range_frequency))
     stored = with_pyramid(job.plan.stored(), job.grid, request.asked.pyramid)
-    return room_of_run(stored, beside=beside, temporary=temporary, discard=request.asked.discard)
+    return room_of_run(stored, beside=terrain_bytes, temporary=temporary, discard=request.asked.discard)
 
 
 class RoomBeside(NamedTuple):
-    """Room that a run needs besides its own stores.
+    """Disk space that is needed besides a run's own stores.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class RoomBeside(NamedTuple):
 
 
 def needed(job: Job, beside: RoomBeside, *, resumed: bool) -> int:
-    """Bytes that must be free for a run, and for what is written beside it.
+    """Return the bytes that must be free for a run and for what is written besides it.
 
     A resumed run needs what is not there yet. An earlier run that is replaced stays until the input of the new one has
     been read.
@@ -82,7 +82,7 @@ def check_room_for_run(job: Job, beside: RoomBeside, *, resumed: bool) -> None:
 
 
 def remedy(job: Job, beside: RoomBeside, free: int, *, resumed: bool) -> str:
-    """Say with which options a run would need no more than what is free, bytes."""
+    """Name options with which a run would fit into `free` bytes."""
     fitting = []
     for words, other in _others(job, resumed=resumed):
         for more, tried in ((words, other), (f"{words} --discard", _discarding(other))):
@@ -95,7 +95,7 @@ def remedy(job: Job, beside: RoomBeside, free: int, *, resumed: bool) -> str:
 
 
 def _others(job: Job, *, resumed: bool) -> Iterator[tuple[str, Job]]:
-    """The job, and such of fewer blocks and of back-projection, with the words that ask for them.
+    """Iterate over the job and alternatives that need less disk, such as fewer blocks, each with its options in words.
 
     A run that is resumed keeps its blocks.
     """
@@ -122,7 +122,7 @@ NOTHING_DONE = "nothing was done: leave out --dry-run to focus"
 
 
 def rehearse(request: Request, earlier: RunRecord | None, machine: Resources, beside: RoomBeside) -> RunReport:
-    """Say what `focus` would do with a request: its plan, memory, and disk. Writes nothing.
+    """Report what `focus` would do with a request: its plan, memory, and disk. Writes nothing.
 
     `earlier` is the run in the folder that would be resumed, or is finished; `result` is the plan, a tuple of them
     for several segments, None for exact back-projection or if nothing is left to do.
@@ -158,7 +158,7 @@ def rehearse(request: Request, earlier: RunRecord | None, machine: Resources, be
 
 
 def _doing(request: Request, job: Job, earlier: RunRecord | None, beside: RoomBeside) -> str:
-    """Find what would be written, and how much room there is for it."""
+    """Describe what would be written, and whether the disk has room for it."""
     folder = request.folder
     resumed = earlier is not None or is_begun(folder, job.record())
     replaced = request.asked.overwrite and folder.exists() and folder.names()

@@ -76,8 +76,8 @@ def report(
     )  # fmt: skip
     lines, first = [], None
     for name in names:
-        target, said = writer.write(name)
-        lines += [line if len(names) == 1 else f"{name}: {line}" for line in said]
+        target, own_lines = writer.write(name)
+        lines += [line if len(names) == 1 else f"{name}: {line}" for line in own_lines]
         first = first or target
     return Report(summary=lines, result=first)
 

@@ -93,7 +93,7 @@ def html_report(
     details: Sequence[Table] = (),
     definitions: Sequence[str] = (),
 ) -> str:
-    """A report as HTML: what comes first is in sight, full tables and definitions unfold."""
+    """Format a report as HTML: headline, tables and summary in sight; full tables and definitions unfold."""
     parts = [f"<div><strong>{escape(headline)}</strong></div>"]
     parts += map(html_table, tables)
     if summary:
@@ -144,12 +144,12 @@ def only_stage(progress: Progress | None, stage: str) -> Callable[[int, int], No
 
 
 def finite(value: float) -> float | None:
-    """A number for a result; None unless it is finite."""
+    """Return a number for a result; None if it is not finite."""
     return float(value) if math.isfinite(value) else None
 
 
 def rounded(value: float | None, places: int) -> str:
-    """A number for a table."""
+    """Round a number for a table; None stays None."""
     return "-" if value is None else f"{value:.{places}f}"
 
 

@@ -1,6 +1,7 @@
 """The stages of a run, in order: from a folder that is claimed and a job that is planned to the record at the end.
 
-Findings in the samples of a run's collections: warnings, counts, and how they fit track and beam.
+The record gets the findings in the samples of the run's collections: warnings, counts, and their agreement with track
+and beam.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ Check = tuple[str | None, str]  # of a collection's samples: a warning, or a sen
 
 @contextmanager
 def checking(job: Job, *, beside: bool) -> Iterator[Callable[[], list[Check]]]:
-    """Check the samples of all collections, in a thread if `beside`: a function that waits for what was found.
+    """Yield a function that returns the checks of all collections' samples; `beside`: made in a thread meanwhile.
 
     Otherwise they are checked when that function is called first.
     """
@@ -60,14 +61,14 @@ def checking(job: Job, *, beside: bool) -> Iterator[Callable[[], list[Check]]]:
 
 
 def check_later(job: Job) -> Callable[[], list[Check]]:
-    """A function that checks the samples of all collections when it is called first."""
+    """Return a function that checks the samples of all collections when it is first called."""
     return cache(partial(_check_collections, job))
 
 
 def add_findings(
     job: Job, record: RunRecord, read: Sequence[ReadSegment], checked: Callable[[], list[Check]], listener: Listener
 ) -> RunRecord:
-    """Add the findings of the inspections of all segments to the record, and those of the checks.
+    """Add the findings of inspections and checks of the samples to the record of a run.
 
     Raises
     ------
@@ -76,19 +77,19 @@ def add_findings(
     """
     read_of, several = dict(zip(job.segments, read, strict=True)), len(job.request.histories) > 1
     exact = _universal(job)
-    told = [
+    findings = [
         _of_collection(
             number, [(segment, read_of[segment]) for segment in segments], checked, several=several, exact=exact
         )
         for number, segments in enumerate(by_collection(job.segments).values())
     ]
-    warnings = (*chain.from_iterable(each.warnings for each in told), *job.left_out())
+    warnings = (*chain.from_iterable(each.warnings for each in findings), *job.left_out())
     for warning in warnings:
         listener.note(warning, again=True)
-    offsets = chain.from_iterable(each.offsets for each in told)
+    offsets = chain.from_iterable(each.offsets for each in findings)
     return replace(
-        record, warnings=warnings, check="; ".join(each.check for each in told if each.check),
-        samples=SampleCounts(sum(each.missing for each in told), sum(each.impossible for each in told)),
+        record, warnings=warnings, check="; ".join(each.check for each in findings if each.check),
+        samples=SampleCounts(sum(each.missing for each in findings), sum(each.impossible for each in findings)),
         doppler_centroid=max(offsets, key=lambda offset: abs(offset.error), default=None),
     )  # fmt: skip
 
@@ -111,7 +112,7 @@ def _of_collection(
     several: bool,
     exact: bool,
 ) -> _Told:
-    """Find what the inspections of a collection's segments tell, then its check; of one of `several`, with its path.
+    """Collect the findings of a collection: inspection of its segments, then its check; with its path if `several`.
 
     `exact`: for an image that takes any track.
 
@@ -149,7 +150,7 @@ def _of_collection(
 
 
 def _universal(job: Job) -> bool:
-    """Whether the processor takes any track."""
+    """Tell whether the processor takes any track."""
     return PROCESSORS.get(job.plan.processor).universal
 
 
@@ -173,7 +174,7 @@ def _inspections(segments: Sequence[Segment], read: Sequence[ReadSegment]) -> li
 
 
 def _compressed(read: Sequence[ReadSegment]) -> list[dict[str, Any]]:
-    """Findings of the groups of pulses of a raw echo."""
+    """Return the findings of range compression, by group of pulses of a raw echo."""
     receipts = (receipt for each in read for receipt in each.receipts if receipt.stage == "range-compress")
     return [dict(receipt.found) for receipt in receipts if receipt.found]
 
@@ -223,7 +224,7 @@ def _check_collections(job: Job) -> list[Check]:
 
 
 def _check_samples(job: Job, segments: Sequence[Segment]) -> Check:
-    """Check the samples against the metadata at prominent places.
+    """Check the samples against the metadata at prominent places of the scene.
 
     Of several segments of a collection, in the middle one. Nothing of a look: its samples saw the whole beam.
     """
@@ -287,9 +288,10 @@ def carry_out(
         if (address := recording.dashboard(client)) is not None:
             listener.dashboard(address)
         with recording.record_performance(client, profile, listener):
-            # Beside the first stage: the check takes a few samples, and the stage's tasks run in other processes.
-            beside = client is not None and job.request.asked.interference is None
-            checked = stack.enter_context(checking(job, beside=beside))
+            # In parallel with the first stage: the check takes few samples, and the stage's tasks run in other
+            # processes.
+            in_thread = client is not None and job.request.asked.interference is None
+            checked = stack.enter_context(checking(job, beside=in_thread))
             record = _form(job, run, record, workers, checked, input_read)
         listener.watch((), NOBODY)
         listener.begin("finish")
@@ -307,7 +309,7 @@ def carry_out(
 
 
 def _compilation(compiled: float) -> dict[str, float]:
-    """The seconds in which loops were compiled for a run, if any were."""
+    """Return the seconds in which loops were compiled for a run, if any were."""
     seconds = compilation_seconds() - compiled
     return {"compile": seconds} if seconds else {}
 
@@ -334,7 +336,7 @@ def _form(
         timings[stage] = begun[-1] - begun[-2]
 
     segments, compressed = stages.prepare_samples(executor, job.segments, run)
-    if job.request.asked.interference is not None:  # the check is of what is imaged
+    if job.request.asked.interference is not None:  # check the samples that are imaged
         checked = check_later(replace(job, segments=tuple(segments)))
 
     def accept_read(stage: str, read: Sequence[ReadSegment]) -> list[ReadSegment]:
@@ -363,7 +365,7 @@ def _form(
 
 
 def any_covered(receipts: Sequence[Receipt], image: str) -> bool:
-    """Whether the image of that name has any chunk: those without a covered pixel are not written."""
+    """Tell whether any chunk of the image was written: chunks without a covered pixel are not."""
     written = (part for receipt in receipts for part in receipt.written)
     return any(part.store == image and part.variable == "image" for part in written)
 

@@ -101,7 +101,7 @@ class Imaging:
 
 @dataclass(frozen=True, kw_only=True)
 class Machine:
-    """Where the work is done; no bit of the image depends on it for a given plan."""
+    """Settings of where and how the work is done; for a given plan, the image does not depend on them."""
 
     workers: Annotated[
         int | None, Option("Worker processes; 0: this process; default: by the cores.", metavar="N", least=0)
@@ -123,7 +123,7 @@ class Machine:
 
 @dataclass(frozen=True, kw_only=True)
 class Output:
-    """Settings of output files: which are written, replaced and retained."""
+    """Settings of output files: which ones are written, replaced, and kept."""
 
     performance_report: Annotated[
         Path | None,
@@ -156,7 +156,7 @@ class Settings(Output, Machine, Imaging):  # whose fields stand in the opposite 
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
-        """Settings out of the arguments of a function by name, among others; its `**options` are those of a processor.
+        """Collect settings from the arguments of a function by name; its `**options` are those of a processor.
 
         Raises
         ------
@@ -190,7 +190,7 @@ class Settings(Output, Machine, Imaging):  # whose fields stand in the opposite 
 
     @property
     def ground(self) -> Ground:
-        """Ground that the options name: a terrain's file, or a surface."""
+        """Return the ground that the options name: a terrain's file, or a surface."""
         from blocksar.ingestion.heights import Ground
 
         return Ground(terrain=self.terrain, surface=self.surface, vertical=self.vertical)
@@ -198,7 +198,7 @@ class Settings(Output, Machine, Imaging):  # whose fields stand in the opposite 
 
 _GROUND = ("grid", "terrain", "surface", "vertical", "ground_height")
 _LOCAL = ("workers", "threads", "memory_limit")
-_NOT_PLANNED = ("autofocus", "control")  # of what the image depends on
+_NOT_PLANNED = ("autofocus", "control")  # settings of the image that plans do not take
 _TAKEN = {
     "plan": (*(each.name for each in fields(Imaging) if each.name not in _NOT_PLANNED), "workers", "memory_limit"),
     "autofocus": (*_GROUND, "control", *_LOCAL, "scheduler", "wait_workers", "overwrite"),
@@ -210,5 +210,5 @@ COMMANDS = ("focus", *_TAKEN)
 
 
 def options_taken(command: str) -> tuple[Stated, ...]:
-    """The options of these settings that a command takes, and the function of its name; `focus` takes all."""
+    """Return the options that a command takes, for the decorator of its function; `focus` takes all."""
     return options_of(Settings, *_TAKEN.get(command, ()))

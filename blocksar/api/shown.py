@@ -1,4 +1,4 @@
-"""Reports that have a picture: of a plan, and of a run."""
+"""Reports with a picture: of a plan, and of a run."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class PlanReport(Report):
 
 
 def is_measurable(record: RunRecord) -> bool:
-    """Whether the image of a run is more than a single row or column of pixels."""
+    """Tell whether the image of a run has more than one row and one column of pixels."""
     return record.plan.grid is None or min(Grid(*record.plan.grid).shape) > 1
 
 

@@ -1,4 +1,4 @@
-"""simulate, ingest: where phase histories come from."""
+"""simulate, ingest: make phase histories from scenes and from measured data."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from blocksar.progress import Listener, as_listener
 from blocksar.progress import Wanted as Progress
 from blocksar.simulation import simulate as simulation
 from blocksar.simulation.scene import Scene
+from blocksar.texts import count
 
 Reads = TypeVar("Reads", bound=Callable[..., Report])
 
@@ -95,12 +96,12 @@ def simulate(
 
 
 def _note_unlit(scene: Scene, listener: Listener) -> None:
-    """Note the targets of a scene that no pulse lights."""
+    """Note the targets of a scene that no pulse lights, to the listener."""
     if unlit := scene.unlit_targets():
         names = ", ".join(unlit[:4]) + (", ..." if len(unlit) > 4 else "")
         listener.note(
-            f"no pulse lights {len(unlit)} of {len(scene.point_targets())} targets ({names}), which leave no echo; "
-            "correct their places, or the beam"
+            f"no pulse lights {len(unlit)} of {count(len(scene.point_targets()), 'target')} ({names}), and no echo "
+            "is simulated there; correct the places, or the beam"
         )
 
 
@@ -202,7 +203,7 @@ def _entries(documented: object, section: str) -> dict[str, str]:
 
 
 def _of_reader(function: Reads) -> Reads:
-    """Complete signature and docstring of `ingest_NAME` by the reader's model of options, and by what `ingest` has.
+    """Complete signature and docstring of `ingest_NAME` from the reader's options and the arguments of `ingest`.
 
     What the function's own docstring says stays.
     """
@@ -221,13 +222,13 @@ def _of_reader(function: Reads) -> Reads:
     for each in reversed(model.__mro__):
         known |= _entries(each, "Attributes")
     known |= _entries(function, "Parameters")
-    said = "\n".join(known[name] for name in whole.parameters)
+    sections = "\n".join(known[name] for name in whole.parameters)
     text = getdoc(function) or ""
     start = text.index("Parameters\n---")
     rest = re.search(r"^(Returns|Raises)\n---", text[start:], re.M)
     assert rest is not None
     returns = "" if rest[1] == "Returns" else f"Returns\n-------\n{_RETURNS}\n\n"
-    function.__doc__ = f"{text[:start]}Parameters\n----------\n{said}\n\n{returns}{text[start + rest.start() :]}"
+    function.__doc__ = f"{text[:start]}Parameters\n----------\n{sections}\n\n{returns}{text[start + rest.start() :]}"
     function.__signature__ = whole  # type: ignore[attr-defined]
     return function
 
@@ -238,7 +239,7 @@ Part = str | tuple[int | None, int | None] | None
 
 
 class _Options(TypedDict, total=False):
-    """Options of every reader as type checkers know them; a test holds it to the model."""
+    """Options of every reader as type checkers see them; a test compares them with the model."""
 
     ground_height: float
     collection_start: str | None

@@ -1,4 +1,4 @@
-"""Files of targets that a user names: JSON, CSV or GeoJSON, each fault said with its record and its remedy."""
+"""Files of targets: JSON, CSV or GeoJSON; errors name the record and the remedy."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
+from blocksar.texts import count
 
 CSV_FORM = "a first line with name, x, y, and maybe z and reflectivity (such as 1 or 0.5+0.2j)"
 GROUND_STEPS = 4  # to the height above the ellipsoid at which a place lies on the ground's plane
@@ -138,7 +139,8 @@ def _of_csv(path: Place) -> list[dict[str, Any]]:
     for number, row in enumerate(rows, 1):
         if len(row) != len(names):
             raise InputError(
-                f"{path}: target {number} has {len(row)} values for {len(names)} columns; correct the line"
+                f"{path}: target {number} has {count(len(row), 'value')} for {count(len(names), 'column')}; correct "
+                "the line"
             )
         record: dict[str, Any] = {name: text.strip() for name, text in zip(names, row, strict=True) if text.strip()}
         if "reflectivity" in record:
@@ -204,7 +206,7 @@ def _in_scene(
 
 
 def _like_csv(text: str) -> bool:
-    """Whether all lines have the same number of separators, at least two columns, and nothing of JSON."""
+    """Tell whether a text looks like CSV: lines of equally many separators, at least two columns, and no JSON."""
     lines = [line for line in text.splitlines()[:20] if line.strip()]
     counts = {len(re.findall(r"[,;\t]", line)) for line in lines[:-1] or lines}
     return len(counts) == 1 and min(counts) >= 1 and not re.match(r"\s*[\[{]", text)

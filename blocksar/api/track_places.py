@@ -1,4 +1,4 @@
-"""Where the track of a run's collections is estimated, and from what: one place for all runs that have this track."""
+"""The place where the track of a run's collections is estimated: one for all runs that share the track."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 
 def joint_fingerprint(fingerprints: Sequence[str]) -> str:
-    """The fingerprint of a run's input, by those of its collections: its own if there is one only."""
+    """Combine the fingerprints of collections into that of a run's input; a single one stays as it is."""
     return fingerprints[0] if len(fingerprints) == 1 else stores.checksum_bytes("\n".join(fingerprints).encode())
 
 
 def input_fingerprint(histories: Sequence[stores.PhaseHistory]) -> str:
-    """The fingerprint of the input of a run, which run.json holds: of all channels, where there are some."""
+    """Return the fingerprint of a run's input as run.json holds it; of several channels, of them all."""
     channels = histories[0].channels
     if not channels or any(history.channels != channels for history in histories):
         return fingerprint_of_members([histories])
@@ -30,13 +30,13 @@ def input_fingerprint(histories: Sequence[stores.PhaseHistory]) -> str:
 
 
 def fingerprint_of_members(members: Iterable[Sequence[stores.PhaseHistory]]) -> str:
-    """The fingerprint of the input of a run of several images, by the phase histories of each."""
+    """Combine the fingerprints of the phase histories of several images into that of their run."""
     return joint_fingerprint([joint_fingerprint([each.fingerprint() for each in some]) for some in members])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrackPlace:
-    """Where the track of a run's collections is estimated. Channels were taken by one antenna and share the estimate.
+    """Place where the track of a run's collections is estimated. Channels have one antenna and share the estimate.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class TrackPlace:
     def of(
         cls, folder: Place, histories: Sequence[stores.PhaseHistory], fingerprints: Sequence[str] | None = None
     ) -> Self:
-        """The place for phase histories with all channels of their stores.
+        """Return the place for phase histories, with all channels of their stores.
 
         `fingerprints` are those of the phase histories, if they are known.
         """
@@ -75,16 +75,16 @@ class TrackPlace:
         )
 
     def settings(self, fingerprint: str) -> dict[str, Any]:
-        """Settings of a run whose input has this `fingerprint`; also the track's input, if that is more."""
-        told = joint_fingerprint(self.fingerprints)
-        return {"autofocus": True, **({} if told == fingerprint else {"track_input": told})}
+        """Return the run's settings on its track; with the fingerprint of the track's input if that is another one."""
+        track_input = joint_fingerprint(self.fingerprints)
+        return {"autofocus": True, **({} if track_input == fingerprint else {"track_input": track_input})}
 
     @contextmanager
     def removed_if_wrong(self) -> Iterator[None]:
         """Remove what is estimated there if an InputError is raised in the block."""
         try:
             yield
-        except FolderError:  # what is there may be another's
+        except FolderError:  # the folder may belong to another run
             raise
         except InputError:
             run_folder.remove_estimate(self.folder)

@@ -37,7 +37,7 @@ from blocksar.runs import folder as run_folder
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import RECORD, Receipt
 from blocksar.runs.track import ATTRIBUTE, SHOWN, TrackCorrection, levels
-from blocksar.texts import size_text
+from blocksar.texts import count, size_text
 from blocksar.version import __version__
 
 FORMAT = 4  # of the folder of an estimate
@@ -100,7 +100,7 @@ class TrackEstimate:
 
     @property
     def key(self) -> tuple[str, str]:
-        """Sets it apart from those of other collections, also of equal ones."""
+        """Return a key that distinguishes estimates by folder and identity, also of equal collections."""
         return str(self.folder), self.identity
 
     def run(self, threads: int) -> Run:
@@ -123,7 +123,7 @@ class TrackEstimate:
         return checked_memory("autofocus", needed, machine.memory_limit)
 
     def room(self, store: int = 0) -> int:
-        """Bytes that the estimate needs in its folder at least, besides what is there.
+        """Return the bytes that must be free for an estimate in its folder, besides the files there.
 
         They are for samples that are written or compressed first, for the chips of the loops that are always made, and
         for the bytes of a corrected `store`.
@@ -137,7 +137,7 @@ class TrackEstimate:
 
     @contextmanager
     def opened(self, machine: Resources, executor: Executor | None, listener: Listener) -> Iterator[Executor]:
-        """An executor: the one given, or a new local cluster, whose temporary files lie in the folder."""
+        """Yield an executor: the one given, or a new local cluster with its temporary files in the folder."""
         if executor is not None:
             yield executor
             return
@@ -190,7 +190,7 @@ class TrackEstimate:
             raise ProcessingError(str(error)) from error
 
     def check_unchanged(self) -> None:
-        """Check that a store is still what the track was estimated from.
+        """Check that a store has not changed since the track was estimated from it.
 
         Raises
         ------
@@ -203,7 +203,7 @@ class TrackEstimate:
             raise changes_while_read(self.history.path)
 
     def _begin(self) -> None:
-        """Leave in the folder what belongs to this estimate only."""
+        """Clear the folder of other estimates' files, and record this one."""
         record = None
         with suppress(InputError):  # there is none, or it is damaged
             record = stores.read_json(self.folder / RECORD)
@@ -213,7 +213,7 @@ class TrackEstimate:
         stores.write_json(self.folder / RECORD, {"identity": self.identity, "settings": self.settings})
 
     def attribute(self, result: Result) -> dict[str, Any]:
-        """The attribute `autofocus`."""
+        """Return the attribute `autofocus` that describes the correction."""
         shown = np.unique(np.linspace(0, result.time.size - 1, SHOWN).round().astype(int))
         before, after = levels(result.chips_before, result.chips_after)
         correction = TrackCorrection(
@@ -235,7 +235,7 @@ class TrackEstimate:
     def summary(self, receipts: Sequence[Receipt], attribute: Mapping[str, Any], memory: int) -> list[str]:
         """Sentences on the correction, on resumed work and on memory; `memory` is the planned peak, bytes."""
         reused = sum(receipt.reused for receipt in receipts)
-        resumed = [f"went on from an unfinished estimate: {reused} of {len(receipts)} units were used again"]
+        resumed = [f"went on from an unfinished estimate: {reused} of {count(len(receipts), 'unit')} used again"]
         peak = max((receipt.peak_memory or 0 for receipt in receipts), default=0)
         return [
             *TrackCorrection.of(attribute, str(self.history.path)).sentences(),
@@ -248,7 +248,7 @@ class TrackEstimate:
 def track_corrected(
     request: Request, machine: Resources, executor: Executor | None, listener: Listener
 ) -> Iterator[tuple[Request, list[str], Executor | None]]:
-    """Correct the track of a run's input, in the request's `TrackPlace`: the request, sentences and an executor.
+    """Correct the track of a run's input, in the request's `TrackPlace`; yield the request, sentences and an executor.
 
     The executor is the local cluster which the correction started, if it needed one: the run goes on with it. The
     folder stays until the run is finished, for runs that are resumed; an InputError removes it.
@@ -265,7 +265,7 @@ def track_corrected(
     with ExitStack() as stack:
         stack.enter_context(place.removed_if_wrong())
         run_folder.refuse_foreign(place.folder)
-        estimates, said = estimates_of(request, place), []
+        estimates, sentences = estimates_of(request, place), []
         if not all(estimate.key in place.results for estimate in estimates):
             memory = 0
             for estimate in estimates:
@@ -283,18 +283,18 @@ def track_corrected(
             for estimate, one in zip(estimates, found, strict=True):
                 place.results[estimate.key] = one.result
                 lines = estimate.summary(one.receipts, estimate.attribute(one.result), memory)
-                said += lines if len(found) == 1 else [f"{estimate.history.path}: {line}" for line in lines]
+                sentences += lines if len(found) == 1 else [f"{estimate.history.path}: {line}" for line in lines]
         histories = []
         for history, estimate in zip(request.histories, estimates, strict=True):
             result = place.results[estimate.key]
             attrs = {**history.attrs, ATTRIBUTE: estimate.attribute(result)}
             histories.append(replace(history, collection=estimate.corrected(history, result), attrs=attrs))
-        yield replace(request, histories=tuple(histories)), said, executor
+        yield replace(request, histories=tuple(histories)), sentences, executor
 
 
 @contextmanager
 def _named(estimate: TrackEstimate | None) -> Iterator[None]:
-    """Say of which of several collections an InputError in the block is."""
+    """Add to an InputError in the block which of several collections it concerns."""
     try:
         yield
     except FolderError:

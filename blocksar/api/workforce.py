@@ -1,4 +1,4 @@
-"""Who does the work of a call: workers of a running cluster, of a local one, or the calling process."""
+"""The workers of a call: of a running cluster, of a local one, or the calling process."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def active_client(device: str) -> tuple[Client | None, list[str]]:
 
 
 def size_of(client: Client, workers: int | None, memory_limit: int | None) -> tuple[int | None, int | None]:
-    """Return the number of workers of a client, and the least of their memory limits, bytes, as far as it has any."""
+    """Return the number of workers of a client and the least of their memory limits, bytes; if none, as given."""
     from blocksar.graph import cluster, units
 
     if not units.workers_of(client):
@@ -75,7 +75,7 @@ def size_of(client: Client, workers: int | None, memory_limit: int | None) -> tu
 
 
 def _check(*, client: object, scheduler: str | None, workers: int | None, wait_workers: Any) -> None:
-    """Check that one cluster is asked for, and that its workers are waited for.
+    """Check that at most one cluster is given, and that the time to wait for workers fits it.
 
     Raises
     ------

@@ -1,19 +1,15 @@
-"""Control points: what the samples alone do not tell, a constant and a linear error of the track.
+"""Control points: they determine the constant and linear error of the track, which samples alone leave open.
 
-Let e(t) = a + b s(t) be what is left of the track's error, s from -1 at the first pulse to 1 at the last. A point whose
-place is known then lies off by u . e in range, and its deramped phase is arg(sigma) - k u . e. Range, Doppler and the
-bend of the phase over a dwell give a coarse solution, the phases, known up to turns, a fine one: of some numbers of
-turns, the likeliest. A line of e bends the phases where the line of sight turns. What the points do not tell
-stays as it is: of all solutions the smallest is taken.
+Let e(t) = a + b s(t) be the remaining error of the track, s from -1 at the first pulse to 1 at the last. A point whose
+place is known then appears displaced by u . e in range, and its deramped phase is arg(sigma) - k u . e. Range, Doppler
+and the bend of the phase over a dwell give a coarse solution; the phases, known up to whole turns, a fine one, for the
+likeliest numbers of turns. A linear e bends the phases where the line of sight turns. Components that the points do not
+determine stay as they are: of all solutions the smallest is taken.
 
-Which response in a chip is the point's, and not a neighbour's, the coarse solution decides: one e puts all points at
-their places. Points that lie elsewhere are left out.
-
-Responses in the chip of a control point: of the point, and of its neighbours.
-
-A chip reaches far beyond a point: over some range cells, and along azimuth over all of its band of Doppler, often 100 m
-to either side. The brightest response in it may be a neighbour's. So all that stand out are measured, and what agrees
-with the other points and with the navigation decides which is the point's (`anchoring.py`).
+The chip of a control point reaches far beyond it: over some range cells, and along azimuth over its whole band of
+Doppler, often 100 m to either side, so that the brightest response in it may be a neighbour's. All that stand out are
+measured. The coarse solution then decides which is the point's: one e puts all points at their places. Points that lie
+elsewhere are left out.
 """
 
 from __future__ import annotations
@@ -44,7 +40,7 @@ APART = 2 * PADDING  # samples of Doppler: half the main lobe of a Hann window
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Seen:
-    """Where a response is seen, relative to the known place of a control point along the corrected track.
+    """Response in the chip of a control point, measured relative to its known place along the corrected track.
 
     Attributes
     ----------
@@ -82,7 +78,7 @@ class Seen:
 
 
 def find_responses(work: Work, name: str, values: ComplexArray, s: FloatArray, sight: FloatArray) -> list[Seen]:
-    """Measure what stands out in the chip (n_line, n) of a control point, the brightest first.
+    """Measure the responses in the chip (n_line, n) of a control point, the brightest first.
 
     Parameters
     ----------
@@ -115,7 +111,7 @@ def find_responses(work: Work, name: str, values: ComplexArray, s: FloatArray, s
 
 
 def _peaks(power: FloatArray, floor: float) -> list[tuple[int, int]]:
-    """Line and column of the largest samples of power (n_line, n) that lie `APART` along Doppler, at least `floor`."""
+    """Find line and column of peaks of power (n_line, n), at least `floor` high and `APART` apart along Doppler."""
     best: FloatArray = power.max(axis=0)
     order: IntArray = np.argsort(-best, kind="stable")
     free, found = best >= floor, []
@@ -166,7 +162,7 @@ def _measure(
 
 
 def _at_vertex(at: FloatArray, values: FloatArray) -> float:
-    """Where the largest of values (n,) at even steps `at` (n,) lies, between samples where it has neighbours."""
+    """Locate the maximum of values (n,) at evenly spaced `at` (n,), by a parabola through its neighbours."""
     best = int(values.argmax())
     if not 0 < best < values.size - 1:
         return float(at[best])
@@ -189,7 +185,7 @@ BEND_TO_RMS = math.sqrt(4 / 45)  # r.m.s. over a dwell of a parabola that bends 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Control:
-    """Points whose places, and reflectivities, are known.
+    """Control points: targets with known places and, where given, known phases.
 
     Attributes
     ----------
@@ -222,7 +218,7 @@ class Control:
 
 
 def anchor(work: Work, result: Result, control: Control, parts: Sequence[ChipPart], correction: Correction) -> Result:
-    """Take off the constant and linear error that control points tell.
+    """Remove the constant and linear error of the track that control points show.
 
     Parameters
     ----------
@@ -255,7 +251,7 @@ def _middle_and_half(work: Work) -> tuple[float, float]:
 
 
 def anchored(work: Work, result: Result, names: Sequence[str], found: Sequence[Sequence[Seen]]) -> Result:
-    """Take off the constant and linear error that the responses of control points tell.
+    """Remove the constant and linear error of the track, given the responses found at each control point.
 
     Raises
     ------
@@ -315,13 +311,13 @@ class _Fit:
 
     @property
     def moved(self) -> float:
-        """The farthest that a + b s comes from 0, m."""
+        """Largest length of a + b s over the collection, -1 <= s <= 1, m."""
         a, b = self.left[:3], self.left[3:]
         return float(max(np.linalg.norm(a + b), np.linalg.norm(a - b)))
 
 
 def _agreeing(work: Work, names: Sequence[str], found: Sequence[Sequence[Seen]]) -> _Fit:
-    """The fit of the points that agree with each other and with FREE; `found` has the responses of each point.
+    """Fit the points that agree with each other and with the prior FREE; `found` has the responses of each point.
 
     A few others are left out: those at whose place no response is, then one by one that without which the rest agrees
     best.
@@ -337,9 +333,10 @@ def _agreeing(work: Work, names: Sequence[str], found: Sequence[Sequence[Seen]])
     advice = "take points that stand apart from their neighbours, or leave control out"
     if len(off) > n - least:
         reach = (work.settings.lines - 1) / 2 * work.settings.line_spacing * work.cell
+        verb = "is" if len(off) == 1 else "are"
         raise InputError(
-            f"control: {len(off)} of {n} points ({_listed(off)}) are not seen where the same error of the track puts "
-            f"the others, and {n - least} may be left out (points are looked for within {reach:.2g} m of range of "
+            f"control: {len(off)} of {n} points ({_listed(off)}) {verb} not seen where the same error of the track "
+            f"puts the others, and {n - least} may be left out (points are looked for within {reach:.2g} m of range of "
             f"their places); correct their x, y, z (datum, height above the ellipsoid), {advice}"
         )
     fit = _solved(work, seen, [i for i in range(n) if at_place[i]])
@@ -367,22 +364,22 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _associated(work: Work, found: Sequence[Sequence[Seen]]) -> tuple[list[Seen], list[bool]]:
-    """The response of each point that one e explains best, and whether it lies within `BELONGS` of its errors.
+    """Choose one response of each point, by the e that fits them best; also tell which agree within `BELONGS` errors.
 
     e is tried from none, and from each response; all points then choose the responses next to their places, and e is
     solved for from those that belong. A response that does not belong costs `BELONGS`, however far off it is.
     """
     points, most = np.arange(len(found)), max(map(len, found))
-    terms, told = np.zeros((points.size, most, 3, 6)), np.full((points.size, most, 3), np.inf)
+    terms, values = np.zeros((points.size, most, 3, 6)), np.full((points.size, most, 3), np.inf)
     for i, responses in enumerate(found):
         for j, one in enumerate(responses):
-            terms[i, j], told[i, j] = _measured(work, one)
-    given = np.isfinite(told[:, :, 0])
+            terms[i, j], values[i, j] = _measured(work, one)
+    given = np.isfinite(values[:, :, 0])
     best, chosen, near = np.inf, np.zeros(points.size, np.intp), np.zeros(points.size, bool)
-    for start in [np.zeros(6), *(_least(terms[i, j], told[i, j]) for i, j in zip(*np.nonzero(given), strict=True))]:
+    for start in [np.zeros(6), *(_least(terms[i, j], values[i, j]) for i, j in zip(*np.nonzero(given), strict=True))]:
         left = start
         for _ in range(ROUNDS):
-            cost = ((told - (terms * left).sum(axis=3)) ** 2).sum(axis=2)
+            cost = ((values - (terms * left).sum(axis=3)) ** 2).sum(axis=2)
             nearest = cost.argmin(axis=1)
             belong = cost[points, nearest] <= BELONGS**2
             total = np.minimum(cost.min(axis=1), BELONGS**2).sum() + (left * left).sum() / FREE**2
@@ -391,12 +388,12 @@ def _associated(work: Work, found: Sequence[Sequence[Seen]]) -> tuple[list[Seen]
             if not belong.any():
                 break
             these = points[belong], nearest[belong]
-            left = _least(terms[these].reshape(-1, 6), told[these].ravel())
+            left = _least(terms[these].reshape(-1, 6), values[these].ravel())
     return [responses[k] for responses, k in zip(found, chosen.tolist(), strict=True)], near.tolist()
 
 
 def _measured(work: Work, one: Seen) -> tuple[FloatArray, FloatArray]:
-    """Factors (3, 6) of a and b in the range, the bend and the Doppler of a response, and these (3,), over errors."""
+    """Equations for a and b: factors (3, 6) and values (3,) of range, bend and Doppler, divided by their errors."""
     k, (begin, middle, end) = work.wavenumber, one.terms
     errors = np.array([
         _error(RANGE_ERROR, one) * work.cell, _error(BEND_ERROR, one), 2 * np.pi * _error(RATE_ERROR, one),
@@ -407,27 +404,27 @@ def _measured(work: Work, one: Seen) -> tuple[FloatArray, FloatArray]:
 
 
 def _error(kind: tuple[float, float], one: Seen) -> float:
-    """Standard deviation of what is measured of a response."""
+    """Standard deviation of a measurement of a response: `kind` has a constant part, and a factor of the noise."""
     return math.hypot(kind[0], kind[1] * one.noise)
 
 
 def _solved(work: Work, seen: Sequence[Seen], kept: Sequence[int]) -> _Fit:
-    """The fit of the points `kept`."""
+    """Fit a and b to the points `kept`."""
     k, some = work.wavenumber, [seen[i] for i in kept]
     rows = [_measured(work, one) for one in some]
-    terms, told = (np.concatenate(list(part)) for part in zip(*rows, strict=True))
+    terms, values = (np.concatenate(list(part)) for part in zip(*rows, strict=True))
     middle = np.array([one.terms[1] for one in some])
     phases = np.array([one.phase for one in some])
     errors = np.array([math.hypot(_error(PHASE_ERROR, one), one.doubt) for one in some])
-    coarse = k * (middle * _least(terms, told)).sum(axis=1)
+    coarse = k * (middle * _least(terms, values)).sum(axis=1)
     shared = np.exp(1j * (phases + coarse)).sum()
-    # of the turns, those nearest to each other
+    # Choose the phases nearest to each other, modulo whole turns.
     turned = np.angle(shared) + np.angle(np.exp(1j * (phases + coarse)) * np.conj(shared)) - coarse
-    measured = told.size + int(np.isfinite(errors).sum())
+    measured = values.size + int(np.isfinite(errors).sum())
     terms = np.concatenate([terms, -k * middle / errors[:, None]])
     tried = []
     for turns in range(-TURNS, TURNS + 1):
-        whole = np.concatenate([told, (turned + 2 * np.pi * turns) / errors])
+        whole = np.concatenate([values, (turned + 2 * np.pi * turns) / errors])
         fine = _least(terms, whole)
         misfit = whole - (terms * fine).sum(axis=1)
         tried.append((float((misfit * misfit).sum() + (fine * fine).sum() / FREE**2), turns, fine))
@@ -440,7 +437,7 @@ def _solved(work: Work, seen: Sequence[Seen], kept: Sequence[int]) -> _Fit:
 
 
 def _bend_left(work: Work, some: Sequence[Seen], terms: FloatArray, left: FloatArray) -> float:
-    """Bend, rad rms, that a and b (6,) leave: of what is measured, less its noise, and by their own errors.
+    """Bend of the phase, rad rms, that a and b (6,) leave: as measured, without noise, plus that of their errors.
 
     `terms` (n, 6) are the factors of a and b in all measurements, over errors.
     """
@@ -455,7 +452,7 @@ def _bend_left(work: Work, some: Sequence[Seen], terms: FloatArray, left: FloatA
 
 
 def _least(terms: FloatArray, values: FloatArray) -> FloatArray:
-    """a and b (6,), m, from factors (n, 6) and values (n,), both over errors."""
+    """Solve for a and b (6,), m, by least squares: factors (n, 6) and values (n,) are divided by their errors."""
     return least_squares(terms.T.copy(), values, damping=1 / FREE**2)
 
 

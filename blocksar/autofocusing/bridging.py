@@ -1,7 +1,8 @@
-"""Gaps of the collection: what the samples do not tell of the displacement while pulses are missing.
+"""Gaps of the collection: the displacement while pulses are missing, which the samples do not show.
 
-The points tell the phase on either side of a gap. How both sides fit is seen in their power, up to whole turns: no
-pulse saw the displacement in between. The turns are those of the smoothest motion, and so is what lies between.
+The points determine the phase on either side of a gap. Their power shows how both sides fit, up to whole turns, since
+no pulse saw the displacement in between. The turns are those of the smoothest motion, and so is the displacement in the
+gap.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from blocksar.autofocusing.fine_phase import strongest_rows
 from blocksar.autofocusing.selection import Refused
 from blocksar.kernels.fourier import fast_length, fft_rows
 
-LONGEST = 0.22  # of the collection: over longer gaps, errors across the line of sight are not told well enough
+LONGEST = 0.22  # of the collection: over longer gaps, errors across the line of sight are poorly determined
 DEGREE = 3  # of the polynomial through both sides of a gap
 LEAST_SIDE = 16  # samples of either side, at least
 TRIALS = 8  # phases within half a turn, with which both sides of a gap are put together
@@ -28,7 +29,7 @@ SLOPE = 8  # samples from which the slope at either end of a gap is taken
 
 
 def long_gaps(chips: Chips) -> list[slice]:
-    """Samples that are missing in a row, too many to be filled, with some on either side."""
+    """Return the runs of missing samples that are too long to be filled and have samples on either side."""
     return [
         gap
         for gap in missing_runs(chips.seen)
@@ -53,7 +54,7 @@ def refuse_gaps(chips: Chips) -> None:
 
 
 def stitched(chips: Chips, displacement: FloatArray, weights: FloatArray) -> FloatArray:
-    """A displacement (n_sample, 3), m, moved along the line of sight after each gap, so that points are brightest.
+    """Shift a displacement (n_sample, 3), m, along the line of sight after each gap so that points are brightest.
 
     Within half a turn of the phase. Entropy does not tell: a gap gives all points sidelobes, however both sides fit.
     """
@@ -67,12 +68,12 @@ def stitched(chips: Chips, displacement: FloatArray, weights: FloatArray) -> Flo
 
 def straddling(chips: Chips, gap: slice) -> BoolArray:
     """Find which points (n_point,) are seen on either side of a gap."""
-    told, later = chips.told, chips.index >= gap.stop
-    return np.asarray(np.minimum((told & later).sum(axis=1), (told & ~later).sum(axis=1)) >= SLOPE)
+    valid, later = chips.told, chips.index >= gap.stop
+    return np.asarray(np.minimum((valid & later).sum(axis=1), (valid & ~later).sum(axis=1)) >= SLOPE)
 
 
 def sight_across(chips: Chips, gap: slice) -> FloatArray:
-    """Unit vectors (n_sample, 3) to one place: amid the points on either side of a gap, or to that next to its middle.
+    """Unit vectors (n_sample, 3) to one place: the mean of the points seen on both sides of a gap, or one near it.
 
     Displacements of one length along them are a constant and nearly a line to each point. Along the mean line of sight
     of a beam that turns otherwise than the points', they would bend the phases, the more the longer they are.
@@ -90,7 +91,7 @@ def sight_across(chips: Chips, gap: slice) -> FloatArray:
 
 
 class Jump(NamedTuple):
-    """By how much the samples of all points after a gap are ahead of those before.
+    """Phase by which the samples after a gap are ahead of those before it, common to all points.
 
     phase : float
         At the first sample after the gap, rad, within half a turn.
@@ -103,7 +104,7 @@ class Jump(NamedTuple):
 
 
 def jump(chips: Chips, gap: slice, weights: FloatArray) -> Jump:
-    """The jump over a gap; with it taken out, the mean power of the brightest Doppler cells is highest.
+    """Estimate the jump over a gap: without it, the mean power of the brightest Doppler cells is highest.
 
     0 where no point is seen on both sides.
     """
@@ -130,12 +131,12 @@ def jump(chips: Chips, gap: slice, weights: FloatArray) -> Jump:
             whole = spectra[0][:, near % length] + moved * np.exp(-2j * np.pi * turn)
             power[i, k] = (share * (whole.real**2 + whole.imag**2).max(axis=1)).sum()
     step, best = np.unravel_index(int(power.argmax()), power.shape)
-    beside = solvers.vertex(power[step, [best - 1, best, (best + 1) % turns.size]])
-    return Jump(2 * np.pi * (float(turns[best]) + beside / turns.size), 2 * np.pi * float(steps[step]) / length)
+    offset = solvers.vertex(power[step, [best - 1, best, (best + 1) % turns.size]])
+    return Jump(2 * np.pi * (float(turns[best]) + offset / turns.size), 2 * np.pi * float(steps[step]) / length)
 
 
 def bridged(chips: Chips, displacement: FloatArray, before: FloatArray) -> FloatArray:
-    """A displacement (n_sample, 3), m, so that with `before` (n_sample, 3) its gaps are bridged; the same without gaps.
+    """Shift a displacement (n_sample, 3), m, by whole turns after each gap so that it and `before` together are smooth.
 
     After each gap it is moved along the line of sight by half wavelengths, which turn phases by whole turns that no
     chip sees: those that make it smooth by itself, so that loops add no turns to what is smooth already.
@@ -152,7 +153,7 @@ def bridged(chips: Chips, displacement: FloatArray, before: FloatArray) -> Float
 
 
 def whole_turns(phase: FloatArray, gap: slice, seen: BoolArray) -> int:
-    """Turns by which a phase (n,), rad, is ahead after a gap, by a polynomial through what is `seen` of both sides."""
+    """Whole turns by which a phase (n,), rad, jumps over a gap, by a polynomial through the samples `seen`."""
     side = max(gap.stop - gap.start, LEAST_SIDE)
     low, high = max(gap.start - side, 0), min(gap.stop + side, phase.size)
     at = low + np.flatnonzero(seen[low:high])
@@ -165,7 +166,7 @@ def whole_turns(phase: FloatArray, gap: slice, seen: BoolArray) -> int:
 
 
 def between(displacement: FloatArray, gap: slice) -> FloatArray:
-    """Displacements (n, 3) in a gap of a displacement (n_sample, 3): cubics with the value and slope of either side."""
+    """Interpolate a displacement (n_sample, 3) over a gap by cubics with value and slope of either side: (n, 3)."""
     n, u = gap.stop - gap.start + 1, np.arange(SLOPE) - (SLOPE - 1) / 2
     sides = (displacement[gap.start - SLOPE : gap.start], displacement[gap.stop : gap.stop + SLOPE])
     slopes = [(u[:, None] * side).sum(axis=0) / (u * u).sum() for side in sides]

@@ -1,6 +1,6 @@
 """Chips: deramped range lines about each point over its lit pulses, low-passed and decimated in slow time.
 
-Sums over the samples of chips, each with its line of sight, in compiled loops.
+Compiled loops project displacements on the lines of sight of all samples, and sum back.
 
 Sample m of chip i lies at the collection's sample min(first[i] + m, n_sample - 1), and has the unit vector sight[i, m].
 """
@@ -32,7 +32,7 @@ EXACT = {"nogil": True, **UNCHECKED}  # no contraction: the same bits wherever t
 
 @loop(SIGHTS, INDICES, REAL_ROWS, SUMS, **EXACT)
 def project(sight: FloatArray, first: IntArray, displacement: FloatArray, out: FloatArray) -> None:
-    """out[i, m] = sight . displacement at its sample; sight (n_point, n, 3), displacement (n_sample, 3)."""
+    """Project displacements (n_sample, 3) on sight (n_point, n, 3): out[i, m] = sight . displacement at its sample."""
     n_point, n, last = sight.shape[0], sight.shape[1], displacement.shape[0] - 1
     for i in range(n_point):
         for m in range(n):
@@ -81,7 +81,7 @@ def add_to_form(squares: FloatArray, knot: IntArray, basis: FloatArray, form: Fl
 def flat_parts(
     sight: FloatArray, first: IntArray, weights: FloatArray, knot: IntArray, basis: FloatArray, out: FloatArray
 ) -> None:
-    """Find what coefficients add to a constant and to a line over each chip, each of unit norm with weights[i, m].
+    """Rows of spline coefficients that add a constant, or a line, to a chip: unit norm under weights[i, m].
 
     Adds to out (2 n_point, 3 size), for splines with `Knots.basis`. Weights are equal where they are not 0.
     """
@@ -181,7 +181,7 @@ class Chips:
         return replace(self, values=self.values * turn[:, None])
 
     def los(self, displacement: FloatArray) -> FloatArray:
-        """Displacement (n_sample, 3) along the line of sight of each chip, (n_point, n)."""
+        """Project a displacement (n_sample, 3) on the line of sight of each chip: (n_point, n)."""
         out = np.empty(self.sight.shape[:2])
         project(self.sight, self.first, displacement, out)
         return out
@@ -194,12 +194,12 @@ class Chips:
 
     @property
     def lit(self) -> BoolArray:
-        """Find which samples of the chips there are, (n_point, n)."""
+        """Mask (n_point, n) of the samples that lie within the chips' dwells."""
         return np.asarray(np.arange(self.values.shape[2]) < self.count[:, None])
 
     @property
     def told(self) -> BoolArray:
-        """Find which of them are not missing, (n_point, n)."""
+        """Mask (n_point, n) of the samples that are lit and not missing."""
         return np.asarray(self.lit & self.seen[self.index])
 
     def narrowed(self, factor: int) -> Chips:
@@ -243,7 +243,7 @@ class Chips:
 def take_chips(
     signal: ComplexArray, work: Work, points: Points, displacement: FloatArray, pulses: slice, threads: int = 1
 ) -> ChipPart:
-    """Take what a block of pulses adds to the chips, with a corrected track.
+    """Take the contribution of a block of pulses to the chips, along a corrected track.
 
     The lines lie at exact ranges from the corrected positions, with the phase of these ranges removed: a perfect track
     leaves a point with constant phase, an error e that of -k u . e, where u is the unit vector to the point.
@@ -329,12 +329,12 @@ def missing_runs(seen: BoolArray) -> list[slice]:
 
 
 def gaps(seen: BoolArray) -> list[slice]:
-    """Short ones of them, which are filled."""
+    """Return the runs of missing samples that are short enough to be filled."""
     return [run for run in missing_runs(seen) if run.stop - run.start <= SHORT_GAP]
 
 
 def fill(lines: ComplexArray, first: int, last: int, count: int) -> None:
-    """Fill the missing samples first <= m < last of lines (n_line, n), in place, by straight lines between others."""
+    """Fill the missing samples first <= m < last of lines (n_line, n) in place, by linear interpolation."""
     if first < 1 or last >= count:
         return
     share = ((np.arange(first, last) - (first - 1)) / (last - first + 1)).astype(np.float32)
@@ -348,7 +348,7 @@ def mean_sight(chips: Chips) -> FloatArray:
 
 
 def brightest_places(chips: Chips) -> FloatArray:
-    """Where the brightest scatterer of each chip lies from its point on the ground, (n_point, 2), m.
+    """Ground offset (n_point, 2), m, of the brightest scatterer of each chip from its point.
 
     Its line tells the range, and its Doppler the range rate. 0 where they tell no place within the chip. What lies near
     counts more: the points of a regular pattern are to be different ones.
@@ -363,10 +363,10 @@ def brightest_places(chips: Chips) -> FloatArray:
         padded[:, :n] = chips.values[i]
         power = np.abs(fft_rows(padded, inverse=False)) ** 2 * _nearness(work, length, interval)
         line, cell = np.unravel_index(int(power.argmax()), power.shape)
-        beside = vertex(power[max(line - 1, 0) : line + 2, cell])
+        fraction = vertex(power[max(line - 1, 0) : line + 2, cell])
         finer = vertex(power[line, [cell - 1, cell, (cell + 1) % length]])
         rate = 2 * np.pi * ((cell + finer + length / 2) % length - length / 2) / (length * interval)
-        offset = (line + beside - n_line // 2) * work.settings.line_spacing * work.cell
+        offset = (line + fraction - n_line // 2) * work.settings.line_spacing * work.cell
         middle = min(max(int(chips.count[i]) // 2, 1), n - 2)
         sight, turned = chips.sight[i, middle, :2], chips.sight[i, middle + 1, :2] - chips.sight[i, middle - 1, :2]
         along = np.stack([sight, turned / (2 * interval)])
@@ -377,7 +377,7 @@ def brightest_places(chips: Chips) -> FloatArray:
 
 
 def _nearness(work: Work, length: int, interval: float) -> FloatArray:
-    """By how much power counts in each Doppler cell (length,) of samples at an interval, s."""
+    """Weights (length,) of the Doppler cells of samples at an interval, s: less for scatterers far from the point."""
     cell = (np.arange(length) + length // 2) % length - length // 2
     speed = cell * (2 * np.pi / (length * interval * work.wavenumber))
     return np.asarray(1 / (1 + (speed / (NEAR * work.settings.narrow_speed)) ** 2) ** 2)

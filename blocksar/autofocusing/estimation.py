@@ -37,7 +37,7 @@ TRIES = 20  # of a step's length
 
 
 class Minimum(NamedTuple):
-    """Where a function is smallest, its value there, and the number of evaluations."""
+    """Minimum of a function: its place, its value, and the number of evaluations."""
 
     at: FloatArray
     value: float
@@ -154,8 +154,8 @@ def entropies(values: ComplexArray, phase: FloatArray, threads: int = 1) -> tupl
         share = image.real**2
         share += image.imag**2
         total = share.sum(axis=(1, 2), dtype=np.float64)
-        told = total > 0
-        scale = np.where(told, 1 / np.where(told, total, 1.0), 0.0)
+        positive = total > 0
+        scale = np.where(positive, 1 / np.where(positive, total, 1.0), 0.0)
         share *= scale.astype(np.float32)[:, None, None]
         logarithm = share + np.float32(TINY)
         np.log(logarithm, out=logarithm)
@@ -175,7 +175,7 @@ GRADIENTS = 8  # iterations of the phase gradient
 WIDEST_BAND = 0.45  # of a chip's Doppler cells to either side, in the first of them
 DRIFT_BAND = 0.06  # likewise where it starts from the drift of spectra
 LEVELS = 3  # splines, each with twice the intervals of the one before
-LEAST_LOOPS = 2  # least squares of the first still hold on to what the polish found
+LEAST_LOOPS = 2  # least squares of the first loop are still biased towards the polish
 ITERATIONS = 40  # of the polish, for each of them
 BY_FAR = 0.3  # nats a chip
 GAIN = 1e-5  # nats a chip: two steps of the polish that gain less are the last
@@ -185,7 +185,7 @@ ANCHOR = 1e-2  # nats per rad^2 that moves points, in the units alone: between D
 
 
 class Coarse(NamedTuple):
-    """A first displacement (n_sample, 3), m, and whether it is `rough`: the phase gradient alone was sharper by far."""
+    """First estimate of the displacement (n_sample, 3), m; `rough` if the phase gradient gave far sharper chips."""
 
     displacement: FloatArray
     rough: bool
@@ -219,25 +219,25 @@ class Polish:
 
     @cached_property
     def prior(self) -> FloatArray:
-        """Cost of what the polish adds, nats per rad^2 of coefficients, as a quadratic form (size * 3, size * 3)."""
+        """Quadratic form (size * 3, size * 3) of the roughness prior on the polish, nats per rad^2 of coefficients."""
         rough = self.chips.work.settings.roughness * self.chips.work.wavenumber * self.knots.step**2
         return np.asarray(self.chips.work.settings.prior * bending(self.knots.size) / rough**2)
 
     @property
     def tether(self) -> float:
-        """Cost of the whole displacement, nats per rad^2 of a coefficient."""
+        """Weight of the prior on the size of the whole displacement, nats per rad^2 of a coefficient."""
         return self.chips.work.settings.prior / self._far**2 / self.knots.size
 
     @property
     def _far(self) -> float:
-        """Displacement that costs `EstimatorSettings.prior`, rad."""
+        """Displacement, rad, at which the prior costs `EstimatorSettings.prior`."""
         return self.chips.work.settings.displacement * self.chips.work.wavenumber
 
     @cached_property
     def units(self) -> FloatArray:
-        """Coefficients, rad, of each unit of the argument, (size * 3, size * 3)."""
-        told, flat = information(self.chips, self.knots, self.weights / self.weights.sum())
-        return factor(2 * (SHARPNESS * told + ANCHOR * flat + self.prior + self.tether * np.eye(told.shape[0])))
+        """Scale from the minimiser's argument to coefficients, rad, (size * 3, size * 3): the Hessian becomes unit."""
+        form, flat = information(self.chips, self.knots, self.weights / self.weights.sum())
+        return factor(2 * (SHARPNESS * form + ANCHOR * flat + self.prior + self.tether * np.eye(form.shape[0])))
 
     def coefficients(self, argument: FloatArray) -> FloatArray:
         """Coefficients (size, 3), rad, at an argument (size * 3,)."""
@@ -280,7 +280,7 @@ def by_phase_gradient(chips: Chips, weights: FloatArray, drift: bool = False) ->
 
 
 def without_line(values: FloatArray) -> FloatArray:
-    """Values (n,) without their mean line, which no chip tells."""
+    """Subtract the mean and linear trend of values (n,), which no chip determines."""
     u = np.linspace(-1, 1, values.size)
     flat = values - values.mean()
     return np.asarray(flat - u * (u * flat).sum() / (u * u).sum())
@@ -312,7 +312,7 @@ def by_entropy(
 def refined(
     chips: Chips, displacement: FloatArray, before: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, float]:
-    """Replace what is too fine for the splines by what both halves of the points agree on.
+    """Replace the part of a displacement too fine for splines by the part that both halves of the points agree on.
 
     Parameters
     ----------
@@ -328,7 +328,7 @@ def refined(
     knots = Knots(work=work, n_interval=intervals(work), time=chips.time)
     sight = mean_sight(chips)
     smooth = knots.smooth(before + displacement)
-    sharp = chips.corrected(smooth - before)  # without fine parts that are believed already: halves must not share them
+    sharp = chips.corrected(smooth - before)  # without accepted fine parts, which halves must not share
 
     def estimates(weights: FloatArray) -> list[FloatArray]:
         each = [shared_samples(sharp.some(half), weights[half]) for half in halves(chips)]
@@ -338,29 +338,29 @@ def refined(
     if is_pattern(found[0][:, 1], found[1][:, 1]):
         found = estimates(np.where(standing_alone(chips.corrected(displacement)), weights, 0.0))
     fine = believed(found[0], found[1])
-    # Across the mean line of sight errors are alike, but splines alone tell them.
+    # Across the mean line of sight, errors are common to all points, and only splines determine them.
     unseen = float(np.sqrt((fine.phase**2).mean())) * spread_of_sights(chips)
     beyond = 0.0 if work.decimation == 1 else fine.beyond
-    # Of chips as most are: where few points are lit, at the ends of a collection, halves differ most.
+    # Use chips of typical length: at the ends of a collection, where few points are lit, halves differ most.
     doubt = float(np.median(defocus(chips, fine.doubt[chips.index])))
     error = float(np.sqrt(doubt**2 + unseen**2 + beyond**2))
     return smooth + sight * (fine.phase / wavenumber)[:, None] - before, error
 
 
 def spread_of_sights(chips: Chips) -> float:
-    """Distance, rms, of the points' lines of sight from their mean at the same time, rad."""
+    """Rms angle between the points' lines of sight and their mean at the same time, rad."""
     away = np.where(chips.lit[..., None], chips.sight - mean_sight(chips)[chips.index], 0.0)
     return float(np.sqrt((away * away).sum() / max(int(chips.lit.sum()), 1)))
 
 
 def halves(chips: Chips) -> tuple[IntArray, IntArray]:
-    """Points of two disjoint halves, alike in when they are lit."""
+    """Divide the points into two disjoint halves with similar dwells."""
     order = np.argsort(2 * chips.first + chips.count, kind="stable")
     return order[0::2], order[1::2]
 
 
 def coarse_error(chips: Chips, weights: FloatArray, threads: int = 1, corrected: bool = False) -> Coarse:
-    """Displacement from the drift of spectra, or by the phase gradient alone.
+    """Estimate a first displacement, from the drift of spectra or by the phase gradient alone.
 
     The drift follows smooth errors only. In a regular pattern of points, phases that are much too rough make chips as
     sharp as the true ones, and deceive the phase gradient: it is taken alone where it is sharper by far, as with a
@@ -384,7 +384,7 @@ def coarse_error(chips: Chips, weights: FloatArray, threads: int = 1, corrected:
 def shared_error(
     chips: Chips, before: FloatArray, weights: FloatArray, threads: int = 1, *, rough: bool = True
 ) -> FloatArray:
-    """Displacement (n_sample, 3), m, that sharpens chips which were taken with that of `before` (n_sample, 3).
+    """Estimate the displacement (n_sample, 3), m, that sharpens chips taken with that of `before` (n_sample, 3).
 
     The phase gradient is not tried alone where the error is not `rough`.
     """
@@ -401,7 +401,7 @@ def shared_error(
 def estimate(
     work: Work, points: Points, parts: Sequence[ChipPart], correction: Correction, threads: int = 1
 ) -> Correction:
-    """One loop: what the chips tell, added to the correction with which they were taken.
+    """Run one loop: add the displacement estimated from the chips to the correction with which they were taken.
 
     Raises
     ------
@@ -449,15 +449,15 @@ def _entropy(chips: Chips, weights: FloatArray, threads: int) -> float:
 
 
 def phase_step(chips: Chips, phase: FloatArray, weights: FloatArray) -> float:
-    """Phases (n_point, n) that defocus, rad rms over chips."""
+    """Rms over chips of the part of phases (n_point, n) that defocuses, rad."""
     return float(np.sqrt((weights * defocus(chips, phase) ** 2).sum() / weights.sum()))
 
 
 def defocus(chips: Chips, phase: FloatArray) -> FloatArray:
-    """Phases (n_point, n), rms (n_point,) of each chip: less what a constant and a shift on the ground explain."""
-    out, told = np.zeros(phase.shape[0]), chips.told
+    """Rms (n_point,) of phases (n_point, n) over each chip, without what a constant and a ground shift explain."""
+    out, valid = np.zeros(phase.shape[0]), chips.told
     for i in range(phase.shape[0]):
-        at = np.flatnonzero(told[i])
+        at = np.flatnonzero(valid[i])
         if at.size < 4:
             continue
         sight = chips.sight[i, at, :2].T

@@ -1,18 +1,18 @@
-"""Phase too fine for the splines: along the line of sight, of each sample, from the points' strongest lines.
+"""Phase too fine for splines: the line-of-sight phase of each sample, from the points' strongest range lines.
 
 Once the chips are sharp, each sample's phase can be read off the points themselves: the angle of the sum of their
 strongest lines, each turned back by its own phase. That is noise, unless the track really has so fine an error, as a
-random walk of the position has. What two halves of the points have in common tells how much of it to believe: each
-band of frequencies is weighed as a Wiener filter would. In regular patterns other scatterers add the same to the lines
-of many points. That changes amplitudes as much as phases, and an error of the track changes phases alone: what the
-amplitudes of both halves have in common is taken off.
+random walk of the position has. What two halves of the points have in common shows how much of it is real: each band of
+frequencies is weighted as by a Wiener filter. In regular patterns other scatterers add the same to the lines of many
+points. That changes amplitudes as much as phases, while an error of the track changes phases alone: the common part of
+the amplitudes of both halves is subtracted.
 
-Least squares: splines through the phases of the points' strongest lines, each weighed by its own variance.
+`by_least_squares` fits splines to the phases of the points' strongest lines, each weighted by its own variance.
 
-Entropy counts all chips alike, whatever their points stand out of; and its prior has to serve clutter. Once the chips
-are sharp, a point's phase is known sample by sample, and how well: the variance of what the splines do not explain. A
-point that stands alone tells thousands of times more than clutter. Weighed so, splines are the estimate of maximum
-likelihood, with a prior of the track's error in the same units.
+Entropy gives all chips the same weight, however far their points stand out of the clutter, and its prior has to serve
+clutter. Once the chips are sharp, a point's phase is known sample by sample, and its accuracy too: the variance that
+splines do not explain. A point that stands alone has thousands of times the information of clutter. With these weights,
+splines are the estimate of maximum likelihood, with a prior of the track's error in the same units.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from blocksar.kernels.fourier import fft_rows
 
 TURNS = 4  # of points' own phases and the shared one
 BANDS = 8  # of frequencies, at most
-OFF_END = 3  # from the last band: the one from which power beyond is told, not dimmed by the chips' low-pass
+OFF_END = 3  # from the last band: reference for power beyond the band, not attenuated by the low-pass
 LEAST_BINS = 8  # of a band
 NEAR_CELLS = np.arange(-64, 65) / 16  # Doppler cells from the brightest of a row in which its own line is looked for
 PARTS = 128  # of a row, whose sums tell it: within one, lines so near to each other are alike
@@ -38,12 +38,12 @@ WHOLE = 8  # times the Doppler cells: a band that cuts nothing
 ALONE = 0.5  # of the power of its line: a point with less does not stand alone
 PATTERN = 0.15  # correlation of amplitudes
 DOUBT = 3.0  # standard deviations of the halves' common power that are not believed
-# Times the common power of amplitudes that is taken off: angles of weak sums turn further than their amplitudes change.
+# Factor of the common amplitude power that is subtracted: phases of weak sums vary more than their amplitudes.
 INTERFERENCE = 2.0
 
 
 class FinePhase(NamedTuple):
-    """A phase that is believed.
+    """Phase that both halves of the points confirm, with its expected error.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class FinePhase(NamedTuple):
 
 
 def shared_samples(chips: Chips, weights: FloatArray) -> FloatArray:
-    """Phase, rad, and relative amplitude that the points share in each sample, (n_sample, 2).
+    """Estimate phase, rad, and relative amplitude common to all points in each sample: (n_sample, 2).
 
     Slow parts of the phase are arbitrary.
     """
@@ -88,7 +88,7 @@ def shared_samples(chips: Chips, weights: FloatArray) -> FloatArray:
 
 
 def is_pattern(first: FloatArray, second: FloatArray) -> bool:
-    """Whether amplitudes (n,) of two halves of the points change together.
+    """Tell whether the amplitudes (n,) of two halves of the points vary together, as by an antenna pattern.
 
     Then the points of a regular pattern add the same to each other in all lines, phases as well as amplitudes: what the
     halves have in common is no error of the track, which changes phases alone.
@@ -98,7 +98,7 @@ def is_pattern(first: FloatArray, second: FloatArray) -> bool:
 
 
 def standing_alone(chips: Chips) -> BoolArray:
-    """Find which points (n_point,) have most of the power of their strongest lines.
+    """Mask (n_point,) of the points that hold most of the power of their strongest lines.
 
     The others share these with more points.
     """
@@ -116,12 +116,12 @@ def strongest_rows(chips: Chips) -> ComplexArray:
 
 
 def own_phase(rows: ComplexArray, chips: Chips) -> tuple[Complex128Array, FloatArray]:
-    """Each row's amplitude with its own phase and Doppler (n_point, n), and its power besides, (n_point,)."""
+    """Amplitude of each row with its phase and Doppler, (n_point, n), and the remaining power, (n_point,)."""
     n_point, n = rows.shape
     own, noise = np.zeros((n_point, n), np.complex128), np.ones(n_point)
-    told = chips.told
+    valid = chips.told
     for i in range(n_point):
-        count, there = int(chips.count[i]), np.flatnonzero(told[i])
+        count, there = int(chips.count[i]), np.flatnonzero(valid[i])
         samples, half = there.size, there.size // 2
         if half < 2:
             continue
@@ -146,7 +146,7 @@ def own_phase(rows: ComplexArray, chips: Chips) -> tuple[Complex128Array, FloatA
 
 
 def believed(first: FloatArray, second: FloatArray) -> FinePhase:
-    """Find what two independent estimates (n, 2) of a phase, rad, and of a relative amplitude have in common.
+    """Combine two independent estimates (n, 2) of a phase, rad, and relative amplitude by a Wiener filter.
 
     By a Wiener filter: of a signal S and noise N in each, the mean of both has the power S + N / 2, and half of their
     difference N / 2. That tells S, less what amplitudes have in common. Where it does not stand out of the noise,
@@ -165,7 +165,7 @@ def believed(first: FloatArray, second: FloatArray) -> FinePhase:
     for number, band in enumerate(bands):
         power, noise = float(mean[band].mean()), float(differ[band].mean())
         signal = power - noise - INTERFERENCE * max(float(shared[band].mean()), 0.0)
-        # Lines of a spectrum, as regular patterns have, count for few: with each frequency's own noise.
+        # Spectral lines, as from regular patterns, get a low weight: use the noise of each frequency.
         chance = float(np.sqrt(2 * (mean[band] * differ[band]).mean() / band.size))
         share = min(signal / power, 1.0) if signal > DOUBT * chance and signal > 0 else 0.0
         gain[band], gain[-band] = share, share
@@ -173,19 +173,19 @@ def believed(first: FloatArray, second: FloatArray) -> FinePhase:
             lost[band], lost[-band] = signal / power, signal / power
         if number == max(len(bands) - OFF_END, 0):
             beyond = share * power * float(band.mean()) ** 2 / half
-    kept = np.stack([gain * middle, np.sqrt(gain) * apart + np.sqrt(lost) * middle])
-    phase, doubt = fft_rows(kept, inverse=True).real
+    accepted = np.stack([gain * middle, np.sqrt(gain) * apart + np.sqrt(lost) * middle])
+    phase, doubt = fft_rows(accepted, inverse=True).real
     return FinePhase(np.asarray(phase), np.asarray(doubt), float(np.sqrt(2 * beyond) / n))
 
 
 LEAST_COUNT = 8  # samples of a point that counts
-FLOOR = 0.03  # rad: errors that points have besides what is seen in their own phases
-TOLERANCE = 0.5  # rad: points with such errors count half; with larger ones, angles tell nothing
+FLOOR = 0.03  # rad: errors of points in addition to those seen in their own phases
+TOLERANCE = 0.5  # rad: points with such errors have half weight; with larger ones, angles are meaningless
 ENTROPY_ERROR = 0.02  # rad rms: of the displacement that is refined
 
 
 def by_least_squares(chips: Chips, start: FloatArray, before: FloatArray, weights: FloatArray) -> FloatArray:
-    """Refine a displacement (n_sample, 3), m, that makes chips sharp which were taken with `before` (n_sample, 3).
+    """Refine a displacement (n_sample, 3), m, that sharpens chips taken with `before` (n_sample, 3), by least squares.
 
     Minimises sum_i w_i sum_t (phase_it - k u_it . e(t) - line_i)^2 + the prior of e by Gauss-Newton steps, with
     w_i = weights_i / variance_i. The prior: displacements of `EstimatorSettings.displacement`, and accelerations of
@@ -207,12 +207,12 @@ def by_least_squares(chips: Chips, start: FloatArray, before: FloatArray, weight
     for _ in range(TURNS):
         phase = point_phases(narrow.corrected(knots.values(coefficients) / wavenumber))
         share = weights * point_shares(rms(phase, narrow), narrow)
-        told, _ = information(narrow, knots, share)
+        form, _ = information(narrow, knots, share)
         each = np.where(narrow.told, (share / np.maximum(narrow.told.sum(axis=1), 1))[:, None], 0.0)
         slope = knots.adjoint(narrow.spread(each * phase)).ravel()
         slope -= np.einsum("ij,j->i", prior, (whole + coefficients).ravel())
         slope -= np.einsum("ij,j->i", believed, coefficients.ravel())
-        moved = solve(told + believed + prior, slope)
+        moved = solve(form + believed + prior, slope)
         coefficients = coefficients + moved.reshape(-1, 3)
     return np.asarray(start + wide.values(coefficients) / wavenumber)
 
@@ -223,17 +223,17 @@ def roughness(knots: Knots, values: FloatArray) -> float:
 
 
 def point_phases(chips: Chips) -> FloatArray:
-    """Phase (n_point, n) of each point's strongest line, rad, less a line of its own; 0 where it is not lit."""
+    """Phase (n_point, n) of each point's strongest line, rad, without its linear trend; 0 where it is not lit."""
     rows = strongest_rows(chips)
     own, _ = own_phase(rows, chips)
     return without_lines(np.asarray(np.angle(rows * np.conj(own)), np.float64), chips)
 
 
 def without_lines(phase: FloatArray, chips: Chips) -> FloatArray:
-    """Phases (n_point, n) less the line through each point's; 0 where there are none."""
-    out, told = np.zeros(phase.shape), chips.told
+    """Subtract from phases (n_point, n) the linear trend of each point; 0 where there are none."""
+    out, valid = np.zeros(phase.shape), chips.told
     for i in range(phase.shape[0]):
-        at = np.flatnonzero(told[i])
+        at = np.flatnonzero(valid[i])
         if at.size < LEAST_COUNT:
             continue
         u, flat = at - at.mean(), phase[i, at] - phase[i, at].mean()
@@ -247,6 +247,6 @@ def rms(phase: FloatArray, chips: Chips) -> FloatArray:
 
 
 def point_shares(errors: FloatArray, chips: Chips) -> FloatArray:
-    """Samples over variance (n_point,), rad^-2, of points with phase errors (n_point,), rad; less for outliers."""
+    """Weights (n_point,), rad^-2, of points: samples over variance of phase errors (n_point,); less for outliers."""
     robust, count = 1 / (1 + (errors / TOLERANCE) ** 4), chips.told.sum(axis=1)
     return np.asarray(np.where(count < LEAST_COUNT, 0.0, count * robust / (errors**2 + FLOOR**2)))

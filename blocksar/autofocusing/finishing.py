@@ -1,6 +1,6 @@
-"""The end of an estimate: two estimates from disjoint halves of the points, refusal, and the corrected track.
+"""The end of an estimate: comparison of two halves of the points, refusal, and the corrected track.
 
-The error that is predicted to be left, from what the points tell: of its sources, the root of the sum of squares.
+The predicted remaining error is the root of the sum of squares over its sources.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ LEAST_COUNT = 8  # samples of a chip that counts
 
 
 def predicted_error(chips: Chips, points: Points, correction: Correction, halves: Sequence[FloatArray]) -> float:
-    """Phase error over a dwell that is expected to be left, rad rms.
+    """Predict the phase error that remains over a dwell, rad rms.
 
     Parameters
     ----------
@@ -51,23 +51,23 @@ def predicted_error(chips: Chips, points: Points, correction: Correction, halves
     """
     settings, last = chips.work.settings, correction.history[-1]
     each = defocus(chips, chips.work.wavenumber * chips.los(halves[0] - halves[1]))
-    # Of chips as most are: those at the very ends of a collection would count for all. Beside a gap they are to count.
+    # Use chips of typical length: those at the ends of a collection would dominate. Next to a gap they must count.
     usual = float(np.median(each) if far_from_gaps(chips).all() else each.mean())
-    # The last two loops are two estimates, too; half of what they differ by is how far each is from their mean.
+    # The last two loops are two estimates as well: each deviates from their mean by half of their difference.
     unsettled = 0.5 * last["step"] if last["step"] > settings.step else 0.0
     moved = correction.displacement - correction.previous
     sharp = chips.recentred(moved).corrected(moved)
-    # As a random walk goes on, but never more than the samples show.
+    # Extrapolate as a random walk, but never beyond what the samples show.
     beyond = correction.fine_error or min(unfollowed(chips, correction, halves), fine_samples(sharp, correction))
     patterns = AMPLITUDE_TO_PHASE * amplitude_in_common(sharp, correction)
     across = told_across_gaps(sharp, correction)
-    alike = alike_nearby(sharp, points, correction)
-    parts = (HALVES_TO_WHOLE * usual, beyond, unsettled, patterns, across, alike)
+    common = alike_nearby(sharp, points, correction)
+    parts = (HALVES_TO_WHOLE * usual, beyond, unsettled, patterns, across, common)
     return float(np.sqrt(sum(part**2 for part in parts)))
 
 
 def alike_nearby(chips: Chips, points: Points, correction: Correction) -> float:
-    """Error by what points that lie near each other have alike in their own phases, rad rms over chips.
+    """Error common to points near each other in their own phases, rad rms over chips.
 
     Heights that are not known bend the phases of all points of a hill, the air those of all that are seen through it,
     and neighbours of a pattern add the same to each other. The mean of such bends is taken for an error of the track by
@@ -91,16 +91,16 @@ def alike_nearby(chips: Chips, points: Points, correction: Correction) -> float:
     for first, end in zip(chips.first, last, strict=True):
         part = share * np.maximum(np.minimum(last, end) - np.maximum(chips.first, first), 0)
         if part.sum() > 0:
-            told = part / part.sum() * bend
-            variances.append(float((told[:, None] * told[neighbours]).sum()))
+            weighted = part / part.sum() * bend
+            variances.append(float((weighted[:, None] * weighted[neighbours]).sum()))
     return math.sqrt(max(sum(variances) / max(len(variances), 1), 0.0))
 
 
 def bends(phase: FloatArray, chips: Chips) -> FloatArray:
-    """Parabola in phases (n_point, n) over each dwell: its rms with its sign (n_point,), rad."""
+    """Rms with sign (n_point,), rad, of the parabola in phases (n_point, n) over each dwell."""
     out = np.zeros(phase.shape[0])
-    for i, told in enumerate(chips.told):
-        at = np.flatnonzero(told)
+    for i, valid in enumerate(chips.told):
+        at = np.flatnonzero(valid)
         if at.size >= LEAST_COUNT:
             u = at - at.mean()
             parabola = solvers.orthogonal_basis(np.stack([np.ones(at.size), u, u * u]))[0][2]
@@ -109,7 +109,7 @@ def bends(phase: FloatArray, chips: Chips) -> FloatArray:
 
 
 def told_across_gaps(chips: Chips, correction: Correction) -> float:
-    """Error of how both sides of gaps fit, rad rms over all chips, of which few see both sides; 0 without gaps.
+    """Uncertainty of how the sides of gaps fit together, rad rms over chips; 0 without gaps.
 
     These few alone tell by how much the phase, and its slope, differ from one side to the other; and both halves hold
     on to what the whole has found. By the standard error of the mean of either in the phases that they have left.
@@ -125,9 +125,9 @@ def told_across_gaps(chips: Chips, correction: Correction) -> float:
         weights = correction.weights[both] * point_shares(rms(phase, some), some)  # as in least squares
         weights /= weights.sum()
         left = np.zeros((both.size, 2))
-        for i, told in enumerate(some.told):
-            at = np.flatnonzero(told)
-            u, after = np.linspace(-1, 1, told.size)[at], (some.index[i, at] >= gap.stop).astype(np.float64)
+        for i, valid in enumerate(some.told):
+            at = np.flatnonzero(valid)
+            u, after = np.linspace(-1, 1, valid.size)[at], (some.index[i, at] >= gap.stop).astype(np.float64)
             terms = solvers.orthogonal_basis(np.stack([np.ones(at.size), u, after, after * u]))[0]
             left[i] = (terms[2:] * phase[i, at]).sum(axis=1) / np.sqrt(at.size)
         mean = (weights[:, None] * left).sum(axis=0)
@@ -137,7 +137,7 @@ def told_across_gaps(chips: Chips, correction: Correction) -> float:
 
 
 def amplitude_in_common(chips: Chips, correction: Correction) -> float:
-    """Relative amplitude, rms, that the points share over the dwell of a chip, of the median chip.
+    """Relative amplitude, rms, that all points have in common over a dwell, of the median chip.
 
     As slow as splines follow, without a line over the dwell. `chips` are corrected, about their brightest scatterers.
     """
@@ -155,7 +155,7 @@ def amplitude_in_common(chips: Chips, correction: Correction) -> float:
 
 
 def far_from_gaps(chips: Chips) -> BoolArray:
-    """Find which samples (n_sample,) lie outside the long gaps, and the low-pass of which does not reach into one."""
+    """Mask (n_sample,) of samples outside the long gaps whose low-pass does not reach into one."""
     far = np.ones(chips.seen.size, bool)
     for run in missing_runs(chips.seen):
         if run.stop - run.start > SHORT_GAP:
@@ -164,7 +164,7 @@ def far_from_gaps(chips: Chips) -> BoolArray:
 
 
 def fine_samples(chips: Chips, correction: Correction) -> float:
-    """Phase of the samples that splines do not follow, rad rms, of the median chip: the error, noise and neighbours.
+    """Rms phase of the samples beyond what splines follow, rad, of the median chip: error, noise and neighbours.
 
     `chips` are corrected, about their brightest scatterers.
     """
@@ -175,7 +175,7 @@ def fine_samples(chips: Chips, correction: Correction) -> float:
 
 
 def unfollowed(chips: Chips, correction: Correction, halves: Sequence[FloatArray]) -> float:
-    """Error too fine for the splines, rad rms, of the median chip: what is left if nothing so fine is believed.
+    """Error too fine for the splines, rad rms, of the median chip, if no fine phase is accepted.
 
     From what both halves share of the two finest octaves that splines follow: power falls from octave to octave by the
     same ratio q, and of all beyond there is 1 / (q - 1) of the last one's.
@@ -205,7 +205,7 @@ PICTURES = 6  # points whose chips are kept for pictures
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Result:
-    """The corrected track, and what is known of it.
+    """The corrected track, and the figures of its estimate.
 
     Attributes
     ----------
@@ -288,8 +288,8 @@ def finish(
     distinct = int(points.distinct.sum())
     if not (correction.finished and apart <= limit and predicted <= limit and last["step"] <= UNSETTLED):
         few = (
-            f"{distinct} of {points.x.size} points stand out of noise and clutter, and {work.settings.least_points} "
-            "tell it as a rule; "
+            f"{distinct} of {points.x.size} points {'stands' if distinct == 1 else 'stand'} out of noise and clutter, "
+            f"and {work.settings.least_points} tell it as a rule; "
         )
         raise Refused(
             f"the samples do not tell the track's error: {few if distinct < work.settings.least_points else ''}"
@@ -327,7 +327,7 @@ def finish(
 
 
 def unknown_turns(chips: Chips, displacement: FloatArray) -> float:
-    """Steps between samples that are expected to exceed half a turn, and count as whole turns less, of all samples.
+    """Expected number of steps between samples that exceed half a turn, and are therefore unwrapped wrongly.
 
     The steps are normally distributed, as those of a random walk: slow motion, which splines follow, is taken out.
     """
@@ -342,9 +342,9 @@ def _uncertainty(chips: Chips, correction: Correction, predicted: float) -> Floa
     """Standard deviation (n_sample, 3) of the displacement, m."""
     work = chips.work
     knots = Knots(work=work, n_interval=intervals(work), time=chips.time)
-    told, _ = information(chips, knots, correction.weights / correction.weights.sum())
+    form, _ = information(chips, knots, correction.weights / correction.weights.sum())
     far = work.settings.displacement * work.wavenumber
-    precision = told * (knots.size / max(predicted, 1e-3) ** 2) + np.eye(told.shape[0]) / far**2
+    precision = form * (knots.size / max(predicted, 1e-3) ** 2) + np.eye(form.shape[0]) / far**2
     root = factor(precision).reshape(knots.size, 3, -1)
     first, basis = knots.basis
     out = np.zeros((chips.time.size, 3))
@@ -357,7 +357,7 @@ def _uncertainty(chips: Chips, correction: Correction, predicted: float) -> Floa
 
 
 def _pictures(chips: Chips, correction: Correction) -> tuple[FloatArray, FloatArray, list[int]]:
-    """Power of some points' chips, before any correction and after the last; and which points."""
+    """Power of some points' chips before and after the correction, and the indices of these points."""
     shown = [int(i) for i in np.argsort(-correction.weights, kind="stable")[:PICTURES]]
     some = chips.some(np.array(shown))
 

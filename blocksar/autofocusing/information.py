@@ -1,8 +1,9 @@
-"""How sharply chips tell the coefficients of a spline: an approximate Hessian, its factors and what follows.
+"""Information of chips about spline coefficients: an approximate Hessian, its factors and solutions.
 
-Positive definite forms of hundreds of coefficients: Cholesky factors and their inverses, in compiled loops.
+The forms are positive definite, in hundreds of coefficients: compiled loops compute Cholesky factors and their
+inverses.
 
-Without BLAS, and with sums in one order, so that every process gets the same bits, see `blocksar.solvers`.
+BLAS is avoided, and sums have one order, so that every process gets the same bits, see `blocksar.solvers`.
 """
 
 from __future__ import annotations
@@ -81,9 +82,9 @@ class Information(NamedTuple):
 
 
 def information(chips: Chips, knots: Knots, weights: FloatArray) -> Information:
-    """Find what chips tell and what not, each chip weighed by one of `weights` (n_point,)."""
-    told = chips.told
-    each = np.where(told, (weights / np.maximum(told.sum(axis=1), 1))[:, None], 0.0)
+    """Compute the information of chips about coefficients, with weights (n_point,)."""
+    valid = chips.told
+    each = np.where(valid, (weights / np.maximum(valid.sum(axis=1), 1))[:, None], 0.0)
     squares, form = np.zeros((chips.time.size, 3, 3)), np.zeros((3 * knots.size, 3 * knots.size))
     collect_squares(chips.sight, chips.first, each, squares)
     add_to_form(squares, *knots.basis, form)
@@ -94,25 +95,25 @@ def information(chips: Chips, knots: Knots, weights: FloatArray) -> Information:
 
 
 def told_within_sides(chips: Chips, knots: Knots, weights: FloatArray) -> FloatArray:
-    """`Information.told` of what chips tell on each side of a gap, and not of how both sides fit.
+    """Compute `Information.told` from each side of the gaps alone, without how the sides fit together.
 
     A constant and a line over the samples of each side are taken off. Without gaps it is all that chips tell.
     """
     sides = missing_runs(~chips.seen)
     if len(sides) < 2:
         return information(chips, knots, weights).told
-    told = np.zeros((3 * knots.size, 3 * knots.size))
+    form = np.zeros((3 * knots.size, 3 * knots.size))
     for side in sides:
         within = np.zeros(chips.seen.size, bool)
         within[side] = True
         some = replace(chips, seen=within)
         share = some.told.sum(axis=1) / np.maximum(chips.told.sum(axis=1), 1)
-        told += information(some, knots, weights * share).told
-    return told
+        form += information(some, knots, weights * share).told
+    return form
 
 
 def bending(size: int) -> FloatArray:
-    """Mean squared second difference of the coefficients of one axis, as a quadratic form (3 size, 3 size)."""
+    """Quadratic form (3 size, 3 size): mean squared second difference of the coefficients of each axis."""
     second = np.zeros((size - 2, size))
     for k, value in enumerate((1.0, -2.0, 1.0)):
         second[np.arange(size - 2), np.arange(size - 2) + k] = value

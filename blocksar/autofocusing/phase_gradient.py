@@ -111,7 +111,7 @@ def shared_gradient(
 
 @loop(PRODUCTS, INDICES, FACTORS, types.complex128[::1], nogil=True)
 def add_rows(values: Complex128Array, first: IntArray, factors: Complex128Array, out: Complex128Array) -> None:
-    """Add factors[r] values[r, m] to out[first[r] + m], where that is within `out`."""
+    """Add row r times its factor to the common samples: out[first[r] + m] += factors[r] values[r, m]."""
     for r in range(values.shape[0]):
         factor, row, into = factors[r], values[r], out[first[r] :]
         for m in range(min(row.size, into.size)):
@@ -120,7 +120,7 @@ def add_rows(values: Complex128Array, first: IntArray, factors: Complex128Array,
 
 @loop(PRODUCTS, INDICES, FACTORS, types.complex128[::1], nogil=True)
 def sum_along(values: Complex128Array, first: IntArray, factors: Complex128Array, out: Complex128Array) -> None:
-    """out[r] = sum_m factors[first[r] + m] values[r, m], where that is within `factors`."""
+    """Correlate rows with common samples: out[r] = sum_m factors[first[r] + m] values[r, m]."""
     for r in range(values.shape[0]):
         row, along = values[r], factors[first[r] :]
         n, even, odd = min(row.size, along.size), 0j, 0j
@@ -161,7 +161,7 @@ def line_of_sight(chips: Chips, phase: FloatArray, band: int, weights: FloatArra
         energy[into] = (np.abs(rows) ** 2).sum(axis=1, dtype=np.float64)
         steps = np.conj(rows[:, :-1]).astype(np.complex128) * rows[:, 1:]
         products[into] = steps / np.maximum(np.abs(steps).sum(axis=1), 1e-300)[:, None]
-    # Chips count alike, and their lines by their power.
+    # Chips have equal weight, and their lines the weight of their power.
     energy = energy.reshape(n_point, n_line)
     share = np.sqrt(weights)[:, None] * energy / np.maximum(energy.sum(axis=1, keepdims=True), 1e-300)
     last = chips.time.size - 1
@@ -176,7 +176,7 @@ LEAST_TOLERANCE = 0.1  # rad
 
 
 def own_errors(chips: Chips) -> FloatArray:
-    """Phase error (n_point,), rad rms, that each point has for itself after correction.
+    """Phase error (n_point,), rad rms, of each point alone that remains after the correction.
 
     From the phases of the strongest line in PARTS parts of the dwell, without their mean and line; those in a gap do
     not count.
@@ -186,13 +186,13 @@ def own_errors(chips: Chips) -> FloatArray:
     values = np.ascontiguousarray(chips.values[np.arange(strongest.size), strongest])
     rows, _ = centred_rows(values, chips.count, LEAST_BAND)
     errors = np.full(strongest.size, np.pi)
-    u, told = np.linspace(-1, 1, PARTS), chips.told
+    u, valid = np.linspace(-1, 1, PARTS), chips.told
     for i, row in enumerate(rows):
         n = int(chips.count[i])
         if n < PARTS or energy[i].max() <= 0:
             continue
         sums = np.array([part.sum(dtype=np.complex128) for part in np.array_split(row[:n], PARTS)])
-        there = np.array([part.any() for part in np.array_split(told[i, :n], PARTS)])  # those in a gap have no phase
+        there = np.array([part.any() for part in np.array_split(valid[i, :n], PARTS)])  # those in a gap have no phase
         sums, at = sums[there], u[there]
         if at.size < LEAST_PARTS:
             continue
@@ -211,6 +211,6 @@ def own_errors(chips: Chips) -> FloatArray:
 
 
 def point_weights(errors: FloatArray) -> FloatArray:
-    """Weights (n_point,) of points with phase errors of their own: 1 / (1 + (error / tolerance)^4)."""
+    """Weights (n_point,) of points from their own phase errors: 1 / (1 + (error / tolerance)^4)."""
     tolerance = max(TOLERANCE * float(np.median(errors)), LEAST_TOLERANCE)
     return np.asarray(1 / (1 + (errors / tolerance) ** 4))

@@ -1,4 +1,4 @@
-"""Range profiles, and deramped lines that are taken from them at exact ranges."""
+"""Range profiles, and deramped lines interpolated from them at exact ranges."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class DecimatingFilter(NamedTuple):
 
 @lru_cache(maxsize=1)
 def taps() -> Float32Array:
-    """Weights of the bins about a fraction of a bin, (N_PHASE + 1, N_TAP)."""
+    """Interpolation weights by fraction of a bin, (N_PHASE + 1, N_TAP)."""
     return interpolation_taps(N_TAP, occupancy=1 / UPSAMPLING, n_phase=N_PHASE)
 
 
@@ -84,7 +84,7 @@ def taps() -> Float32Array:
 def take_lines(
     values: ComplexArray, bins: FloatArray, cycles: FloatArray, weights: Float32Array, out: ComplexArray
 ) -> None:
-    """out[r, p] = profile of pulse p at bins[r, p], turned by cycles[r, p].
+    """Interpolate deramped lines: out[r, p] = profile of pulse p at bins[r, p], turned by cycles[r, p].
 
     values (n_pulse, n_bin) complex64, periodic along bins; bins, cycles, out (n_row, n_pulse).
     """
@@ -152,7 +152,7 @@ def take_chips(
 def decimate(
     values: ComplexArray, begin: IntArray, count: IntArray, low_pass: Float32Array, factor: int, out: ComplexArray
 ) -> None:
-    """out[i, l, m] = sum_k low_pass[k] values[i, l, begin[i] + factor m + k] for m < count[i]; 0 beyond the values."""
+    """Low-pass and decimate: out[i, l, m] = sum_k low_pass[k] values[i, l, begin[i] + factor m + k], m < count[i]."""
     n = values.shape[2]
     for i in range(values.shape[0]):
         for line in range(values.shape[1]):

@@ -1,4 +1,4 @@
-"""Prominent points: where short apertures see power that stands out.
+"""Prominent points: places whose power stands out in images of short apertures.
 
 A short aperture has so coarse a resolution that the track's error does not blur it. Its deramped lines, over all
 ranges and a few yaws, are transformed along slow time: a coarse image of all that the beam lights.
@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from blocksar import texts
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.autofocusing.range_lines import range_profiles, take_lines, taps
 from blocksar.autofocusing.work import Work
@@ -26,18 +27,18 @@ from blocksar.solvers import newton
 RANGE_STEP = 0.75  # range cells between lines
 DOPPLER_SHARE = 0.8  # of the PRF that lines about one yaw may fill
 CELLS = (6, 8)  # parts of a coarse image along range and Doppler; its brightest sample in each may become a point
-SIDELOBES = 1e-4  # of the brightest sample's power: what may be a sidelobe of it does not stand out
-RANGE_SIDELOBES = 2.0  # times those of a band without a taper: what is weaker may be one of a brighter sample
+SIDELOBES = 1e-4  # of the brightest sample's power: fainter ones may be its side lobes
+RANGE_SIDELOBES = 2.0  # times those of a band without a taper: fainter samples may be side lobes of brighter ones
 MAIN_LOBE = 2.0  # Doppler cells of a short aperture: within them a sample has its sidelobes in range
 FALSE = 0.01  # maxima of noise that may be taken for points that stand out of it, in all of a search
 STEPS = 3  # of Newton's method, from the plane to a place on it
 UNEVEN_STEPS = 12  # to one on a terrain, whose slopes change
 YAWS = 65  # at which the beam's edges are looked for
 NEAR = 2.5  # range cells, and Doppler cells of a short aperture, within which candidates are the same point
-APART = 0.5  # of the width of a chip, narrowed in Doppler: points closer than this share what they tell
+APART = 0.5  # of the width of a chip, narrowed in Doppler: closer points carry the same information
 REGIONS = (4, 8)  # parts of the scene in range and yaw
 CAP = 2.0  # times the even share: points of one part, at most
-ACROSS = 12  # points that see both sides of a gap, if there are so many: they alone tell how these fit
+ACROSS = 12  # points that see both sides of a gap, if available: only they determine how the sides fit
 BESIDE = 1 / 16  # of a dwell: that they see on either side, at least
 
 
@@ -65,7 +66,7 @@ class Bright:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidates:
-    """Bright places that one short aperture sees.
+    """Bright places in the image of one short aperture.
 
     Attributes
     ----------
@@ -113,7 +114,7 @@ class Points:
 
 
 class Refused(InputError):
-    """The samples do not determine the track's error: a sentence with its figures."""
+    """Error: the samples do not determine the track's error; the sentence has the figures."""
 
 
 def find_candidates(signal: ComplexArray, work: Work, pulses: slice, threads: int = 1) -> Candidates:
@@ -172,7 +173,7 @@ def _lit_yaws(work: Work, pulses: slice) -> tuple[float, float] | None:
 
 
 def _seen(work: Work, point: FloatArray, pulse: int) -> tuple[FloatArray, FloatArray]:
-    """Range of points (n, 3) at a pulse, m, and the phase rate of that, rad/s."""
+    """Range of points (n, 3) at a pulse, m, and rate of their phase, rad/s."""
     collection = work.geometry.collection
     pulse = min(max(pulse, 1), collection.n_pulse - 2)
     distance = [_distance(work, point, slice(p, p + 1))[:, 0] for p in (pulse - 1, pulse, pulse + 1)]
@@ -188,7 +189,7 @@ def _distance(work: Work, point: FloatArray, pulses: slice) -> FloatArray:
 def _coarse_image(
     work: Work, pulses: slice, profiles: ComplexArray, spacing: float, ground: FloatArray, threads: int
 ) -> FloatArray:
-    """Power (n_range, n) over the Doppler that points `ground` (n_range, 3) do not have."""
+    """Power (n_range, n) over Doppler relative to that of ground points (n_range, 3), one for each range."""
     n = pulses.stop - pulses.start
     power, window = np.zeros((ground.shape[0], n)), np.hanning(n + 2)[1:-1].astype(np.float32)
     reference = work.geometry.collection.reference_range[pulses]
@@ -205,7 +206,7 @@ def _coarse_image(
 
 
 def _range_sidelobes(bright: Bright, work: Work, pulses: slice) -> NDArray[np.bool_]:
-    """Find which of bright samples (n,) may be sidelobes in range of others, of their Doppler and brighter."""
+    """Mask of bright samples (n,) that may be range side lobes of brighter ones of the same Doppler."""
     n = work.geometry.collection.n_range_frequency
     cells = np.abs(bright.distance[:, None] - bright.distance) / work.cell
     apart = np.abs(bright.rate[:, None] - bright.rate) / (2 * np.pi) / _doppler_cell(work, pulses)
@@ -221,7 +222,7 @@ def _doppler_cell(work: Work, pulses: slice) -> float:
 
 
 def _brightest(work: Work, pulses: slice, power: FloatArray, ground: FloatArray, span: float) -> Bright:
-    """The brightest sample in each part of a coarse image whose Doppler spans +- span / 2, Hz."""
+    """Find the brightest sample in each part of a coarse image whose Doppler spans +- span / 2, Hz."""
     n = power.shape[1]
     step = _doppler_cell(work, pulses)
     reach = min(int(span / 2 / step) + 1, (n - 1) // 2)
@@ -249,7 +250,7 @@ def _brightest(work: Work, pulses: slice, power: FloatArray, ground: FloatArray,
 def _located(
     work: Work, pulses: slice, x: FloatArray, y: FloatArray, wanted: FloatArray, goal: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Points (n,) that have the ranges `wanted`, m, and the phase rates `goal`, rad/s; others nearby are known.
+    """Solve for ground points (n,) with ranges `wanted`, m, and phase rates `goal`, rad/s, from points nearby.
 
     On a terrain they stand on it, and are NaN where it has none such.
     """
@@ -274,7 +275,7 @@ class Chosen(NamedTuple):
 
 
 def select_points(channels: Sequence[Sequence[Candidates]], work: Work) -> Chosen:
-    """Keep the points that stand out in most of the short apertures that see them, spread over the scene.
+    """Select the points that stand out in most of the short apertures that see them, spread over the scene.
 
     Of several channels, which have one track, those of the one whose points tell most of it: the sum of their scores,
     the logarithm of their power over that of their surroundings. It is what points that err independently tell of a
@@ -290,23 +291,23 @@ def select_points(channels: Sequence[Sequence[Candidates]], work: Work) -> Chose
     Refused
         If no channel has as many as `EstimatorSettings.least_points`.
     """
-    places, told = [], []
+    places, totals = [], []
     for candidates in channels:
         x, y, prominence = (np.concatenate([getattr(c, name) for c in candidates]) for name in ("x", "y", "prominence"))
         middles = np.concatenate([c.middle for c in candidates])
         gaps = gaps_between([c.seen for c in candidates], work)
-        kept, score = best_points(x, y, prominence, middles, gaps, work) if x.size else ([], np.zeros(0))
-        distinct = stands_out(prominence[kept], int(sum(c.cells.sum() for c in candidates)))
-        places.append((x[kept], y[kept], distinct))
-        told.append(float(score[kept].sum()) if len(kept) >= work.settings.least_points else -1.0)
-    if max(told) < 0:
+        selected, score = best_points(x, y, prominence, middles, gaps, work) if x.size else ([], np.zeros(0))
+        distinct = stands_out(prominence[selected], int(sum(c.cells.sum() for c in candidates)))
+        places.append((x[selected], y[selected], distinct))
+        totals.append(float(score[selected].sum()) if len(selected) >= work.settings.least_points else -1.0)
+    if max(totals) < 0:
         most = max(x.size for x, _, _ in places)
         of = "" if len(channels) == 1 else ", in the channel that has most of them"
         raise Refused(
-            f"{most} points stand out in the scene{of}, but the track's error is told from at least "
+            f"the scene has {texts.count(most, 'prominent point')}{of}, but the track's error is told from at least "
             f"{work.settings.least_points}; give a larger --grid, or focus the phase history as it is"
         )
-    channel = told.index(max(told))
+    channel = totals.index(max(totals))
     x, y, distinct = places[channel]
     first, last = work.geometry.beam.longest_pass(x, y)
     z = np.broadcast_to(work.geometry.height(x, y), x.shape).copy()
@@ -314,7 +315,7 @@ def select_points(channels: Sequence[Sequence[Candidates]], work: Work) -> Chose
 
 
 def stands_out(prominence: FloatArray, cells: int) -> NDArray[np.bool_]:
-    """Find which prominences (n,) noise does not show, but once in 1 / FALSE searches of so many cells.
+    """Mask of prominences (n,) too high for noise: with probability FALSE, noise exceeds it in any of `cells`.
 
     The power of a cell of noise is distributed exponentially: with probability 2^-p it is over p times its median. So
     is that of clutter of many scatterers a cell.
@@ -323,7 +324,7 @@ def stands_out(prominence: FloatArray, cells: int) -> NDArray[np.bool_]:
 
 
 def gaps_between(seen: Sequence[IntArray], work: Work) -> list[slice]:
-    """Pulses that are missing in a row, as `Candidates.seen` of the short apertures tell, with some on either side."""
+    """Find gaps, as slices of pulses, from the valid pulses of each short aperture (`Candidates.seen`)."""
     missing = np.zeros(work.geometry.collection.n_pulse, bool)
     for aperture, pulses in zip(work.apertures, seen, strict=True):
         missing[aperture] = True
@@ -354,13 +355,13 @@ def best_points(
         taken |= same
         score[i] = np.log(np.maximum(prominence[same], 1)).sum() / max(int(seen_by[i]), 1)
     score = np.where(last - first >= work.dwell // 4, score, 0.0)
-    kept = _spread(score, epoch, yaw, work, cell_yaw)
+    selected = _spread(score, epoch, yaw, work, cell_yaw)
     for gap in gaps:
         both = np.minimum(gap.start - first, last - gap.stop) >= BESIDE * work.dwell
-        if both[kept].sum() < ACROSS:
+        if both[selected].sum() < ACROSS:
             across = _spread(np.where(both, score, 0.0), epoch, yaw, work, cell_yaw)[:ACROSS]
-            kept = _spread(score, epoch, yaw, work, cell_yaw, across)
-    return kept, score
+            selected = _spread(score, epoch, yaw, work, cell_yaw, across)
+    return selected, score
 
 
 def _yaw_cell(work: Work) -> float:
@@ -376,7 +377,7 @@ def _yaw_cell(work: Work) -> float:
 def _spread(
     score: FloatArray, epoch: FloatArray, yaw: FloatArray, work: Work, cell_yaw: float, before: Sequence[int] = ()
 ) -> list[int]:
-    """Indices of the best points, apart from each other, with a cap on those of one part of the scene.
+    """Select the best points: apart from each other, with a cap for each part of the scene. Returns their indices.
 
     Those `before` come first.
     """
@@ -388,14 +389,14 @@ def _spread(
     wide = APART * settings.lines * settings.line_spacing * work.cell
     seconds = work.short * work.geometry.collection.pulse_interval
     across = APART * settings.narrow_speed * work.wavenumber / np.pi * seconds * cell_yaw
-    kept = list(before)
-    count = np.bincount(part[kept], minlength=REGIONS[0] * REGIONS[1])
+    selected = list(before)
+    count = np.bincount(part[selected], minlength=REGIONS[0] * REGIONS[1])
     for i in np.argsort(-score, kind="stable"):
-        if score[i] <= 0 or len(kept) == settings.points:
+        if score[i] <= 0 or len(selected) == settings.points:
             break
-        near = np.array(kept, np.int64)
+        near = np.array(selected, np.int64)
         crowded = ((np.abs(epoch[near] - epoch[i]) < wide) & (np.abs(yaw[near] - yaw[i]) < across)).any()
         if count[part[i]] < cap and not crowded:
-            kept.append(int(i))
+            selected.append(int(i))
             count[part[i]] += 1
-    return kept
+    return selected

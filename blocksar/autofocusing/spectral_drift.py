@@ -1,4 +1,4 @@
-"""Drift of spectra: the line-of-sight velocity of the error, from the power that moves along Doppler.
+"""Drift of spectra: the error's line-of-sight velocity, from the shift of power along Doppler.
 
 The spectra of a chip over short windows of time all show the same scatterers, moved along Doppler by the error's
 line-of-sight velocity. They are compared without their phases, so that neither many equal scatterers in a line nor
@@ -40,7 +40,7 @@ class Spectra(NamedTuple):
 
 
 def phase_of_drift(chips: Chips, weights: FloatArray) -> FloatArray:
-    """Phase (n_sample,), rad, that the chips share, from the drift of their spectra; its line is arbitrary.
+    """Estimate the common phase (n_sample,), rad, of chips from the drift of their spectra, up to a line.
 
     Windows are as long as `Work.short`. The spectra of each chip are shifted so that they fit the sum of its others:
     the shifts, one a window, and the sums are found in turns. The shifts change slowly from window to window: with
@@ -98,7 +98,7 @@ def short_spectra(chips: Chips, weights: FloatArray) -> Spectra:
 
 
 def products_with_others(spectra: Spectra, turns: Complex128Array) -> Complex128Array:
-    """Each window's spectra times those of their points' other windows, conjugate; summed over points.
+    """Sum over points of each window's spectrum times the conjugate spectra of the point's other windows.
 
     Both are (n_window, n_cell); `turns` shift the windows' spectra.
     """
@@ -130,7 +130,7 @@ def smooth_path(fit: FloatArray) -> IntArray:
 
 
 def _beside(values: FloatArray, cell: IntArray) -> FloatArray:
-    """Shifts (n,), in cells, of the highest places of periodic rows (n, m) at `cell` (n,), by parabolas; continuous."""
+    """Refine maxima at `cell` (n,) of periodic rows (n, m) by parabolas; return shifts (n,) in cells, unwrapped."""
     n_row, n = values.shape
     row = np.arange(n_row)
     before, at, after = values[row, cell - 1], values[row, cell], values[row, (cell + 1) % n]

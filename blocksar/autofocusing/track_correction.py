@@ -1,4 +1,4 @@
-"""The correction of a track, with what the loops found on the way, and the splines that it is estimated with."""
+"""The correction of a track during the estimate, its log of loops, and its splines."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Correction:
 
     @classmethod
     def none(cls, work: Work) -> Correction:
-        """Nothing corrected so far."""
+        """Return an empty correction: nothing is displaced yet."""
         nothing = np.zeros((work.n_sample, 3))
         return cls(displacement=nothing, previous=nothing, weights=np.ones(0))
 
@@ -64,7 +64,7 @@ def between_samples(work: Work, displacement: FloatArray, time: FloatArray) -> F
     at = np.interp(time, work.sample_times, np.arange(float(n)))
     before = np.clip(np.floor(at), 0, n - 2).astype(np.int64)
     s = (at - before)[:, None]
-    # Beyond the ends, lines through the last two.
+    # Extrapolate linearly beyond the ends.
     padded = np.concatenate(
         [2 * displacement[:1] - displacement[1:2], displacement, 2 * displacement[-1:] - displacement[-2:-1]]
     )
@@ -73,13 +73,13 @@ def between_samples(work: Work, displacement: FloatArray, time: FloatArray) -> F
 
 
 def intervals(work: Work) -> int:
-    """Intervals of the finest spline that the samples of chips support, a power of two."""
+    """Number of intervals of the finest spline that the samples of chips support, a power of two."""
     fine = int(np.clip(work.n_sample // SAMPLES_PER_INTERVAL, 4, work.settings.intervals))
     return 1 << (fine.bit_length() - 1)
 
 
 def narrowing(work: Work, n_interval: int) -> int:
-    """By how much chips are decimated for splines of so many intervals."""
+    """Factor by which chips are decimated for splines of `n_interval` intervals."""
     rate = work.settings.narrow_speed * work.wavenumber / np.pi / FILTER_BAND  # Hz
     by_speed = int(work.geometry.collection.prf / work.decimation / rate)
     return max(min(by_speed, work.n_sample // (2 * n_interval)), 1)
@@ -113,7 +113,7 @@ class Knots:
 
     @cached_property
     def basis(self) -> tuple[IntArray, FloatArray]:
-        """First of the four splines that are not 0 at each time (n,), and their values (n, 4)."""
+        """Index of the first of the four splines that are not 0 at each time (n,), and their values (n, 4)."""
         return basis(self.time, float(self.work.geometry.collection.time[0]), self.step, self.n_interval, 0)
 
     def values(self, coefficients: FloatArray) -> FloatArray:
@@ -122,7 +122,7 @@ class Knots:
         return np.asarray(sum(weights[:, k, None] * coefficients[first + k] for k in range(4)))
 
     def adjoint(self, values: FloatArray) -> FloatArray:
-        """The transpose of `values`: (size, n_axis) of (n, n_axis)."""
+        """Apply the transpose of `values`: (size, n_axis) from (n, n_axis)."""
         first, weights = self.basis
         total = np.zeros((self.size, values.shape[1]))
         for k in range(4):
@@ -136,5 +136,5 @@ class Knots:
         return solve_normal(first, weights, values, self.size)
 
     def smooth(self, values: FloatArray) -> FloatArray:
-        """Least-squares splines through values (n, n_axis), at the same times."""
+        """Smooth values (n, n_axis) by least-squares splines, at the same times."""
         return self.values(self.fit(values))

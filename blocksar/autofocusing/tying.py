@@ -1,10 +1,10 @@
 """Ties between the tracks of collections that overlap, such as bursts.
 
-The samples of a collection do not tell a constant and a line of its track's error along the line of sight, which
-shift and turn its image. Those of two collections differ, and their images do not fit where they meet: by metres, where
-errors of centimetres change within a second. Points that both see tell the difference: the places where one sees them
-are control points of the other, without phases. A place is known to some hundredths of a resolution cell, which is many
-turns of the phase over the time between both dwells.
+The samples of a collection do not determine a constant and a linear error of its track along the line of sight, which
+shift and rotate its image. Those of two collections differ, and their images do not fit where they meet: by metres,
+where errors of centimetres change within a second. Points that both see show the difference: the places where one sees
+them are control points of the other, without phases. A place is known to some hundredths of a resolution cell, which is
+many turns of the phase over the time between both dwells.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from blocksar.autofocusing.work import Work
 from blocksar.errors import InputError
 from blocksar.solvers import newton
 
-SHARED = 0.75  # of a dwell of either collection: what it sees of a point
+SHARED = 0.75  # of a dwell that each collection must see of a shared point
 LEAST = 4  # points that tie two collections
 STEPS = 6  # of Newton's method, from a point to a place in its chip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Places:
-    """Where a collection sees some responses: x, y, z (n,) float, m, scene frame, on the ground."""
+    """Ground places where a collection sees responses: x, y, z (n,) float, m, scene frame."""
 
     x: FloatArray
     y: FloatArray
@@ -56,7 +56,7 @@ def shared_points(one: Work, other: Work, points: Sequence[Points]) -> Points:
 
 
 def _in_window(work: Work, x: FloatArray, y: FloatArray, z: FloatArray, first: IntArray, last: IntArray) -> BoolArray:
-    """Whether points (n,), m, are in the range window all the time that they are lit, from `first` to before `last`."""
+    """Mask of points (n,), m, that stay in the range window from pulse `first` to before `last`."""
     collection, inside = work.geometry.collection, np.ones(x.shape, bool)
     for pulse in (first, (first + last) // 2, np.maximum(last - 1, 0)):
         distance = np.linalg.norm(np.stack([x, y, z], axis=1) - collection.antenna_position[pulse], axis=1)
@@ -65,7 +65,7 @@ def _in_window(work: Work, x: FloatArray, y: FloatArray, z: FloatArray, first: I
 
 
 def find_places(work: Work, points: Points, parts: Sequence[ChipPart], correction: Correction) -> Places:
-    """Where the brightest response in the chip of each point lies along the corrected track, each place once.
+    """Locate the brightest response in each point's chip along the corrected track; equal places only once.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def find_places(work: Work, points: Points, parts: Sequence[ChipPart], correctio
 
 
 def _place(work: Work, points: Points, chips: Chips, i: int, one: Seen) -> tuple[float, float]:
-    """x and y of a response, m, of its range in the middle of the dwell, and the change of that over the dwell.
+    """x and y of a response, m, from its range at mid-dwell and the change of range over the dwell.
 
     NaN where the terrain has no such place.
     """
@@ -108,7 +108,7 @@ def _place(work: Work, points: Points, chips: Chips, i: int, one: Seen) -> tuple
 
 
 def places_seen(work: Work, places: Places) -> Places:
-    """Select places that another collection sees."""
+    """Select the places that this collection sees."""
     first, last = work.geometry.beam.longest_pass(places.x, places.y)
     inside = _in_window(work, places.x, places.y, places.z, first, last)
     seen = np.flatnonzero((last - first >= 2 * work.decimation) & inside)
@@ -116,13 +116,13 @@ def places_seen(work: Work, places: Places) -> Places:
 
 
 def control_of(places: Places) -> Control:
-    """Places where another collection sees responses as control points, of unknown phase."""
+    """Turn places where another collection sees responses into control points, of unknown phase."""
     names = tuple(f"{i}" for i in range(places.x.size))
     return Control(names=names, x=places.x, y=places.y, z=places.z, phase=np.zeros(places.x.size))
 
 
 def tie(work: Work, result: Result, places: Places, parts: Sequence[ChipPart], correction: Correction) -> Result:
-    """Move a corrected track by a constant and a line, so that responses are seen where another collection sees them.
+    """Correct a track by a constant and a line so that it sees responses where another collection does.
 
     The result's figures have `tied`: the number of points, 0 where they do not agree and the track stays as it is; by
     how much it was `moved`, m; and what is left of their ranges, `range_left`, m.
@@ -142,15 +142,15 @@ def tie(work: Work, result: Result, places: Places, parts: Sequence[ChipPart], c
     with suppress(InputError):  # they do not agree
         if len(names) >= LEAST:
             tied = anchored(work, result, names, found)
-            told = tied.figures["control"]
+            fit = tied.figures["control"]
             figures = {name: tied.figures[name] for name in tied.figures if name != "control"}
-            kept = {"points": told["points"], "moved": told["moved"], "range_left": told["range_left"]}
-            return replace(tied, figures={**figures, "tied": kept})
+            summary = {"points": fit["points"], "moved": fit["moved"], "range_left": fit["range_left"]}
+            return replace(tied, figures={**figures, "tied": summary})
     return replace(result, figures={**result.figures, "tied": {"points": 0}})
 
 
 def tie_in_turn(n: int, shared: Mapping[tuple[int, int], int], attempt: Callable[[int, int], bool]) -> list[int]:
-    """Tie n collections one after another; return those that stay as they are, besides the first.
+    """Tie n collections to each other, one by one; return those besides the first that stay untied.
 
     The one that shares most points with those before is tied to the one that it shares them with; if these points do
     not agree, the next such pair is tried. Where no pair shares `LEAST` points, one stays as it is, and others may be

@@ -70,7 +70,7 @@ class EstimatorSettings:
 
 BLOCK = 512  # pulses whose samples are in memory at a time, about
 LEAST_PULSES = 64
-LEAST_SAMPLES = 4096  # of a chip over the collection, if it has so many pulses: a random walk needs them
+LEAST_SAMPLES = 4096  # of a chip over the collection, if it has enough pulses: a random walk needs them
 COARSE_SAMPLES = 1024  # likewise where only smooth errors are looked for
 APERTURES = 5  # short ones within a dwell
 FILTER_LENGTH = 7  # decimated samples: of the low-pass filter; odd, so that it lies about a sample's centre
@@ -80,7 +80,7 @@ FILTER_BETA = 5.0  # of its Kaiser window
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Work:
-    """All that the stages need besides samples; the same wherever it is built from the same collection.
+    """Geometry, region and settings of an estimate, and the divisions that follow; samples are not included.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ class Work:
 
     @cached_property
     def plane(self) -> Geometry:
-        """The geometry without its terrain."""
+        """Geometry over the plane, without the terrain."""
         return self.geometry.over(None)
 
     @cached_property
@@ -114,7 +114,7 @@ class Work:
 
     @cached_property
     def dwell(self) -> int:
-        """Pulses that light a point, at most."""
+        """Largest number of pulses that light a point."""
         yaw = np.linspace(self.region.yaw[0], self.region.yaw[-1], 33)
         near, far = self.region.at(yaw)
         x, y = self.plane.ground_axes((near + far) / 2, yaw)
@@ -123,13 +123,13 @@ class Work:
 
     @cached_property
     def short(self) -> int:
-        """Pulses of a short aperture: over it the assumed acceleration turns the phase by 1 rad."""
+        """Number of pulses of a short aperture, over which the assumed acceleration turns the phase by 1 rad."""
         seconds = math.sqrt(8 / (self.wavenumber * self.settings.acceleration))
         return int(np.clip(round(seconds * self.geometry.collection.prf), 8, max(self.dwell // 4, 8)))
 
     @cached_property
     def apertures(self) -> tuple[slice, ...]:
-        """Pulses of the short apertures in which points are looked for."""
+        """Short apertures, as slices of pulses, in which points are searched for."""
         n, size = self.geometry.collection.n_pulse, self.short
         count = max(math.ceil(APERTURES * n / self.dwell), 1)
         starts = {round((k + 0.5) / count * n - size / 2) for k in range(count)}
@@ -143,24 +143,24 @@ class Work:
 
     @cached_property
     def decimation(self) -> int:
-        """Pulses for one sample of a chip."""
+        """Number of pulses for each sample of a chip."""
         collection = self.geometry.collection
         return max(min(int(collection.prf / self._rate), collection.n_pulse // LEAST_SAMPLES), 1)
 
     @property
     def coarse(self) -> int:
-        """Samples of a chip for one of those in which smooth errors are looked for."""
+        """Number of chip samples for each sample of the search for smooth errors."""
         rate = self.geometry.collection.prf / self.decimation
         return max(min(int(rate / self._rate), self.n_sample // COARSE_SAMPLES), 1)
 
     @property
     def _rate(self) -> float:
-        """Samples a second that hold `EstimatorSettings.speed`, Hz."""
+        """Sampling rate, Hz, that holds errors of `EstimatorSettings.speed`."""
         return self.settings.speed * self.wavenumber / np.pi / FILTER_BAND
 
     @cached_property
     def n_sample(self) -> int:
-        """Samples of a chip over the whole collection."""
+        """Number of samples of a chip over the whole collection."""
         return self.geometry.collection.n_pulse // self.decimation
 
     def chip_bytes(self, least_points: int = 0) -> int:

@@ -3,9 +3,7 @@
 Exit status: 0 success; 1 processing failed; 2 the user's input is wrong; 130 interrupted; 143 terminated.
 Tables go to stdout, progress and messages to stderr.
 
-The commands below `export`, one for each product: the image of a run in standard formats.
-
-The commands below `ingest`: measured data to phase histories, one for each reader.
+The group `export` has a command for each product, the group `ingest` one for each reader.
 """
 
 from __future__ import annotations
@@ -47,7 +45,7 @@ from blocksar.version import __version__
 
 
 class Products(Plugged):
-    """A command for each product."""
+    """The group `export`: one command for each product."""
 
     @classmethod
     def names(cls) -> tuple[str, ...]:
@@ -103,7 +101,7 @@ TimeZero = Annotated[
 
 
 class Readers(Plugged):
-    """A command for each reader; given a file instead of a reader's name, the reader is chosen by its first bytes."""
+    """The group `ingest`: one command for each reader; given a file, the reader is chosen by its first bytes."""
 
     @classmethod
     def names(cls) -> tuple[str, ...]:
@@ -377,7 +375,7 @@ def info(
     ],
     quiet: Quiet = False,
 ) -> None:
-    """Say what a file or folder holds: size, band, track, beam, grid, what was done to it, and what comes next.
+    """Describe a file or folder: size, band, track, beam, grid, its history, and the command that comes next.
 
     Reads no samples.
 
@@ -400,7 +398,7 @@ def check(
     quiet: Quiet = False,
     **options: Any,
 ) -> None:
-    """Check that the samples are what is said of them: sign, order, track and beam.
+    """Check the samples against their metadata: sign, order, track and beam.
 
     Compares the sharpness of prominent places as given with what it would be if something were said wrongly, and says
     what to change. Reads a part of the samples.
@@ -430,7 +428,7 @@ def preview(
     json_log: JsonLog = None,
     **options: Any,
 ) -> None:
-    """Draw a coarse picture of a collection in seconds, and say what grid a run would take.
+    """Draw a coarse picture of a collection in seconds, and print the grid that a run would use.
 
     Short apertures and a part of the band, back-projected exactly: bright targets lie at their places.
 

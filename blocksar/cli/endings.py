@@ -1,4 +1,4 @@
-"""The end of a command: its exit status, its message, and its reaction to signals."""
+"""The end of a command: exit status, message, and reaction to signals."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def _for_help(parameters: Any) -> Any:
 
 
 def _file_of(error: InputError, context: Any) -> str:
-    """The file of options, for the beginning of a message about one of its values; else empty.
+    """Return the file of options to begin a message about one of its values with; empty if there is none.
 
     A message names the option first, perhaps after the part of the input that it is about, or has the value.
     """
@@ -174,7 +174,7 @@ def open_streams() -> None:
 
 
 def catch_signals() -> None:
-    """Let Ctrl-C raise KeyboardInterrupt and SIGTERM raise Terminated, and make sure that the process ends."""
+    """Let Ctrl-C raise KeyboardInterrupt and SIGTERM raise Terminated, so that the command cleans up before it ends."""
     for number in (signal.SIGINT, signal.SIGTERM):
         # A shell starts background processes with Ctrl-C ignored; keep that.
         if signal.getsignal(number) is not signal.SIG_IGN:

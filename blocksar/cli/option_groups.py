@@ -1,4 +1,4 @@
-"""Options of commands: those that several share, and those of models, with a command for each part of a registry."""
+"""Options that several commands share, options from models, and groups with a command for each plug-in."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from blocksar.products.shared_options import COLOUR_MAP, COLOUR_RANGE
 
 
 class Plugged(Commands):
-    """A group with a command for each part of a registry, made when it is asked for."""
+    """A group with a command for each part of a registry, created on demand."""
 
     def __init__(self, *, commands: Any = None, **settings: Any) -> None:
         super().__init__(commands=_Made(commands or {}, self), **settings)  # type: ignore[arg-type]
@@ -33,11 +33,11 @@ class Plugged(Commands):
     @classmethod
     @abstractmethod
     def command_of(cls, name: str) -> Callable[..., None]:
-        """The function of a part's command."""
+        """Return the function of a part's command."""
 
 
 class _Made(Mapping[str, Any]):
-    """The commands of a group by name: its own, then those of parts, each made once, when it is first looked up."""
+    """Commands of a group by name: its own, and those of parts, each created when it is first looked up."""
 
     def __init__(self, own: Mapping[str, Any], group: Plugged) -> None:
         self._own, self._group, self._made = own, group, dict[str, Any]()
@@ -58,7 +58,7 @@ class _Made(Mapping[str, Any]):
         return self._made[name]
 
     def _command(self, name: str) -> Any:
-        """The command of a part; of one that cannot have any, one that says so, as its help does."""
+        """Create the command of a part; if the part is broken, a command that prints the reason."""
         try:
             return single_command(name, self._group.command_of(name))
         except InputError as error:
@@ -71,7 +71,7 @@ class _Made(Mapping[str, Any]):
 
 
 def single_command(name: str, function: Callable[..., None], **settings: bool) -> Any:
-    """The command of a function, made now."""
+    """Create a command from a function."""
     settings_of_all = {"help_option_names": ["-h", "--help"]}
     single = typer.Typer(rich_markup_mode="rich", context_settings=settings_of_all | settings, add_completion=False)
     single.command(name)(function)
@@ -109,7 +109,7 @@ def with_options(
 
 
 def typer_option(option: Option, default: object = None, panel: str | None = None) -> Any:
-    """An option as the command line has it; `panel` is where its help shows it."""
+    """Convert an option of a model to one of the command line; `panel` is where its help shows it."""
     shown = option.default if option.default is not None else default is not None
     return typer.Option(
         *option.flags, metavar=option.metavar, help=option.help, min=option.least, show_default=shown,
@@ -123,7 +123,7 @@ def _parameter(stated: Stated, panel: str | None) -> Parameter:
         kind = Literal[tuple(option.choices())]
     elif option.read is not None and kind not in (int, float):
         kind = str | None
-    if stated.default is False and not option.flags:  # there is no option not to do what is not done
+    if stated.default is False and not option.flags:  # such flags have no negative form
         option = replace(option, flags=(f"--{stated.name.replace('_', '-')}",))
     if panel is not None and option.metavar is None:
         option = replace(option, metavar=", ".join(map(str, get_args(kind))) or None)  # which few columns can fold
@@ -158,7 +158,7 @@ def taking(options: Iterable[Stated], panel: str | None = None) -> Callable[[Com
 
 
 def given(context: typer.Context, *without: str) -> list[str]:
-    """Return the options that stand on the command line, except some, as its words."""
+    """Return the options that stand on the command line, except some, as words."""
     words: list[str] = []
     for parameter in context.command.params:
         source = context.get_parameter_source(parameter.name or "")

@@ -95,7 +95,7 @@ def _nearest(name: str, known: dict[str, Any]) -> str:
 
 
 def _as_typed(value: Any, parameter: Any, place: str) -> Any:
-    """A value of TOML as the command line gives it: text, except for a flag, and a list where several are taken."""
+    """Convert a TOML value to text as on the command line; a flag stays bool, several values become a list."""
     if getattr(parameter, "is_flag", False):
         if not isinstance(value, bool):
             raise InputError(f"{place} = {_shown(value)} is neither true nor false; write one of them")
@@ -190,7 +190,7 @@ OF_PLAN = ("everything", "explain")  # its options that `focus` has not
 
 
 def _hint_after_plan(context: typer.Context, sources: list[str]) -> None:
-    """Simulate a scene, or focus phase histories with the same options."""
+    """Suggest the next command: simulate a scene, or focus phase histories with the same options."""
     from blocksar.api.arguments import is_scene
 
     for source in sources:
@@ -237,7 +237,7 @@ def focus(
 
 
 class OfProcessors(Commands):
-    """All commands. When `plan` or `focus` is called, it takes the processors of other packages and their options."""
+    """The group of all commands; `plan` and `focus` also take processors of other packages and their options."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         if args and args[0] in ("plan", "focus") and (others := set(PROCESSORS.names()) - set(PROCESSORS.own)):
@@ -246,29 +246,29 @@ class OfProcessors(Commands):
 
 
 def _taking_processors(command: Callable[..., None], names: Sequence[str]) -> Any:
-    """A command with processors of other packages besides: their names, summaries and options."""
+    """Create a command that also takes processors of other packages: their names, summaries and options."""
     own = {each.name for each in options_taken(command.__name__)}
-    known, said, taken = set(signature(command).parameters), list[str](), unwrap(command)
+    known, notes, taken = set(signature(command).parameters), list[str](), unwrap(command)
     for name in names:
         try:
             part = PROCESSORS.get(name)
             stated = options_of(part.options)
             if twice := [each.name for each in stated if each.name in own]:
-                said.append(f"{name} has an option {twice[0]}, which is the command's own; repair or remove it.")
+                notes.append(f"{name} has an option {twice[0]}, which is the command's own; repair or remove it.")
                 continue
             more = [each for each in stated if each.name not in known]
             taken = taking(more, f"Options of {name}")(taken)
             known |= {each.name for each in more}
-            said.append(f"{name}: {part.summary}.")
+            notes.append(f"{name}: {part.summary}.")
         except InputError as error:
-            said.append(f"{error}.")
+            notes.append(f"{error}.")
 
     def with_names(stated: Stated) -> Stated:
         option = stated.option
         if option.choices is None:
             return stated
         choices = *option.choices(), *names
-        return stated._replace(option=replace(option, help=" ".join([option.help, *said]), choices=lambda: choices))
+        return stated._replace(option=replace(option, help=" ".join([option.help, *notes]), choices=lambda: choices))
 
     of_all = taking(map(with_names, options_taken(command.__name__)))
     return single_command(command.__name__, of_all(taking(options_of(ChainOptions), ALTERNATIVES)(taken)))

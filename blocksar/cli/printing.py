@@ -61,7 +61,7 @@ class Printed(Protocol):
 
 
 def show(report: Printed, context: typer.Context | None = None) -> None:
-    """Print a report's tables and summary on stdout, as the options --all and --explain of the command ask for.
+    """Print a report's tables and summary on stdout, according to the command's options --all and --explain.
 
     Where the command has these options and they are not given, a line on stderr says what they would add.
     """
@@ -85,7 +85,7 @@ def show(report: Printed, context: typer.Context | None = None) -> None:
 
 
 def hint(context: typer.Context, *command: str) -> None:
-    """Say on stderr which command comes next, unless the command is quiet; patterns of files stay as they are."""
+    """Print the next command on stderr unless the command is quiet; file patterns stay as they are."""
     if not context.params.get("quiet"):
         words = [word if "*" in word and " " not in word else shlex.quote(word) for word in ("blocksar", *command)]
         say(f"next: {' '.join(words)}")

@@ -1,4 +1,4 @@
-"""Beams about the antenna's own axis: angles off the beam's centre, and when a point passes the beam.
+"""Beams about the antenna's own axis: angles off the beam's centre, and the pulses that light a point.
 
 With u the unit vector from the antenna to a point, the point lies by
 
@@ -70,7 +70,7 @@ def axis_offset(
 
 
 def side_of(ahead: FloatArray, sight: FloatArray) -> str | None:
-    """The side, "left" or "right", of a way ahead (3,) on which a line of sight (3,) looks; None if straight down."""
+    """Side of the track, "left" or "right", to which a line of sight (3,) looks; None if straight down."""
     across = float(ahead[0] * sight[1] - ahead[1] * sight[0])
     if abs(across) < DOWN * float(np.hypot(*ahead[:2])) * abs(float(sight[2])):
         return None
@@ -121,7 +121,7 @@ def axis_passes(collection: Collection, points: GroundPoints) -> tuple[IntArray,
 
 
 def _in_sheet(collection: Collection, points: GroundPoints) -> FoundPasses:
-    """Pulses at which points (n,), each with a height, are within the beam's width all round its axis."""
+    """Passes of points (n,), each with a height, within the beam's width of the axis, on both sides of the track."""
     # Numba is loaded here, which other beams do without.
     from blocksar.kernels.beam_passes import find_passes
 
@@ -130,7 +130,7 @@ def _in_sheet(collection: Collection, points: GroundPoints) -> FoundPasses:
 
 
 def _all_found(n: int, find: Callable[[FoundPasses], int]) -> FoundPasses:
-    """Passes of n points that `find` writes, with room for as many as it says that there are."""
+    """Passes of n points as `find` writes them, repeated with more room until all of them fit."""
     from blocksar.kernels.beam_passes import FoundPasses
 
     most, m = FEW_PASSES, 0
@@ -151,22 +151,22 @@ def _side(collection: Collection) -> LitSide | None:
 
 
 def _loses(collection: Collection, side: LitSide, points: GroundPoints) -> BoolArray:
-    """Whether points (n,) are in the sheet about the axis at pulses at which they are not on the lit side."""
+    """Tell which points (n,) lose pulses when passes are limited to the lit side."""
     found = _in_sheet(collection, points)
-    kept = _of_side(side, points, found)
-    sheet, lit = ((passes.lasts - passes.firsts).sum(axis=0) for passes in (found, kept))
+    on_side = _of_side(side, points, found)
+    sheet, lit = ((passes.lasts - passes.firsts).sum(axis=0) for passes in (found, on_side))
     return np.asarray(sheet != lit)
 
 
 def _of_side(side: LitSide, points: GroundPoints, passes: FoundPasses) -> FoundPasses:
-    """The parts of passes at which points lie on the lit side."""
+    """Limit passes to the pulses at which points are on the lit side."""
     from blocksar.kernels.beam_passes import keep_side
 
     return _all_found(points.x.size, lambda found: keep_side(side, points.x, points.y, passes, found))
 
 
 def _in_order(firsts: IntArray, lasts: IntArray) -> tuple[IntArray, IntArray]:
-    """Ends (n_pass, n) of passes: those that a point lacks at the end of the one before."""
+    """First and last pulses (n_pass, n) in ascending order; empty passes start and end where the previous one ends."""
     empty = firsts >= lasts
     count = int(np.flatnonzero(~empty.all(axis=1)).max(initial=0)) + 1
     firsts, lasts, empty = firsts[:count], lasts[:count], empty[:count]
@@ -262,19 +262,19 @@ def _turning(collection: Collection, points: GroundPoints) -> tuple[IntArray, Bo
     find_turning(table, steering, nodes, *points.each(), turning, rises)
     if (side := _side(collection)) is not None:
         whole = FoundPasses(np.zeros((1, turning.size), np.int64), np.full((1, turning.size), collection.n_pulse))
-        kept = _of_side(side, points.each(), whole)
-        doubtful = np.flatnonzero((kept.firsts[0] > 0) | (kept.lasts[0] < collection.n_pulse))
+        on_side = _of_side(side, points.each(), whole)
+        doubtful = np.flatnonzero((on_side.firsts[0] > 0) | (on_side.lasts[0] < collection.n_pulse))
         turning[doubtful[_loses(collection, side, points.some(doubtful).each())]] = -1
     return turning, rises
 
 
 def _at(collection: Collection, points: GroundPoints, pulses: IntArray) -> FloatArray:
-    """Offsets of points (n,) at a pulse each (n,)."""
+    """Offsets of points (n,) from the beam's centre at one pulse each (n,), rad."""
     return axis_offset(collection, *points, pulses)
 
 
 def _edge_times(collection: Collection, points: GroundPoints, sign: FloatArray, level: float) -> FloatArray:
-    """Times at which sign offset, which rises, passes the level, s."""
+    """Times, s, at which the offset times `sign`, which rises, passes a level."""
     from blocksar.kernels.beam_passes import find_first
 
     n, time = collection.n_pulse, collection.time

@@ -1,4 +1,4 @@
-"""Beams: which pulses light a ground point, when, and with which weight.
+"""Beams: the pulses that light a ground point, their times, and their weights.
 
 A `YawScan` lights a point while |wrapped(yaw - beam_azimuth)| <= beam_width / 2, where yaw is the point's angle about
 the platform's nadir at t = 0. An `AxisScan`, about the antenna's own axis (`axis_beam`), lights it while
@@ -11,7 +11,7 @@ every point with every pulse. `Geometry.beam` is one of the three.
 computed yaws (`EDGE`).
 Points x, y lie on the ground, or at heights z, m, which count under a beam about its axis and in elevation patterns.
 
-Which of several collections, or segments of one, an image's pixel comes from: the one that saw more of its dwell.
+Where several collections, or segments of one, see a pixel, the one that saw more of its dwell forms it.
 
 The share of a point's dwell that a collection saw is 1 + margin / dwell, with the margin by which the dwell lies inside
 the collection's time, below 0 where an end of the collection cuts it. Where several saw all of it, the one with the
@@ -82,7 +82,7 @@ def in_beam(yaw: FloatArray | float, azimuth: FloatArray | float, half_width: fl
 
 
 class Lit(Protocol):
-    """Ground that a beam lights: a geometry, as far as beams need it; see `collection.geometry.Geometry`."""
+    """Geometry as far as beams need it: a collection over its ground; see `collection.geometry.Geometry`."""
 
     @property
     def collection(self) -> Collection: ...
@@ -110,7 +110,7 @@ def beam_of(geometry: Lit) -> Beam:
 
 @dataclass(frozen=True)
 class Beam(ABC):
-    """A beam over the ground of a geometry: when it lights a point, and what a pulse counts there.
+    """A beam over the ground of a geometry: the pulses that light a point, and their weights.
 
     Attributes
     ----------
@@ -198,7 +198,7 @@ class Beam(ABC):
 
     @abstractmethod
     def centre_yaw(self, time: FloatArray, epoch_range: FloatArray | float, low: float, high: float) -> FloatArray:
-        """Yaw of the beam's centre at slow times (n,): the points amid their dwell. The middle if it is not steered.
+        """Yaw of the beam's centre at slow times (n,), where points are in mid-dwell; the mean limit if unsteered.
 
         Under a beam about its axis (..., n), at epoch ranges (...), m, from `low` to `high`; also there the middle,
         where all points are lit at the same time.
@@ -251,11 +251,11 @@ class Beam(ABC):
         return np.asarray(gain)
 
     def dwell_weight(self, x: FloatArray, y: FloatArray, time: FloatArray, taper: Taper) -> FloatArray:
-        """w g of ground points x, y (m) at slow times (s): what they count in the sum to an image; broadcast."""
+        """Weight w g of ground points x, y (m) at slow times (s) in the sum to an image; broadcast."""
         return self.at_times(time, lambda pulses: self.weights(x, y, pulses, taper) * self.gain(x, y, pulses))
 
     def at_times(self, time: FloatArray, value: Callable[[IntArray], FloatArray]) -> FloatArray:
-        """A value of pulses, such as `offset` of points, at slow times (s), linear between pulses; broadcast."""
+        """Interpolate a value of pulses, such as the `offset` of points, linearly to slow times (s); broadcast."""
         collection = self.collection
         position = (time - collection.time[0]) * collection.prf
         before = np.clip(np.floor(position), 0, collection.n_pulse - 2).astype(np.int64)
@@ -291,7 +291,7 @@ class Beam(ABC):
         return np.asarray(np.where((last > first) & np.isfinite(x), np.maximum(total, 0.0), 0.0))
 
     def margin(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Margin by which the dwell of points x, y (...), m, lies inside the collection, over the dwell; see above.
+        """Margin by which the dwell of points x, y (...), m, lies inside the collection, relative to the dwell.
 
         0 where the beam is not steered, or lights a point all the time; -inf where it never does.
         """
@@ -390,7 +390,7 @@ class YawScan(_OfYaws):
         return np.broadcast_to(times, np.broadcast_shapes(np.shape(yaw), np.shape(epoch_range)))
 
     def _times_at(self, level: FloatArray) -> FloatArray:
-        """Times (...) at which the beam has azimuths, rad; beyond the collection's ends as it went on average."""
+        """Times (...) at which the beam has azimuths, rad; extrapolated at the mean rate beyond the collection."""
         beam, time = self.collection.beam_azimuth, self.collection.time
         sign = 1.0 if beam[-1] > beam[0] else -1.0
         inside = np.interp(sign * level, beam if sign > 0 else -beam, time)
@@ -482,7 +482,7 @@ class AxisScan(Beam):
 
 
 def _raveled(x: FloatArray, y: FloatArray, z: Height) -> GroundPoints:
-    """Points (n,), whose height may be one number."""
+    """Broadcast points to (n,); their height may be one number."""
     along_x, along_y = (np.ravel(np.asarray(axis, np.float64)) for axis in (x, y))
     return GroundPoints(along_x, along_y, np.ravel(z) if isinstance(z, np.ndarray) else z)
 
@@ -601,13 +601,13 @@ NODES = 33  # places along each side of a part of an image at which margins are 
 
 
 def margins_over(geometry: Lit, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Margins at NODES x NODES places of a part of an image with axes x and y, m: (NODES, NODES), rows along y."""
+    """Margins at NODES x NODES places of an image part with axes x and y, m: (NODES, NODES), rows along y."""
     places = np.linspace(x[0], x[-1], NODES), np.linspace(y[0], y[-1], NODES)
     return geometry.beam.margin(*np.meshgrid(*places))
 
 
 def expand(margins: FloatArray, shape: tuple[int, int]) -> FloatArray:
-    """Margins at all pixels of that part, (n_y, n_x), linear between places; -inf around places that are never lit."""
+    """Interpolate margins linearly to all pixels of the part, (n_y, n_x); -inf around places that are never lit."""
     with np.errstate(invalid="ignore"):
         for axis, n in enumerate(shape):
             place = np.linspace(0, NODES - 1, n) if n > 1 else np.zeros(1)

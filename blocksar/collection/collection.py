@@ -3,7 +3,7 @@
 Simulation, planning, focusing and back-projection all compute from a `Collection`. It is frozen, in SI units, and
 validated on construction, so that they need not check it again.
 
-Checks of a beam about the antenna's own axis, and of antenna patterns.
+Checks of a beam about the antenna's own axis, and of antenna patterns, are part of this.
 """
 
 from __future__ import annotations
@@ -92,7 +92,8 @@ def check_pattern(name: str, coordinate: str, angle: FloatArray, amplitude: Floa
         )
     for which, values in ((coordinate, angle), (name, amplitude)):
         if not np.isfinite(values).all():
-            raise InputError(f"{which} has {np.count_nonzero(~np.isfinite(values))} values that are not finite")
+            wrong = np.count_nonzero(~np.isfinite(values))
+            raise InputError(f"{which} is not finite at {wrong} of {values.size} values")
     if np.abs(angle).max() > MOST_ANGLE:
         raise InputError(
             f"{coordinate} runs from {angle.min():.6g} to {angle.max():.6g} rad, more than half a turn away; "
@@ -271,7 +272,7 @@ class Collection:
     def _check_spikes(self, name: str) -> None:
         """Refuse a pulse far off both neighbours: steps and noise may be meant, a single pulse elsewhere is not."""
         values = getattr(self, name).reshape(self.n_pulse, -1)
-        # Beyond either end, what its two neighbours lead one to expect.
+        # At either end, extrapolate from the two neighbours.
         before = np.concatenate([2 * values[1:2] - values[2:3], values[:-1]])
         after = np.concatenate([values[1:], 2 * values[-2:-1] - values[-3:-2]])
         median = np.maximum(np.minimum(before, after), np.minimum(np.maximum(before, after), values))
@@ -454,7 +455,7 @@ class Collection:
         return f"<Collection: {self.headline()}>"
 
     def headline(self) -> str:
-        """The collection in half a sentence: its size, band, rate and beam."""
+        """Summary of the collection on one line: size, band, rate and beam."""
         beam = "not steered" if not self.steered else "about its axis" if self.has_axis else "steered in yaw"
         return (
             f"{self.n_pulse} pulses x {self.n_range_frequency} range frequencies, {frequency_text(self.carrier)}, "
@@ -471,7 +472,7 @@ class Collection:
 
     @property
     def steered(self) -> bool:
-        """Whether the beam is steered, so that a target may be lit for a part of the time only."""
+        """Tell whether the beam is steered, so that a target may be lit for part of the time only."""
         return self.beam_width is not None
 
     @property
@@ -486,7 +487,7 @@ class Collection:
 
     @property
     def has_pattern(self) -> bool:
-        """Whether the signal has an antenna pattern in it that is known."""
+        """Tell whether the signal contains a known antenna pattern."""
         return self.beam_pattern is not None or self.elevation_pattern is not None
 
     @property
@@ -496,7 +497,7 @@ class Collection:
 
     @cached_property
     def without_elevation(self) -> Collection:
-        """The collection as if the antenna had no pattern in elevation."""
+        """Copy of the collection without the antenna's pattern in elevation."""
         if self.elevation_pattern is None:
             return self
         return Collection(**{**self.as_dict(), "elevation": None, "elevation_pattern": None})
@@ -548,7 +549,7 @@ class Collection:
         return Collection(**{**self.as_dict(), **cut, "time": time})
 
     def steadied(self, n_interval: int) -> Collection:
-        """Copy under a steered beam that follows cubic splines of so many intervals; 0: straight lines.
+        """Copy whose steered beam follows cubic splines of `n_interval` intervals; with 0, straight lines.
 
         Itself where its pulses are too few for that, or a yaw would turn back or stand still.
         """
@@ -575,7 +576,7 @@ class Collection:
 
     @cached_property
     def steady(self) -> Collection:
-        """For a beam about its axis, one that is smooth over a part 1 / STEADY_PARTS of the collection.
+        """Copy whose beam about its axis is smooth over 1 / STEADY_PARTS of the collection.
 
         The same collection where they lie next to nothing apart.
         """
@@ -595,7 +596,7 @@ class Collection:
 
     @property
     def lit_widths(self) -> float:
-        """Widths of the beam over which the samples hold echoes: 1, and of a look those of the whole beam."""
+        """Width over which the samples hold echoes, in beam widths: 1, or for a look whole beam over look."""
         return 1.0 if self.lit_width is None or self.beam_width is None else self.lit_width / self.beam_width
 
     def as_dict(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Distinguish lost pulses from pulses that lit nothing, both of which hold zeros; detect real samples.
+"""Distinction between lost pulses and pulses that lit nothing, both of which hold zeros; detection of real samples.
 
 Many files hold zeros where a pulse was lost. Such a pulse must not count as lit, or amplitudes are low. A pulse without
 noise whose beam lit no scatterer holds zeros as well; it must count, or places beside a target would be divided by the
@@ -55,7 +55,7 @@ ANALYTIC = {
 
 
 def real_numbers(name: str, kind: str, least: float) -> str:
-    """Say what is wrong with samples of a real type, and what to do.
+    """Describe the error about samples of a real type, with the remedy.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def _of_real(name: str) -> str:
 
 
 def find_real(name: str, collection: Collection, parts: Iterable[tuple[tuple[slice, ...], ComplexArray]]) -> str | None:
-    """Say what is wrong with complex samples that are real, with what to do; None if they are not.
+    """Describe complex samples that are real, with the remedy; None if they are complex.
 
     As they are, or but for the phase of the reference range. Samples of one sign may be those of a single target at
     that range.
@@ -122,7 +122,7 @@ RANGES, TURNS = 5, 2048  # nodes of range over the window, and of angle about th
 def missing_pulses(
     empty: BoolArray, known: BoolArray, collection: Collection, read: Callable[[int], ComplexArray]
 ) -> BoolArray:
-    """Tell which of the pulses without a sample other than zero are missing.
+    """Tell which pulses that hold zeros only were lost.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def missing_pulses(
 
 
 def _lit_beside(geometry: Geometry, pulse: int, way: int, length: int, read: Callable[[int], ComplexArray]) -> int:
-    """Number of neighbouring zero pulses that would also hold the pulse's echoes; all, `n_pulse`, for noise.
+    """Number of zero pulses next to a pulse that would also contain its echoes; `n_pulse`, all, for noise.
 
     `way` leads away from the zeros, over `length` pulses with echoes: 1 if the zeros come before them, -1 if after.
     """
@@ -186,7 +186,7 @@ def _lit_beside(geometry: Geometry, pulse: int, way: int, length: int, read: Cal
 
 
 class _Edge(NamedTuple):
-    """The beam's edge over which scatterers enter it at a pulse, or leave it, on one side of the track."""
+    """Edge of the beam that scatterers cross when they enter or leave it, on one side of the track."""
 
     offset: FloatArray  # (n_range,) m about the reference range
     change: FloatArray  # (n_range,) m: d at the edge, from the pulse to the one `apart`
@@ -196,7 +196,7 @@ class _Edge(NamedTuple):
 
 
 def _edges(geometry: Geometry, pulse: int, way: int) -> list[_Edge]:
-    """The edges that meet the ground within the range window, on either side of the track if nothing tells which."""
+    """Find the edges that meet the ground within the range window, on both sides of the track if it is unknown."""
     collection, found = geometry.collection, []
     side = {"left": 1, "right": -1}.get((imaged_side(geometry) if collection.has_axis else None) or "", 0)
     ahead = collection.antenna_position[-1] - collection.antenna_position[0]
@@ -228,7 +228,7 @@ def _edges(geometry: Geometry, pulse: int, way: int) -> list[_Edge]:
 
 
 def _places(geometry: Geometry, pulse: int, levels: Sequence[float]) -> tuple[FloatArray, list[list[FloatArray]]]:
-    """Where the ground is some levels, rad, off the beam's centre, at ranges (n_range,) about the reference range, m.
+    """Ground places with given offsets, rad, from the beam's centre, at ranges (n_range,) about the reference range, m.
 
     For each level there is an array of points (n_range, 3), m, for each such place about the antenna's foot, in the
     order of angles there; NaN where a range has fewer.
@@ -257,7 +257,7 @@ def _places(geometry: Geometry, pulse: int, levels: Sequence[float]) -> tuple[Fl
 
 
 def _offset_rate(geometry: Geometry, point: FloatArray, pulse: int) -> float:
-    """How the offset of a point (3,) from the beam's centre changes from pulse to pulse, rad."""
+    """Change of a point's offset from the beam's centre between pulses, rad."""
     around = np.clip([pulse - 1, pulse + 1], 0, geometry.collection.n_pulse - 1)
     before, after = geometry.beam.offset(point[0], point[1], around, float(point[2]))
     return float(after - before) / int(around[1] - around[0])
@@ -273,7 +273,7 @@ def _changes(collection: Collection, points: FloatArray, pulse: int, other: int)
 
 
 def _phase_change(collection: Collection, edge: _Edge, one: ComplexArray, two: ComplexArray) -> tuple[float, float]:
-    """|mean| and phase, rad, of conj(s_p) s_q over range cells, over what they have at the edge, by energy of s_p."""
+    """Correlate two pulses over range cells, without the phase at the edge: magnitude (1: alike), phase, rad."""
     n = collection.n_range_frequency
     middle = float(np.median(edge.change))
     frequency = collection.carrier + collection.range_frequency

@@ -1,6 +1,6 @@
-"""Positions in another coordinate system than is said: km, degrees, Earth-centred, inertial, rounded to float32.
+"""Checks of positions for other frames and units: km, degrees, Earth-centred, inertial, rounded to float32.
 
-Each is told by sizes and by the speed over ground, and named with its remedy. A position is never changed.
+Each is recognised by sizes and by the speed over ground, and reported with its remedy. Positions are never changed.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ ECEF_OF = "np.stack(pyproj.Transformer.from_crs(4979, 4978).transform(latitude, 
 def check_scene_frame(
     *, carrier: float, time: FloatArray, position: FloatArray, reference: FloatArray, ground_height: float
 ) -> None:
-    """Refuse positions (n, 3) that are not in a local frame in m, z up, if another kind explains them.
+    """Refuse positions (n, 3) outside a local frame in m, z up, if another frame or unit explains them.
 
     Arguments that fit no collection pass: what is wrong with them is said elsewhere.
 
@@ -71,7 +71,7 @@ def check_scene_frame(
 def check_earth_centred(
     *, carrier: float, time: FloatArray, position: FloatArray, reference: FloatArray, frame: Georeference
 ) -> None:
-    """Refuse positions (n, 3) that are not Earth-centred, Earth-fixed, in m, if another kind explains them.
+    """Refuse positions (n, 3) that are not Earth-centred, Earth-fixed, in m, if another frame or unit explains them.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def _way(position: FloatArray) -> float:
 
 
 def _is_earth_centred(position: FloatArray, time: FloatArray, distance: float, ground_height: float) -> bool:
-    """Whether positions, m, fit the Earth as their centre, and no local frame.
+    """Tell whether positions, m, are plausible as Earth-centred and implausible in a local frame.
 
     Seen at a slant range R, an antenna is at most R above the ground. In a local frame that is z, and positions with
     z <= R may be local: those of a map projection reach 10 000 km. A satellite near the equator has z so small too, but
@@ -154,7 +154,7 @@ def _is_earth_centred(position: FloatArray, time: FloatArray, distance: float, g
 def _check_degrees(
     carrier: float, time: FloatArray, position: FloatArray, distance: float, ground_height: float, remedy: str
 ) -> None:
-    """Refuse latitude, longitude and height: small, high above the ground, and as fast as a platform if degrees.
+    """Refuse latitude, longitude and height given as positions: plausible as a platform in degrees only.
 
     Satellites turn by 0.06 degrees a second, aircraft by less than 0.01: as metres, next to no motion, whose aperture L
     resolves c R / (2 fc L), COARSE and more.
@@ -183,7 +183,7 @@ def _check_degrees(
 
 
 def _check_rounding(carrier: float, position: FloatArray) -> None:
-    """Refuse positions that were rounded to float32, if their steps blur: 0.5 m at the Earth's radius.
+    """Refuse positions that were rounded to float32 where this blurs: in steps of 0.5 m at the Earth's radius.
 
     Rounding is told by values that float32 holds, with third differences of the size of its steps; a track on round
     numbers has none.
@@ -203,7 +203,7 @@ def _check_rounding(carrier: float, position: FloatArray) -> None:
 
 
 def _check_inertial(time: FloatArray, position: FloatArray, reference: FloatArray, frame: Georeference) -> None:
-    """Refuse positions of a satellite in an inertial frame (ECI) that are said to be Earth-fixed.
+    """Refuse positions of a satellite in an inertial frame (ECI) that are labelled Earth-fixed.
 
     A satellite falls freely: its acceleration is g = -GM r / r^3 in an inertial frame, and
     g - 2 w x v - w x (w x r) in one that turns with the Earth at w, 1 m/s^2 apart on low orbits. Where the reference
@@ -228,7 +228,7 @@ def _check_inertial(time: FloatArray, position: FloatArray, reference: FloatArra
         return
     if np.ndim(reference) and np.ptp(reference) > 0:
         away = np.sqrt((frame.from_ecef(position) ** 2).sum(axis=1)) - reference
-        turned = float(SPIN * np.hypot(*middle[:2]) * span)  # what the Earth's rotation moves the ground by
+        turned = float(SPIN * np.hypot(*middle[:2]) * span)  # motion of the ground by the Earth's rotation
         if np.ptp(away) < FOLLOWS * turned:
             return
     raise InputError(

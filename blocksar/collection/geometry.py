@@ -44,7 +44,7 @@ class AntennaState(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Track:
-    """A smooth track: one Chebyshev series over slow time per axis, and a spline where a polynomial does not suffice.
+    """Smooth track: a Chebyshev series over slow time per axis, plus a spline where a polynomial does not suffice.
 
     Attributes
     ----------
@@ -165,7 +165,7 @@ def fit_track(time: FloatArray, position: FloatArray, *, accuracy: float) -> Tra
 
 
 def _fit_wobble(time: FloatArray, misfit: FloatArray, *, enough: float) -> Spline | None:
-    """The coarsest spline that leaves `enough` m at most, or hardly more than the finest one; None for few pulses."""
+    """Fit the coarsest spline that leaves at most `enough` m, or little more than the finest; None for few pulses."""
     tried: list[tuple[float, Spline]] = []
     n_interval = MIN_INTERVALS
     while n_interval <= min(time.size // PULSES_PER_INTERVAL, MAX_INTERVALS):
@@ -216,11 +216,11 @@ class Geometry:
     def over(
         self, terrain: Terrain | None, smooth: Callable[[FloatArray, FloatArray], FloatArray] | None = None
     ) -> Geometry:
-        """Copy of the collection over another ground; what is known of its track is kept."""
+        """Copy over another ground, with all that was computed of the track."""
         return self._keeping_track(Geometry(collection=self.collection, terrain=terrain, smooth=smooth))
 
     def lit_by(self, collection: Collection) -> Geometry:
-        """Copy under the beam of another collection; what is known of its track is kept."""
+        """Copy under the beam of another collection, with all that was computed of the track."""
         return self._keeping_track(Geometry(collection=collection, terrain=self.terrain, smooth=self.smooth))
 
     @property
@@ -229,8 +229,8 @@ class Geometry:
         return beam_of(self)
 
     def _keeping_track(self, other: Geometry) -> Geometry:
-        kept = ("track", "epoch", "nadir", "epoch_position", "track_powers")
-        other.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
+        cached = ("track", "epoch", "nadir", "epoch_position", "track_powers")
+        other.__dict__.update({name: self.__dict__[name] for name in cached if name in self.__dict__})
         return other
 
     @property
@@ -257,7 +257,7 @@ class Geometry:
         return np.stack([x, y, np.broadcast_to(self.height(x, y), x.shape)], axis=-1)
 
     def level(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray | float:
-        """Height, m, of the smooth surface at epoch ranges (m) and yaws (rad)."""
+        """Height, m, of the smooth ground at epoch ranges (m) and yaws (rad)."""
         return self.collection.ground_height if self.smooth is None else self.smooth(epoch_range, yaw)
 
     @cached_property

@@ -222,7 +222,7 @@ def geodetic_of(ecef: FloatArray) -> FloatArray:
 
 
 def datum_tie(crs: CRS, longitude: float, latitude: float) -> tuple[float, str]:
-    """How well PROJ ties a CRS to WGS 84 at a place, degrees: m, 0 for the same datum, and NaN where it knows no tie.
+    """Accuracy of PROJ's tie of a CRS to WGS 84 at a place (degrees), m; 0 for the same datum, NaN without a tie.
 
     And the grid that a better tie needs, which is not installed; or nothing.
     """
@@ -234,12 +234,12 @@ def datum_tie(crs: CRS, longitude: float, latitude: float) -> tuple[float, str]:
 
 
 def _tie(crs: CRS, longitude: float, latitude: float) -> tuple[float, str]:
-    """The accuracy that PROJ states of the tie, m, -1 for none, and the first grid that a better one needs."""
+    """Query PROJ for the accuracy of the tie, m, -1 for none, and the name of a missing grid that would improve it."""
     from pyproj.transformer import AreaOfInterest, TransformerGroup
 
     longitude = longitude - 360 * round(longitude / 360)
     about = AreaOfInterest(longitude, latitude, longitude, latitude)
-    with warnings.catch_warnings():  # of what is returned
+    with warnings.catch_warnings():  # warnings about the transformations that are returned
         warnings.simplefilter("ignore")
         ties = TransformerGroup("EPSG:4326", crs, always_xy=True, area_of_interest=about)
     accuracy = float(ties.transformers[0].accuracy) if ties.transformers else -1.0
@@ -338,11 +338,11 @@ def find_scene_centre(
     up, own = _up(position), geodetic_of(position)[2] - height
     down = -(up - float((up * along).sum()) * along)
     down /= np.linalg.norm(down)
-    beside = np.cross(along, down) if side == "left" else np.cross(down, along)
+    across = np.cross(along, down) if side == "left" else np.cross(down, along)
     centre, radius = position + slant_range * np.sin(squint) * along, slant_range * np.cos(squint)
 
     def point(angle: float) -> FloatArray:
-        return np.asarray(centre + radius * (np.cos(angle) * down + np.sin(angle) * beside))
+        return np.asarray(centre + radius * (np.cos(angle) * down + np.sin(angle) * across))
 
     if geodetic_of(point(0.0))[2] >= height:
         raise InputError(
@@ -365,7 +365,7 @@ def _up(point: FloatArray) -> FloatArray:
 
 
 def _bisect(value: Callable[[float], float]) -> float:
-    """Where a function that rises from below zero at 0 passes zero, up to half a turn."""
+    """Root, by bisection up to half a turn, of a function that rises from below zero at 0."""
     low, high = 0.0, np.pi
     while high - low > ROUNDED:
         middle = (low + high) / 2

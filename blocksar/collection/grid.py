@@ -56,7 +56,7 @@ class Grid:
 
     @property
     def as_option(self) -> str:
-        """As --grid takes it."""
+        """The grid as text for the option --grid."""
         x, y = (self.x0, self.x1, self.dx), (self.y0, self.y1, self.dy)
         return ",".join(":".join(f"{number:.10g}" for number in axis) for axis in (x, y))
 

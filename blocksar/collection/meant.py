@@ -1,8 +1,8 @@
-"""Slips that explain a grid outside the swath: degrees, beam widths, feet, kilometres, the other side of the track.
+"""Likely mistakes behind a grid outside the swath: degrees, beam widths, feet, kilometres, side of the track.
 
-Each candidate changes a unit, or the side of the track, one thing at a time. It is named if the middle of the grid then
-lies in the range window while it is lit, which it does not as given. `collection.frames` tells positions in another
-frame, before that.
+Each candidate changes one thing: a unit, or the side of the track. It is reported if the middle of the grid then lies
+in the range window while it is lit, which it does not as given. `collection.frames` has recognised positions in another
+frame before.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ BAND = 4.0  # times the PRF, from which on a band of Doppler is no matter of the
 
 
 def find_meant(collection: Collection, grid: Grid, *, on_terrain: bool) -> str | None:
-    """Say what to do about a grid outside the swath if a wrong unit explains it, else None.
+    """Suggest a remedy for a grid outside the swath if a wrong unit explains it; None otherwise.
 
     On a terrain units of heights and ranges are not tried: its own heights are as likely to be wrong.
     """
@@ -48,7 +48,7 @@ def find_meant(collection: Collection, grid: Grid, *, on_terrain: bool) -> str |
 
 
 def _of_steering(collection: Collection) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Units that may be meant by beam_steering, and the fields as they would then be."""
+    """Units that beam_steering may be in, each with the field converted from it."""
     steering, width = collection.beam_steering, collection.beam_width
     if steering is not None and width is not None:
         yield DEGREES, {"beam_steering": np.radians(steering)}
@@ -56,7 +56,7 @@ def _of_steering(collection: Collection) -> Iterator[tuple[str, dict[str, Any]]]
 
 
 def _candidates(collection: Collection) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Say what may be meant, and the fields as they would then be."""
+    """Possible mistakes of unit, each with the remedy and the converted fields."""
     if collection.steered and not collection.has_axis:
         azimuth = np.radians(collection.beam_azimuth)
         yield "beam_azimuth looks like degrees: give radians", {"beam_azimuth": azimuth}
@@ -71,14 +71,14 @@ def _candidates(collection: Collection) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _would_hold(collection: Collection, changes: dict[str, Any], x: float, y: float) -> bool:
-    """Whether `_holds` is true with some fields changed."""
+    """Tell whether `_holds` is true with some fields changed."""
     with suppress(InputError):  # no collection at all
         return _holds(replace(collection, **changes), x, y)
     return False
 
 
 def _holds(collection: Collection, x: float, y: float) -> bool:
-    """Whether a pulse lights a point x, y, m, while its range lies in the range window."""
+    """Tell whether a pulse lights a point x, y, m, while its range lies in the range window."""
     point = np.array([x, y, collection.ground_height])
     away = np.linalg.norm(collection.antenna_position - point, axis=1) - collection.reference_range
     lit = Geometry(collection=collection).beam.is_lit(np.asarray(x), np.asarray(y))
@@ -86,7 +86,7 @@ def _holds(collection: Collection, x: float, y: float) -> bool:
 
 
 def describe_pointing(geometry: Geometry, grid: Grid) -> str:
-    """Where the middle of a grid and a beam about its axis lie, in degrees off the plane normal to the axis."""
+    """Describe the middle of a grid and a beam about its axis, in degrees off the plane normal to the axis."""
     collection = geometry.collection
     assert collection.beam_steering is not None and collection.beam_width is not None
     x, y = ((np.asarray(low + high) / 2) for low, high in ((grid.x0, grid.x1), (grid.y0, grid.y1)))
@@ -104,7 +104,7 @@ def _degrees(*ends: float) -> str:
 
 
 def doubt_width(width: float | None, prf: float, band: float) -> str | None:
-    """Say what is wrong where a band of Doppler (Hz) exceeds the PRF, if a beam's width (rad) in degrees does."""
+    """Suggest that a beam's width (rad) is in degrees if a Doppler band (Hz) exceeds the PRF; None if it is not."""
     if width is None or width <= WIDE or band < BAND * prf or np.radians(band) > prf:
         return None
     return (

@@ -19,8 +19,8 @@ def range_series(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray, *
     squared = np.zeros((*point.shape[:-1], order + 1))
     sight = np.zeros((3, *point.shape[:-1], order + 1))
     for i, column in enumerate(geometry.track_powers):
-        kept = min(order + 1, column.size)
-        sight[i, ..., :kept] = -column[:kept]
+        n_term = min(order + 1, column.size)
+        sight[i, ..., :n_term] = -column[:n_term]
         sight[i, ..., 0] += point[..., i]
     for n in range(order + 1):
         x, y, z = (sight[..., : n + 1] * sight[..., n::-1]).sum(axis=-1)

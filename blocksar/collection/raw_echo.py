@@ -1,6 +1,6 @@
 """Fast-time axis and chirp of a raw echo.
 
-What part of its pulse a raw echo recorded from each range.
+From each range, a raw echo records the whole pulse or a part of it.
 
 A target at range R answers during the two-way delays 2 R / c +- T / 2, of which the fast-time window holds a part p(R):
 all of it between whole ranges, and outwards from these, over one pulse length c T / 2, less and less. A linear chirp
@@ -88,7 +88,7 @@ class RecordedRanges:
 
     @property
     def whole(self) -> tuple[float, float]:
-        """First and last range of which whole pulses were recorded, m; first > last where of none."""
+        """First and last range of which whole pulses were recorded, m; first > last if there are none."""
         return self.near + self.pulse / 2, self.far - self.pulse / 2
 
     @property
@@ -112,7 +112,7 @@ class RecordedRanges:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RawEcho:
-    """Fast-time metadata of a raw echo, beside its `Collection`.
+    """Fast-time metadata of a raw echo, in addition to its `Collection`.
 
     The pulse is rect(tau / T) exp(j pi K tau^2), centred on the delay 2 R / c.
 
@@ -194,7 +194,7 @@ class RawEcho:
         return np.asarray((np.arange(count) - (count - 1) / 2) * step)
 
     def recorded(self, *, partial: bool = False) -> RecordedRanges:
-        """The ranges that it holds."""
+        """The ranges that the echo recorded."""
         half, step = SPEED_OF_LIGHT / 2, 1 / self.sampling_rate
         return RecordedRanges(
             near=half * (float(self.fast_time[0]) - step / 2), far=half * (float(self.fast_time[-1]) + step / 2),

@@ -2,7 +2,7 @@
 
 Regions are given in yaw, and in range from the antenna position at the epoch.
 
-Sentences on a grid that lies outside the swath: why, and what to do.
+Errors about a grid outside the swath give the reason and a remedy.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ ROUND = 1.25 * np.pi  # rad over which a grid is seen by a track that goes round
 def why_outside(
     collection: Collection, half: float, within: tuple[float, float] | None, held: FloatArray, trial: FloatArray
 ) -> str:
-    """Why no range stays in the range window while it is lit.
+    """Explain why no range stays in the range window while it is lit.
 
     `held` (n_yaw, n_range, n_time) are ranges less the reference range, of points at epoch ranges `trial`.
     """
@@ -68,7 +68,7 @@ def why_outside(
 
 
 def why_not_recorded(recorded: RecordedRanges, within: tuple[float, float] | None) -> str:
-    """Why a raw echo has no pulse of what is lit, or no whole one."""
+    """Explain why a raw echo recorded no pulse, or no whole pulse, from the lit ground."""
     where = "" if within is None else f" (the grid's ranges are {within[0]:.6g} .. {within[1]:.6g} m at the epoch)"
     (nearest, farthest), (first, last) = recorded.reached, recorded.whole
     held = f"fast_time holds echoes from ranges {nearest:.6g} .. {farthest:.6g} m"
@@ -83,7 +83,7 @@ def why_not_recorded(recorded: RecordedRanges, within: tuple[float, float] | Non
 
 @contextmanager
 def remedied(geometry: Geometry, grid: Grid) -> Iterator[None]:
-    """Say what to do about a grid that is found outside the swath."""
+    """Add the remedy to errors in the block about a grid outside the swath."""
     try:
         yield
     except OutsideSwath as error:
@@ -97,7 +97,7 @@ def remedied(geometry: Geometry, grid: Grid) -> Iterator[None]:
 
 
 def seen_from(collection: Collection, grid: Grid) -> float:
-    """Angle, rad, over which the bearing of the antenna from the middle of a grid turns, if it sees that all along."""
+    """Angle, rad, by which an unsteered antenna circles the middle of a grid; 0 if the grid leaves the range window."""
     middle = np.array([grid.x0 + grid.x1, grid.y0 + grid.y1]) / 2
     away = collection.antenna_position - np.array([*middle, collection.ground_height])
     change = np.linalg.norm(away, axis=1) - collection.reference_range
@@ -107,7 +107,7 @@ def seen_from(collection: Collection, grid: Grid) -> float:
 
 
 def remedy(geometry: Geometry, grid: Grid) -> str:
-    """Say what to do about a grid outside the swath.
+    """Suggest what to do about a grid outside the swath.
 
     A unit may be wrong (`find_meant`). On a terrain these may be wrong heights: of those in the swath the middle
     is told, z = height of the antenna - sqrt(reference range^2 - distance^2).
@@ -180,7 +180,7 @@ def range_window(
 def _between(
     nearest: FloatArray, farthest: FloatArray, trial: FloatArray, low: float, high: float
 ) -> tuple[FloatArray, FloatArray]:
-    """The trial range at which `nearest` (n_yaw, n_range) is low, and that at which `farthest` is high, at each yaw."""
+    """Trial ranges at each yaw where `nearest` (n_yaw, n_range) equals `low`, and `farthest` equals `high`."""
     known = [np.isfinite(row) for row in nearest]
     return (
         np.array([np.interp(low, row[held], trial[held]) for row, held in zip(nearest, known, strict=True)]),
@@ -188,15 +188,15 @@ def _between(
     )
 
 
-# Yaws of a grid at which a beam about its axis is asked what it lights, yaws beyond it that are asked at a time, and
-# yaws at which the first and the last lit one are found; ranges for that, and for the lit ranges of a yaw.
+# Yaws of a grid at which the lit ground of a beam about its axis is sought, yaws beyond the grid examined at a time,
+# and yaws between which its ends are refined; ranges for both.
 LEAST_YAWS, MOST_YAWS, YAWS_AT_ONCE, FINE_YAWS = 16, 4096, 16, 257
 FEW_RANGES, LIT_RANGES = 17, 129
 SIDE_ENDS = 0.02  # rad along the flight and against it, where nothing is imaged
 LONG = 0.9  # of the longest dwell: less is seen with other resolution and noise
 FULL_RANGES, FULL_YAWS = 33, 257  # at which the ground with full dwell is looked for
-MOST_SAMPLES = 1024  # of a terrain, along each axis, that are asked for their range
-SEEN_AT = 64  # points along a side of a grid, of which it is asked whether any is seen
+MOST_SAMPLES = 1024  # of a terrain, along each axis, whose range is computed
+SEEN_AT = 64  # points along a side of a grid that are tested for being seen
 LOOKED_AT = 256  # points along a side of a grid, of which those outside the window are counted
 
 
@@ -226,7 +226,7 @@ Owned = Callable[[FloatArray, FloatArray], BoolArray]  # whether points x, y (n,
 
 
 class Extent(NamedTuple):
-    """A box in yaw and epoch range, rad and m."""
+    """A box in yaw, rad, and epoch range, m."""
 
     low: float
     high: float
@@ -279,14 +279,14 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
 
 
 def _proposed(geometry: Geometry) -> str:
-    """The grid about the scene's origin, for a message on a missing one; nothing where nothing tells of it."""
+    """Suggest a grid about the scene's origin, for a message; empty if the origin is not in view."""
     with suppress(InputError):
         return f", such as --grid='{facing_grid(geometry).as_option}' about the point that the reference range follows"
     return ""
 
 
 def imaged_side(geometry: Geometry) -> str | None:
-    """The side of the track where the imaged ground of a beam about its axis lies; None if nothing tells.
+    """Side of the track where the ground imaged by a beam about its axis lies; None if unknown.
 
     Without `side_of_track` that of the scene's origin, if the reference range follows the origin.
     """
@@ -321,7 +321,7 @@ def _side_yaws(geometry: Geometry) -> tuple[float, float]:
 
 
 def _lit_region(geometry: Geometry, what: str, low: float, high: float) -> Region:
-    """All that a beam about its axis lights on the side of the track where yaws low .. high, rad, lie.
+    """Find all ground that a beam about its axis lights, on the side of the track with the yaws low .. high, rad.
 
     `what` names these in an error.
 
@@ -337,7 +337,7 @@ def _lit_region(geometry: Geometry, what: str, low: float, high: float) -> Regio
         return _lit_ranges(geometry, yaw, *(np.full(yaw.size, end) for end in ends), count=FEW_RANGES)[2]
 
     def first_unlit(edge: float, sign: float) -> float:
-        """The first yaw, a step after the other from an edge on, of which nothing is lit; or a quarter turn away."""
+        """Step from yaw `edge` to the first yaw at which no ground is lit, at most a quarter turn."""
         for first in range(1, math.ceil(np.pi / 2 / step), YAWS_AT_ONCE):
             outwards = np.asarray(edge + sign * step * (first + np.arange(YAWS_AT_ONCE)), np.float64)
             if not (lit := is_any_lit(outwards)).all():
@@ -370,7 +370,7 @@ def _lit_region(geometry: Geometry, what: str, low: float, high: float) -> Regio
 
 
 def _sides(geometry: Geometry, low: float, high: float) -> tuple[float, float]:
-    """First and last yaw, rad, of the side of the track on which yaws low .. high lie; no limits where on both."""
+    """First and last yaw, rad, of the side of the track with yaws low .. high; infinite if they lie on both."""
     ahead = geometry.collection.antenna_position[-1] - geometry.collection.antenna_position[0]
     heading = float(np.arctan2(ahead[1], ahead[0]))
     first = heading + np.pi * math.floor((low + high - 2 * heading) / (2 * np.pi))
@@ -380,7 +380,7 @@ def _sides(geometry: Geometry, low: float, high: float) -> tuple[float, float]:
 
 
 def _joined(regions: Sequence[Region]) -> Region:
-    """The region that holds some regions."""
+    """Combine regions into one that contains them."""
     if len(regions) == 1:
         return regions[0]
     low, high = min(float(each.yaw[0]) for each in regions), max(float(each.yaw[-1]) for each in regions)
@@ -392,7 +392,7 @@ def _joined(regions: Sequence[Region]) -> Region:
 def _lit_ranges(
     geometry: Geometry, yaw: FloatArray, near: FloatArray, far: FloatArray, *, count: int
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Nearest and farthest lit of `count` ranges from near to far at each yaw (n,), to a step outwards; is any lit?"""
+    """Nearest and farthest of `count` ranges that are lit at each yaw (n,), with a step of room; and whether any is."""
     ranges = near + (far - near) * np.linspace(0, 1, count)[:, None]
     first, last = geometry.beam.dwell_at(yaw, ranges)
     lit = last > first
@@ -403,7 +403,7 @@ def _lit_ranges(
 
 
 def grid_extent(geometry: Geometry, region: Region, grid: Grid, owned: Owned | None = None) -> Extent:
-    """The part of the region that the grid covers, and of that the part which is `owned`, if that is given.
+    """Part of the region that the grid covers; with `owned`, the part of that where it is true.
 
     Raises
     ------
@@ -438,7 +438,7 @@ def grid_extent(geometry: Geometry, region: Region, grid: Grid, owned: Owned | N
 
 
 def check_seen(geometries: Sequence[Geometry], grid: Grid) -> None:
-    """Check that some collection sees any of a grid: that points are lit, with ranges in the range window then.
+    """Refuse a grid of which no collection sees any point, lit and within the range window at once.
 
     Raises
     ------
@@ -461,7 +461,7 @@ def _sees_some(geometry: Geometry, grid: Grid) -> bool:
 
 
 def share_outside(lit: Sequence[tuple[Geometry, Region]], grid: Grid) -> float:
-    """Share of a grid's points at lit yaws whose ranges lie outside the range window, of every collection in `lit`.
+    """Share of a grid's points at lit yaws that lie outside the range window of every collection in `lit`.
 
     From every n-th row and column; points without a height count as within. Under a beam about its axis, which does not
     light all ranges, of points that are lit.
@@ -483,7 +483,7 @@ def share_outside(lit: Sequence[tuple[Geometry, Region]], grid: Grid) -> float:
 def _placed(
     geometry: Geometry, region: Region, x: FloatArray, y: FloatArray, z: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray]:
-    """Yaw, rad, and epoch range, m, of points (n,), m, and whether a region holds the yaw, and the range there.
+    """Yaw, rad, and epoch range, m, of points (n,), m; whether a region holds the yaw, and whether it holds both.
 
     On the ground, unless z is given.
     """
@@ -497,7 +497,7 @@ def _placed(
 def on_terrain(
     geometry: Geometry, grid: Grid, x: FloatArray, y: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-    """Points (n,), m, of a grid; on a terrain those with heights, and its own samples in the grid, for its peaks.
+    """Points (n,), m, of a grid; on a terrain those with known height, and the terrain's own samples in the grid.
 
     Last their heights, m; None on the plane.
     """
@@ -534,7 +534,7 @@ def default_grid(geometry: Geometry, region: Region) -> Grid:
 
 
 def _full_grid(geometry: Geometry, region: Region) -> Grid:
-    """The bounding box of ground in a region with full dwell; where none has, of that with nearly the longest dwell.
+    """Bounding box of a region's ground with full dwell; if there is none, with nearly the longest dwell.
 
     Within it, since a spotlight lights ground just beyond twice: before and after it leaves the beam.
     """

@@ -32,7 +32,7 @@ class Spline:
         return self.coefficients.shape[0] - 3
 
     def __call__(self, at: FloatArray, derivative: int = 0) -> FloatArray:
-        """Values or derivatives (..., n) at any shape; beyond the ends the outermost cubic goes on."""
+        """Values or derivatives (..., n) at places of any shape; the outermost cubics continue beyond the ends."""
         first, weights = basis(np.asarray(at, np.float64), self.start, self.step, self.n_interval, derivative)
         total = weights[..., 0, None] * self.coefficients[first]
         for k in range(1, 4):
@@ -51,7 +51,7 @@ def fit_spline(at: FloatArray, values: FloatArray, n_interval: int) -> Spline:
 
 
 def smoothed(at: FloatArray, values: FloatArray, n_interval: int) -> FloatArray:
-    """The least-squares spline of values (m, n) at these places; with no interval the straight line."""
+    """Least-squares spline of values (m, n), at the same places; the straight line if `n_interval` is 0."""
     if n_interval:
         return fit_spline(at, values, n_interval)(at)
     away = (at - at.mean())[:, None]

@@ -22,7 +22,7 @@ LEAST_PULSES = 16  # of a look
 
 
 def pulses_of(collection: Collection, number: int, count: int) -> slice:
-    """The pulses of a look: all where the beam is steered."""
+    """Pulses of a look, as a slice; all of them if the beam is steered."""
     n = collection.n_pulse
     if collection.steered:
         return slice(0, n)
@@ -30,7 +30,7 @@ def pulses_of(collection: Collection, number: int, count: int) -> slice:
 
 
 def narrowed(collection: Collection, number: int, count: int, sign: float) -> Collection:
-    """A collection with a steered beam as one look of its dwells sees it.
+    """Copy of a collection with its steered beam narrowed to one look of the dwells.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def narrowed(collection: Collection, number: int, count: int, sign: float) -> Co
 
 
 def whole_beam(collection: Collection, look: tuple[int, int, float] | None) -> Collection:
-    """Find what the whole beam saw of which `narrowed` made a look (number, count, sign), but for rounding.
+    """Recover the collection under the whole beam from a look (number, count, sign) made by `narrowed`.
 
     A collection of no look, or of some pulses, is that itself.
     """
@@ -67,12 +67,12 @@ def whole_beam(collection: Collection, look: tuple[int, int, float] | None) -> C
 
 
 def _centre(number: int, count: int, sign: float) -> float:
-    """Where a look lies off the beam's centre, in widths of the beam."""
+    """Centre of a look relative to the beam's centre, in beam widths."""
     return sign * (0.5 - (number + 0.5) / count)
 
 
 def look_of(collection: Collection, number: int, count: int, sign: float) -> Collection:
-    """A collection as one of `count` looks of its dwells sees it; 0 is the first in time, `sign` as for `narrowed`."""
+    """Copy of a collection as look `number` of `count` sees it; 0 is the first in time, `sign` as for `narrowed`."""
     if collection.steered:
         return narrowed(collection, number, count, sign)
     pulses = pulses_of(collection, number, count)
@@ -80,14 +80,14 @@ def look_of(collection: Collection, number: int, count: int, sign: float) -> Col
 
 
 def entering_side(geometry: Geometry, x: float, y: float) -> float:
-    """1 if a point on the ground, m, enters the beam at a positive offset from its centre, else -1."""
+    """Sign of the offset from the beam's centre with which a ground point, m, enters the beam."""
     offset = np.asarray(geometry.beam.offset(np.array(x), np.array(y), slice(None)), np.float64)
     middle = int(np.clip(np.argmin(np.abs(offset)), 1, offset.size - 2))
     return 1.0 if offset[middle + 1] < offset[middle - 1] else -1.0
 
 
 def checked_count(count: int, collection: Collection) -> int:
-    """Return a number of looks that can be formed.
+    """Check a number of looks, and return it as int.
 
     Raises
     ------

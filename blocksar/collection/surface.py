@@ -1,4 +1,4 @@
-"""Names of grounds without heights; apart, since the command line needs no arrays to name its options."""
+"""Names of grounds without heights, in a module without arrays, which the command line imports quickly."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """The height of the ground: samples on a grid of the scene frame, and the height between them.
 
-Whatever asks for a height of the ground, from simulation to products, asks a `Terrain`. It interpolates by cubic
-convolution (Keys, IEEE Trans. ASSP 29(6), 1981), which is smooth to its first derivative and exact for a paraboloid.
-The arithmetic is the same for scattered points and for grids, and for a terrain and its windows, so that the same point
-has the same height, to the bit, for everybody.
+All heights of the ground, from simulation to products, come from a `Terrain`. It interpolates by cubic convolution
+(Keys, IEEE Trans. ASSP 29(6), 1981), which is smooth to its first derivative and exact for a paraboloid. The arithmetic
+is the same for scattered points and for grids, and for a terrain and its windows, so that the same point has the same
+height everywhere, to the bit.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class Terrain:
         return np.where(inside_x & inside_y, total, np.nan)
 
     def on_grid(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Heights (n_y, n_x), m, at columns x (n_x,) and rows y (n_y,), m: those of `__call__`, to the bit."""
+        """Heights (n_y, n_x), m, at columns x (n_x,) and rows y (n_y,), m: bit-identical to `__call__`."""
         return self._sum(*self.taps_of(x, y))
 
     def taps_of(self, x: FloatArray, y: FloatArray) -> tuple[Taps, Taps]:
@@ -157,7 +157,7 @@ class Terrain:
         return float(along_x[1] - along_x[0]) / (2 * hx), float(along_y[1] - along_y[0]) / (2 * hy)
 
     def thinned(self) -> Terrain:
-        """Every `refined`-th sample, for what marches over them: finer ones know no more of the ground."""
+        """Copy with every `refined`-th sample, for loops that march over it: finer samples are interpolated."""
         n = self.refined
         row, column = -self.row % n, -self.column % n
         return replace(
@@ -166,7 +166,7 @@ class Terrain:
         )  # fmt: skip
 
     def window(self, x: tuple[float, float], y: tuple[float, float]) -> Terrain:
-        """The part that heights in a box need, x and y from .. to, m; the nearest edge of it where that is outside."""
+        """Part of the terrain for heights in a box, x and y from .. to, m; the nearest edge if the box lies outside."""
         columns, rows = self.span(x, y)
         return replace(self, heights=self.heights[rows, columns], row=self.row + rows.start,
                        column=self.column + columns.start)  # fmt: skip
@@ -219,7 +219,7 @@ class Terrain:
 
 
 def _span(low: float, high: float, size: int, margin: int) -> slice:
-    """Samples from before `low` to behind `high`, at least LEAST of `size`."""
+    """Range of samples around low .. high with a margin, at least LEAST of `size`."""
     first = int(np.clip(np.floor(low) - margin, 0, size - LEAST))
     last = int(np.clip(np.ceil(high) + margin + 1, first + LEAST, size))
     return slice(first, last)

@@ -1,11 +1,11 @@
-"""Tracks that are no single way along the scene: the antenna stands still, turns back, scans a raster, or repeats.
+"""Unusual tracks: the antenna stands still, turns back, scans a raster, or repeats positions.
 
 Chains transform slow time to Doppler, which has to change with the yaw of a target, one to one. Where the antenna
 stands still it does not change, and on the way back it takes its values again. An image depends on positions only, not
 on the times at which the antenna was there, and exact back-projection takes any positions.
 
-Ways are judged over a window of some pulses, so that noise of the positions does not count; what stays below that
-noise is not told.
+Tracks are examined over windows of some pulses, so that noise of the positions does not count; shapes below that noise
+are not reported.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from blocksar.arrays import BoolArray, FloatArray, IntArray
 from blocksar.collection.collection import Collection
+from blocksar.texts import count
 
 WINDOW, LEAST_WINDOW = 1 / 64, 4  # of the pulses, over which ways are judged, and the fewest intervals
 STANDS, USUAL = 0.05, 0.75  # of the usual way over a window: it stands still with less. Usual: that quantile
@@ -31,7 +32,7 @@ REPEATS = 0.5  # of the pulses at the very place of the pulse before, from which
 
 
 class Flaw(NamedTuple):
-    """Unusual way of a track: the fact with its figures, what to do for chains to focus it, and its ways."""
+    """Unusual shape of a track: a sentence with figures, the remedy for chains, and the number of passes."""
 
     fact: str
     remedy: str
@@ -42,7 +43,7 @@ class Flaw(NamedTuple):
 
 
 def find_flaw(collection: Collection) -> Flaw | None:
-    """Flaw of a track that no transform to Doppler can take; None if it has none."""
+    """Find the shape of a track that no transform to Doppler can handle; None if there is none."""
     every = math.ceil(collection.n_pulse / MOST_PULSES)
     position, step = (
         collection.antenna_position[::every],
@@ -64,7 +65,7 @@ def find_flaw(collection: Collection) -> Flaw | None:
 
 
 def _standing(position: FloatArray, width: int) -> BoolArray:
-    """Whether each pulse (n,) lies in a window of so many intervals in which positions (n, 3), m, hardly differ."""
+    """Mask of pulses (n,) inside a window of `width` intervals in which positions (n, 3), m, hardly differ."""
     windows = sliding_window_view(position, width + 1, axis=0)
     extent = np.linalg.norm(windows.max(axis=-1) - windows.min(axis=-1), axis=-1)
     first = np.flatnonzero(extent < STANDS * np.quantile(extent, USUAL))
@@ -75,7 +76,7 @@ def _standing(position: FloatArray, width: int) -> BoolArray:
 
 
 def _turns(position: FloatArray, width: int) -> IntArray:
-    """Pulses at which positions (n, 3), m, turn back, or fly back to begin another row, ascending."""
+    """Pulses at which positions (n, 3), m, turn back, or jump back to begin another row, ascending."""
     n = len(position)
     way = position[width:] - position[:-width]
     length = np.linalg.norm(way, axis=1)
@@ -94,7 +95,7 @@ def _turns(position: FloatArray, width: int) -> IntArray:
 
 
 def _flights_back(position: FloatArray) -> IntArray:
-    """The last pulses before steps against the way, many times as long as usual."""
+    """Last pulses before steps backwards that are many times the usual length."""
     step = np.diff(position, axis=0)
     length = np.linalg.norm(step, axis=1)
     usual = float(np.median(length))
@@ -112,7 +113,7 @@ def _runs(mask: BoolArray) -> list[tuple[int, int]]:
 def _stands_still(collection: Collection, standing: BoolArray) -> Flaw:
     runs, n, time = _runs(standing), collection.n_pulse, collection.time
     places = ", ".join(f"{first} .. {last} (t = {time[first]:.6g} .. {time[last]:.6g} s)" for first, last in runs[:3])
-    more = f" and in {len(runs) - 3} more places" if len(runs) > 3 else ""
+    more = f" and in {count(len(runs) - 3, 'more place')}" if len(runs) > 3 else ""
     inside = [run for run in runs if run[0] > 0 and run[1] < n - 1]
     first = runs[0][1] + 1 if runs[0][0] == 0 else 0
     last = runs[-1][0] if runs[-1][1] == n - 1 else n
@@ -150,7 +151,7 @@ def _raster(turns: IntArray) -> Flaw:
 
 
 def _repeats(step: FloatArray) -> Flaw | None:
-    """Positions that are held between steps; None if the antenna moves on for good, and then stands still."""
+    """Describe positions that stay constant between steps; None if the antenna keeps moving, or stops for good."""
     moves = np.flatnonzero(step)
     if moves.size < ROWS or np.diff(moves).max() > 4 * max(float(np.median(np.diff(moves))), 1.0):
         return None

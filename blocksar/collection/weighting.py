@@ -1,4 +1,4 @@
-"""Weighting: the tapers over band and dwell with which an image is summed, and the ideal responses they give.
+"""Weighting: the tapers over band and dwell of an image's sum, and their ideal responses.
 
     image(p) = sum w(p, t) W(f) signal exp(+4j pi (fc + f) / c (R(p, t) - reference_range)) / sum w(p, t) W(f) g(p, t)
 
@@ -24,6 +24,7 @@ from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.constants import SINC_ISLR, SINC_PSLR, SINC_WIDTH
 from blocksar.errors import InputError
+from blocksar.texts import count
 
 Name = Literal["uniform", "taylor", "hamming", "hann", "kaiser"]
 FORMS = "uniform, taylor:NBAR:SLL (such as taylor:4:-35), hamming, hann, or kaiser:BETA (such as kaiser:2.5)"
@@ -73,8 +74,8 @@ class Taper:
         needed = {"taylor": 2, "kaiser": 1}.get(self.name, 0)
         if len(self.parameters) != needed:
             raise InputError(
-                f"weighting {self.text!r} has {len(self.parameters)} parameters, but {self.name} takes {needed}; give "
-                f"{FORMS}"
+                f"weighting {self.text!r} has {count(len(self.parameters), 'parameter')}, but {self.name} takes "
+                f"{needed}; give {FORMS}"
             )
         if self.name == "taylor":
             nbar, level = self.parameters
@@ -129,7 +130,7 @@ class Taper:
         if self.name == "kaiser":
             beta, away = self.parameters[0], 1 - np.square(v)
             within = np.i0(beta * np.sqrt(np.maximum(away, 0.0))) / np.i0(beta)
-            # Its series of cosines grows without limit there, into weights that cancel for targets that are not lit.
+            # Its cosine series grows without limit there, into weights that would cancel for targets that are not lit.
             beyond = np.exp(-(beta**2) / 2 * np.clip(np.abs(v) - 1, 0.0, KAISER_BEYOND)) / np.i0(beta)
             return np.asarray(np.where(away >= 0, within, beyond))
         return _sum(*self.series, np.asarray(v, np.float64))
@@ -286,7 +287,8 @@ def _series(taper: Taper) -> tuple[FloatArray, float]:
             a = np.concatenate([[1.0], 2 * taylor_coefficients(int(taper.parameters[0]), taper.parameters[1])])
         case "kaiser":
             frequency = 0.5
-            # Beyond the ends, where I0(beta sqrt(1 - v^2)) would grow into a Bessel function, the series is free.
+            # Beyond the ends, where I0(beta sqrt(1 - v^2)) would turn into a Bessel function, the series may take any
+            # value.
             v = solvers.gauss_legendre(4 * KAISER_TERMS)[0]
             beta = taper.parameters[0]
             values = np.i0(beta * np.sqrt(1 - v**2)) / np.i0(beta)

@@ -187,7 +187,7 @@ class DopplerResampling(_AzimuthStep):
         return self._inverse()[0]
 
     def _inverse(self) -> tuple[FloatArray, float]:
-        """The positions, of the lowest order that serves, and their largest error, bins; not kept: steps are sent."""
+        """Positions of the inverse map, of the lowest sufficient order, and their largest error, bins; not cached."""
         for order in INVERSE_ORDERS:
             nodes = chebyshev.chebpts1(order + 1)
             positions = through_nodes(self.axes.doppler.position(self._origins(nodes, self.axes.rows.values)).T).T
@@ -197,7 +197,7 @@ class DopplerResampling(_AzimuthStep):
         return positions, error
 
     def _origins(self, u: FloatArray, ranges: FloatArray) -> FloatArray:
-        """Doppler (n_range, n), Hz, that comes to lie at the places u (n,), from -1 to 1 along a row."""
+        """Doppler (n_range, n), Hz, that is resampled to the places u (n,), from -1 to 1 along a row."""
         target = self._doppler(u)
         f = np.broadcast_to(target, (ranges.size, target.size)).copy()
         for _ in range(NEWTON_STEPS):
@@ -210,7 +210,7 @@ class DopplerResampling(_AzimuthStep):
         return doppler.start + doppler.step * (doppler.size // 2 + u * (doppler.size / 2))
 
     def _error(self, positions: FloatArray) -> float:
-        """The largest distance, in bins, of h at positions from where it should be; of some rows."""
+        """Largest distance, bins, between where h maps positions to and where they should be; over some rows."""
         some = slice(None, None, max(self.n_row // INVERSE_ROWS, 1))
         u, doppler = np.linspace(-1, 1, PACE_PLACES), self.axes.doppler
         f = np.asarray(doppler.start + doppler.step * power.polyval(u, positions[some].T), np.float64)
@@ -219,7 +219,7 @@ class DopplerResampling(_AzimuthStep):
 
     @property
     def even(self) -> bool:
-        """Whether positions are those of the inverse, and advance, all along the row, as can be interpolated."""
+        """Tell whether positions follow the inverse and increase along the whole row, so that interpolation works."""
         positions, error = self._inverse()
         order = np.arange(1, positions.shape[1])
         u = np.linspace(-1, 1, PACE_PLACES)
@@ -300,7 +300,7 @@ class DopplerTransform(_AzimuthStep):
         ]
 
     def _cut(self) -> list[Operation]:
-        """Multiplication by zero beyond the time that is summed."""
+        """Zero the samples beyond the time that is summed."""
         time, summed = self.axes.long_time.values, self.axes.summed
         if summed is None:
             return []
@@ -319,7 +319,7 @@ def _turn(phases: RowPolynomial, rows: Axis, *, sign: float = 1.0) -> Turn:
 
 
 def _windows(gate: DwellGate, end: Literal["begin", "end"], axes: Sampling) -> Window:
-    """The window of one end for each range row."""
+    """Windows at one end of the dwell, for each range row."""
     slopes, which = _window_slopes(gate, end, axes.rows)
 
     def windows() -> ComplexArray:
@@ -329,7 +329,7 @@ def _windows(gate: DwellGate, end: Literal["begin", "end"], axes: Sampling) -> W
 
 
 def _blend(gate: DwellGate, end: Literal["begin", "end"], axes: Sampling) -> Blend:
-    """The windows of one end under a taper, and the transform to Doppler, along which its lengths are blended."""
+    """Windows at one end of the dwell under a taper, transformed to Doppler and blended there by length."""
     assert gate.taper is not None
     half = gate.taper.begin if end == "begin" else gate.taper.end
     slopes, which = _window_slopes(gate, end, axes.rows)
@@ -349,7 +349,7 @@ def _blend(gate: DwellGate, end: Literal["begin", "end"], axes: Sampling) -> Ble
 
 
 def _window_slopes(gate: DwellGate, end: Literal["begin", "end"], rows: Axis) -> tuple[FloatArray, IntArray]:
-    """The slopes for which windows of one end are made, and which of them each range row takes.
+    """Slopes for which windows of one end are made, and the number of that of each range row.
 
     The slope changes by a tenth over a swath: a window for every range would cost more than the transforms.
     """

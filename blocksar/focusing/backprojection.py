@@ -58,7 +58,7 @@ def accumulate(
     weight: Float32Array | None = None,
     device: Device = CPU,
 ) -> None:
-    """Add a block of pulses to the image, in place: image += sum over lit pulses of the profile at the pixel's range.
+    """Add a block of pulses to the image in place: profiles interpolated at each pixel's range, over its lit pulses.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ def form_points(
 
 
 class DevicePixels:
-    """Pixels on a device, to which profiles are added; `take` gives them back to `sums`."""
+    """Pixels on a device to which profiles are added; `take` returns them to `sums`."""
 
     def __init__(self, sums: PixelSums, device: Device) -> None:
         self.sums, self.device = sums, device
@@ -205,14 +205,14 @@ class DevicePixels:
             )  # fmt: skip
 
     def take(self) -> Float32Array | None:
-        """Give the sums back; returns those of the weights, if there are any."""
+        """Copy the sums back to `sums`; return the sums of weights, if there are any."""
         take = self.device.take
         self.sums.image, self.sums.outside = take(self.image), take(self.outside)
         return None if self.weight is None else np.asarray(take(self.weight))
 
 
 class PixelSums:
-    """Sums over pulses at pixels, and what they are divided by.
+    """Sums over pulses at pixels, and their divisors.
 
     Parameters
     ----------
@@ -264,11 +264,11 @@ class PixelSums:
         return np.asarray(np.any([lit_pulses(first, last, n) for _, first, last in self.passes], axis=0))
 
     def note_valid(self, pulses: slice, valid: IntArray | FloatArray) -> None:
-        """Take the number of valid samples (n,) of some pulses, or the sum of their weights over the band."""
+        """Record the number of valid samples (n,) of pulses, or the sum of their weights over the band."""
         self._valid[pulses] = valid if self.over_pulses is None else valid * self.over_pulses[pulses]
 
     def add_gains(self, pulses: slice) -> None:
-        """Add pulses, whose valid samples are known, to the sums of weights times the antenna's pattern."""
+        """Add pulses with known valid samples to the sums of weights times the antenna's pattern."""
         self._gains = np.zeros(self.image.shape) if self._gains is None else self._gains
         for part, first, last in self.passes:
             pixels = LitPixels(self.x[part], self.y[part], self.z[part], first, last)
@@ -305,7 +305,7 @@ class PixelSums:
         return self._divided()
 
     def _divided(self) -> ComplexArray:
-        """The means, those of ground of whose pulses a raw echo recorded only parts divided by the part."""
+        """Divide pixels of partly recorded pulses by the recorded share, and return the image."""
         divide_by_recorded(
             self.image, self.geometry, self.x, self.y, self.z, weighting=self._weighting, threads=self.threads
         )
@@ -372,11 +372,11 @@ def pulse_block_size(collection: Collection) -> int:
 
 
 def image_memory(n_pixels: int, collection: Collection, *, threads: int = 1) -> int:
-    """Upper bound of the memory to form an image of n_pixels, bytes, including the result of `read`."""
+    """Upper bound of the memory for an image of n_pixels, bytes, including the samples that `read` returns."""
     n, bins = collection.n_range_frequency, profile_bins(collection)
     pulses = pulse_block_size(collection)
     pixel = 8 * 5 + 4 + 1 + 2  # bytes: x, y, first, last and image; weight; outside and a mask
-    pixel += 16 if collection.has_pattern else 0  # sums of gains, and what is divided by
+    pixel += 16 if collection.has_pattern else 0  # sums of gains, and divisors
     scratch = 4 * (GROUP_BYTES + 8 * bins) + 16 * 8 * TILE**2
     return n_pixels * pixel + pulses * 8 * (n + bins) + threads * scratch + 16 * 8 * (bins + collection.n_pulse)
 
@@ -400,7 +400,7 @@ def _run_tiles(work: Callable[[Tile], None], shape: tuple[int, ...], threads: in
 
 
 def _lit_passes(geometry: Geometry, x: FloatArray, y: FloatArray, threads: int) -> list[Pass]:
-    """Passes tile by tile, so that temporary arrays stay small: the first of the image, further ones of tiles."""
+    """Passes over pixels, computed by tiles to save memory: first passes of the whole image, later ones by tile."""
     first, last = np.empty(x.shape, np.int64), np.empty(x.shape, np.int64)
     further: list[Pass] = []
 
@@ -447,7 +447,7 @@ def lit_pulses(first: IntArray, last: IntArray, n_pulse: int) -> BoolArray:
 
 
 def pulse_blocks(lit: BoolArray, pulse_block: int) -> list[slice]:
-    """Slices of at most `pulse_block` pulses, on fixed borders, that hold all lit pulses; unlit ends are excluded."""
+    """Divide lit pulses into slices of at most `pulse_block`, on fixed borders; unlit ends are left out."""
     blocks = []
     for start in range(0, lit.size, pulse_block):
         inside = start + np.flatnonzero(lit[start : start + pulse_block])

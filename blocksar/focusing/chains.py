@@ -7,7 +7,7 @@
 Only this module knows the order of steps. Planning binds their constants and traces lines through them, the graph
 applies them, and both treat all processors alike.
 
-Motion compensation for a measured track: what the track has besides a polynomial is taken out block by block.
+Motion compensation removes the deviation of a measured track from a polynomial, block by block.
 
 Let e(t) be the wobble of a track, `geometry.Track.wobble`, and u_T the unit vector from the antenna to a target. The
 signal of the target then has the additional phase +2 fc / c e(t) . u_T(t), in cycles. Removing e . u_b of the beam's
@@ -93,7 +93,7 @@ class MotionCompensation(Step):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RangeMotionCompensation(Step):
-    """Remove what psi of each range has besides that of the middle range."""
+    """Remove the part of psi that differs from range to range, after that of the middle range is gone."""
 
     name = "range-motion-compensation"
     ends_range_part = True
@@ -183,7 +183,7 @@ class RangeMotionInFrequency(Step):
         )
 
     def _factors(self, rng: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The factors (..., n_term), less those of the middle range, and their derivatives along range."""
+        """Factors (..., n_term), minus those of the middle range, and their derivatives along range."""
         here = self.motion.factors(rng)
         step = 1e-3 * (self.motion.far - self.motion.near)
         along = (self.motion.factors(rng + step) - self.motion.factors(rng - step)) / (2 * step)
@@ -191,7 +191,7 @@ class RangeMotionInFrequency(Step):
 
 
 def _turns(factors: FloatArray, cycles: FloatArray) -> list[Operation]:
-    """One operation for each term, from what changes from row to row (n_row, n_term) and along rows (n, n_term).
+    """Make one phase operation for each term from factors by row (n_row, n_term) and cycles along rows (n, n_term).
 
     The first term is the same at all ranges: `MotionCompensation` removes it.
     """
@@ -221,7 +221,7 @@ MOTION = (MotionCompensation, RangeMotionCompensation, RangeMotionInFrequency)
 
 
 def steps_of(method: Method, *, measured: bool = False) -> Steps:
-    """The kinds of steps in order; range sub-blocks have a range gate before them.
+    """Kinds of steps in order; a range sub-block has a range gate before them.
 
     Only the chain for a measured track, one that is no polynomial, has motion compensation.
     """

@@ -1,4 +1,4 @@
-"""Geometric correction: a focused block, range by Doppler, to calibrated ground pixels.
+"""Geometric correction: from a focused block, range by Doppler, to calibrated ground pixels.
 
 The ground map (`GroundMap`) has the position, phase and gain of each ground point's focus. Over a small tile of pixels
 each of these is a polynomial of low degree in (x, y), even the carrier's phase. A compiled loop goes through a tile row
@@ -61,7 +61,7 @@ TILE_GROUP = 16  # tiles per call of the compiled loop
 
 
 class WindowTaps(NamedTuple):
-    """Taps of windows along both axes, and factors that remove carriers, from `_carriers`."""
+    """Interpolation taps along both axes, and factors from `_carriers` that remove carriers."""
 
     in_range: AxisTaps
     in_doppler: AxisTaps
@@ -145,7 +145,7 @@ def _correct(
     block: ComplexArray, ground: GroundMap, *, x: FloatArray, y: FloatArray, z: FloatArray | None,
     tiles: Tiles | None, threads: int, out: ComplexArray | None = None,
 ) -> ComplexArray:  # fmt: skip
-    """`correct` without a pattern in elevation."""
+    """Resample as `correct` does, without a pattern in elevation."""
     out = np.empty((y.size, x.size), np.complex64) if out is None else out
     tiles = tiles or tiles_of(ground, [(x, y)], [z])[0]
     places = tiles.places
@@ -186,7 +186,7 @@ def _correct(
 
 
 def _sector_of(ground: GroundMap, depth: float) -> OwnedSector:
-    """The sector that a block owns; `depth` is the last of the phase centre's coordinates.
+    """Describe the sector that a block owns; `depth` is the last of the phase centre's coordinates.
 
     The sides of the two seam rays decide on ownership: the neighbouring block computes the same products from the same
     numbers, so every pixel has exactly one owner.
@@ -203,7 +203,7 @@ def _sector_of(ground: GroundMap, depth: float) -> OwnedSector:
 
 
 def _blank_others(out: ComplexArray, places: IntArray, side: int) -> None:
-    """Write NaN to the tiles that are not among `places`, (n, 3) as in `Tiles`."""
+    """Set tiles that are not among `places`, (n, 3) as in `Tiles`, to NaN."""
     n_row, n_column = -(-out.shape[0] // side), -(-out.shape[1] // side)
     if places.shape[0] == n_row * n_column:
         return
@@ -221,7 +221,7 @@ def tiles_of(
     windows: Sequence[tuple[FloatArray, FloatArray]],
     heights: Sequence[FloatArray | None],
 ) -> list[Tiles]:
-    """The tiles of some windows, each given by its x (n_x,) and y (n_y,), m, uniform.
+    """Make the tiles of some windows, each given by its x (n_x,) and y (n_y,), m, uniform.
 
     `heights`, each (n_y, n_x), m, are those of the windows, which a ground map with relief needs; None without.
     """
@@ -337,7 +337,7 @@ def _carriers(n_sample: int) -> Float32Array:
 
 
 def _with_room(block: ComplexArray, n_row: int, n_doppler: int) -> ComplexArray:
-    """The block, padded with zeros where it is smaller than two windows, so that one fits from either end."""
+    """Pad a block with zeros to at least two windows along each axis, so that one fits from either end."""
     needed = 2 * n_row, 2 * n_doppler
     lacking = [(0, max(n - size, 0)) for n, size in zip(needed, block.shape, strict=True)]
     return np.pad(block, lacking) if np.any(lacking) else np.ascontiguousarray(block)
@@ -347,7 +347,7 @@ def _with_room(block: ComplexArray, n_row: int, n_doppler: int) -> ComplexArray:
 def _resample(  # type: ignore[no-untyped-def]
     floats, numbers, tiles, x, y, taps, sector
 ):
-    """Write the owned pixels of some tiles to `numbers`, their real and imaginary parts, row by row."""
+    """Resample the owned pixels of some tiles into `numbers`, real and imaginary parts row by row."""
     in_range, in_doppler, across, yaw_step, by_yaw = (
         taps.in_range, taps.in_doppler, tiles.across, sector.yaw_step, sector.weight[0],
     )  # fmt: skip

@@ -1,6 +1,6 @@
-"""The dwell gate: limits each Doppler of the image to its own dwell.
+"""The dwell gate: it limits each Doppler of the image to the dwell of its targets.
 
-The weighting over dwells, and the windows in time that give it to them.
+Under a weighting over dwells, the windows in time also apply it.
 
 After the steps in Doppler, dwells differ in length from target to target, and the beam's centre need not pass amid
 their ends. So a dwell is divided there, at its middle, into two halves. A window rises over one half, from its end to
@@ -35,7 +35,7 @@ SMEARS = 12.0  # sqrt(e) beyond which the smear is small
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HalfDwell:
-    """The half of the dwells from one end to the middle.
+    """Half of the dwells, from one end to the middle.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class HalfDwell:
     lengths: tuple[float, ...]
 
     def blended(self, taper: Taper, since: FloatArray, length: FloatArray) -> FloatArray:
-        """Sum what windows blended for halves of lengths (..., 1), s, give echoes at times (..., n) since their end.
+        """Amplitude (..., n), over the middle's, that blended windows give echoes at times since the dwell's end, s.
 
         Over the middle's weight.
         """
@@ -62,7 +62,7 @@ class HalfDwell:
         return total / float(taper(np.array(0.0)))
 
     def blending(self, rng: FloatArray) -> FloatArray:
-        """Power coefficients along Doppler, (n, order + 1), of the place of a length among `lengths`, 0 .. 1."""
+        """Polynomial along Doppler, (n, order + 1), of the place 0 .. 1 of a half's length among `lengths`."""
         coefficients = self.length.coefficients(rng)
         coefficients[:, 0] -= self.lengths[0]
         return coefficients / max(self.lengths[-1] - self.lengths[0], 1e-12)
@@ -70,14 +70,14 @@ class HalfDwell:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DwellTaper:
-    """The weighting over dwells, and the halves into which their middles divide them."""
+    """Weighting over dwells, and the two halves of a dwell."""
 
     taper: Taper
     begin: HalfDwell
     end: HalfDwell
 
     def rises(self, half: HalfDwell, since: FloatArray, *, slope: float, step: Step) -> list[NDArray[np.complex128]]:
-        """Windows over one of the halves, one for each of its lengths, (n,) each, relative to the middle's weight.
+        """Windows (n,) over one half of the dwell, one for each of its lengths, relative to the middle's weight.
 
         They are convolved with the Fresnel kernel of the area `slope` > 0, s/Hz (`dwell_gate`), as `step` is.
         """
@@ -88,7 +88,7 @@ class DwellTaper:
 def stepped_rise(
     taper: Taper, since: FloatArray, length: float, step: NDArray[np.complex128], *, slope: float
 ) -> NDArray[np.complex128]:
-    """A taper's first half over `length`, then 1, at uniform times since the end: (n,).
+    """Rise of a taper over `length`, s, then 1, at uniform times since the end: (n,).
 
     `step` is the smeared step there, which the taper begins by. The rest is continuous, and is smeared by a transform.
     Its curvature jumps at both ends of the half: where a half is not much longer than its smear, that counts.
@@ -186,12 +186,12 @@ class DwellGate:
     taper: DwellTaper | None = None
 
     def window(self, slope: float, end: Literal["begin", "end"]) -> ComplexArray:
-        """G over `time` for one end of the dwell, (time.size,) complex64; it fades out well beyond the other end."""
+        """Window of the gate over `time` for one end of the dwell, complex64; it fades out far beyond the other end."""
         time = self._time_towards_middle(end)
         return self._fade_out(self._step(time + self.length / 2, abs(slope)), slope, time)
 
     def tapered_windows(self, slope: float, end: Literal["begin", "end"]) -> ComplexArray:
-        """The windows of one end under the taper, one for each of its lengths: (n, time.size) complex64."""
+        """Windows of one end under the taper, one for each length: (n, time.size) complex64."""
         assert self.taper is not None
         time = self._time_towards_middle(end)
         half = self.taper.begin if end == "begin" else self.taper.end
@@ -201,7 +201,7 @@ class DwellGate:
         return np.stack([self._fade_out(rise, slope, time) for rise in rises])
 
     def _step(self, since: FloatArray, slope: float) -> NDArray[np.complex128]:
-        """The smeared step (n,) at times since an end, s, raised just inside of it."""
+        """Smeared step (n,) at times since an end, s, raised just inside of it by `lift`."""
         step = smeared_step(since, slope=slope, blur=self.blur)
         if self.lift:
             rise, fall = (smeared_step(since - n * self.blur, slope=slope, blur=self.blur) for n in (1, 3))
@@ -213,7 +213,7 @@ class DwellGate:
         return self.time.values if end == "begin" else -self.time.values
 
     def _fade_out(self, rise: NDArray[np.complex128], slope: float, time: FloatArray) -> ComplexArray:
-        """The window of a slope from the rise for |slope|: it falls from 1 to 0 from length / 2 to the last time."""
+        """Make the window of a slope from the rise for |slope|, faded out between length / 2 and the last time."""
         room = (self.time.extent - self.length) / 2
         fall = np.clip((time - self.length / 2) / room * (1 + FADE_START) - FADE_START, 0, 1)
         window = rise * np.cos(np.pi / 2 * fall) ** 2
@@ -222,7 +222,7 @@ class DwellGate:
     def halves(
         self, rng: FloatArray, doppler: FloatArray, time: FloatArray
     ) -> tuple[tuple[HalfDwell, FloatArray, FloatArray], ...]:
-        """Of a gate with a taper: both halves, the shares of them at which `time` (..., n) lies, and their lengths.
+        """Both halves of a tapered dwell, with the share (..., n) of each at `time`, and the lengths (..., 1), s.
 
         Targets (...) focus at ranges `rng`, m, and `doppler`, Hz. Shares are 0 at the end and 1 in the middle of the
         dwell; lengths (..., 1) are in s.

@@ -27,7 +27,7 @@ QUANTITIES = 6  # range offset, Doppler, phase, gain, time and bend
 
 @dataclass(frozen=True, kw_only=True)
 class Depth:
-    """How deep points of an epoch range can lie: those of a yaw, below an antenna at x and y, m, from the nadir, and z.
+    """Lowest height that points can have at an epoch range and yaw, below an antenna at x, y, z, m, from the nadir.
 
     Close to the nadir no point lies as low as the lowest ground of a block. What is traced there lies a little aside of
     the point below the antenna, `ASIDE` of the range.
@@ -38,7 +38,7 @@ class Depth:
     z: float
 
     def __call__(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
-        """The least z (m) of points at epoch ranges (m) and yaws (rad), broadcast."""
+        """Lowest z (m) of points at epoch ranges (m) and yaws (rad), broadcast."""
         along = np.cos(yaw) * self.x + np.sin(yaw) * self.y
         across2 = self.x**2 + self.y**2 - along**2
         aside = np.maximum(-along, 0.0) + ASIDE * epoch_range
@@ -64,7 +64,7 @@ class SmoothGround:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NodeHeights:
-    """A smooth ground with heights over it at nodes, m, for arguments of the nodes' shape; without for others."""
+    """Smooth ground plus heights at nodes, m; the heights are added only to arguments of the nodes' shape."""
 
     smooth: SmoothGround
     over: FloatArray
@@ -78,7 +78,7 @@ class NodeHeights:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReliefMap:
-    """Where and how points of a block's terrain focus, by epoch range, yaw and height over the smooth ground.
+    """Focus of points on a block's terrain by epoch range, yaw and height over the smooth ground.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ class ReliefMap:
         return known if self.turns else [*known, np.zeros_like(w)]
 
     def turn(self, epoch_range: FloatArray, yaw: FloatArray, z: FloatArray) -> FloatArray:
-        """The turn alone of points (...), rad."""
+        """Turn of the phase of points (...), rad."""
         if not self.turns:
             return np.zeros(np.shape(z))
         u, v, w = self._coordinates(epoch_range, yaw, z)
@@ -128,7 +128,7 @@ class ReliefMap:
         return values.reshape(w.shape)
 
     def _coordinates(self, epoch_range: FloatArray, yaw: FloatArray, z: FloatArray) -> tuple[FloatArray, ...]:
-        """Range, yaw and height over the smooth ground, each from -1 to 1 over the domain of all surfaces."""
+        """Range, yaw and height over the smooth ground, each scaled to -1 .. 1 over the surfaces' domain."""
         first = self.layers[0][0]
         return (
             first.along.place(epoch_range),
@@ -138,13 +138,13 @@ class ReliefMap:
 
     @cached_property
     def _series(self) -> FloatArray:
-        """All series (n_quantity, n_term, ..), which have the same domain."""
+        """Stack all series (n_quantity, n_term, ..), which share one domain."""
         every = (*self.layers, *([self.turns] if self.turns else []))
         return np.array([[term.series for term in terms] for terms in every])
 
 
 def straighten(line: Line, about: Callable[[Focus], FloatArray]) -> tuple[Line, FloatArray, Focus]:
-    """Lines without the phase that is quadratic in time, (...) cycles/s^2, and their focus.
+    """Remove the quadratic phase of lines; return these, its coefficient (...), cycles/s^2, and their focus.
 
     The interpolation along Doppler takes this phase out; it is `about` the time (...), s, about which it interpolates.
     That may lie off the middle of weights that tilt; the quadratic is found about their middle, where it is orthogonal
@@ -162,7 +162,7 @@ def straighten(line: Line, about: Callable[[Focus], FloatArray]) -> tuple[Line, 
     # The quadratic that is orthogonal to a constant and a slope.
     square = offset**2
     square = square - mean(square)[..., None] - (mean(square * offset) / mean(offset**2))[..., None] * offset
-    # A dwell that is cut short has no bend worth the name.
+    # The bend of a dwell that is cut short is negligible.
     power = mean(square**2)
     bend = mean(level * square) / np.maximum(power, SHORT * power.max())
     bent, offset = bend[..., None], line.time - about(spots)[..., None]
@@ -181,7 +181,7 @@ YAW_STEPS = 4096  # of the range window's limits and the number of lit pulses al
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GroundMap:
-    """The position of each ground point in a block's image, and the complex value of a unit target there.
+    """Map of ground points to a block's image: position and complex value of a unit target's peak.
 
     Attributes
     ----------
@@ -259,7 +259,7 @@ class GroundMap:
 
     @cached_property
     def lit(self) -> FloatArray:
-        """Number of lit pulses at each yaw (n,), missing ones left out: the sum of `valid` times the taper.
+        """Sum of `valid` times the taper over the lit pulses, at each yaw (n,).
 
         Where dwells depend on range, or the antenna has a pattern over the beam, which weighs the pulses besides:
         (n_range, n), at LIT_RANGES from near to far. A pattern in elevation does not
@@ -276,12 +276,12 @@ class GroundMap:
 
     @property
     def least_lit(self) -> float:
-        """The sum over lit pulses below which a pixel is not lit."""
+        """Smallest sum over lit pulses of a pixel that counts as lit."""
         return LEAST_LIT * self.geometry.collection.peak_gain
 
     @cached_property
     def weight(self) -> FloatArray:
-        """Divisor of a pixel's sum, as a table over range and yaw; or one over that, (1, n), over yaw alone."""
+        """Divisor of pixels as a table over range and yaw; if it depends on yaw alone, its reciprocal, (1, n)."""
         if self.lit.ndim > 1:
             return self.lit * self.scale
         weight = (1.0 / np.maximum(self.lit, 1e-9) / self.scale)[None]
@@ -290,7 +290,7 @@ class GroundMap:
 
     @property
     def _least_weight(self) -> float:
-        """The sum of a taper's weights up to which a pixel counts as not lit: it would divide what others leave."""
+        """Smallest sum of a taper's weights of a pixel that counts as lit: dividing by less would amplify residues."""
         collection = self.geometry.collection
         if self.taper.uniform or not collection.steered:
             return 0.0
@@ -320,14 +320,14 @@ class GroundMap:
         return np.concatenate(mean_elevations(geometry, x, y, z, passes=passes, valid=self.valid, taper=self.taper))
 
     def tilted_gain(self, x: FloatArray, y: FloatArray, tilt: FloatArray) -> FloatArray:
-        """Factor of the gain at ground points (...), m, whose dwells a pattern in elevation tilts."""
+        """Factor of the gain at ground points (...), m, from the tilt of the dwell by a pattern in elevation."""
         if self.tilt is None:
             return np.ones(np.shape(x))
         yaw = self.middle_yaw + self.relative_yaw(x, y)
         return 1 + self.tilt(self.geometry.epoch_range(x, y), yaw) * tilt
 
     def widened(self, region: Region, room: float) -> GroundMap:
-        """Copy with limits and sums over lit pulses known `room`, rad, beyond the block."""
+        """Copy with limits and sums over lit pulses extended by `room`, rad, beyond the block."""
         yaw = np.linspace(self.low - room, self.high + room, self.yaw_axis.size)
         near_limit, far_limit = region.at(yaw)
         return replace(self, yaw_axis=yaw, near_limit=near_limit, far_limit=far_limit)
@@ -364,7 +364,7 @@ class GroundMap:
 
 
 def tile_extent(geometry: Geometry, low: float, high: float, near: float, far: float) -> tuple[float, float]:
-    """The side of a block's tiles of pixels at most, m, and by how much they reach beyond its yaws low .. high, rad.
+    """Largest side of a block's tiles of pixels, m, and how far they reach beyond the yaws low .. high, rad.
 
     Over a tile each quantity of the map is a polynomial of `pixel_rows.TILE_DEGREE`, which holds to a millicycle over
     TILE_EXTENT. It goes through places anywhere in the tile, of which the block may own a corner only.
@@ -376,5 +376,5 @@ def tile_extent(geometry: Geometry, low: float, high: float, near: float, far: f
 
 
 def by_range(geometry: Geometry) -> bool:
-    """Whether the sum over lit pulses depends on range."""
+    """Tell whether the sum over lit pulses depends on range."""
     return geometry.beam.by_range or geometry.collection.beam_pattern is not None

@@ -31,7 +31,7 @@ CHECKED = 8  # pixels a side of the parts of which each pixel is tested for the 
 MOST_WINDOWS = 16  # that are formed from the same echoes
 SAMPLED = 16  # places along the side of a window at which it is found which pulses light it
 Window = tuple[slice, slice]
-Outlined = tuple[Window, list[Part]]  # with what lights it, pass by pass
+Outlined = tuple[Window, list[Part]]  # with the lit part in each pass
 
 
 def form_windows(
@@ -73,7 +73,7 @@ def form_windows(
         Of each window, in an order that depends on the windows only, as `backprojection.form_image` defines it.
     """
     whole = [(window, _outline(geometry, x, y, window)) for window in windows]
-    # A single window knows itself which pulses light it.
+    # A single window determines its own lit pulses.
     parts = _joined([outline for _, outline in whole]) if len(windows) > 1 else []
     with on_device(device, memory) as opened:
         former = _Former(geometry, levels, weighting, opened)
@@ -82,7 +82,7 @@ def form_windows(
 
 
 def _outline(geometry: Geometry, x: FloatArray, y: FloatArray, window: Window) -> list[Part]:
-    """Passes that light a window, from a few places of it.
+    """Outline the passes that light a window, from a few places in it.
 
     Between these, pulses may begin and end earlier and later by as much as from one to the next: so many are taken for
     edges besides. What that misses after all is noticed by `_Former.window`.
@@ -100,7 +100,7 @@ def _outline(geometry: Geometry, x: FloatArray, y: FloatArray, window: Window) -
         free = begin == 0 and start == 0, end == n and stop == n  # all of the collection lights it
         begin, end = max(begin - apart, 0), min(end + apart, n)
         start, stop = (0 if free[0] else start + apart), (n if free[1] else stop - apart)
-        # Two places that say as much: where no pulse lights all of the window, none lights both.
+        # Two places suffice: if no pulse lights all of the window, none lights both.
         ends = [(begin, end), (start, stop)] if start < stop else [(begin, begin + 1), (end - 1, end)]
         ends = ends if lit else [(0, 0)]
         places = np.array(ends).T
@@ -109,7 +109,7 @@ def _outline(geometry: Geometry, x: FloatArray, y: FloatArray, window: Window) -
 
 
 def _apart(ends: IntArray, lit: BoolArray) -> int:
-    """Largest step from one lit place (n_row, n_column) to the next, of the pulses at which dwells begin or end."""
+    """Largest step of dwell ends, in pulses, between neighbouring lit places (n_row, n_column)."""
     steps = [
         np.abs(np.diff(ends, axis=k))[np.delete(lit, 0, axis=k) & np.delete(lit, -1, axis=k)].max(initial=0)
         for k in (0, 1)
@@ -118,7 +118,7 @@ def _apart(ends: IntArray, lit: BoolArray) -> int:
 
 
 def _halves(outlines: Sequence[Outlined]) -> list[list[Outlined]]:
-    """Windows on either side of the middle of the box around them, along its longer side."""
+    """Divide windows into those on either side of the middle of their bounding box, along its longer side."""
     ends = [
         (min(window[axis].start for window, _ in outlines), max(window[axis].stop for window, _ in outlines))
         for axis in (0, 1)
@@ -133,7 +133,7 @@ def _halves(outlines: Sequence[Outlined]) -> list[list[Outlined]]:
 
 
 def _joined(outlines: Sequence[Sequence[Part]]) -> list[Part]:
-    """The parts of all windows as one, pass by pass."""
+    """Join the parts of all windows pass by pass."""
     joined = []
     for number in range(max((len(parts) for parts in outlines), default=0)):
         parts = [some[number] for some in outlines if number < len(some)]
@@ -141,14 +141,14 @@ def _joined(outlines: Sequence[Sequence[Part]]) -> list[Part]:
             name: np.concatenate([getattr(part, name) for part in parts]) for name in ("x", "y", "z", "first", "last")
         }
         ends = {name: np.array([every[name].min(), every[name].max()]) for name in ("x", "y", "z")}
-        whole = len(parts) == len(outlines)  # else a window has no such pass
+        whole = len(parts) == len(outlines)  # else some window has no such pass
         light = {name: every[name] if whole else np.append(every[name], 0) for name in ("first", "last")}
         joined.append(Part(**ends, **light))
     return joined
 
 
 class _Former:
-    """Forms windows of an image of one collection."""
+    """Image former for windows of one collection."""
 
     def __init__(self, geometry: Geometry, levels: Levels, weighting: Weighting, device: Device) -> None:
         self.geometry, self.weighting, collection = geometry, weighting, geometry.collection
@@ -162,14 +162,14 @@ class _Former:
         self._valid: FloatArray = np.zeros(collection.n_pulse)
 
     def gather(self, read: ReadPulses, part: Part, threads: int) -> tuple[Part, Echoes | None]:
-        """A part, and its echoes, of one pass of the beam; None where it has none."""
+        """Gather the echoes of a part, of one pass of the beam; None if there are none."""
         return part, self.hierarchy.gather(part, self._blocks(read, part, threads), self._scratch())
 
     def _scratch(self) -> Scratch:
         return Scratch(self.device.empty)
 
     def _blocks(self, read: ReadPulses, part: Part, threads: int) -> Iterator[tuple[IntArray, ComplexArray]]:
-        """Blocks of the pulses that light a part, weighted over band and collection, zero where samples are missing."""
+        """Iterate over blocks of pulses that light a part, weighted over band and collection, zero if missing."""
         (begin, end), _ = part.lit()
         n = self._over_band.size
         pulse = np.arange(self._valid.size)
@@ -184,7 +184,7 @@ class _Former:
             yield np.arange(some.start, some.stop), self.device.put(values)
 
     def _prepare(self, samples: ComplexArray, values: ComplexArray, rows: slice, start: int) -> None:
-        """Write weighted rows, zero where samples are missing; note the sum of the weights of those that are there."""
+        """Write weighted rows, zero where samples are missing, and record the sums of weights of present samples."""
         missing = np.isnan(samples[rows])
         np.copyto(values[rows], samples[rows])
         values[rows][missing] = 0
@@ -200,7 +200,7 @@ class _Former:
         self, read: ReadPulses, x: FloatArray, y: FloatArray, outlines: Sequence[Outlined],
         tops: Sequence[tuple[Part, Echoes | None]], threads: int,
     ) -> Iterator[tuple[Window, ComplexArray]]:  # fmt: skip
-        """Form windows; many of them from the echoes of halves of them, which are decimated first."""
+        """Form windows; if there are many, halves of them from echoes decimated for each half."""
         if len(outlines) <= MOST_WINDOWS:
             for window, _ in outlines:
                 yield window, self.window(read, x[window[1]], y[window[0]], tops, threads)
@@ -211,9 +211,9 @@ class _Former:
     def _divided(
         self, outlines: Sequence[Outlined], tops: Sequence[tuple[Part, Echoes | None]]
     ) -> list[tuple[Part, Echoes | None]]:
-        """Some of the windows as parts, pass by pass, with their echoes out of those of all."""
+        """Decimate the echoes of all windows for some of them, pass by pass."""
         parts = _joined([outline for _, outline in outlines])
-        # Of passes that these lack, as of tops that have no echoes, nothing is left.
+        # Passes that these windows lack, and tops without echoes, are dropped.
         return [
             (part, None if echoes is None else self.hierarchy.divide(top, echoes, part, self._scratch(), -1))
             for part, (top, echoes) in zip(parts, tops, strict=False)
@@ -222,7 +222,7 @@ class _Former:
     def window(
         self, read: ReadPulses, x: FloatArray, y: FloatArray, tops: Sequence[tuple[Part, Echoes | None]], threads: int
     ) -> ComplexArray:
-        """The image (n_row, n_column) on columns x and rows y, m."""
+        """Form the image (n_row, n_column) on columns x and rows y, m."""
         geometry = self.geometry
         sums = PixelSums(geometry, *np.meshgrid(x, y), self.weighting, threads)
         image = self.device.put(sums.image)
@@ -247,7 +247,7 @@ class _Former:
         self, part: Part, echoes: Echoes, image: ComplexArray, threads: int = 1, level: int = 0,
         scratch: Scratch | None = None,
     ) -> None:  # fmt: skip
-        """Add a part to the image (n_row, n_column), in place; its parts side by side in threads."""
+        """Add a part to the image (n_row, n_column) in place; its subparts run in threads."""
         sides = self.hierarchy.levels.sides
         while level < len(sides) and part.side <= sides[level]:
             level += 1
@@ -265,7 +265,7 @@ class _Former:
         run_groups(work, part.divide(sides[level]), threads if self.device is CPU else 1)
 
     def _sum(self, part: Part, echoes: Echoes, image: ComplexArray, scratch: Scratch) -> None:
-        """Back-project what is left to the pixels of a last part, each from the pulses that light it.
+        """Back-project the remaining samples to the pixels of a last part, each from the pulses that light it.
 
         Rows are put in the order of time: edges before the interior, the interior, edges after it. Each pixel takes all
         of the interior, which lies between its first and its last row.
@@ -320,7 +320,7 @@ class _Former:
         return out
 
     def _beam_taper(self, rows: IntArray) -> BeamTaper:
-        """The weights of rows, whose pulses may lie beyond the collection: there the beam goes on as at its end."""
+        """Weights of rows over the beam; pulses beyond the collection continue the beam at its end."""
         geometry, n = self.geometry, self.geometry.collection.n_pulse
         half = (geometry.collection.beam_width or np.inf) / 2
 
@@ -339,11 +339,11 @@ class _Former:
 
 
 def _whole_passes(sums: PixelSums) -> list[tuple[IntArray, IntArray]]:
-    """Passes of all pixels of a window: those of `PixelSums`, of which all but the first are of some tiles only."""
+    """Combine passes of tiles in `PixelSums` into passes of all pixels of a window."""
     (_, *first_pass), *further = sums.passes
     passes = [(first_pass[0], first_pass[1])]
     for window, first, last in further:
-        # The next pass that this tile has not.
+        # The next pass that has no part of this tile yet.
         number = next((k for k, (_, ends) in enumerate(passes) if k and not ends[window].any()), len(passes))
         if number == len(passes):
             passes.append((np.zeros_like(passes[0][0]), np.zeros_like(passes[0][1])))
@@ -352,7 +352,7 @@ def _whole_passes(sums: PixelSums) -> list[tuple[IntArray, IntArray]]:
 
 
 def _holds(echoes: Echoes | None, part: Part) -> bool:
-    """Whether echoes have all pulses that light a part, and in their interior none that does not."""
+    """Tell whether echoes contain all pulses that light a part, and only such pulses in their interior."""
     (begin, end), (start, stop) = part.lit()
     if begin == end:
         return True
@@ -368,7 +368,7 @@ def _holds(echoes: Echoes | None, part: Part) -> bool:
 
 
 def leave_outside(geometry: Geometry, part: Part) -> BoolArray:
-    """Where `mark_outside` sets it; no pulse of the part lights these pixels any more."""
+    """Mark pixels as `mark_outside` does, and remove all pulses of the part from these."""
     outside = np.zeros(part.shape, np.bool_)
     mark_outside(geometry, part, outside)
     part.first[outside], part.last[outside] = 0, 0
@@ -402,7 +402,7 @@ def mark_outside(geometry: Geometry, part: Part, outside: BoolArray) -> None:
 
 
 def dwell_waves(geometry: Geometry, weighting: Weighting) -> float:
-    """Largest frequency of the weights over a steered beam that matters, cycles per dwell."""
+    """Largest significant frequency of the weights over a steered beam, cycles per dwell."""
     if not geometry.collection.steered or weighting.azimuth.uniform:
         return 0.0
     terms, frequency = weighting.azimuth.series

@@ -1,4 +1,4 @@
-"""Hierarchical back-projection: small parts of the image from data that hold no more than that part.
+"""Hierarchical back-projection: small parts of the image from data decimated to their bandwidth.
 
 With c the centre of a part and R_c(p) its exact range at pulse p, the phase history referred to c is
 
@@ -93,7 +93,7 @@ class Path:
         self.speed = float(np.linalg.norm(self._velocity, axis=1).max())
 
     def _index(self, pulses: IntArray) -> IntArray:
-        """Where pulses are kept; beyond what is continued, its ends."""
+        """Index of pulses in the extended track, clipped at its ends."""
         return np.clip(pulses + self.beyond, 0, self._position.shape[0] - 1)
 
     def at(self, pulses: IntArray) -> FloatArray:
@@ -106,7 +106,7 @@ class Path:
         return np.asarray(np.sqrt(x * x + y * y + z * z))
 
     def reach(self, pulses: IntArray, part: Part) -> tuple[float, FloatArray]:
-        """How far a part reaches, seen at pulses (n,).
+        """Extent of a part in range relative to its centre, and its change, seen at pulses (n,).
 
         Returns
         -------
@@ -115,15 +115,15 @@ class Path:
         change : (n, k) float
             Change of R_x - R_c from a pulse to the next, of each of them, m.
         """
-        kept = self._index(pulses)
+        index = self._index(pulses)
         points = np.concatenate([part.centre[None], part.border])
-        sight = self._smooth[kept][:, None] - points
+        sight = self._smooth[index][:, None] - points
         distance = np.sqrt((sight * sight).sum(axis=2))
-        rate = (sight * self._velocity[kept][:, None]).sum(axis=2) / distance
+        rate = (sight * self._velocity[index][:, None]).sum(axis=2) / distance
         return float(np.abs(distance[:, 1:] - distance[:, :1]).max()), rate[:, 1:] - rate[:, :1]
 
     def bend(self, low: int, high: int, part: Part) -> float:
-        """Largest second derivative of that change over its largest, from pulse low to high, per pulse^2."""
+        """Largest second derivative of the change from `reach`, relative to the largest change, per pulse^2."""
         step = max((high - low) // BEND_NODES, 1)
         change = self.reach(np.arange(low, high + 1, step), part)[1]
         if change.shape[0] < 3:
@@ -163,18 +163,18 @@ class Part:
 
     @cached_property
     def _box(self) -> FloatArray:
-        """Low end, middle and high end (3, 3) of x, y and z."""
+        """Corners and middle of the bounding box (3, 3): low end, middle, high end of x, y and z."""
         ends = np.array([(axis.min(), axis.max()) for axis in (self.x, self.y, self.z)])
         return np.stack([ends[:, 0], ends.mean(axis=1), ends[:, 1]])
 
     @property
     def centre(self) -> FloatArray:
-        """The middle (3,) of the box around it, m."""
+        """Middle (3,) of the bounding box, m."""
         return self._box[1]
 
     @property
     def border(self) -> FloatArray:
-        """Corners of the box around it and the middles between them, (k, 3) m: what is farthest from the centre.
+        """Corners and edge middles of the bounding box, (k, 3) m: the places farthest from the centre.
 
         Close by, the nearest point of a side is not one of its ends.
         """
@@ -187,7 +187,7 @@ class Part:
         return float(max(abs(self.x[-1] - self.x[0]), abs(self.y[-1] - self.y[0])))
 
     def lit(self) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Pulses begin <= p < end that light some of it, and first <= p < last that light all that is lit; or none."""
+        """Pulses begin <= p < end that light any pixel, and first <= p < last that light all lit ones; or empty."""
         lit = self.last > self.first
         if not lit.any():
             return (0, 0), (0, 0)
@@ -196,7 +196,7 @@ class Part:
         return some, whole if whole[0] < whole[1] else (some[1], some[1])
 
     def divide(self, side: float) -> Iterator[tuple[slice, slice]]:
-        """Rows and columns of its parts of at most `side` m, all about as large."""
+        """Divide into subparts of at most `side` m and similar size; yields rows and columns."""
         spans = []
         for axis in (self.y, self.x):
             count = min(max(int(np.ceil(abs(axis[-1] - axis[0]) / side)), 1), axis.size)
@@ -212,7 +212,7 @@ REACHED = 1.02  # times the largest delay and Doppler on a part's border: those 
 
 @dataclass(frozen=True)
 class Levels:
-    """How parts are divided, and how well filters and interpolation work.
+    """Levels of the division into parts, and accuracy of filters and interpolation.
 
     Attributes
     ----------
@@ -234,7 +234,7 @@ class Levels:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Frame:
-    """Samples that are left of a phase history for a part, referred to its centre.
+    """Decimated samples of a phase history for a part, referred to its centre: their axes.
 
     Attributes
     ----------
@@ -283,7 +283,7 @@ class Echoes(NamedTuple):
 
 
 class Filters(NamedTuple):
-    """Filters that lead from the samples of one part to those of a part of it.
+    """Filters from the samples of a part to those of a subpart.
 
     Attributes
     ----------
@@ -302,7 +302,7 @@ class Filters(NamedTuple):
 
 
 def airy_reach(attenuation: float) -> float:
-    """s with exp(-2/3 s^(3/2)) = -attenuation dB: how far beyond its largest Doppler a smooth phase has a spectrum.
+    """Excess s of a smooth phase's spectrum beyond its largest Doppler: exp(-2/3 s^(3/2)) = -attenuation dB.
 
     About the time at which Doppler is largest, nu(t) = nu_0 - gamma t^2 / 2, and the spectrum of exp(2j pi int nu dt)
     at nu is an Airy function, Ai(2 pi (nu - nu_0) / (pi gamma)^(1/3)), which falls as that exponential.
@@ -311,7 +311,7 @@ def airy_reach(attenuation: float) -> float:
 
 
 class Hierarchy:
-    """The way of a phase history down the levels: frames are planned by `enter` and `descend`, samples follow them.
+    """Decimation of a phase history level by level: frames are planned by `enter` and `descend`, samples follow.
 
     Parameters
     ----------
@@ -338,7 +338,7 @@ class Hierarchy:
     # ---------------------------------------------------------------- frames
 
     def enter(self, part: Part) -> tuple[Filters, Frame] | None:
-        """From the samples of the collection to a part; None if no pulse lights it."""
+        """Filters and frame from the samples of the collection to a part; None if no pulse lights it."""
         (begin, end), _ = part.lit()
         if begin == end:
             return None
@@ -355,8 +355,8 @@ class Hierarchy:
         (begin, end), inside = child.lit()
         if begin == end:
             return None
-        kept = slice(*np.searchsorted(frame.pulses, (begin, end)))
-        pulses, grid = frame.pulses[kept], frame.grid
+        edges = slice(*np.searchsorted(frame.pulses, (begin, end)))
+        pulses, grid = frame.pulses[edges], frame.grid
         rows = np.concatenate([grid, pulses])
         reach, change = self.path.reach(rows[:: max(rows.size // LOOKS, 1)], child)
         single = self._along_pulses(change, frame, inside)
@@ -377,16 +377,16 @@ class Hierarchy:
             pulses=pulses[(pulses < inside[0]) | (pulses >= inside[1])],
             start=frame.start + first * frame.step, step=frame.step * across.factor,
         )  # fmt: skip
-        return Filters(across, single, further, kept), left
+        return Filters(across, single, further, edges), left
 
     def _along_range(self, reach: float, frame: Frame) -> Decimation:
-        """The filter along range frequencies, for ranges up to `reach` m from the centre's."""
+        """Design the filter along range frequencies for ranges up to `reach` m from the centre's."""
         rate = REACHED * 2 / SPEED_OF_LIGHT * reach * frame.step
         chosen = self._filter(rate, 1)
         return chosen if chosen.span(frame.columns)[0] < frame.columns else self._filter(rate, 1, most=1)
 
     def _along_pulses(self, change: FloatArray, frame: Frame, inside: tuple[int, int]) -> Decimation:
-        """The filter along single pulses, for ranges that change by `change` m from one to the next.
+        """Design the filter along single pulses for ranges that change by `change` m between pulses.
 
         Its factor is a multiple of the interior's stride; it is that where a larger one gains nothing, or where noise
         of the positions would be lost with the Dopplers that are stopped.
@@ -404,14 +404,14 @@ class Hierarchy:
         return self._filter(rate, stride, most=stride)
 
     def _filter(self, rate: float, stride: int, most: int = MOST) -> Decimation:
-        """The filter that passes `rate` cycles a sample, by a multiple of `stride`."""
+        """Design a filter that passes `rate` cycles a sample and decimates by a multiple of `stride`."""
         factor = max(min(int(self.levels.edge / max(rate, 1e-9)), most) // stride, 1) * stride
         return Decimation(factor, 0.0 if factor == 1 else rate * factor, self.levels.attenuation)
 
     # ---------------------------------------------------------------- samples
 
     def gather(self, part: Part, blocks: Iterable[tuple[IntArray, ComplexArray]], scratch: Scratch) -> Echoes | None:
-        """Refer samples to a part and decimate them, block by block; None if no pulse lights it.
+        """Refer samples to a part and decimate them block by block; None if no pulse lights it.
 
         Parameters
         ----------
@@ -433,7 +433,7 @@ class Hierarchy:
         return Echoes(frame, interior, edges)
 
     def divide(self, part: Part, echoes: Echoes, child: Part, scratch: Scratch, level: int) -> Echoes | None:
-        """Refer a part's echoes to one of its parts and decimate them; None if no pulse lights it.
+        """Refer a part's echoes to a subpart and decimate them; None if no pulse lights it.
 
         The result takes the memory that `scratch` has for the level.
         """
@@ -464,7 +464,7 @@ class Hierarchy:
         self, values: ComplexArray, pulses: IntArray, filters: Filters, frame: Frame, interior: ComplexArray,
         edges: ComplexArray,
     ) -> None:  # fmt: skip
-        """Add rows of consecutive pulses to the interior of a frame, or to its edges."""
+        """Add rows of consecutive pulses to the interior or the edges of a frame."""
         a, b = np.searchsorted(pulses, frame.inside)
         for some in (slice(0, a), slice(b, None)):
             if pulses[some].size:
@@ -476,7 +476,7 @@ class Hierarchy:
     def _turned(
         self, values: ComplexArray, turn: FloatArray, low: float, step: float, filters: Filters, scratch: Scratch
     ) -> ComplexArray:
-        """Refer rows to ranges that are larger by `turn` (n,) m, from frequency `low` on, Hz, and decimate them."""
+        """Refer rows to ranges larger by `turn` (n,) m, at frequencies from `low` on, Hz, and decimate them."""
         scale = 2 / SPEED_OF_LIGHT
         across: ComplexArray = self.device.turn_and_decimate(
             values, scale * low * turn, scale * step * turn, filters.across, scratch

@@ -1,4 +1,4 @@
-"""Interference: narrow-band lines over range frequency that stand out of the echoes, found and cut by group of pulses.
+"""Narrow-band interference: lines over range frequency, detected and cut by groups of pulses.
 
 Detection
 ---------
@@ -55,12 +55,12 @@ from blocksar.arrays import BoolArray, Complex128Array, ComplexArray, FloatArray
 from blocksar.errors import InputError
 from blocksar.focusing.method import Cutting
 
-FALSE_ALARMS = 1e-8  # of the cells, at most, in a scene of many targets that all pulses see alike
+FALSE_ALARMS = 1e-8  # of the cells, at most, in a scene of many targets with equal echoes in all pulses
 GROUP = 128  # pulses in which a line is found, about: a pulsed one is cut in all of them
 LEAST = 64  # range frequencies
-STANDS_OUT = np.log(1 / FALSE_ALARMS) / np.log(2)  # over the medians beside it
-SKIRT, NEIGHBOURS = 1.5, 3  # a line ends where the mean of so many cells falls to this, over the medians
-NEAR = 16  # cells beside a line's, in which its leak is looked for
+STANDS_OUT = np.log(1 / FALSE_ALARMS) / np.log(2)  # over the medians on either side
+SKIRT, NEIGHBOURS = 1.5, 3  # a line ends where the mean of NEIGHBOURS cells falls to SKIRT times the medians
+NEAR = 16  # cells on either side of a line in which its leakage is sought
 PASSES = 8  # at most: lines that are hidden by others' leak
 LOST = 0.1  # of a frequency's echoes with the courses: beyond it is missing
 MOST = 0.25  # of the pulses of a group: vectors over them that are subtracted
@@ -68,7 +68,7 @@ MOST = 0.25  # of the pulses of a group: vectors over them that are subtracted
 
 @dataclass(frozen=True, kw_only=True)
 class Interference:
-    """Interference that was cut from some pulses, or from all of them once merged.
+    """Interference that was cut from some pulses, or from all of them after `merge`.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class Interference:
 
     @classmethod
     def merge(cls, parts: Sequence[Self]) -> Self:
-        """Merge what was cut from groups of pulses, of one or more."""
+        """Merge the interference that was cut from one or more groups of pulses."""
         ends = max((line[1] for part in parts for line in part.lines), default=0)
         mask = np.zeros(ends, np.bool_)
         for part in parts:
@@ -113,7 +113,7 @@ class Interference:
         )  # fmt: skip
 
     def sentence(self, method: str, frequency: FloatArray) -> str:
-        """Describe what was cut; `frequency` (n_range_frequency,), Hz, on the carrier."""
+        """Describe the interference that was cut; `frequency` (n_range_frequency,), Hz, includes the carrier."""
         if not self.affected:
             return f"interference ({method}): none stands out, and nothing is cut"
         half, widest = (frequency[1] - frequency[0]) / 2, sorted(self.lines, key=lambda line: line[0] - line[1])[:NAMED]
@@ -204,16 +204,16 @@ def _cut_group(signal: ComplexArray, method: Cutting, turn: Complex128Array | No
         signal[valid] = samples.astype(np.complex64)[valid]
         ratio = over_medians(samples, valid & ~missing)
     missing |= lines_of(ratio)
-    kept = float((np.abs(samples[:, ~missing]) ** 2).sum())
+    remaining = float((np.abs(samples[:, ~missing]) ** 2).sum())
     signal[np.ix_(there, missing)] = np.nan
     return Interference(
         groups=1, affected=1, lines=runs(missing), cut=int((valid & there[:, None])[:, missing].sum()),
-        samples=signal.size, peak=peak, removed=max(energy - kept, 0.0), kept=kept,
+        samples=signal.size, peak=peak, removed=max(energy - remaining, 0.0), kept=remaining,
     )  # fmt: skip
 
 
 def over_medians(samples: Complex128Array, valid: BoolArray) -> FloatArray:
-    """Power of each frequency over the larger of the medians before and after it, (n_column,); 0 where none is."""
+    """Power of each frequency relative to the larger median on either side, (n_column,); 0 without samples there."""
     power = (np.abs(samples) ** 2).sum(axis=0) / np.maximum(valid.sum(axis=0), 1)
     n, width = power.size, max(LEAST // 2, power.size // 4)
     starts = np.unique(np.append(np.arange(0, n - width, max(1, width // 16)), n - width))
@@ -232,7 +232,7 @@ def over_medians(samples: Complex128Array, valid: BoolArray) -> FloatArray:
 
 
 def lines_of(ratio: FloatArray) -> BoolArray:
-    """Cells of lines and their skirts (n_column,), from the power over the medians."""
+    """Mask (n_column,) of lines and their skirts, from the power relative to the medians."""
     seeds = ratio > STANDS_OUT
     if not seeds.any():
         return seeds
@@ -245,7 +245,7 @@ def lines_of(ratio: FloatArray) -> BoolArray:
 
 
 def _subtract_leak(samples: Complex128Array, valid: BoolArray, there: BoolArray) -> tuple[Complex128Array, BoolArray]:
-    """Subtract what follows the lines of a group from the rest of the band: the rest, and the cells of lines."""
+    """Remove the leakage of a group's lines from the rest of the band; return the samples and the mask of lines."""
     missing, rank, most = np.zeros(samples.shape[1], np.bool_), 0, int(MOST * there.sum())
     for _ in range(PASSES):
         cells = ~missing & (over_medians(samples, valid & ~missing) > STANDS_OUT)
@@ -260,13 +260,13 @@ def _subtract_leak(samples: Complex128Array, valid: BoolArray, there: BoolArray)
 
 
 def _shares(samples: Complex128Array) -> FloatArray:
-    """The share of each column (n, m) in what its rows span, (m,): n or less together."""
+    """Share (m,) of each column of samples (n, m) in the space that their rows span; they sum to at most n."""
     spanned = np.linalg.svd(samples, full_matrices=False)[2]
     return np.asarray((np.abs(spanned) ** 2).sum(axis=0))
 
 
 def _courses(samples: Complex128Array, cells: BoolArray, missing: BoolArray) -> Complex128Array:
-    """The courses over pulses (n_pulse, r), orthonormal, of lines that the frequencies beside them have too."""
+    """Orthonormal time courses (n_pulse, r) of lines that neighbouring frequencies share."""
     near = (np.convolve(cells, np.ones(2 * NEAR + 1), "same") > 0) & ~missing & ~cells
     level = float(np.median((np.abs(samples[:, ~missing]) ** 2).mean(axis=0)))
     own = _strong(samples[:, cells], level)
@@ -274,7 +274,7 @@ def _courses(samples: Complex128Array, cells: BoolArray, missing: BoolArray) -> 
 
 
 def _strong(samples: Complex128Array, level: float) -> Complex128Array:
-    """Left singular vectors of samples (n, m) above those of echoes of power `level`, alike or independent."""
+    """Left singular vectors of samples (n, m) whose power exceeds that of echoes of power `level`."""
     vectors, values, _ = np.linalg.svd(samples, full_matrices=False)
     n, m = samples.shape
     most = max(n * m, (np.sqrt(n) + np.sqrt(m)) ** 2)

@@ -1,4 +1,4 @@
-"""Time-frequency lines: the effect of every operation on a target.
+"""Time-frequency lines of targets, and the effect of operations on them.
 
 To stationary phase, a target's azimuth signal is a line (t, f(t)) in the time-frequency plane. Operations on
 samples map lines exactly, so one description of a step serves twice: applied to samples it is the processor, applied
@@ -104,11 +104,11 @@ class Line:
         return self._with(range=self.range + offset)
 
     def _with(self, **changes: FloatArray) -> Line:
-        """Lines with some arrays changed: `dataclasses.replace` takes longer than the arithmetic of small lines."""
+        """Copy with some arrays changed, faster than `dataclasses.replace` for small lines."""
         return Line(**{**self.__dict__, **changes})
 
     def weighed(self, weights: FloatArray) -> Line:
-        """Copy of the lines with other weights: the weighting at the nodes multiplies those of the quadrature."""
+        """Copy of the lines whose quadrature weights are multiplied by a weighting at the nodes."""
         return self._with(weight=self.weight * weights)
 
     @property
@@ -119,7 +119,7 @@ class Line:
 
 @dataclass(frozen=True, eq=False)
 class Focus:
-    """Where and how level lines focus; arrays (...) of targets, each computed when it is first asked for.
+    """Focus of level lines; arrays (...) of targets, each computed on demand.
 
     Each line is summed over its dwell at the Doppler where the final transform peaks.
 
@@ -185,7 +185,7 @@ class Focus:
 
     @cached_property
     def _spread(self) -> FloatArray:
-        """Mean square of that, s^2."""
+        """Mean square time offset, s^2."""
         return np.maximum(self._mean(self._offset**2), 1e-30)
 
     @cached_property
@@ -195,12 +195,12 @@ class Focus:
 
     @cached_property
     def _turn(self) -> FloatArray:
-        """Phase that turns with the mean Doppler removed, cycles."""
+        """Phase after removal of the mean Doppler, cycles."""
         return self.line.phase - self._middle[..., None] * self.line.time
 
     @cached_property
     def _slope(self) -> FloatArray:
-        """From the mean Doppler to the peak of |sum|, Hz: a regression of phase on time leaves no linear part there."""
+        """Difference of the peak of |sum| from the mean Doppler, Hz, by regression of phase on time."""
         return np.asarray(self._mean(self._turn * self._offset) / self._spread)
 
     @cached_property
@@ -279,7 +279,7 @@ class RowPolynomial:
         terms, z = self._terms(np.asarray(rng))[..., None], self.variable(values)
         value, slope, bend = (np.zeros(np.broadcast_shapes(z.shape, terms.shape[1:])) for _ in range(3))
         value += terms[-1]
-        for power, term in enumerate(terms[-2::-1]):  # Horner's scheme; what is still zero is passed over
+        for power, term in enumerate(terms[-2::-1]):  # Horner's scheme; terms that are still zero are skipped
             if power > 1:
                 bend *= z
             if power > 0:

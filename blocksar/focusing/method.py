@@ -91,7 +91,7 @@ class Method(ChainOptions):
 
     @property
     def variant(self) -> bool:
-        """Whether the method is for comparison only: its residuals are then no reason to refuse a plan."""
+        """Tell whether the method is for comparison only, so that residual errors are no reason to refuse a plan."""
         return bool(self.departures)
 
     def as_settings(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The noise of an image: what the noise of the samples leaves at a pixel.
+"""Noise of an image's pixels, derived from the noise of the samples.
 
 The image is sum w W signal exp() / sum w W g, so that independent noise of mean squared magnitude N in each sample
 gives a pixel
@@ -34,7 +34,7 @@ SPARED_BITS = 11
 
 
 class PulseSums(NamedTuple):
-    """Sums over the lit valid pulses of points (...): of w^2, and of w g. Not above 0 beyond the ends of the beam."""
+    """Sums over the lit valid pulses of points (...): of w^2, and of w g; not positive outside the beam."""
 
     squares: FloatArray
     gains: FloatArray
@@ -43,7 +43,7 @@ class PulseSums(NamedTuple):
 def pulse_sums(
     geometry: Geometry, x: FloatArray, y: FloatArray, valid: FloatArray, weighting: Weighting, z: Height | None = None
 ) -> PulseSums:
-    """The sums at points x, y (...), m, of the ground, or at heights z, m.
+    """Compute the sums at points x, y (...), m, on the ground, or at heights z, m.
 
     Dwells begin and end between pulses here, so that the sums are continuous. A point beyond the beam has a dwell of
     negative length, so that the sums go through 0 where the light ends, without a bend.
@@ -102,7 +102,7 @@ class NoiseMap:
     def of(
         cls, geometry: Geometry, weighting: Weighting, valid: FloatArray, spectrum: FloatArray | float = 1.0
     ) -> Self | None:
-        """The noise of a collection's images; None where the noise of its samples is not known, or is 0.
+        """Make the noise map of a collection's images; None if the noise of its samples is unknown or 0.
 
         `spectrum` (n_range_frequency,) is the noise of samples at each range frequency over `noise_power`; for a raw
         echo, that of `RawCompression.noise_spectrum`.
@@ -156,12 +156,12 @@ class NoiseMap:
 
 
 def _nodes(n: int) -> IntArray:
-    """Indices of every NODE_PIXELS-th of n pixels, and of the last."""
+    """Indices of every NODE_PIXELS-th of n pixels and of the last one."""
     return np.unique(np.append(np.arange(0, n, NODE_PIXELS), n - 1))
 
 
 def _at_nodes(height: FloatArray, rows: IntArray, columns: IntArray) -> FloatArray | None:
-    """Heights of pixels (n_y, n_x), m, at nodes; interpolated where unknown, None where no pixel's is known."""
+    """Heights of pixels (n_y, n_x), m, at nodes; interpolated where unknown, None if none is known."""
     if not np.isfinite(height).any():
         return None
     z = height[np.ix_(rows, columns)]
@@ -174,7 +174,7 @@ def _at_nodes(height: FloatArray, rows: IntArray, columns: IntArray) -> FloatArr
 
 
 def _refine(values: FloatArray, nodes: IntArray, n: int) -> FloatArray:
-    """Values (n_node, m) at nodes, linear in between: (n, m)."""
+    """Interpolate values (n_node, m) linearly from nodes to n pixels: (n, m)."""
     if nodes.size == 1:
         return values
     pixel = np.arange(n)

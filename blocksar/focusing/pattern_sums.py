@@ -1,4 +1,4 @@
-"""Sums of the antenna's pattern, times weights, over the lit pulses of pixels: what back-projection divides by.
+"""Sums of weights times the antenna's pattern over the lit pulses of pixels: the divisor in back-projection.
 
 `add_gains` sums pulse by pulse, exactly. `mean_elevations` takes the mean of the pattern in elevation at a few pulses
 of each dwell. A chain divides by it, pixel by pixel: the pattern bends between its samples and may vanish, which no
@@ -28,9 +28,9 @@ from blocksar.kernels.projection import LitPixels
 TOGETHER = 32  # pixels of a row
 DEGREE = 12  # of P: 2e-12 rad for angles up to WIDEST
 LEAST, WIDEST = 0.3, 0.8  # rad off a direction that P serves at least; arc sines of larger ones are computed singly
-# Where the mean of the pattern in elevation over the pulses that light a pixel is a smaller part of the pattern's peak,
-# the pixel is not in the image (NaN), whichever processor forms it: what such a pixel would show are the side lobes of
-# its neighbours and the noise, divided by next to nothing.
+# Smallest mean of the pattern in elevation over the lit pulses of a pixel, relative to the pattern's peak, of a pixel
+# in the image; others are NaN with every processor: they would show their neighbours' side lobes and noise, divided by
+# almost nothing.
 LEAST_ELEVATION = 0.01  # two-way amplitude: -40 dB
 ELEVATIONS = 16  # pulses of a dwell at which the pattern in elevation is looked up for its mean
 EVEN = 1e-9  # of the spacing of a pattern's angles, by which they may differ from even ones
@@ -40,7 +40,7 @@ _C0, _C1, _C2, _C3, _C4, _C5, _C6, _C7, _C8 = fit_even(lambda x: np.cos(np.pi * 
 
 
 class _Cut(NamedTuple):
-    """A pattern along one angle, and what the angle off a direction needs.
+    """Pattern along one angle, as tables for compiled loops.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class _Cut(NamedTuple):
 
     @classmethod
     def of(cls, angles: FloatArray | None, values: FloatArray | None, most: float) -> _Cut:
-        """Prepare a pattern for angles up to `most` off a direction, rad; `values` is None without a pattern."""
+        """Prepare a pattern for angles up to `most`, rad, from its direction; `values` is None without a pattern."""
         most = max(float(most), LEAST)
         series, limit = (_arc_sine(most), float(np.sin(most))) if most <= WIDEST else (np.zeros(0), 1.0)
         if angles is None or values is None:
@@ -89,7 +89,7 @@ def add_gains(
     valid: IntArray | FloatArray,
     taper: Taper = FLAT,
 ) -> None:
-    """Add valid[p] w(pixel, p) g(pixel, p) over a block's lit pulses, in place.
+    """Add valid[p] w(pixel, p) g(pixel, p) over the lit pulses of a block, in place.
 
     w and g are those of `Beam.weights` and `Beam.gain`.
 
@@ -114,7 +114,7 @@ def add_gains(
 
 
 class ElevationMeans(NamedTuple):
-    """Means (n_row, n_column) of the pattern in elevation over the lit pulses of pixels; 0 where none lights them.
+    """Mean elevation patterns (n_row, n_column) over the lit pulses of pixels; 0 if never lit.
 
     Attributes
     ----------
@@ -132,7 +132,7 @@ class ElevationMeans(NamedTuple):
     tilt: FloatArray
 
     def dark(self, geometry: Geometry) -> BoolArray:
-        """Find which pixels are too dark for an image, see `LEAST_ELEVATION`, or not lit at all."""
+        """Mask of pixels that are too dark for an image (`LEAST_ELEVATION`), or never lit."""
         pattern = geometry.collection.elevation_pattern
         assert pattern is not None
         return np.asarray(~(self.plain >= LEAST_ELEVATION * float(pattern.max())))
@@ -176,7 +176,7 @@ def mean_elevations(
 
 
 class _Places(NamedTuple):
-    """Places of pixels (n_row, n_column), m, and yaws, rad, for a beam that is described by them, else 0."""
+    """Positions of pixels (n_row, n_column), m, and their yaws, rad, or 0 for beams that do not use these."""
 
     x: FloatArray
     y: FloatArray
@@ -244,7 +244,7 @@ _PATTERNS = record(_Patterns, REAL_ROWS, types.boolean, _CUT, _CUT, types.float6
 
 @njit(**PART, **COMPILED, **UNCHECKED)
 def _angles(sines: FloatArray, cut: _Cut, n: int) -> None:
-    """Arc sines of n sines, in their place; those beyond the limit, and NaN, are taken for it."""
+    """Arc sines of n values in place; NaN and values beyond the limit are set to the limit."""
     series, limit = cut.series, cut.limit
     for k in range(n):
         t = sines[k] if sines[k] < limit else limit
@@ -306,7 +306,7 @@ def _weigh(gain: FloatArray, angle: FloatArray, n: int, terms: FloatArray, per_r
 def _add_gains(
     total: FloatArray, places: _Places, first: IntArray, last: IntArray, patterns: _Patterns, start: int
 ) -> None:
-    """The sum of `add_gains`."""
+    """Add up the sums of `add_gains`."""
     (x, y, z, yaw), (beam, has_axis, across_beam, down, middle, terms, per_rad) = places, patterns
     has_pattern, n_pulse = across_beam.values.size > 1, beam.shape[0]
     weighed = has_pattern or terms.size > 1
@@ -359,7 +359,7 @@ def _add_gains(
 
 @njit(**PART, **COMPILED, **UNCHECKED)
 def _choose_pulses(firsts, lasts, row: int, begin: int, n: int, share: float, pulses: IntArray) -> None:  # type: ignore[no-untyped-def]
-    """The pulse at a share, 0 .. 1, of the lit pulses of n pixels from `begin` on; -1 where there are none."""
+    """Pulse at a share, 0 .. 1, of the lit pulses of n pixels from `begin` on; -1 if a pixel is not lit."""
     for k in range(n):
         number = 0
         for m in range(firsts.shape[0]):
@@ -377,7 +377,7 @@ def _choose_pulses(firsts, lasts, row: int, begin: int, n: int, share: float, pu
 def _mean_elevations(
     means: ElevationMeans, places: _Places, firsts: IntArray, lasts: IntArray, patterns: _Patterns
 ) -> None:
-    """The means of `mean_elevations`."""
+    """Compute the means of `mean_elevations`."""
     (x, y, z, yaw), (beam, has_axis, across_beam, down, middle, terms, per_rad) = places, patterns
     plain, weighed, tilt = means
     has_pattern = across_beam.values.size > 1

@@ -1,6 +1,6 @@
-"""Loops over rows of pixels of a tile: who owns them, where they lie in the focused block, and their weighted sums.
+"""Loops over rows of a tile's pixels: ownership, position in the focused block, and weighted sums.
 
-Parts of the compiled loops of the geometric correction, on the plane and on a terrain.
+The geometric corrections on the plane and on a terrain share these compiled loops.
 """
 
 from __future__ import annotations
@@ -58,19 +58,19 @@ class Tiles(NamedTuple):
     heights: FloatArray | None
 
     def moved(self, cells: float) -> Tiles:
-        """The tiles of a block whose Doppler index is larger by some cells; not on a terrain."""
+        """Copy whose Doppler indices are larger by some cells; only for tiles without a terrain."""
         polynomials = self.polynomials.copy()
         polynomials[:, 0, TILE_DEGREE + 1] += cells
         return self._replace(polynomials=polynomials)
 
     def some(self, which: slice) -> Tiles:
-        """A group of them, as loops take it."""
+        """Select some tiles, in the layout of the loops."""
         of_each = (self.places, self.polynomials, self.heights)
         return Tiles(fixed(self.across), *(None if all_ is None else fixed(all_[which]) for all_ in of_each))  # type: ignore[arg-type]
 
 
 class OwnedSector(NamedTuple):
-    """The part of the ground that a block owns, and what calibrates it there.
+    """Sector of the ground that a block owns, with its calibration.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class OwnedSector(NamedTuple):
 
 
 class AxisTaps(NamedTuple):
-    """Taps along an axis of the focused block.
+    """Interpolation taps along an axis of the focused block.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ class AxisTaps(NamedTuple):
 
 
 class Windows(NamedTuple):
-    """Windows of a row of pixels (n,) into the focused block.
+    """Interpolation windows of a row of pixels (n,) in the focused block.
 
     Attributes
     ----------
@@ -158,7 +158,7 @@ AXIS_TAPS = record(AxisTaps, FLOATS_IN, *[types.int64] * 3)
 
 
 def place_across(tile: int) -> FloatArray:
-    """Places of the pixels along a tile's side, -1 to 1."""
+    """Positions of pixels along a tile's side, -1 to 1."""
     return np.arange(tile) / max((tile - 1) / 2, 0.5) - 1.0
 
 
@@ -196,7 +196,7 @@ def find_sector(
 
 @njit(**PART, **COMPILED, **UNCHECKED)
 def find_limits(turn: FloatArray, sector: OwnedSector, rng: FloatArray, owned: FloatArray) -> None:
-    """Write NaN to `owned` for pixels outside the range window at their yaw."""
+    """Set `owned` to NaN for pixels outside the range window at their yaw."""
     start, step, near_limit, far_limit = sector.yaw_start, sector.yaw_step, sector.near_limit, sector.far_limit
     for k in range(owned.size):
         place = (turn[k] - start) / step
@@ -213,7 +213,7 @@ def amplitude_of(
     turn: FloatArray, start: float, per_step: float, weight: FloatArray, loss: FloatArray, owned: FloatArray,
     amplitude: Float32Array,
 ) -> None:  # fmt: skip
-    """The factor that calibrates a pixel: the weight at the nearest yaw over the gain; NaN where not owned."""
+    """Calibration factor of pixels: weight at the nearest yaw over the gain; NaN where not owned."""
     for k in range(owned.size):
         place = min(max((turn[k] - start) * per_step, 0.0), weight.size - 1.0)
         amplitude[k] = owned[k] * weight[np.uint64(np.int64(place + 0.5))] * loss[k]
@@ -224,7 +224,7 @@ def divide_by_sums(
     turn: FloatArray, per_step: float, sector: OwnedSector, rng: FloatArray, loss: FloatArray, owned: FloatArray,
     amplitude: Float32Array,
 ) -> None:  # fmt: skip
-    """Divide amplitudes by the sector's sums over lit pulses, linear between ranges and between yaws.
+    """Divide amplitudes by the sector's sums over lit pulses, interpolated linearly in range and yaw.
 
     NaN where the sum is less than the least.
     """
@@ -245,7 +245,7 @@ def divide_by_sums(
 
 @njit(**PART, **COMPILED)
 def along_row(coefficients: FloatArray, t: int, v: float, along: FloatArray) -> None:
-    """Polynomials of tile t at one v: power coefficients in u, quantity by quantity."""
+    """Evaluate the polynomials of tile t at one v: power coefficients in u for each quantity."""
     c = coefficients
     for m in range(along.size):
         inner = c[t, 2, m] + v * (c[t, 3, m] + v * (c[t, 4, m] + v * c[t, 5, m]))
@@ -254,7 +254,7 @@ def along_row(coefficients: FloatArray, t: int, v: float, along: FloatArray) -> 
 
 @njit(**PART, **COMPILED)
 def evaluate_row(along: FloatArray, across: FloatArray, values: FloatArray) -> None:
-    """All quantities (n, u.size) of a row of pixels, at all u."""
+    """Evaluate all quantities (n, u.size) for a row of pixels at all u."""
     for q in range(values.shape[0]):
         m = q * (TILE_DEGREE + 1)
         c0, c1, c2, c3, c4, c5 = along[m], along[m + 1], along[m + 2], along[m + 3], along[m + 4], along[m + 5]
@@ -290,7 +290,7 @@ def place_windows(
 def turn_windows(
     doppler: FloatArray, cycles: FloatArray, middle: FloatArray, step: int, windows: Windows, own: Float32Array
 ) -> None:
-    """The carrier of each pixel's response along its window, and the pixel's own phase, cycles without whole ones.
+    """Carrier of each pixel's response along its window, and the pixel's phase, cycles without whole ones.
 
     Of a carrier the table has `step` entries.
 
@@ -316,7 +316,7 @@ def phasors_of(cycles: Float32Array, real: Float32Array, imag: Float32Array) -> 
 
 @njit(**PART, **COMPILED)
 def find_addresses(windows: Windows, stride: int, amplitude: Float32Array) -> None:
-    """Where each pixel's window begins among the numbers of the block; -1, and no amplitude, where there is none."""
+    """Address of each pixel's window in the block's numbers; -1, and no amplitude, where there is none."""
     at, first_row, first_doppler = windows.at, windows.first_row, windows.first_doppler
     for k in range(at.size):
         outside = np.isnan(amplitude[k]) or first_row[k] < 0 or first_doppler[k] < 0
@@ -335,7 +335,7 @@ def taps_between(taps: Float32Array, at: int, step: int, part: float) -> Any:
 def sum_windows(  # type: ignore[no-untyped-def]
     floats, windows, in_range, in_doppler, carriers, real, imag
 ):
-    """real + 1j imag: for each pixel the weighted sum over its window, with the carrier along Doppler removed.
+    """Sum over each pixel's window with weights, and remove the carrier along Doppler: real + 1j imag.
 
     Real and imaginary parts alternate along a row of the block, eight samples in a register. The rows are summed
     first, with one weight each, then the registers are multiplied by the taps along Doppler and by the carrier.
@@ -379,7 +379,7 @@ def sum_windows_bent(  # type: ignore[no-untyped-def]
     floats, stride, at, range_taps, range_step, range_width, range_at, range_part, real_taps, imag_taps, tap_at,
     tap_step, doppler_part, carriers, carrier_step, carrier_at, real, imag,
 ):  # fmt: skip
-    """`sum_windows` with complex taps along Doppler: for each pixel a row of `tap_step` entries from `tap_at` on."""
+    """Sum as `sum_windows` with complex taps along Doppler: for each pixel `tap_step` entries from `tap_at` on."""
     # Arrays, not records of them: with these the loop took a fifth longer.
     for k in range(at.size):
         if at[k] < 0:
@@ -401,7 +401,7 @@ def sum_windows_bent(  # type: ignore[no-untyped-def]
 
 @njit(**PART, **COMPILED)
 def write_row(numbers, first, n, amplitude, own_real, own_imag, real, imag) -> None:  # type: ignore[no-untyped-def]
-    """numbers[first : first + 2 n] = the first n sums times amplitude and own phase; NaN where there is no amplitude.
+    """Write n sums times amplitude and phase to numbers[first : first + 2 n]; NaN without amplitude.
 
     Real and imaginary parts alternate in `numbers`. `real` and `imag` are overwritten.
     """
@@ -419,6 +419,6 @@ def write_row(numbers, first, n, amplitude, own_real, own_imag, real, imag) -> N
 
 @njit(**PART, **COMPILED)
 def blank_row(numbers: Float32Array, first: int, n: int) -> None:
-    """numbers[first : first + 2 n] = NaN: n pixels that are not owned."""
+    """Write NaN to n pixels that are not owned: numbers[first : first + 2 n]."""
     for k in range(2 * n):
         numbers[np.uint64(first) + np.uint64(k)] = np.float32(np.nan)

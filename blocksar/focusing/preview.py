@@ -38,7 +38,7 @@ BROADER = 1.19  # width of its response over that of the whole band
 
 @dataclass(frozen=True, eq=False)
 class Preview:
-    """Samples and grid of a preview.
+    """Plan of a preview: its samples and grid.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ def plan_preview(geometry: Geometry, grid: Grid, *, size: int) -> Preview:
 
 
 def _at_the_middle(geometry: Geometry, grid: Grid) -> tuple[tuple[float, float], int]:
-    """Widths of a response and the length of the dwell in pulses, where a point near the middle of the grid is lit."""
+    """Widths of a response, and pulses of the dwell, of a lit point near the middle of the grid."""
     x, y = (axis.ravel() for axis in np.meshgrid(*(np.linspace(0.05, 0.95, 19) for _ in range(2))))
     x, y = grid.x0 + (grid.x1 - grid.x0) * x, grid.y0 + (grid.y1 - grid.y0) * y
     first, last = geometry.beam.longest_pass(x, y)
@@ -109,7 +109,7 @@ def _at_the_middle(geometry: Geometry, grid: Grid) -> tuple[tuple[float, float],
 
 
 def _middle(n: int, share: float, least: int) -> slice:
-    """The middle of n columns, whole if `share` is 1 or more, about the same centre."""
+    """Select the middle of n columns, a `share` of them but at least `least`; all if `share` is 1 or more."""
     width = min(max(math.ceil(share * n), least), n)
     first = (n - width) // 2
     return slice(first, first + width)
@@ -167,7 +167,7 @@ def _lit(geometry: Geometry, x: FloatArray, y: FloatArray, threads: int) -> tupl
 
 
 def _box(inside: BoolArray) -> tuple[slice, slice] | None:
-    """Rows and columns that hold all that is set; None if nothing is."""
+    """Rows and columns of the bounding box of a mask; None if it is empty."""
     rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     if rows.size == 0:
         return None
@@ -183,7 +183,7 @@ def _add_look(
     pixels: LitPixels,
     threads: int,
 ) -> None:
-    """Add the power of one aperture's image, times the weights of valid pulses in it, and these weights, in place."""
+    """Add one aperture's power times its weights of valid pulses to `power`, and the weights to `weight`, in place."""
     geometry = preview.geometry
     never = pixels.first >= pixels.last
     first, last = (np.where(never, 0, ends) for ends in (pixels.first, pixels.last))

@@ -1,4 +1,4 @@
-"""Range profiles of pulses: what back-projection interpolates at the range of each pixel."""
+"""Range profiles of pulses, which back-projection interpolates at the range of each pixel."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MARGIN = FEW + 1  # bins on either side of the range window that are loaded with
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Profiles:
-    """Range profiles of some pulses, upsampled and ready for the quadratic spline.
+    """Upsampled range profiles of some pulses, ready for the quadratic spline.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Profiles:
     spacing: float
 
     def at(self, rows: IntArray, offset: FloatArray) -> ComplexArray:
-        """The quadratic spline through profiles at a few places; those beyond the bins are taken for the outermost.
+        """Evaluate the quadratic spline of profiles at a few places; beyond the bins, the outermost are used.
 
         Parameters
         ----------
@@ -75,7 +75,7 @@ def range_profiles(
     upsampling: int = UPSAMPLING,
     device: Device = CPU,
 ) -> Profiles:
-    """Mean over frequency of signal exp(4j pi (f - f_middle) d / c) on a fine grid of d = R - reference_range.
+    """Form range profiles: mean over frequency of signal exp(4j pi (f - f_middle) d / c), d = R - reference_range.
 
     The zero-padded samples are divided by the frequency response of the quadratic spline, sinc(f / f_bins)^3. The
     spline through the transformed bins then has the exact level over the band; spectral images are its only error.
@@ -158,7 +158,7 @@ def range_profiles(
 
 
 def spline_lead(frequency: FloatArray, period: int) -> FloatArray:
-    """Factors of samples at frequencies (n,), cycles per period, before their transform to spline coefficients.
+    """Factors (n,) that turn samples at frequencies, cycles per period, into those of the spline's coefficients.
 
     The inverse of the frequency response of the quadratic spline, sinc(f)^3 at f cycles per bin.
     """
@@ -177,7 +177,7 @@ def spline_error(*, upsampling: float) -> float:
 
 
 def profile_bins(collection: Collection, upsampling: int = UPSAMPLING) -> int:
-    """Bins of a profile."""
+    """Number of bins of a profile."""
     return _period(collection, upsampling) + 2 * MARGIN
 
 
@@ -188,5 +188,5 @@ def profile_axis(collection: Collection, upsampling: int = UPSAMPLING) -> tuple[
 
 
 def _period(collection: Collection, upsampling: int) -> int:
-    """Length of the transform to range profiles."""
+    """Length of the transform from range frequencies to profiles."""
     return fast_length(upsampling * collection.n_range_frequency)

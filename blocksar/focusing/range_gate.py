@@ -100,7 +100,7 @@ class RawCompression:
 
     @property
     def noise_spectrum(self) -> FloatArray:
-        """Mean squared noise of samples of the signal, over that of a sample of the echo: (n_range_frequency,).
+        """Noise power of the signal relative to that of an echo's sample, by frequency: (n_range_frequency,).
 
         As if all N samples of the transform had noise: a pixel sums neighbouring frequencies, whose noise is not
         independent where only n of N have, so that as much of it comes from the delays that were recorded.
@@ -108,7 +108,7 @@ class RawCompression:
         return np.asarray(self.length * np.abs(self.weight) ** 2)
 
     def cycles(self, pulses: slice) -> tuple[FloatArray, FloatArray]:
-        """Delays (n,), s, and range frequencies: the signal of these pulses is turned by their product, in cycles."""
+        """Delays (n,), s, and range frequencies, Hz, whose product is the phase shift of these pulses, cycles."""
         return 2 / SPEED_OF_LIGHT * self.reference_range[pulses], self.range_frequency
 
     def apply(self, echo: ComplexArray, *, pulses: slice, threads: int = 1) -> ComplexArray:
@@ -140,7 +140,7 @@ class RawCompression:
         return np.asarray(fourier.fft_rows(delays, inverse=False)[:, : band.shape[1]] * turn.conj())
 
     def recorded_parts(self, gaps: BoolArray) -> FloatArray:
-        """q of pulses with gaps (n, n_fast_time) at N delays, a sample apart from the first on: (n, N); 1 off all."""
+        """Recorded part q of pulses with gaps (n, n_fast_time) at N delays: (n, N); 1 off all gaps."""
         half = self.pulse_width / self.fast_time.step / 2
         room = int(np.ceil(half)) + 1
         beyond = ((0, 0), (0, self.length - self.fast_time.size))
@@ -160,7 +160,7 @@ class RawCompression:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RangeGate(Step):
-    """Keep some ranges of a block's slab, on proportionally fewer range frequencies, for a range sub-block.
+    """Keep some ranges of a block's slab, on fewer range frequencies, for a range sub-block.
 
     At each Doppler bin the targets of a sub-block lie in an interval of range, whose centre moves along Doppler with
     their range walk. Range frequency is transformed to delay, delays beyond the gate are dropped, and the rest is
@@ -213,13 +213,13 @@ class RangeGate(Step):
 
     @property
     def to_delay(self) -> Transform:
-        """From range frequency, counted from its first sample, to all delays: periodic, so that a gate may wrap."""
+        """Transform from range frequency to all delays; these are periodic, so that a gate may wrap."""
         period = round(1 / (self.full.step * self.gate.step))
         return Transform(Axis(0.0, self.full.step, self.full.size), Axis(0.0, self.gate.step, period), inverse=True)
 
     @cached_property
     def from_delay(self) -> Program:
-        """Rows of all delays to rows of range_frequency.size range frequencies, one per Doppler bin."""
+        """Program from rows of all delays to rows of range_frequency.size range frequencies, one per Doppler bin."""
         return Program(self._from_delay(), source=self.to_delay.target, n_row=self.n_row)
 
     def _from_delay(self) -> list[Operation]:

@@ -169,7 +169,7 @@ class Compression(Step):
         return self.columns.size
 
     def correction(self) -> Phase:
-        """The phase to multiply by along range frequency, one per time or Doppler."""
+        """Phase to multiply by along range frequency, one row per time or Doppler."""
         raise NotImplementedError
 
     def operations(self) -> list[Operation]:
@@ -183,7 +183,7 @@ class Compression(Step):
 
     @property
     def _evenness(self) -> Callable[[FloatArray], FloatArray] | None:
-        """Weights at range frequencies, Hz, that even out those which the correction gives sums over slow time."""
+        """Weights at range frequencies, Hz, that compensate those of the correction; None if it has none."""
         return None
 
     @property
@@ -199,7 +199,7 @@ class Compression(Step):
         return self._to_range.period
 
     def interpolate(self, function: Callable[[FloatArray], FloatArray]) -> Phase:
-        """Phase polynomials along range frequency from a function of (fc + f) / fc, (n,), to cycles (n, n_row).
+        """Interpolate a phase, cycles (n, n_row) over (fc + f) / fc (n,), by polynomials in range frequency.
 
         They pass through Chebyshev nodes, which is exact up to the order of the phase.
         """
@@ -212,7 +212,7 @@ class Compression(Step):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RangeCompression(Compression):
-    """RCMC and SRC by one reference, then the transform to range (paper A (18)-(23), errata applied).
+    """Apply RCMC and SRC by one reference, then transform to range (paper A (18)-(23), errata applied).
 
     Multiplies by exp{4j pi fc / c sum_n ((1 + f / fc)^(1-n) - 1) k_n (t - m)^n}, n >= 2: exact in f, where (22)
     expands to second order in f / fc. The phase on the carrier is unchanged. The k_n are those about the time m about
@@ -249,7 +249,7 @@ class RangeCompression(Compression):
         return line.shift_range(self._along(line.time, np.arange(self.reference.size) - 1.0))
 
     def _along(self, time: FloatArray, factor: NDArray[Any]) -> FloatArray:
-        """sum_n factor_n k_n (t - m)^n, n >= 2, m."""
+        """Sum factor_n k_n (t - m)^n over n >= 2, m."""
         series = np.concatenate([[0.0, 0.0], factor[2:] * self.reference[2:]])
         return np.asarray(power.polyval(time - self.middle, series))
 
@@ -330,7 +330,7 @@ class DopplerCompression(Compression):
 
     @classmethod
     def bind(cls, constants: Constants, arriving: Callable[[], Line]) -> Self:
-        """Bind the pace of the arriving lines, by least squares weighted by the range walk that an error causes."""
+        """Bind the pace dt/df of arriving lines, fitted by least squares weighted by the walk that errors cause."""
         line = arriving()
         half = float(np.abs(line.doppler).max())
         z = (line.doppler / half).ravel()
@@ -353,17 +353,17 @@ class DopplerCompression(Compression):
         return lambda frequency: (1 + frequency / self.carrier) ** -0.5
 
     def _clip(self, doppler: FloatArray) -> FloatArray:
-        """Doppler within the reach of the reference line, Hz."""
+        """Clip Doppler to the reach of the reference line, Hz."""
         return np.clip(doppler, -MOST_REACH * self.half, MOST_REACH * self.half)
 
     def _spectrum(self, doppler: FloatArray) -> FloatArray:
-        """Psi(f), the phase of the reference's spectrum on the carrier, cycles: minus its pace integrated twice."""
+        """Phase of the reference's spectrum on the carrier, Psi(f), cycles: minus its pace integrated twice."""
         k = np.arange(self.pace.size)
         series = np.concatenate([[0.0, 0.0], -self.pace / ((k + 1) * (k + 2))])
         return np.asarray(power.polyval(doppler / self.half, series) * self.half**2)
 
     def curvature(self, doppler: FloatArray) -> FloatArray:
-        """Range curvature of the reference where its line passes a Doppler, m."""
+        """Range curvature, m, of the reference where its line passes a Doppler."""
         series = np.concatenate([[0.0, 0.0], self.pace / (np.arange(self.pace.size) + 2)])
         migration = power.polyval(self._clip(doppler) / self.half, series) * self.half**2
         return np.asarray(-SPEED_OF_LIGHT / (2 * self.carrier) * migration)
@@ -378,7 +378,7 @@ def _weigh(weights: Callable[[FloatArray], FloatArray], axis: Axis, n_row: int) 
 
 
 def _trim(coefficients: FloatArray) -> FloatArray:
-    """Coefficients without the highest orders that stay below 1e-7 cycles."""
+    """Drop the highest orders that stay below 1e-7 cycles."""
     size = np.abs(coefficients).max(axis=0)
     tail = np.cumsum(size[::-1])[::-1]
     return coefficients[:, : max(int(np.count_nonzero(tail > 1e-7)), 1)]

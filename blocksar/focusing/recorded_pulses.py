@@ -1,8 +1,8 @@
-"""Pixels of ground of whose pulses a raw echo recorded only parts: what all processors divide them by.
+"""Divisors of pixels whose pulses a raw echo recorded only in part.
 
-The mean over a pixel's dwell of `RecordedRanges.share`, under the weights of the image's sum, is what a target's peak
-is too low by. Ranges change little over a dwell against the length of a pulse, over which the share falls: the mean is
-taken at a few times.
+The peak of a target is too low by the mean of `RecordedRanges.share` over the pixel's dwell, under the weights of the
+image's sum. Ranges change little over a dwell compared with the length of a pulse, over which the share falls: the mean
+is taken at a few times.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from blocksar.kernels.phase import Float32Array
 
 Tile = tuple[slice, slice]
 
-# Least share of a pulse that is divided by: clutter and noise then rise by 10 dB under equal weights, and responses are
-# 10 times as broad. Ground with less, which is NaN, would show the side lobes of its neighbours.
+# Smallest recorded share of a pulse that pixels are divided by: there clutter and noise rise by 10 dB under equal
+# weights, and responses are 10 times as broad. Ground below it is NaN: it would show the side lobes of its neighbours.
 LEAST_SHARE = 0.1
 TIMES = 5  # of a dwell, both ends among them
 ROUNDING = 1e-9  # of a share
@@ -32,7 +32,7 @@ MOST = 4096  # pixels together
 
 
 class RecordedMeans(NamedTuple):
-    """Means over the dwells of points (...): of the share under W, and under W^2; NaN where the image has none."""
+    """Mean recorded shares of points (...) over their dwells: under W, and under W^2; NaN if not imaged."""
 
     amplitude: FloatArray
     power: FloatArray
@@ -41,7 +41,7 @@ class RecordedMeans(NamedTuple):
 def recorded_means(
     geometry: Geometry, x: FloatArray, y: FloatArray, z: Height | None = None, *, weighting: Weighting = UNIFORM
 ) -> RecordedMeans:
-    """The means at points x, y (...), m, of the ground, or at heights z, m, of a collection that was a raw echo.
+    """Compute the means at points x, y (...), m, on the ground, or at heights z, m, of a compressed raw echo.
 
     NaN where the first is below LEAST_SHARE, or below 1 where only ground with whole pulses is imaged.
     """
@@ -96,7 +96,7 @@ def divide_by_recorded(
 def _doubtful(
     image: ComplexArray | Float32Array, geometry: Geometry, points: Sequence[FloatArray], tile: Tile
 ) -> Iterator[Tile]:
-    """Small tiles of a tile, with a pixel of the image in them, not all of which surely have whole pulses."""
+    """Divide a tile down to small tiles of covered pixels, some of whose pulses may be incomplete."""
     shape = image[tile].shape
     if not np.isfinite(image[tile]).any() or _all_whole(geometry, [axis[tile] for axis in points]):
         return
@@ -111,7 +111,7 @@ def _doubtful(
 
 
 def _all_whole(geometry: Geometry, points: Sequence[FloatArray]) -> bool:
-    """Whether all points of a tile surely have whole pulses: no range differs from their middle's by more than they."""
+    """Tell whether all points of a tile certainly have whole pulses, by a bound on their ranges."""
     recorded = geometry.collection.recorded
     assert recorded is not None
     ends = [np.array([np.nanmin(axis), np.nanmax(axis)]) for axis in points]
@@ -130,7 +130,7 @@ def _all_whole(geometry: Geometry, points: Sequence[FloatArray]) -> bool:
 
 
 def _times(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height) -> FloatArray:
-    """TIMES of the dwells of points (...), s: (TIMES, ...)."""
+    """Select TIMES times over the dwells of points (...), s: (TIMES, ...)."""
     time = geometry.collection.time
     first, last = (
         np.broadcast_to(np.clip(end, time[0], time[-1]), np.shape(x)) for end in geometry.beam.dwell(x, y, z=z)
@@ -145,7 +145,7 @@ def _distances(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height, time
 
 
 def _weights(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height, time: FloatArray, taper: Taper) -> FloatArray:
-    """Weights of times (TIMES, ...) in the sum to the image of points (...): a trapezoid's, times w g."""
+    """Weights of times (TIMES, ...) in the image sum of points (...): trapezoidal rule, times w g."""
     collection = geometry.collection
     weight = np.ones(time.shape)
     weight[[0, -1]] = 0.5

@@ -28,7 +28,7 @@ GUARD = 1.02  # half apertures from its middle up to which the series of the der
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CommonRange:
-    """Range over slow time that the bulk correction removes from all targets alike: a Chebyshev series.
+    """Range history that the bulk correction removes from all targets: a Chebyshev series over slow time.
 
     Departures of a track from a quartic are very nearly the same in the range histories of all targets. The azimuth
     steps, polynomials of low orders, have no terms for them; one phase per pulse removes them.
@@ -53,7 +53,7 @@ class CommonRange:
         return np.asarray(chebyshev.chebval((time - self.centre) / self.half, series), np.float64)
 
     def taylor(self, order: int) -> FloatArray:
-        """Its power series about the epoch, (order + 1,), m/s^n: to be subtracted from k_0 .. k_order."""
+        """Power series about the epoch, (order + 1,), m/s^n: to be subtracted from k_0 .. k_order."""
         powers = self._powers[: order + 1]
         return np.asarray(np.pad(powers, (0, order + 1 - powers.size)), np.float64)
 
@@ -68,7 +68,7 @@ NO_COMMON_RANGE = CommonRange(series=np.zeros(1), centre=0.0, half=1.0)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recovery:
-    """Constants of a collection's recovery, bound in planning.
+    """Constants of a collection's spectrum recovery.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ class Recovery:
         u = (time - middle) / half
         held = np.clip(u, -GUARD, GUARD)
         rate = chebyshev.chebval(held, chebyshev.chebder(self.derotation))
-        # In the guard, where it would grow, it goes on at the rate of its ends: what rings there keeps its Doppler.
+        # In the guard, where the phase would grow, it continues at the end's rate: ringing there keeps its Doppler.
         return np.asarray(chebyshev.chebval(held, self.derotation) + rate * (u - held))
 
     def derotation_rate(self, time: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Geometric correction on a terrain: a focused block to calibrated pixels that lie at their own heights.
+"""Geometric correction on a terrain: from a focused block to calibrated pixels at their own heights.
 
 As on the plane (`correction`), positions and phases are polynomials over a tile of pixels, here in x, y and the
 height: of degree 3, 3 and 2. The range from the antenna, whose multiple is the carrier's phase, is computed for each
@@ -74,7 +74,7 @@ LEVEL = 1e-3  # m: half the relief of a tile at least
 
 
 class BentTaps(NamedTuple):
-    """Taps along Doppler by bend, and fewer of them for slight bends, which spread a response less.
+    """Doppler taps for quadratic phases ("bends"), and shorter ones for slight bends.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class BentTaps(NamedTuple):
 
 
 class ReliefTaps(NamedTuple):
-    """Taps of windows along both axes, and what goes with them.
+    """Taps along both axes for a block on a terrain, with their tables.
 
     Attributes
     ----------
@@ -120,12 +120,12 @@ RAISED_TILES = record(Tiles, REAL_ROW, TILES, POWERS, REAL_ROWS)
 
 
 def bend_scale(ground: GroundMap) -> float:
-    """Cycles at the dwell's ends of a bend of 1 cycle/s^2: the ends of the band that the taps are made for."""
+    """Phase in cycles at the ends of the dwell for a bend of 1 cycle/s^2: the scale of the taps."""
     return (ground.doppler_taps[1] / 2 / ground.doppler.step) ** 2
 
 
 def bent_taps_of(ground: GroundMap, relief: ReliefMap) -> tuple[BentTaps, float]:
-    """The taps of a block, and its largest bend, cycles at the dwell's ends."""
+    """Make the taps of a block; also return its largest bend, cycles at the dwell's ends."""
     n_tap, occupancy = ground.doppler_taps
     most = relief.most_bend * bend_scale(ground)
     most = 0.0 if most < LEAST_BEND else most
@@ -136,7 +136,7 @@ def bent_taps_of(ground: GroundMap, relief: ReliefMap) -> tuple[BentTaps, float]
 
 @lru_cache(maxsize=8)
 def _bent_taps(n_tap: tuple[int, int], occupancy: float, most: float, allowed: float) -> BentTaps:
-    """The taps of bends up to `most`: slight ones are those that the fewer taps serve with the `allowed` error."""
+    """Make taps for bends up to `most`; shorter ones for those slight bends that keep the `allowed` error."""
     bends = np.linspace(-most, most, N_BEND + 1) if most else np.zeros(1)
     width = -(-n_tap[0] // DOPPLER_UNIT) * DOPPLER_UNIT, -(-n_tap[1] // DOPPLER_UNIT) * DOPPLER_UNIT
     slight = bends[:0]
@@ -149,7 +149,7 @@ def _bent_taps(n_tap: tuple[int, int], occupancy: float, most: float, allowed: f
 
 
 def _table(n_tap: int, occupancy: float, bends: FloatArray) -> list[Float32Array]:
-    """Real and imaginary taps of some bends, each tap twice, row by row.
+    """Table of real and imaginary taps for some bends, each tap twice, row by row.
 
     Rows are padded with zeros to whole units: behind the taps, and in the second half of a bend's rows in front, for
     windows at the block's end.
@@ -239,7 +239,7 @@ def tile_polynomials(
 
 @loop(NODE_VALUES, REAL_ROWS, REAL_ROWS, types.float64[:, :, ::1], **COMPILED)
 def _to_powers(values: FloatArray, to_level: FloatArray, to_power: FloatArray, coefficients: FloatArray) -> None:
-    """Power coefficients from values (quantity, height, n_tile, y, x) at nodes, by the matrices of `nodes_of`.
+    """Convert values (quantity, height, n_tile, y, x) at nodes to power coefficients, by the matrices of `nodes_of`.
 
     Those of tile t are written to coefficients[t, b, (h * QUANTITIES + q) * (DEGREE + 1) + a], of the powers b of y, h
     of the height and a of x.
@@ -271,7 +271,7 @@ def _to_powers(values: FloatArray, to_level: FloatArray, to_power: FloatArray, c
 
 @loop(REAL_ROWS, TILES, types.int64, types.float64[:, ::1], nogil=True)
 def _find_spans(z: FloatArray, tiles: IntArray, tile: int, spans: FloatArray) -> None:
-    """Middle and half of the known heights of each tile, m; the half is at least LEVEL."""
+    """Middle and half span of the known heights of each tile, m; the half is at least LEVEL."""
     lows, highs = np.empty(tile), np.empty(tile)
     for t in range(tiles.shape[0]):
         j0 = tiles[t, 1]
@@ -295,7 +295,7 @@ def _find_spans(z: FloatArray, tiles: IntArray, tile: int, spans: FloatArray) ->
 def _sector(  # type: ignore[no-untyped-def]
     x, first, n, y, z, row, sector, rng, owned,
 ):  # fmt: skip
-    """Write the epoch ranges of n pixels from x[first] on, and NaN to `owned` outside the sector.
+    """Compute the epoch ranges of n pixels from x[first] on; `owned` is NaN outside the sector.
 
     Returns whether any pixel is inside. No operations are contracted, as in `pixel_rows.find_sector`.
     """
@@ -314,7 +314,7 @@ def _sector(  # type: ignore[no-untyped-def]
 
 @njit(**PART, **UNCONTRACTED)
 def _ranges(x, first, n, y, z, row, sector, rng, owned):  # type: ignore[no-untyped-def]
-    """Write the epoch ranges of n pixels from x[first] on, and NaN to `owned` where the height is unknown.
+    """Compute the epoch ranges of n pixels from x[first] on; `owned` is NaN where the height is unknown.
 
     For tiles that the block owns as a whole.
     """
@@ -328,7 +328,7 @@ def _ranges(x, first, n, y, z, row, sector, rng, owned):  # type: ignore[no-unty
 
 @njit(**PART, **COMPILED, **UNCHECKED)
 def _level_heights(tiles, t, z, row, first, n, w) -> None:  # type: ignore[no-untyped-def]
-    """Write the heights of n pixels from z[row, first] on in the span of tile t, -1 to 1; of NaN the middle one."""
+    """Scale the heights of n pixels from z[row, first] on to -1 .. 1 in the span of tile t; NaN becomes 0."""
     middle, per_half = tiles.heights[t, 0], 1 / tiles.heights[t, 1]
     for k in range(n):
         at = (z[row, np.uint64(first) + np.uint64(k)] - middle) * per_half
@@ -337,7 +337,7 @@ def _level_heights(tiles, t, z, row, first, n, w) -> None:  # type: ignore[no-un
 
 @njit(**PART, **COMPILED, **UNCHECKED)
 def _evaluate(tiles, t, v, w, cubics, values) -> None:  # type: ignore[no-untyped-def]
-    """All quantities of the pixels of a row of tile t, at one v and all u; w has their heights in the tile's span.
+    """Evaluate all quantities for a row of tile t at one v and all u; w has the scaled heights.
 
     What the square of the height is multiplied by is taken as linear in u: the rest was 2e-6 cycles over hills of
     300 m.
@@ -361,7 +361,7 @@ def _evaluate(tiles, t, v, w, cubics, values) -> None:  # type: ignore[no-untype
 def _choose_taps(  # type: ignore[no-untyped-def]
     bend, doppler, taps, room, windows, tap_at, tap_step
 ):
-    """Write where the row of taps of each pixel begins and its length, and for slight bends the first sample.
+    """Choose the row of taps of each pixel and its length; for slight bends also shift the first sample.
 
     Fewer taps have the same fractions between samples, and their window is within that of all taps.
     """
@@ -395,7 +395,7 @@ def _choose_taps(  # type: ignore[no-untyped-def]
 def resample_on_relief(  # type: ignore[no-untyped-def]
     floats, numbers, tiles, x, y, z, taps, sector, scales
 ):
-    """Write the owned pixels of some tiles to `numbers`, their real and imaginary parts, row by row.
+    """Resample the owned pixels of some tiles into `numbers`, real and imaginary parts row by row.
 
     `scales` has the cycles and the rows a metre, and the range origin, m.
     """

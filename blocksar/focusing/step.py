@@ -1,4 +1,4 @@
-"""Steps of a chain, and stages: consecutive steps along the same rows that run as one.
+"""Steps of a chain, and stages: consecutive steps along the same rows that run as one pass.
 
 A step is bound in two stages and frozen after each. `bind` gives it the constants of a block: now it can trace lines.
 `sampled` adds the sampling, which lines do not need and which is planned from them: now it can be applied to samples.
@@ -28,7 +28,7 @@ from blocksar.kernels.rows import Layout, Program
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sampling:
-    """The axes of a block's samples from slab to focused block, and their occupancy.
+    """Axes of a block's samples from slab to focused block, and their occupancy.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class Sampling:
 
     @property
     def n_buffer_row(self) -> int:
-        """Rows of a buffer that holds the block at every stage after its slab."""
+        """Number of rows of a buffer that holds the block at every stage after its slab."""
         return max(self.range_frequency.size, self.rows.size)
 
 
@@ -117,7 +117,7 @@ class Motion:
     def integrate(
         cls, bend: FloatArray, like: FloatArray, *, start: float, step: float, near: float, far: float
     ) -> Self:
-        """From second derivatives (n, n_term); constant and slope such that the values are `like` on average."""
+        """Integrate second derivatives (n, n_term), with constant and slope that make the values `like` on average."""
         half_step = step / 2
         slope = np.zeros_like(bend)
         slope[1:] = np.cumsum(half_step * (bend[1:] + bend[:-1]), axis=0)
@@ -173,7 +173,7 @@ class Motion:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Constants:
-    """The constants of a block, from which its steps bind their own.
+    """Constants of a block that its steps bind.
 
     Attributes
     ----------
@@ -207,7 +207,7 @@ class Constants:
 
     @property
     def measured(self) -> Motion:
-        """The motion of a measured track, for a step that compensates it.
+        """Motion of a measured track, for steps that compensate it.
 
         Raises
         ------
@@ -220,7 +220,7 @@ class Constants:
 
     @property
     def azimuth(self) -> AzimuthPolynomials:
-        """The coefficients, for a step that needs them.
+        """Coefficients of the azimuth steps, for a step that needs them.
 
         Raises
         ------
@@ -269,7 +269,7 @@ class Step:
 
     @classmethod
     def bind(cls, constants: Constants, arriving: Callable[[], Line]) -> Self:
-        """Return the step with its constants for a block.
+        """Bind the step to the constants of a block, and to arriving lines.
 
         Parameters
         ----------
@@ -280,7 +280,7 @@ class Step:
         return cls()
 
     def sampled(self, sampling: Sampling) -> Self:
-        """Return the step with the block's sampling, ready to be applied."""
+        """Return the step with the block's sampling, which makes it applicable."""
         return replace(self, sampling=sampling)
 
     def weighed(self, in_time: AxisTaper) -> Self:
@@ -289,7 +289,7 @@ class Step:
 
     @property
     def axes(self) -> Sampling:
-        """The sampling.
+        """Axes of the block's samples.
 
         Raises
         ------
@@ -302,16 +302,16 @@ class Step:
 
     @property
     def scales_time_about(self) -> float | None:
-        """The time, s from the epoch, about which the step scales time with range frequency; None if it does not."""
+        """Time, s from the epoch, about which the step scales time with range frequency; None if it does not."""
         return None
 
     @property
     def even(self) -> bool:
-        """Whether what the step resamples to can be interpolated on all of the sampling's axis."""
+        """Tell whether the output of the step can be interpolated over the whole axis."""
         return True
 
     def turns(self, line: Line) -> FloatArray | float:
-        """By how much the step turns phases from row to row along arriving lines, cycles/m."""
+        """Change of the phase from row to row along arriving lines, cycles/m."""
         return 0.0
 
     @property
@@ -338,7 +338,7 @@ class Step:
 
 
 class Stage:
-    """Consecutive steps along the same rows, run together without a block of samples between them."""
+    """Consecutive steps along the same rows, run in one pass over the block."""
 
     def __init__(self, steps: tuple[Step, ...]) -> None:
         self.steps = steps
@@ -350,7 +350,7 @@ class Stage:
 
     @cached_property
     def program(self) -> Program:
-        """All operations of the steps as one program along rows."""
+        """Combine all operations of the steps into one program along rows."""
         operations = [operation for step in self.steps for operation in step.operations()]
         return Program(operations, source=self.steps[0].source, n_row=self.steps[0].n_row)
 
@@ -360,12 +360,12 @@ class Stage:
 
 
 def stages(chain: Sequence[Step]) -> list[Stage]:
-    """The stages of a chain: as few passes over the block as the layouts of its steps allow."""
+    """Group the steps of a chain into stages: as few passes over the block as the layouts allow."""
     return [Stage(tuple(steps)) for _, steps in groupby(chain, key=lambda step: step.layout)]
 
 
 def trace(steps: Sequence[Step], line: Line) -> Line:
-    """Lines after several steps."""
+    """Trace lines through several steps."""
     for step in steps:
         line = step.trace(line)
     return line

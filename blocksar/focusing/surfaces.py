@@ -1,4 +1,4 @@
-"""Surfaces over the ground: smooth functions of ground range and yaw, as tensor Chebyshev series."""
+"""Smooth functions of ground range and yaw: tensor Chebyshev series."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SERIES = types.Array(types.float64, 4, "C", readonly=True)
 
 @dataclass(frozen=True, kw_only=True)
 class GroundRange:
-    """Epoch ranges R from `near` to `far`, m, by ground range G = sqrt(R^2 - h^2) of an antenna at a `height` h, m.
+    """Coordinate from `near` to `far`, m: ground range G = sqrt(R^2 - h^2) of an antenna at `height` h, m.
 
     Where a target lies on the ground, thus its Doppler and its whole history, is smooth in G. In R it is not where the
     ground comes close to the nadir: dG/dR = R / G grows without bound there, and a series in R of degree n leaves an
@@ -29,19 +29,19 @@ class GroundRange:
     height: float
 
     def place(self, epoch_range: FloatArray) -> FloatArray:
-        """From -1, at `near`, to 1, at `far`, linear in ground range."""
+        """Scale epoch ranges to -1 at `near` .. 1 at `far`, linear in ground range."""
         near, far = (float(self.on_ground(np.array(end))) for end in (self.near, self.far))
         return (2 * self.on_ground(epoch_range) - near - far) / (far - near)
 
     def nodes(self, count: int) -> FloatArray:
-        """Epoch ranges (count,), m, whose places are `solvers.end_nodes`."""
+        """Epoch ranges (count,), m, at the nodes `solvers.end_nodes`."""
         near, far = (float(self.on_ground(np.array(end))) for end in (self.near, self.far))
         nodes = np.hypot(self.height, near + (far - near) * (1 + solvers.end_nodes(count)) / 2)
         nodes[[0, -1]] = self.near, self.far
         return nodes
 
     def on_ground(self, epoch_range: FloatArray) -> FloatArray:
-        """Ground ranges, m."""
+        """Convert epoch ranges to ground ranges, m."""
         return np.sqrt(np.maximum(epoch_range**2 - self.height**2, 0.0))
 
 
@@ -55,15 +55,15 @@ class Surface:
     high: float
 
     def __call__(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
-        """At epoch ranges, m, and yaws, rad, broadcast."""
+        """Evaluate at epoch ranges, m, and yaws, rad, broadcast."""
         return self.at(self.along.place(epoch_range), self.across(yaw))
 
     def across(self, yaw: FloatArray) -> FloatArray:
-        """From -1, at `low`, to 1, at `high`."""
+        """Scale yaws to -1 at `low` .. 1 at `high`."""
         return (2 * yaw - self.low - self.high) / (self.high - self.low)
 
     def at(self, u: FloatArray, v: FloatArray) -> FloatArray:
-        """At places -1 .. 1 in ground range and yaw, broadcast."""
+        """Evaluate at scaled ground ranges and yaws, -1 .. 1, broadcast."""
         u, v = np.broadcast_arrays(u, v)
         values = np.empty(u.size)
         sum_series(np.array(self.series, order="C"), u.ravel(), v.ravel(), values)
@@ -71,7 +71,7 @@ class Surface:
 
 
 def fit_surface(values: FloatArray, *, along: GroundRange, yaw: FloatArray, degree: tuple[int, int]) -> Surface:
-    """The tensor series of values (n_range, n_yaw) at `along.nodes` and at yaws that lie as `solvers.end_nodes` do."""
+    """Fit the tensor series of values (n_range, n_yaw) at `along.nodes` and at yaws spaced as `solvers.end_nodes`."""
     in_range = solvers.node_series(values, min(degree[0], values.shape[0] - 1))
     series = solvers.node_series(in_range.T, min(degree[1], yaw.size - 1)).T
     return Surface(series=series, along=along, low=float(yaw[0]), high=float(yaw[-1]))
@@ -159,7 +159,7 @@ def _sum_terms(series: FloatArray, q: int, h: int, i: int, tv: FloatArray, inner
 
 @njit(**PART, **COMPILED)
 def _chebyshev(u: FloatArray, t: FloatArray) -> None:
-    """t[i, k] = T_i(u[k]) in all rows of t, at least two; zeros beyond the end of u."""
+    """Chebyshev polynomials t[i, k] = T_i(u[k]) in all rows of t, at least two; zeros beyond the end of u."""
     for i in range(t.shape[0]):
         for k in range(t.shape[1]):
             t[i, k] = 0.0

@@ -97,7 +97,7 @@ class Middles:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """The antenna at the middle of the dwells of ground points, over their yaw, or over that time.
+    """Antenna at the middle of the dwells of ground points, tabulated over yaw, or over slow time with `middles`.
 
     Attributes
     ----------
@@ -119,7 +119,7 @@ class Sight:
 
     @classmethod
     def of(cls, geometry: Geometry, box: Box, levels: tuple[float, float]) -> Sight:
-        """The antenna of a collection, for points in a box between two heights, m."""
+        """Tabulate the antenna of a collection for points in a box between two heights, m."""
         collection = geometry.collection
         middle, middles = sum(aperture(collection)) / 2, None
         if not collection.steered:
@@ -141,7 +141,7 @@ class Sight:
     def antenna_and_across(
         self, x: FloatArray, y: FloatArray, z: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """These, and horizontal unit vectors (..., 2) across the track at the same time."""
+        """Antenna positions, and horizontal unit vectors (..., 2) across the track at the same times."""
         middle = self._middle(x, y, z)
         velocity = self._at(self.velocity, middle)
         normal = np.stack([-velocity[..., 1], velocity[..., 0]], axis=-1)
@@ -153,7 +153,7 @@ class Sight:
         return self._at(self.velocity, self._middle(x, y, z))
 
     def _middle(self, x: FloatArray, y: FloatArray, z: FloatArray | None) -> FloatArray:
-        """Where `along` the middles of the dwells of these points are."""
+        """Coordinate in `along` of the middles of the points' dwells."""
         if self.along.size == 1:
             return np.broadcast_to(self.along[0], np.shape(x))
         if self.middles is not None:
@@ -168,7 +168,7 @@ class Sight:
 
 
 def heights_on_grid(terrain: Terrain, x: FloatArray, y: FloatArray) -> FloatArray:
-    """`Terrain.on_grid`, to the bit, by a compiled loop."""
+    """Heights as `Terrain.on_grid` gives them, to the bit, by a compiled loop."""
     in_x, in_y = terrain.taps_of(x, y)
     z = np.empty((y.size, x.size))
     sum_taps(_sums(terrain, in_x, in_y), z)
@@ -185,18 +185,18 @@ class Strip(NamedTuple):
 
     @property
     def whole(self) -> tuple[slice, slice]:
-        """The window that they make up."""
+        """Bounding window of the strip."""
         return self.rows, slice(self.columns[0].start, self.columns[-1].stop)
 
 
 def box_about(grid: Grid, window: tuple[slice, slice]) -> Box:
-    """The box of a window of an image, m, and of the places about it between which the antenna's is linear."""
+    """Box of a window of an image, m, extended to the nodes between which the antenna is interpolated."""
     nodes_x, nodes_y = (_positions(*axis) for axis in _axes(grid, window))
     return box_of(nodes_x, nodes_y)
 
 
 def heights_and_angles(terrain: Terrain, sight: Sight, grid: Grid, strip: Strip) -> list[SeenGround]:
-    """The surface of windows, whose heights are to the bit those of `heights_on_grid`.
+    """Heights, bit-identical to `heights_on_grid`, and incidence angles of the windows of a strip.
 
     It does not depend on which windows are asked for at once. The terrain is at least that of `box_about`.
     """
@@ -227,7 +227,7 @@ def heights_and_angles(terrain: Terrain, sight: Sight, grid: Grid, strip: Strip)
 
 
 def gamma_factor(terrain: Terrain, sight: Sight, x: FloatArray, y: FloatArray) -> NDArray[np.float32]:
-    """Factor of the power (n_y, n_x) that removes what slopes do; NaN where a surface faces away or stands on edge."""
+    """Factor (n_y, n_x) that removes the effect of slopes on power; NaN for surfaces that face away or are edge-on."""
     factor = np.empty((y.size, x.size), np.float32)
     for first in range(0, y.size, ROWS):
         rows = slice(first, first + ROWS)
@@ -273,7 +273,7 @@ def reach(sight: Sight, x: FloatArray, y: FloatArray, limits: tuple[float, float
 
 
 class _Outlook(NamedTuple):
-    """Places (...), m, the antenna and the horizontal unit vector across its track as they see it, and the way to it.
+    """View from places (...), m, to the antenna, with the horizontal unit vector across its track.
 
     The horizontal way `gap` to the antenna is `side` across the track, and `away` long, m.
     """
@@ -295,7 +295,7 @@ def _look(sight: Sight, x: FloatArray, y: FloatArray, z: FloatArray | None) -> _
 
 @lru_cache(maxsize=4)
 def _outlook(sight: Sight, box: Box) -> _Outlook:
-    """View of a few places of a box, at a mean height; the reach of a window and its view both ask for it."""
+    """View from a few places of a box, at a mean height; cached for `reach` and visibility."""
     (x0, x1), (y0, y1) = box
     return _look(sight, *np.meshgrid(np.linspace(x0, x1, EDGE_NODES), np.linspace(y0, y1, EDGE_NODES)), None)
 
@@ -331,7 +331,7 @@ def visibility(terrain: Terrain, sight: Sight, grid: Grid, window: tuple[slice, 
 
 
 def _is_open(terrain: Terrain, sight: Sight, x: FloatArray, y: FloatArray) -> bool:
-    """Whether no curve of `kernels.occlusion` can cross the terrain: nowhere is it as steep as any of them.
+    """Tell whether the terrain is nowhere steep enough for shadow or layover (`kernels.occlusion`).
 
     The slopes of curves are taken at a few places of the window, with room for what they change in between.
     """
@@ -352,7 +352,7 @@ def _is_open(terrain: Terrain, sight: Sight, x: FloatArray, y: FloatArray) -> bo
 
 
 def _sums(terrain: Terrain, in_x: Taps, in_y: Taps) -> TerrainTaps:
-    """The rows of samples that the taps need, and the taps."""
+    """Weighted rows of samples for the taps of columns and rows."""
     (columns, along_x, _), (rows, along_y, _) = in_x, in_y
     first, last = int(rows.min()), int(rows.max()) + 4
     return TerrainTaps.of(
@@ -363,7 +363,7 @@ def _sums(terrain: Terrain, in_x: Taps, in_y: Taps) -> TerrainTaps:
 def by_owner(
     sights: Mapping[int, Sight], owner: NDArray[np.int16] | int, values: Callable[[Sight], NDArray[Any]], missing: float
 ) -> NDArray[Any]:
-    """Values of pixels, each as seen from the block that `owner` says it comes from; `missing` where not covered.
+    """Evaluate pixels for the block that owns each; `missing` where not covered.
 
     `owner` may be the one block that all pixels come from.
     """
@@ -385,7 +385,7 @@ def by_owner(
 
 
 def _between(axis: FloatArray, at: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
-    """Index of the place of a uniform axis before each value (...), and the part of the way to the next."""
+    """Index of the sample of a uniform axis before each value (...), and the fraction of the step beyond it."""
     place = np.clip(np.nan_to_num((at - axis[0]) / (axis[1] - axis[0])), 0.0, axis.size - 1.0)
     before = np.minimum(place.astype(np.intp), axis.size - 2)
     return before, place - before
@@ -414,7 +414,7 @@ def _positions(start: float, step: float, part: slice) -> FloatArray:
 
 
 def _to_nodes(part: slice) -> tuple[IntArray, FloatArray]:
-    """For each index of a part of an axis the place of `_positions` before it, and the part of the way to the next."""
+    """Index in `_positions` before each index of a part of an axis, and the fraction of the step beyond it."""
     index = np.arange(part.start, part.stop)
     return index // NODE_PIXELS - part.start // NODE_PIXELS, index % NODE_PIXELS / NODE_PIXELS
 
@@ -428,7 +428,7 @@ def _between_nodes(values: FloatArray, part: slice) -> FloatArray:
 
 
 def _nodes(n: int) -> tuple[NDArray[np.intp], FloatArray]:
-    """Every NODE_PIXELS-th of n pixels, and the last; and the place (n,) of each pixel between them."""
+    """Every NODE_PIXELS-th of n pixels and the last; and the place (n,) of each pixel between them."""
     nodes = np.unique(np.append(np.arange(0, n, NODE_PIXELS), n - 1))
     return nodes, np.interp(np.arange(n), nodes, np.arange(nodes.size))
 
@@ -443,7 +443,7 @@ def _expand(values: FloatArray, place: FloatArray, axis: int) -> FloatArray:
 
 
 def _places(axis: FloatArray, part: slice, step: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Indices along an axis at which visibility is found, and for every pixel of a part of it which of them counts."""
+    """Indices along an axis at which visibility is computed, and for every pixel the one that it takes."""
     spacing = float(axis[-1] - axis[0]) / max(axis.size - 1, 1)
     stride = max(int(step / PLACES_PER_SAMPLE / spacing), 1) if spacing > 0 else 1
     cell = np.arange(part.start, part.stop) // stride

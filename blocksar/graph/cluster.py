@@ -51,7 +51,7 @@ WORKER_MODULE = "blocksar.graph.worker"
 
 
 class OwnCluster(LocalCluster):
-    """A local cluster of this process. Its `size` is what it was started with, also while workers are started again."""
+    """A local cluster of this process. `size` stays constant while workers are restarted."""
 
     def __init__(self, workers: int, memory: int, **options: Any) -> None:
         super().__init__(n_workers=0, memory_limit=memory, **options)  # type: ignore[no-untyped-call]
@@ -81,7 +81,7 @@ def cluster_size(
 
 
 def workers_with_gpu(client: Client) -> int:
-    """How many workers of a cluster have a GPU, as dask's resources say.
+    """Count the workers of a cluster that have a GPU among dask's resources.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def _own_cluster(client: Client) -> OwnCluster | None:
 
 
 def worker_environment(threads: int) -> dict[str, str]:
-    """Variables that libraries of a worker read when they are loaded."""
+    """Environment variables that a worker's libraries read when they are loaded."""
     return {
         "NUMBA_NUM_THREADS": str(threads),
         # Each thread of a worker runs loops of its own.
@@ -155,7 +155,7 @@ def worker_environment(threads: int) -> dict[str, str]:
 
 
 def start_fork_server(threads: int) -> None:
-    """Start the process that workers are forked from, if it does not run yet.
+    """Start the process that workers are forked from, if it is not running yet.
 
     A terminal sends Ctrl-C to all processes of a command, and the main process ends the others: they inherit that it is
     blocked.
@@ -180,7 +180,7 @@ def start_fork_server(threads: int) -> None:
 
 @contextmanager
 def _short_sockets() -> Iterator[None]:
-    """Let the sockets of `multiprocessing` lie in /tmp where the temporary folder's path is too long for them.
+    """Place the sockets of `multiprocessing` in /tmp if the temporary folder's path is too long for them.
 
     A socket's path has at most 107 characters. `get_temp_dir` makes the folder once for the life of this process.
     """
@@ -292,7 +292,7 @@ def open_client(
 
 
 class Starting:
-    """A local cluster that starts while the caller does something else. It ends with the block of its context.
+    """A local cluster that starts in the background. It ends with the block of its context.
 
     Parameters
     ----------
@@ -350,7 +350,7 @@ class Starting:
         return self
 
     def __exit__(self, *error: Any) -> None:
-        """Wait for the end of the start, and end the cluster; a second call does nothing."""
+        """Wait until the cluster has started, and end it; a second call does nothing."""
         self._pool.shutdown()
         self._stack.__exit__(*error)
 
@@ -442,7 +442,7 @@ def _local_cluster(workers: int, threads: int, memory_limit: int | None, scratch
 
 
 def _refuse_unguarded_script() -> None:
-    """Check that this is not called from a script's own statements: workers, which import it, would call it again.
+    """Refuse a call from a script's top level: workers import the script and would call it again.
 
     Raises
     ------
@@ -473,7 +473,7 @@ def _refuse_unguarded_script() -> None:
 
 @contextmanager
 def _hiding_missing_script() -> Iterator[None]:
-    """Leave `__main__` without a file that workers would look for in vain, such as <stdin>: they need nothing of it."""
+    """Hide a `__main__` file that does not exist, such as <stdin>, from workers, which would try to run it."""
     main = vars(sys.modules["__main__"])
     file = main.get("__file__")
     if file is None or os.path.exists(os.path.join(ORIGINAL_DIR or "", file)):

@@ -1,4 +1,4 @@
-"""Compilation of the loops that tasks run: once for each installation, by a process a core.
+"""Compilation of the tasks' loops: once for each installation, by as many processes as there are cores.
 
 A loop is named by its module, or by its module and its own name, `focusing.surfaces:sum_series`. Processes divide the
 loops among them as they go: each compiles those that no other is compiling (`kernels.loops.compile_as`).
@@ -66,14 +66,14 @@ HELP = "import sys; from blocksar.graph import compiling; print(compiling.help_t
 
 
 def missing(names: Iterable[str]) -> list[str]:
-    """List the loops that numba's cache does not have, by its files: none of them is younger than the source."""
+    """List the loops that are missing in numba's cache: none of their cached files is newer than the source."""
     return [
         name for name, changed, indices in _indices(names) if not any(_is_younger(file, changed) for file in indices)
     ]
 
 
 def _indices(names: Iterable[str]) -> Iterator[tuple[str, float, list[Path]]]:
-    """Loops, when the source of each was changed, and its indices in numba's cache."""
+    """Iterate over loops: name, time at which the source was changed, and index files in numba's cache."""
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     found: dict[Path, list[Path]] = {}
     for name in names:
@@ -89,7 +89,7 @@ def _indices(names: Iterable[str]) -> Iterator[tuple[str, float, list[Path]]]:
 
 
 def _keep_young(names: Iterable[str]) -> None:
-    """Let indices be younger than sources that were written again as they were, by an installation or a checkout.
+    """Update the time of index files whose source was written again unchanged, by an installation or a checkout.
 
     Numba goes by the contents of a source: such loops are loaded, but `missing` would list them for ever.
     """
@@ -161,7 +161,7 @@ def compile_modules(names: Sequence[str], by: By = "this") -> Tally:
 
 
 def help_to_compile(names: Iterable[str]) -> int:
-    """Compile those of the loops that no other process is compiling; the number of loops that this one compiled."""
+    """Compile those loops that no other process is compiling; return the number of loops compiled here."""
     from blocksar.kernels.loops import tally
 
     with uncollected():
@@ -170,12 +170,12 @@ def help_to_compile(names: Iterable[str]) -> int:
 
 
 def _compile_free(names: Iterable[str]) -> list[Loop]:
-    """Compile, or load, those of the loops that no other process is compiling; the others are returned."""
+    """Compile or load those loops that no other process is compiling; return the others."""
     return [loop for name in names for loop in loops_named(name) if not loop.compile(wait=False)]
 
 
 def loops_named(name: str) -> list[Loop]:
-    """The loops of this name."""
+    """Return the loops named `module`, or one as `module:loop`."""
     from blocksar.kernels.loops import loops_of
 
     module, _, only = name.partition(":")
@@ -183,7 +183,7 @@ def loops_named(name: str) -> list[Loop]:
 
 
 def _start_helpers(names: Sequence[str], most: int) -> list[subprocess.Popen[str]]:
-    """Let so many processes compile these loops; this one compiles what they fail to do."""
+    """Start up to `most` processes that compile loops; this process compiles what they do not."""
     paths = [str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])]
     start = partial(
         subprocess.Popen, [sys.executable, "-P", "-c", HELP, *names],  # not what lies in the working directory

@@ -1,4 +1,4 @@
-"""Layers of an image, written by its chunks: noise; on a terrain, height, incidence angle and visibility."""
+"""Layers of an image by chunks: noise; on a terrain, height, incidence angle and visibility."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from blocksar.runs.record import Written
 
 
 class AlikeChunks:
-    """Writes a task's chunks of the image, for its threads at once.
+    """Writer of a task's image chunks, for several threads; a chunk of one value is written once and linked.
 
     Most chunks of layers of small whole numbers have one value. To compress it, and to make a file, takes as long as a
     tenth of the correction of the chunk's pixels.
@@ -47,7 +47,7 @@ class AlikeChunks:
         self._first: dict[tuple[str, tuple[int, ...], str], Written] = {}
 
     def write(self, variable: str, window: Window, values: NDArray[Any] | np.generic) -> Written:
-        """Write a chunk of a variable: its values, or the one value of all of them, in the variable's dtype."""
+        """Write a chunk of a variable from an array, or from the one value of all its samples."""
         shape = tuple(part.stop - part.start for part in window)
         chunk = np.broadcast_to(values, shape)
         one = chunk.flat[0]
@@ -69,19 +69,19 @@ class AlikeChunks:
 
 
 def local_terrain(run: Run, grid: Grid, window: Window) -> Terrain:
-    """The part of the run's terrain that some rows and columns of the image need."""
+    """Read the part of the run's terrain that a window of the image needs."""
     y, x = grid.y[window[0]], grid.x[window[1]]
     return stores.read_terrain(run.terrain, (float(x[0]), float(x[-1])), (float(y[0]), float(y[-1])))
 
 
 class GroundHeights:
-    """Heights of a run's pixels, by windows; it is not for several threads at once."""
+    """Heights of a run's pixels, by windows; for one thread at a time."""
 
     def __init__(self, run: Run, grid: Grid) -> None:
         self._grid, self._stored = grid, stores.StoredTerrain(run.terrain) if run.on_terrain else None
 
     def over(self, window: Window) -> FloatArray | None:
-        """Heights (n_y, n_x), m, of some rows and columns of the image; None on the plane."""
+        """Heights (n_y, n_x), m, of a window of the image; None on the plane."""
         if self._stored is None:
             return None
         y, x = self._grid.y[window[0]], self._grid.x[window[1]]
@@ -89,7 +89,7 @@ class GroundHeights:
 
 
 def strips_of(cells: Sequence[tuple[int, int]], grid: Grid) -> Iterator[tuple[Sequence[tuple[int, int]], Strip]]:
-    """Divide chunks of an image, given by row and column, into runs that lie beside each other, of a few each."""
+    """Group chunks, given by row and column, into strips of a few adjacent ones."""
     first = 0
     for end in range(1, len(cells) + 1):
         row, column = cells[end - 1]
@@ -100,7 +100,7 @@ def strips_of(cells: Sequence[tuple[int, int]], grid: Grid) -> Iterator[tuple[Se
 
 
 class StripLayers:
-    """Height, local incidence angle and visibility of the windows of a strip; not for several threads at once.
+    """Height, local incidence angle and visibility of the windows of a strip; for one thread at a time.
 
     Each is found when it is first asked for, for all windows together.
     """
@@ -113,14 +113,14 @@ class StripLayers:
         self._seen: dict[int, NDArray[np.uint8]] = {}
 
     def over(self, number: int, owner: NDArray[np.int16]) -> dict[str, NDArray[Any]]:
-        """The layers of window `number`, by name.
+        """Compute the layers of window `number`, by name.
 
         `owner` has the block of each pixel, -1 where not covered. Shadow and layover reach as far as the terrain about
         the image is known.
         """
         incidence = by_owner(self._sights, owner, lambda sight: self._of(sight)[number].angle, np.nan)
         seen = by_owner(self._sights, owner, lambda sight: self._visibility(number, sight), UNKNOWN)
-        # Heights do not depend on the sight: those that are known serve.
+        # Heights do not depend on the sight: use those already computed.
         found = next(iter(self._found.values()), None) or self._of(next(iter(self._sights.values())))
         layers = {"height": found[number].rounded, "incidence_angle": incidence, "visibility": seen}
         return {name: layers[name].astype(kind.dtype, copy=False) for name, kind in stores.ON_TERRAIN.items()}
@@ -138,7 +138,7 @@ class StripLayers:
 
 
 class TerrainLayers:
-    """Layers of a run's pixels on its terrain, by strips.
+    """Layers of a run's pixels on its terrain, read by strips.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ class TerrainLayers:
 
 
 def write_layers(alike: AlikeChunks, window: Window, layers: Mapping[str, NDArray[Any]]) -> list[Written]:
-    """Write layers of a chunk of the image, given by name."""
+    """Write the layers of an image chunk, given by name."""
     return [alike.write(name, window, values) for name, values in layers.items()]
 
 
@@ -179,7 +179,7 @@ def write_noise(
     noises: Mapping[int, NoiseMap],
     height: FloatArray | None,
 ) -> list[Written]:
-    """Write the noise of a chunk of the image where it is covered, by that of blocks; nothing if it is not known.
+    """Write the noise of an image chunk where it is covered, from the noise maps of its blocks; nothing if unknown.
 
     `height` (n_y, n_x) has z of the pixels, m, on a terrain.
     """

@@ -1,4 +1,4 @@
-"""The machine that this process runs on, as dask sees it; without dask's imports, which take longer than a plan."""
+"""The machine that this process runs on, as dask sees it, without importing dask, which takes longer than a plan."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ PACE_SECONDS = 1.9e-3  # that a trial takes on the machine of the constants in `
 
 @lru_cache(maxsize=1)
 def pace() -> float:
-    """Return how many seconds a second of work on the machine of `planning.effort` takes on this one, measured.
+    """Measure the pace of this machine: its seconds for a second of work on the machine of `planning.effort`.
 
     A few phases are multiplied, as focusing does; the median of some trials, since cores that are shared with others,
     or change their clock, are at their best only at times.
@@ -83,7 +83,7 @@ def resources(workers: int | None, threads: int | None, memory_limit: int | None
 
 
 def why_no_workers() -> str | None:
-    """Say why this process can start no workers; None if it can.
+    """Explain why this process can start no workers; None if it can.
 
     `multiprocessing` lets no daemon have children, and tells each child the working folder; a worker that cannot share
     locks fails before it can say so. The server that workers are forked from is the child of one process.
@@ -114,7 +114,7 @@ def _cores() -> int:
 
 
 def _cpu_quota() -> float | None:
-    """Cores that the control group may use, if it has a limit."""
+    """Cores that the control group may use; None without a limit."""
     for folder in CPU_QUOTAS:
         with suppress(OSError, ValueError, ZeroDivisionError):
             quota, period = (int((GROUPS / folder / f"cpu.cfs_{name}_us").read_text()) for name in ("quota", "period"))

@@ -1,4 +1,4 @@
-"""The task that corrects a focused block geometrically, and writes its patch."""
+"""Tasks that correct a focused block geometrically, write its patch, and merge patches into the mosaic."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from blocksar.runs.record import Receipt, Written
 
 
 class PatchChunk(NamedTuple):
-    """A block's part of an output chunk.
+    """Part of a block's patch in an output chunk.
 
     Block and its name, first row and column of its patch, checksum of the part; number of its segment, and of its
     collection, None where there is one only.
@@ -62,7 +62,7 @@ def merge_chunks(
 
     Where several segments cover some of a chunk, `margins` has theirs; `noises` has those of segments, if known.
     """
-    heights, alike = GroundHeights(run, grid), AlikeChunks(run)
+    heights, layer_chunks = GroundHeights(run, grid), AlikeChunks(run)
     pool = ThreadPoolExecutor(READS_AT_ONCE)
     with pool, WritesBehind() as behind:
         coming = _read_ahead(pool, run, cells, grid)
@@ -75,7 +75,7 @@ def merge_chunks(
             collections = {part.block: part.collection for part in patches if part.collection is not None}
             of_blocks = {part.block: noises[part.segment] for part in patches} if noises else {}
             height = heights.over(window) if of_blocks else None
-            turn.submit(write_image, run, window, image, owner, collections, source, patches[0].checksum, alike)
+            turn.submit(write_image, run, window, image, owner, collections, source, patches[0].checksum, layer_chunks)
             turn.submit(write_noise, run, window, owner, grid, of_blocks, height)
     return Receipt(unit=unit, stage="mosaic", written=behind.written)
 
@@ -83,7 +83,7 @@ def merge_chunks(
 def _read_ahead(
     pool: ThreadPoolExecutor, run: Run, cells: Mapping[tuple[int, int], Sequence[PatchChunk]], grid: Grid
 ) -> Iterator[ComplexArray]:
-    """The pixels of all parts of output chunks, in their order; a few are read while those before are merged."""
+    """Iterate over the pixels of all parts of output chunks in order; a few are read ahead."""
     windows = ((chunk_window(cell, grid), part) for cell, parts in cells.items() for part in parts)
     return ahead(pool, (partial(_read, run, window, part) for window, part in windows), READS_AT_ONCE)
 
@@ -105,7 +105,7 @@ def _read(run: Run, window: Window, part: PatchChunk) -> ComplexArray:
 def _merge(
     parts: Sequence[PatchChunk], coming: Iterator[ComplexArray], margins: Margins
 ) -> tuple[ComplexArray, NDArray[np.int16]]:
-    """The pixels of one output chunk, and the block that each comes from.
+    """Merge the parts of an output chunk: its pixels, and the block that each comes from.
 
     The pixels of its parts are the next that are `coming`.
     """
@@ -125,7 +125,7 @@ def _merge(
 
 
 def _lay(parts: Sequence[PatchChunk], coming: Iterator[ComplexArray]) -> tuple[ComplexArray, NDArray[np.int16]]:
-    """Assemble a segment's patches: pixels, and the block that each comes from; later patches overwrite."""
+    """Lay the patches of one segment over each other: pixels and their blocks; later patches overwrite earlier ones."""
     image = next(coming)
     owner = np.full(image.shape, -1, np.int16)
     for number, part in enumerate(parts):
@@ -139,7 +139,7 @@ def _lay(parts: Sequence[PatchChunk], coming: Iterator[ComplexArray]) -> tuple[C
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Patch:
-    """Where a focused block goes.
+    """Target of a focused block: ground map, grid, and the chunks that it owns alone.
 
     Attributes
     ----------
@@ -182,7 +182,7 @@ def write_patch(run: Run, unit: str, samples: BlockSamples, block: BlockPlan, pa
 
 
 class _Corrected(NamedTuple):
-    """A chunk of a patch.
+    """Corrected pixels of a chunk.
 
     Pixels (n_y, n_x) of a window of the image, their z, m, or None on the plane, and the block that each comes from:
     one for all, or None if none is covered.
@@ -196,7 +196,7 @@ class _Corrected(NamedTuple):
 
 
 class _PatchChunks:
-    """The chunks of a block's patch, and the image's where no other block touches them."""
+    """Chunks of a block's patch, and of the image where no other block covers them."""
 
     def __init__(self, *, run: Run, block: BlockPlan, values: ComplexArray, patch: Patch) -> None:
         self.run, self.block, self.values, self.patch = run, block, values, patch
@@ -207,7 +207,7 @@ class _PatchChunks:
         self.alike = AlikeChunks(run)
 
     def tiled(self) -> Iterator[tuple[tuple[int, int], FloatArray | None, Tiles]]:
-        """Chunks with their heights and tiles, which are found together for some that are not too many, or a strip."""
+        """Iterate over chunks with heights and tiles, found together for a few chunks, or for a strip."""
         for cells, heights in self._batches():
             windows = [chunk_window(cell, self.grid) for cell in cells]
             tiles = tiles_of(self.ground, [(self.grid.x[x], self.grid.y[y]) for y, x in windows], heights)
@@ -227,7 +227,7 @@ class _PatchChunks:
         self, turn: ComputeTurn, memories: Sequence[ComplexArray], cell: tuple[int, int], z: FloatArray | None,
         tiles: Tiles,
     ) -> _Corrected:  # fmt: skip
-        """Compute a chunk's pixels, in the memory of its turn."""
+        """Compute the pixels of a chunk, in its turn's buffer."""
         ground, window = self.ground, chunk_window(cell, self.grid)
         x, y = self.grid.x[window[1]], self.grid.y[window[0]]
         out = memories[turn.memory][: y.size * x.size].reshape(y.size, x.size)
@@ -242,7 +242,7 @@ class _PatchChunks:
         return _Corrected(turn, cell, z, pixels, owner)
 
     def write(self, corrected: _Corrected) -> list[Written]:
-        """Write a chunk that has pixels; only to the patch if the mosaic merges it with others."""
+        """Write a chunk to the patch, and to the image if no other block covers the chunk."""
         _, cell, height, pixels, owner = corrected
         run, index, window = self.run, self.block.index, chunk_window(cell, self.grid)
         patch, part = run.patch(self.block.name), shifted(window, self.origin)

@@ -1,4 +1,4 @@
-"""The pyramid of an image, from its whole chunks: the mean power of covered pixels, halved in size level by level."""
+"""The pyramid of an image, built from its chunks: mean power of covered pixels, each level half the size."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Power = NDArray[np.float32]
 
 
 def build_pyramid(executor: Executor, run: Run, shape: tuple[int, int]) -> list[Receipt]:
-    """Write the levels after the first of the image's pyramid, (n_y, n_x) pixels, if it has one; return the receipts.
+    """Write the pyramid's levels after the first for an image of (n_y, n_x) pixels; return the receipts.
 
     The first is written with the image, by `tasks.write_level`. A unit makes those up to PYRAMID_LEVELS of as much as
     fills a chunk of the last of them; one more makes the few that remain.
@@ -43,7 +43,7 @@ def build_pyramid(executor: Executor, run: Run, shape: tuple[int, int]) -> list[
 
 
 def reduce_part(run: Run, unit: str, first: tuple[int, int], shape: tuple[int, int]) -> Receipt:
-    """Write levels from 2 on of the part of the first level that begins at row and column `first`."""
+    """Write levels from 2 on from the part of level 1 that begins at row and column `first`."""
     shapes = stores.level_shapes(shape)[:PYRAMID_LEVELS]
     written: list[Written] = []
     finer: dict[tuple[int, int], Power] = {}
@@ -60,7 +60,7 @@ def reduce_part(run: Run, unit: str, first: tuple[int, int], shape: tuple[int, i
 
 
 def reduce_levels(run: Run, unit: str, shape: tuple[int, int]) -> Receipt:
-    """Write the levels after the first, each a chunk at a time from that before it."""
+    """Write the levels after the first, each chunk from those of the level before."""
     shapes, written = stores.level_shapes(shape), list[Written]()
     for level in range(PYRAMID_LEVELS + 1, len(shapes) + 1):
         for window in _windows((0, 0), shapes[level - 1], None):
@@ -70,7 +70,7 @@ def reduce_levels(run: Run, unit: str, shape: tuple[int, int]) -> Receipt:
 
 
 def _windows(first: tuple[int, int], shape: tuple[int, int], count: int | None) -> Iterator[Window]:
-    """The chunks of a level (n_y, n_x) from row and column `first` on, at most `count` along either axis; None: all."""
+    """Iterate over chunks of a level (n_y, n_x) from row and column `first` on, up to `count` along each axis."""
     spans = []
     for start, n in zip(first, shape, strict=True):
         end = n if count is None else min(start + count * IMAGE_CHUNK, n)
@@ -79,7 +79,7 @@ def _windows(first: tuple[int, int], shape: tuple[int, int], count: int | None) 
 
 
 def _doubled(window: Window, shape: tuple[int, int]) -> Window:
-    """Where the cells of a window lie in the level before, of a shape."""
+    """Window of the previous level, of a shape, that a window's cells are averaged from."""
     rows, columns = (slice(2 * part.start, min(2 * part.stop, n)) for part, n in zip(window, shape, strict=True))
     return rows, columns
 
@@ -89,7 +89,7 @@ def _read(run: Run, level: int, window: Window) -> Power:
 
 
 def _laid(parts: dict[tuple[int, int], Power], window: Window) -> Power:
-    """The cells of a window of a level, from its chunks by their first row and column."""
+    """Assemble a window of a level from its chunks, given by first row and column."""
     rows, columns = window
     laid = np.empty((rows.stop - rows.start, columns.stop - columns.start), np.float32)
     for y, x in product(range(rows.start, rows.stop, IMAGE_CHUNK), range(columns.start, columns.stop, IMAGE_CHUNK)):
@@ -100,7 +100,7 @@ def _laid(parts: dict[tuple[int, int], Power], window: Window) -> Power:
 
 
 def _write(run: Run, level: int, window: Window, power: Power) -> list[Written]:
-    """Write a chunk of a level, if any of it is covered."""
+    """Write a chunk of a level, unless none of it is covered."""
     if not np.isfinite(power).any():
         return []
     return [write(run, run.image, stores.level_name(level), window, power, cached=True)]

@@ -30,7 +30,7 @@ def dashboard(client: Client | None) -> str | None:
 
 
 class Pages(RequestHandler):  # type: ignore[misc, unused-ignore]  # of a library without types
-    """The pages of a dashboard before anybody has looked at one: dask builds them, and the browser asks again."""
+    """Handler of a dashboard that dask builds on the first request, which is then repeated."""
 
     def get(self) -> None:
         import distributed.dashboard.scheduler as dashboard_pages
@@ -42,7 +42,7 @@ class Pages(RequestHandler):  # type: ignore[misc, unused-ignore]  # of a librar
 
 
 def serve_dashboard(cluster: LocalCluster) -> None:
-    """Let a local cluster that has no dashboard make one when somebody looks at it: bokeh is slow to import."""
+    """Add a dashboard to a local cluster, built when it is first opened: bokeh is slow to import."""
     if importlib.util.find_spec("bokeh") is not None:
         scheduler: Any = cluster.scheduler
         pages = RoutingApplication([(r"/.*", Pages, {"dask_server": scheduler})])
@@ -50,7 +50,7 @@ def serve_dashboard(cluster: LocalCluster) -> None:
 
 
 def check_recordable(path: Path, client: Client | None) -> None:
-    """Check that a cluster can make a performance report, and that it can be written. None: a local cluster.
+    """Check that a cluster can make a performance report and that the file can be written. None: a local cluster.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def _has_bokeh(client: Client) -> bool:
 
 @contextmanager
 def record_performance(client: Client | None, path: Path | None, listener: Listener) -> Iterator[None]:
-    """Write dask's performance report of the work done in the block, even if it fails; none without `path` or cluster.
+    """Write dask's performance report of the work in the block, even if it fails; nothing without `path` or cluster.
 
     A file at `path` is replaced only by a complete report. A report that cannot be made is a note to the listener.
     """

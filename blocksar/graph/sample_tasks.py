@@ -1,4 +1,4 @@
-"""The tasks that read the samples of a phase history: compression, interference, recovery, inspection."""
+"""Tasks that read samples of a phase history: compression, interference, recovery, inspection."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from blocksar.kernels.rows import Program
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Receipt, Written
 
-# Among what a receipt has found: what was cut from a group of pulses, and the zeros that look like gaps in its echo.
+# Keys of findings in receipts: interference cut from a group of pulses, and zeros that look like gaps in its echo.
 CUT, ZERO_GAPS = "interference", "zero_gaps"
 
 
@@ -49,11 +49,11 @@ class Gated:
     chunk: tuple[int, int]
 
     def common(self, first: int, last: int) -> tuple[int, int]:
-        """Bins among first .. last - 1 that the gate has; the second number is not above the first if none."""
+        """Intersect Doppler bins first .. last - 1 with the gate's; first >= last if they share none."""
         return max(first, self.first_bin), min(last, self.first_bin + self.gate.n_row)
 
     def within(self, first: int, last: int) -> Gated:
-        """Gate of the bins first .. last - 1 only, of which the gate has some."""
+        """Limit the gate to the bins first .. last - 1."""
         first, last = self.common(first, last)
         gate = self.gate.within(first - self.first_bin, last - self.first_bin)
         return replace(self, gate=gate, first_bin=first)
@@ -62,7 +62,7 @@ class Gated:
 def gate_bins(
     run: Run, unit: str, bins: tuple[int, int], spectrum: SpectrumChunks, targets: Sequence[Gated]
 ) -> Receipt:
-    """Gate the Doppler bins first .. last - 1, whole chunks of the spectrum, for all sub-blocks that have some of them.
+    """Gate Doppler bins in range, whole chunks of the spectrum, for all sub-blocks that contain some of them.
 
     Chunks are written by other threads while the next ones are computed.
     """
@@ -91,7 +91,7 @@ def gate_bins(
 
 
 def _gate(target: Gated, delays: ComplexArray, bins: tuple[int, int], *, threads: int) -> ComplexArray:
-    """The gated rows of some bins from their delays; zero outside the gate's slab."""
+    """Compute the gated rows of bins from their delays; zero outside the slab."""
     first, last = target.common(*bins)
     part = delays[first - bins[0] : last - bins[0]]
     rows = target.gate.from_delay.run(part, first=first - target.first_bin, threads=threads)
@@ -105,7 +105,7 @@ def _gate(target: Gated, delays: ComplexArray, bins: tuple[int, int], *, threads
 
 
 def _write_rows(run: Run, target: Gated, rows: ComplexArray, first: int) -> list[Written]:
-    """Write the rows from a Doppler bin on, a chunk's columns at a time."""
+    """Write rows that start at a Doppler bin, by the store's chunks of columns."""
     bins = slice(first - target.store_bin, first - target.store_bin + rows.shape[0])
     return [
         write(run, run.gated(target.block), "spectrum", (bins, slice(a, b)), np.ascontiguousarray(rows[:, a:b]))
@@ -121,7 +121,7 @@ def prepare_pulses(
     compression: RawCompression | None,
     interference: Cutting | None,
 ) -> Receipt:
-    """Write pulses into the run's own phase history: a raw echo range-compressed, then without interference.
+    """Write prepared pulses into the run's own phase history: range-compressed if raw, then without interference.
 
     Gaps in the pulses of an echo are divided out, see `RawCompression`; a pulse without a number is missing.
     """
@@ -154,7 +154,7 @@ def recover_group(
     recovery: Recovery,
     chunk: tuple[int, int],
 ) -> Receipt:
-    """Recover the spectrum of a column group, a chunk's columns at a time; missing and impossible samples are unlit.
+    """Recover the spectrum of a column group by chunks of columns; missing and impossible samples count as unlit.
 
     Chunks are written by other threads while the next columns are recovered.
     """
@@ -187,12 +187,12 @@ def recover_group(
 
 
 def _write_bins(run: Run, region: Window, values: ComplexArray, *, cached: bool) -> list[Written]:
-    """Write a chunk of the spectrum."""
+    """Write part of the spectrum."""
     return [write(run, run.spectrum, "spectrum", region, values, cached=cached)]
 
 
 def inspect_group(run: Run, unit: str, source: stores.PhaseHistory, columns: tuple[int, int]) -> Receipt:
-    """Inspect a column group without recovery, for back-projection, which reads the samples by pulse."""
+    """Inspect a column group without recovery, for back-projection, which reads by pulse."""
     signal = source.read(slice(None), slice(*columns))
     frequency = source.collection.range_frequency[slice(*columns)]
     inspection = zero_impossible(

@@ -1,4 +1,4 @@
-"""The segments of a run: its collection, or several of them, or parts of one along time."""
+"""Segments of a run: its collection, several collections, or parts of one along time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from blocksar.runs.receipts import Run
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Segment:
-    """A segment of a run, with its samples and its plan.
+    """A segment of a run: samples and plan.
 
     Attributes
     ----------
@@ -49,22 +49,22 @@ class Segment:
 
     @property
     def planned(self) -> Plan:
-        """The plan of a segment that has one."""
+        """Plan of the segment; only for processors that plan segments."""
         assert self.plan is not None
         return self.plan
 
     def of(self, run: Run) -> Run:
-        """The run as this segment's tasks see it."""
+        """The run as seen by the tasks of this segment."""
         return replace(run, collection=self.collection, segment=self.number)
 
     @cached_property
     def history(self) -> stores.PhaseHistory:
-        """Its own pulses."""
+        """Phase history of the segment's pulses."""
         return self.source if self.pulses is None else self.source.segment(*self.pulses)
 
 
 class Merged:
-    """Part of an image, to which segments are added one after the other: each pixel is that of the largest margin.
+    """Segment of each pixel of an image part, chosen by the largest margin as segments are added.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class Merged:
         self._shape = shape
 
     def choose(self, number: int, covered: BoolArray, margins: FloatArray) -> BoolArray:
-        """Pixels (n_y, n_x) that a segment takes, of those that it covers, by its `margins_over` that part."""
+        """Add a segment by its `margins_over` the part; return the covered pixels (n_y, n_x) that it takes."""
         margin = expand(margins, self._shape)
         if self._margin is None:
             better = covered
@@ -94,7 +94,7 @@ Margins = Mapping[int, FloatArray]  # `margins_over` a part of the image, by num
 
 
 def by_collection(segments: Sequence[Segment]) -> dict[int | None, list[Segment]]:
-    """The segments of each collection, in order."""
+    """Group segments by collection, in order."""
     groups: dict[int | None, list[Segment]] = {}
     for segment in segments:
         groups.setdefault(segment.collection, []).append(segment)

@@ -1,4 +1,4 @@
-"""Checked reading of the spectrum, and of the parts of it that range gates keep."""
+"""Reading of the spectrum and of gated spectra with checks, and writing behind the computation."""
 
 from __future__ import annotations
 
@@ -95,17 +95,17 @@ class ComputeTurn:
 
 
 def writes_at_once(threads: int) -> int:
-    """Threads that write behind so many threads that compute."""
+    """Number of threads that write while `threads` compute."""
     return max(WRITES_AT_ONCE, math.ceil(WRITES_PER_THREAD * threads))
 
 
 def turns_at_once(threads: int) -> int:
-    """Turns that `in_threads` has begun and not yielded."""
+    """Number of turns that `in_threads` begins before it yields one."""
     return threads + 1 if threads > 1 else 1
 
 
 def in_threads(jobs: Iterable[Callable[[], T]], threads: int) -> Iterator[T]:
-    """The results of jobs in their order, computed in so many threads; by the caller if it is one.
+    """Yield the results of jobs in order, computed in `threads` threads; by the caller if that is 1.
 
     Job k is asked for when all before job k - turns_at_once(threads) + 1 have been used.
     """
@@ -118,7 +118,7 @@ def in_threads(jobs: Iterable[Callable[[], T]], threads: int) -> Iterator[T]:
 
 
 def ahead(pool: ThreadPoolExecutor, jobs: Iterable[Callable[[], T]], count: int) -> Iterator[T]:
-    """The results of jobs in their order; up to `count` are done in the pool while the one before them is used."""
+    """Yield the results of jobs in order; up to `count` jobs run in the pool ahead of use."""
     coming: deque[Future[T]] = deque()
     for job in jobs:
         coming.append(pool.submit(job))
@@ -133,7 +133,7 @@ CACHED_SHARE = 1 / 8  # of the memory that a recovered spectrum may take of the 
 
 
 def stays_cached(shape: tuple[int, int]) -> bool:
-    """Whether a recovered spectrum is small enough to go through this machine's page cache."""
+    """Tell whether a spectrum of a shape is small enough to stay in this machine's page cache."""
     return 8 * prod(shape) <= CACHED_SHARE * machine()[1]
 
 
@@ -171,16 +171,16 @@ class SpectrumChunks:
         cls, store: Place, written: Sequence[Written], *, first_bin: int = 0, shape: tuple[int, int],
         chunk: tuple[int, int], recovered: bool = False,
     ) -> SpectrumChunks:  # fmt: skip
-        """All chunks, from what receipts say was written to the store."""
+        """All chunks of a store, from the receipts of what was written to it."""
         checksums = {(part.region[0][0], part.region[1][0]): part.checksum for part in written}
         return cls(store, first_bin, shape, chunk, checksums, recovered)
 
     def within(self, first_bin: int, last_bin: int) -> SpectrumChunks:
-        """Chunks with some of the bins first_bin .. last_bin - 1."""
+        """Select the chunks with some of the bins first_bin .. last_bin - 1."""
         rows = first_bin - self.first_bin, last_bin - self.first_bin
         first = rows[0] - rows[0] % self.chunk[0]
-        kept = {place: checksum for place, checksum in self.checksums.items() if first <= place[0] < rows[1]}
-        return replace(self, checksums=kept)
+        checksums = {place: checksum for place, checksum in self.checksums.items() if first <= place[0] < rows[1]}
+        return replace(self, checksums=checksums)
 
     def read(self, region: Window) -> ComplexArray:
         """Read a region (n_bin, n_column), complex64; its columns are whole chunks.
@@ -203,7 +203,7 @@ class SpectrumChunks:
         return values
 
     def _checked(self, rows: tuple[int, int], columns: tuple[int, int]) -> ComplexArray:
-        """Read whole chunks, and compare their checksums."""
+        """Read whole chunks, and compare their checksums with the receipts'."""
         values = np.empty((rows[1] - rows[0], columns[1] - columns[0]), np.complex64)
         cached = self.recovered and stays_cached(self.shape)
         stores.read_region(self.store, "spectrum", (slice(*rows), slice(*columns)), values, cached=cached)

@@ -1,4 +1,4 @@
-"""The stages of a run as lists of units: recovery by column group, focusing by block, the mosaic by output chunk.
+"""Stages of a run as lists of units: recovery by column group, focusing by block, mosaic by output chunk.
 
 Keys have the form `step-run-block`: the dashboard is readable, and no result of another run is reused. A unit of work
 writes whole chunks that no other unit writes, then its receipt. A lost worker therefore costs time only, and an
@@ -41,11 +41,11 @@ from blocksar.planning.tiling import chunk_window, image_chunk, inspection_width
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import Receipt, Written, block_unit
 
-Parts = defaultdict[str, list[Written]]  # what units have written, by store
+Parts = defaultdict[str, list[Written]]  # regions written by units, by store
 
 
 class ReadSegment(NamedTuple):
-    """A segment whose samples have been read, recovered to a spectrum or inspected, with its noise where known."""
+    """A segment after its samples were read: recovered or inspected, with its noise where known."""
 
     segment: Segment
     receipts: list[Receipt]
@@ -74,7 +74,7 @@ def recover(executor: Executor, segments: Sequence[Segment], run: Run) -> list[R
 
 
 def _reads_input(segment: Segment, run: Run) -> bool:
-    """Whether a segment's samples are those of the input, rather than range-compressed in the run's own store."""
+    """Tell whether a segment's samples are read from the input, not from the run's own prepared store."""
     return segment.history.path != segment.of(run).compressed
 
 
@@ -89,7 +89,7 @@ def _create_spectrum(run: Run, plan: Plan) -> None:
 
 
 def inspect_samples(executor: Executor, segments: Sequence[Segment], run: Run) -> list[ReadSegment]:
-    """Inspect phase histories that are not recovered.
+    """Inspect samples that are not recovered.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def inspect_samples(executor: Executor, segments: Sequence[Segment], run: Run) -
 def _column_groups(
     step: str, segment: Segment, run: Run, width: int, task: Callable[..., Receipt], *more: object
 ) -> list[Unit]:
-    """Return the units that read a segment's samples, so many columns each; `more` is what else the task takes."""
+    """Make the units that read a segment's samples, `width` columns each; `more` are further arguments of the task."""
     own, history, units = segment.of(run), segment.history, []
     for columns in chunk_spans(0, history.collection.n_range_frequency, width):
         name = own.unit_of_segment(f"columns-{columns[0]}")
@@ -125,7 +125,7 @@ def _read(executor: Executor, stage: str, segments: Sequence[Segment], units: Se
 
 
 def gate_ranges(executor: Executor, recovered: Sequence[ReadSegment], run: Run) -> list[Receipt]:
-    """Gate the spectra in range for all sub-blocks, into gated/; nothing without sub-blocks."""
+    """Gate spectra in range for all sub-blocks, into gated/; nothing without sub-blocks."""
     units: list[Unit] = []
     for segment, receipts, *_ in recovered:
         plan, own = segment.planned, segment.of(run)
@@ -160,7 +160,7 @@ def _create_gated(run: Run, plan: Plan, block: BlockPlan) -> None:
 
 
 def _parts(receipts: Iterable[Receipt]) -> Parts:
-    """Collect from receipts which parts of each store were written."""
+    """Collect the written parts of each store from receipts."""
     parts = Parts(list)
     for part in chain.from_iterable(receipt.written for receipt in receipts):
         parts[part.store].append(part)
@@ -185,7 +185,7 @@ def _gated_spectrum(plan: Plan, run: Run, block: BlockPlan, parts: Parts) -> Spe
 def focus_blocks(
     executor: Executor, recovered: Sequence[ReadSegment], run: Run, receipts: Sequence[Receipt]
 ) -> list[Receipt]:
-    """Focus every block, from its segment's spectrum to patches/<block>, by a chain of tasks of its own.
+    """Focus every block, from its segment's spectrum to patches/<block>, each by its own chain of tasks.
 
     The receipts of recovery and of the range gates have the checksums of spectra.
     """
@@ -224,7 +224,7 @@ def _create_patch(run: Run, block: BlockPlan, grid: Grid) -> None:
 
 
 def _chain(run: Run, block: BlockPlan, spectrum: SpectrumChunks, patch: Patch, priority: int) -> Unit:
-    """Return the unit of a block: its last task, after the others.
+    """Make the unit of a block: its last task, with the tasks before it.
 
     All have the priority of the block: a worker finishes the chain that it has begun before it starts another.
     """
@@ -242,7 +242,7 @@ def _chain(run: Run, block: BlockPlan, spectrum: SpectrumChunks, patch: Patch, p
 
 
 def discard_spectra(segments: Sequence[Segment], run: Run, receipts: Sequence[Receipt]) -> None:
-    """Remove the spectra of the whole scene, and what range gates kept of them."""
+    """Remove the recovered spectra and the gated ones."""
     for segment in segments:
         own = segment.of(run)
         own.discard(own.spectrum, receipts)
@@ -252,7 +252,7 @@ def discard_spectra(segments: Sequence[Segment], run: Run, receipts: Sequence[Re
 
 
 def mosaic(executor: Executor, recovered: Sequence[ReadSegment], run: Run, patches: Sequence[Receipt]) -> list[Receipt]:
-    """Merge the patches into image.zarr, by output chunk, where several blocks may own pixels.
+    """Merge patches into image.zarr, one output chunk at a time, where several blocks may own pixels.
 
     Chunks that only one block touches are there already; those that no block covers are not written.
     """
@@ -305,7 +305,7 @@ def _add_layers(
     grid: Grid,
     cells: Mapping[tuple[int, int], Mapping[int, int]],
 ) -> list[Receipt]:
-    """Add layers to chunks of the image, by row and column; of each, the segments that see what owns its pixels."""
+    """Add layers to image chunks; `cells` maps row and column to the segment of each owner of pixels there."""
     if not run.on_terrain:
         return []
     limits, ordered, units = stores.StoredTerrain(run.terrain).limits, sorted(cells), []
@@ -322,7 +322,7 @@ def _add_layers(
 def _patch_chunks(
     segments: Sequence[Segment], run: Run, patches: Sequence[Receipt]
 ) -> dict[tuple[int, int], list[tuple[PatchChunk, bool]]]:
-    """By row and column of an output chunk, the parts of it that blocks focused, and whether these are its image."""
+    """Map output chunks, by row and column, to their parts; each with whether it is already written to the image."""
     side = image_chunk(segments[0].planned.grid)
     cells: dict[tuple[int, int], list[tuple[PatchChunk, bool]]] = {}
     blocks = [(segment, block) for segment in segments for block in segment.planned.blocks]
@@ -347,7 +347,7 @@ def _patch_chunks(
 def _margins(
     segments: Sequence[Segment], cell: tuple[int, int], grid: Grid, parts: Sequence[PatchChunk]
 ) -> dict[int, FloatArray]:
-    """By which margins the segments that cover some of an output chunk saw its ground; nothing if only one does."""
+    """Margins of the segments that cover parts of an output chunk; empty if there is only one segment."""
     numbers = sorted({part.segment for part in parts})
     if len(numbers) == 1:
         return {}
@@ -370,7 +370,7 @@ def form_parts(
     *,
     on: str,
 ) -> list[Receipt]:
-    """Form image.zarr straight from phase histories, each by its form; `parts` are windows, whole chunks, by unit.
+    """Form image.zarr directly from phase histories by one form each; `parts` maps units to windows of whole chunks.
 
     A unit has a CPU for itself, or a worker's GPU: `on` says which.
     """
@@ -404,7 +404,7 @@ def merge_inspections(receipts: Sequence[Receipt]) -> Inspection:
 
 
 def without_lost(history: stores.PhaseHistory, inspection: Inspection) -> Inspection:
-    """An inspection with those pulses missing that were lost and hold zeros, see `collection.empty_pulses`."""
+    """Mark pulses as missing in an inspection that were lost and hold zeros, see `collection.empty_pulses`."""
     lost = missing_pulses(
         inspection.is_empty, inspection.lit > 0, whole_beam(history.collection, history.look),
         lambda pulse: history.read(slice(pulse, pulse + 1), slice(None))[0],
@@ -415,7 +415,7 @@ def without_lost(history: stores.PhaseHistory, inspection: Inspection) -> Inspec
 def prepare_samples(
     executor: Executor, segments: Sequence[Segment], run: Run
 ) -> tuple[list[Segment], list[list[Receipt]]]:
-    """Range-compress raw echoes and cut interference, each collection once, where there is something to do.
+    """Range-compress raw echoes and cut interference where needed, once for each collection.
 
     Returns the segments as they are then read, and receipts of each.
 
@@ -454,5 +454,5 @@ def prepare_samples(
 
 def _create_compressed(run: Run, collection: Collection, of_echo: bool) -> None:
     # The noise of an echo is that of its samples, not of the signal's.
-    kept = Collection(**{**collection.as_dict(), "noise_power": None}) if of_echo else collection
-    stores.create_phase_history(run.compressed, kept, overwrite=True)
+    stored = Collection(**{**collection.as_dict(), "noise_power": None}) if of_echo else collection
+    stores.create_phase_history(run.compressed, stored, overwrite=True)

@@ -1,4 +1,4 @@
-"""The tasks that run on workers: each reads stores, writes whole chunks, and returns a receipt or samples."""
+"""Tasks that run on workers: each reads stores, writes whole chunks, and returns a receipt or samples."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from blocksar.runs.record import Receipt, Written
 
 
 class Form(Protocol):
-    """Forms pixels straight from samples; it goes to workers, so it is a function of a module, or a partial of one."""
+    """Function that forms pixels directly from samples; picklable: a function of a module, or a partial of one."""
 
     def __call__(
         self, read: ReadPulses, geometry: Geometry, x: FloatArray, y: FloatArray, *, threads: int
@@ -54,13 +54,13 @@ class Form(Protocol):
 
 
 class FormParts(Protocol):
-    """Forms several windows of an image, one after the other; like `Form`, it goes to workers."""
+    """Function that forms several windows of an image in turn; picklable like `Form`."""
 
     def __call__(
         self, read: ReadPulses, geometry: Geometry, x: FloatArray, y: FloatArray, windows: Sequence[Window], *,
         threads: int,
     ) -> Iterator[tuple[Window, ComplexArray]]:  # fmt: skip
-        """Yield each window of the grid x (n_column,), y (n_row,), m, with its pixels, in an order of these only."""
+        """Yield the windows of the grid x (n_column,), y (n_row,), m, with pixels, in an order set by them alone."""
         ...
 
 
@@ -68,13 +68,13 @@ def each_alone(
     read: ReadPulses, geometry: Geometry, x: FloatArray, y: FloatArray, windows: Sequence[Window], *, threads: int,
     form: Form,
 ) -> Iterator[tuple[Window, ComplexArray]]:  # fmt: skip
-    """Form windows by a function that forms one."""
+    """Form several windows by a function that forms one."""
     for window in windows:
         yield window, form(read, geometry, x[window[1]], y[window[0]], threads=threads)
 
 
 class PixelSource(NamedTuple):
-    """Samples from which pixels are formed directly, and the function that forms them."""
+    """Samples of a collection, and the function that forms pixels from them."""
 
     source: stores.PhaseHistory
     geometry: Geometry
@@ -87,13 +87,13 @@ class PixelSource(NamedTuple):
 
 @dataclass
 class BlockSamples:
-    """The samples of a block between two tasks, and the seconds of each step so far."""
+    """Samples of a block between two tasks, and the seconds of each step so far."""
 
     values: ComplexArray | None
     seconds: dict[str, float]
 
     def take(self) -> ComplexArray:
-        """Hand the array over for in-place work, of the shape that the stage before left; a second call fails.
+        """Hand over the array for in-place work, in the shape that the previous stage left; a second call fails.
 
         Raises
         ------
@@ -108,7 +108,7 @@ class BlockSamples:
 
 
 def read_slab(run: Run, unit: str, block: BlockPlan, stage: Stage, spectrum: SpectrumChunks) -> BlockSamples:
-    """Run a block's first stage on its part of the spectrum, which is read by chunks' columns."""
+    """Run the first stage of a block, reading its part of the spectrum by chunks of columns."""
     started, reading = time.perf_counter(), 0.0
     program, bins = stage.program, slice(block.first_bin, block.first_bin + block.n_bin)
     out = np.empty((block.sampling.n_buffer_row, program.target.size), np.complex64)
@@ -120,7 +120,7 @@ def read_slab(run: Run, unit: str, block: BlockPlan, stage: Stage, spectrum: Spe
 
 
 def run_stage(run: Run, unit: str, samples: BlockSamples, block: BlockPlan, stage: Stage) -> BlockSamples:
-    """Run a stage on a block, in place where the result fits: no other task uses the input."""
+    """Run a stage on a block, in place if the result fits: no other task uses the input."""
     started = time.perf_counter()
     values, program = samples.take(), stage.program
     if stage.layout == "columns":
@@ -140,7 +140,7 @@ def run_stage(run: Run, unit: str, samples: BlockSamples, block: BlockPlan, stag
 
 
 def shifted(window: Window, origin: Sequence[int]) -> Window:
-    """Shift a window, so that it counts from another first row and column."""
+    """Shift a window to count from another first row and column."""
     (rows, columns), (y, x) = window, origin
     return slice(rows.start - y, rows.stop - y), slice(columns.start - x, columns.stop - x)
 
@@ -155,7 +155,7 @@ def write_image(
     checksum: str,
     alike: AlikeChunks,
 ) -> list[Written]:
-    """Write a chunk of the image (n_y, n_x), and its owners: of each pixel, or one of no dimension for all.
+    """Write a chunk of the image (n_y, n_x), and the block of each pixel, or one block for all.
 
     A chunk that equals that of a patch, whose checksum is given, shares its storage where that is possible.
     """
@@ -168,7 +168,7 @@ def write_image(
 
 
 def write_level(run: Run, window: Window, pixels: ComplexArray) -> list[Written]:
-    """Write what becomes of a chunk of the image in the first level of its pyramid, a chunk of that; if it has one."""
+    """Write the chunk of the pyramid's first level that an image chunk averages to, if there is a pyramid."""
     if not run.pyramid:
         return []
     half = slice(window[0].start // 2, -(-window[0].stop // 2)), slice(window[1].start // 2, -(-window[1].stop // 2))
@@ -178,7 +178,7 @@ def write_level(run: Run, window: Window, pixels: ComplexArray) -> list[Written]
 def write_owner(
     alike: AlikeChunks, window: Window, owner: NDArray[np.int16], collections: Mapping[int, int]
 ) -> list[Written]:
-    """Write the block that each pixel of a chunk comes from, `owner` as for `write_image`, and its collection.
+    """Write the block of each pixel of a chunk, `owner` as for `write_image`, and its collection.
 
     `collections` has that of each block; empty where runs have one only.
     """
@@ -194,31 +194,31 @@ def write_owner(
 def add_layers(
     run: Run, unit: str, cells: Sequence[tuple[int, int]], grid: Grid, sights: Mapping[int, Sight]
 ) -> Receipt:
-    """Write the layers of output chunks on a terrain, given by row and column, whose image and owners are written.
+    """Write the terrain layers of output chunks, given by row and column, whose image is written.
 
     `sights` has the antenna as the pixels of each owner see it. Chunks are written by other threads while the next ones
     are computed.
     """
-    layers, alike = TerrainLayers(run, grid, sights), AlikeChunks(run)
+    layers, layer_chunks = TerrainLayers(run, grid, sights), AlikeChunks(run)
     with WritesBehind() as behind:
         for _, strip in strips_of(cells, grid):
             found = layers.of(strip)
             for number, columns in enumerate(strip.columns):
                 turn, window = behind.turn(), (strip.rows, columns)
                 owner = stores.read_region(run.image, "block", window, cached=False)
-                turn.submit(write_layers, alike, window, found.over(number, owner))
+                turn.submit(write_layers, layer_chunks, window, found.over(number, owner))
     return Receipt(unit=unit, stage="layers", written=behind.written)
 
 
 def form_chunks(
     run: Run, unit: str, stage: str, sources: Sequence[PixelSource], windows: Sequence[Window], grid: Grid
 ) -> Receipt:
-    """Form output chunks straight from the samples, of all collections, on the terrain if there is one."""
+    """Form output chunks directly from the samples of all collections, on the terrain if there is one."""
     terrain = local_terrain(run, grid, window_around(windows)) if run.on_terrain else None
     sources = [source._replace(geometry=source.geometry.over(terrain)) for source in sources]
     collections = {source.number: source.collection for source in sources if source.collection is not None}
     noises = {source.number: source.noise for source in sources if source.noise is not None}
-    heights, alike = GroundHeights(run, grid), AlikeChunks(run)
+    heights, layer_chunks = GroundHeights(run, grid), AlikeChunks(run)
     written: list[Written] = []
     for formed in zip(*(_form(run, source, windows, grid) for source in sources), strict=True):
         window, image = formed[0]
@@ -233,7 +233,7 @@ def form_chunks(
             written += [
                 write(run, run.image, "image", window, image),
                 *write_level(run, window, image),
-                *write_owner(alike, window, owner, collections),
+                *write_owner(layer_chunks, window, owner, collections),
                 *write_noise(run, window, owner, grid, noises, heights.over(window) if noises else None),
             ]
     return Receipt(unit=unit, stage=stage, written=tuple(written))
@@ -242,7 +242,7 @@ def form_chunks(
 def _form(
     run: Run, source: PixelSource, windows: Sequence[Window], grid: Grid
 ) -> Iterator[tuple[Window, ComplexArray]]:
-    """Form output chunks of one collection."""
+    """Form output chunks from one collection."""
 
     def read(pulses: slice) -> ComplexArray:
         return read_valid(source.source, source.inspection, pulses)
@@ -251,7 +251,7 @@ def _form(
 
 
 def read_valid(source: stores.PhaseHistory, inspection: Inspection, pulses: slice) -> ComplexArray:
-    """All columns of pulses; outliers are missing."""
+    """Read all columns of pulses; missing samples and outliers are NaN."""
     signal = source.read(pulses, slice(None))
     mask_outliers(signal, inspection, pulses=pulses)
     return signal

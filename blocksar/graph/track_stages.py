@@ -1,4 +1,4 @@
-"""The stages of an estimate of the track's error, and of the store that it corrects, as lists of units.
+"""Stages that estimate a track's error and write the corrected store, as lists of units.
 
 Each task reads samples or small files, and writes a small file in the folder of the estimate: frozen objects of arrays
 and numbers. Arrays are written as numpy does, everything else as JSON in bytes; nothing is unpickled. The same object
@@ -59,7 +59,7 @@ OTHER = "json"  # kind of an entry that is no array
 
 
 def keep(run: Run, name: str, values: Sequence[Any]) -> dict[str, str]:
-    """Write dataclasses of arrays, numbers, texts, dicts and tuples to a file; return its checksum by its path.
+    """Save dataclasses to a file; return {path: checksum}.
 
     Raises
     ------
@@ -87,12 +87,12 @@ def keep(run: Run, name: str, values: Sequence[Any]) -> dict[str, str]:
 
 
 def _plain(value: Any) -> Any:
-    """A number of numpy as one of Python."""
+    """Convert a numpy number to a Python one."""
     return value.item()
 
 
 def kept(run: Run, kind: type[T], files: Files) -> list[T]:
-    """Read the dataclasses of one kind that `keep` wrote to these files, in order.
+    """Load dataclasses of one kind that `keep` saved to files, in order.
 
     Raises
     ------
@@ -124,7 +124,7 @@ Span = tuple[int, int]
 
 @lru_cache(maxsize=2)
 def work_of(folder: str, identity: str, grid: Grid | None) -> Work:
-    """Inputs of the stages besides samples, from the collection and the terrain in a folder; equal in all processes.
+    """Make the inputs of the stages from the collection and terrain in a folder; equal in all processes.
 
     A process keeps those of its last two estimates; `identity` tells them apart.
     """
@@ -149,7 +149,7 @@ def _samples(run: Run, source: stores.PhaseHistory, pulses: slice) -> ComplexArr
 
 
 class ChipFiles(NamedTuple):
-    """Files of points, of their chips and of the correction so far; points are looked for in the grid."""
+    """Paths of saved points, chips and correction; `grid` is where points are searched."""
 
     points: Files
     chips: Files
@@ -157,7 +157,7 @@ class ChipFiles(NamedTuple):
     grid: Grid | None
 
     def read(self, run: Run) -> tuple[Work, Points, list[ChipPart], Correction]:
-        """Read them, for an estimate that lies in a run's folder."""
+        """Load the files of an estimate in a run's folder."""
         work = work_of(str(run.folder), run.identity, self.grid)
         known = kept(run, Correction, self.correction)[0] if self.correction else Correction.none(work)
         return work, kept(run, Points, self.points)[0], kept(run, ChipPart, self.chips), known
@@ -166,7 +166,7 @@ class ChipFiles(NamedTuple):
 def search_pulses(
     run: Run, unit: str, source: stores.PhaseHistory, spans: Sequence[Span], grid: Grid | None
 ) -> Receipt:
-    """Look for prominent places in some short apertures."""
+    """Search for prominent places in some short apertures."""
     work = work_of(str(run.folder), run.identity, grid)
     found = [find_candidates(_samples(run, source, slice(*s)), work, slice(*s), threads=run.threads) for s in spans]
     return _kept(run, unit, "search", found)
@@ -186,7 +186,7 @@ def select(run: Run, unit: str, candidates: Sequence[Files], grid: Grid | None) 
 
 
 def chips_of_pulses(run: Run, unit: str, source: stores.PhaseHistory, pulses: Span, given: ChipFiles) -> Receipt:
-    """Take the points' chips of a block of pulses, along the track as corrected so far."""
+    """Take the points' chips from a block of pulses, along the track as corrected so far."""
     signal, (work, points, _, known) = _samples(run, source, slice(*pulses)), given.read(run)
     missing = int(np.isnan(signal).all(axis=1).sum())
     part = take_chips(signal, work, points, known.displacement, slice(*pulses), threads=run.threads)
@@ -200,12 +200,12 @@ def estimate_error(run: Run, unit: str, given: ChipFiles) -> Receipt:
 
 
 def estimate_from_half(run: Run, unit: str, given: ChipFiles, number: int) -> Receipt:
-    """Estimate the correction from half of the points alone."""
+    """Estimate the correction from half of the points."""
     return _kept(run, unit, "halves", [estimate_half(*given.read(run), number, run.threads)])
 
 
 def finish_estimate(run: Run, unit: str, given: ChipFiles, halves: Files) -> Receipt:
-    """Test the estimate by halves of the points, and keep the corrected track."""
+    """Compare the estimates from halves of the points, and save the corrected track."""
     return _kept(run, unit, "finish", [finish(*given.read(run), kept(run, HalfEstimate, halves))])
 
 
@@ -216,17 +216,17 @@ def anchor_track(run: Run, unit: str, given: ChipFiles, result: Files, control: 
 
 
 def keep_points(run: Run, unit: str, stage: str, points: Points) -> Receipt:
-    """Keep control points, or those that two collections see, as points of chips."""
+    """Save control points, or those seen by two collections, as points to take chips of."""
     return _kept(run, unit, stage, [points])
 
 
 def find_shared_places(run: Run, unit: str, given: ChipFiles) -> Receipt:
-    """Find where a collection sees the responses in the chips of points that another one sees too."""
+    """Find the places where a collection sees responses at points that another one also sees."""
     return _kept(run, unit, "tie", [find_places(*given.read(run))])
 
 
 def tie_track(run: Run, unit: str, given: ChipFiles, result: Files, places: Places) -> Receipt:
-    """Tie a corrected track to that of another collection; keep the result, and the correction as it is then."""
+    """Tie a corrected track to that of another collection; save the result and the correction that it leads to."""
     work, _, parts, last = given.read(run)
     tied = tie(work, kept(run, Result, result)[0], places, parts, last)
     files = keep(run, f"{unit}-result.npz", [tied])
@@ -235,7 +235,7 @@ def tie_track(run: Run, unit: str, given: ChipFiles, result: Files, places: Plac
 
 
 def _kept(run: Run, unit: str, stage: str, made: Sequence[object], **found: object) -> Receipt:
-    """Write the result of a task to one file; return its checksum by path."""
+    """Save the result of a task to one file; return the receipt with its checksum."""
     return Receipt(unit=unit, stage=stage, files=keep(run, f"{unit}.npz", made), found=found or None)
 
 
@@ -251,7 +251,7 @@ MISSING = 1 / 3  # of the pulses; with more of them missing, the error cannot be
 
 
 class Stages:
-    """Runs the stages of an estimate, which lies in a run's folder, and keeps the receipts of all units.
+    """Runner of an estimate's stages, in a run's folder, that collects the receipts of all units.
 
     Points are looked for in the grid.
     """
@@ -265,7 +265,7 @@ class Stages:
         return work_of(str(self.run.folder), self.run.identity, self.grid)
 
     def unit(self, step: str, name: str, task: Callable[..., Receipt], *arguments: object, threads: int = 0) -> Unit:
-        """Return a unit of the estimate, with the threads of a task if it is to have no other number."""
+        """Make a unit of the estimate; `threads` overrides the run's."""
         run = replace(self.run, threads=threads or self.run.threads)
         # A refusal by any stage is about the samples, also where they are those of a raw echo, compressed.
         return Unit(step, run, name, task, arguments, reads_input=True)
@@ -303,7 +303,7 @@ class Stages:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimated:
-    """The estimate of a track, and what it was made from.
+    """Estimate of a track, with its source and files.
 
     Attributes
     ----------
@@ -383,7 +383,7 @@ def estimate_track(
 
 
 def _prepare(stages: Stages, channels: Sequence[stores.PhaseHistory], interference: Cutting | None) -> list[Segment]:
-    """Range-compress channels, and cut interference; each is a segment then, with its number as `collection`."""
+    """Range-compress channels and cut interference; returns each as a segment, its number as `collection`."""
     numbers = range(len(channels)) if len(channels) > 1 else [None]
     segments, compressed = prepare_samples(
         stages.executor,
@@ -398,7 +398,7 @@ def _prepare(stages: Stages, channels: Sequence[stores.PhaseHistory], interferen
 
 
 def _select(stages: Stages, channels: Sequence[Segment]) -> tuple[int, Files]:
-    """Select points and the channel that they are of: its number, and the file of the points."""
+    """Select points; return the number of the channel they are from, and their file."""
     searches = [
         (
             number,
@@ -424,13 +424,13 @@ def _select(stages: Stages, channels: Sequence[Segment]) -> tuple[int, Files]:
 
 
 def _search_spans(work: Work) -> list[tuple[int, list[Span]]]:
-    """The short apertures that each task of a search takes, with the number of the first."""
+    """Short apertures of each task of the search, with the number of the first."""
     apertures = [(one.start, one.stop) for one in work.apertures]
     return [(first, apertures[first:end]) for first, end in chunk_spans(0, len(apertures), SEARCHED)]
 
 
 def files_of(receipts: Iterable[Receipt]) -> Files:
-    """The files of units, with their checksums."""
+    """Collect the files of units, with checksums."""
     return {name: checksum for receipt in receipts for name, checksum in receipt.files.items()}
 
 
@@ -455,7 +455,7 @@ def copy_store(executor: Executor, source: Place, target: Place, run: Run) -> li
 
 
 def tie_tracks(estimates: Sequence[Estimated], labels: Sequence[str]) -> list[Estimated]:
-    """Move the tracks of several collections, so that their images agree in place where they overlap.
+    """Tie the tracks of several collections, so that their images agree in place where they overlap.
 
     The order is that of `tie_in_turn`. `labels` are what the results' figures call the collections.
     """
@@ -486,7 +486,7 @@ def _noted(result: Result, tied: dict[str, object]) -> Result:
 
 
 def _tie(one: Estimated, other: Estimated, shared: Points, label: str) -> Estimated:
-    """Tie the track of another collection to that of the first by the points that both see."""
+    """Tie the track of another collection to that of the first by points that both see."""
     first, second = one.stages, other.stages
     before = len(first.receipts), len(second.receipts)
     # What is found depends on both, and on what the first is tied to.

@@ -1,4 +1,4 @@
-"""Units of work, plain records of tasks, and the two executors that run them: this process, or a dask cluster.
+"""Units of work, plain records of tasks, and two executors: this process, or a dask cluster.
 
 Every stage of a run or of an estimate is a list of units for `Executor.run_units`. Those that have a valid receipt are
 left out. The others are submitted, no more at a time than were planned for; each signs a receipt where it runs, once
@@ -70,7 +70,7 @@ class Unit:
 
 
 def perform(unit: Unit, *results: Any) -> Any:
-    """Do the task of a unit, where it runs; sign its receipt, if it returns one.
+    """Run the task of a unit, where the unit is executed; sign its receipt, if it returns one.
 
     The seconds of the receipt are those of the task, and those that it has counted itself, of tasks before it.
     """
@@ -113,7 +113,7 @@ class Executor(ABC):
     def execute(
         self, stage: str, units: Sequence[Unit], *, per_worker: int = 1, ahead: bool = False
     ) -> Iterator[tuple[str, Any]]:
-        """Run units, whatever receipts there are; yield the name of each, once it has ended, and what it has made.
+        """Run all units, also those with receipts; yield the name and result of each as it ends.
 
         Raises
         ------
@@ -175,7 +175,7 @@ class Executor(ABC):
 
 
 def _fail(error: BaseException, stage: str, unit: Unit) -> NoReturn:
-    """Raise the error of a unit, with the stage and the unit."""
+    """Raise a unit's error, with stage and unit in the message."""
     # A defect in the run's own stores is not an error in the user's input.
     if isinstance(error, ProcessingError) or (unit.reads_input and isinstance(error, InputError)):
         raise error
@@ -217,7 +217,7 @@ _patience: ContextVar[float | None] = ContextVar("patience", default=None)
 
 @contextmanager
 def waiting_for_workers(seconds: float | None) -> Iterator[None]:
-    """In the block, wait so long for a first worker, and for another whenever the last is lost; None: NO_WORKER."""
+    """Set, for the block, the seconds to wait for a first worker or after the last is lost; None: NO_WORKER."""
     before = _patience.set(seconds)
     try:
         yield
@@ -231,7 +231,7 @@ def _patience_seconds() -> float:
 
 
 def workers_of(client: Client) -> dict[str, dict[str, Any]]:
-    """Ask the scheduler for what it knows of its workers, by address.
+    """Query the scheduler's records of its workers, by address.
 
     `Client.scheduler_info` may answer without any worker: the client keeps the last answer to either of two questions,
     and asks every other second for the state of the cluster alone. None, too, if the scheduler is gone.
@@ -244,7 +244,7 @@ def workers_of(client: Client) -> dict[str, dict[str, Any]]:
 
 
 def await_workers(client: Client, listener: Listener) -> dict[str, dict[str, Any]]:
-    """Return what the scheduler knows of its workers, by address, once there is one.
+    """Wait for a first worker; return the scheduler's records of its workers, by address.
 
     Raises
     ------
@@ -324,7 +324,7 @@ class OnCluster(Executor):
                 self.client.cancel(list(running), force=True)
 
     def _submit(self, unit: Unit) -> Future[Any]:
-        """Submit the task of a unit, and those before it; a worker goes on with what it has begun by `priority`."""
+        """Submit the task of a unit and those before it; `priority` makes workers finish what they have begun."""
         before = [self._submit(one) for one in unit.after]
         needed = {"resources": GPU} if unit.on == "gpu" else {}
         key = f"{unit.step}-{unit.run.token}-{unit.name}"
@@ -361,7 +361,7 @@ class Watch:
         return max(self._workers.number, 1)
 
     def notify(self, units: Iterable[Unit]) -> None:
-        """Report the units in flight and the last known state of the workers; the scheduler is not asked."""
+        """Report the units in flight and the last known state of the workers, without asking the scheduler."""
         self._listener.watch([unit.name for unit in units], self._workers)
 
     def wait_for_any(self, running: Mapping[Future[Any], Unit], stage: str) -> list[Future[Any]]:
@@ -397,7 +397,7 @@ class Watch:
             raise ProcessingError(f"{stage} of {units} hangs: nothing was finished for {STALL:.0f} s")
 
     def _miss_workers(self, units: str) -> None:
-        """Fail if there has been no worker for too long; until then say so once, if others are to start them."""
+        """Fail if there has been no worker for too long; before that note it once, if workers are started by others."""
         self._last_finished = now = time.monotonic()  # nothing hangs as long as nobody works
         others = _patience.get() is not None
         if now - self._last_worker > _patience_seconds():

@@ -1,4 +1,4 @@
-"""Imports of the process that workers are forked from, loaded once for all of them."""
+"""Imports of the process that workers are forked from, which all workers share."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The delay of a standard atmosphere.
+"""The range delay of a standard atmosphere.
 
 The zenith delay above a height h is that of Saastamoinen ("Atmospheric correction for the troposphere and stratosphere
 in radio ranging of satellites", Geophysical Monograph 15, 1972),
@@ -32,7 +32,7 @@ def slant_delay(antenna: FloatArray, ground: FloatArray, frame: Georeference) ->
 
 
 def delay_words(delay: FloatArray) -> str:
-    """A delay (n,), m of range, in words."""
+    """Describe a delay (n,), m of range, in words."""
     return (
         f"{delay.mean() * 2e9 / SPEED_OF_LIGHT:.4g} ns or {delay.mean():.3g} m of range, which changes by "
         f"{np.ptp(delay):.2g} m over the collection"

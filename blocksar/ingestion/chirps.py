@@ -1,4 +1,4 @@
-"""Chirps as files state them: the sign that the samples tell, and the chirp of a recorded pulse.
+"""Chirps as files state them: a check of their sign against the samples, and the chirp of a recorded pulse.
 
 *Sign.* A filter matched to the pulse gathers the echo of each place in one sample; that of the opposite chirp spreads
 it over twice the pulse. With p the power over range, averaged over pulses that follow each other, so that speckle is
@@ -26,7 +26,7 @@ FITS = 0.5  # rad r.m.s., by which a linear chirp's phase may miss a pulse's
 def contrasts(
     echo: ComplexArray, *, chirp_rate: float, pulse_width: float, sampling_rate: float
 ) -> tuple[float, float]:
-    """Contrast c over range of echoes (n_pulse, n_sample), by the chirp as told and by that of the other sign.
+    """Contrast over range of echoes (n_pulse, n_sample), compressed with the stated chirp, and with the other sign.
 
     Samples that are not finite count as 0. Both are 0 if there are no echoes.
     """
@@ -47,7 +47,7 @@ def contrasts(
 
 
 class Chirp(NamedTuple):
-    """Rate of a pulse, Hz/s, its length, s, and where it has the carrier's frequency, s after its first sample."""
+    """Linear chirp: rate, Hz/s, length, s, and the time from its first sample to the carrier's frequency, s."""
 
     rate: float
     width: float
@@ -55,7 +55,7 @@ class Chirp(NamedTuple):
 
 
 def fitted_chirp(pulse: ComplexArray, sampling_rate: float) -> Chirp | None:
-    """The linear chirp of a recorded pulse (n,); None if it is none.
+    """Fit a linear chirp to a recorded pulse (n,); None if the phase is no parabola.
 
     The phase of samples is a parabola, weighted by their amplitude: its curvature is the rate, its vertex the centre.
     """

@@ -42,7 +42,7 @@ KIND = Kind(
 
 @dataclass(frozen=True, kw_only=True)
 class CrsdOptions(PartOptions):
-    """As `PartOptions`.
+    """Options of the CRSD reader, besides `PartOptions`.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ BISTATIC = 2e-3  # of the range, that transmitter and receiver may be apart
 
 @contextmanager
 def opened(path: Readable) -> Iterator[tuple[Any, Any]]:
-    """The file, open, and sarkit's reader of it.
+    """Open the file with sarkit's reader.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def opened(path: Readable) -> Iterator[tuple[Any, Any]]:
 
 
 def begin(files: Sequence[Readable], options: CrsdOptions) -> RawStrip:
-    """Read all but the samples.
+    """Read everything but the samples.
 
     Raises
     ------
@@ -93,19 +93,19 @@ def begin(files: Sequence[Readable], options: CrsdOptions) -> RawStrip:
 
 
 def _vectors(values: NDArray[Any]) -> FloatArray:
-    """Parameters of three numbers (n, 3), however they are stored."""
+    """Convert parameters of three numbers to (n, 3), from either way of storing them."""
     if values.dtype.names is not None:
         return np.stack([values[name].astype(float) for name in values.dtype.names], axis=1)
     return values.astype(float)
 
 
 def _whole(values: NDArray[Any], origin: int = 0) -> FloatArray:
-    """Times or phases of a whole number and a fraction, less a whole number."""
+    """Add whole numbers, minus an origin, and fractions of times or phases."""
     return np.asarray((values["Int"] - origin).astype(float) + values["Frac"])
 
 
 class _Layout:
-    """Where a file has what a strip needs."""
+    """Access to the parts of a CRSD file that a strip needs."""
 
     def __init__(self, path: Readable, stream: Any, reader: Any, options: CrsdOptions) -> None:
         self.path, self.stream, self.reader, self.options = path, stream, reader, options
@@ -117,19 +117,19 @@ class _Layout:
         self.notes: list[str] = []
 
     def said(self, path: str, of: Any = None) -> str:
-        """The text at a path; empty if there is none."""
+        """Text at a path of the XML; empty if there is none."""
         parts = "/".join(f"{{*}}{name}" for name in path.split("/"))
         return printable(((self.root if of is None else of).findtext(parts) or "").strip())
 
     def _polarization(self, parameters: Any) -> str:
-        """Of transmitter and receiver, such as HV; L and R are circular."""
+        """Polarisation of transmitter and receiver, such as HV; L and R are circular."""
         names = (
             self.said(f"{path}/PolarizationID", parameters) for path in ("SARImage/TxPolarization", "RcvPolarization")
         )
         return "".join({"LHC": "L", "RHC": "R"}.get(name, name) for name in names)
 
     def _channel(self) -> Any:
-        """The parameters of the channel that is wanted.
+        """Parameters of the requested channel.
 
         Raises
         ------
@@ -169,8 +169,8 @@ class _Layout:
             notes.append(f"{lost.size} of {count(n, 'vector')} without a normal signal: missing in the store")
             even = even.without(lost)
         self.notes += notes
-        kept, when = sent[even.pulses], vectors[even.pulses]
-        width, rate, carrier = (self._constant(kept, field) for field in ("TXmt", "FxRate", "FxFreq0"))
+        transmit, when = sent[even.pulses], vectors[even.pulses]
+        width, rate, carrier = (self._constant(transmit, field) for field in ("TXmt", "FxRate", "FxFreq0"))
         if np.any(when["FICRate"] != 0):
             raise InputError("has echoes that were mixed with a chirp (FICRate is not 0); compress them first")
         sampling_rate = float(self.said("Fs", self.parameters))
@@ -183,9 +183,9 @@ class _Layout:
             )
         delay = float(begun.mean()) + np.arange(n_sample) / sampling_rate + width / 2
         centre = _vectors_of(self.root, "SceneCoordinates/IARP/ECF")
-        track = self._track(even, kept, when, begun, centre)
+        track = self._track(even, transmit, when, begun, centre)
         start = epoch_of(self.said("Global/CollectionRefTime"), "CollectionRefTime")
-        axis, steering = self._antenna(kept, track, even)
+        axis, steering = self._antenna(transmit, track, even)
         form = self.said("Data/Receive/SignalArrayFormat")
         if form not in FORMATS:
             raise InputError(f"has samples in {quoted(form)}; only {', '.join(FORMATS)} are read")
@@ -194,7 +194,7 @@ class _Layout:
             path=self.path, dtype=np.dtype(FORMATS[form]), count=n_sample,
             first_byte=signals + int(self.said("SignalArrayByteOffset", data)),
             numbers=even.pulses, scale=when["AmpSF"].astype(float) if "AmpSF" in when.dtype.names else None,
-            phase=self._phase(kept, when, begun), mixed=float(carrier - when["RefFreq"][0]),
+            phase=self._phase(transmit, when, begun), mixed=float(carrier - when["RefFreq"][0]),
             delay=delay - width / 2,
         )  # fmt: skip
         self.stream.seek(0, 2)
@@ -210,7 +210,7 @@ class _Layout:
         )  # fmt: skip
 
     def _constant(self, pulses: NDArray[Any], name: str) -> float:
-        """A parameter of pulses that must not change."""
+        """Value of a parameter of pulses that must be constant."""
         values = pulses[name].astype(float)
         if not np.isfinite(values).all() or np.ptp(values) > WAVEFORM * np.abs(values).max():
             raise InputError(
@@ -228,7 +228,7 @@ class _Layout:
     def _track(
         self, even: Even, pulses: NDArray[Any], vectors: NDArray[Any], begun: FloatArray, centre: FloatArray
     ) -> OrbitTrack:
-        """Midway between the transmitter and the receiver as the scene's echo arrives."""
+        """Positions midway between transmitter and receiver, at the time the scene's echo arrives."""
         transmitter, receiver = _vectors(pulses["TxPos"]), _vectors(vectors["RcvPos"])
         velocity = _vectors(vectors["RcvVel"])
         away = np.linalg.norm(transmitter - centre, axis=1)
@@ -244,7 +244,7 @@ class _Layout:
         )  # fmt: skip
 
     def _antenna(self, pulses: NDArray[Any], track: OrbitTrack, even: Even) -> tuple[Antenna | None, FloatArray | None]:
-        """The transmitting antenna's axis closest to the flight, and the beam's angle off the plane normal to it."""
+        """Azimuth axis of the transmitting antenna, closest to the flight, and the beam's angle off its normal."""
         if not {"TxACX", "TxACY", "TxEB"} <= set(pulses.dtype.names or ()):
             return None, None
         axes = np.stack([_vectors(pulses[name]) for name in ("TxACX", "TxACY")])
@@ -256,20 +256,20 @@ class _Layout:
         return Antenna(time=track.time, axis=towards * axes[which]), steering
 
     def _phase(self, pulses: NDArray[Any], vectors: NDArray[Any], begun: FloatArray) -> FloatArray:
-        """Phase to take off each vector, cycles (see the package)."""
-        told = _whole(pulses["PhiX0"]) - _whole(vectors["RefPhi0"])
-        return np.asarray(np.mod(told + np.mod(vectors["RefFreq"].astype(float) * begun, 1), 1))
+        """Phase to remove from each vector, cycles (see the package)."""
+        reference = _whole(pulses["PhiX0"]) - _whole(vectors["RefPhi0"])
+        return np.asarray(np.mod(reference + np.mod(vectors["RefFreq"].astype(float) * begun, 1), 1))
 
 
 def _vectors_of(root: Any, path: str) -> FloatArray:
-    """Three numbers X, Y, Z (3,) of the XML."""
+    """Read X, Y, Z (3,) at a path of the XML."""
     parts = "/".join(f"{{*}}{name}" for name in path.split("/"))
     return np.array([float(root.findtext(f"{parts}/{{*}}{axis}")) for axis in "XYZ"])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Samples:
-    """Reads the samples of a channel."""
+    """Reader of a channel's samples."""
 
     path: Readable
     dtype: np.dtype[Any]

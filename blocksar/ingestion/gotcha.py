@@ -1,4 +1,4 @@
-"""MATLAB files of the AFRL Gotcha volumetric SAR data set: their reader, and their way to a phase history.
+"""MATLAB files of the AFRL Gotcha volumetric SAR data set: reader and conversion to a phase history.
 
 Each file holds one degree of a circular pass. `blocksar/ingestion/README.md` lists its fields and gives the reasons for
 the four decisions below, with figures from the measured scene.
@@ -56,14 +56,14 @@ class Joined:
 
     @property
     def notes(self) -> list[str]:
-        """Say how many pulses were left out."""
+        """Describe how many pulses were left out."""
         held = sum(len(file.checksums) for file in self.files)
         repeated = held - self.azimuth.size
-        return [f"{repeated} of {held} pulses repeat another, and are left out"] if repeated else []
+        return [f"{repeated} of {held} pulses that repeat another: left out"] if repeated else []
 
     @property
     def step(self) -> float:
-        """Step in azimuth between pulses, rad, where none is missing."""
+        """Azimuth step between pulses, rad, between which none is missing."""
         return float(np.median(np.diff(self.azimuth)))
 
 
@@ -86,7 +86,7 @@ def check_same_collection(files: Sequence[GotchaFile]) -> None:
 
 
 def by_polarisation(files: Sequence[GotchaFile]) -> dict[str, list[GotchaFile]]:
-    """The files of each polarisation, in alphabetical order; all of them under one name if there is only one.
+    """Group files by polarisation, in alphabetical order; under one name if there is only one.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def by_polarisation(files: Sequence[GotchaFile]) -> dict[str, list[GotchaFile]]:
 
 
 def check_same_geometry(channels: Mapping[str, Joined]) -> None:
-    """Refuse polarisations whose pulses are not at the same places.
+    """Refuse polarisations whose pulses were taken at different places.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def check_same_geometry(channels: Mapping[str, Joined]) -> None:
 
 
 def describe_band(frequency: FloatArray) -> str:
-    """The frequency grid in words."""
+    """Describe the frequency grid."""
     return f"freq from {frequency[0]:.9g} to {frequency[-1]:.9g} Hz in {frequency.size} samples"
 
 
@@ -153,7 +153,7 @@ def join(files: list[GotchaFile]) -> Joined:
     position, r0 = np.concatenate([f.position for f in files]), np.concatenate([f.r0 for f in files])
     azimuth = np.mod(np.arctan2(position[:, 1], position[:, 0]), TURN)
     if azimuth.size < 8:
-        raise InputError(f"source holds {azimuth.size} pulses altogether; at least 8 are needed")
+        raise InputError(f"source holds {count(azimuth.size, 'pulse')} altogether; at least 8 are needed")
     order = np.lexsort((file, azimuth))
     ahead = np.append(np.diff(azimuth[order]), azimuth[order[0]] + TURN - azimuth[order[-1]])
     order = np.roll(order, -1 - int(ahead.argmax()))
@@ -173,7 +173,7 @@ def join(files: list[GotchaFile]) -> Joined:
 
 
 def _unique_pulses(files: Sequence[GotchaFile], file: IntArray, index: IntArray, position: FloatArray) -> BoolArray:
-    """False for pulses that repeat the one before: the same position and the same samples."""
+    """Mask of pulses that do not repeat the previous one: same position, same samples."""
     sums = [files[f].checksums[i] for f, i in zip(file, index, strict=True)]
     same = np.array([a == b for a, b in pairwise(sums)])
     return np.append(True, ~(same & (np.diff(position, axis=0) == 0).all(axis=1)))
@@ -271,7 +271,7 @@ UNEVEN = 0.02  # steps by which a pulse may lie off the line through its neighbo
 
 
 def begin(sources: Sequence[Location], options: ReaderOptions) -> Reading:
-    """Read all but the samples of files that adjoin in azimuth, in any order, up to the full circle.
+    """Read everything but the samples of files that adjoin in azimuth, in any order, up to the full circle.
 
     Several polarisations become the channels of the store, if their pulses are at the same places.
 
@@ -300,7 +300,7 @@ def begin(sources: Sequence[Location], options: ReaderOptions) -> Reading:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Layout:
-    """The new store: its collection, and the row of each joined pulse, or how rows are resampled from them.
+    """Layout of the new store: its collection, and the joined pulse of each row, or the rows' resampling.
 
     `names` are those of the channels; empty if there is one polarisation.
     """
@@ -315,7 +315,7 @@ class _Layout:
 
 
 def lay_out(channels: Mapping[str, Joined]) -> _Layout:
-    """Determine slow time, track and reference range of the store, and how its rows follow from the pulses.
+    """Determine slow time, track and reference range of the store, and how its rows are made from the pulses.
 
     They are those of the first channel.
     """
@@ -381,7 +381,7 @@ def lay_out(channels: Mapping[str, Joined]) -> _Layout:
 
 
 def _title(files: Sequence[GotchaFile], azimuth: FloatArray) -> str:
-    """The store's title: passes, polarisations and azimuths."""
+    """Compose the store's title: passes, polarisations and azimuths."""
     first, last = np.degrees(azimuth[[0, -1]])
     parts = ["AFRL Gotcha"]
     parts += [f"pass {p}" for p in sorted({f.pass_ for f in files if f.pass_})]
@@ -398,13 +398,13 @@ def _polarization(names: Sequence[str]) -> dict[str, Any]:
 
 
 def _unevenness(rows: IntArray, steps: FloatArray) -> float:
-    """The largest distance of a pulse from the line through its two neighbours, in steps of azimuth."""
+    """Largest distance of a pulse from the line through its neighbours, in azimuth steps."""
     before, after = np.diff(rows)[:-1], np.diff(rows)[1:]
     return float(np.abs((after * steps[:-1] - before * steps[1:]) / (before + after)).max())
 
 
 def _interpolate_track(track: Track, time: FloatArray, uniform: FloatArray) -> FloatArray:
-    """Positions (n, 3) at uniform times: those of the smooth track plus its linearly interpolated misfit."""
+    """Interpolate positions (n, 3) at uniform times: the smooth track, plus its misfit linearly interpolated."""
     misfit = np.stack([np.interp(uniform, time, column) for column in track.misfit.T], axis=1)
     return track.position(uniform) + misfit
 
@@ -412,7 +412,7 @@ def _interpolate_track(track: Track, time: FloatArray, uniform: FloatArray) -> F
 def _reference_range(
     joined: Joined, time: FloatArray, uniform: FloatArray, position: FloatArray
 ) -> tuple[FloatArray, str]:
-    """The range whose phase was removed, for the uniform pulses, and a message about it."""
+    """Range of the removed phase at the uniform pulses, and a message about it."""
     distance = np.linalg.norm(joined.position, axis=1)
     difference = joined.r0 - distance
     largest = float(np.abs(difference).max())
@@ -429,7 +429,7 @@ def _reference_range(
 
 
 def _window_radius(frequency: FloatArray, position: FloatArray) -> float:
-    """Radius of the disc on the ground that the range window holds, m."""
+    """Radius, m, of the disc on the ground that fits into the range window."""
     window = SPEED_OF_LIGHT / (2 * (frequency[1] - frequency[0]))
     middle = position[len(position) // 2]
     return float(window / 2 * np.linalg.norm(middle) / max(np.hypot(middle[0], middle[1]), 1e-9))
@@ -444,7 +444,7 @@ def _disc(radius: float) -> FloatArray:
 def _plan_resampling(
     time: FloatArray, uniform: FloatArray, position: FloatArray, radius: float, highest: float
 ) -> tuple[Resampling, slice, float]:
-    """Weights of the usable uniform pulses, which those are, and the largest radius of echoes, m."""
+    """Plan weights of usable uniform pulses; return which these are, and the largest radius of echoes, m."""
     distance = np.linalg.norm(position, axis=1)
     ranges = np.stack([np.linalg.norm(position - point, axis=1) - distance for point in _disc(radius)])
     extent = 2 * highest / SPEED_OF_LIGHT * 2 * float(np.abs(np.diff(ranges)).max()) / PULSE_INTERVAL
@@ -461,7 +461,7 @@ def _plan_resampling(
 
 
 def _describe_resampling(resampling: Resampling, n: int, unevenness: float, within: float) -> str:
-    """The resampling to n pulses, but for those at the ends that cannot be computed, and its errors in words."""
+    """Describe the resampling to n pulses, except for those at the ends, and its errors."""
     bound, spread = (20 * np.log10(error[resampling.good].max()) for error in (resampling.bound, resampling.spread))
     return (
         f"azimuth is uneven by up to {unevenness:.2g} steps; pulses were resampled to {resampling.good.size} of {n} "
@@ -471,7 +471,7 @@ def _describe_resampling(resampling: Resampling, n: int, unevenness: float, with
 
 
 def _describe_track(track: Track, collection: Collection, radius: float) -> str:
-    """The smooth track and its misfit in words, and the misfit that remains once it is corrected at the centre."""
+    """Describe the smooth track and its misfit, and the misfit that remains after correction at the centre."""
     sight = -collection.antenna_position / np.linalg.norm(collection.antenna_position, axis=1, keepdims=True)
     remaining = 0.0
     for point in _disc(radius):
@@ -487,7 +487,7 @@ def _describe_track(track: Track, collection: Collection, radius: float) -> str:
 
 
 def _pieces(layout: _Layout) -> Iterator[Piece]:
-    """Samples by channels and chunks of pulses; only the files of one chunk are in memory."""
+    """Iterate over samples by channel and chunk of pulses, with the files of one chunk in memory."""
     n = layout.collection.n_pulse
     for number, joined in enumerate(layout.channels):
         loaded: dict[int, ComplexArray] = {}
@@ -497,7 +497,7 @@ def _pieces(layout: _Layout) -> Iterator[Piece]:
 
 
 def _rows(layout: _Layout, joined: Joined, rows: slice, loaded: dict[int, ComplexArray]) -> ComplexArray:
-    """Some rows of a channel of the store, (n, n_frequency); those of missing pulses are NaN."""
+    """Read rows of a channel of the store, (n, n_frequency); NaN for missing pulses."""
     if layout.resampling is not None:
         return layout.resampling.apply(_gather(joined, layout.resampling.inputs(rows), loaded), rows)
     start, stop = np.searchsorted(layout.rows, [rows.start, rows.stop])
@@ -508,7 +508,7 @@ def _rows(layout: _Layout, joined: Joined, rows: slice, loaded: dict[int, Comple
 
 
 def _gather(joined: Joined, pulses: slice, loaded: dict[int, ComplexArray]) -> ComplexArray:
-    """Samples (n, n_frequency) of some joined pulses; `loaded` is reduced to the files that hold them."""
+    """Read samples (n, n_frequency) of joined pulses; `loaded` keeps the files that hold them."""
     file, index = joined.file[pulses], joined.index[pulses]
     needed = {int(f) for f in file}
     for number in set(loaded) - needed:
@@ -522,7 +522,7 @@ def _gather(joined: Joined, pulses: slice, loaded: dict[int, ComplexArray]) -> C
 
 
 class GotchaReader:
-    """MATLAB files of the AFRL Gotcha volumetric SAR data set."""
+    """Reader of MATLAB files of the AFRL Gotcha volumetric SAR data set."""
 
     summary = (
         "Join MATLAB files of the AFRL Gotcha data set, in azimuth, into a phase history.\n\n"

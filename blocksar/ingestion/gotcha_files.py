@@ -1,6 +1,6 @@
-"""One file of the Gotcha set: read its fields and check them.
+"""One file of the Gotcha set: reading and checks of its fields.
 
-Reader for a struct of numbers in a MATLAB file of version 5 (MAT-File Format, The MathWorks), plain or compressed.
+The files are MATLAB files of version 5 (MAT-File Format, The MathWorks), plain or compressed, with a struct of numbers.
 
 Only this part of the format is supported: a file is a header of 128 bytes and then elements, each a type, a length and
 that many bytes. The element of an array holds elements: flags and class, dimensions, name, and its numbers or, for a
@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from blocksar import stores
+from blocksar import stores, texts
 from blocksar.arrays import UNIFORM_TOLERANCE, ComplexArray, FloatArray
 from blocksar.collection.beam import wrapped
 from blocksar.constants import SPEED_OF_LIGHT
@@ -67,7 +67,7 @@ class _Element:
 
 
 def read_struct(data: bytes, name: str) -> dict[str, Value]:
-    """Read the fields of a variable that is a struct of one row; a field that is no array of numbers is described.
+    """Read the fields of a struct variable of one row; a field that is not numeric is described.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def read_struct(data: bytes, name: str) -> dict[str, Value]:
 
 
 def _elements(data: memoryview, endian: str) -> list[_Element]:
-    """Split bytes into the elements that they hold one after another."""
+    """Divide bytes into consecutive elements."""
     elements, start = [], 0
     while start + 8 <= len(data):
         kind, size = struct.unpack_from(f"{endian}II", data, start)
@@ -161,7 +161,7 @@ def _members(parts: list[_Element], name: str, endian: str) -> dict[str, Value]:
 
 
 def _value(element: _Element, endian: str) -> Value:
-    """The numbers of an array, or a description of what else the element holds."""
+    """The numbers of an array, or a description of another element's contents."""
     if element.kind != MATRIX:
         raise InputError(f"it is damaged: a field is of type {element.kind} instead of an array; fetch it again")
     if not element.data:
@@ -215,7 +215,7 @@ class _Contents:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GotchaFile:
-    """A file that has been read and checked, without its samples; their checksums are kept, one per pulse."""
+    """A file that was read and checked, without its samples; their checksums are kept, one per pulse."""
 
     path: Place
     pass_: str
@@ -246,7 +246,7 @@ def _reading(path: Place) -> AbstractContextManager[None]:
 
 
 def read_headers(path: Place) -> GotchaFile:
-    """Read and check a file; keep all but its samples.
+    """Read and check a file; keep everything but its samples.
 
     Raises
     ------
@@ -300,7 +300,7 @@ def read_file(path: Place) -> _Contents:
 
 
 def _read_bytes(path: Place) -> bytes:
-    """All bytes of a file that is not too large."""
+    """Read all bytes of a file, unless it is too large."""
     refuse_others(path, KIND)
     if isinstance(path, LocalPlace):
         status = os.stat(path.path)
@@ -314,7 +314,7 @@ def _read_bytes(path: Place) -> bytes:
 
 
 def _fields(data: bytes) -> dict[str, Value]:
-    """The fields of the struct `data`, none of the required ones missing."""
+    """Read the fields of the struct `data`, which must include the required ones."""
     fields = read_struct(data, "data")
     missing = [name for name in ("fp", "freq", *VECTORS) if name not in fields]
     if missing:
@@ -323,14 +323,16 @@ def _fields(data: bytes) -> dict[str, Value]:
 
 
 def _numbers(fields: dict[str, Value], name: str, count: int | None = None) -> FloatArray:
-    """A field that must be a vector of finite real numbers, `count` of them."""
+    """Return a field that must be a vector of `count` finite real numbers."""
     values = fields[name]
     if isinstance(values, str) or values.dtype.kind not in "iuf":
         raise InputError(f"{name} is {_describe(values)}; it must be real numbers")
     if values.size != max(values.shape, default=0) or values.size == 0:
         raise InputError(f"{name} has shape {values.shape}; it must be a vector")
     if count is not None and values.size != count:
-        raise InputError(f"{name} has {values.size} values, but fp has {count} pulses; make them agree")
+        raise InputError(
+            f"{name} has {texts.count(values.size, 'value')}, but fp has {texts.count(count, 'pulse')}; make them agree"
+        )
     vector = values.astype(np.float64).ravel()
     if not np.isfinite(vector).all():
         where = int(np.argmin(np.isfinite(vector)))
@@ -346,9 +348,9 @@ def _describe(values: Value) -> str:
 
 
 def _frequency(values: FloatArray) -> FloatArray:
-    """The uniform grid that the values are, up to rounding."""
+    """Return the uniform grid that the values match up to rounding."""
     if values.size < 8:
-        raise InputError(f"freq has {values.size} values; at least 8 are needed")
+        raise InputError(f"freq has {texts.count(values.size, 'value')}; at least 8 are needed")
     step = (values[-1] - values[0]) / (values.size - 1)
     if not step > 0 or not values[0] > 0:
         raise InputError(f"freq runs from {values[0]:.6g} to {values[-1]:.6g} Hz; it must ascend, above 0 Hz")

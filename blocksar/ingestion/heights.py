@@ -1,4 +1,4 @@
-"""The ground that the user asks for, as a `Terrain` of the scene frame: heights of files, or of the ellipsoid."""
+"""Heights of the ground as a `Terrain` of the scene frame: from files, or of the ellipsoid."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from blocksar.ingestion.terrain_earth import MOST_HEIGHTS, ellipsoid, read_geoti
 from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.stores.contract import UNITS
+from blocksar.texts import count
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -50,7 +51,7 @@ def read_frame_grid(source: Location, x: tuple[float, float], y: tuple[float, fl
 
 
 def _read_plain(path: Place, x: tuple[float, float], y: tuple[float, float]) -> Terrain | None:
-    """Read a zarr store whose numbers are the heights as they are, without loading xarray; None for any other."""
+    """Read a zarr store of plain, unencoded heights without loading xarray; None for any other."""
     if "zarr.json" not in path.names():
         return None
     axes = {}
@@ -114,7 +115,7 @@ def _opened(path: Place) -> xr.Dataset:
 def _window_of(
     path: Place, axes: Mapping[str, tuple[float, float, int]], x: tuple[float, float], y: tuple[float, float]
 ) -> Terrain:
-    """A whole terrain with these ascending axes and no heights, if the part that a box needs can be read."""
+    """Make a terrain of NaN with these ascending axes, after checking that the part for a box can be read."""
     (x0, dx, n_x), (y0, dy, n_y) = axes["x"], axes["y"]
     if n_x < LEAST or n_y < LEAST:
         raise InputError(f"{path} has {n_y} x {n_x} heights (y, x); give at least {LEAST} x {LEAST}")
@@ -136,7 +137,9 @@ def _axis(height, axis: str) -> tuple[float, float, int]:  # type: ignore[no-unt
 def _uniform(values: FloatArray, axis: str) -> tuple[float, float, int]:
     """Start, step (m; of either sign) and size of positions, if they are uniform."""
     if values.size < LEAST or not np.isfinite(values).all():
-        raise InputError(f"{axis} has {values.size} positions, or some that are not finite; give at least {LEAST}")
+        raise InputError(
+            f"{axis} has {count(values.size, 'place')}, or some that are not finite; give at least {LEAST}"
+        )
     step = float(values[-1] - values[0]) / (values.size - 1)
     off = float(np.abs(values - (values[0] + step * np.arange(values.size))).max())
     if step == 0 or off > UNIFORM * abs(step):
@@ -154,7 +157,7 @@ def check_overlap(
     source: object, x: tuple[float, float], y: tuple[float, float], grid_x: tuple[float, float],
     grid_y: tuple[float, float],
 ) -> None:  # fmt: skip
-    """Raise an InputError, with the figures, if a terrain's extent and the image's have nothing in common."""
+    """Raise an InputError, with figures, if a terrain and the image do not overlap."""
     if x[0] <= grid_x[1] and grid_x[0] <= x[1] and y[0] <= grid_y[1] and grid_y[0] <= y[1]:
         return
     raise InputError(
@@ -173,7 +176,7 @@ UNTOLD = 1e-6  # of the grid: a share without heights that is not worth a note
 
 @dataclass(frozen=True, kw_only=True)
 class Ground:
-    """Ground as the user states it: a file of heights with its datum, or a surface; None: that of the collection.
+    """Ground as the user states it: a file of heights with its datum, or a surface; None: as the collection states.
 
     Raises
     ------
@@ -199,7 +202,7 @@ class Ground:
         return self.terrain is None and self.surface in (None, "plane")
 
     def under(self, attrs: Mapping[str, Any]) -> Ground:
-        """Copy under a collection with attributes of its store, whose `surface` counts if the user names no ground.
+        """Copy completed by the attributes of a store, whose `surface` counts if the user names no ground.
 
         Raises
         ------
@@ -211,7 +214,7 @@ class Ground:
         return replace(self, surface=attrs[SURFACE])
 
     def describe(self, terrain: Terrain) -> str:
-        """One line about a ground that is no plane."""
+        """Describe a ground that is no plane in one line."""
         low, high = terrain.limits
         what = "ellipsoid WGS 84" if self.terrain is None else f"terrain {self.terrain}"
         return f"{what}: z = {low:.6g} .. {high:.6g} m"
@@ -221,7 +224,7 @@ class Ground:
         return str(self.terrain).lower().endswith(GEOTIFF)
 
     def read(self, georeference: Georeference | None, ground_height: float, grid: Grid) -> Terrain | None:
-        """The ground under a grid; None for the plane.
+        """Read the ground under a grid; None for the plane.
 
         Raises
         ------
@@ -256,7 +259,7 @@ class Ground:
         self, georeference: Georeference | None, x: tuple[float, float], y: tuple[float, float], *, refine: bool = True,
         level: float | None = None,
     ) -> Terrain:  # fmt: skip
-        """The part of the file about a box, x and y from .. to, m; a GeoTIFF needs the georeference.
+        """Read the part of the file about a box, x and y from .. to, m; a GeoTIFF needs the georeference.
 
         Without `refine` a GeoTIFF's heights are as dense as in the file: enough for what they hide. With the scene's
         plane z = level, m, the terrain has remarks on them.
@@ -274,13 +277,13 @@ class Ground:
 
 
 def covered(terrain: Terrain, grid: Grid) -> float:
-    """Share of a grid that has heights, from every n-th row and column."""
+    """Share of a grid with known heights, from every n-th row and column."""
     x, y = grid.x[:: max(grid.x.size // 512, 1)], grid.y[:: max(grid.y.size // 512, 1)]
     return float(np.isfinite(terrain.on_grid(x, y)).mean())
 
 
 def terrain_notes(terrain: Terrain, grid: Grid) -> list[str]:
-    """Sentences on what a terrain may not mean, and on a part of a grid without heights."""
+    """Warn of suspicious heights, and of a part of a grid without heights."""
     share = covered(terrain, grid)
     if share >= 1 - UNTOLD:
         return list(terrain.remarks)

@@ -1,4 +1,4 @@
-"""Kinds of files and folders that users give for phase histories, recognised by their first bytes.
+"""Kinds of files and folders given as phase histories, recognised by their first bytes.
 
 A table: the name of a kind, the mark that tells it, and what leads from there to a phase history. What is no data at
 all comes first (`NOTHING`), then what readers and scenes are, then `OTHERS`; the first row whose mark fits counts
@@ -38,7 +38,7 @@ Mark = Callable[[Start], bool]
 
 
 class Kind(NamedTuple):
-    """A row of the table.
+    """A kind of file: its name, its mark, and the remedy for users who give it.
 
     Attributes
     ----------
@@ -61,27 +61,27 @@ class Kind(NamedTuple):
 
 
 def begins(*marks: bytes, at: int = 0) -> Mark:
-    """The mark of files with one of these bytes at a place."""
+    """Make the mark of files with one of these byte strings at an offset."""
     return lambda start: start.data[at:].startswith(marks)
 
 
 def matches(pattern: bytes) -> Mark:
-    """The mark of files whose first bytes match."""
+    """Make the mark of files whose first bytes match a pattern."""
     return lambda start: re.match(pattern, start.data, re.DOTALL) is not None
 
 
 def reads(pattern: str) -> Mark:
-    """The mark of files whose beginning as text matches, in any case."""
+    """Make the mark of files whose beginning, as text, matches a pattern in any case."""
     return lambda start: re.match(pattern, start.text, re.IGNORECASE) is not None
 
 
 def _nitf(of: bytes) -> Mark:
-    """The mark of NITF files with a word in the headers, which come first."""
+    """Make the mark of NITF files with a word in their leading headers."""
     return lambda start: start.data.startswith((b"NITF", b"NSIF")) and of in start.data
 
 
 def _word(pattern: str) -> Callable[[Start], str]:
-    """The first group of a pattern in the beginning as text, on one line, in brackets; empty if it is not there."""
+    """Make a function that finds the first group of a pattern in the beginning, for a message; empty if absent."""
 
     def found(start: Start) -> str:
         match = re.search(pattern, start.text, re.IGNORECASE | re.DOTALL)
@@ -104,7 +104,7 @@ def _gzip_of_tar(start: Start) -> bool:
 
 
 def _member(suffix: bytes) -> Mark:
-    """The mark of zip archives whose first member has such a name."""
+    """Make the mark of zip archives by the name of their first member."""
 
     def fits(start: Start) -> bool:
         if not start.data.startswith(b"PK\x03\x04") or len(start.data) < 30:
@@ -120,7 +120,7 @@ def hdf5(start: Start) -> bool:
 
 
 def _matlab4(start: Start) -> bool:
-    """Five integers (type, rows, columns, imaginary part, length of the name) and a name that ends with a zero byte."""
+    """Recognise MATLAB 4: five integers (type, rows, columns, imaginary, name's length), a name and a zero byte."""
     if len(start.data) < 20:
         return False
     kind, rows, columns, imaginary, length = struct.unpack_from("<5i", start.data)
@@ -132,7 +132,7 @@ def _matlab4(start: Start) -> bool:
 
 
 def ceos(start: Start, of: bytes = b"") -> bool:
-    """Whether record 1 is a CEOS file's descriptor, and the next one of a kind, by its first two codes."""
+    """Recognise CEOS: record 1 is a file descriptor; `of` are the first two codes of the next record."""
     if re.match(rb"\x00\x00\x00\x01[\xc0\x3f\x32\x0b]\xc0\x12\x12", start.data[:8]) is None:
         return False
     length = int(struct.unpack_from(">I", start.data, 8)[0]) if len(start.data) >= 12 else 0
@@ -147,7 +147,7 @@ def _text(start: Start) -> bool:
 
 
 def _table(start: Start) -> bool:
-    """Lines of text with the same number of fields."""
+    """Recognise a table: lines of text with the same number of fields."""
     lines = [line for line in start.text.splitlines()[:6] if line.strip()]
     fields = {len(re.split(r"[,;\t]", line)) for line in (lines if start.whole else lines[:-1])}
     return _text(start) and len(fields) == 1 and fields.pop() > 1

@@ -1,4 +1,4 @@
-"""Raw echoes of NISAR: level 0B, Radar Raw Signal Data (RRSD), and other sensors' that are laid out like it (HDF5).
+"""Raw echoes of NISAR: level 0B, Radar Raw Signal Data (RRSD), also from other sensors in that layout (HDF5).
 
 Groups and fields are those of files of the mission's emulator. An antenna's frame (RCS) has z along the boresight, x in
 elevation and y along the azimuth axis; `quaternions` carry it into Earth-centred axes. `slantRange` is c / 2 times the
@@ -43,7 +43,7 @@ def _read_frequency(value: Any) -> str | None:
 
 @dataclass(frozen=True, kw_only=True)
 class NisarOptions(StripOptions):
-    """As `StripOptions`.
+    """Options of the NISAR reader, besides `StripOptions`.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ DAMAGED, REMEDY = "damaged, or no level 0B of NISAR's layout", "get it again"
 
 @contextmanager
 def opened(path: Readable) -> Iterator[Any]:
-    """The file, open; whatever fails in the block is the file's fault.
+    """Open the file; every failure in the block becomes an error about the file.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def opened(path: Readable) -> Iterator[Any]:
 
 
 def begin(files: Sequence[Readable], options: NisarOptions) -> RawStrip:
-    """Read all but the samples.
+    """Read everything but the samples.
 
     Raises
     ------
@@ -101,13 +101,13 @@ def begin(files: Sequence[Readable], options: NisarOptions) -> RawStrip:
 
 
 def _text(value: Any) -> str:
-    """A text of the file, which may be an array of one."""
+    """Convert a text of the file, possibly in an array of one."""
     value = np.asarray(value).ravel()[0]
     return value.decode("utf-8", "replace").strip() if isinstance(value, bytes) else str(value).strip()
 
 
 class _Layout:
-    """Where a file has what a strip needs."""
+    """Access to the parts of an RRSD file that a strip needs."""
 
     def __init__(self, path: Readable, file: Any, options: NisarOptions) -> None:
         self.path, self.options = path, options
@@ -126,7 +126,7 @@ class _Layout:
         self.notes: list[str] = []
 
     def _frequency(self) -> Any:
-        """The group of the band that is wanted."""
+        """Group of the requested frequency band."""
         names = [name for name in ("A", "B") if f"frequency{name}" in self.root["swaths"]]
         if not names:
             raise InputError("has no swaths/frequencyA or frequencyB; give a level 0B file")
@@ -136,7 +136,7 @@ class _Layout:
         return self.root["swaths"][f"frequency{wanted}"]
 
     def _channels(self) -> tuple[str, ...]:
-        """The polarisations that are wanted, of one transmitter."""
+        """Requested polarisations of one transmitter."""
         there = [
             transmit + receive
             for transmit in "HVLR" if f"tx{transmit}" in self.swaths
@@ -153,7 +153,7 @@ class _Layout:
         return (wanted,)
 
     def number(self, name: str) -> float:
-        """A number of the transmitter's group."""
+        """Number from the transmitter's group."""
         return float(np.asarray(self.transmitter[name][()]).ravel()[0])
 
     def strip(self) -> RawStrip:
@@ -197,38 +197,38 @@ class _Layout:
 
     @staticmethod
     def _step(delay: FloatArray) -> float:
-        """Between samples, s."""
+        """Time between samples, s."""
         return float(delay[-1] - delay[0]) / (delay.size - 1)
 
     def _chirp(self, sampling_rate: float) -> Chirp:
-        """The pulse by its slope and duration, and its centre by chirpWaveform, if that is there.
+        """Chirp of the pulse from slope and duration; its centre from chirpWaveform, if present.
 
         A replica's first sample belongs to the slant range of a target whose echo begins with it. Where its parabola
         misses the slope's by more than BENT at its ends, the replica is what was sent.
         """
         rate, width = self.number("chirpSlope"), self.number("chirpDuration")
-        told = Chirp(rate=rate, width=width, centre=width / 2)
+        chirp = Chirp(rate=rate, width=width, centre=width / 2)
         if "chirpWaveform" not in self.transmitter:
-            return told
+            return chirp
         found = fitted_chirp(np.asarray(self.transmitter["chirpWaveform"][()]).ravel(), sampling_rate)
         if found is None or not 0 < found.centre < found.width:
             self.notes.append("chirpWaveform is no linear chirp; chirpSlope and chirpDuration are taken")
-            return told
+            return chirp
         if np.pi * abs(found.rate - rate) * (width / 2) ** 2 > BENT or abs(found.width - width) * sampling_rate > 2:
             self.notes.append(
                 f"chirpWaveform is a chirp of {found.rate:.6g} Hz/s over {1e6 * found.width:.4g} us, and is taken; "
                 f"chirpSlope and chirpDuration say {rate:.6g} Hz/s over {1e6 * width:.4g} us"
             )
-            told = found
-        if abs(found.centre - told.width / 2) * sampling_rate > CENTRED:
+            chirp = found
+        if abs(found.centre - chirp.width / 2) * sampling_rate > CENTRED:
             self.notes.append(
                 f"by chirpWaveform the pulse's centre comes {1e6 * found.centre:.6g} us after its beginning, "
-                f"{1e6 * (found.centre - told.width / 2):.3g} us off the middle of its duration"
+                f"{1e6 * (found.centre - chirp.width / 2):.3g} us off the middle of its duration"
             )
-        return told._replace(centre=found.centre)
+        return chirp._replace(centre=found.centre)
 
     def _correction(self, channel: str) -> ComplexArray | None:
-        """Factors of the pulses in the file that give echoes a constant phase to their transmission (n_pulse,)."""
+        """Factors (n_pulse,) that give echoes a constant phase relative to transmission; None without such data."""
         group = self.transmitter[f"rx{channel[1]}"]
         if "basebandPhaseCorrection" not in group:
             return None
@@ -245,20 +245,20 @@ class _Layout:
 
     @staticmethod
     def _seconds(times: Any) -> str:
-        """The units of times, "seconds since ..."."""
+        """Unit of times: "seconds since ..."."""
         if "units" not in times.attrs:
             raise InputError(f"{times.name} has no units, seconds since a date; {REMEDY}")
         return _text(times.attrs["units"])
 
     def _orbit(self, group: Any, later: float) -> Orbit:
-        """The states, by the seconds of the pulses' times, whose epoch is so much later."""
+        """Orbit states at times, s, relative to the pulses' epoch, which is `later` seconds after theirs."""
         return Orbit(
             time=group["time"][()].astype(float) - later, position=group["position"][()].astype(float),
             velocity=group["velocity"][()].astype(float),
         )  # fmt: skip
 
     def _antenna(self, telemetry: Any, epoch: Any) -> Antenna | None:
-        """The azimuth axis, y of the antenna's frame, which quaternions (w, x, y, z) carry into Earth-centred axes."""
+        """Azimuth axis: y of the antenna's frame, rotated to Earth-centred axes by quaternions (w, x, y, z)."""
         if "attitude" not in telemetry or "quaternions" not in telemetry["attitude"]:
             return None
         group = telemetry["attitude"]
@@ -272,7 +272,7 @@ class _Layout:
         return Antenna(time=group["time"][()].astype(float) - later, axis=axis)
 
     def _window(self, even: Even) -> tuple[slice, FloatArray]:
-        """The samples that are taken, and their delays from the beginning of the transmission, s."""
+        """Samples to read, as a slice, and their delays from the beginning of transmission, s."""
         slant = self.transmitter["slantRange"][()].astype(float)
         count = int(self.number("numberOfSubSwaths")) if "numberOfSubSwaths" in self.transmitter else 0
         valid = [
@@ -295,7 +295,7 @@ class _Layout:
         return window, 2 * slant[window] / SPEED_OF_LIGHT
 
     def _without_calibration(self, even: Even) -> Even:
-        """Without pulses that calibrated the receiver, if they have no echo: some files mark others so."""
+        """Drop calibration pulses, if they hold no echo: some files mark echoes as calibration."""
         if "calType" not in self.transmitter:
             return even
         kinds = self.transmitter["calType"][_run(even)]
@@ -315,22 +315,21 @@ class _Layout:
         lost = power(marked) < HALF * power(near)
         if not lost.any():
             return even
-        kept = even.pulses.size - int(np.count_nonzero(lost))
-        refuse_few(kept, even.pulses.size, "calibration pulses have no echo", "take others with --pulses")
+        n_left = even.pulses.size - int(np.count_nonzero(lost))
+        refuse_few(n_left, even.pulses.size, "calibration pulses have no echo", "take others with --pulses")
         self.notes.append(
-            f"{even.pulses.size - kept} of {even.pulses.size} pulses are calibration pulses without echo, and are "
-            "missing in the store"
+            f"{even.pulses.size - n_left} of {even.pulses.size} pulses for calibration only: missing in the store"
         )
         return even.without(marked[lost])
 
 
 def _run(even: Even) -> slice:
-    """The pulses in the file, which follow each other there."""
+    """Consecutive pulses of the file, as a slice."""
     return slice(int(even.pulses[0]), int(even.pulses[-1]) + 1)
 
 
 def _levels(group: Any) -> NDArray[np.float32] | None:
-    """The table that decodes block floating point; None where samples are numbers themselves."""
+    """Table that decodes block floating point; None if samples are stored as numbers."""
     if "BFPQLUT" not in group:
         return None
     levels = group["BFPQLUT"][()].astype(np.float32)
@@ -338,7 +337,7 @@ def _levels(group: Any) -> NDArray[np.float32] | None:
 
 
 def _decoded(samples: NDArray[Any], levels: NDArray[np.float32] | None) -> ComplexArray:
-    """Samples (...) complex64; 0 where they are not finite."""
+    """Decode samples (...) to complex64; 0 where they are not finite."""
     if samples.dtype.names is None:
         out = samples.astype(np.complex64)
     else:
@@ -353,7 +352,7 @@ def _decoded(samples: NDArray[Any], levels: NDArray[np.float32] | None) -> Compl
 
 @dataclass(frozen=True)
 class _Samples:
-    """Reads samples of channels, by the names of their arrays."""
+    """Reader of channels' samples, by the names of their arrays."""
 
     path: Readable
     names: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""Orbits and antennas that are given by states, in Earth-centred, Earth-fixed axes; states carried on by gravity."""
+"""Orbits and antenna axes from states, Earth-centred and Earth-fixed; states propagated by gravity."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.errors import InputError, quoted
+from blocksar.texts import count
 
 NEIGHBOURS = 4  # states, of which one polynomial has places and velocities
 SPIN = 7.292115e-5  # rad/s, of the Earth
@@ -19,7 +20,7 @@ RADII = 6.4e6, 5e7  # m from the Earth's centre, between which satellites fly
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Orbit:
-    """States of a satellite.
+    """Orbit of a satellite as states with interpolation.
 
     Between two of them the track is the polynomial of degree 7 that has the positions and velocities of the NEIGHBOURS
     next to it (Hermite): off a circular orbit by 1 micrometre with states 10 s apart, and 0.1 mm with 60 s, where the
@@ -49,7 +50,7 @@ class Orbit:
     def __post_init__(self) -> None:
         n = self.time.size
         if n < 2 or self.position.shape != (n, 3) or self.velocity.shape != (n, 3):
-            raise InputError(f"the orbit has {n} states; at least two with position and velocity are needed")
+            raise InputError(f"the orbit has {count(n, 'state')}; at least two with position and velocity are needed")
         finite = all(np.isfinite(each).all() for each in (self.time, self.position, self.velocity))
         if not finite or not (np.diff(self.time) > 0).all():
             raise InputError("the orbit's states are not finite, or their times do not ascend; give the file anew")
@@ -59,7 +60,8 @@ class Orbit:
                 f"the orbit's states lie {radius.min():.6g} .. {radius.max():.6g} m from the Earth's centre, where no "
                 "satellite flies: they must be Earth-centred, in m"
             )
-        # The cubic's chord tells axes that do not turn with the Earth, and other units.
+        # Steps between positions and mean velocities disagree in axes that do not rotate with the Earth, or other
+        # units.
         moved, mean = np.diff(self.position, axis=0), (self.velocity[1:] + self.velocity[:-1]) / 2
         way = mean * np.diff(self.time)[:, None]
         apart = np.linalg.norm(moved - way, axis=1) / np.linalg.norm(way, axis=1)
@@ -102,34 +104,34 @@ class Orbit:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OrbitTrack:
-    """Positions and velocities (n, 3), m and m/s, that are given at pulses, whose times (n,) are these, s."""
+    """Track from positions and velocities (n, 3), m and m/s, given at pulses at times (n,), s."""
 
     time: FloatArray
     position: FloatArray
     velocity: FloatArray
 
     def at(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """States at times (m,), s; between the pulses as if they lay on a straight line."""
+        """Positions and velocities at times (m,), s, linearly interpolated."""
         both = np.hstack([self.position, self.velocity])
         found = np.stack([np.interp(time, self.time, column) for column in both.T], axis=1)
         return found[:, :3], found[:, 3:]
 
 
 def inertial(position: FloatArray, velocity: FloatArray) -> FloatArray:
-    """Velocities (n, 3) in axes that do not turn, of places and velocities in ones that turn with the Earth, m/s."""
+    """Convert velocities (n, 3), m/s, from axes that rotate with the Earth to axes that do not."""
     turn = np.stack([-position[:, 1], position[:, 0], 0 * position[:, 2]], axis=1)
     return velocity + SPIN * turn
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Antenna:
-    """Unit vectors (n, 3) along an antenna's azimuth axis at times (n,), s after the orbit's epoch."""
+    """Azimuth axis of an antenna: unit vectors (n, 3) at times (n,), s after the orbit's epoch."""
 
     time: FloatArray
     axis: FloatArray
 
     def at(self, time: FloatArray) -> FloatArray | None:
-        """The axis (m, 3) at times (m,); None where it is not known at all of them."""
+        """Interpolate the axis (m, 3) to times (m,); None unless it is known at all of them."""
         if self.time.size < 2 or time.min() < self.time[0] - BEYOND or time.max() > self.time[-1] + BEYOND:
             return None
         axis = np.stack([np.interp(time, self.time, column) for column in self.axis.T], axis=1)
@@ -137,7 +139,7 @@ class Antenna:
 
 
 def epoch_of(text: str, name: str) -> datetime:
-    """The moment of a text in ISO 8601, behind "seconds since" if that begins it; UTC.
+    """Parse a time in ISO 8601, also after "seconds since"; UTC.
 
     Examples
     --------
@@ -174,7 +176,7 @@ def acceleration(position: FloatArray, velocity: FloatArray) -> FloatArray:
 
 
 def propagated(position: FloatArray, velocity: FloatArray, seconds: float) -> tuple[FloatArray, FloatArray]:
-    """Position and velocity (3,) so many seconds later, m and m/s, by Runge-Kutta's method of order 4."""
+    """Propagate position, m, and velocity, m/s, (3,) by some seconds, by a Runge-Kutta method of order 4."""
     steps = max(int(np.ceil(abs(seconds) / STEP)), 1)
     h = seconds / steps
     r, v = np.array(position, float), np.array(velocity, float)
@@ -196,7 +198,7 @@ class States(NamedTuple):
     velocity: FloatArray
 
     def reaching(self, first: float, last: float) -> Orbit:
-        """The orbit of these, carried on until it covers two times, s, that may lie before or after all of them.
+        """Make an orbit that covers two times, s, propagating states before or after the given ones if necessary.
 
         States are carried by whole spacings, those of most of the given ones. A state next to a given one would have
         its polynomial divide the rounding of both by the time between them: 21 m from 100 us, thousands of km from 1
@@ -225,6 +227,6 @@ class States(NamedTuple):
         return Orbit(time=time, position=position, velocity=velocity, carried=(before, after))
 
     def _carried(self, end: int, seconds: float) -> States:
-        """The first or last state carried on by so many seconds."""
+        """Propagate the first or last state by some seconds."""
         place, velocity = propagated(self.position[end], self.velocity[end], seconds)
         return States(self.time[[end]] + seconds, place[None], velocity[None])

@@ -1,4 +1,4 @@
-"""Raw echoes of ALOS PALSAR: CEOS level 1.0, a folder with a leader (LED) and an image file (IMG) a polarisation.
+"""Raw echoes of ALOS PALSAR, CEOS level 1.0: a folder with a leader (LED) and an image file (IMG) a polarisation.
 
 Records and fields are those of the product format description (JAXA) for level 1.0; names are the format's. Public
 readers (isce3, GMTSAR) agree on what it leaves open: a line's time is that of its first sample's reception, cut to
@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from blocksar import texts
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, MissingInput, quoted
@@ -41,7 +42,7 @@ SUMMARY, PLATFORM, ATTITUDE, CALIBRATION = b"\x12\x0a", b"\x12\x1e", b"\x12\x28"
 
 
 class Slot(NamedTuple):
-    """Where a field lies in its record: first byte, from 0, and length."""
+    """Position of a field in its record: first byte, from 0, and length."""
 
     first: int
     length: int
@@ -77,7 +78,7 @@ def text_of(record: bytes, place: Slot) -> str:
 
 
 def number_of(record: bytes, place: Slot, name: str) -> float:
-    """A number in text, in Fortran's spelling.
+    """Read a number written as text by Fortran.
 
     Raises
     ------
@@ -95,7 +96,7 @@ def number_of(record: bytes, place: Slot, name: str) -> float:
 
 
 def records_of(data: bytes) -> dict[bytes, bytes]:
-    """The records of a leader, the first of each kind, by two codes.
+    """Divide a leader into records; the first of each kind, by two codes.
 
     Raises
     ------
@@ -114,7 +115,7 @@ def records_of(data: bytes) -> dict[bytes, bytes]:
 
 
 def lines_dtype(length: int) -> np.dtype[Any]:
-    """Of a line's numbers and samples, of so many bytes altogether."""
+    """Layout of a line of `length` bytes: header numbers and samples."""
     samples = ("samples", (PREFIX, np.dtype(("u1", (length - PREFIX,)))))
     fields = {**LINE, samples[0]: samples[1]}
     return np.dtype({
@@ -140,7 +141,7 @@ class Leader:
 
     @classmethod
     def parse(cls, data: bytes) -> Leader:
-        """Raises an InputError if it is cut, or lacks radar or orbit, or is another sensor's."""
+        """Parse a leader; raises an InputError if it is truncated, lacks radar or orbit, or is of another sensor."""
         leader = cls(records=records_of(data))
         for code, name in ((SUMMARY, "data set summary"), (PLATFORM, "platform positions")):
             if code not in leader.records:
@@ -156,7 +157,7 @@ class Leader:
         return number_of(self.records[SUMMARY], SUMMARY_FIELDS[name], name)
 
     def known(self, name: str) -> float:
-        """A number that may be missing: 0 then."""
+        """Read a number that may be missing; 0 then."""
         try:
             return self.number(name)
         except InputError:
@@ -164,7 +165,7 @@ class Leader:
 
     @property
     def carrier(self) -> float:
-        """Hz."""
+        """Carrier frequency, Hz."""
         if not (wavelength := self.number("wavelength")) > 0:
             raise InputError(f"the leader's wavelength is {wavelength:g} m; get the file again")
         return SPEED_OF_LIGHT / wavelength
@@ -175,7 +176,7 @@ class Leader:
 
     @property
     def bandwidth(self) -> float:
-        """Hz; 0 if it is not told."""
+        """Bandwidth, Hz; 0 if not stated."""
         record = self.records.get(CALIBRATION)
         if record is None:
             return 0.0
@@ -185,7 +186,7 @@ class Leader:
             return 0.0
 
     def orbit(self, epoch: datetime) -> Orbit:
-        """Its states, by seconds after an epoch.
+        """Read the orbit's states at seconds after an epoch.
 
         Raises
         ------
@@ -215,7 +216,7 @@ class Leader:
         return Orbit(time=np.asarray(time, np.float64), position=states[:, :3], velocity=states[:, 3:])
 
     def antenna(self, epoch: datetime, orbit: Orbit) -> Antenna | None:
-        """The body's long axis: yaw, pitch and roll about down, right and forward of the inertial flight."""
+        """Azimuth axis of the antenna: the body's long axis by yaw, pitch and roll relative to the inertial flight."""
         record = self.records.get(ATTITUDE)
         if record is None:
             return None
@@ -242,7 +243,7 @@ class Leader:
 
 
 def _attitude(record: bytes, number: int) -> tuple[float, float, float, float]:
-    """Seconds of the year, pitch, yaw and roll, rad."""
+    """Read an attitude: seconds of the year, then pitch, yaw and roll, rad."""
     at = ATTITUDES + ATTITUDE_LENGTH * number
     day, milliseconds = (number_of(record, Slot(at + first, n), "time of attitude") for first, n in ((0, 4), (4, 8)))
     pitch, roll, yaw = (number_of(record, Slot(at + 24 + 14 * k, 14), "attitude") for k in range(3))
@@ -264,14 +265,14 @@ def reading_file(path: Readable) -> Iterator[None]:
 
 
 class Files(NamedTuple):
-    """A leader, and images."""
+    """Leader and image files of a scene."""
 
     leader: LocalPlace
     images: list[LocalPlace]
 
 
 def find_files(sources: Sequence[Readable]) -> Files:
-    """The files of a scene, in a folder or among those given, by their first bytes.
+    """Find a scene's files by their first bytes, in a folder or among given files.
 
     Raises
     ------
@@ -314,7 +315,7 @@ def find_files(sources: Sequence[Readable]) -> Files:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Image:
-    """The lines of one polarisation.
+    """Image file: the lines of one polarisation.
 
     Attributes
     ----------
@@ -334,31 +335,31 @@ class Image:
 
     @classmethod
     def open(cls, path: LocalPlace) -> Image:
-        """Raises an InputError if the file is cut, or no file of lines."""
+        """Open an image file; raises an InputError if it is truncated or not one of lines."""
         with reading_file(path), path.open() as stream:
             head = stream.read(DESCRIPTOR + PREFIX)
             if len(head) < DESCRIPTOR + PREFIX or not ceos(Start(path.name, head, whole=False), b"\x32\x0a"):
                 raise InputError("ends before its first line, or has no CEOS descriptor; get it again")
             length = int.from_bytes(head[DESCRIPTOR + 8 : DESCRIPTOR + 12], "big")
-            told = head[180:186].decode("latin-1").strip()
+            count = head[180:186].decode("latin-1").strip()
             size = path.path.stat().st_size - DESCRIPTOR
             if length < PREFIX + 16 or length > 1 << 20:
                 raise InputError(f"has lines of {length} bytes, which cannot be; get it again")
-            if size % length or (told.isdigit() and int(told) != size // length):
+            if size % length or (count.isdigit() and int(count) != size // length):
                 raise InputError(
-                    f"has {size / length:.6g} lines of {length} bytes, but should have {told or 'some'}; get it again"
+                    f"has {size / length:.6g} lines of {length} bytes, but should have {count or 'some'}; get it again"
                 )
             unsigned = head[428:432].decode("latin-1").strip().upper() in ("CIU1", "UI*1", "CIU*")
             return cls(path=path, length=length, count=size // length, unsigned=unsigned)
 
     @property
     def lines(self) -> Any:
-        """All lines, as they lie in the file."""
+        """All lines as they are stored."""
         return np.memmap(self.path.path, lines_dtype(self.length), "r", DESCRIPTOR, (self.count,))
 
     @cached_property
     def fields(self) -> dict[str, NDArray[np.int64]]:
-        """Numbers before the samples (count,)."""
+        """Header numbers of the lines, (count,) each."""
         lines = self.lines
         return {name: lines[name].astype(np.int64) for name in lines.dtype.names if name != "samples"}
 
@@ -371,7 +372,7 @@ class Image:
         return "".join("HV"[code] for code in codes)
 
     def check(self) -> None:
-        """Raise an InputError if lines are damaged, or not those of a strip."""
+        """Refuse lines that are damaged or not from strip mode."""
         fields = self.fields
         wrong = np.flatnonzero((fields["code"] != LINE_CODE) | (fields["length"] != self.length))
         if wrong.size:
@@ -384,7 +385,7 @@ class Image:
 
 
 def begin(sources: Sequence[Readable], options: StripOptions) -> RawStrip:
-    """Read all but the samples.
+    """Read everything but the samples.
 
     Raises
     ------
@@ -404,7 +405,7 @@ def begin(sources: Sequence[Readable], options: StripOptions) -> RawStrip:
 
 
 def _chosen(images: Sequence[Image], options: StripOptions) -> tuple[list[Image], list[str]]:
-    """The images that are wanted, by default those of the first transmitter."""
+    """Select the requested images, by default those of the first transmitter."""
     names = [image.polarization for image in images]
     if len(set(names)) < len(names):
         raise InputError(f"{images[0].path}: images beside it have its polarisation; give the files of one scene")
@@ -456,7 +457,7 @@ def _strip(leader: Leader, images: list[Image], options: StripOptions, notes: li
 
 
 def _counted(fields: dict[str, Any], run: IntArray, seconds: FloatArray) -> FloatArray | None:
-    """Times of lines by their counters of microseconds in a second, s; None if these are not kept.
+    """Times of lines, s, from their counters of microseconds in a second; None if these are unusable.
 
     The milliseconds tell the second, however they are rounded.
     """
@@ -468,7 +469,7 @@ def _counted(fields: dict[str, Any], run: IntArray, seconds: FloatArray) -> Floa
 
 
 def _even(image: Image, options: StripOptions, quad: bool, notes: list[str]) -> Even:
-    """The longest part at one PRF, on an even axis.
+    """Find the longest part at one PRF, and its even time axis.
 
     By the counters of microseconds, where lines have them. Otherwise by the lines' numbers: times are cut to
     milliseconds, and the PRF is exact, so that t0 is the earliest for which no t0 + slot / PRF lies before its line's
@@ -483,7 +484,8 @@ def _even(image: Image, options: StripOptions, quad: bool, notes: list[str]) -> 
     run = chosen[ends[longest] : ends[longest + 1]]
     prf = float(fields["PRF"][run[0]]) * MILLI
     if not prf > 0 or run.size < LEAST:
-        raise InputError(f"{image.path}: the PRF is {prf:g} Hz over {run.size} lines at most; get it again")
+        run_length = texts.count(run.size, "line")
+        raise InputError(f"{image.path}: the PRF is {prf:g} Hz over at most {run_length}; get it again")
     if run.size < chosen.size:
         refuse_few(run.size, chosen.size, "the PRF changes", f"lines {run[0]}:{run[-1] + 1} have one of {prf:.6g} Hz: "
                    "take them with --pulses")  # fmt: skip
@@ -496,12 +498,12 @@ def _even(image: Image, options: StripOptions, quad: bool, notes: list[str]) -> 
     nought = fields["nought"][run] != 0
     counted = _counted(fields, run, seconds)
     if counted is not None:
-        even, said = even_pulses(counted)
+        even, even_notes = even_pulses(counted)
         even = even.of_file(run)
-        notes += ["times of lines are those of their counters of microseconds", *said]
+        notes += ["times of lines are those of their counters of microseconds", *even_notes]
         return _with_echoes(even, nought[np.searchsorted(run, even.pulses)], image, notes)
     way = float(seconds[-1] - seconds[0])
-    # Of four channels every other pulse is one's; the times tell how the PRF counts.
+    # With four channels, every other pulse belongs to one; the times show how the PRF counts.
     likely = [(2 if quad else 1) / prf, (1 if quad else 2) / prf]
     interval = min(likely, key=lambda each: abs(each * slots[-1] - way))
     if abs(interval * slots[-1] - way) > max(2 * MILLI, 0.02 * way):
@@ -518,25 +520,26 @@ def _even(image: Image, options: StripOptions, quad: bool, notes: list[str]) -> 
     notes.append("lines have no counters of microseconds: their times are by milliseconds and the PRF")
     slots = slots.astype(np.int64)
     if lost := int(time.size - slots.size):
-        notes.append(f"{lost} of {time.size} lines are lost, and missing in the store")
+        notes.append(f"{lost} of {time.size} lines lost: missing in the store")
     whole = Even(run, np.asarray(time[slots]), slots, time, interval, (int(run[0]), int(run[-1]) + 1))
     return _with_echoes(whole, nought, image, notes)
 
 
 def _with_echoes(even: Even, nought: BoolArray, image: Image, notes: list[str]) -> Even:
-    """Without lines that are marked as empty (n,)."""
+    """Drop lines (n,) that are marked as empty."""
     if nought.any():
-        kept = int(np.count_nonzero(~nought))
-        refuse_few(kept, nought.size, "lines are marked as empty", "take others with --pulses")
-        notes.append(f"{nought.size - kept} of {nought.size} lines are marked as empty, and missing in the store")
+        n_left = int(np.count_nonzero(~nought))
+        refuse_few(n_left, nought.size, "lines are marked as empty", "take others with --pulses")
+        notes.append(f"{nought.size - n_left} of {nought.size} lines marked as empty: missing in the store")
         even = even.without(np.flatnonzero(nought))
     if even.pulses.size < LEAST:
-        raise InputError(f"{image.path}: {even.pulses.size} lines have echoes; at least {LEAST} are needed")
+        lines = texts.count(even.pulses.size, "line")
+        raise InputError(f"{image.path}: {lines} with echoes; at least {LEAST} are needed")
     return even
 
 
 def _first_delay(fields: dict[str, Any], pulses: IntArray, leader: Leader, notes: list[str]) -> FloatArray:
-    """Delay of the first sample of lines, s: by metres of slant range, or finer where the others agree with these."""
+    """Delay of the first sample of lines, s: from slant range in m, or from finer fields that agree with it."""
     delay = 2.0 * fields["slant range"][pulses] / SPEED_OF_LIGHT
     metre = 2.0 / SPEED_OF_LIGHT
     position = 1e-9 * fields["window position"][pulses]
@@ -555,7 +558,7 @@ def _first_delay(fields: dict[str, Any], pulses: IntArray, leader: Leader, notes
 def _chirp_rate(
     fields: dict[str, Any], leader: Leader, pulse_width: float, sampling_rate: float, notes: list[str]
 ) -> float:
-    """Hz/s: that of the lines, else of the leader, else by the bandwidth; negative, whatever their sign.
+    """Chirp rate, Hz/s: of the lines, of the leader, or from the bandwidth; always negative.
 
     The pulse is a down-chirp, and the files give the magnitude of its rate, as other processors read them.
 
@@ -564,12 +567,12 @@ def _chirp_rate(
     InputError
         If none can be.
     """
-    told = (
+    stated = (
         ("the lines", 1e6 * float(fields["linear coefficient"][0])),
         ("the leader", leader.known("linear coefficient of the pulse")),
         ("the leader's bandwidth", leader.bandwidth / pulse_width),
     )
-    for name, rate in told:
+    for name, rate in stated:
         if rate and 0.1 * sampling_rate < abs(rate) * pulse_width <= sampling_rate:
             notes.append(
                 f"chirp of {abs(rate):.6g} Hz/s over {1e6 * pulse_width:g} us, by {name}, taken to fall; --chirp-sign "
@@ -581,7 +584,7 @@ def _chirp_rate(
 
 @dataclass(frozen=True, eq=False)
 class _Samples:
-    """Reads samples of channels, of lines that begin at different delays."""
+    """Reader of channels' samples, whose lines begin at different delays."""
 
     images: tuple[Image, ...]
     pulses: IntArray

@@ -1,4 +1,4 @@
-"""Readers of formats, found by what lies at a place; and the one writer of the phase histories that they make."""
+"""Readers of formats, recognised by file contents; and the one writer of their phase histories."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def stated_times(start: str | None, zero: float | None) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class ReaderOptions:
-    """Options of every reader; those of a format have more fields. `blocksar.ingest_NAME` describes them in this way.
+    """Options of every reader; formats add fields. `blocksar.ingest_NAME` describes them in this form.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class ReaderOptions:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reading:
-    """A phase history in files, of which the samples are still to be read.
+    """A phase history in files whose samples are still to be read.
 
     Attributes
     ----------
@@ -144,7 +144,7 @@ class Reading:
         return stores.history_bytes(self.collection, self.n_channel, self.raw)
 
     def group(self, origin: str, times: Mapping[str, Any]) -> stores.Group:
-        """The phase history without its samples."""
+        """Group of the phase history, without its samples."""
         source = dict(self.attributes.get("source", {}))
         attributes = {
             **self.attributes,
@@ -202,7 +202,7 @@ class Reader(Protocol):
     options: type
 
     def read(self, sources: Sequence[Location], options: Any) -> Reading | Mapping[str, Reading]:
-        """Read all but the samples; of several collections in one frame, each by its name.
+        """Read everything but the samples; of several collections in one frame, each by its name.
 
         Raises
         ------
@@ -211,7 +211,7 @@ class Reader(Protocol):
         """
 
     def describe(self, files: Sequence[Readable], given: str) -> Described:
-        """Say what files hold, `given` as a path or as a pattern of paths; reads no samples.
+        """Describe files, `given` as a path or pattern of paths; reads no samples.
 
         Raises
         ------
@@ -295,14 +295,14 @@ def ingest(
         stores.create_collections(target, groups, origin=origin, overwrite=overwrite, fill=fill, identity=identity)
     messages = [sentence for each in readings.values() for sentence in each.messages()]
     if there:
-        messages.append(f"{there} of {sum(each.total for each in samples)} pulses were there from one that ended early")
+        messages.append(f"{there} of {sum(each.total for each in samples)} pulses kept from a call that ended early")
     return Ingested(
         path=target.path if isinstance(target, LocalPlace) else target, collection=first.collection, messages=messages
     )
 
 
 def _state(source: Location) -> list[str]:
-    """Name and state of a file, or of all below a folder: another state, another content."""
+    """Name and state of a file, or of all files in a folder, which change when the content does."""
     where = readable(source)
     if isinstance(where, LocalPlace) and where.path.is_dir():
         return [os.path.abspath(where.path), *(f"{name} {size} {written}" for name, size, written in where.files())]
@@ -311,7 +311,7 @@ def _state(source: Location) -> list[str]:
 
 
 def _identity(origin: Sequence[Any], groups: Mapping[str, stores.Group]) -> str:
-    """Hash of all that samples depend on, and of what is stored beside them."""
+    """Hash everything that samples and the data stored with them depend on."""
     held = {
         name: {
             "attributes": {key: value for key, value in group.attrs.items() if key != "history"},
@@ -325,11 +325,11 @@ def _identity(origin: Sequence[Any], groups: Mapping[str, stores.Group]) -> str:
     return stores.json_checksum([__version__, list(origin), held])
 
 
-KEPT = 0.5  # of the pulses that are asked for: fewer are not what a user means
+KEPT = 0.5  # of the requested pulses: fewer are hardly intended
 
 
 def refuse_few(kept: int, of: int, cause: str, remedy: str) -> None:
-    """Raise an InputError if less than half of the pulses that were asked for would be kept."""
+    """Raise an InputError if fewer than half of the requested pulses would be kept."""
     if kept < KEPT * of:
         raise InputError(f"{cause}, which leaves {kept} of {of} pulses, less than half; {remedy}")
 
@@ -338,7 +338,7 @@ MOST_FILES = 64  # of a folder, that are looked at
 
 
 class Found(NamedTuple):
-    """Kind of what lies at a place, and the file that shows it, if that is in a folder."""
+    """Kind of a file or folder, and the file in it that shows the kind."""
 
     kind: Kind
     start: Start
@@ -346,11 +346,11 @@ class Found(NamedTuple):
 
     @property
     def reader(self) -> str | None:
-        """The name of what reads it, if anything does."""
+        """Name of the reader of this kind; None if there is none."""
         return next((name for name, reader in READERS.sound() if reader.kind is self.kind), None)
 
     def sentence(self, asked: Readable, given: str | None = None) -> str:
-        """Name the kind, and how to convert it to a phase history; `given` is the path as the user gave it."""
+        """Name the kind and how to convert it to a phase history; `given` is the path as the user wrote it."""
         path = given if given is not None and self.file is asked else str(self.file)
         plain = re.sub(r"\.(gz|z|bz2|xz|zst|lz4)$", "", path, flags=re.IGNORECASE)
         stem = self.file.name.partition(".")[0] or "phase_history"
@@ -364,7 +364,7 @@ class Found(NamedTuple):
 
 
 def _kinds() -> Iterator[Kind]:
-    """All kinds, in the order in which they are tried."""
+    """Iterate over all kinds in the order in which they are tried."""
     yield from NOTHING
     for reader in READERS:
         yield reader.kind
@@ -395,7 +395,7 @@ def found_at(where: Readable) -> Found | None:
 
 
 def _in_folder(folder: LocalPlace) -> Found | None:
-    """Find what a folder holds: the first file that `ingest` reads, or else of which the kind is known."""
+    """Find the first file in a folder that `ingest` reads, or else one of a known kind."""
     names = folder.names()
     if "manifest.safe" in names and "_RAW_" not in folder.name:
         return Found(SAFE_IMAGES, Start(folder.name, b"", whole=True), folder)
@@ -410,7 +410,7 @@ def _in_folder(folder: LocalPlace) -> Found | None:
 
 
 def refuse_others(where: Readable, wanted: Kind) -> None:
-    """Raise an InputError that says what lies at a place, unless it is of that kind, or nothing lies there.
+    """Raise an InputError that names the kind of a file, unless it is the wanted one or nothing exists there.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Resampling of pulses: from uneven slow times to uniform ones, and to the fewer pulses and frequencies of an area.
+"""Resampling of pulses: from uneven to uniform times, and to the pulses and frequencies that an area needs.
 
 *Uneven times.* Once the range to the scene's centre is removed, the echoes of a scene fill a limited Doppler band, |nu|
 <= band / 2. Of all weighted sums of the pulses at times t_m nearest to a time t, the one used here has the least mean
@@ -19,8 +19,8 @@ side only.
 antenna at pulse n from a point p of the area and R_c(n) that from its middle, samples times exp(4j pi f/c (R_c -
 reference_range)) are sigma exp(-4j pi f/c (R - R_c)) of p: over frequencies an oscillation of the delay 2 (R - R_c)/c,
 over pulses one of the Doppler frequency -2 f/c d(R - R_c)/dt. The area's corners, and those of its prisms ROOM above
-and below the ground, bound both. What lies beyond is stopped by low-passes (`lowpass`), first over frequencies, then
-over pulses, and as many samples are left out as the bounds allow. The samples kept have the antenna's positions at
+and below the ground, bound both. What lies beyond is stopped by low-pass filters (`LowPass`), first over frequencies,
+then over pulses, and as many samples are left out as the bounds allow. The samples kept have the antenna's positions at
 their own pulses and R_c as their reference range, so that phases are exact: nothing is interpolated. Under a steered
 beam as many pulses are kept as hold all that it lights at once, since that is what processing takes it to light.
 
@@ -90,11 +90,11 @@ class Resampling:
     good: BoolArray
 
     def part(self, pulses: slice) -> Resampling:
-        """The weights of some of the uniform pulses."""
+        """Select the weights of some uniform pulses."""
         return Resampling(**{name: getattr(self, name)[pulses] for name in self.__dataclass_fields__})
 
     def inputs(self, pulses: slice) -> slice:
-        """The uneven pulses from which these uniform ones are computed."""
+        """Uneven pulses that these uniform ones are computed from."""
         first = self.first[pulses]
         return slice(int(first.min()), int(first.max()) + self.weights.shape[1])
 
@@ -172,13 +172,13 @@ TOGETHER = 16  # sums that are computed at once: more would multiply more zeros
 
 
 def steps_of(band: float, rate: float) -> int:
-    """Every how many samples, of which there are `rate` a unit, suffice for a band."""
+    """Largest decimation that a band allows, for samples at `rate` per unit."""
     return max(int(rate / (SPARE * band)), 1) if band > 0 else 1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LowPass:
-    """Sums of consecutive samples.
+    """Decimating low-pass filter: sums of consecutive samples.
 
     Attributes
     ----------
@@ -204,18 +204,18 @@ class LowPass:
     error: float
 
     def part(self, some: slice) -> LowPass:
-        """Some of the sums."""
+        """Select some of the sums."""
         return LowPass(
             places=self.places[some], first=self.first[some], weights=self.weights, kind=self.kind[some],
             good=self.good[some], error=self.error,
         )  # fmt: skip
 
     def inputs(self, some: slice) -> slice:
-        """The samples from which some of the sums are computed."""
+        """Samples that some of the sums are computed from."""
         return slice(int(self.first[some].min()), int(self.first[some].max()) + self.weights.shape[1])
 
     def matrix(self, some: slice) -> ComplexArray:
-        """The weights of some of the sums over `inputs`, (n_out, n_in) complex64."""
+        """Weights of some sums over `inputs`, (n_out, n_in) complex64."""
         inputs = self.inputs(some)
         out = np.zeros((self.first[some].size, inputs.stop - inputs.start), np.complex64)
         for row, (first, kind) in enumerate(zip(self.first[some] - inputs.start, self.kind[some], strict=True)):
@@ -223,7 +223,7 @@ class LowPass:
         return out
 
     def along_rows(self, samples: ComplexArray) -> ComplexArray:
-        """Filter the last axis of (n_row, n_in) samples, all of them: (n_row, n_out).
+        """Filter the last axis of (n_row, n_in) samples: (n_row, n_out).
 
         Groups of sums with the same weights are one product of matrices: many small ones keep waiting for each other's
         threads.
@@ -231,21 +231,21 @@ class LowPass:
         out = np.empty((samples.shape[0], self.places.size), np.complex64)
         usual = self.kind[self.places.size // 2]
         every = groups(self.places.size)
-        alike = [some for some in every if some.stop - some.start == TOGETHER and (self.kind[some] == usual).all()]
-        if len(alike) < 2 or alike[-1].stop - alike[0].start > TOGETHER * len(alike):
-            alike = []
-        for some in [each for each in every if each not in alike]:
+        regular = [some for some in every if some.stop - some.start == TOGETHER and (self.kind[some] == usual).all()]
+        if len(regular) < 2 or regular[-1].stop - regular[0].start > TOGETHER * len(regular):
+            regular = []
+        for some in [each for each in every if each not in regular]:
             out[:, some] = samples[:, self.inputs(some)] @ self.matrix(some).T
-        if alike:
-            first, second = (self.inputs(some) for some in alike[:2])
+        if regular:
+            first, second = (self.inputs(some) for some in regular[:2])
             windows = sliding_window_view(samples[:, first.start :], first.stop - first.start, axis=1)
-            windows = windows[:, :: second.start - first.start][:, : len(alike)]
-            sums = windows.reshape(-1, first.stop - first.start) @ self.matrix(alike[0]).T
-            out[:, alike[0].start : alike[-1].stop] = sums.reshape(samples.shape[0], -1)
+            windows = windows[:, :: second.start - first.start][:, : len(regular)]
+            sums = windows.reshape(-1, first.stop - first.start) @ self.matrix(regular[0]).T
+            out[:, regular[0].start : regular[-1].stop] = sums.reshape(samples.shape[0], -1)
         return out
 
     def over_rows(self, read: Callable[[slice], ComplexArray], some: slice) -> ComplexArray:
-        """Filter rows that `read` gives, each once and in order: some of the sums, NaN where they are not good.
+        """Filter rows from `read`, each read once and in order: some of the sums, NaN where they are not good.
 
         Rows that are missing are NaN.
         """
@@ -266,12 +266,12 @@ class LowPass:
 
 
 def groups(count: int) -> list[slice]:
-    """Slices of at most TOGETHER of so many."""
+    """Divide `count` into slices of at most TOGETHER."""
     return [slice(first, min(first + TOGETHER, count)) for first in range(0, count, TOGETHER)]
 
 
 def plan_lowpass(size: int, steps: int, band: float, present: BoolArray | None = None) -> LowPass:
-    """Weights and errors of sums at every `steps`-th of `size` samples, about the middle.
+    """Compute weights and errors of sums at every `steps`-th of `size` samples, around the middle.
 
     Parameters
     ----------
@@ -314,7 +314,7 @@ def plan_lowpass(size: int, steps: int, band: float, present: BoolArray | None =
 
 
 class _Equations:
-    """Equations for the weights of samples at some lags, and the responses by which their errors are found."""
+    """Equations for filter weights at some lags, and frequency responses to find their errors."""
 
     def __init__(self, lag: IntArray, steps: int, band: float) -> None:
         def ideal(width: float, lag: IntArray) -> FloatArray:
@@ -331,7 +331,7 @@ class _Equations:
         self.alone = lag == 0 if steps == 1 else None  # then nothing folds
 
     def solve(self, use: BoolArray) -> tuple[FloatArray, float, float]:
-        """The weights, zero for samples that are not to be used, the largest error, and |H| between the bands."""
+        """Solve for weights, zero for unused samples; also the largest error, and |H| between the bands."""
         weights = np.zeros(use.size)
         if self.alone is not None:
             weights[self.alone] = 1.0
@@ -348,14 +348,14 @@ Area = tuple[tuple[float, float], tuple[float, float]]  # x and y, from .. to, m
 # ---------------------------------------------------------------- areas
 
 ROOM = 50.0  # m by which the ground of an area may lie off the plane
-PLACES = 9  # along each side, at which it is asked who lights the area
+PLACES = 9  # along each side, at which the lit pulses of the area are found
 LEAST = 256  # pulses, and frequencies, that are left at least: one or two at either end have no sum that is good
 PART = 64  # pulses whose frequencies are filtered at a time
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AreaCut:
-    """How the samples of an area come from those of a collection.
+    """Reduction of a collection's samples to those of an area.
 
     Attributes
     ----------
@@ -384,7 +384,7 @@ class AreaCut:
     message: str
 
     def reader(self, read: Callable[[slice], ComplexArray], frequency: FloatArray) -> Callable[[slice], ComplexArray]:
-        """A function that reads some of the pulses kept, from one that reads some of the original.
+        """Make a function that reads pulses of the area, from one that reads pulses of the collection.
 
         `frequency` (n,) are those of the original, Hz, absolute.
         """
@@ -421,7 +421,7 @@ def _phasors(rate: FloatArray, frequency: FloatArray) -> ComplexArray:
 
 
 def plan_cut(collection: Collection, area: Area, present: BoolArray) -> AreaCut:
-    """Find what of a collection an area needs; `present` (n_pulse,) tells which pulses are not missing.
+    """Plan the reduction of a collection to an area; `present` (n_pulse,) marks pulses that are not missing.
 
     Raises
     ------
@@ -453,8 +453,8 @@ def plan_cut(collection: Collection, area: Area, present: BoolArray) -> AreaCut:
     pulses = plan_lowpass(len(antenna), steps[0], band / collection.prf, present[lit])
     frequencies = plan_lowpass(frequency.size, steps[1], delays * step)
     within = (asked.start - lit.start - steps[0], asked.stop - lit.start + steps[0])
-    kept = _good(pulses, shown, within), _good(frequencies, shown)
-    at, f = pulses.places[kept[0]], frequency[frequencies.places[kept[1]]]
+    selected = _good(pulses, shown, within), _good(frequencies, shown)
+    at, f = pulses.places[selected[0]], frequency[frequencies.places[selected[1]]]
     changed = max(steps) > 1
     carrier = float(f[0] + f[-1]) / 2
     time = collection.time[lit][at]
@@ -475,13 +475,13 @@ def plan_cut(collection: Collection, area: Area, present: BoolArray) -> AreaCut:
         f"from beyond fall to as much; ground to {ROOM:g} m off the plane stays"
     )
     return AreaCut(
-        collection=new, first=lit.start, pulses=pulses, frequencies=frequencies, kept=kept,
+        collection=new, first=lit.start, pulses=pulses, frequencies=frequencies, kept=selected,
         shift=shift if changed else None, later=later, message=message,
     )  # fmt: skip
 
 
 def _lit(collection: Collection, area: Area, shown: str) -> slice:
-    """The pulses from the first to the last that lights a place of the area."""
+    """Pulses from the first to the last that lights any place of the area."""
     x, y = np.meshgrid(*(np.linspace(*side, PLACES) for side in area))
     first, last = Geometry(collection=collection).beam.passes(x, y)
     lit = last > first
@@ -491,7 +491,7 @@ def _lit(collection: Collection, area: Area, shown: str) -> slice:
 
 
 def _extents(collection: Collection, area: Area, lit: slice) -> tuple[float, float]:
-    """Largest |R - R_c|, m, and |d(R - R_c)/dt|, m/s, of points of an area and ROOM above and below it."""
+    """Largest |R - R_c|, m, and |d(R - R_c)/dt|, m/s, of points in an area and ROOM above and below it."""
     antenna, time, ground = collection.antenna_position[lit], collection.time[lit], collection.ground_height
     middle = np.linalg.norm(antenna - [sum(area[0]) / 2, sum(area[1]) / 2, ground], axis=1)
     away = rate = 0.0
@@ -503,7 +503,7 @@ def _extents(collection: Collection, area: Area, lit: slice) -> tuple[float, flo
 
 
 def _beam_rate(collection: Collection) -> float:
-    """A bound on |dR/dt|, m/s, between the middle and the edge of the beam: processing takes all that it lights."""
+    """Bound on |dR/dt|, m/s, between the middle and the edge of the beam, whose whole width processing uses."""
     if collection.beam_width is None:
         return 0.0
     speed = np.linalg.norm(np.gradient(collection.antenna_position, collection.time, axis=0), axis=1).max()
@@ -511,17 +511,20 @@ def _beam_rate(collection: Collection) -> float:
 
 
 def _with_room(lit: slice, steps: int, total: int) -> slice:
-    """Pulses with those on either side that sums at their ends need, as far as there are any."""
+    """Extend lit pulses on either side by those that filters at the ends need, as far as there are any."""
     room = TAPS * steps // 2 if steps > 1 else 0
     return slice(max(lit.start - room, 0), min(lit.stop + room, total))
 
 
 def _good(filtered: LowPass, shown: str, within: tuple[float, float] = (-np.inf, np.inf)) -> slice:
-    """The sums from the first to the last good one at places from .. to."""
+    """Sums from the first to the last good one, at places within an interval."""
     inside = (filtered.places > within[0]) & (filtered.places < within[1])
     good = np.flatnonzero(filtered.good & inside)
     if good.size < 8:
-        raise InputError(f"{shown} leaves {good.size} pulses or frequencies; at least 8 are needed: give a larger one")
+        raise InputError(
+            f"{shown} leaves {good.size} of {filtered.good.size} pulses or frequencies; at least 8 are needed: give a "
+            "larger one"
+        )
     return slice(int(good[0]), int(good[-1]) + 1)
 
 

@@ -1,7 +1,7 @@
-"""Raw echoes of satellites' strips: what their formats have in common.
+"""Raw echoes of satellite strips: the common part of their formats.
 
-Options, times of pulses, the strip that a format states as a phase history in a frame on the ellipsoid, and the reader
-of such a format.
+The module has the options, the time axis of pulses, the conversion of a strip to a phase history in a frame on the
+ellipsoid, and the reader of such a format.
 
 *Time.* While a pulse travels the antenna moves on, by v 2 R / c, some 40 m. Its echo is that of a still antenna at the
 middle of this way: the sum of both distances exceeds twice that from there by (v R / c)^2 / R, half a millimetre. A
@@ -59,7 +59,7 @@ from blocksar.places import Location, readable
 from blocksar.places.ranges import Readable
 from blocksar.spans import parse_pulses
 from blocksar.stores import blocks_of
-from blocksar.texts import frequency_text
+from blocksar.texts import count, frequency_text
 
 # ---------------------------------------------------------------- options
 
@@ -80,7 +80,7 @@ def _read_polarization(value: Any) -> str | None:
 
 
 def read_range_delay(value: Any) -> float:
-    """A delay of samples, s.
+    """Parse the range delay of samples, s.
 
     Raises
     ------
@@ -142,13 +142,13 @@ class RawOptions(ReaderOptions):
 
     @property
     def said(self) -> dict[str, Any]:
-        """Of these, what a store's `source` keeps."""
+        """Options that the store's attribute `source` records."""
         delay = {"range_delay_removed": self.range_delay} if self.range_delay else {}
         return {**delay, **({"chirp_sign": self.chirp_sign} if self.chirp_sign else {})}
 
     @property
     def notes(self) -> list[str]:
-        """Of these, what a user is told."""
+        """Notes for the user about these options."""
         away = SPEED_OF_LIGHT / 2 * self.range_delay
         delay = [f"a delay of {self.range_delay:.6g} s, {away:.4g} m of range, is taken out (--range-delay)"]
         return delay if self.range_delay else []
@@ -156,7 +156,7 @@ class RawOptions(ReaderOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class PartOptions(RawOptions):
-    """The part of a file that is wanted, and what its samples hold; see `RawOptions`.
+    """Selected part of a file, and corrections to its samples; see `RawOptions`.
 
     Attributes
     ----------
@@ -195,7 +195,7 @@ class PartOptions(RawOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class StripOptions(PartOptions):
-    """Options where a format gives times of pulses and an orbit.
+    """Options of formats that give times of pulses and an orbit.
 
     Attributes
     ----------
@@ -230,7 +230,7 @@ WANDER = 0.1  # of the interval, by which a pulse may lie off an even axis; posi
 
 
 class Even(NamedTuple):
-    """Pulses, and an even axis for them.
+    """Pulses of a file on an even time axis.
 
     Attributes
     ----------
@@ -257,18 +257,18 @@ class Even(NamedTuple):
     run: tuple[int, int]
 
     def without(self, some: IntArray) -> Even:
-        """Copy in which some pulses, by their place here, are lost; the axis stays."""
+        """Copy in which some pulses, by index, are lost; the axis stays."""
         slots = None if self.slots is None else np.delete(self.slots, some)
         return self._replace(pulses=np.delete(self.pulses, some), sent=np.delete(self.sent, some), slots=slots)
 
     def of_file(self, numbers: IntArray) -> Even:
-        """Copy of which the pulses are these of the file."""
+        """Copy with pulse numbers replaced by those of the file."""
         first, stop = self.run
         return self._replace(pulses=numbers[self.pulses], run=(int(numbers[first]), int(numbers[stop - 1]) + 1))
 
 
 def even_pulses(time: FloatArray) -> tuple[Even, list[str]]:
-    """An even axis for pulses at times (n,), s, and notes on what was left out or lost.
+    """Find an even axis for pulses at times (n,), s, with notes on pulses left out or lost.
 
     Pulses at whole multiples of one interval have places on it; others get an axis of their mean PRF, between whose
     places they lie.
@@ -279,7 +279,7 @@ def even_pulses(time: FloatArray) -> tuple[Even, list[str]]:
         If there are too few, or their times do not ascend, or gaps leave less than half of them.
     """
     if time.size < LEAST or not np.isfinite(time).all():
-        raise InputError(f"{time.size} pulses with finite times are left; at least {LEAST} are needed")
+        raise InputError(f"{count(time.size, 'pulse')} with finite times left; at least {LEAST} are needed")
     steps = np.diff(time)
     if (steps <= 0).any():
         raise InputError(f"times of pulses do not ascend at pulse {int(np.argmax(steps <= 0)) + 1}; give the file anew")
@@ -287,12 +287,12 @@ def even_pulses(time: FloatArray) -> tuple[Even, list[str]]:
     notes = []
     part = _longest(steps <= LONGEST_GAP * usual)
     if part[1] - part[0] < time.size:
-        kept = f"pulses {part[0]} .. {part[1] - 1}, {part[1] - part[0]} of {time.size}"
+        taken = f"pulses {part[0]} .. {part[1] - 1}, {part[1] - part[0]} of {time.size}"
         refuse_few(
             part[1] - part[0], time.size, f"there are gaps of more than {LONGEST_GAP} pulses",
             "take the part between two with --pulses",
         )  # fmt: skip
-        notes.append(f"there are gaps of more than {LONGEST_GAP} pulses; {kept}, are taken: others with --pulses")
+        notes.append(f"there are gaps of more than {LONGEST_GAP} pulses; {taken}, are taken: others with --pulses")
     pulses = np.arange(*part)
     time, steps = time[pulses], steps[pulses[:-1]]
     whole = np.rint(steps / usual)
@@ -302,7 +302,7 @@ def even_pulses(time: FloatArray) -> tuple[Even, list[str]]:
     if placed is not None:
         slots, at, step = placed
         if lost := int(slots[-1] + 1 - slots.size):
-            notes.append(f"{lost} of {slots[-1] + 1} pulses are lost, and missing in the store")
+            notes.append(f"{lost} of {slots[-1] + 1} pulses lost: missing in the store")
     else:
         slots = None
         step = float(steps[steps < SKIPPED * usual].mean())
@@ -316,14 +316,14 @@ def even_pulses(time: FloatArray) -> tuple[Even, list[str]]:
 
 
 def _longest(joined: BoolArray) -> tuple[int, int]:
-    """The longest part of pulses, from one to before another, of which each is joined (n - 1,) with the next."""
+    """Longest run of pulses, first and stop, each joined (n - 1,) with the next."""
     ends = np.flatnonzero(np.diff(np.concatenate([[0], joined, [0]]))).reshape(-1, 2)
     first, last = ends[np.argmax(np.diff(ends, axis=1))] if ends.size else (0, 0)
     return int(first), int(last) + 1
 
 
 def _placed(time: FloatArray, whole: FloatArray, usual: float) -> tuple[IntArray, FloatArray, float] | None:
-    """Slots of pulses that lie whole numbers of an interval apart, times of all slots, and the interval.
+    """Fit an axis to pulses at whole multiples of an interval: slots of pulses, times of slots, and the interval.
 
     By least squares; None if pulses wander off such an axis.
     """
@@ -341,9 +341,9 @@ def _placed(time: FloatArray, whole: FloatArray, usual: float) -> tuple[IntArray
 PARTS = "--pulses, --polarization"
 HALF_POWER = 0.886  # wavelengths over length: width of an evenly lit antenna's beam
 BAND_OF_PRF = 0.8  # of the PRF, that the Doppler band of a beam of unknown width fills
-MOMENTS = 9  # at which the Doppler frequency of the beam's centre is asked
+MOMENTS = 9  # at which the Doppler frequency of the beam's centre is computed
 TILTED = np.radians(10.0)  # an antenna's axis that lies farther off the track is none
-SATELLITE = 1e5  # m: what flies higher
+SATELLITE = 1e5  # m: platforms above it are satellites
 TOLD = 0.05  # m along the track that are worth a note
 
 Rows = Callable[[int, IntArray], ComplexArray]  # samples of a channel at some pulses of the file
@@ -351,7 +351,7 @@ Rows = Callable[[int, IntArray], ComplexArray]  # samples of a channel at some p
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RawStrip:
-    """Strip as a format states it: a raw echo with its orbit, attitude and radar.
+    """A strip as its format states it: raw echo, orbit, attitude and radar.
 
     Attributes
     ----------
@@ -406,24 +406,24 @@ class RawStrip:
     origin: Georeference | None = None
 
     def taking(self, options: PartOptions) -> RawStrip:
-        """Copy with what a user says of delays, of the chirp and of times."""
+        """Copy with the user's delay, chirp sign and time tags."""
         rate = {None: self.chirp_rate, "up": abs(self.chirp_rate), "down": -abs(self.chirp_rate)}[options.chirp_sign]
         tags = getattr(options, "time_tags", None) or self.tags
         return replace(self, delay=self.delay - options.range_delay, chirp_rate=rate, tags=tags)
 
     @property
     def to_centre(self) -> float:
-        """From the pulse's beginning to its centre, s."""
+        """Time from the beginning of the pulse to its centre, s."""
         return self.pulse_width / 2 if self.centre is None else self.centre
 
     @property
     def middle_range(self) -> float:
-        """Of the swath, m: of the pulse's centre."""
+        """Slant range, m, of mid-swath by the pulse's centre."""
         return SPEED_OF_LIGHT / 2 * (float(self.delay[0] + self.delay[-1]) / 2 - self.to_centre)
 
     @property
     def moment(self) -> FloatArray:
-        """When the antenna is where an echo's way has its middle, of each slot, s (see the module)."""
+        """Times (n_slot,), s, at which the antenna is midway between transmission and reception (see the module)."""
         time = self.even.time
         if self.tags == "middle":
             return time
@@ -437,7 +437,7 @@ class RawStrip:
 
     @cached_property
     def axis(self) -> tuple[FloatArray, str | None]:
-        """The antenna's axis along the flight (n_slot, 3), Earth-centred, and a note if it is not the file's."""
+        """Antenna axis along the flight (n_slot, 3), Earth-centred, with a note if it does not come from the file."""
         _, velocity = self.track
         along = velocity / np.linalg.norm(velocity, axis=1, keepdims=True)
         if self.antenna is None:
@@ -455,7 +455,7 @@ class RawStrip:
 
     @property
     def beam(self) -> tuple[float, str]:
-        """Its full width, rad, and where that is from."""
+        """Full width of the beam, rad, and its origin in words."""
         wavelength = SPEED_OF_LIGHT / self.carrier
         if self.length is not None:
             width = HALF_POWER * wavelength / self.length
@@ -470,7 +470,7 @@ class RawStrip:
 
     @cached_property
     def doppler(self) -> tuple[FloatArray, float]:
-        """Doppler frequency of the beam's centre at the swath's middle (n_slot,), and the band that it lights, Hz.
+        """Doppler of the beam's centre at mid-swath (n_slot,), Hz, and the lit band, Hz.
 
         See the module.
         """
@@ -500,7 +500,7 @@ class RawStrip:
 
     @cached_property
     def resampling(self) -> Resampling | None:
-        """How uneven pulses become even ones; None if they are even.
+        """Resampling of uneven pulses to the even axis; None if they are even.
 
         Raises
         ------
@@ -527,12 +527,12 @@ class RawStrip:
 
     @cached_property
     def cycles(self) -> FloatArray:
-        """Phase of the beam's centre over 2 pi, of each slot (n_slot,)."""
+        """Phase of the beam's centre, integrated Doppler, cycles (n_slot,)."""
         centre = self.doppler[0]
         return np.concatenate([[0.0], np.cumsum(np.diff(self.even.time) * (centre[1:] + centre[:-1]) / 2)])
 
     def samples(self, channel: int, pulses: slice) -> ComplexArray:
-        """Samples of some slots, NaN where one is lost or cannot be computed."""
+        """Read samples of some slots, NaN for lost ones and those that cannot be computed."""
         even, resampling = self.even, self.resampling
         if resampling is not None:
             around = resampling.inputs(pulses)
@@ -547,16 +547,16 @@ class RawStrip:
         return samples
 
     def _resampled(self, resampling: Resampling) -> str:
-        """How well, in words."""
+        """Describe the errors of the resampling."""
         good, band = resampling.good, max(self.doppler[1], BAND_OF_PRF / self.even.interval)
         return (
-            f"{np.count_nonzero(~good)} of {good.size} even pulses have too few beside them to be computed, and are "
-            f"missing; the error of others is at most {20 * np.log10(resampling.bound[good].max()):.0f} dB of an echo "
-            f"within {band:.5g} Hz of Doppler about the beam's centre"
+            f"{np.count_nonzero(~good)} of {good.size} even pulses with too few neighbours to be computed: missing "
+            f"in the store; the error of others is at most {20 * np.log10(resampling.bound[good].max()):.0f} dB of an "
+            f"echo within {band:.5g} Hz of Doppler about the beam's centre"
         )
 
     def told_sign(self) -> list[str]:
-        """A note if echoes of the middle pulses have far more contrast under the chirp of the other sign."""
+        """Note if echoes of the middle pulses have far more contrast with a chirp of the other sign."""
         middle = self.even.pulses.size // 2
         echo = self.read(0, self.even.pulses[max(middle - PULSES // 2, 0) : middle + PULSES // 2])
         own, other = contrasts(
@@ -572,7 +572,7 @@ class RawStrip:
 
     @cached_property
     def frame(self) -> Georeference:
-        """About the ground at the middle of beam, swath and pulses, x away from the track: its default grid fits."""
+        """Make the frame about the ground at the middle of beam, swath and pulses, x pointing away from the track."""
         if self.origin is not None:
             return self.origin
         at = self.even.time.size // 2
@@ -585,17 +585,17 @@ class RawStrip:
 
     @property
     def surface(self) -> str:
-        """The ground by default: under satellites the ellipsoid at the frame's height, else its plane."""
+        """Default ground: the ellipsoid at the frame's height for satellites, else the plane."""
         return "ellipsoid" if float(self.frame.from_ecef(self.track[0][0])[2]) > SATELLITE else "plane"
 
     @cached_property
     def atmosphere(self) -> FloatArray:
-        """Delay of a standard atmosphere at the swath's middle, of the first, middle and last slot, m of one way."""
+        """Delay, one way in m, of a standard atmosphere at mid-swath, for the first, middle and last slot."""
         n = self.even.time.size
         return slant_delay(self.track[0][[0, n // 2, -1]], self.frame.origin, self.frame)
 
     def collection(self, options: PartOptions) -> tuple[Collection, RawEcho]:
-        """The phase history without its samples."""
+        """Make collection and raw echo, without samples."""
         removed = float(self.atmosphere.mean()) if options.troposphere else 0.0
         fast_time = self.delay - self.to_centre - 2 * removed / SPEED_OF_LIGHT
         raw = RawEcho(
@@ -620,7 +620,7 @@ class RawStrip:
         return collection, raw
 
     def attributes(self, options: PartOptions) -> dict[str, Any]:
-        """Attributes of the store."""
+        """Make the attributes of the store."""
         start = self.epoch + timedelta(seconds=float(self.moment[0]))
         source = {
             "format": self.format,
@@ -640,7 +640,7 @@ class RawStrip:
         }  # fmt: skip
 
     def _tagged(self) -> str:
-        """At what times positions are taken, and what that leaves."""
+        """Describe the time tags that positions are taken at, and the alternatives."""
         speed = float(np.linalg.norm(self.track[1], axis=1).mean())
         later, early = self.middle_range / SPEED_OF_LIGHT, float(self.delay[0]) - self.middle_range / SPEED_OF_LIGHT
         if isinstance(self.orbit, OrbitTrack):
@@ -661,7 +661,7 @@ class RawStrip:
         )
 
     def remarks(self, options: PartOptions) -> list[str]:
-        """Warnings for the user, a sentence each."""
+        """Collect warnings for the user, a sentence each."""
         interval, n = self.even.interval, self.even.time.size
         taken = "taken out" if options.troposphere else "in the samples; --troposphere standard takes it out"
         note = self.axis[1]
@@ -682,7 +682,7 @@ class RawStrip:
         ]  # fmt: skip
 
     def reading(self, options: PartOptions) -> Reading:
-        """Pieces that are still to be read."""
+        """Make the reading of the strip: its pieces are still to be read."""
         collection, raw = self.collection(options)
         resampled = [] if self.resampling is None else [self._resampled(self.resampling)]  # refused before anything
         several = len(self.polarizations) > 1
@@ -694,7 +694,7 @@ class RawStrip:
 
 
 def _polarization(text: str) -> dict[str, str]:
-    """The attribute of a text such as HV; L and R are circular."""
+    """Attribute `polarization` from a text such as HV; L and R are circular."""
     transmit, receive = ({"L": "LHC", "R": "RHC"}.get(each, each) for each in text)
     return {"transmit": transmit, "receive": receive}
 
@@ -706,7 +706,7 @@ def _pieces(strip: RawStrip) -> Iterator[Piece]:
 
 
 def common_window(first: IntArray, stop: IntArray, most: int) -> tuple[slice, str | None]:
-    """The samples that all pulses have, of those from first to before stop (n,) of most; and a note if some have more.
+    """Samples common to all pulses, which have first .. stop - 1 of `most`; and a note if some have more.
 
     Raises
     ------
@@ -731,7 +731,7 @@ def common_window(first: IntArray, stop: IntArray, most: int) -> tuple[slice, st
 
 @dataclass(frozen=True, kw_only=True)
 class StripReader:
-    """See `Reader`.
+    """Reader of strips; see `Reader`.
 
     Attributes
     ----------
@@ -757,7 +757,7 @@ class StripReader:
         return self.begin([readable(each) for each in sources], options).reading(options)
 
     def describe(self, files: Sequence[Readable], given: str) -> Described:
-        """A strip, by what would be stored of it."""
+        """Describe a strip by what would be stored of it."""
         options = self.options()
         strip = self.begin(files if self.several else files[:1], options)
         stem = self.name if self.several else files[0].name.partition(".")[0]

@@ -1,4 +1,4 @@
-"""Heights that are given on the Earth, as z on a grid of the scene frame: GeoTIFF files, and the ellipsoid itself."""
+"""Heights on the Earth as z on a grid of the scene frame: GeoTIFF files, and the ellipsoid."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ HIGHER = 3000.0  # m: relief about an area that is looked for, above its own hig
 MOST_HEIGHTS = 1 << 27  # of a window: 1 GiB
 MOST_AROUND = 1 << 24  # heights of the terrain about an area: of a finer one, less far away
 
-# What programs write by custom, and what no ground has: -11 km to 9 km on the Earth, and less by its bend.
+# Fill values that programs use by custom, and impossible heights: the Earth's are -11 km to 9 km, less its curvature.
 CUSTOMARY = (-9999.0, 9999.0, -32767.0, -32768.0, 32767.0, 65535.0, -99999.0, 99999.0)
 HIGHEST = 1e5  # m
 
@@ -37,7 +37,7 @@ Limits = tuple[float, float]  # lowest and highest height, m
 
 
 def refuse_untagged(heights: FloatArray, path: Place) -> None:
-    """Check that no height is a number that stands for none: interpolation would spread it over its neighbours.
+    """Refuse heights with a fill value that is not declared: interpolation would spread it.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def refuse_untagged(heights: FloatArray, path: Place) -> None:
 def read_around(
     terrain: Terrain, own: Box, needed: Callable[[Limits], Box], read: Callable[[Box], Terrain]
 ) -> Terrain | None:
-    """The terrain as far as anything on it hides or overlies places of an area; None if `terrain` is all of that.
+    """Read the terrain that may shadow or overlay an area from outside; None if `terrain` already contains it.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def read_around(
 
 
 def _within(box: Box, own: Box, terrain: Terrain) -> Box:
-    """A box, drawn back towards the area's until it has no more heights than are taken."""
+    """Shrink a box towards the area's until it has at most the permitted number of heights."""
     share = 1.0
     while True:
         drawn = [
@@ -110,13 +110,13 @@ Maps = list[list[FloatArray]]  # of row, column and height: constant, rate and b
 
 
 def lattice(side: tuple[float, float], step: float) -> tuple[float, int]:
-    """Start, m, and count of multiples of a step that reach MARGIN steps beyond a side of a box."""
+    """Start, m, and count of multiples of a step that cover a side of a box and MARGIN steps beyond."""
     start = float(np.floor(side[0] / step - MARGIN) * step)
     return start, int(np.ceil((side[1] - start) / step)) + MARGIN + 1
 
 
 def resample(posts: FloatArray, to_file: ToFile, step: float, box: Box, *, refine: bool) -> Terrain:
-    """A file's heights on a grid over a box and MARGIN steps beyond; z is such that each point has its own height.
+    """Resample a file's heights to a grid over a box and MARGIN steps beyond, each point at its own z.
 
     A height is known where the four posts about its place are (`kernels.posts`).
 
@@ -156,7 +156,7 @@ def resample(posts: FloatArray, to_file: ToFile, step: float, box: Box, *, refin
 
 
 def _solve(between: Callable[[FloatArray, FloatArray], FloatArray], maps: Maps, levels: FloatArray) -> FloatArray:
-    """z (n_y, n_x) with the file's heights at the places that it is mapped to; NaN where there are none."""
+    """Solve for z (n_y, n_x) such that the file has that height at the mapped place; NaN without heights."""
     z = np.full(maps[0][0].shape, levels[1])
     for _ in range(STEPS):
         known = np.where(np.isfinite(z), z, levels[1])
@@ -167,7 +167,7 @@ def _solve(between: Callable[[FloatArray, FloatArray], FloatArray], maps: Maps, 
 
 
 def _mapper(to_file: ToFile, x: FloatArray, y: FloatArray, levels: FloatArray) -> Callable[[FloatArray], Maps]:
-    """A function of some of the rows y (n_y,), m, that gives what `to_file` does there."""
+    """Make a function that evaluates `to_file` for some of the rows y (n_y,), m, by interpolation."""
 
     def exact(x: FloatArray, y: FloatArray) -> list[list[FloatArray]]:
         mesh = np.meshgrid(x, y)
@@ -185,14 +185,14 @@ def _mapper(to_file: ToFile, x: FloatArray, y: FloatArray, levels: FloatArray) -
 
 
 def _nodes(axis: FloatArray) -> FloatArray:
-    """Uniform places about an axis, which reach beyond it, so that rounding leaves none outside."""
+    """Uniform nodes that extend beyond an axis, so that rounding leaves no place outside."""
     count = max(int(np.ceil((axis[-1] - axis[0]) / NODE_SPACING)) + 1, LEAST_NODES)
     room = 0.01 * (axis[-1] - axis[0]) / count
     return np.linspace(axis[0] - room, axis[-1] + room, count)
 
 
 def _parabola(values: list[FloatArray]) -> list[FloatArray]:
-    """Constant, rate and bend of the parabola that has three values at -1, 0 and 1."""
+    """Coefficients 0 .. 2 of the parabola through three values at -1, 0 and 1."""
     low, middle, high = values
     return [middle, (high - low) / 2, (high + low) / 2 - middle]
 
@@ -206,14 +206,14 @@ WHY = "datums differ by up to 100 m"
 
 @dataclass(frozen=True)
 class Datum:
-    """Vertical datum of heights: "ellipsoid", "egm96" or "egm2008", and the file of the geoid, if one is named."""
+    """Vertical datum of heights: "ellipsoid", "egm96" or "egm2008", and a geoid's file, if named."""
 
     name: str
     grid: str | None = None
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Read "ellipsoid", "egm96", "egm2008", or a geoid with the file that has it, as "egm2008:FILE".
+        """Parse "ellipsoid", "egm96", "egm2008", or a geoid with its file, such as "egm2008:FILE".
 
         Raises
         ------
@@ -230,7 +230,7 @@ class Datum:
         return cls(name, os.path.abspath(grid) if grid else None)
 
     def undulation(self) -> Undulation:
-        """The geoid's height over the ellipsoid.
+        """Make the function of the geoid's height over the ellipsoid.
 
         Raises
         ------
@@ -264,7 +264,7 @@ class Datum:
 
 
 def datum_of(crs: CRS, vertical: str | None, label: str) -> Datum:
-    """The datum that a file states, or the one that the user states.
+    """Choose the datum that the file states, or that the user states.
 
     Raises
     ------
@@ -307,7 +307,7 @@ FEET = {
 
 
 def remarks_on(heights: FloatArray, plane: float, path: Place, *, feet: bool) -> tuple[str, ...]:
-    """Sentences about heights (n_row, n_column), m, NaN where unknown, that are taken as they are.
+    """Warn of suspicious heights (n_row, n_column), m, NaN where unknown.
 
     Parameters
     ----------
@@ -327,10 +327,10 @@ def remarks_on(heights: FloatArray, plane: float, path: Place, *, feet: bool) ->
             f"{path} is exactly 0 m all over the grid, {abs(plane):.0f} m {_side(-plane)} the scene's plane: if "
             "0 stands for no data, give a file that has the heights, or leave --terrain out",
         )
-    if (beside := _beside(heights, zero)) > FAR:
+    if (step := _beside(heights, zero)) > FAR:
         return (
             f"{path} is exactly 0 m at {100 * zero.sum() / known.sum():.2g} % of its heights about the grid, beside "
-            f"heights of {beside:.0f} m: if 0 stands for no data, tag it (`rio edit-info --nodata 0 "
+            f"heights of {step:.0f} m: if 0 stands for no data, tag it (`rio edit-info --nodata 0 "
             f"{shlex.quote(str(path))}`)",
         )
     middle = float(np.median(heights[known]))
@@ -349,7 +349,7 @@ def _side(height: float) -> str:
 
 
 def _beside(heights: FloatArray, zero: BoolArray) -> float:
-    """The largest |height| next to one that is zero, m."""
+    """Largest |height|, m, next to one that is zero."""
     most = 0.0
     for first, second in ((np.s_[1:, :], np.s_[:-1, :]), (np.s_[:, 1:], np.s_[:, :-1])):
         edge = zero[first] != zero[second]
@@ -366,7 +366,7 @@ REMEDY = "give a GeoTIFF of heights with its coordinate reference system"
 def ellipsoid(
     georeference: Georeference, ground_height: float, x: tuple[float, float], y: tuple[float, float]
 ) -> Terrain:
-    """The surface at the height of the frame's plane z = ground_height over WGS 84, at a box."""
+    """Make the terrain of the ellipsoid's surface, raised to the frame's plane z = ground_height, over a box."""
     over = georeference.height + ground_height
     step = max(x[1] - x[0], y[1] - y[0]) / ELLIPSOID_SAMPLES
     (x0, n_x), (y0, n_y) = (lattice(box, step) for box in (x, y))
@@ -445,7 +445,7 @@ def _refuse_untied(crs: CRS, georeference: Georeference, path: Place) -> None:
 
 
 def _flat(crs: CRS) -> CRS:
-    """The horizontal part of a CRS."""
+    """Return the horizontal part of a CRS."""
     from pyproj import CRS
 
     return CRS(next((part for part in crs.sub_crs_list if not part.is_vertical), crs)).to_2d()
@@ -475,7 +475,7 @@ def _pixels_of(file: DatasetReader, crs: CRS) -> Callable[[FloatArray, FloatArra
 
 
 def _geodetic(georeference: Georeference, x: FloatArray, y: FloatArray, z: FloatArray | float) -> FloatArray:
-    """Latitude, longitude and height (..., 3)."""
+    """Latitude, longitude (degrees) and height, m, of points x, y, z: (..., 3)."""
     return georeference.to_geodetic(np.stack(np.broadcast_arrays(x, y, z), axis=-1).astype(np.float64))
 
 
@@ -485,7 +485,7 @@ def _spacing(
     x: tuple[float, float],
     y: tuple[float, float],
 ) -> float:
-    """Distance of pixels at the middle of a box, the smaller of the two, m."""
+    """Distance between pixels at the middle of a box, the smaller of the two, m."""
     middle, side = (sum(x) / 2, sum(y) / 2), 10.0
     at = _geodetic(georeference, middle[0] + np.array([0.0, side, 0.0]), middle[1] + np.array([0.0, 0.0, side]), 0.0)
     columns, rows = to_pixel(at[:, 1], at[:, 0])
@@ -506,7 +506,7 @@ def _window(
     margin: float,
     label: str,
 ) -> Terrain:
-    """The file's heights about a box, over column and row."""
+    """Read the file's heights around a box, by column and row."""
     from rasterio.windows import Window
 
     along = np.linspace(0, 1, 33)
@@ -539,18 +539,18 @@ def _window(
 
 
 def _exchanged(file: DatasetReader, image: FloatArray) -> bool:
-    """Whether a file in degrees would cover places of the image (..., 3), latitude first, with its axes exchanged."""
+    """Tell whether swapped axes would explain why a file in degrees misses the image (..., 3), latitude first."""
     west, south, east, north = file.bounds
     latitude, longitude = image[..., 0], image[..., 1]
     return bool(((west <= latitude) & (latitude <= east) & (south <= longitude) & (longitude <= north)).any())
 
 
 def _extents(file: DatasetReader, image: FloatArray) -> str:
-    """Longitudes and latitudes of a file, and of the image (..., 3), latitude first, degrees."""
+    """Describe the extents of a file and of the image (..., 3), latitude first, degrees."""
     from rasterio.warp import transform_bounds
 
     west, south, east, north = transform_bounds(file.crs, "EPSG:4326", *file.bounds)
     own = (float(limit(image[..., axis])) for axis in (1, 0) for limit in (np.min, np.max))
     spans = ((west, east, south, north), tuple(own))
-    told = [f"longitude {a:.5g} .. {b:.5g}, latitude {c:.5g} .. {d:.5g} degrees" for a, b, c, d in spans]
-    return f"it spans {told[0]}, and the image {told[1]}"
+    extents = [f"longitude {a:.5g} .. {b:.5g}, latitude {c:.5g} .. {d:.5g} degrees" for a, b, c, d in spans]
+    return f"it spans {extents[0]}, and the image {extents[1]}"

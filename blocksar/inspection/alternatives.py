@@ -28,7 +28,7 @@ Change = tuple[str, str, dict[str, Any]]  # a name, a remedy, and fields of the 
 
 
 class Alternative(NamedTuple):
-    """Alternative to what is said: what could be wrong, and the collection and samples with it undone.
+    """An assumption about collection and samples that may be wrong, and both with the error undone.
 
     Attributes
     ----------
@@ -62,14 +62,14 @@ class Alternative(NamedTuple):
     of_sign: bool = False
 
     def echo(self, given: Echo) -> Echo:
-        """Turn an echo into these samples; and back, as each alternative undoes itself."""
+        """Map an echo to the samples of this alternative; applied twice, it returns the echo."""
         time, offset, doppler = self.signs
         pulse = given.pulse if time > 0 else self.collection.n_pulse - 1 - given.pulse
         return Echo(pulse, offset * given.offset, doppler * given.doppler)
 
 
 def alternatives(geometry: Geometry, region: Region | None, raw: RawEcho | None) -> list[Alternative]:
-    """Everything that is tried: samples, order of pulses, delays, track, and the beam by law, unit and whole PRFs.
+    """List all alternatives: samples, order of pulses, delays, track, and the beam by law, unit and whole PRFs.
 
     Other errors of the beam are found from when places are lit (`pointing`): places are hardly less sharp over a part
     of their dwell. Without a region, as the beam lights nothing, whole PRFs are left out. Under a beam that is not
@@ -120,7 +120,7 @@ def _of_samples(collection: Collection) -> list[Alternative]:
 
 
 def _of_echoes(collection: Collection, raw: RawEcho) -> list[Alternative]:
-    """Say what may be wrong with a raw echo, in the range frequencies to which it was compressed.
+    """List what may be wrong with a raw echo, as changes to the range frequencies after compression.
 
     Compression has divided the echo's spectrum by that of the chirp, C(f), which is even. The chirp of the other sign
     has conj C, so that the right division follows from the wrong one by the factor exp(2j arg C). Of a conjugated echo
@@ -191,7 +191,7 @@ def doppler_period(geometry: Geometry, region: Region) -> float:
 
 
 def _of_beam(collection: Collection, period: float) -> list[Change]:
-    """Beams by another law, unit, or whole PRFs, each of which is `period` (rad, 0: unknown)."""
+    """List beams with another law or unit, or whole PRFs away, each of which is `period` (rad, 0: unknown)."""
     width = collection.beam_width
     if width is None:
         return []

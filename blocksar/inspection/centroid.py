@@ -203,7 +203,7 @@ def disagreement(inspection: Inspection, expected: Expectation) -> str | None:
 
 
 def _is_turning(sums: NDArray[np.complex128], noise: FloatArray, expected: Expectation) -> bool:
-    """Whether the segments' sums fail to add up although each has a centroid, whichever dwell is left out."""
+    """Tell whether the segments' sums cancel although each has a centroid, whichever dwell of segments is left out."""
     if expected.whole[0] >= expected.whole[1]:
         return False
     modulus = np.maximum(np.abs(sums) - 2 * noise, 0)

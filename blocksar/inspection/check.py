@@ -1,4 +1,4 @@
-"""Whether the samples are what is said of them: the same echoes over their whole dwell, as given and otherwise."""
+"""Check of samples against metadata: the contrast of the same echoes as given and under alternatives."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ from blocksar.inspection.verdict import FOCUSED, SHARP, Concentrations, Findings
 
 FEWEST = 2  # of these, from which the track is judged
 CLEAR = 0.65  # concentration that only points in focus have
-EXPLAINED = 0.8  # of a phase error: what is named as its cause
+EXPLAINED = 0.8  # of a phase error: causes that explain more are named
 COVERED = 0.5  # of a dwell: with less, other places do not judge a place, and it judges itself if it is CLEAR
 POINTS = 1 / 3  # of the places: as many that become FOCUSED judge the track alone, without those that are clutter
-# To be read: a part of the band, and of very many pulses those in the middle. Under a beam that is not steered less
+# Samples to read: a part of the band and, of very many pulses, the middle ones. Under a beam that is not steered less
 # depends on the sign and order of the samples.
 MOST_SAMPLES, MOST_UNSTEERED = 1 << 20, 1 << 21
 SPIKE = 1e4  # times the median modulus: samples that are left out
@@ -130,7 +130,7 @@ def check(
 
 
 def _of_the_track(view: View) -> tuple[Findings, FloatArray | None]:
-    """Find what the prominent places tell of the track, and the phase error that a refocus removes, (n_pulse,) rad."""
+    """Judge the track by prominent places; also return the phase error that a refocus removes, (n_pulse,) rad."""
     trial, collection, lines = as_given(view), view.lines.geometry.collection, [line for _, line in view.prominent]
     dark = "the ground that was looked at returns hardly any of the energy"
     unlit = f"no place is lit by {SHORT} pulses or more"
@@ -151,7 +151,7 @@ def _of_the_track(view: View) -> tuple[Findings, FloatArray | None]:
 
 
 def _points(lines: list[PointLine], mended: Refocus, n_pulse: int) -> Concentrations:
-    """Concentrations that judge the track: of places that are points if there are enough, else of all."""
+    """Return the concentrations that judge the track: of places that are points if there are enough, else of all."""
     given, others = np.array([concentration(line.values) for line in lines]), judged_by_others(lines, n_pulse)
     alone = np.where(mended.concentration >= CLEAR, mended.concentration, given)
     by_others = np.where(others.covered >= COVERED, others.concentration, alone)
@@ -162,7 +162,7 @@ def _points(lines: list[PointLine], mended: Refocus, n_pulse: int) -> Concentrat
 
 
 def _cleaned(signal: ComplexArray) -> ComplexArray:
-    """The samples over their median modulus, zero where they are missing or spikes."""
+    """Divide the samples by their median modulus, and set missing ones and spikes to zero."""
     modulus = np.abs(signal).astype(np.float64)
     valid = np.isfinite(modulus) & (modulus > 0)
     if not valid.any():

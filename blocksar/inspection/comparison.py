@@ -1,6 +1,6 @@
 """Comparison of the same echoes as given and under an alternative.
 
-How sharp prominent places are over the whole dwell, and how much sharper a refocus makes them.
+It measures the sharpness of prominent places over the whole dwell, and the gain by a refocus.
 
 Concentration is the power at the peak of a deramped line's spectrum over the power of the line: 1 for a lone point in
 focus, about 1 / n where n samples add up by chance. A phase error of the track that all lines share is estimated by
@@ -55,7 +55,7 @@ class Refocus(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """Concentration of each line under the phase error of others, and the share of its dwell that they cover."""
+    """Concentration of each line, refocused by the phase error of others, and the share of its dwell they cover."""
 
     concentration: FloatArray
     covered: FloatArray
@@ -99,20 +99,20 @@ def judged_by_others(lines: Sequence[PointLine], n_pulse: int) -> Judged:
     """
     order = sorted(range(len(lines)), key=lambda i: lines[i].pulses.start)
     found, covered = np.zeros(len(lines)), np.zeros(len(lines))
-    for others, judged in ((order[0::2], order[1::2]), (order[1::2], order[0::2])):
-        if not judged or not others:
+    for others, tested in ((order[0::2], order[1::2]), (order[1::2], order[0::2])):
+        if not tested or not others:
             continue
         phase, seen = refocus([lines[i] for i in others], n_pulse).phase, np.zeros(n_pulse, np.bool_)
         for i in others:
             seen[lines[i].pulses] = True
-        for i in judged:
+        for i in tested:
             found[i] = concentration(lines[i].values * np.exp(-1j * phase[lines[i].pulses]))
             covered[i] = seen[lines[i].pulses].mean()
     return Judged(found, covered)
 
 
 def _main_lobe(values: Complex128Array, width: float) -> Complex128Array:
-    """The line with its peak moved to zero Doppler, and nothing beyond `width` of the bins about it."""
+    """Shift the peak of a line to zero Doppler, and set everything beyond `width` of the bins about it to zero."""
     spectrum = fft_rows(values[None].copy(), inverse=False)[0]
     spectrum = np.roll(spectrum, -int(np.argmax(np.abs(spectrum))))
     half = max(round(width * values.size / 2), 3)
@@ -135,7 +135,7 @@ class TrackError(NamedTuple):
 
 
 def explain(lines: Sequence[PointLine], phase: FloatArray, collection: Collection) -> list[TrackError]:
-    """How well simple errors explain a phase error: of the velocity, of the carrier, or an offset along an axis.
+    """Measure how well simple errors explain a phase error: of velocity, of carrier, or an offset along an axis.
 
     The phase of a line is 4 pi / lambda (d - e) . u, with the track's error e: a place is found where range and Doppler
     fit, displaced by d on the ground, so that constant and line vanish over its dwell. What is left blurs. A carrier
@@ -169,7 +169,7 @@ def explain(lines: Sequence[PointLine], phase: FloatArray, collection: Collectio
 
 
 def _track_error(kind: str, size: float, explained: float) -> TrackError:
-    """An error of a kind and size, a share or m, as a statement and its remedy."""
+    """Make a track error of a kind and size (share, or m): a statement and its remedy."""
     much = f"about {abs(100 * size):.2g} % too {'high' if size > 0 else 'low'}"
     if kind == "velocity":
         return TrackError(f"a velocity that is {much}", "check the velocity and the time between pulses", explained)
@@ -180,7 +180,7 @@ def _track_error(kind: str, size: float, explained: float) -> TrackError:
 
 
 def _blur(distance: FloatArray, ground: FloatArray) -> FloatArray:
-    """An error of range (n,) plus the displacement along the directions `ground` (n, 2) that takes out most of it."""
+    """Subtract from a range error (n,) its best fit by a displacement along the directions `ground` (n, 2)."""
     left = [_level(values) for values in (distance, *ground.T)]
     lines = [values - level for values, level in zip((distance, *ground.T), left, strict=True)]
     a, b = least_squares(np.stack(lines[1:]), -lines[0], damping=1e-12 * distance.size)
@@ -188,7 +188,7 @@ def _blur(distance: FloatArray, ground: FloatArray) -> FloatArray:
 
 
 def _level(phase: FloatArray) -> FloatArray:
-    """The phase without its mean and its line, which displace and do not blur."""
+    """Subtract mean and linear trend of a phase, which displace and do not blur."""
     time = np.linspace(-1.0, 1.0, phase.size)
     terms = np.stack([np.ones_like(time), time])
     return np.asarray(phase - least_squares(terms, phase) @ terms)
@@ -206,7 +206,7 @@ SETTLED = 3  # echoes that rule an alternative out, if they do beyond chance: no
 
 @dataclass(frozen=True)
 class ClutterGround:
-    """Where echoes come from, and the yaws and ranges at which clutter is compared."""
+    """Ground of the echoes, and the yaws and ranges at which clutter is compared."""
 
     grid: Grid | None
     terrain: Terrain | None
@@ -221,14 +221,14 @@ class ClutterGround:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Samples and their ground under an alternative."""
+    """Samples and their ground, seen under an alternative."""
 
     alternative: Alternative
     samples: ProfiledSamples
     ground: ClutterGround
 
     def under(self, other: Alternative) -> View:
-        """The view under an alternative to this one; where only samples differ, of the same ground."""
+        """The view under an alternative to this one; if only samples differ, with the same ground."""
         samples = self.samples
         if other.samples is not None:
             signal = np.ascontiguousarray(other.samples(samples.signal))
@@ -245,12 +245,12 @@ class View:
 
     @property
     def region(self) -> Region | None:
-        """The ground to look at; all that is lit if the grid lies outside it; None if that is nothing."""
+        """The ground to examine; all that is lit if the grid lies outside it; None if nothing is lit."""
         return self._looked_at[0]
 
     @property
     def outside(self) -> OutsideSwath | None:
-        """Why nothing of the grid is seen, if so."""
+        """The error that explains why nothing of the grid is seen; None if some is."""
         return self._looked_at[1]
 
     @cached_property
@@ -268,7 +268,7 @@ class View:
 
     @cached_property
     def prominent(self) -> list[tuple[Echo, PointLine]]:
-        """The most prominent echoes that are lit, and their lines, each of a place of its own."""
+        """The most prominent lit echoes, one for each place, and their lines."""
         found: list[tuple[Echo, PointLine]] = []
         if self.region is None or self.outside is not None:
             return found
@@ -281,7 +281,7 @@ class View:
         return found
 
     def line(self, echo: Echo) -> PointLine | None:
-        """The line of an echo; None if nothing lit has its range and Doppler."""
+        """The line of an echo; None if no lit ground has its range and Doppler."""
         place = self._place(echo)
         return None if place is None else self.lines.line(place)
 
@@ -299,20 +299,20 @@ class View:
 
     @cached_property
     def lit(self) -> bool:
-        """Whether the beam lights anything for long enough to be compared; or nothing of the grid at all."""
+        """Tell whether the beam lights any place long enough to compare; also true if the grid is outside the beam."""
         if self.outside is not None or self.region is None or self.prominent:
             return True
         return any(self.lines.lit(place) for place in self._cover(self.region))
 
     @cached_property
     def patches(self) -> list[tuple[Echo, Contrast]]:
-        """Echoes amid clutter that cover the region, and their contrast; none that are dark."""
+        """Echoes amid clutter spread over the region, and their contrast; dark places are skipped."""
         places = [] if self.region is None or self.outside is not None else self._cover(self.region)
         seen = [(place, self.lines.surroundings(place)) for place in places]
         return [(self.lines.echo(place), contrast) for place, contrast in seen if contrast is not None]
 
     def _cover(self, region: Region) -> list[ProminentPoint]:
-        """Places over the region, in an order in which the first few cover it; each with a pulse amid its dwell."""
+        """Places spread over the region in random order, each with the pulse in the middle of its dwell."""
         geometry = self.lines.geometry
         yaws, shares = ((np.arange(n) + 0.5) / n for n in self.ground.patches)
         yaw = region.yaw[0] + (region.yaw[-1] - region.yaw[0]) * yaws
@@ -327,7 +327,7 @@ class View:
 
 @dataclass
 class _Pairs:
-    """Contrasts of echoes as given and under an alternative, and the lines under it."""
+    """Contrasts of the same echoes as given and under an alternative, with the lines under it."""
 
     given: list[Contrast] = field(default_factory=list)
     other: list[Contrast] = field(default_factory=list)
@@ -340,7 +340,7 @@ class _Pairs:
 
     @property
     def settled(self) -> bool:
-        """Whether these echoes rule the alternative out."""
+        """Tell whether these echoes rule the alternative out."""
         return len(self.given) >= SETTLED and deviations(self.given, self.other) < -SIGNIFICANT
 
     def trial(self, of: Alternative) -> Trial:
@@ -351,7 +351,7 @@ class _Pairs:
 
 
 def as_given(view: View) -> Trial:
-    """The prominent echoes as given, or the clutter if there are none."""
+    """Measure the prominent echoes as given, or the clutter if there are none."""
     pairs = _Pairs()
     for _, line in view.prominent:
         pairs.append(line.contrast, line.contrast, line)
@@ -361,7 +361,7 @@ def as_given(view: View) -> Trial:
 
 
 def after_refocus(view: View, phase: FloatArray) -> Trial:
-    """The prominent echoes as given, and without a phase error (n_pulse,), rad."""
+    """Measure the prominent echoes as given and with a phase error (n_pulse,), rad, removed."""
     pairs = _Pairs()
     for _, line in view.prominent:
         mended = view.lines.line(line.place, phase=phase)
@@ -371,7 +371,7 @@ def after_refocus(view: View, phase: FloatArray) -> Trial:
 
 
 def compare(given: View, other: Alternative) -> Trial:
-    """Comparison of the same echoes as given and under an alternative.
+    """Compare the same echoes as given and under an alternative.
 
     Those are the prominent ones of either; if the alternative moves them in range, as the chirp's sign does, all that
     short apertures see; and patches of clutter if nothing is prominent.

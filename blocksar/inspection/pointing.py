@@ -1,4 +1,4 @@
-"""Whether a steered beam points as stated: measured against predicted lit times of prominent places.
+"""Check of a steered beam: measured against predicted lit times of prominent places.
 
 The angle of a place about the antenna's axis, or its yaw, follows from its range and Doppler at any pulse, whatever is
 said of the beam. So places are looked for in all the angle that the PRF tells apart, and their lines are taken over
@@ -29,25 +29,25 @@ from blocksar.inspection.alternatives import Alternative, doppler_period
 from blocksar.inspection.prominent import EDGE, FEW_ROWS, SHORT, Lines, PointLine, ProfiledSamples, ProminentPoint
 
 CANDIDATES = 16  # places that are looked at
-FEWEST, ENOUGH = 3, 5  # of those in focus: on which anything is said, and that are enough beside a run
+FEWEST, ENOUGH = 3, 5  # places in focus: fewest for a verdict, and enough for a check during a run
 APART = 4.0  # range cells between places: less is the same one, seen in two apertures
 FURTHEST = 4.0  # beam widths: larger errors are not tried
 STEP = 0.02  # beam widths between errors that are tried
-NARROWER = (0.5, 0.42, 0.35, 0.3, 0.25)  # of the width said, that are tried
+NARROWER = (0.5, 0.42, 0.35, 0.3, 0.25)  # of the stated width, that are tried
 SPAN = 4.0  # dwells to either side of where a place was found, over which its line is taken
 FOCUSED = 0.5  # concentration of points
 OFF = 0.2  # beam widths: smaller errors cost little
-GAIN = 1.0  # dB over what is said, in the median of the places: 1.9 dB for an error of OFF
+GAIN = 1.0  # dB over the stated beam, median of the places: 1.9 dB for an error of OFF
 EMPTY = (
     0.8  # of the gain, dB, if what a narrower beam leaves out were dark, in the median: a pattern's nulls come to 0.65
 )
 SHARE = 0.75  # of the places, that gain
 AGREED = 0.7  # of its own best, that the median place has
-TOLD_APART = 0.4  # dB in the median, for which an angle is told from that a PRF away
+TOLD_APART = 0.4  # median dB that distinguishes an angle from that a PRF away
 
 
 class Pointing(NamedTuple):
-    """Pointing of the beam, as places show it.
+    """Error of the beam's pointing, as prominent places show it.
 
     Attributes
     ----------
@@ -74,12 +74,12 @@ class Pointing(NamedTuple):
 
     @property
     def told(self) -> bool:
-        """Whether the places tell of the beam."""
+        """Tell whether enough places were found to judge the beam."""
         return self.places >= FEWEST
 
 
 class _Hypotheses(NamedTuple):
-    """Beams that are tried, the stated one first. `law` (n,): index of the beam's angles; error, width (n,), rad."""
+    """Beams to try, the stated one first. `law` (n,): index of the beam's angles; error, width (n,), rad."""
 
     laws: list[FloatArray]
     law: FloatArray
@@ -158,7 +158,7 @@ def _hypotheses(collection: Collection, reach: float) -> _Hypotheses:
     beam, width = beam_angle(collection), collection.beam_width or 0.0
     count = round(reach / (STEP * width))
     errors = np.arange(-count, count + 1) * STEP * width
-    errors = errors[np.argsort(np.abs(errors), kind="stable")]  # as said first
+    errors = errors[np.argsort(np.abs(errors), kind="stable")]  # the stated beam first
     narrower = [] if collection.has_pattern else NARROWER
     return _Hypotheses(
         laws=[beam, beam[::-1], -beam],
@@ -169,7 +169,7 @@ def _hypotheses(collection: Collection, reach: float) -> _Hypotheses:
 
 
 def _line(source: Lines, place: ProminentPoint, turns: int, collection: Collection) -> PointLine | None:
-    """The line of a place, or of what a PRF turns it into, over several dwells about the pulse that saw it."""
+    """Form the line of a place, or of its ambiguity `turns` PRFs away, over several dwells about its pulse."""
     geometry, n = source.geometry, collection.n_pulse
     if turns:
         place = source.ambiguous(place, turns)
@@ -187,12 +187,12 @@ def _line(source: Lines, place: ProminentPoint, turns: int, collection: Collecti
 
 def _captured(source: Lines, line: PointLine, collection: Collection, hypotheses: _Hypotheses) -> FloatArray:
     """|sum|^2 / n of a line under each hypothesis, its concentration there, and n, (3, n_hypothesis)."""
-    geometry, said = source.geometry, beam_angle(collection)[line.pulses]
+    geometry, angle = source.geometry, beam_angle(collection)[line.pulses]
     offset = geometry.beam.offset(np.array(line.place.x), np.array(line.place.y), line.pulses)
     energy, focus, n = np.zeros((3, hypotheses.law.size))
     for number, law in enumerate(hypotheses.laws):
         which: BoolArray = hypotheses.law == number
-        away = wrapped(offset + said - law[line.pulses])
+        away = wrapped(offset + angle - law[line.pulses])
         order = np.argsort(away)
         away, values = away[order], line.values[order]
         sums, powers = (np.concatenate([[0], np.cumsum(part)]) for part in (values, np.abs(values) ** 2))
@@ -208,7 +208,7 @@ def _captured(source: Lines, line: PointLine, collection: Collection, hypotheses
 def _judged(
     collection: Collection, hypotheses: _Hypotheses, scores: FloatArray, counts: FloatArray, period: float, reach: float
 ) -> Pointing:
-    """Find what places with `scores` (n_place, n_hypothesis) of their best, of so many pulses each, say together."""
+    """Judge the beam from all places: `scores` (n_place, n_hypothesis) relative to their best, `counts` of pulses."""
     width, decibels = collection.beam_width or 0.0, 10 * np.log10(np.maximum(scores, 1e-6))
     together = scores.mean(axis=0)
     best = int(together.argmax())
@@ -243,22 +243,22 @@ def _judged(
 
 
 def _names(collection: Collection, hypotheses: _Hypotheses, which: int) -> tuple[str, str]:
-    """Say what is wrong under a hypothesis, and what to change."""
+    """Describe what is wrong under a hypothesis, and what to change."""
     field = "beam_azimuth" if collection.beam_steering is None else "beam_steering"
-    error, width, said = hypotheses.error[which], hypotheses.width[which], collection.beam_width or 1.0
+    error, width, stated = hypotheses.error[which], hypotheses.width[which], collection.beam_width or 1.0
     if hypotheses.law[which] == 1:
         return "the beam turns the other way", f"reverse {field} along pulse"
     if hypotheses.law[which] == 2:
         return "the beam looks to the other side", f"negate {field}"
-    if width < said:
-        name = f"the beam has about {width / said:.2g} of the {np.degrees(said):.3g} degrees of beam_width"
+    if width < stated:
+        name = f"the beam has about {width / stated:.2g} of the {np.degrees(stated):.3g} degrees of beam_width"
         return name, f"give beam_width as {width:.3g} rad"
     degrees = np.degrees(error)
     return f"the beam is off by {-degrees:+.3g} degrees", f"add {degrees:+.3g} degrees to {field}"
 
 
 def _alternative(collection: Collection, hypotheses: _Hypotheses, which: int) -> Alternative:
-    """The collection as a hypothesis says it."""
+    """Make the alternative with the collection as a hypothesis describes it."""
     field = "beam_azimuth" if collection.beam_steering is None else "beam_steering"
     beam = hypotheses.laws[int(hypotheses.law[which])] + hypotheses.error[which]
     changes: dict[str, Any] = {field: beam, "beam_width": float(hypotheses.width[which])}

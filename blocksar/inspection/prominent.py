@@ -7,7 +7,7 @@ pulse by pulse - are constant if the long aperture is right too.
 What was found is an echo: a pulse, and at it a range and a Doppler. Those are in the samples, and whatever is said of
 them places the same echo somewhere on its own ground.
 
-The contrast of an echo's surroundings, and how likely a gain of it is by chance.
+The contrast of an echo's surroundings is compared, with the probability of a gain by chance.
 
 Contrast is m = N sum(I^2) / (sum I)^2 over the N cells of a small image about an echo, formed over its whole dwell. It
 needs no targets: of speckle m is 2 wherever it is smeared to, of points in focus N over a few, and what blurs an image,
@@ -94,7 +94,7 @@ def contrast(power: FloatArray, *, oversampling: float) -> Contrast:
 
 
 def deviations(given: Sequence[Contrast], other: Sequence[Contrast]) -> float:
-    """z of the gains from the contrasts of echoes as given to those of the same echoes under an alternative."""
+    """Significance z of the contrast gained by the same echoes under an alternative, in standard deviations."""
     gain = sum(b.decibels - a.decibels for a, b in zip(given, other, strict=True))
     variance = sum(a.variance + b.variance for a, b in zip(given, other, strict=True))
     return gain / max(variance, 1e-12) ** 0.5
@@ -137,7 +137,7 @@ class ProminentPoint(NamedTuple):
 
 
 class Echo(NamedTuple):
-    """Echo of a place in a pulse: R - reference_range, m, and Doppler, Hz, of which the samples leave PRFs open."""
+    """Offset R - reference_range, m, and Doppler, Hz, of a place in a pulse; Doppler is ambiguous by the PRF."""
 
     pulse: int
     offset: float
@@ -177,7 +177,7 @@ class PointLine:
 
 
 class ProfiledSamples:
-    """Samples of a phase history, and their range profiles, which are kept.
+    """Samples of a phase history, with a cache of their range profiles.
 
     They do not depend on track and beam, so that alternatives of these share them.
     """
@@ -197,7 +197,7 @@ class ProfiledSamples:
         return self._profiles[first, last]
 
     def level(self, pulse: int) -> float:
-        """Mean power over all ranges, of a group of pulses."""
+        """Mean power over all ranges of the group of pulses around one."""
         start = pulse // PULSES * PULSES
         if start not in self._levels:
             values = self.profiles(start, min(start + PULSES, self.collection.n_pulse)).values
@@ -205,7 +205,7 @@ class ProfiledSamples:
         return self._levels[start]
 
     def overview(self) -> list[Contrast]:
-        """Contrast of all that short apertures see, over range and Doppler."""
+        """Contrast over range and Doppler of each short aperture."""
         seen = []
         for pulses in short_apertures(self.collection.n_pulse):
             profiles = self.profiles(pulses.start, pulses.stop)
@@ -223,7 +223,7 @@ class ProfiledSamples:
 
 
 def short_apertures(n_pulse: int) -> list[slice]:
-    """Pulses of short apertures, spread over all."""
+    """Short apertures spread over the collection, as slices of pulses."""
     size = min(SHORT, n_pulse)
     starts = [round((k + 0.5) / APERTURES * (n_pulse - size)) for k in range(APERTURES)]
     return [slice(start, start + size) for start in starts]
@@ -254,14 +254,14 @@ class Lines:
         return sorted(found, key=lambda place: -place.prominence)[:count]
 
     def known(self, line: PointLine, others: Sequence[PointLine]) -> bool:
-        """Whether a line is of a place that others are of."""
+        """Tell whether a line belongs to the place of one of the others."""
         return any(self._near(line.place, other.place) for other in others)
 
     def _near(self, place: ProminentPoint, other: ProminentPoint) -> bool:
         return bool(np.hypot(place.x - other.x, place.y - other.y) < SAME * self.cell)
 
     def _bright(self, region: Region, pulses: slice) -> list[ProminentPoint]:
-        """Prominent places in the map of a short aperture."""
+        """Find prominent places in the range-Doppler map of a short aperture."""
         geometry, collection = self.geometry, self.geometry.collection
         low, high = float(region.yaw[0]), float(region.yaw[-1])
         if collection.beam_width is not None and not collection.has_axis:
@@ -302,7 +302,7 @@ class Lines:
         return places
 
     def _steepness(self, near: float, far: float, yaw: float) -> float:
-        """By how much the range of a terrain changes faster than that of its smooth surface, about a yaw; 1 .. 3."""
+        """Largest factor, 1 .. 3, by which range changes faster over a terrain than over its smooth part, at a yaw."""
         if self.geometry.terrain is None:
             return 1.0
         ranges = np.linspace(near, far, FINE)
@@ -336,7 +336,7 @@ class Lines:
         return PointLine(place, pulses, _demodulated(rows[:, row], shift))
 
     def surroundings(self, place: ProminentPoint) -> Contrast | None:
-        """Contrast of a wide image about a place amid clutter, over its dwell; None if it is not lit, or dark."""
+        """Contrast of a wide image of clutter about a place, over its dwell; None if it is not lit, or dark."""
         interval = self.lit(place)
         if interval is None:
             return None
@@ -350,14 +350,14 @@ class Lines:
         return contrast(np.abs(np.r_["1", spectrum[:, -bins:], spectrum[:, :bins]]) ** 2, oversampling=1.0)
 
     def lit(self, place: ProminentPoint) -> tuple[int, int] | None:
-        """First and last (exclusive) of the pulses that light a place, among them that which saw it; None otherwise."""
+        """First and last (exclusive) of the pulses that light a place, around the pulse that saw it; None if none."""
         first, last = (int(v) for v in self.geometry.beam.longest_pass(np.array(place.x), np.array(place.y)))
         return (first, last) if last - first >= SHORT and first - SHORT <= place.pulse <= last + SHORT else None
 
     def _grown(
         self, place: ProminentPoint, first: int, last: int, middle: int, later: FloatArray
     ) -> tuple[ProminentPoint, slice, Complex128Array, int, int]:
-        """A place moved by growing apertures; of the last its pulses, its rows, and the brightest's row and bin.
+        """Refine a place by growing apertures; also return the last pulses, rows, and the brightest row and bin.
 
         Where the sight turns so far that a place half a cell away is out of focus, the last aperture is taken twice.
         """
@@ -381,7 +381,7 @@ class Lines:
             offsets = later
 
     def _turns(self, place: ProminentPoint, first: int, last: int) -> bool:
-        """Whether a range cell off a place means more phase than MOST_PHASE over its dwell, as the sight turns."""
+        """Tell whether the sight turns so much that an error of a range cell exceeds MOST_PHASE over the dwell."""
         position = self.geometry.collection.antenna_position[[first, (first + last) // 2, last - 1]]
         sight = np.array([place.x, place.y, self.geometry.collection.ground_height]) - position
         sight /= np.linalg.norm(sight, axis=1)[:, None]
@@ -402,7 +402,7 @@ class Lines:
         return Seeds(x, y, self.geometry.known_height(x, y)[0], float((far - near).max()))
 
     def place(self, echo: Echo, seeds: Seeds) -> ProminentPoint | None:
-        """Where an echo comes from: lit ground of its range and Doppler, near a seed; None if there is none."""
+        """Find the lit ground with the range and Doppler of an echo, near a seed; None if there is none."""
         geometry, prf = self.geometry, self.geometry.collection.prf
         x, y, z, depth = seeds
         if (width := geometry.collection.beam_width) is not None:
@@ -424,8 +424,8 @@ class Lines:
         return self._solved(place, wanted) or place
 
     def _solved(self, place: ProminentPoint, wanted: FloatArray) -> ProminentPoint | None:
-        """The place of an offset (m) and a Doppler (Hz) at its pulse, by Newton's method from a place near it."""
-        tolerance = np.array([self.cell, self.geometry.collection.prf / SHORT])  # what a short aperture tells apart
+        """Solve for the place with an offset (m) and a Doppler (Hz) at its pulse, by Newton's method from another."""
+        tolerance = np.array([self.cell, self.geometry.collection.prf / SHORT])  # resolution of a short aperture
         for _ in range(NEWTON):
             left = wanted - self._seen(np.array(place.x), np.array(place.y), place.pulse)
             if (np.abs(left) < CONVERGED * tolerance).all():
@@ -443,7 +443,7 @@ class Lines:
         return np.sqrt((px - x) ** 2 + (py - y) ** 2 + (pz - z) ** 2)
 
     def _rows(self, place: ProminentPoint, pulses: slice, offsets: FloatArray) -> Complex128Array:
-        """(n, n_row): the samples at offsets (n_row,) in range cells from a place, with its phase removed."""
+        """Samples (n, n_row) at offsets (n_row,) in range cells from a place, with its phase removed."""
         collection = self.geometry.collection
         offset = self._distance(np.array(place.x), np.array(place.y), pulses) - collection.reference_range[pulses]
         rows = np.empty((offset.size, offsets.size), np.complex128)
@@ -458,7 +458,7 @@ class Lines:
         return np.asarray(rows * np.exp(2j * np.pi * (cycles - np.rint(cycles)))[:, None])
 
     def _moved(self, place: ProminentPoint, pulse: int, change: FloatArray) -> ProminentPoint:
-        """The place that at a pulse has a `change` of offset (m) and Doppler (Hz)."""
+        """Move a place so that its offset (m) and Doppler (Hz) at a pulse change by `change`."""
         at = np.array([place.x, place.y])
         wanted = self._seen(at[0], at[1], pulse) + change
         x, y = solvers.newton(lambda moved: self._seen(moved[0], moved[1], pulse), wanted, at, steps=1)
@@ -474,17 +474,17 @@ class Lines:
 
 
 def _beside(power: FloatArray, peak: int) -> float:
-    """Where power is highest about a peak, from it; 0 at the ends."""
+    """Position of a maximum relative to sample `peak`, by a parabola; 0 at the ends."""
     return solvers.vertex(power[max(peak - 1, 0) : peak + 2])
 
 
 def _demodulated(values: Complex128Array, shift: int) -> Complex128Array:
-    """A line with its peak moved to zero Doppler."""
+    """Shift the peak of a line to zero Doppler."""
     return np.asarray(values * np.exp(-2j * np.pi * shift / values.size * np.arange(values.size)))
 
 
 def _small_image(rows: Complex128Array, shift: int, reach: int) -> FloatArray:
-    """(n_bin, n_row): power about a bin of Doppler, at every half bin."""
+    """Power (n_bin, n_row) about a Doppler bin, at every half bin."""
     size = rows.shape[0]
     near = (shift + np.arange(-reach, reach)) % size
     between = rows * np.exp(-1j * np.pi / size * np.arange(size))[:, None]
@@ -493,7 +493,7 @@ def _small_image(rows: Complex128Array, shift: int, reach: int) -> FloatArray:
 
 
 def _focus(image: FloatArray) -> float:
-    """Share that the peak of a small image holds of the energy along the track or in range, whichever is less."""
+    """Lesser share of a small image's energy that its peak holds, along the track or in range."""
     bin_, row = np.unravel_index(int(np.argmax(image)), image.shape)
     peak = float(image[bin_, row])
     return min(1.0, peak / max(float(image[:, row].sum()) / 2, float(image[bin_].sum()) * ROW, 1e-300))

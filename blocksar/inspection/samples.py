@@ -382,7 +382,7 @@ SATURATED = (1e-3, 0.5)  # share of the components at the extreme value: fewer i
 
 GAP, BESIDE = 8, 4  # samples that a gap has at least, and pulses before and after that have others there
 
-SLOW, HIGH = 10.0, 1000.0  # m/s, m: what flies higher than this is faster than that
+SLOW, HIGH = 10.0, 1000.0  # m/s, m: platforms above HIGH are faster than SLOW
 
 
 def count_zero_gaps(echo: ComplexArray) -> int:
@@ -474,7 +474,7 @@ def _samples(count: int, more: str) -> str:
 
 
 def doubts_of_track(collection: Collection, *, exact: bool = False) -> list[str]:
-    """Say what is unusual about the track, a sentence each; `exact`: for back-projection, which takes any."""
+    """Describe unusual properties of the track, a sentence each; `exact`: for back-projection, which takes any."""
     flaw = find_flaw(collection)
     doubts = [doubted_time(collection), None if flaw is None else flaw.fact if exact else str(flaw)]
     return [doubt for doubt in doubts if doubt is not None]

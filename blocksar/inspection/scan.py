@@ -28,7 +28,7 @@ _LONE, _ALL = np.float32(STANDS_OUT), np.float32(BEYOND_ALL)
 
 @njit(**PART, nogil=True)
 def _moduli(row: Float32Array, modulus: Float32Array) -> None:
-    """Store the modulus of each sample's larger part; -1 where a part is not finite."""
+    """Store the modulus of the larger part of each sample; -1 if a part is not finite."""
     for c in range(modulus.size):
         a, b = abs(row[2 * c]), abs(row[2 * c + 1])
         larger = a if a > b else b
@@ -61,7 +61,7 @@ def _count(bits: Any, modulus: int) -> tuple[int, int]:
 
 @njit(inline="always")
 def _is_suspect(m: Any, before: Any, after: Any) -> Any:
-    """Whether a modulus stands out from the largest of its neighbours before and after it."""
+    """Tell whether a modulus exceeds the largest of its neighbours before and after it by far."""
     larger, smaller = max(before, after), min(before, after)
     return ((m > _LONE * larger) & (m > 0)) | ((smaller > 0) & (m > _ALL * smaller))
 

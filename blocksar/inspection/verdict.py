@@ -1,4 +1,4 @@
-"""Verdict of a check, as figures and as sentences for people."""
+"""Verdict of a check, as figures and sentences."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from blocksar.inspection.prominent import SIGNIFICANT, Contrast, deviations
 
 IN_FOCUS = 0.5  # share of the energy near it that a point in focus holds; the largest of speckle holds a fifth
 AS_SHARP = 0.6  # of the best focus of any alternative: with less, one is not believed
-TIED = 0.75  # of the concentration as given: a beam that is moved is believed if places keep as much
+TIED = 0.75  # of the concentration as given: a moved beam is accepted if places keep as much
 REFOCUSED = 0.15  # concentration that a refocus reaches where the track is doubted: what stays below is no point
-FOCUSED = 0.5  # concentration of points after a refocus, where no beam is doubted beside the track
+FOCUSED = 0.5  # concentration of points after a refocus, where the track and not the beam is doubted
 SHARP = 0.8  # of the concentration after a refocus: below it the track is doubted
 ALIKE = 3.0  # standard deviations: gains of two alternatives that differ by less do not tell them apart
 MIRRORED = "the axes of the scene are mirrored"
@@ -93,7 +93,7 @@ class Trial:
 
 
 class Concentrations(NamedTuple):
-    """Median concentrations of the places that judge the track, as points do and clutter does not.
+    """Median concentrations of the places that judge the track: points rather than clutter.
 
     As given, after a refocus, and refocused by other places alone.
     """
@@ -165,12 +165,12 @@ class Findings:
 
     @property
     def speaks(self) -> bool:
-        """Whether the echoes allow a judgement: points in focus, or an alternative that they tell apart."""
+        """Tell whether the echoes allow a judgement: points in focus, or an alternative clearly better or worse."""
         return self.in_focus or any(abs(trial.deviations) >= SIGNIFICANT for trial in self.trials[1:])
 
     @property
     def mended(self) -> bool:
-        """Whether a common phase error makes places sharp: the track is wrong, as no phase lights pulses of a dwell."""
+        """Tell whether one phase error common to all places blurs them: the track is wrong."""
         given, refocused, by_others = self.judged
         return min(refocused, by_others) >= FOCUSED and given < SHARP * by_others
 
@@ -182,7 +182,7 @@ class Findings:
         than something else.
         """
         good = [t for t in self.trials[1:] if t.deviations >= SIGNIFICANT]
-        if self.mended:  # what sees a part of the dwell is less blurred
+        if self.mended:  # an alternative that sees part of the dwell is less blurred
             good = [t for t in good if not t.of_beam]
         focus = AS_SHARP * max(trial.in_focus for trial in self.trials)
         good = [t for t in good if not t.focus or t.in_focus >= focus]
@@ -190,7 +190,7 @@ class Findings:
 
     @property
     def better(self) -> Trial | None:
-        """The alternative to be believed, if any: of those that echoes do not tell apart, that with fewest changes."""
+        """The best alternative, if any; of those that echoes cannot distinguish, the one with the fewest changes."""
         best = max(self._good, key=lambda trial: trial.gain, default=None)
         if best is None:
             return None
@@ -201,7 +201,7 @@ class Findings:
 
     @property
     def beam(self) -> Trial | None:
-        """The trial of a beam whose error was undone, if that is to be believed."""
+        """The trial of a changed beam, if that is the best alternative."""
         trial = self._moved_beam
         if trial is None or self.mended or not trial.echoes or trial.sharpness < TIED * self.given.sharpness:
             return None
@@ -214,7 +214,7 @@ class Findings:
 
     @property
     def tied(self) -> list[Trial]:
-        """Alternatives that echoes do not tell from the one that is believed, those that gain most first."""
+        """Alternatives that echoes cannot distinguish from the best one, those that gain most first."""
         if (better := self.better) is None:
             return []
         known = {better.name, self.pointing.rival if self.pointing else ""}
@@ -222,29 +222,29 @@ class Findings:
 
     @property
     def sharpness(self) -> float:
-        """Concentration as given over that after a refocus."""
+        """Ratio of the concentration as given to that after a refocus."""
         return self.judged.given / max(self.judged.refocused, 1e-30)
 
     @property
     def blurred(self) -> bool:
         """Whether a refocus helps so much that the track must be wrong."""
-        said = bool(self.given.concentration) and (self.better or self.beam) is None and self.sharpness < SHARP
-        return said and self.judged.refocused >= REFOCUSED and not self.spread
+        settled = bool(self.given.concentration) and (self.better or self.beam) is None and self.sharpness < SHARP
+        return settled and self.judged.refocused >= REFOCUSED and not self.spread
 
     @property
     def as_sharp(self) -> list[Trial]:
-        """Alternatives by which blurred places get as sharp as by a refocus, if by less than is told from chance."""
+        """Alternatives that sharpen blurred places as much as a refocus does."""
         enough = SHARP * self.given.sharpness / max(self.sharpness, 1e-30)
         return [t for t in self.trials[1:] if t.gain > 0 and t.in_focus >= IN_FOCUS and t.sharpness >= enough]
 
     @property
     def spread(self) -> bool:
-        """Whether what a refocus gains is each place's own, as of clutter and broad targets."""
+        """Tell whether a refocus gains only because each place fits a phase error of its own, as clutter does."""
         return self.points is not None and self.sharpness < SHARP and self.points.given > SHARP * self.points.by_others
 
     @property
     def untold(self) -> bool:
-        """Whether an alternative that mirrors or moves the image may be as sharp: one that was tried, or none was."""
+        """Tell whether an alternative that mirrors or moves the image is possible: untried, or not distinguished."""
         return len(self.trials) == 1 or self.mirrored or any(t.verdict == "not told" for t in self.trials[1:])
 
     def warning(self) -> str | None:
@@ -272,7 +272,7 @@ class Findings:
         return None
 
     def sentence(self) -> str:
-        """One line for people."""
+        """The verdict in one line."""
         if (warning := self.warning()) is not None:
             return warning
         if self.empty:
@@ -308,7 +308,7 @@ class Findings:
         )
 
     def _ties(self) -> str:
-        """Say what echoes do not tell from what is believed."""
+        """Name the alternatives that echoes cannot distinguish from the best one."""
         others = " or ".join(f"{t.name} ({t.gain:.2g} dB: {t.remedy})" for t in self.tied[:2])
         return f". They do not tell whether {others}: look whether the image is mirrored" if others else ""
 
@@ -316,16 +316,16 @@ class Findings:
         """Name the alternatives that were ruled out, and those that remain undecided."""
         if len(self.trials) == 1:
             return "; `blocksar check` tries a mirrored image, and one seen a PRF away"
-        said = ""
+        text = ""
         for verdict, lead in (("ruled out", "ruled out"), ("not told", "not told from what is given")):
             names = [t.name for t in self.trials[1:] if t.verdict == verdict]
             names += [MIRRORED] if verdict == "not told" and self.mirrored else []
             more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-            said += f"; {lead}: {', '.join(names[:NAMED])}{more}" if names else ""
-        return said
+            text += f"; {lead}: {', '.join(names[:NAMED])}{more}" if names else ""
+        return text
 
     def _of_the_beam(self) -> str:
-        """Whether the beam was tried."""
+        """State whether the beam was checked."""
         if not self.steered:
             return ""
         if self.pointing is None or not self.pointing.told:
@@ -338,5 +338,5 @@ class Findings:
 
 
 def _tied(one: Trial, other: Trial) -> bool:
-    """Whether the gains of two alternatives differ by no more than chance."""
+    """Tell whether the gains of two alternatives differ by no more than chance."""
     return abs(one.gain - other.gain) < ALIKE * float(np.hypot(one.error, other.error))

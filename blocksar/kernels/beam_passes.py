@@ -1,4 +1,4 @@
-"""Compiled search for the pulses of a beam about the antenna's axis that light points.
+"""Compiled search for the pulses at which a beam about the antenna's axis lights points.
 
 With s the sine of the angle between the line of sight and the plane normal to the axis, a point is lit at a pulse while
 steering - half <= asin(s) <= steering + half. Sines are compared instead: of both limits there is one for each pulse.
@@ -32,7 +32,7 @@ MOST_SPANS, MOST_DOUBTFUL = 64, 2048  # spans, and pulses of all of them: with m
 
 
 def beam_table(position: FloatArray, axis: FloatArray, steering: FloatArray, half: float) -> FloatArray:
-    """Find what the loops need of each pulse, (n_pulse, 8), in one line of the cache.
+    """Table for the loops, (n_pulse, 8): for each pulse, one line of the cache.
 
     Position of the antenna (n_pulse, 3), m; axis of the beam (n_pulse, 3); sines `half` rad before and behind the
     beam's centre, with which those of points are compared as their angles would be. `half` may be negative.
@@ -46,7 +46,7 @@ def beam_table(position: FloatArray, axis: FloatArray, steering: FloatArray, hal
 
 
 class MovingBeam(NamedTuple):
-    """A beam, pulse by pulse, and how fast it changes.
+    """A beam by pulse, with bounds on its change.
 
     Attributes
     ----------
@@ -62,14 +62,14 @@ class MovingBeam(NamedTuple):
 
     @classmethod
     def of(cls, table: FloatArray) -> MovingBeam:
-        """Find the largest steps."""
+        """Compute the largest steps of a table."""
         steps = np.abs(np.diff(table, axis=0))
         moved, turned = (np.sqrt((part**2).sum(axis=1)).max(initial=0.0) for part in (steps[:, :3], steps[:, 3:LOW]))
         return cls(fixed(table), float(moved), float(turned + steps[:, LOW:].max(initial=0.0)))
 
 
 class Doubtful(NamedTuple):
-    """Pulses at which points near a place may differ: see `_find_doubtful`.
+    """Pulses at which points near a place may be lit or not: see `_find_doubtful`.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class FoundPasses(NamedTuple):
 
 
 class LitSide(NamedTuple):
-    """The side of its vertical plane that an antenna lights, pulse by pulse, and how fast the plane moves.
+    """Side of its vertical plane that an antenna lights, by pulse, with bounds on the plane's change.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ BEAM, FOUND = record(MovingBeam, REAL_ROWS, types.float64, types.float64), recor
 
 @njit(**PART, **EXACT)
 def _sides(table: FloatArray, p: int, x: float, y: float, z: float) -> tuple[float, float]:
-    """Way ahead of the plane and range of a point at a pulse, m, whose quotient is s."""
+    """Distance ahead of the plane and range of a point at a pulse, m; s is their quotient."""
     dx, dy, dz = x - table[p, 0], y - table[p, 1], z - table[p, 2]
     return dx * table[p, 3] + dy * table[p, 4] + dz * table[p, 5], np.sqrt(dx * dx + dy * dy + dz * dz)
 
@@ -135,7 +135,7 @@ def _offset(table: FloatArray, steering: FloatArray, p: int, x: float, y: float,
 def find_first(
     table: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray, rises: BoolArray, found: IntArray
 ) -> None:
-    """First pulse at which s of each point, which rises or falls throughout, reaches the limit behind it.
+    """First pulse at which the monotonic s of each point reaches the limit in its direction.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def find_turning(
     table: FloatArray, steering: FloatArray, nodes: IntArray, x: FloatArray, y: FloatArray, z: FloatArray,
     turning: IntArray, rises: BoolArray,
 ) -> None:  # fmt: skip
-    """The pulse at which the offset of each point turns back, and whether it rises before that.
+    """Pulse at which the offset of each point reverses, and whether it rises before.
 
     The pulse is 0 where it never turns, -1 where it does so more than once, between the pulses `nodes` at least.
     """
@@ -193,7 +193,7 @@ def find_turning(
 
 @njit(**PART, **EXACT)
 def _note(found: FoundPasses, k: int, count: int, p: int, lit: bool) -> int:
-    """Write that point k is lit, or no longer, from pulse p on, if there is room; return its number of ended passes."""
+    """Record that point k becomes lit, or unlit, at pulse p, if there is room; return the number of ended passes."""
     if count < found.firsts.shape[0]:
         if lit:
             found.firsts[count, k] = p
@@ -237,7 +237,7 @@ def _march(beam: MovingBeam, k: int, x: float, y: float, z: float, found: FoundP
 
 @njit(**PART, **EXACT)
 def _find_doubtful(beam: MovingBeam, x: float, y: float, z: float, reach: float, doubtful: Doubtful) -> int:
-    """Write the spans of pulses at which points up to `reach` from a place may differ; return their number, or -1.
+    """Find spans of pulses at which points up to `reach` from a place may be lit; return their number, or -1.
 
     Each span has its first pulse, its end, and whether all points are lit from there on: 1 or 0. They are dark before
     the first span, and a span may be empty. -1 where there are too many.
@@ -280,7 +280,7 @@ def _pass_spans(
     beam: MovingBeam, k: int, x: float, y: float, z: float, reach: float, doubtful: Doubtful, n_span: int,
     found: FoundPasses,
 ) -> int:  # fmt: skip
-    """Write the passes of point k, from the spans of `_find_doubtful` for a place up to `reach` away; their number.
+    """Find the passes of point k from the spans of `_find_doubtful` for a place up to `reach` away; their number.
 
     What s of the point has more than that of the place changes slowly: from pulse to pulse both lines of sight turn
     alike but for 3 moved reach / range^2, and the axis turns what is between them by turned reach / range. So it is
@@ -328,7 +328,7 @@ def _pass_spans(
 
 @loop(BEAM, *PLACES, FOUND, **EXACT)
 def find_passes(beam: MovingBeam, x: FloatArray, y: FloatArray, z: FloatArray, found: FoundPasses) -> int:
-    """Write the passes (m, n) of points: pulses first <= p < last, in the order of time, of sines within the limits.
+    """Find passes (m, n) of points in order of time: pulses first <= p < last with s within the limits.
 
     Points that follow each other are looked at together where they lie close to each other.
 
@@ -374,7 +374,7 @@ def find_passes(beam: MovingBeam, x: FloatArray, y: FloatArray, z: FloatArray, f
 
 @loop(SIDE, REAL_ROW, REAL_ROW, FOUND, FOUND, **EXACT)
 def keep_side(side: LitSide, x: FloatArray, y: FloatArray, passes: FoundPasses, found: FoundPasses) -> int:
-    """Write the parts of passes of points at which these lie on the lit side of the antenna, in the order of time.
+    """Limit passes of points to pulses at which these lie on the lit side of the antenna, in order of time.
 
     A point at a level distance d from the antenna is off its plane by what changes by no more than moved + turned d
     from pulse to pulse: all pulses before it can have reached the plane are as the one that was looked at.

@@ -21,7 +21,7 @@ SHARES = types.float32[:, ::1]
     types.int64, SAMPLES_OUT, **COMPILED,
 )  # fmt: skip
 def window_rows(values: ComplexArray, windows: ComplexArray, which: IntArray, k: int, out: ComplexArray) -> None:
-    """out[r, i] = values[r, i] windows[which[r], k, i].
+    """Apply windows to rows: out[r, i] = values[r, i] windows[which[r], k, i].
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def window_rows(values: ComplexArray, windows: ComplexArray, which: IntArray, k:
 
 @loop(REAL_ROWS, REAL_ROW, SHARES, **COMPILED)
 def evaluate_shares(coefficients: FloatArray, z: FloatArray, out: NDArray[np.float32]) -> None:
-    """out[r, i] = sum_k coefficients[r, k] z_i^k, within BLEND_BEYOND.
+    """Evaluate polynomials: out[r, i] = sum_k coefficients[r, k] z_i^k, clipped to BLEND_BEYOND.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def evaluate_shares(coefficients: FloatArray, z: FloatArray, out: NDArray[np.flo
 
 @njit(**PART, **COMPILED)
 def _lagrange(share: Any, k: int, count: int) -> Any:
-    """Of a vector or a number of shares: Lagrange's polynomial k through 0, 1 / (count - 1), .. 1."""
+    """Lagrange polynomial k through 0, 1 / (count - 1), .. 1, at a vector or number of shares."""
     weight, steps = share - share + np.float32(1), np.float32(count - 1)
     for other in range(count):
         if other != k:
@@ -77,7 +77,7 @@ def _lagrange(share: Any, k: int, count: int) -> Any:
 
 @loop(SAMPLES_IN, SHARES, types.int64, types.int64, SAMPLES_OUT, **COMPILED)
 def blend_rows(part: ComplexArray, share: NDArray[np.float32], k: int, count: int, total: ComplexArray) -> None:
-    """total[r, i] += L_k(share[r, i]) part[r, i], with L_k Lagrange's polynomial k of `count` through equal steps.
+    """Blend rows: total[r, i] += L_k(share[r, i]) part[r, i], with Lagrange polynomial k of `count` equal steps.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Low-pass filters that decimate rows and columns of samples, the first of them after a turn of each row's phase.
+"""Decimating low-pass filters along rows and columns, the former after a rotation of each row's phase.
 
 A filter for decimation by D passes |nu| <= e / D cycles a sample and stops |nu| >= (1 - e) / D, with e < 1/2 the pass
 edge at the new rate. What lies between is folded onto itself, outside of the pass band. It is a windowed sinc with
@@ -79,7 +79,7 @@ class Decimation:
         return _taps(self.factor, self.half, self.attenuation)
 
     def span(self, n: int) -> tuple[int, int]:
-        """Number of the decimated samples of n samples, tails included, and the sample at which the first lies."""
+        """Number of decimated samples of n samples, tails included, and the position of the first."""
         size = (n + 2 * self.half - 1) // self.factor + 1
         return size, -self.half - ((size - 1) * self.factor - (n - 1 + 2 * self.half)) // 2
 
@@ -98,7 +98,7 @@ def _taps(factor: int, half: int, attenuation: float) -> Float32Array:
 
 @njit(**PART, **COMPILED)
 def _turn_row(row: Any, u: Any, first: Any, step: Any, real: Any, imag: Any, lead: Any) -> None:
-    """real[lead + i] + 1j imag[lead + i] = row[i] exp(2j pi (first + step i)); `u` counts samples."""
+    """Rotate a row: real[lead + i] + 1j imag[lead + i] = row[i] exp(2j pi (first + step i)); `u` counts samples."""
     n = row.size
     for k in range(0, n if n >= LANES else 0, LANES):
         i = min(k, n - LANES)  # the last vector overlaps the one before
@@ -148,7 +148,7 @@ def _turn_and_decimate(
 def turn_and_decimate(
     values: ComplexArray, first: FloatArray, step: FloatArray, decimation: Decimation, scratch: Scratch | None = None
 ) -> tuple[ComplexArray, int]:
-    """Turn row r by exp(2j pi (first[r] + step[r] i)) at its samples i, then filter and decimate it.
+    """Rotate row r by exp(2j pi (first[r] + step[r] i)) at sample i, then filter and decimate it.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def turn_and_decimate(
 
 
 def padded(n: int) -> int:
-    """The columns of n decimated samples: a multiple of WHOLE."""
+    """Columns allocated for n decimated samples: a multiple of WHOLE."""
     return -(-n // WHOLE) * WHOLE
 
 

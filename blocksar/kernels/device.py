@@ -1,4 +1,4 @@
-"""Devices for the loops of back-projection: the cores of the CPU, or a GPU. Plans and geometry do not know of it.
+"""Devices for back-projection loops: the CPU's cores, or a GPU. Plans and geometry do not depend on them.
 
 A device keeps arrays of its own (`put`, `take`), which NumPy's functions take as they do NumPy's; on the CPU they are
 NumPy's.
@@ -38,7 +38,7 @@ class Device(Protocol):
     upsampling: int
 
     def limit(self, memory: int) -> None:
-        """Take no more memory than so many bytes.
+        """Limit the device's memory, bytes.
 
         Raises
         ------
@@ -47,16 +47,16 @@ class Device(Protocol):
         """
 
     def put(self, values: Any) -> Any:
-        """An array of this device's with the values of one of NumPy's; None for None."""
+        """Copy a NumPy array to the device; None for None."""
 
     def take(self, values: Any) -> Any:
-        """The NumPy array of an array of this device's."""
+        """Copy an array of the device to NumPy."""
 
     def empty(self, shape: Any, dtype: Any) -> Any:
-        """An array of this device's, not cleared."""
+        """Allocate an array on the device, not cleared."""
 
     def fft_rows(self, group: Any, *, inverse: bool) -> Any:
-        """`fourier.fft_rows`."""
+        """Transform as `fourier.fft_rows`."""
 
     def run(self, work: Callable[[slice], None], rows: int, length: int, threads: int) -> None:
         """Call `work` for groups of rows of `length` samples, as many as suit the device."""
@@ -64,15 +64,15 @@ class Device(Protocol):
     def turn_and_decimate(
         self, values: Any, first: FloatArray, step: FloatArray, decimation: Decimation, scratch: Scratch
     ) -> Any:
-        """The first result of `decimation.turn_and_decimate`."""
+        """Return the first result of `decimation.turn_and_decimate`."""
 
     def add_decimated(self, rows: Any, decimation: Decimation, at: int, out: Any) -> None:
-        """`decimation.add_decimated`."""
+        """Add as `decimation.add_decimated`."""
 
     def project(
         self, image: Any, outside: Any, sights: Sights, pixels: LitPixels, weight: Any, threads: int = 1
     ) -> None:
-        """`projection.project`, whose arrays of pixels are the device's; `weight` is None without weights."""
+        """Add pulses as `projection.project`, for pixel arrays on the device; `weight` is None without weights."""
 
 
 class Cpu:
@@ -82,7 +82,7 @@ class Cpu:
     upsampling = UPSAMPLING["cpu"]
 
     def limit(self, memory: int) -> None:
-        """Its processes have theirs limited by dask."""
+        """Ignore the limit, which dask enforces for processes."""
 
     def put(self, values: Any) -> Any:
         return values
@@ -122,7 +122,7 @@ CPU = Cpu()
 
 
 def tiles(shape: tuple[int, ...]) -> list[Tile]:
-    """Tiles of an image (n_row, n_column) that are worked on one by one."""
+    """Divide an image (n_row, n_column) into tiles to be processed one by one."""
     height = TILE if shape[0] > 1 else 1
     width = TILE**2 // height
     return [
@@ -133,7 +133,7 @@ def tiles(shape: tuple[int, ...]) -> list[Tile]:
 
 
 def has_gpu() -> bool:
-    """Whether this process could run on a GPU: it finds one, and the packages for it."""
+    """Tell whether this process can use a GPU: hardware and packages are present."""
     try:
         device("gpu")
     except InputError:
@@ -143,7 +143,7 @@ def has_gpu() -> bool:
 
 @cache
 def device(name: str) -> Device:
-    """The device of a name.
+    """Return the device of a name.
 
     Raises
     ------
@@ -164,7 +164,7 @@ def device(name: str) -> Device:
 
 @contextmanager
 def on_device(name: str, memory: int) -> Iterator[Device]:
-    """The device of a name; if `memory` bytes of a GPU (0: all of it) are not there or not enough, that is a sentence.
+    """Yield the device of a name; an InputError if a GPU lacks `memory` bytes (0: all of it).
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The package's only Fourier transform pair, with its sign convention and axes; no other module calls an FFT.
+"""The only Fourier transform pair of the package, with its sign convention and axes; no other module calls an FFT.
 
     forward:  X(f_k) = sum_n x(t_n) exp(-2j pi f_k t_n)
     inverse:  x(t_n) = 1/N sum_k X(f_k) exp(+2j pi f_k t_n)

@@ -1,4 +1,4 @@
-"""Steps that a quadratic phase in Doppler smears in time: the Fresnel integrals, and their integral."""
+"""Steps smeared in time by a quadratic phase in Doppler: Fresnel integrals, and their integral."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FAR_SERIES = tuple(
 
 
 def smeared_step(time: FloatArray, *, slope: float, blur: float) -> NDArray[np.complex128]:
-    """The integral of H(t - u) exp(1j pi u^2 / e) / sqrt(1j e) du for e = `slope` > 0, a mean over +-`blur`."""
+    """Integrate H(t - u) exp(1j pi u^2 / e) / sqrt(1j e) du for e = `slope` > 0, averaged over +-`blur`."""
     scale = np.sqrt(2 / slope)
     z, reach = scale * time, max(scale * blur, 1e-4)
     mean = (fresnel_integral(z + reach) - fresnel_integral(z - reach)) / (2 * reach)
@@ -25,7 +25,7 @@ def smeared_step(time: FloatArray, *, slope: float, blur: float) -> NDArray[np.c
 
 
 def fresnel_integral(z: FloatArray) -> NDArray[np.complex128]:
-    """Integral of the Fresnel integrals C + 1j S, up to a constant: z (C + 1j S) + (1j / pi) exp(1j pi z^2 / 2).
+    """Integrate the Fresnel integrals C + 1j S, up to a constant: z (C + 1j S) + (1j / pi) exp(1j pi z^2 / 2).
 
     Beyond FAR the asymptotic series of C and S is exact to 1e-14, and takes a third of the time. With x = pi z^2,
 
@@ -45,7 +45,7 @@ def fresnel_integral(z: FloatArray) -> NDArray[np.complex128]:
 
 
 def far_fresnel_integral(z: FloatArray) -> NDArray[np.complex128]:
-    """Fresnel integral where all |z| are beyond FAR."""
+    """Evaluate the Fresnel integral where all |z| are beyond FAR."""
     integral = np.empty(z.shape, np.complex128)
     x = np.pi * z**2
     inverse = 1 / x

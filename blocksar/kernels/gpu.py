@@ -1,4 +1,4 @@
-"""The loops of back-projection on a GPU: turns, filters along rows and columns, and sums over pulses at pixels.
+"""Back-projection loops on a GPU: phase rotation, filters along rows and columns, and sums over pulses at pixels.
 
 They are the formulas of `decimation` and `projection`. A thread sums SIDE x SIDE pixels about their middle, whose
 range, phase, and place in the profile are float64, once for each pulse. With R that range, e the direction, u a
@@ -6,7 +6,7 @@ pixel's offset from the middle, and g = 1 / (2 R), the range of the pixel is tha
 
     z (1 - q + 2 q^2),  z = e u + g |u|^2,  q = g z,
 
-in float32. `near` tells whether that has enough of the phase; otherwise a thread sums one pixel, which is its middle.
+in float32. `_near` tells whether that has enough of the phase; otherwise a thread sums one pixel, which is its middle.
 
 The same source runs in numba's simulator, in which tests without a GPU compare it with the loops of the CPU.
 """
@@ -70,7 +70,7 @@ else:
 
 @cuda.jit(fastmath=True, cache=True)
 def _turn(values: Any, first: Any, step: Any, out: Any) -> None:
-    """out[r, i] = values[r, i] exp(2j pi (first[r] + step[r] i)), and zero behind the row."""
+    """Rotate rows: out[r, i] = values[r, i] exp(2j pi (first[r] + step[r] i)), zero beyond the row."""
     i, r = cuda.grid(2)
     if r < out.shape[0] and i < out.shape[1]:
         if i < values.shape[1]:
@@ -85,7 +85,7 @@ def _turn(values: Any, first: Any, step: Any, out: Any) -> None:
 
 @cuda.jit(fastmath=True, cache=True)
 def _decimate_rows(values: Any, taps: Any, factor: Any, start: Any, out: Any) -> None:
-    """out[r, j] = sum over k of taps[k] values[r, start + j factor + k]."""
+    """Decimate rows: out[r, j] = sum over k of taps[k] values[r, start + j factor + k]."""
     j, r = cuda.grid(2)
     if r < out.shape[0] and j < out.shape[1]:
         begin = start + j * factor
@@ -99,7 +99,7 @@ def _decimate_rows(values: Any, taps: Any, factor: Any, start: Any, out: Any) ->
 
 @cuda.jit(fastmath=True, cache=True)
 def _add_decimated_columns(values: Any, taps: Any, factor: Any, start: Any, out: Any) -> None:
-    """out[k, c] += sum over t of taps[t] values[start + k factor + t, c]."""
+    """Decimate columns and add: out[k, c] += sum over t of taps[t] values[start + k factor + t, c]."""
     c, k = cuda.grid(2)
     if k < out.shape[0] and c < out.shape[1]:
         begin = start + k * factor
@@ -113,7 +113,7 @@ def _add_decimated_columns(values: Any, taps: Any, factor: Any, start: Any, out:
 
 @_inlined
 def _weight(places: Any, k: Any, x: Any, y: Any, z: Any, hilly: Any, terms: Any, half_frequency: Any) -> Any:
-    """The weight of pulse k at (x, y, z) m from the tile's centre: sum_n terms_n cos(2 pi n half_frequency v)."""
+    """Weight of pulse k at (x, y, z) m from the tile's centre: sum_n terms_n cos(2 pi n half_frequency v)."""
     v = np.float32(places[k, 0]) + y * (np.float32(places[k, 2]) + y * np.float32(places[k, 5]))
     v += x * (np.float32(places[k, 1]) + x * np.float32(places[k, 3]) + y * np.float32(places[k, 4]))
     if hilly:
@@ -127,7 +127,7 @@ def _weight(places: Any, k: Any, x: Any, y: Any, z: Any, hilly: Any, terms: Any,
 
 @_inlined
 def _sample(samples: Any, row: Any, bin_: Any, right: Any) -> Any:
-    """Real and imaginary part of the quadratic spline at `right` bins from a bin."""
+    """Quadratic spline at `right` bins from a bin: real and imaginary part."""
     half, square = np.float32(0.5), right * right
     even, odd = half * square + np.float32(0.125), half * right
     before, here, after = even - odd, np.float32(0.75) - square, even + odd
@@ -140,7 +140,7 @@ def _sample(samples: Any, row: Any, bin_: Any, right: Any) -> Any:
 
 @_inlined
 def _see(sights: Any, k: Any, x: Any, y: Any, z: Any, scales: Any) -> Any:
-    """How pulse k sees the middle (x, y, z) of a thread's pixels.
+    """View of pulse k on the middle (x, y, z) of a thread's pixels.
 
     Range over the reference range, m; its phase, in cycles about a whole number; its bin, and how far it lies from
     there; the direction; and 1 / (2 R).
@@ -159,7 +159,7 @@ def _see(sights: Any, k: Any, x: Any, y: Any, z: Any, scales: Any) -> Any:
 
 @cache
 def _adder(side: int, weighted: bool, hilly: bool) -> Any:
-    """The kernel by which each thread sums `side` pixels along either side.
+    """Make the kernel in which each thread sums `side` x `side` pixels.
 
     Of its `scales`: the bin of the reference range, cycles and bins per metre, the largest unambiguous range, the
     centre of the places in the beam, m, and half of the frequency of weights over it.
@@ -226,7 +226,7 @@ def _adder(side: int, weighted: bool, hilly: bool) -> Any:
 
 
 def missing() -> str | None:
-    """Why there is no GPU; None if there is one."""
+    """Explain why there is no GPU; None if there is one."""
     if SIMULATED:
         return None
     try:
@@ -236,7 +236,7 @@ def missing() -> str | None:
 
 
 class Gpu:
-    """A GPU: the one that this process is given."""
+    """The GPU given to this process."""
 
     name = "gpu"
     upsampling = UPSAMPLING["gpu"]
@@ -294,7 +294,7 @@ class Gpu:
     def project(
         self, image: Any, outside: Any, sights: Sights, pixels: LitPixels, weight: Any, threads: int = 1
     ) -> None:
-        """Sum; under a taper over the beam by parts over which the place in it is a polynomial."""
+        """Add pulses; under a taper over the beam in parts in which the place in the beam is a polynomial."""
         (x, y, z, first, last), n, weighted = pixels, sights.reference_range.size, sights.taper is not None
         low, high = self.take(xp.stack([f(axis) for f in (xp.min, xp.max) for axis in (x, y, z)])).reshape(2, 3)
         hilly = bool(high[2] > low[2])
@@ -321,7 +321,7 @@ class Gpu:
 
 
 def _near(sights: Sights, axes: Sequence[Any], top: float) -> bool:
-    """Whether pixels of a thread are so close together that their ranges follow from their middle's in float32.
+    """Tell whether a thread's pixels are close enough to derive their ranges from their middle's in float32.
 
     They lie at coordinates (n_row, n_column) along axes, m, and no higher than `top`.
     """
@@ -336,7 +336,7 @@ def _near(sights: Sights, axes: Sequence[Any], top: float) -> bool:
 
 @cache
 def _on_gpu(decimation: Decimation) -> Any:
-    """The taps of a filter."""
+    """Copy a filter's taps to the GPU."""
     return xp.array(decimation.taps)
 
 

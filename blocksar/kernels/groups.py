@@ -1,4 +1,4 @@
-"""Groups of rows that fit into a core's cache, and a thread pool that works through them."""
+"""Groups of rows that fit into a core's cache, and a thread pool for them."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ import numpy as np
 
 from blocksar.arrays import ComplexArray
 
-ROOM = 1.25  # times what is asked for: later arrays are often a little larger
+ROOM = 1.25  # times the requested size: later arrays are often a little larger
 
 
 class Scratch:
-    """Named arrays, each of which takes the memory of the one before of its name."""
+    """Named scratch arrays that reuse memory by name."""
 
     def __init__(self, empty: Callable[..., Any] = np.empty) -> None:
         self._empty = empty  # of a device
         self._kept: dict[Hashable, ComplexArray] = {}
 
     def array(self, name: Hashable, shape: tuple[int, ...]) -> ComplexArray:
-        """An array of complex64, not cleared; one of this name that was taken before is lost."""
+        """Return an array of complex64, not cleared; the previous one of this name is overwritten."""
         size = math.prod(shape)
-        kept = self._kept.get(name)
-        if kept is None or kept.size < size:
-            kept = self._kept[name] = self._empty(int(ROOM * size), np.complex64)
-        return kept[:size].reshape(shape)
+        memory = self._kept.get(name)
+        if memory is None or memory.size < size:
+            memory = self._kept[name] = self._empty(int(ROOM * size), np.complex64)
+        return memory[:size].reshape(shape)
 
 
 GROUP_BYTES = 768 * 1024  # of the rows in a group, to stay within a core's second-level cache

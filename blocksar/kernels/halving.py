@@ -1,4 +1,4 @@
-"""Mean power of 2 x 2 pixels, or cells of power, of those that are covered; compiled."""
+"""Mean power of the covered pixels, or cells, in each 2 x 2; compiled."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def _rows(kind: Any) -> Any:
 
 
 def halve(values: ComplexArray | Float32Array) -> Float32Array:
-    """Mean of |pixels|^2, or of power, over the covered of each 2 x 2; NaN where none is.
+    """Average |pixels|^2, or power, over the covered pixels of each 2 x 2; NaN where none is.
 
     Parameters
     ----------

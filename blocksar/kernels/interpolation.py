@@ -100,7 +100,7 @@ def interpolation_error(n_tap: int, occupancy: float) -> float:
 
 
 def taps_needed(occupancy: float, *, error: float, at_most: int = 32) -> int:
-    """The smallest even number of taps whose error is at most `error`, or `at_most` if none is.
+    """Smallest even number of taps whose error is at most `error`; `at_most` if none suffices.
 
     The occupancy is rounded up to the next 1 / OCCUPANCIES: blocks of a plan ask for nearly the same.
     """
@@ -109,7 +109,7 @@ def taps_needed(occupancy: float, *, error: float, at_most: int = 32) -> int:
 
 @lru_cache(maxsize=256)
 def _taps_needed(occupancy: int, error: float, at_most: int) -> int:
-    """`taps_needed` for an occupancy of so many OCCUPANCIES; the error falls with the number of taps."""
+    """Compute `taps_needed` for an occupancy in units of 1 / OCCUPANCIES; the error falls with the number of taps."""
     low, high = 2, at_most // 2
     while low < high:
         middle = (low + high) // 2
@@ -121,7 +121,7 @@ def _taps_needed(occupancy: int, error: float, at_most: int) -> int:
 
 
 def tap_polynomials(n_tap: int, *, occupancy: float) -> Float32Array:
-    """Expand these taps about TAP_PHASES fractions: weight_k(q / TAP_PHASES + mu) = sum_p table[q, k, p] mu^p.
+    """Expand taps about TAP_PHASES fractions: weight_k(q / TAP_PHASES + mu) = sum_p table[q, k, p] mu^p.
 
     Valid for |mu| <= TAP_REACH, so that a strip over which the fraction drifts needs one table look-up, not one per
     sample.
@@ -162,7 +162,7 @@ def _fetch(row: Any, first: Any, count: Any, real: Any, imag: Any) -> None:
 
 @njit(**PART, **COMPILED)
 def _strip_length(drift: Any) -> Any:
-    """Samples over which the fraction stays within TAP_REACH if it drifts by at most `drift` per sample."""
+    """Number of samples over which the fraction stays within TAP_REACH at a drift of at most `drift` per sample."""
     length = LANES
     while length > 1 and (length - 1) / 2 * drift > TAP_REACH - 0.5 / TAP_PHASES:
         length //= 2
@@ -171,7 +171,7 @@ def _strip_length(drift: Any) -> Any:
 
 @njit(**PART, **COMPILED)
 def _weigh(real: Any, imag: Any, first: Any, weights: Any, mu: Any) -> Any:
-    """Sum over the taps for LANES samples, whose windows begin at first, first + 1, ...; weights: polynomials in mu."""
+    """Sum over taps for LANES samples with windows from first, first + 1, ...; weights are polynomials in mu."""
     re, im = spread(np.float32(0.0)), spread(np.float32(0.0))
     for k in range(weights.shape[0]):
         weight = horner(weights[k], TAP_ORDER, mu)
@@ -182,7 +182,7 @@ def _weigh(real: Any, imag: Any, first: Any, weights: Any, mu: Any) -> Any:
 
 @njit(**PART, **COMPILED)
 def _window(i: Any, length: Any, n_tap: Any, middle: Any, s: Any) -> Any:
-    """First tap of the strip of output samples i .. i + length - 1, and the remaining fraction of a sample."""
+    """First tap and fraction of a sample for the strip of output samples i .. i + length - 1."""
     half = (length - 1) / 2
     position = middle + (i + half - middle) * s - half
     whole = np.floor(position)
@@ -191,7 +191,7 @@ def _window(i: Any, length: Any, n_tap: Any, middle: Any, s: Any) -> Any:
 
 @loop(SAMPLES_IN, SAMPLES_OUT, REAL_ROW, types.float64, TAPS, **COMPILED)
 def stretch_rows(values: ComplexArray, out: ComplexArray, scale: FloatArray, middle: float, taps: Float32Array) -> None:
-    """out[r, i] = scale[r] times values[r] at position middle + (i - middle) scale[r]; zero beyond the ends.
+    """Stretch rows: out[r, i] = scale[r] times values[r] at middle + (i - middle) scale[r]; zero beyond the ends.
 
     The factor preserves the sum along a row. Positions advance by almost one sample per output sample, so over a short
     strip the window slides evenly and only the fraction of a sample drifts: the weights are polynomials in it, and all
@@ -245,7 +245,7 @@ def stretch_rows(values: ComplexArray, out: ComplexArray, scale: FloatArray, mid
 
 @njit(**PART, **COMPILED)
 def _expand(c: Any, n: Any, terms: Any) -> Any:
-    """Taylor terms of a polynomial in u, in steps of half a vector: c(u + x LANES / n) = sum_k terms[k](u) x^k.
+    """Taylor terms of a polynomial in steps of half a vector: c(u + x LANES / n) = sum_k terms[k](u) x^k.
 
     Returns the order of the last term above 1e-7 samples, at least 1.
     """
@@ -277,11 +277,11 @@ def _root(values: Any, middle: Any, share: Any) -> Any:
 
 @loop(SAMPLES_IN, SAMPLES_OUT, REAL_ROWS, TAPS, **COMPILED)
 def resample_rows(values: ComplexArray, out: ComplexArray, positions: FloatArray, taps: Float32Array) -> None:
-    """out[r, i] = sqrt(dp / di) values[r] at position p = sum_k positions[r, k] u_i^k, u_i = (i - n // 2) / (n / 2).
+    """Resample rows: out[r, i] = sqrt(dp / di) values[r] at p = sum_k positions[r, k] u_i^k, u normalised.
 
-    Energy is preserved; samples beyond the ends count as zero. As in `stretch_rows` the window slides evenly over a
-    short strip, but the fraction drifts along a curve: the position's polynomial, expanded about the middle of every
-    LANES samples to as many terms as matter in this row.
+    u_i = (i - n // 2) / (n / 2). Energy is preserved; samples beyond the ends count as zero. As in `stretch_rows` the
+    window slides evenly over a short strip, but the fraction drifts along a curve: the position's polynomial, expanded
+    about the middle of every LANES samples to as many terms as matter in this row.
 
     Parameters
     ----------

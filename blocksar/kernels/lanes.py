@@ -1,4 +1,4 @@
-"""Vectors of LANES samples as values in compiled loops: explicit SIMD instead of automatic vectorisation.
+"""Vectors of LANES samples as values in compiled loops: explicit SIMD.
 
 Left to choose the width, numba's compiler uses narrow registers where float64 and float32 meet, and keeps sums over
 taps in memory. The types are LLVM's own vectors, which lower to the registers of any CPU.
@@ -57,7 +57,7 @@ def _spread(context: Any, builder: Any, scalar: Any, lanes: Any, value: Any) -> 
 
 
 def _repeat(builder: Any, value: Any, count: int) -> Any:
-    """One value in all lanes."""
+    """Broadcast one value to all lanes."""
     undefined = ir.Constant(ir.VectorType(value.type, count), ir.Undefined)
     one = builder.insert_element(undefined, value, ir.Constant(ir.IntType(32), 0))
     return builder.shuffle_vector(one, undefined, _indices([0] * count))
@@ -87,13 +87,13 @@ _arithmetic(operator.mul, "fmul")
 
 
 def _address(context: Any, builder: Any, vector: Any, array_type: Any, array: Any, index: Any) -> Any:
-    """The address of array[index] as that of a vector. The array's length is not checked."""
+    """Address of array[index] as a pointer to a vector. The array's length is not checked."""
     data = context.make_array(array_type)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [index]), vector.as_pointer())
 
 
 def _load(count: int) -> Any:
-    """Make the intrinsic that loads array[index : index + count] of real or whole numbers."""
+    """Make the intrinsic that loads array[index : index + count] of real numbers or integers."""
 
     def load(typing_context: Any, array: Any, index: Any) -> Any:
         lanes = Lanes(array.dtype, count)
@@ -157,7 +157,7 @@ def totals(typing_context: Any, a: Any, b: Any) -> Any:
 
 @_numba.intrinsic
 def store(typing_context: Any, array: Any, index: Any, lanes: Any) -> Any:
-    """array[index : index + LANES] = lanes."""
+    """Store a vector: array[index : index + LANES] = lanes."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         address = _address(context, builder, values[2].type, signature.args[0], *values[:2])
@@ -186,7 +186,7 @@ load_real, load_imag = _load_part(0), _load_part(1)
 
 @_numba.intrinsic
 def store_complex(typing_context: Any, array: Any, index: Any, real: Any, imag: Any) -> Any:
-    """array[index : index + LANES] = real + 1j imag, complex64."""
+    """Store a complex vector: array[index : index + LANES] = real + 1j imag, complex64."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         interleaved = [k // 2 + LANES * (k % 2) for k in range(2 * LANES)]
@@ -199,27 +199,27 @@ def store_complex(typing_context: Any, array: Any, index: Any, real: Any, imag: 
 
 @_numba.intrinsic
 def spread(typing_context: Any, number: Any) -> Any:
-    """One number in all lanes."""
+    """Broadcast a number to all lanes."""
     lanes = Lanes(number)
     return lanes(number), lambda context, builder, signature, values: context.cast(builder, values[0], number, lanes)
 
 
 @_numba.intrinsic
 def spread_few(typing_context: Any, number: Any) -> Any:
-    """One number in FEW lanes."""
+    """Broadcast a number to FEW lanes."""
     lanes = Lanes(number, FEW)
     return lanes(number), lambda context, builder, signature, values: context.cast(builder, values[0], number, lanes)
 
 
 @_numba.intrinsic
 def count_lanes(typing_context: Any) -> Any:
-    """0, 1, ..., LANES - 1, float32."""
+    """Make the vector 0, 1, ..., LANES - 1, float32."""
     return FLOATS(), lambda context, *_: ir.Constant(context.get_value_type(FLOATS), [float(k) for k in range(LANES)])
 
 
 @_numba.intrinsic
 def remainder(typing_context: Any, cycles: Any) -> Any:
-    """Cycles (float64) minus the nearest whole number, as float32."""
+    """Subtract the nearest integer from cycles (float64); float32."""
     lanes = Lanes(types.float32, cycles.count)
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
@@ -233,7 +233,7 @@ def remainder(typing_context: Any, cycles: Any) -> Any:
 
 @_numba.intrinsic
 def single(typing_context: Any, value: Any) -> Any:
-    """float64 lanes as float32."""
+    """Convert float64 lanes to float32."""
     lanes = Lanes(types.float32, value.count)
     return lanes(value), lambda context, builder, signature, values: builder.fptrunc(
         values[0], context.get_value_type(lanes)
@@ -242,7 +242,7 @@ def single(typing_context: Any, value: Any) -> Any:
 
 @_numba.intrinsic
 def nearest(typing_context: Any, value: Any) -> Any:
-    """The whole number nearest to each of float32 lanes below 2^22, as int32, and what is left of the lane."""
+    """Round float32 lanes below 2^22 to int32, and return the remainder too."""
     numbers = Lanes(types.int32, value.count)
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
@@ -281,7 +281,7 @@ def prefetch(typing_context: Any, array: Any, row: Any, column: Any) -> Any:
 
 @_numba.intrinsic
 def square_root(typing_context: Any, value: Any) -> Any:
-    """Square root of float64 lanes."""
+    """Take the square root of float64 lanes."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         vector = values[0].type
@@ -292,7 +292,7 @@ def square_root(typing_context: Any, value: Any) -> Any:
 
 
 def _choice(comparison: str) -> Any:
-    """Make the intrinsic that returns a where a < b (or >), else b."""
+    """Make the intrinsic that selects a where a < b (or >), else b."""
 
     def choice(typing_context: Any, a: Any, b: Any) -> Any:
         lanes = a if isinstance(a, Lanes) else b
@@ -311,7 +311,7 @@ smaller, larger = _choice("<"), _choice(">")
 
 @_numba.intrinsic
 def within(typing_context: Any, value: Any, begin: Any, number: Any, end: Any) -> Any:
-    """The value in the lanes where begin <= number < end, 0 in the others; begin and end are int32 lanes."""
+    """Select the value in lanes where begin <= number < end, else 0; begin and end are int32 lanes."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         every = _repeat(builder, builder.trunc(values[2], ir.IntType(32)), value.count)
@@ -331,7 +331,7 @@ _HIGH_WORD = int(np.float64(FIXED_POINT).view(np.uint64)) >> 32
 
 
 def _words(builder: Any, lanes: Any, half: int) -> Any:
-    """The low (0) or high (1) 32 bits of 64-bit lanes, little-endian."""
+    """Extract the low (0) or high (1) 32 bits of 64-bit lanes, little-endian."""
     count = lanes.type.count
     both = builder.bitcast(lanes, ir.VectorType(ir.IntType(32), 2 * count))
     return builder.shuffle_vector(both, both, _indices(range(half, 2 * count, 2)))
@@ -361,7 +361,7 @@ from_whole, from_half = _fraction(0), _fraction(1 << 31)
 
 @_numba.intrinsic
 def whole(typing_context: Any, number: Any) -> Any:
-    """The whole number below each of the lanes in fixed point, int32."""
+    """Floor of fixed-point lanes, int32."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         words = _words(builder, values[0], 1)
@@ -372,7 +372,7 @@ def whole(typing_context: Any, number: Any) -> Any:
 
 @_numba.intrinsic
 def load_triples(typing_context: Any, array: Any, origin: Any, indices: Any, first: Any) -> Any:
-    """array[m - 1], array[m] and array[m + 1] for FEW places m = origin + indices[first], ...
+    """Load array[m - 1], array[m] and array[m + 1] for FEW places m = origin + indices[first], ...
 
     The array is of complex64 viewed as float64, so that samples are loaded whole; the real parts of the three are
     returned, and then their imaginary parts. The array's ends are not checked.
@@ -407,7 +407,7 @@ def load_near(typing_context: Any, array: Any, origin: Any, offsets: Any) -> Any
 
 
 def _permuted(builder: Any, data: Any, start: Any, offset: Any) -> list[Any]:
-    """`load_near` from two registers for the real and two for the imaginary parts."""
+    """Load as `load_near`, from two registers for the real and two for the imaginary parts."""
     number, vector = start.type, ir.VectorType(ir.FloatType(), FEW)
     first = builder.gep(data, [builder.add(start, ir.Constant(number, NEAR[0] - 1))])
     both = ir.VectorType(ir.FloatType(), 2 * FEW).as_pointer()
@@ -426,7 +426,7 @@ def _permuted(builder: Any, data: Any, start: Any, offset: Any) -> list[Any]:
 
 
 def _gathered(builder: Any, data: Any, start: Any, each: list[Any]) -> list[Any]:
-    """`load_triples` for places start + each.
+    """Load as `load_triples`, at places start + each.
 
     The elements m - 2 to m + 1 of each place are loaded as one vector and the vectors transposed, since gathers take
     twice the time.
@@ -442,7 +442,7 @@ def _gathered(builder: Any, data: Any, start: Any, each: list[Any]) -> list[Any]
 
 
 def _last_columns(builder: Any, rows: Any) -> Any:
-    """The last three columns of eight rows of four elements: each shuffle within or of quarters of a register."""
+    """Transpose the last three columns of eight rows of four elements, by shuffles within quarters of a register."""
     pairs = [builder.shuffle_vector(rows[i], rows[i + 2], _indices(range(8))) for i in (0, 1, 4, 5)]
     even, odd = (
         [builder.shuffle_vector(*two, _indices(k + i for k in range(part, 8, 2) for i in (0, 8))) for two in halves]
@@ -482,28 +482,28 @@ def _half_cosine(x: Any) -> Any:
 
 @njit(inline="always")
 def sine(x: Any) -> Any:
-    """sin(2 pi x) in float32, |x| <= 1/2."""
+    """Compute sin(2 pi x) in float32, |x| <= 1/2."""
     half = _half_sine(x)
     return (half + half) * _half_cosine(x)
 
 
 @njit(inline="always")
 def cosine(x: Any) -> Any:
-    """cos(2 pi x) in float32, |x| <= 1/2."""
+    """Compute cos(2 pi x) in float32, |x| <= 1/2."""
     half_sine, half_cosine = _half_sine(x), _half_cosine(x)
     return half_cosine * half_cosine - half_sine * half_sine
 
 
 @njit(**PART, **COMPILED)
 def cosine_and_sine(x: Any) -> Any:
-    """Both at the cost of one."""
+    """Compute cosine and sine at the cost of one."""
     half_sine, half_cosine = _half_sine(x), _half_cosine(x)
     return half_cosine * half_cosine - half_sine * half_sine, (half_sine + half_sine) * half_cosine
 
 
 @njit(**PART, **COMPILED)
 def horner(c: Any, order: Any, u: Any) -> Any:
-    """sum_k c[k] u^k for the vector u, k up to `order`."""
+    """Evaluate sum_k c[k] u^k for the vector u, k up to `order`."""
     value = spread(c[order])
     for k in range(order):
         value = c[order - 1 - k] + u * value

@@ -37,7 +37,7 @@ OPTIONS: Any = {"nogil": True, "fastmath": {"contract", "nsz", "reassoc"}}
 
 
 class LevellingProblem(NamedTuple):
-    """Lines to level, and the unknowns to do it with.
+    """Lines to level, and the unknowns of the problem.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class LevellingProblem(NamedTuple):
 
 @loop(_NAMED([_ROWS] * 6 + [_INDICES] * 2 + [_ROW] * 2, LevellingProblem), *_NUMBERS, **OPTIONS)
 def level_lines(problem: LevellingProblem, damping: float, enough: float, steps: int) -> FloatArray:
-    """The unknowns that minimise the sum of squares; systems are solved by modified Gram-Schmidt.
+    """Find the unknowns that minimise the sum of squares; systems are solved by modified Gram-Schmidt.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def level_lines(problem: LevellingProblem, damping: float, enough: float, steps:
     damped, below = np.empty((n + 1, 2 * n)), np.empty((n, n))
     for i in range(n):
         x[i], at[i], norm[i], scale[i], step[i], found[i] = start[i], start[i], 0.0, 1.0, 0.0, 0.0
-    cost, growth, taken, probing, kept = np.inf, 2.0, 0, False, False
+    cost, growth, taken, probing, accepted = np.inf, 2.0, 0, False, False
     while True:
         sound = evaluate(problem, at, trial, trial_rows, not probing)
         if probing:
@@ -105,8 +105,8 @@ def level_lines(problem: LevellingProblem, damping: float, enough: float, steps:
             new_cost = _dot(trial, trial)
             if taken == 0 and not new_cost < np.inf:
                 break
-            if new_cost < cost and (sound or not kept):
-                kept = sound
+            if new_cost < cost and (sound or not accepted):
+                accepted = sound
                 last = taken == steps or cost - new_cost <= enough * new_cost
                 cost = new_cost
                 for i in range(n):
@@ -146,7 +146,7 @@ def level_lines(problem: LevellingProblem, damping: float, enough: float, steps:
 def evaluate(
     problem: LevellingProblem, x: FloatArray, residual: FloatArray, rows: FloatArray, derivatives: bool
 ) -> bool:  # longer than most: the residuals and their derivatives are checked side by side
-    """Write the residuals (m,) and, if asked for, their derivatives (n_unknown, m), one row an unknown.
+    """Compute the residuals (m,) and, on request, their derivatives (n_unknown, m), one row an unknown.
 
     Returns whether no line folds over and the Doppler rate before the steps in Doppler has one sign.
     """
@@ -249,7 +249,7 @@ def _dot(a: FloatArray, b: FloatArray) -> float:
 
 @njit(**PART, **OPTIONS)
 def _orthogonalise(q: FloatArray, r: FloatArray) -> None:
-    """Make the first n rows of q (n, m) orthonormal, in place; q before is r^T q after, r (n, n) upper triangular."""
+    """Orthonormalise the first n rows of q (n, m) in place: q before = r^T q after, r (n, n) upper triangular."""
     n, m = r.shape[0], q.shape[1]
     for i in range(n):
         r[i, i] = np.sqrt(_dot(q[i], q[i]))
@@ -267,7 +267,7 @@ def _solve_damped(
     q: FloatArray, r: FloatArray, values: FloatArray, damping: float, damped: FloatArray, below: FloatArray,
     x: FloatArray,
 ) -> None:  # fmt: skip
-    """Write the x that minimises |sum_k x_k (r^T q)_k + values|^2 + damping |x|^2.
+    """Solve for x that minimises |sum_k x_k (r^T q)_k + values|^2 + damping |x|^2.
 
     `damped` (n + 1, 2 n) and `below` (n, n) are room for the calculation. Below its diagonal r is not read.
     """

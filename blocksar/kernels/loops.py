@@ -1,4 +1,4 @@
-"""Compile loops when first called, for one fixed signature each, or load them from numba's cache.
+"""Compilation of loops on their first call, for one fixed signature each, or loading from numba's cache.
 
 A decorator with signatures compiles when the module is imported, also in a process that never calls the loop; one
 without compiles again for each type of argument, read-only arrays and writable ones included.
@@ -46,17 +46,17 @@ TUPLE: Any = types.Tuple  # carries no types
 PAIR = TUPLE((types.int64,) * 2)
 _BASE: Any = types.BaseTuple
 COMPILED: dict[str, Any] = {"nogil": True, "fastmath": {"contract", "nsz"}}
-# No operations are contracted. Said of every such function: numba hands the options of a caller to what it calls, and
-# keeps what it compiled so for other callers.
+# No operations are contracted. Stated for every such function, since numba passes the options of a caller on to its
+# callees, and caches these for other callers too.
 UNCONTRACTED: dict[str, Any] = {"nogil": True, "fastmath": False}
-# Of a function that compiled loops call, and Python does not: no entry points for Python and C, each of which would be
-# compiled with a copy of the function.
+# A function that only compiled loops call: no entry points for Python and C, each of which would be compiled with a
+# copy of the function.
 PART: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 UNCHECKED: dict[str, Any] = {"error_model": "numpy"}  # divisions by zero give infinity, without a test of each
 
 
 def record(kind: type[tuple[Any, ...]], *fields: Any) -> Any:
-    """The numba type of a NamedTuple whose fields have these types; arrays to be read are `fixed` ones."""
+    """Numba type of a NamedTuple with fields of these types; arrays that are only read are `fixed`."""
     return _BASE.from_types(fields, kind)
 
 
@@ -95,7 +95,7 @@ class Loop:
         self._arguments, self._ready, self._lock = tuple(arguments), False, Lock()
 
     def compile(self, *, wait: bool = True) -> bool:
-        """Compile, or load from numba's cache, unless that is done.
+        """Compile, or load from numba's cache, if not yet done.
 
         While another process compiles the loop, wait for it, or do not and return False.
         """
@@ -145,7 +145,7 @@ def _load(cache: Any, held: ExitStack, wait: bool, signature: Any, context: Any)
     """
     context.refresh = lambda: None
     try:
-        with suppress(Exception):  # whatever a file raises that is torn, or names what is gone
+        with suppress(Exception):  # a torn file, or one that names missing objects, may raise anything
             if (found := type(cache).load_overload(cache, signature, context)) is not None:
                 return found
         if isinstance(cache, NullCache):
@@ -170,12 +170,12 @@ def loop(*arguments: Any, **options: Any) -> Callable[[Callable[..., Any]], Loop
 
 
 def loops_of(module: ModuleType) -> list[Loop]:
-    """The loops of a module, in the order of their definition."""
+    """List the loops of a module in the order of their definition."""
     return [found for found in vars(module).values() if isinstance(found, Loop) and found.__module__ == module.__name__]
 
 
 class Tally(NamedTuple):
-    """The loops that this process has loaded, those of them that it had to compile, and the folder of numba's cache."""
+    """Counts of the loops that this process has loaded and compiled, and the folder of numba's cache."""
 
     loaded: int
     compiled: int
@@ -183,7 +183,7 @@ class Tally(NamedTuple):
 
 
 def tally(package: str) -> Tally:
-    """Count the loops of a package's loaded modules that are kept in numba's cache."""
+    """Count the loops of a package's loaded modules that numba's cache stores."""
     loaded, compiled, folder = 0, 0, ""
     for dispatcher in dispatchers(package).values():
         stats = dispatcher.stats

@@ -1,4 +1,4 @@
-"""Points of a terrain that others hide (shadow) or that share range and Doppler with others (layover), compiled.
+"""Shadow and layover: terrain points that others hide, or that share range and Doppler with others; compiled.
 
 All three tests march from a point over the terrain until its heights cross a curve that begins at the point, with the
 antenna at the height H over it, at the horizontal distances d from it and D across its track:
@@ -33,7 +33,7 @@ OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
 
 class HeightGrid(NamedTuple):
-    """Samples of a terrain.
+    """Samples of a terrain, with extremes by block.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class HeightGrid(NamedTuple):
 
     @classmethod
     def of(cls, heights: FloatArray, dx: float, dy: float) -> HeightGrid:
-        """Find the extremes of blocks."""
+        """Compute the extremes of blocks."""
         heights, shape = np.ascontiguousarray(heights, np.float64), [-(-(n - 1) // BLOCK) for n in heights.shape]
         low, high = np.full(shape, np.inf), np.full(shape, -np.inf)
         _find_extremes(heights, low, high)
@@ -108,7 +108,7 @@ def _height(heights: FloatArray, column: float, row: float) -> float:
 
 @njit(**PART, **OPTIONS)
 def _leave(at: float, pace: float) -> float:
-    """Way until a position in samples, which changes by `pace` a metre, leaves its block, m."""
+    """Distance, m, until a position in samples, which changes by `pace` a metre, leaves its block."""
     block = np.floor(at / BLOCK)
     if pace > 0:
         return ((block + 1) * BLOCK - at) / pace
@@ -122,15 +122,15 @@ def _crosses(
     grid: HeightGrid, limits: tuple[float, float], at: tuple[float, float], pace: tuple[float, float], kind: int,
     z: float, above: float, distance: float, steepest: float,
 ) -> bool:  # fmt: skip
-    """Whether the terrain crosses a curve on a march from `at`, a column and a row, by `pace` samples a metre.
+    """Tell whether the terrain crosses a curve that starts at `at`, column and row, and moves `pace` samples a metre.
 
     `above` and `distance` are H and d.
     """
     heights, low, high = grid.heights, grid.low, grid.high
     step, (column, row), (along_column, along_row) = min(grid.dx, grid.dy) / STEPS, at, pace
     square = distance * distance + above * above
-    # What the terrain nears the curve by, at most, per metre of the way: curves are least steep where they begin, but
-    # the near one where it ends.
+    # Largest rate, per metre of the way, at which the terrain can approach the curve: curves are least steep where they
+    # begin, but the near one where it ends.
     gain = steepest - distance / above if kind == _FAR else steepest - above / distance
     if kind == _NEAR:
         down = z + above - limits[0]
@@ -182,7 +182,7 @@ def _hidden(
     grid: HeightGrid, limits: tuple[float, float], at: tuple[float, float], z: float,
     sight: tuple[float, float, float], steepest: float,
 ) -> bool:  # fmt: skip
-    """Whether the terrain crosses the ray from a point at the height z to the antenna."""
+    """Tell whether the terrain crosses the ray from a point at height z to the antenna."""
     distance = np.sqrt(sight[0] * sight[0] + sight[1] * sight[1])
     pace = sight[0] / distance / grid.dx, sight[1] / distance / grid.dy
     return distance > 0 and _crosses(grid, limits, at, pace, _SHADOW, z, sight[2] - z, distance, steepest)
@@ -192,7 +192,7 @@ def _hidden(
 def find_shadow(
     grid: HeightGrid, column: FloatArray, row: FloatArray, height: FloatArray, sight: FloatArray, found: BoolArray
 ) -> None:
-    """Find which points on a terrain, or above it, it hides from antennas, as `find_visibility` does.
+    """Find which points on or above a terrain it hides from antennas, as `find_visibility` does.
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ def find_visibility(
     grid: HeightGrid, column: FloatArray, row: FloatArray, sight: FloatArray, across: FloatArray,
     found: NDArray[np.uint8],
 ) -> None:  # fmt: skip
-    """Find the visibility of points on a terrain: VISIBLE, LAYOVER, SHADOW, or UNKNOWN where it has no height.
+    """Classify points on a terrain: VISIBLE, LAYOVER, SHADOW, or UNKNOWN where it has no height.
 
     Parameters
     ----------
@@ -259,7 +259,7 @@ def find_heights(
     grid: HeightGrid, first: FloatArray, place: FloatArray, antenna: FloatArray, velocity: FloatArray,
     found: FloatArray,
 ) -> None:  # fmt: skip
-    """Find the highest point of a terrain that has the range and Doppler of each of some places.
+    """Find the highest terrain point with the range and Doppler of each of some places.
 
     The points of a range and a Doppler lie on a circle about the velocity; from the terrain's top it is followed down
     the side of the place, until it passes below the terrain.

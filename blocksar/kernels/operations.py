@@ -1,4 +1,4 @@
-"""Operations along rows, as data: phase multiplication, transform, window, scaling, resampling."""
+"""Operations along rows, as data: phase rotation, transform, window, scaling, resampling."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class ScaledTurn:
 
 @dataclass(frozen=True)
 class Transform:
-    """The transform of `fourier`, zero-padded to its period; the target's samples are fewer, or repeat themselves."""
+    """Transform as in `fourier`, zero-padded to its period; the target's samples are fewer, or periodic."""
 
     source: Axis
     target: Axis
@@ -60,7 +60,7 @@ class Transform:
             raise ValueError(f"axes are no transform pair: {source=} {target=}")
 
     def phases(self) -> tuple[Phase, Phase]:
-        """Phases before and after an FFT that turn it into the sum between these axes."""
+        """Phases before and after an FFT that make it the sum between these axes."""
         source, target = self.source, self.target
         sign = 1.0 if self.inverse else -1.0
         before = np.array([[0.0, sign * target.start]])

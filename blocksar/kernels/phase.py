@@ -1,4 +1,4 @@
-"""Phase multiplication and corner turns: compiled inner loops that every step shares.
+"""Phase rotation and corner turns: compiled inner loops that all steps use.
 
 Phases are polynomials along a row, in cycles, in float64; whole cycles are removed there, and only the remainder,
 at most half a cycle, goes to a float32 polynomial for sine and cosine (error below 4e-7, 1e-7 rms). The plain
@@ -55,12 +55,12 @@ class Phase:
     scale: float
 
     def cycles(self, values: FloatArray) -> FloatArray:
-        """The phase at values (n,): (n_row, n)."""
+        """Evaluate the phase at values (n,): (n_row, n)."""
         z = (values - self.centre) / self.scale
         return np.asarray(polynomial.polyval(z, self.coefficients.T))
 
     def along(self, axis: Axis) -> FloatArray:
-        """Coefficients in the axis' normalised index, (index - size // 2) / (size / 2)."""
+        """Coefficients in the normalised index of an axis, (index - size // 2) / (size / 2)."""
         offset, ratio = (axis.centre - self.centre) / self.scale, axis.step * axis.size / 2 / self.scale
         order = self.coefficients.shape[1] - 1
         shift = np.zeros((order + 1, order + 1))
@@ -72,14 +72,14 @@ class Phase:
 
 @lru_cache(maxsize=32)
 def unit(n: int) -> FloatArray:
-    """The normalised index of n samples, (i - n // 2) / (n / 2), (n,) float64; read-only."""
+    """Normalised index of n samples, (i - n // 2) / (n / 2), (n,) float64; read-only."""
     values = np.asarray((np.arange(n) - n // 2) * (2.0 / n))
     values.flags.writeable = False
     return values
 
 
 def as_coefficients(coefficients: FloatArray) -> FloatArray:
-    """Check the order and convert to the contiguous float64 that the loops need.
+    """Check the order, and convert to the contiguous float64 of the loops.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def _turn(row: Any, out: Any, i: Any, cycles: Any) -> None:
 
 @njit(**PART, **COMPILED)
 def _rest(values: Any) -> Any:
-    """The samples of a row after its last whole vector, padded with zeros to one vector."""
+    """Samples of a row after its last whole vector, padded with zeros."""
     rest = np.empty(LANES, values.dtype)  # np.zeros would be compiled for each type
     count = values.size % LANES
     for k in range(count, LANES):
@@ -129,7 +129,7 @@ def _rotate(values: ComplexArray, out: ComplexArray, u: FloatArray, coefficients
 
 
 def rotate(values: ComplexArray, n: int, coefficients: FloatArray, out: ComplexArray | None = None) -> None:
-    """out[r, i] = values[r, i] exp(2j pi sum_k coefficients[r, k] u_i^k), u_i = (i - n // 2) / (n / 2), i < n.
+    """Rotate row r: out[r, i] = values[r, i] exp(2j pi sum_k coefficients[r, k] u_i^k), u_i = (i - n // 2) / (n / 2).
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def rotate_scaled(
     factor: FloatArray,
     cycles: FloatArray,
 ) -> None:
-    """As `rotate`, with factor[r] cycles[i] added: an arbitrary phase along the row, scaled from row to row.
+    """Rotate as `rotate`, with factor[r] cycles[i] added: an arbitrary phase along the row, scaled by row.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def rotate_scaled(
 
 @loop(SAMPLES_OUT, SAMPLES_IN, types.Array(types.int64, 1, "C", readonly=True), **COMPILED)
 def multiply_windows(values: ComplexArray, windows: ComplexArray, which: IntArray) -> None:
-    """values[r, i] *= windows[which[r], i], in place.
+    """Apply windows: values[r, i] *= windows[which[r], i], in place.
 
     Parameters
     ----------
@@ -219,7 +219,7 @@ def _multiply(row: Any, window: Any, i: Any) -> None:
 
 @loop(types.Array(types.complex64, 2, "A", readonly=True), types.int64, SAMPLES_OUT, **COMPILED)
 def gather_columns(values: ComplexArray, first: int, out: ComplexArray) -> None:
-    """out[c, i] = values[i, first + c]: copy columns to rows, whole cache lines at a time."""
+    """Copy columns to rows, whole cache lines at a time: out[c, i] = values[i, first + c]."""
     count = out.shape[0]
     for i in range(values.shape[0]):
         for c in range(0, count, CACHE_LINE):
@@ -231,7 +231,7 @@ def gather_columns(values: ComplexArray, first: int, out: ComplexArray) -> None:
 
 @loop(SAMPLES_IN, types.int64, types.int64, SAMPLES_OUT, **COMPILED)
 def scatter_columns(values: ComplexArray, n: int, first: int, out: ComplexArray) -> None:
-    """out[i, first + c] = values[c, i], i < n: copy rows back to columns."""
+    """Copy rows back to columns: out[i, first + c] = values[c, i], i < n."""
     count = values.shape[0]
     for i in range(n):
         for c in range(0, count, CACHE_LINE):

@@ -1,4 +1,4 @@
-"""Heights between the posts of a grid, at scattered places, compiled.
+"""Interpolation of heights between the posts of a grid, at scattered places; compiled.
 
 A height is the value of the polynomial of degree 5 through six posts along each axis, which errs by the sixth
 derivative of the ground. Where one of the 6 x 6 is unknown, or beyond the grid, it is that of cubic convolution (Keys,
@@ -20,12 +20,12 @@ from blocksar.kernels.loops import COMPILED, PART, REAL_ROW, REAL_ROWS, SAMPLES_
 
 HALF_TAPS = 8  # on either side
 PHASES = 512  # intervals of a sample in the table of taps, between which taps are linear: error 4e-6
-ATTENUATION = 60.0  # dB, of what lies beyond the band of 0.39 cycles a sample
+ATTENUATION = 60.0  # dB, beyond the band of 0.39 cycles a sample
 
 
 @cache
 def kaiser_taps() -> FloatArray:
-    """Taps (PHASES + 2, 2 HALF_TAPS) of a sinc under a Kaiser window; row p is for p / PHASES beyond a sample.
+    """Taps (PHASES + 2, 2 HALF_TAPS) of a Kaiser-windowed sinc; row p is p / PHASES beyond a sample.
 
     The error is 1e-3 of the strongest sample for wavenumbers up to 0.38 cycles a sample (an oversampling of 1.3).
     """
@@ -59,7 +59,7 @@ def sample_places(values: ComplexArray, *, row: FloatArray, column: FloatArray) 
 
 @loop(SAMPLES_IN, REAL_ROW, REAL_ROW, REAL_ROWS, types.complex64[::1], **COMPILED)
 def _sample(values: ComplexArray, row: FloatArray, column: FloatArray, taps: FloatArray, out: ComplexArray) -> None:
-    """out[k] = sum_ij tap_i(row[k]) tap_j(column[k]) values[i, j]."""
+    """Interpolate: out[k] = sum_ij tap_i(row[k]) tap_j(column[k]) values[i, j]."""
     count = taps.shape[1]
     weights = np.empty((2, count))
     for k in range(row.size):
@@ -89,7 +89,7 @@ EXACT: dict[str, Any] = {"nogil": True, "error_model": "numpy"}  # no operations
 
 
 def heights_between(posts: FloatArray, filled: FloatArray, *, row: FloatArray, column: FloatArray) -> FloatArray:
-    """Heights (n,), m, at places (n,) in posts; NaN where unknown.
+    """Interpolate heights (n,), m, at places (n,) in posts; NaN where unknown.
 
     Parameters
     ----------
@@ -106,9 +106,9 @@ def heights_between(posts: FloatArray, filled: FloatArray, *, row: FloatArray, c
 
 
 def continued(posts: FloatArray) -> FloatArray:
-    """Posts with one more on every side, (n_row + 2, n_column + 2); those beside known ones are extrapolated."""
+    """Extend posts by one on every side, (n_row + 2, n_column + 2), extrapolating from known ones."""
     filled = np.pad(posts, 1, constant_values=np.nan)
-    for _ in range(2):  # beside them, then across corners
+    for _ in range(2):  # along sides, then across corners
         rim = np.pad(filled, 3, constant_values=np.nan)
         n_row, n_column = filled.shape
 
@@ -129,7 +129,7 @@ def continued(posts: FloatArray) -> FloatArray:
 
 @njit(**PART, **EXACT)
 def _sextic(u: float, taps: Any) -> None:
-    """Weights of the posts -2 .. 3 at the part u of the way from post 0 to post 1."""
+    """Weights of the posts -2 .. 3 at a fraction u between posts 0 and 1."""
     a, b, c, d, e = u + 2, u + 1, u - 1, u - 2, u - 3
     taps[0] = -b * u * c * d * e / 120
     taps[1] = a * u * c * d * e / 24
@@ -141,7 +141,7 @@ def _sextic(u: float, taps: Any) -> None:
 
 @njit(**PART, **EXACT)
 def _cubic(u: float, taps: Any) -> None:
-    """Cubic weights of the posts -1 .. 2."""
+    """Cubic weights of the posts -1 .. 2 at a fraction u between posts 0 and 1."""
     taps[0] = ((-0.5 * u + 1.0) * u - 0.5) * u
     taps[1] = (1.5 * u - 2.5) * u * u + 1.0
     taps[2] = ((-1.5 * u + 2.0) * u + 0.5) * u
@@ -161,7 +161,7 @@ def _sum(posts: FloatArray, row: int, column: int, down: Any, along: Any, n: int
 
 @loop(REAL_ROWS, REAL_ROWS, REAL_ROW, REAL_ROW, types.float64[::1], **EXACT)
 def _interpolate(posts: FloatArray, filled: FloatArray, row: FloatArray, column: FloatArray, out: FloatArray) -> None:
-    """`filled` has the posts with one more on every side."""
+    """Interpolate at places; `filled` is `continued` posts."""
     n_row, n_column = posts.shape
     down, along = np.empty(6), np.empty(6)
     for k in range(row.size):

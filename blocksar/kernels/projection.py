@@ -1,4 +1,4 @@
-"""Sums of range profiles over pulses, for tiles of pixels: the loop of exact back-projection.
+"""Sums of range profiles over pulses for tiles of pixels: exact back-projection.
 
 The pixels of a tile lie at offsets (dx, dy) from its centre. A pulse's antenna is at a distance R from the centre, in
 the direction (ex, ey, ez). With g = 1 / (2 R),
@@ -20,10 +20,7 @@ Pixels are summed in groups, squares where they can be. Where a group is so smal
 MOST_CYCLES from its middle, only the middle's range is found as above, FEW pulses at a time, with the direction there;
 those of the pixels follow from it by the same series to 2 q^2, in float32, with 1e-4 rad at most of the phase lost.
 
-Under a taper over a steered beam a pulse's weight changes from pixel to pixel (below); tiles are divided until
-the polynomial of the place in the beam is precise.
-
-Weights of pulses over a tile of pixels, under a taper over a steered beam.
+Under a taper over a steered beam, the weights of pulses change from pixel to pixel.
 
 The place v in the beam is a quadratic polynomial over a tile, through 3 x 3 places; tiles are divided until it errs by
 less than PLACE_ERROR.
@@ -69,7 +66,7 @@ class BeamTaper:
 
 
 def place_tables(taper: BeamTaper | None, pulses: slice, low: FloatArray, high: FloatArray) -> tuple[FloatArray, bool]:
-    """For each pulse the polynomial of the place in the beam over a tile from `low` to `high` (3,), m.
+    """Polynomials of the place in the beam, by pulse, over a tile from `low` to `high` (3,), m.
 
     Returns
     -------
@@ -101,7 +98,7 @@ def place_tables(taper: BeamTaper | None, pulses: slice, low: FloatArray, high: 
 
 
 def _places_on_relief(taper: BeamTaper, pulses: slice, centre: FloatArray, half: FloatArray) -> tuple[FloatArray, bool]:
-    """`place_tables` with the height as third coordinate: the quadratic polynomial closest to 3 x 3 x 3 places."""
+    """Tables as in `place_tables` with height as third coordinate: the quadratic closest to 3 x 3 x 3 places."""
     nodes = np.array([axis.ravel() for axis in np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3)])
     x, y, z = (c + h * u for c, h, u in zip(centre, half, nodes, strict=True))
     exact = taper.place(x, y, z, pulses)
@@ -127,7 +124,7 @@ NEAREST = 1.0  # m: nearer antennas are left to the square root
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sights:
-    """View of the ground from a block of pulses, and its range profiles.
+    """View of the ground from a block of pulses, with their range profiles.
 
     Attributes
     ----------
@@ -177,12 +174,12 @@ class LitPixels(NamedTuple):
     last: IntArray
 
     def of(self, part: tuple[slice, slice]) -> LitPixels:
-        """Pixels of some rows and columns."""
+        """Select pixels by rows and columns."""
         return LitPixels(self.x[part], self.y[part], self.z[part], self.first[part], self.last[part])
 
 
 def series_error(reach: FloatArray | float, distance: FloatArray | float) -> FloatArray:
-    """Largest error of the series at offsets up to `reach` from a point at a distance, m; infinite if it diverges."""
+    """Bound on the series' error at offsets up to `reach` from a point at a distance, m; infinite if it diverges."""
     q = np.asarray(reach / (2 * distance))
     q = q * (1 + q)
     # |z| <= reach (1 + q); each Catalan number is less than four times the one before.
@@ -197,7 +194,7 @@ def project(
     pixels: LitPixels,
     weight: Float32Array,
 ) -> None:
-    """Add the pulses of a block to the pixels of a tile of the image that they light, in place.
+    """Add a block of pulses to the pixels of an image tile that they light, in place.
 
     A tile that is too large for the series is divided, down to SMALL pixels; for places in the beam, to one.
 
@@ -253,13 +250,13 @@ def project(
 
 
 def _group_side(shape: tuple[int, ...]) -> tuple[int, int]:
-    """Rows and columns of the pixels of a group: a square, or one after the other where squares would add many."""
+    """Rows and columns of a group's pixels: a square, or a row where squares would add many."""
     filled = math.prod(-(-n // SQUARE) * SQUARE for n in shape)
     return (SQUARE, SQUARE) if filled <= MOST_FILLED * math.prod(shape) else (1, FEW)
 
 
 def _in_groups(values: NDArray[Any], side: tuple[int, int]) -> NDArray[Any]:
-    """Pixels (k, n_row, n_column) as groups (k, n, FEW), the last pixels repeated to make them whole."""
+    """Arrange pixels (k, n_row, n_column) in groups (k, n, FEW), padded by repeating the last ones."""
     k = values.shape[0]
     values = values.reshape(k, 1, -1) if side[0] == 1 else values
     fill = [(0, 0), *((0, -n % each) for n, each in zip(values.shape[1:], side, strict=True))]
@@ -268,7 +265,7 @@ def _in_groups(values: NDArray[Any], side: tuple[int, int]) -> NDArray[Any]:
 
 
 def _from_groups(values: NDArray[Any], side: tuple[int, int], shape: tuple[int, ...]) -> NDArray[Any]:
-    """Values of the lanes of groups as the pixels (n_row, n_column) of a shape."""
+    """Arrange the lanes of groups as pixels (n_row, n_column)."""
     if side[0] == 1:
         return values[: math.prod(shape)].reshape(shape)
     rows, columns = (-(-n // k) for n, k in zip(shape, side, strict=True))
@@ -277,7 +274,7 @@ def _from_groups(values: NDArray[Any], side: tuple[int, int], shape: tuple[int, 
 
 
 def _middles(place: FloatArray, sights: Sights) -> tuple[FloatArray, BoolArray]:
-    """The middles (3, n) float of groups whose pixels lie at `place` (3, n, FEW), m.
+    """Middles (3, n) float of groups with pixels at `place` (3, n, FEW), m.
 
     And whether their ranges differ by so little that those from the middle may be found in float32, and the samples
     by `load_near`.
@@ -288,7 +285,7 @@ def _middles(place: FloatArray, sights: Sights) -> tuple[FloatArray, BoolArray]:
 
 
 def halves(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
-    """A tile's halves along its longer side."""
+    """Divide a tile in half along its longer side."""
     rows, columns = shape
     if rows > columns:
         return [(slice(0, rows // 2), slice(None)), (slice(rows // 2, None), slice(None))]
@@ -296,7 +293,7 @@ def halves(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
 
 
 def pulse_tables(sights: Sights, pulses: slice, centre: FloatArray, *, reach: float) -> tuple[FloatArray, FloatArray]:
-    """For each pulse, what the series needs, first whether it may be used; and what the square root needs.
+    """Tables by pulse for the range series, first whether it may be used, and for the square root.
 
     The last of each is for pixels that lie over or under the centre (3,), m. Of the first table, (8, n + FEW), each row
     is of one kind, and goes on with zeros; the second is (n, 5).

@@ -1,4 +1,4 @@
-"""The loop of exact back-projection over the pulses that light groups of pixels, compiled: see `projection`."""
+"""Inner loop of back-projection over the pulses that light groups of pixels, compiled: see `projection`."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ WEIGHTS = types.Array(types.float32, 1, "C", readonly=True)
 def _by_series(
     series: Any, k: Any, square: Any, dx: Any, dy: Any, dz: Any, hilly: Any, bins_per_cycle: Any
 ) -> tuple[Any, Any]:
-    """Phase, in cycles about a whole number, and position in the profile, in bins and fixed point."""
+    """Phase, cycles modulo 1, and position in the profile, bins in fixed point, by the series."""
     slope = series[3, k] * square
     if hilly:
         slope = series[7, k] * dz + slope
@@ -52,14 +52,14 @@ def _by_series(
 
 @njit(inline="always")
 def _series(z: Any, g: Any) -> Any:
-    """The range less that of the centre, by the series of z and q = g z."""
+    """Range relative to that of the centre, by the series of z and q = g z."""
     q = g * z
     return z + z * (q * (((14.0 * q - 5.0) * q + 2.0) * q - 1.0))
 
 
 @njit(**PART, **COMPILED)
 def _see_middle(seen: Any, bins: Any, series: Any, k: Any, j: Any, dx: Any, dy: Any, dz: Any, per_cycle: Any) -> None:
-    """Find what the pixels about the middle of a group need of FEW pulses, in `seen` (7, n) and `bins` (n,) from j on.
+    """Prepare the view of FEW pulses on the pixels about a group's middle, in `seen` (7, n) and `bins` (n,) from j on.
 
     The middle lies at (dx, dy, dz) from the tile's centre. In order: its phase, about a whole number of cycles; how far
     it lies from its bin; g and the direction there, in cycles; and what q is of z. The latter follow from those of the
@@ -83,14 +83,14 @@ def _see_middle(seen: Any, bins: Any, series: Any, k: Any, j: Any, dx: Any, dy: 
 
 @njit(inline="always")
 def _about_middle(dx: Any, dy: Any, dz: Any) -> Any:
-    """Offsets from the middle of a group, in float32, and the squares of the distances."""
+    """Offsets from a group's middle in float32, and squared distances."""
     ux, uy, uz = single(dx), single(dy), single(dz)
     return ux, uy, uz, ux * ux + uy * uy + uz * uz
 
 
 @njit(inline="always")
 def _by_root(roots: Any, k: Any, dx: Any, dy: Any, dz: Any, hilly: Any) -> Any:
-    """Range - reference_range."""
+    """Range minus reference range, by the square root."""
     x, y, up = dx + roots[k, 0], dy + roots[k, 1], spread_few(roots[k, 2])
     if hilly:
         up = (dz + roots[k, 4]) * (dz + roots[k, 4])
@@ -99,7 +99,7 @@ def _by_root(roots: Any, k: Any, dx: Any, dy: Any, dz: Any, hilly: Any) -> Any:
 
 @njit(inline="always")
 def _sample(triples: Any, right: Any) -> Any:
-    """Real and imaginary part of the quadratic spline at `right` bins from the middle one of three."""
+    """Quadratic spline at `right` bins from the middle one of three: real and imaginary part."""
     a, b, c, d, e, f = triples
     half, eighth, three_quarters = np.float32(0.5), np.float32(0.125), np.float32(0.75)
     odd, square = half * right, right * right
@@ -110,20 +110,20 @@ def _sample(triples: Any, right: Any) -> Any:
 
 @njit(inline="always")
 def _place(places: Any, k: Any, dx: Any, dy: Any) -> Any:
-    """v in the beam."""
+    """Place v in the beam."""
     bend = places[k, 3] * dx + places[k, 4] * dy
     return places[k, 0] + (places[k, 1] * dx + places[k, 2] * dy) + bend * dx + places[k, 5] * dy * dy
 
 
 @njit(inline="always")
 def _rise(places: Any, k: Any, dx: Any, dy: Any, dz: Any) -> Any:
-    """Term of a series that heights dz over the centre's add."""
+    """Increase of a series by heights dz over the centre's."""
     return (places[k, 7] + places[k, 8] * dx + places[k, 9] * dy + places[k, 10] * dz) * dz
 
 
 @njit(inline="always")
 def _taper(v: Any, terms: Any, half_frequency: Any) -> Any:
-    """sum_k terms_k cos(2 pi k half_frequency v), by Clenshaw's recurrence; at most |half_frequency v| = 1/2."""
+    """Evaluate sum_k terms_k cos(2 pi k half_frequency v) by Clenshaw's recurrence; |half_frequency v| <= 1/2."""
     turned = remainder(v * half_frequency)
     cos = cosine(turned)
     twice = cos + cos
@@ -135,7 +135,7 @@ def _taper(v: Any, terms: Any, half_frequency: Any) -> Any:
 
 @njit(inline="always")
 def _added(re: Any, im: Any, a: Any, b: Any, turn: Any) -> Any:
-    """The sums with a + 1j b, turned by a phase in cycles."""
+    """Add a + 1j b, rotated by a phase in cycles, to the sums."""
     cos, sin = cosine_and_sine(turn)
     return re + a * cos - b * sin, im + a * sin + b * cos
 
@@ -175,7 +175,7 @@ def add_pulses(
     terms: NDArray[np.float32],
     half_frequency: float,
 ) -> None:  # longer than most: arrays that inlined functions take have their references counted for every pulse
-    """Sum the lit pulses, in ascending order, at pixels (n,).
+    """Sum the lit pulses in ascending order at pixels (n,).
 
     Pixels n are those of n_group groups of FEW, one after the other. Tables are of n_pulse pulses from `start` on, made
     by `projection.pulse_tables` and `projection.place_tables`.

@@ -1,4 +1,4 @@
-"""Samples of packets that were quantised by blocks, compiled: bypass, BAQ and FDBAQ of Sentinel-1.
+"""Decoding of block-quantised packets, compiled: bypass, BAQ and FDBAQ of Sentinel-1.
 
 A packet holds four channels one after another: in-phase even, in-phase odd, quadrature even, quadrature odd samples,
 each filled up to 16 bits and cut into blocks. Every sample is a sign and a magnitude code. All compressions are one
@@ -63,9 +63,7 @@ HUFFMAN = (
 
 
 def deviations() -> Float32Array:
-    """Standard deviation of each threshold, (256,), as table 5.2-3 rounds it: steps of sqrt(pi / 8), from 100 on twice
-    as large.
-    """
+    """Standard deviations (256,) by threshold, rounded as in table 5.2-3: steps of sqrt(pi / 8), twice from 100 on."""
     index = np.arange(256)
     step = np.sqrt(np.pi / 8)
     coarse = 62.982 + 0.002 * (index < 137) + 2 * step * (index - 100)
@@ -74,7 +72,7 @@ def deviations() -> Float32Array:
 
 @cache
 def code_table() -> IntArray:
-    """(KINDS, 2**WINDOW): 2**16 times the length of the code that a window of bits begins with, plus its magnitude.
+    """Code table (KINDS, 2**WINDOW): for a window of bits, 2**16 times the leading code's length plus its magnitude.
 
     The first bit of a code is its sign, which the magnitude leaves out.
     """
@@ -93,7 +91,7 @@ def code_table() -> IntArray:
 
 @cache
 def amplitude_table() -> Float32Array:
-    """(KINDS, 256, MAGNITUDES): amplitude of a magnitude at a threshold; of bypass, the magnitude itself counts."""
+    """Amplitudes (KINDS, 256, MAGNITUDES) of a magnitude at a threshold; for bypass, the magnitude itself."""
     table = np.zeros((KINDS, 256, MAGNITUDES), np.float32)
     for kind, (largest, normalised) in enumerate(zip(LARGEST, NORMALISED, strict=True), start=BAQ):
         n = len(normalised)
@@ -106,7 +104,7 @@ def amplitude_table() -> Float32Array:
 
 @njit(**PART, **UNCONTRACTED, **UNCHECKED)
 def _window(data: Any, bit: int) -> int:
-    """WINDOW bits from a place on."""
+    """Read WINDOW bits from a position on."""
     byte = bit >> 3
     word = (int(data[byte]) << 16) | (int(data[byte + 1]) << 8) | int(data[byte + 2])
     return (word >> (24 - WINDOW - (bit & 7))) & ((1 << WINDOW) - 1)
@@ -120,7 +118,7 @@ def _window(data: Any, bit: int) -> int:
 def decode_packet(
     data: Any, size: int, kind: int, block: int, codes: Any, amplitudes: Any, marks: Any, parts: Any
 ) -> int:
-    """Write the samples of a packet, and return the number of bits that they take; or WRONG_CODE or CUT.
+    """Decode the samples of a packet; return the number of bits used, or WRONG_CODE or CUT.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ ALIKE = 0.005  # shares of a blend in the rows of a group: the image errs by -60
 
 
 class Program:
-    """Operations along rows, lowered to passes over groups of rows.
+    """Operations along rows, compiled to passes over groups of rows.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ class Program:
         self._pending = pending
 
     def _flush(self, size: int | None = None) -> _CopyPass:
-        """Make the pass that copies to rows of `size` samples, applies all pending phases and appends zeros."""
+        """Make a pass that copies to rows of `size` samples, applies all pending phases and appends zeros."""
         filled = self.target.size
         coefficients = self._pending if self._scaled else phase.as_coefficients(self._pending)
         copy = _CopyPass(coefficients=coefficients, scaled=self._scaled, filled=filled, size=size or filled)
@@ -121,7 +121,7 @@ class Program:
         self.target = operation.target
 
     def groups(self, first: int, last: int, *, columns: bool) -> list[slice]:
-        """Divide the rows first .. last - 1 into groups that depend on the program only."""
+        """Divide the rows first .. last - 1 into groups that depend only on the program."""
         return row_groups(first, last, max([self.source.size, *self.transforms]), columns=columns)
 
     def run(
@@ -134,7 +134,7 @@ class Program:
         store: Layout = "rows",
         threads: int = 1,
     ) -> ComplexArray:
-        """Run on all rows of `x`, which are the rows first, first + 1, ... of the program.
+        """Run on all rows of `x`, which are rows first, first + 1, ... of the program.
 
         Parameters
         ----------
@@ -182,7 +182,7 @@ class Program:
 
 
 class _Pass(Protocol):
-    """One pass over a group of rows: in place, or into another array."""
+    """Interface of a pass over a group of rows: in place, or into another array."""
 
     def __call__(self, group: ComplexArray, rows: slice, out: ComplexArray | None = None) -> ComplexArray: ...
 
@@ -241,7 +241,7 @@ class _BlendPass:
 
 
 def _shares(coefficients: FloatArray, z: FloatArray) -> Float32Array:
-    """Polynomials of rows at z (n,): those of their mean, (1, n), where they are alike, else (n_row, n)."""
+    """Polynomials of rows at z (n,): (n_row, n), or that of their mean, (1, n), if they are nearly equal."""
     out = np.empty((2, z.size), np.float32)
     blending.evaluate_shares(np.ascontiguousarray(coefficients[[0, -1]]), z, out)
     if np.abs(out[1] - out[0]).max() <= ALIKE:
@@ -268,10 +268,10 @@ class _CutPass:
     def __call__(self, group: ComplexArray, rows: slice, out: ComplexArray | None = None) -> ComplexArray:
         if out is None:
             out = np.empty((group.shape[0], self.size), np.complex64)
-        for row, kept, first in zip(group, out, (self.first[rows] % group.shape[1]).tolist(), strict=True):
+        for row, target, first in zip(group, out, (self.first[rows] % group.shape[1]).tolist(), strict=True):
             ahead = row[first : first + self.size]
-            kept[: ahead.size] = ahead
-            kept[ahead.size : self.size] = row[: self.size - ahead.size]
+            target[: ahead.size] = ahead
+            target[ahead.size : self.size] = row[: self.size - ahead.size]
         return out
 
 

@@ -1,4 +1,4 @@
-"""Heights and local incidence angles of rows of pixels on a terrain, compiled.
+"""Heights and local incidence angles for rows of pixels on a terrain; compiled.
 
 A height is a weighted sum over 4 x 4 samples of the terrain, by taps along x and along y. The sums along x are made
 once for every row of samples; those along y run over all pixels of a row.
@@ -33,7 +33,7 @@ _PI = np.float32(np.pi)
 
 
 class TerrainTaps(NamedTuple):
-    """Samples of a terrain and the 4 x 4 of them, with their taps, that make the height of each pixel.
+    """Samples of a terrain, with the 4 x 4 taps of each pixel's height.
 
     Attributes
     ----------
@@ -54,13 +54,13 @@ class TerrainTaps(NamedTuple):
     def of(
         cls, strip: FloatArray, columns: IntArray, along_x: FloatArray, rows: IntArray, along_y: FloatArray
     ) -> TerrainTaps:
-        """Make them contiguous and read-only, as the loops take them."""
+        """Make arrays contiguous and read-only, as the loops require."""
         x, y = np.ascontiguousarray(along_x), np.ascontiguousarray(along_y)
         return cls(fixed(strip), fixed(columns), fixed(x), fixed(rows), fixed(y))
 
 
 class SeenGround(NamedTuple):
-    """The ground of a window, (n_y, n_x) each: heights, m, the same in float32, and local incidence angles, rad."""
+    """Ground of a window, (n_y, n_x) each: heights, m, the same in float32, and local incidence angles, rad."""
 
     height: FloatArray
     rounded: NDArray[np.float32]
@@ -73,7 +73,7 @@ GROUND = record(SeenGround, types.float64[:, ::1], types.float32[:, ::1], types.
 
 @njit(**PART, **EXACT)
 def _along(strip: FloatArray, columns: IntArray, taps: FloatArray, out: FloatArray) -> None:
-    """out[i, k] = sum_j strip[i, columns[k] + j] taps[j, k], in the order of j."""
+    """Interpolate along x: out[i, k] = sum_j strip[i, columns[k] + j] taps[j, k], in the order of j."""
     for i in range(strip.shape[0]):
         for k in range(columns.size):
             c = columns[k]
@@ -83,14 +83,14 @@ def _along(strip: FloatArray, columns: IntArray, taps: FloatArray, out: FloatArr
 
 @njit(**PART, **EXACT)
 def _height_row(along: FloatArray, r: int, a: float, b: float, c: float, d: float, out: FloatArray) -> None:
-    """out[k] = a along[r, k] + .. + d along[r + 3, k], in this order."""
+    """Interpolate along y: out[k] = a along[r, k] + .. + d along[r + 3, k], in this order."""
     for k in range(out.size):
         out[k] = ((along[r, k] * a + along[r + 1, k] * b) + along[r + 2, k] * c) + along[r + 3, k] * d
 
 
 @loop(TAPS, types.float64[:, ::1], **EXACT)
 def sum_taps(taps: TerrainTaps, out: FloatArray) -> None:
-    """out[i, k] = sum_jl strip[rows[i] + l, columns[k] + j] along_x[j, k] along_y[l, i], (n_y, n_x)."""
+    """Sum taps: out[i, k] = sum_jl strip[rows[i] + l, columns[k] + j] along_x[j, k] along_y[l, i], (n_y, n_x)."""
     strip, columns, along_x, rows, along_y = taps
     along = np.empty((strip.shape[0], columns.size))
     _along(strip, columns, along_x, along)
@@ -100,7 +100,7 @@ def sum_taps(taps: TerrainTaps, out: FloatArray) -> None:
 
 @njit(**PART, **COMPILED)
 def _arc_cosine(cosine: float) -> Any:
-    """Arc cosine, rad, in float32; that of +-1 beyond."""
+    """Arc cosine, rad, in float32; arguments are clipped to +-1."""
     size = abs(cosine)
     left = 1.0 - size
     root = np.float32(np.sqrt(left if not left < 0.0 else 0.0))  # not NaN's
@@ -117,7 +117,7 @@ def find_surface(
     taps: TerrainTaps, rate_x: FloatArray, rate_y: FloatArray, x: FloatArray, y: FloatArray, antenna: FloatArray,
     node: IntArray, part: FloatArray, seen: SeenGround,
 ) -> None:  # fmt: skip
-    """Find the height of every pixel, and the angle between the terrain's upward normal and the line of sight there.
+    """Compute the height of every pixel, and the angle between the terrain's normal and the line of sight.
 
     Parameters
     ----------

@@ -79,8 +79,7 @@ def _range_gradient(geometry: Geometry, point: FloatArray, time: FloatArray) -> 
 
 
 def response_axes(geometry: Geometry, x: float, y: float, weighting: Weighting = UNIFORM) -> ResponseAxes | None:
-    """Axes of the response of a target at x, y (m); None where it is never lit, where the antenna's pattern is zero, or
-    where its axes coincide.
+    """Axes of the response of a target at x, y (m); None if never lit, if its pattern is zero, or if the axes coincide.
 
     The azimuth band is exact for a ground gradient that turns uniformly over the dwell: it is taken between
     the first and the last edge of the lit pulses (`Beam.dwell`), at the carrier.
@@ -99,7 +98,7 @@ def response_axes(geometry: Geometry, x: float, y: float, weighting: Weighting =
     along_doppler = np.array([-turn[1], turn[0]]) / turned
     slope = float(along_doppler @ middle)  # dR/ds; dividing by it makes the cut point away from the radar
     extent = 2 * collection.carrier / SPEED_OF_LIGHT * abs(float(turn @ azimuth))
-    # Both vanish where the ground gradient turns along itself: there is no two-dimensional image there.
+    # Both vanish where the ground gradient changes along itself only: the image is not two-dimensional there.
     if abs(slope) < 1e-6 * length or extent == 0:
         return None
     shape: Taper | DwellShape = weighting.azimuth

@@ -1,6 +1,6 @@
 """Complex coherence, gain and phase between two images of the same pixels.
 
-The power about a chip that its errors may come from, and what a comparison of the chip then says.
+The errors of a chip also come from the power around it, which a comparison has to take into account.
 
 A processor spreads an error of the power 2 (1 - g) of each target about its place, with g the coherence that is
 predicted for clutter of even power. Where the ground about a chip is brighter, its error is larger than that of the
@@ -12,7 +12,7 @@ mean power M of any box about it, and the error of a chip of mean power P relati
 
 with c the coherence of the chip, whose error does not depend on its echoes. `referred` solves this for g.
 
-Coherence of two images of a scene that differ by what no sample tells of a track: a shift, and a ramp of the phase.
+Images may also differ by what no sample shows of a track's error: a shift, and a ramp of the phase.
 
 A constant error along the line of sight moves the image; a line over time turns it about the antenna, which moves it
 and ramps its phase along azimuth. Neither blurs. What is left after both are taken out is what images really differ by.
@@ -36,7 +36,7 @@ SIDES = (3, 7, 15, 31, 63)  # cells along the sides of boxes: the least are wide
 
 
 def power_within_reach(power: FloatArray, rows: slice, columns: slice) -> float:
-    """Mean over a chip of the largest mean power of any box about its pixels.
+    """Mean over a chip of the highest mean power in any box around each pixel: the power whose side lobes reach it.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def power_within_reach(power: FloatArray, rows: slice, columns: slice) -> float:
 
 
 def referred(coherence: float, ratio: float) -> float:
-    """Coherence of a chip as if its power were that within reach, `ratio` times its own.
+    """Scale the coherence of a chip to the power around it, `ratio` times its own, which side lobes come from.
 
     Examples
     --------
@@ -91,7 +91,7 @@ TURNS = 3  # of ramp and shift
 
 
 class Alignment(NamedTuple):
-    """How alike two chips are, as they are, with the best shift, and with the best shift and ramp of the phase.
+    """Coherence of two chips: as they are, with the best shift, and with the best shift and phase ramp.
 
     as_is, shifted, ramped : magnitudes of the coherence, 0 .. 1.
     shift : (rows, columns) by which features of a lie ahead of those of b, pixels, with the ramp taken out.
@@ -163,7 +163,7 @@ def _ramp(turn: FloatArray, shape: tuple[int, ...]) -> Complex128Array:
 
 
 def _carrier(chip: Complex128Array) -> Complex128Array:
-    """Phasors that move the mean frequency of a chip to 0."""
+    """Phasors that shift the mean frequency of a chip to 0."""
     power, turn = np.abs(_spectrum(chip)) ** 2, np.zeros(2)
     for axis in (0, 1):
         n = chip.shape[axis]
@@ -172,7 +172,7 @@ def _carrier(chip: Complex128Array) -> Complex128Array:
 
 
 def _moved(chip: Complex128Array, shift: FloatArray) -> Complex128Array:
-    """A chip whose features lie back by `shift` (2,), pixels."""
+    """Shift the features of a chip back by `shift` (2,), pixels."""
     padded = _padded(chip)
     turn = [np.exp(2j * np.pi * _cycles(n) * by) for n, by in zip(padded.shape, shift, strict=True)]
     moved = _spectrum(_spectrum(padded) * turn[0][:, None] * turn[1], inverse=True)
@@ -189,7 +189,7 @@ def _best_shift(a: Complex128Array, b: Complex128Array) -> tuple[float, FloatArr
 
 
 def _turning(product: Complex128Array) -> FloatArray:
-    """By how much a product of chips turns along rows and columns, (2,), rad per pixel."""
+    """Mean phase step of a product of chips along rows and columns, (2,), rad per pixel."""
     power = np.abs(_spectrum(product))
     start = [_cycles(n)[at] for n, at in zip(power.shape, _peak(power), strict=True)]
     axes = [-np.arange(float(n)) for n in product.shape]

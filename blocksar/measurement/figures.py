@@ -10,7 +10,7 @@ The response's own axes are neither x and y nor orthogonal. Its range cut runs a
 (across the direction in which grad R turns during the dwell), its azimuth cut along constant range (across
 grad R at t_m).
 
-The ideal response of a point target: the exact back-projection of its echo alone.
+The ideal response of a point target is the exact back-projection of its echo alone.
 
 With dR(t) the range of a point p less that of the target q, over the times at which both are lit,
 
@@ -70,7 +70,7 @@ def ideal_response(
     nodes, weights = solvers.gauss_legendre(max(LEAST_NODES + 2 * int(np.ceil(swing)), 0 if plain else NODES))
 
     def over(first: FloatArray, last: FloatArray) -> FloatArray:
-        """Times (n, nodes) between those (n,)."""
+        """Nodes (n, nodes), s, between first and last times (n,)."""
         return np.asarray((last + first)[:, None] / 2 + (last - first)[:, None] / 2 * nodes)
 
     time = over(first, last)
@@ -91,14 +91,14 @@ def ideal_response(
 def _offset(
     geometry: Geometry, origin: tuple[float, float], x: FloatArray, y: FloatArray, time: FloatArray
 ) -> FloatArray:
-    """dR of points (n,) at times (n, m), or (m,), m."""
+    """Difference of range dR (m) of points (n,) from that of the origin, at times (n, m) or (m,)."""
     point, target = geometry.on_ground(x, y)[:, None, :], geometry.on_ground(*(np.array(at) for at in origin))
     antenna = geometry.track.position(time)
     return np.asarray(np.linalg.norm(point - antenna, axis=-1) - np.linalg.norm(target - antenna, axis=-1))
 
 
 def _swing(geometry: Geometry, origin: tuple[float, float], x: FloatArray, y: FloatArray, time: FloatArray) -> float:
-    """Largest turn of phase (cycles, at the top of the band) by which dR of points (n,) changes over times (m,)."""
+    """Largest change, cycles at the top of the band, of the phase of dR of points (n,) over times (m,)."""
     collection = geometry.collection
     top = collection.carrier + collection.bandwidth / 2
     return float(2 * top / SPEED_OF_LIGHT * np.ptp(_offset(geometry, origin, x, y, time), axis=1).max(initial=0.0))
@@ -473,7 +473,7 @@ def _plain(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class Bar(NamedTuple):
-    """How far a figure may deviate from the ideal one."""
+    """Largest deviation of a figure from the ideal one that counts as good."""
 
     name: str
     limit: float  # of |deviation|
@@ -496,7 +496,7 @@ BARS = {
 
 
 def limit(response: PointResponse, figure: str) -> tuple[float, str]:
-    """How far a figure may deviate, and in words; further for the lower side lobes that weights make."""
+    """Limit of a figure's deviation, and its text; wider for the lower side lobes of a weighting."""
     bar = BARS[figure]
     if figure.endswith("pslr") and getattr(response, f"{figure}_theory") < LOW:
         return WEIGHTED_SIDE_LOBE_BUDGET, f"{WEIGHTED_SIDE_LOBE_BUDGET:g} dB"
@@ -525,7 +525,7 @@ def select_judged(responses: Sequence[PointResponse]) -> list[PointResponse]:
 
 
 def rank(response: PointResponse) -> tuple[bool, float]:
-    """Sort key: judged targets first, and the worst of them before the others."""
+    """Sort key: judged targets first, and among them the worst."""
     return not is_judged(response), -worst_excess(response)
 
 

@@ -1,4 +1,4 @@
-"""Two images of one ground: interferogram and coherence over a window, and what height and baseline do to them.
+"""Interferometry of two images: interferogram and coherence over a window, effects of height and baseline.
 
 An image is the exact back-projection of its pulses onto the ground (`focusing.backprojection`): what lies on that
 ground has in each image the phase of its reflectivity. In the interferogram a conj(b) the phase of the ranges, also
@@ -13,7 +13,7 @@ with the ranges R at the middles of the dwells and the carriers f. It comes from
 - motion: P moves by r along the line of sight, away from the antenna, after image a: phase = 4 pi f_b / c r;
 - all else that changes the path or the reflectivity: the air, errors of the tracks, moisture, growth.
 
-The coherence that is estimated over a window: its bias, and below which value it shows that a scene has changed.
+The coherence estimated over a window has a bias, and a threshold below which it shows that a scene has changed.
 
 The estimate |sum a conj(b)| / sqrt(sum |a|^2 sum |b|^2) over N independent pixels of circular Gaussian clutter of
 coherence c has the density
@@ -47,7 +47,7 @@ COHERENCES = np.linspace(0.0, 0.999, 334)  # for which means and thresholds are 
 def independent_pixels(
     window: tuple[int, int], spacing: tuple[float, float], sides: tuple[FloatArray, FloatArray], weighting: Weighting
 ) -> float:
-    """Number of independent pixels in a window: that of which the mean power of clutter has the same variance.
+    """Number of independent pixels in a window: as many average to the same variance of clutter power.
 
     n^2 over the sum of |rho|^2 over all pairs of its n pixels; rho is the correlation of clutter at their distance, the
     transform of its power spectrum.
@@ -83,7 +83,7 @@ def _correlation(taper: Taper, cycles: FloatArray) -> FloatArray:
 
 
 def overlap(shifts: tuple[float, float], weighting: Weighting) -> float:
-    """Coherence of surface clutter of which two images see spectra that lie apart.
+    """Coherence of surface clutter seen by two images whose spectra are shifted against each other.
 
     Parameters
     ----------
@@ -108,13 +108,13 @@ def mean_estimate(coherence: FloatArray | float, looks: float) -> FloatArray:
 
 
 def threshold(coherence: FloatArray | float, looks: float, false_alarms: float) -> FloatArray:
-    """Value (...) that the estimate is below with this probability where the coherence is (...)."""
+    """Threshold (...) of estimated coherence, below which it falls with probability `false_alarms`."""
     _, thresholds = _tables(_rounded(looks), false_alarms)
     return np.asarray(np.interp(coherence, COHERENCES, thresholds))
 
 
 def coherence_of_median(median: float, looks: float) -> FloatArray:
-    """The coherence of which half of the estimates lie below `median`; 0 where chance alone has a higher one."""
+    """True coherence whose estimates have this median; 0 if chance alone gives a higher median."""
     _, medians = _tables(_rounded(looks), 0.5)
     return np.asarray(np.interp(median, medians, COHERENCES))
 
@@ -125,7 +125,7 @@ def _rounded(looks: float) -> float:
 
 @lru_cache(maxsize=8)
 def _tables(looks: float, probability: float) -> tuple[FloatArray, FloatArray]:
-    """Means of the estimate for COHERENCES, and values that it is below with a probability."""
+    """Means of the estimate for COHERENCES, and the quantiles at a probability."""
     from scipy.special import hyp2f1
 
     n, g = looks, (np.arange(STEPS) + 0.5) / STEPS
@@ -192,7 +192,7 @@ def _mean(values: FloatArray, window: tuple[int, int]) -> FloatArray:
 
 
 class LinesOfSight(NamedTuple):
-    """Lines of sight (..., 3) from the antenna at the middles of dwells, its velocity there, m/s, and ranges, m."""
+    """Unit vectors (..., 3) from antenna to points at mid-dwell, its velocity (..., 3), m/s, and ranges (...), m."""
 
     unit: FloatArray
     velocity: FloatArray
@@ -210,7 +210,7 @@ class LinesOfSight(NamedTuple):
 
 
 def layover_direction(sight: LinesOfSight) -> FloatArray:
-    """By how much (..., 3) a scatterer moves for a metre of height if its range and Doppler are to stay.
+    """Displacement (..., 3) of a scatterer for a metre of height that keeps its range and Doppler.
 
     d is orthogonal to the line of sight u and to its rate, which lies in the plane of u and the velocity v, and
     d_z = 1: u x v over its z.
@@ -220,7 +220,7 @@ def layover_direction(sight: LinesOfSight) -> FloatArray:
 
 
 def vertical_wavenumber(a: Geometry, b: Geometry, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Phase of a conj(b), rad, for a metre of height over the ground that the images assume, at x, y (...), m.
+    """Interferometric phase, rad, for a metre of height over the assumed ground at x, y (...), m.
 
     A pixel X of image a shows what has its range and Doppler: at a height h, the scatterer X + h d, whose range is the
     same in a, and in b changes by h u_b . d: k_z = 4 pi f_b / c u_b . d. That is 4 pi B / (lambda R sin(incidence)) of
@@ -232,7 +232,7 @@ def vertical_wavenumber(a: Geometry, b: Geometry, x: FloatArray, y: FloatArray) 
 
 
 class Baseline(NamedTuple):
-    """How two tracks see a ground point.
+    """Baseline of two tracks at a ground point.
 
     Attributes
     ----------
@@ -263,7 +263,7 @@ class Baseline(NamedTuple):
 
 
 def _surface(a: Geometry, b: Geometry, point: tuple[FloatArray, FloatArray, FloatArray], weighting: Weighting) -> float:
-    """Overlap of the spectra of surface clutter, which lie about 2 f / c times the horizontal part of the sight."""
+    """Coherence left by the baseline for surface clutter: overlap of the two spectra on the ground."""
     first, second = (
         2 * each.collection.carrier / SPEED_OF_LIGHT * LinesOfSight.of(each, *point).unit[:2] for each in (a, b)
     )
@@ -278,7 +278,7 @@ def _surface(a: Geometry, b: Geometry, point: tuple[FloatArray, FloatArray, Floa
 
 
 def sides_at(geometry: Geometry, x: float, y: float) -> tuple[FloatArray, FloatArray]:
-    """Sides of a target's spectrum on the ground, by band and by dwell: `ground_spectrum` at x, y, m."""
+    """Sides of a target's spectrum on the ground at x, y, m, by band and by dwell: see `ground_spectrum`."""
     at = np.array(x), np.array(y)
     return ground_spectrum(geometry, float(geometry.epoch_range(*at)), float(geometry.yaw(*at)))
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from blocksar.arrays import ComplexArray
 from blocksar.errors import InputError
+from blocksar.texts import count
 
 Float32Array = NDArray[np.float32]
 LEAST_POWER = 1e-30  # pixels that are exactly zero have this much, -300 dB
@@ -65,6 +66,6 @@ def checked_looks(looks: Sequence[Any], shape: tuple[int, int]) -> tuple[int, in
         if n < 2 * side:
             raise InputError(
                 f"looks of {looks[0]} x {looks[1]} pixels (y x x) leave fewer than two cells along {name}, where the "
-                f"image has {n} pixels; take fewer looks"
+                f"image has {count(n, 'pixel')}; take fewer looks"
             )
     return int(looks[0]), int(looks[1])

@@ -192,7 +192,7 @@ class Response:
 
 
 class _Window(NamedTuple):
-    """Consecutive pixels along one axis, and which of them the image holds."""
+    """Consecutive pixels along an axis, and a mask of those that the image holds."""
 
     position: FloatArray  # m, of every pixel, inside the image or not
     image: slice  # the pixels of the image inside the window

@@ -1,4 +1,4 @@
-"""Findings in an image that nobody named: isolated bright points, looks and level of an area, floor, ambiguities."""
+"""Figures of an image without a list of targets: bright points, an area's looks and level, floor, ambiguities."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def find_bright(
     weighting: Weighting,
     count: int,
 ) -> list[BrightPoint]:
-    """The brightest pixels (at most `count`) that stand out from all within 10 widths along the response's two axes.
+    """Find the brightest pixels (at most `count`) above all others within 10 widths along the response's axes.
 
     Beyond the main lobe nothing within comes up to a tenth of their power, and the median within is less than a
     hundredth of it. The image is read by strips of rows.
@@ -91,7 +91,7 @@ def find_bright(
 
 
 def _window(axes: ResponseAxes | None, x: FloatArray, y: FloatArray) -> tuple[int, int]:
-    """Rows and columns on either side of a point within which its cuts lie."""
+    """Half sizes, in rows and columns, of the window about a point that holds its cuts."""
     if axes is None:
         return 8, 8
     reach = CUT_WIDTHS * np.maximum(
@@ -133,7 +133,7 @@ def measure_area(read: ReadChip, strips: Strips) -> Area:
 
 
 def noise_floor(read: ReadChip, strips: Strips) -> float:
-    """The mean power that a hundredth of all cells of 16 x 16 covered pixels stays below; NaN if there are none."""
+    """Noise floor: mean power that 1 % of all cells of 16 x 16 covered pixels stay below; NaN if there are none."""
     means: list[FloatArray] = []
     for rows in strips:
         power = power_of(read(rows, slice(None)))
@@ -146,7 +146,7 @@ def noise_floor(read: ReadChip, strips: Strips) -> float:
 
 
 def ambiguity_place(geometry: Geometry, x: float, y: float, order: int) -> tuple[float, float] | None:
-    """Where the azimuth ambiguity of a point at x, y (m) lies, m: at its range, with a Doppler off by `order` PRFs.
+    """Find the azimuth ambiguity of a point at x, y (m): its range, with Doppler `order` PRFs away; m.
 
     Both hold at the middle of the point's dwell. Its ghost lies about there, defocused. None if the point is not lit,
     or there is no such place.
@@ -164,7 +164,7 @@ def ambiguity_place(geometry: Geometry, x: float, y: float, order: int) -> tuple
 def ground_place(
     geometry: Geometry, near: tuple[float, float], time: FloatArray, wanted: FloatArray, *, longest: float
 ) -> tuple[float, float] | None:
-    """Where on the ground, near a place (m), a point has a range (m) and a range rate (m/s) at a time; None if nowhere.
+    """Solve for the ground place near another (m) with a range (m) and range rate (m/s) at a time; None if nowhere.
 
     It is looked for in steps of `longest` at most, m.
     """

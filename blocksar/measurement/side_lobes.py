@@ -1,4 +1,4 @@
-"""Power that the side lobes of bright places lay over an image, of which coherence tells nothing about the ground."""
+"""Power of side lobes that bright places lay over an image; coherence there does not describe the ground."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def _envelope(taper: Taper | DwellShape, cycles: FloatArray) -> tuple[FloatArray
     squared = np.asarray(taper.response(u)) ** 2
     null = float(u[np.flatnonzero(np.diff(squared) > 0)[0]]) if (np.diff(squared) > 0).any() else float(u[-1])
     running = np.maximum.accumulate(squared[::-1])[::-1]
-    end = most - FALLING  # the running maximum lacks what lies beyond the table
+    end = most - FALLING  # the running maximum lacks side lobes beyond the table
     last = float(np.interp(end, u, running))
     inside = np.interp(cycles, u, running)
     return np.where(cycles > end, last * (end / np.maximum(cycles, end)) ** 2, inside), null

@@ -77,17 +77,17 @@ def readable(path: Location) -> Readable:
 
 
 def lies_at(place: Place) -> str:
-    """Where a place lies, however it is spelt: links of a local file system are followed."""
+    """Return the real location of a place, with links of a local file system followed."""
     return os.path.realpath(place.path) if isinstance(place, LocalPlace) else str(place)
 
 
 def lies_in(inner: Place, outer: Place) -> bool:
-    """Whether a place is another one, or lies in it."""
+    """Tell whether a place is another one, or lies in it."""
     return f"{lies_at(inner)}/".startswith(f"{lies_at(outer)}/")
 
 
 def _check_endpoint(endpoint: str) -> None:
-    """Check the address of the object store; it may hold a password, so that no message repeats it."""
+    """Check the address of the object store; no message repeats it, since it may hold a password."""
     try:
         parts = urlsplit(endpoint)
         good = not endpoint or (parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0)

@@ -1,4 +1,4 @@
-"""Files of samples, written and read past the page cache where the file system allows it.
+"""Files of samples, written and read past the page cache where the file system supports it.
 
 A run writes each sample once and reads it at most once more. Copies in the page cache would fill the machine's memory,
 take a third of all processor time where memory comes from a hypervisor, and all wait to be flushed when the run ends.
@@ -26,7 +26,7 @@ DIRECT = getattr(os, "O_DIRECT", 0)  # Linux's
 
 
 class _Buffers(threading.local):
-    """The aligned buffer of each thread; memory maps begin at a page.
+    """Page-aligned buffers, one for each thread.
 
     In one huge page, where the system has them: a transfer of hundreds of scattered pages is split into several
     requests to the disk, and takes half as long again.
@@ -44,7 +44,7 @@ _buffers = _Buffers()
 
 
 def _open(path: str, flags: int, *, cached: bool = False) -> int:
-    """Open a file for direct transfers, or the usual ones if `cached` or where the file system has no others."""
+    """Open a file for direct transfers; for cached ones if `cached`, or if the file system has no direct ones."""
     if cached:
         return os.open(path, flags | os.O_CLOEXEC, 0o666)
     try:
@@ -56,7 +56,7 @@ def _open(path: str, flags: int, *, cached: bool = False) -> int:
 
 
 def _without_direct(descriptor: int) -> None:
-    """Go on with the usual transfers, which need no alignment."""
+    """Switch a file to cached transfers, which need no alignment."""
     if DIRECT:
         fcntl.fcntl(descriptor, fcntl.F_SETFL, fcntl.fcntl(descriptor, fcntl.F_GETFL) & ~DIRECT)
 
@@ -98,7 +98,7 @@ class Writer:
                 left = left[os.write(self._descriptor, left) :]
 
     def finish(self) -> None:
-        """Write the rest: whole sectors, and what is left of the last one through the page cache.
+        """Write the rest: whole sectors, and the remainder of the last one through the page cache.
 
         To write that sector as a whole and cut the file takes longer: the system reads it again for the cut.
         """
@@ -110,7 +110,7 @@ class Writer:
 
 
 def _begin_to_flush(descriptor: int) -> None:
-    """Let the system begin to write a file's part of the page cache to the disk, which it would put off for long.
+    """Start writing a file's cached pages to the disk, which the system would otherwise delay.
 
     Linux does so on the advice that the cache is not needed: it drops only what is on the disk already.
     """
@@ -121,7 +121,7 @@ def _begin_to_flush(descriptor: int) -> None:
 
 @contextmanager
 def writing(path: str, *, cached: bool = False) -> Iterator[Writer]:
-    """Create a file, to be written by one thread at once; through the page cache if `cached`.
+    """Create a file that one thread at a time writes; through the page cache if `cached`.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def writing(path: str, *, cached: bool = False) -> Iterator[Writer]:
 
 
 class DirectReader:
-    """A file of which parts are read in ascending order."""
+    """A file whose parts are read in ascending order."""
 
     def __init__(self, descriptor: int, buffer: memoryview) -> None:
         self._descriptor, self._buffer = descriptor, buffer
@@ -190,7 +190,7 @@ class DirectReader:
 
 @contextmanager
 def reading(path: str) -> Iterator[DirectReader]:
-    """Open a file of which parts are read.
+    """Open a file to read parts of it in ascending order.
 
     Raises
     ------

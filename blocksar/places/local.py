@@ -56,7 +56,7 @@ class LocalPlace(Place):
         return []
 
     def _found(self) -> Iterator[tuple[str, os.stat_result]]:
-        """Paths of files, in order; not of links that lead nowhere, nor of what is removed meanwhile."""
+        """Paths of files, in order; links that lead nowhere, and files removed meanwhile, are skipped."""
         for parent, folders, names in os.walk(self.path):
             folders.sort()
             for name in sorted(names):
@@ -177,7 +177,7 @@ def file_version(status: os.stat_result) -> str:
 def held_part(
     path: str | os.PathLike[str], make: Callable[[str], object], *, begun: Callable[[str], bool] = lambda part: False
 ) -> Iterator[str]:
-    """Make a file or folder under a temporary name beside `path`, removed at the end if it still has that name.
+    """Make a file or folder under a temporary, locked name beside `path`; it is removed unless it was renamed.
 
     It is locked meanwhile, so that `sweep_beside` tells it from what killed processes have left, which goes first. What
     is `begun` (part) is taken instead of a new one, and stays if the block fails, unless that is final.
@@ -204,7 +204,7 @@ def held_part(
 
 
 def new_file(path: str) -> None:
-    """Make an empty file that must not be there yet."""
+    """Create an empty file, which must not exist yet."""
     with open(path, "xb"):
         pass
 
@@ -307,12 +307,12 @@ def temporary_name(path: str | os.PathLike[str], kind: Literal["part", "old"]) -
 
 
 def _shortened(name: str) -> str:
-    """The part of a name, for people, that its temporary names have: file systems limit the length of names."""
+    """Shorten a name for its temporary names, since file systems limit the length of names."""
     return os.fsdecode(os.fsencode(name)[:200])
 
 
 def _whole(temporary: str) -> str:
-    """The name, shortened, of which this is a temporary one."""
+    """Return the (shortened) name that a temporary name was made from."""
     return temporary[1:].rsplit(".", 2)[0]
 
 

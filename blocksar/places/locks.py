@@ -1,4 +1,4 @@
-"""Locks: their owners, as records that identify a process, and those by which processes of a machine divide work."""
+"""Locks: records of the process that owns one, and locks by which processes of a machine divide work."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def is_alive(owner: bytes) -> bool:
 
 
 def _start_of(process: psutil.Process) -> float:
-    """When a process was started, s; on Linux after the boot: a clock that is set moves the time of day of both."""
+    """Start of a process, s; on Linux since the boot, so that it does not change when the clock is set."""
     return process.create_time() - (psutil.boot_time() if sys.platform == "linux" else 0.0)
 
 
@@ -63,7 +63,7 @@ LOCK = "blocksar.lock"  # a file in each such folder
 
 @contextmanager
 def locked(folder: str, name: str, *, wait: bool) -> Iterator[None]:
-    """Lock a part of the work whose results lie in a folder; without effect where files have no locks.
+    """Lock a part of the work whose results lie in a folder; without effect if files cannot be locked there.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def locked(folder: str, name: str, *, wait: bool) -> Iterator[None]:
 
 @lru_cache(maxsize=16)
 def _open_lock(folder: str) -> int:
-    """A descriptor, -1 where there is none; it stays open: to close it would end all locks that this process holds."""
+    """Open the lock file, -1 if impossible; it stays open, since closing it would release all locks of this process."""
     try:
         os.makedirs(folder, exist_ok=True)
         return os.open(os.path.join(folder, LOCK), os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o644)

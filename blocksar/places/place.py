@@ -1,4 +1,4 @@
-"""The interface of places, whatever holds their files."""
+"""The interface of places: local folders and object stores."""
 
 from __future__ import annotations
 
@@ -105,5 +105,5 @@ def check_room(place: Place, needed: int, remedy: str = REMEDY) -> None:
 
 
 def no_room_for(place: Place, needed: int, free: int, remedy: str) -> NoRoom:
-    """The error about a place whose disk has less free than is needed, bytes."""
+    """Make the error about a place whose disk has less free than is needed, bytes."""
     return NoRoom(f"{place} needs {size_text(needed)} of disk, and {size_text(free)} are free there; {remedy}")

@@ -1,4 +1,4 @@
-"""Files that are read in parts, wherever they lie: on a disk, in an object store, or on a web server."""
+"""Files read in parts: on a disk, in an object store, or on a web server."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ REQUEST = 30.0  # s without any answer
 
 
 class Readable(ABC):
-    """A file that is read in parts. All methods raise OSError if that fails."""
+    """A file that can be read in parts. All methods raise OSError if reading fails."""
 
     def __format__(self, spec: str) -> str:
         """Format the name for messages: printable, on one line."""
@@ -41,7 +41,7 @@ class Readable(ABC):
 
     @abstractmethod
     def open(self) -> BinaryIO:
-        """Open the file; only what is read is fetched."""
+        """Open the file; only the parts that are read are fetched."""
 
     @abstractmethod
     def version(self) -> str:
@@ -49,7 +49,7 @@ class Readable(ABC):
 
 
 class Ranges(io.RawIOBase):
-    """A file of which each part is fetched by a request of its own: `fetch` (start, stop) gives these bytes."""
+    """A file whose parts are fetched by one request each: `fetch(start, stop)` returns these bytes."""
 
     def __init__(self, size: int, fetch: Callable[[int, int], bytes]) -> None:
         super().__init__()
@@ -81,7 +81,7 @@ class Ranges(io.RawIOBase):
 
 
 def in_ranges(size: int, fetch: Callable[[int, int], bytes]) -> BinaryIO:
-    """A file of `size` bytes whose parts `fetch` (start, stop) gets, a little ahead."""
+    """Open a file of `size` bytes whose parts `fetch(start, stop)` gets, with some read-ahead."""
     return cast("BinaryIO", io.BufferedReader(Ranges(size, fetch), AHEAD))
 
 
@@ -116,7 +116,7 @@ class WebFile(Readable):
         return data
 
     def _get(self, start: int, stop: int) -> tuple[tuple[int, str], bytes]:
-        """Size and version of the file and its bytes start .. stop - 1; asked for again if the server is busy."""
+        """Request bytes start .. stop - 1: (size, version) of the file and the bytes; retried if the server is busy."""
         request = urllib.request.Request(self.url, headers={"Range": f"bytes={start}-{stop - 1}"})
         for attempt in range(RETRIES + 1):
             try:
@@ -135,7 +135,7 @@ class WebFile(Readable):
         raise AssertionError  # the last attempt returns or raises
 
     def _whole(self, reply: HTTPResponse) -> tuple[int, str]:
-        """Size and version that a reply tells of the whole file, before its body is read."""
+        """Read size and version of the whole file from the headers of a reply."""
         total = re.fullmatch(r"bytes \d+-\d+/(\d+)", reply.headers.get("Content-Range", ""))
         if total is None:
             raise InputError(f"{self} is on a server that sends no parts of files; download it, and give the file")

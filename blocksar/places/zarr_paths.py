@@ -1,4 +1,4 @@
-"""Places as zarr names them. This module loads zarr, which takes 0.1 to 0.3 s: `Place.zarr_path` does so on use."""
+"""Places as zarr paths. This module loads zarr, which takes 0.1 to 0.3 s: `Place.zarr_path` does so on use."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ zarr.config.set({"async.concurrency": FILES_AT_ONCE})
 
 
 def of_folder(path: Path) -> StorePath:
-    """A folder, or an array in it; given as text, '://' and '::' would be taken for URLs."""
+    """Convert a folder to a zarr path, not via text, in which '://' and '::' would mean URLs."""
     return StorePath(LocalStore(path))
 
 
 def of_objects(bucket: S3Store, key: str) -> StorePath:
-    """List what lies below a key of a bucket."""
+    """Convert a key of a bucket to a zarr path."""
     return StorePath(ObjectStore(bucket), key)

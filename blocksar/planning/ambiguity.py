@@ -1,4 +1,4 @@
-"""Azimuth ambiguities: places whose echoes fold onto others, since the PRF is below the Doppler that is lit together.
+"""Azimuth ambiguities: echoes of other places that fold onto a pixel since the PRF is below the lit Doppler band.
 
 Two places share range and Doppler in samples at the pulses where their ranges are equal and their range rates differ by
 a multiple of lambda PRF / 2. With u the unit vector to a point at horizontal distance d, range r and azimuth phi about
@@ -24,12 +24,12 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.kernels.fourier import fast_length, fft_rows
 
 SHARES = (0.05, 0.5, 0.95)  # of a grid along either side, at which ghosts are looked for
-TOLD = 0.01  # amplitude below which a ghost is not told
+TOLD = 0.01  # amplitude below which a ghost is not reported
 PADDING = 4  # of the transform over pulses
 
 
 class Ambiguity(NamedTuple):
-    """The ghost of a place at another one: m, and its amplitude over that of an equal target there."""
+    """Ghost of a place at another one: its place, m, and its amplitude relative to an equal target there."""
 
     source: tuple[float, float]
     ghost: tuple[float, float]
@@ -37,7 +37,7 @@ class Ambiguity(NamedTuple):
 
 
 def worst_ambiguity(geometry: Geometry, grid: Grid) -> Ambiguity | None:
-    """The strongest ghost at a few places of an image, without a weighting; None where there is none above TOLD.
+    """Find the strongest ghost at a few places of an image, without a weighting; None if none is above TOLD.
 
     Where no beam is known, everything counts as lit, and only ghosts of places of the image itself are looked for.
     """
@@ -55,7 +55,7 @@ def worst_ambiguity(geometry: Geometry, grid: Grid) -> Ambiguity | None:
 
 
 def _sources(geometry: Geometry, x: float, y: float) -> list[tuple[float, float]]:
-    """Places that share range and folded Doppler with a place, at the middle of its lit pulses."""
+    """Places at the range and folded Doppler of a place, at the middle of its lit pulses."""
     collection, z = geometry.collection, _height(geometry, x, y)
     lit = np.flatnonzero(geometry.beam.is_lit(np.array(x), np.array(y), z=np.array(z)))
     if not lit.size or not math.isfinite(z):
@@ -78,7 +78,7 @@ def _sources(geometry: Geometry, x: float, y: float) -> list[tuple[float, float]
 
 
 def _ghost(geometry: Geometry, at: tuple[float, float], source: tuple[float, float]) -> Ambiguity:
-    """Amplitude of a source's echo at a place, by the pulses that light both."""
+    """Amplitude of a source's echo at a place, over the pulses that light both."""
     collection, z = geometry.collection, np.array([_height(geometry, *at)])
     pulses, (x, y) = slice(None), (np.array([a, b]) for a, b in zip(at, source, strict=True))
     lit = geometry.beam.is_lit(x, y, z=np.repeat(z, 2))
@@ -99,7 +99,7 @@ def _height(geometry: Geometry, x: float, y: float) -> float:
 
 
 def azimuth_ambiguities(geometries: Sequence[Geometry], grid: Grid) -> list[str]:
-    """A sentence on the strongest ghost of all collections; none where there is none."""
+    """Warn of the strongest ghost of all collections; empty if there is none."""
     found = [(each, geometry) for geometry in geometries if (each := worst_ambiguity(geometry, grid)) is not None]
     if not found:
         return []

@@ -1,4 +1,4 @@
-"""Bind a block's steps in three stages, each of which traces lines further.
+"""Binding of a block's steps in three stages, each of which traces lines further.
 
     RangePart    steps up to range compression, bound to the block's own lines
     AzimuthPart  steps after it, bound to fitted or closed-form polynomials
@@ -35,7 +35,7 @@ RANGE_NODES = 4  # of the Chebyshev series of the line of sight in range
 def plan_motion(
     geometry: Geometry, *, near: float, far: float, origin: float, low: float, high: float
 ) -> Motion | None:
-    """The phase for epoch ranges near .. far, m, and yaws low .. high, rad; None for a polynomial track."""
+    """Phase of the track's wobble for epoch ranges near .. far, m, and yaws low .. high, rad; None without one."""
     wobble = geometry.track.wobble
     if wobble is None:
         return None
@@ -48,12 +48,12 @@ def plan_motion(
     point, step = geometry.ground_point(ranges[:, None], beam), float(time[1] - time[0])
 
     def sight(at: FloatArray) -> FloatArray:
-        """Unit vectors (n_range, n, 3) at times (n,) to the points that are in the beam's centre at `time`."""
+        """Unit vectors (n_range, n, 3) at times (n,) to the points in the beam's centre at `time`."""
         away = point - geometry.track.base.position(at)
         return np.asarray(away / np.sqrt((away * away).sum(axis=-1, keepdims=True)))
 
     def series(lengths: FloatArray) -> FloatArray:
-        """(n, n_term) Chebyshev series in range of -2 fc / c times lengths (n_range, n, 3), summed over the axes."""
+        """Chebyshev series in range (n, n_term) of the phase -2 fc / c lengths (n_range, n, 3), axes summed."""
         cycles = -2 * collection.carrier / SPEED_OF_LIGHT * lengths.sum(axis=-1)
         return np.ascontiguousarray(solvers.chebyshev_series(nodes, cycles, RANGE_NODES - 1).T)
 
@@ -122,13 +122,13 @@ class RangePart:
 
     @property
     def freedom(self) -> FittedSteps:
-        """The fitted polynomials that the steps after range compression need."""
+        """Kinds of polynomials to fit in the steps after range compression."""
         fitted = {kind.fitted for kind in self.azimuth_kinds}
         return FittedSteps("time" in fitted, "doppler" in fitted, "resampling" in fitted)
 
 
 class Traced(NamedTuple):
-    """Lines along the steps after range compression."""
+    """Lines at several stages after range compression."""
 
     biased: Line  # before the transform to Doppler
     before_deramp: list[Line]  # after each step up to the deramp
@@ -172,7 +172,7 @@ class AzimuthPart:
         return Traced(biased, before, trace(self.steps[len(before) :], line))
 
     def turns(self, line: Line) -> FloatArray:
-        """By how much all steps turn phases from row to row, cycles/m, along lines after range compression."""
+        """Change of phase from row to row by all steps, cycles/m, along lines after range compression."""
         total = np.zeros(line.time.shape)
         for step in self.steps:
             total = total + step.turns(line)
@@ -186,5 +186,5 @@ class AzimuthPart:
         return replace(self, range_part=replace(part, steps=steps, constants=constants))
 
     def sampled(self, sampling: Sampling) -> tuple[Step, ...]:
-        """The whole chain, ready to be applied."""
+        """Return the whole chain with its sampling."""
         return tuple(step.sampled(sampling) for step in (*self.range_part.steps, *self.steps))

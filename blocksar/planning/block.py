@@ -1,4 +1,4 @@
-"""Plan one angular block: slab, chain of steps, coefficients, sampling, dwell gate and ground map.
+"""Plan of one angular block: slab, chain of steps, coefficients, sampling, dwell gate and ground map.
 
 The dwell gate follows the lines of targets. The ground map leads from the ground to the focused block, to where those
 lines focus; on a terrain also by height.
@@ -109,12 +109,12 @@ class BlockPlan:
 
     @property
     def stages(self) -> list[Stage]:
-        """All that is run, in order."""
+        """Stages that are run, in order."""
         return stages(self.steps)
 
     @property
     def even(self) -> bool:
-        """Whether a Doppler resampling, if there is one, can be applied to all of the block's Doppler bins."""
+        """Tell whether a Doppler resampling, if any, can be applied to all of the block's Doppler bins."""
         return all(step.even for step in self.chain)
 
     @property
@@ -155,7 +155,7 @@ def plan_block(
 def _plan_block(
     sector: Sector, method: Method, *, index: int, part: int | None, neighbour: Choice | None, resampling: int
 ) -> BlockPlan:
-    """`plan_block` with a Doppler resampling of at most so many orders."""
+    """Plan a block as `plan_block` does, with a Doppler resampling of at most `resampling` orders."""
     collection = sector.geometry.collection
     band = Axis(float(collection.range_frequency[0]), collection.range_frequency_step, collection.n_range_frequency)
 
@@ -221,7 +221,7 @@ def _plan_azimuth(
     neighbour: Choice | None,
     resampling: int,
 ) -> tuple[AzimuthPart, Choice]:
-    """The steps after range compression, with coefficients for targets that share an apparent range."""
+    """Plan the steps after range compression, with coefficients for targets that share an apparent range."""
     recovery, dwells = sector.recovery, coarse.dwells
     ranges, epoch_range = common_ranges(
         lambda at: range_part.trace(dwells.lines(at)),
@@ -250,7 +250,7 @@ def _plan_azimuth(
 def _predict(
     sector: Sector, azimuth: AzimuthPart, sampling: Sampling, lines: TracedTargets, ground: GroundMap
 ) -> Prediction:
-    """The prediction from the block's lines; on a terrain from those of targets at usual heights.
+    """Predict the quality from the block's lines; on a terrain, from targets at its usual heights.
 
     Side lobes also from those of targets that lie low, and of such that lie high.
     """
@@ -273,8 +273,8 @@ def _predict(
         layers = [_layer(sector, azimuth, lines, ground) for ground in grounds]
         predicted = predict(layers[0].targets, gate, reached=reached, imaged=imaged, band=band)
         for targets, _ in layers[1:]:
-            judged = JudgedTargets.of(targets, reached, imaged)
-            predicted = predicted.or_lobes(worst_lobes(targets, gate, judged, band=band))
+            masks = JudgedTargets.of(targets, reached, imaged)
+            predicted = predicted.or_lobes(worst_lobes(targets, gate, masks, band=band))
         seen &= reached
     return predicted.less(sector.beam_loss, map_loss(ground, lines, seen, layers))
 
@@ -302,13 +302,13 @@ STEPS_BY_RANGE = 512  # of yaw, where the sum over lit pulses is a table over ra
 
 
 def plan_ground(sector: Sector, azimuth: AzimuthPart, sampling: Sampling, targets: TracedTargets) -> GroundMap:
-    """The map from the ground to the samples of a focused block; on a terrain by height too."""
+    """Make the map from the ground to samples of a focused block; on a terrain also over height."""
     collection, z = sector.geometry.collection, sector.geometry.collection.ground_height
     degree = _degree(sector, targets)
     offset, doppler_focus, phase, gain, dwell_time = _surfaces(sector, targets, degree)
     yaw_axis = np.linspace(sector.low, sector.high, _yaw_steps(sector))
     near_limit, far_limit = sector.region.at(yaw_axis)
-    # Of the sampling rate, what a target's response fills along Doppler without its own carrier.
+    # The share of the sampling rate that a target's response occupies along Doppler without its carrier.
     reach = np.abs(targets.line.time - _carrier_time(targets, targets.spots)[..., None]).max()
     filled = float(min(2.2 * reach * sampling.image_doppler.step, 0.9))
     ground = GroundMap(
@@ -342,7 +342,7 @@ def plan_ground(sector: Sector, azimuth: AzimuthPart, sampling: Sampling, target
 
 
 def _tilt(sector: Sector, lines: TracedTargets, degree: tuple[int, int]) -> Surface:
-    """How fast what the chain makes of echoes grows over the dwell, from -1 to 1, over its mean: see `GroundMap`."""
+    """Relative slope over the dwell, -1 to 1, of the amplitude that the chain gives echoes: see `GroundMap`."""
     time, weight = lines.lit.time, lines.weights.weigh_chain(lines.line).weight
     place = 2 * (time - time[..., :1]) / (time[..., -1:] - time[..., :1]) - 1
     made = np.sqrt(np.maximum(lines.line.stretch, LEAST_STRETCH))
@@ -364,7 +364,7 @@ def _surfaces(sector: Sector, targets: TracedTargets, degree: tuple[int, int]) -
 
 
 def trace_for_map(sector: Sector, azimuth: AzimuthPart) -> TracedTargets:
-    """`trace_finely`, at more ranges where the map's series would miss too much of where the lines focus."""
+    """Trace as `trace_finely`, at more ranges if the map's series would miss the focus of lines by too much."""
     lines = trace_finely(sector, azimuth)
     at, fitted = (lines.epoch_range[:, None], lines.yaw), _surfaces(sector, lines, _degree(sector, lines))
     offset, doppler, phase = (known(*at) for known in fitted[:3])
@@ -375,7 +375,7 @@ def trace_for_map(sector: Sector, azimuth: AzimuthPart) -> TracedTargets:
 
 
 def map_loss(ground: GroundMap, lines: TracedTargets, seen: BoolArray, layers: Sequence[Layer]) -> float:
-    """Loss of coherence where the map's series miss where lines focus, at the worst of the targets `seen`.
+    """Loss of coherence from errors of the map's series, at the worst of the targets `seen`.
 
     On a terrain those of some layers of targets over it.
     """
@@ -397,7 +397,7 @@ def _missed(
     targets: TracedTargets, origin: float, known: tuple[FloatArray, FloatArray, FloatArray],
     bend: FloatArray | float = 0.0,
 ) -> FloatArray:  # fmt: skip
-    """Loss of coherence (n_range, n_yaw) where known range offset, Doppler and phase miss the focus of targets.
+    """Loss of coherence (n_range, n_yaw) from errors of range offset, Doppler and phase relative to the focus.
 
     A pixel that is displaced by f in Doppler and r in range, in an image with the phase p too much, has the coherence
     sinc(f T) sinc(2 B r / c) cos(p) over a dwell T with the one meant; a bend b too much, a phase 2 pi b t^2 whose
@@ -413,7 +413,7 @@ def _missed(
 
 
 def _degree(sector: Sector, lines: TracedTargets) -> tuple[int, int]:
-    """Degrees of the surfaces along range and yaw: as many terms as yaws where the track wobbles.
+    """Degrees of the surfaces along range and yaw; on a wobbling track, as many terms as yaws.
 
     A turning beam lights one yaw after the other. What is left of the waves of the track then runs along yaw.
     """
@@ -422,7 +422,7 @@ def _degree(sector: Sector, lines: TracedTargets) -> tuple[int, int]:
 
 
 def _carrier_time(targets: TracedTargets, spots: Focus) -> FloatArray:
-    """Time (n_range, n_yaw), s, about which a target's response is interpolated along Doppler: the middle of its dwell.
+    """Time (n_range, n_yaw), s, about which responses are interpolated along Doppler: the middle of the dwell.
 
     No series follows the mean of the weights where a pattern in elevation has zeros.
     """
@@ -432,14 +432,14 @@ def _carrier_time(targets: TracedTargets, spots: Focus) -> FloatArray:
 
 
 def _yaw_steps(sector: Sector) -> int:
-    """Yaws at which a block knows its limits: its share of the region's, so that many narrow blocks are small."""
+    """Number of yaws at which a block tabulates its limits: its share of the region's, to keep narrow blocks small."""
     step = float(np.ptp(sector.region.yaw)) / REGION_STEPS
     share = (sector.high - sector.low) / step if step > 0 else math.inf
     return math.ceil(min(max(share, 2), STEPS_BY_RANGE if by_range(sector.geometry) else YAW_STEPS))
 
 
 class Layer(NamedTuple):
-    """Targets on another ground over a block, without the phase that is quadratic in time, and that."""
+    """Targets on another ground over a block, with their quadratic phase removed, and that phase."""
 
     targets: TracedTargets
     bend: FloatArray  # cycles/s^2
@@ -455,7 +455,7 @@ def _raise(
     sector: Sector, relief: Relief, azimuth: AzimuthPart, ground: GroundMap, lines: TracedTargets,
     degree: tuple[int, int],
 ) -> GroundMap:  # fmt: skip
-    """The map with the terrain's heights, from lines over the smooth ground at several heights."""
+    """Add the terrain's heights to the map, from lines over the smooth ground at several heights."""
     geometry, along, yaw = sector.geometry, sector.ground_range, lines.yaw
     layers = [_layer(sector, azimuth, lines, relief.over(geometry, offset)) for offset in relief.offsets.tolist()]
     by_layer = [

@@ -1,4 +1,4 @@
-"""Lines of targets on the ground of a block: coarse ones to plan its chain by, and fine ones through the whole chain.
+"""Time-frequency lines of a block's targets: coarse ones to plan the chain, fine ones through the whole chain.
 
 Coarse lines go as far as range compression. They tell the block's part of the spectrum, the coefficients of its steps
 and how its samples are spaced. Fine lines tell the dwell gate, where each target focuses and how sharp it becomes.
@@ -27,14 +27,14 @@ from blocksar.planning.target_lines import NODES_PER_INTERVAL, Dwells, Sector
 
 
 def nodes_between(low: float, high: float, count: int) -> FloatArray:
-    """`solvers.end_nodes` from low to high."""
+    """Chebyshev end nodes (`solvers.end_nodes`) scaled to low .. high."""
     return low + (high - low) * (1 + solvers.end_nodes(count)) / 2
 
 
 def common_ranges(
     trace: Callable[[FloatArray], Line], line: Line, nodes: FloatArray, *, origin: float, least: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
-    """Apparent ranges that span those of lines (n_range, n_yaw), and the epoch range of each yaw's target there.
+    """Apparent ranges that span those of lines (n_range, n_yaw), and the epoch range of the target at each, by yaw.
 
     Targets of one output row share its coefficients but not always the range at the epoch: correcting range curvature
     at a target's own Doppler moves the target by that curvature (paper C, below (5)). No epoch range is below
@@ -88,7 +88,7 @@ class CoarseLines(NamedTuple):
 
 
 def _stacked(lines: list[Line]) -> Line:
-    """Lines (n_range, n_yaw, n) one after the other along the first axis."""
+    """Concatenate lines (n_range, n_yaw, n) along the first axis."""
     shape = lines[0].time.shape
     return Line(
         **{
@@ -139,17 +139,17 @@ class TracedTargets:
 
     @cached_property
     def full(self) -> BoolArray:
-        """Mask (n_range, n_yaw) of those that are lit over a full dwell: see `full_dwells`."""
+        """Mask (n_range, n_yaw) of targets that are lit over a full dwell: see `full_dwells`."""
         return full_dwells(self.line, self.geometry, self.epoch_range[:, None], self.yaw)
 
     @cached_property
     def passes(self) -> Moments:
-        """Pulse times at which they are first and last lit, (n_yaw,) or (n_range, n_yaw) s."""
+        """Pulse times at which targets are first and last lit, (n_yaw,) or (n_range, n_yaw) s."""
         return self.geometry.beam.dwell_at(self.yaw, self.epoch_range[:, None])
 
     @cached_property
     def cut(self) -> BoolArray:
-        """Whether an end of the collection cuts the begin and the end of dwells, (n_yaw, 2) or (n_range, n_yaw, 2)."""
+        """Mask of dwell ends that the collection cuts, beginning and end: (n_yaw, 2) or (n_range, n_yaw, 2)."""
         collection = self.geometry.collection
         return np.asarray(np.abs(np.stack(self.passes, axis=-1) - collection.time[[0, -1]]) < collection.pulse_interval)
 
@@ -160,12 +160,12 @@ class TracedTargets:
 
     @cached_property
     def uncut_ends(self) -> Moments:
-        """`ends`, as if the collection did not cut them."""
+        """Ends of dwells as in `ends`, if the collection did not cut them."""
         (first, last), (begin, end), stretch = dwell_ends(self.lit), self.ends, self.line.stretch
         return begin - (first - self.uncut[0]) * stretch[..., 0], end + (self.uncut[1] - last) * stretch[..., -1]
 
     def after(self, moment: FloatArray) -> FloatArray:
-        """Times (n_range, n_yaw) after all steps of a moment of the targets, s: beyond their dwells straight."""
+        """Times (n_range, n_yaw), s, after all steps, of one moment of each target; linear beyond dwells."""
         first, last = dwell_ends(self.lit)
         n, stretch = self.line.time.shape[-1], self.line.stretch
         u = (2 * np.clip(moment, first, last) - first - last) / (last - first)
@@ -216,7 +216,7 @@ def trace_finely(sector: Sector, azimuth: AzimuthPart, *, n_range: int = FINE_NO
 
 
 def with_level_aperture(sector: Sector, azimuth: AzimuthPart) -> AzimuthPart:
-    """The steps under a taper over the pulses that levels the aperture; as they are under a beam that is steered."""
+    """Return the steps under a taper over pulses that levels the aperture; unchanged under a steered beam."""
     in_time = azimuth.range_part.constants.in_time
     if in_time is None:
         return azimuth
@@ -224,7 +224,7 @@ def with_level_aperture(sector: Sector, azimuth: AzimuthPart) -> AzimuthPart:
 
 
 def _fine_yaws(sector: Sector) -> int:
-    """Number of yaws of the fine lines: on a track that wobbles, so many that they follow it as the beam turns."""
+    """Number of yaws of the fine lines: on a wobbling track, enough to follow it as the beam turns."""
     geometry = sector.geometry
     if geometry.track.wobble is None or not geometry.collection.steered:
         return FINE_NODES[1]
@@ -234,7 +234,7 @@ def _fine_yaws(sector: Sector) -> int:
 
 
 def under_tiles(sector: Sector, azimuth: AzimuthPart, lines: TracedTargets) -> TracedTargets:
-    """The lines as far beyond the block as its tiles of pixels reach, where a track wobbles; as they are elsewhere.
+    """Extend lines on a wobbling track as far beyond the block as its tiles of pixels reach; else unchanged.
 
     Tiles at its edge take what the map knows beyond it. Series of few terms can be asked there, but not those that
     follow the waves of a track.
@@ -247,7 +247,7 @@ def under_tiles(sector: Sector, azimuth: AzimuthPart, lines: TracedTargets) -> T
 
 
 def lit_beside(sector: Sector, azimuth: AzimuthPart, lines: TracedTargets) -> TracedTargets:
-    """The lines and those of all that is lit beside the block; the lines where they are enough.
+    """Add lines of the targets lit beside the block, which its pixels also sum; unchanged where they suffice.
 
     A pixel also sums what its pulses have of other targets, gated as is right for the Doppler at which those focus.
     Windows with sharp ends make that count as far as the beam reaches, beyond the seams too. Ends of a beam that scans
@@ -266,21 +266,21 @@ def lit_beside(sector: Sector, azimuth: AzimuthPart, lines: TracedTargets) -> Tr
     folds = (np.abs(np.log2(np.maximum(wider.line.stretch, LEAST_STRETCH))) > FOLDED).any(axis=(0, 2))
     if not folds.any():
         return wider
-    before, behind = (np.flatnonzero(folds & beside) for beside in (wider.yaw < sector.low, wider.yaw > sector.high))
+    before, behind = (np.flatnonzero(folds & outside) for outside in (wider.yaw < sector.low, wider.yaw > sector.high))
     first, last = before.max(initial=-1) + 1, behind.min(initial=wider.yaw.size) - 1
     ends = min(float(wider.yaw[first]), sector.low), max(float(wider.yaw[last]), sector.high)
     return _trace_wider(sector, azimuth, lines, *ends)
 
 
 def _trace_wider(sector: Sector, azimuth: AzimuthPart, lines: TracedTargets, low: float, high: float) -> TracedTargets:
-    """Lines at the ranges of others, and at yaws from low to high, about as dense, rad."""
+    """Trace at the same ranges and at yaws from low to high, rad, about as densely."""
     wider = (high - low) / (sector.high - sector.low)
     yaw = nodes_between(low, high, math.ceil(min(wider, MOST_WIDER) * lines.yaw.size))
     return trace_targets(sector, azimuth, lines.epoch_range, yaw)
 
 
 def retrace(sector: Sector, azimuth: AzimuthPart, lines: TracedTargets, ground: Geometry) -> TracedTargets:
-    """The targets at the same ranges and yaws of another ground, with the dwells and weights of the lines.
+    """Trace targets at the same ranges and yaws on another ground, with the dwells and weights of the lines.
 
     With as many nodes, for the weights of their dwells are those of the lines: the longest dwell depends on the ground.
     """

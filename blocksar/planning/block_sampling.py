@@ -1,6 +1,6 @@
-"""The axes of a block's samples along its chain: dense and long enough for the lines of its targets.
+"""Sampling of a block along its chain: axes dense and long enough for its targets' lines.
 
-The ranges of a block's rows: dense enough for the band, and for what the steps in azimuth turn from row to row.
+The rows of a block are dense enough for the band, and for the change of azimuth phases from row to row.
 
 A phase of azimuth that changes with range, psi(r, t) in cycles, multiplies a target's response along range by
 exp(2j pi (r - r0) d psi / dr): its range frequencies move by c / 2 d psi / dr. The Doppler rate that the deramp removes
@@ -38,7 +38,7 @@ LEAST_SPREAD = 0.08  # of the band: turns that move range frequencies by less ne
 
 
 def plan_rows(spots: Focus, range_frequency: Axis, turns: FloatArray, tap_error: float) -> tuple[Axis, float]:
-    """Ranges, less the origin, at which targets focus, with room for interpolation; and how much of them is filled.
+    """Ranges of output rows, relative to the origin, with room for interpolation; and the filled share of the band.
 
     Parameters
     ----------
@@ -65,9 +65,9 @@ def plan_rows(spots: Focus, range_frequency: Axis, turns: FloatArray, tap_error:
 
 
 def range_scale(collection: Collection, range_frequency: Axis, period: int, taper: Taper) -> float:
-    """Sum of the weights over the band, in steps of `range_frequency`, over the length of the range transform."""
+    """Sum of the weights over the band, in steps of `range_frequency`, divided by the length of the range transform."""
     weights = taper.samples(collection.n_range_frequency)
-    # Those of a sub-block reach beyond the band; those of a whole block are the band's, without a rounding error.
+    # The frequencies of a sub-block reach beyond the band; those of a whole block are the band's, up to rounding.
     n_band = round(collection.range_frequency_step * collection.n_range_frequency / range_frequency.step, 9)
     return float(n_band / period * weights.mean())
 
@@ -80,7 +80,7 @@ ROOM = 1.35  # oversampling of Doppler by padding in time: dense enough to inter
 
 
 def plan_slab(collection: Collection, spectrum: Axis, line: Line, *, margin: float) -> Slab:
-    """The Doppler bins that hold lines at all range frequencies, with a margin (Hz) on either side."""
+    """Doppler bins that hold lines at all range frequencies, with a margin (Hz) on either side."""
     band_edge = float(np.abs(collection.range_frequency).max() / collection.carrier)
     band = np.outer([1 - band_edge, 1 + band_edge], [line.doppler.min(), line.doppler.max()])
     first_bin = max(int(np.floor(spectrum.position(np.array(band.min() - margin)))), 0)
@@ -99,7 +99,7 @@ def plan_sampling(
     range_frequency: Axis,
     duration: float,
 ) -> Sampling:
-    """The axes that hold a block's lines, without a gate.
+    """Plan the axes that hold a block's lines, before any gate.
 
     Parameters
     ----------
@@ -118,9 +118,9 @@ def plan_sampling(
     bandwidth = max(max(bands) - min(bands), IMAGE_ROOM * float(np.ptp(spots.doppler)) / SLOW_ROOM)
     time = _plan_time(sector.recovery, slab, straight, bandwidth=bandwidth, duration=duration)
 
-    # Slow time before the final transform: the lines and what is smeared beyond them, room for resampling and windows.
-    # Without a gate half of the room beyond is not summed: steps in Doppler delay echoes from beside a block into it,
-    # or round the end of time, from where the deramp would take them to the block's Doppler.
+    # Slow time before the final transform: the lines and their smear, with room for resampling and windows. Without a
+    # gate, half of the room beyond is not summed: steps in Doppler delay echoes from beside a block into it, or around
+    # the end of the axis, and the deramp would shift those to the block's Doppler.
     guard, gated = GUARD * duration, beam_moves(sector.geometry.collection)
     if not gated:  # all is summed, to the end of the smear
         guard += smear_room(focused, biased.rate) * (IMAGE_TAP_ERROR / sector.tap_error) ** (2 / 3)
@@ -155,7 +155,7 @@ def plan_sampling(
 
 
 def _doppler_bands(slab: Slab, before_deramp: list[Line]) -> list[float]:
-    """Ends of the Doppler bands that a block occupies before its deramp, Hz, from its lines after each step."""
+    """Ends of the Doppler bands, Hz, that a block occupies before its deramp, from its lines after each step."""
     start = slab.doppler.start - slab.walk
     bands = [start, slab.doppler.start + slab.doppler.extent - slab.walk]
     for line in before_deramp:
@@ -164,7 +164,7 @@ def _doppler_bands(slab: Slab, before_deramp: list[Line]) -> list[float]:
 
 
 def _plan_time(recovery: Recovery, slab: Slab, straight: Line, *, bandwidth: float, duration: float) -> Axis:
-    """Slow time in which a block's targets are lit, sampled for a Doppler band of `bandwidth` Hz."""
+    """Slow time over which a block's targets are lit, sampled for a band of `bandwidth` Hz."""
     span = recovery.time.extent
     full = fourier.fast_length(SLOW_ROOM * span * max(bandwidth, slab.doppler.extent))
     step = span / full
@@ -179,7 +179,7 @@ def _plan_time(recovery: Recovery, slab: Slab, straight: Line, *, bandwidth: flo
 
 
 def _held_time(lines: TracedTargets, time: Axis) -> float:
-    """The time that the dwell gate has to hold, s.
+    """Time span that the dwell gate must hold, s.
 
     Under a beam about its axis cut dwells are a large part of an image. Gates stay open beyond the collection then:
     steps in Doppler wrap no noise from its other end to there.

@@ -1,4 +1,4 @@
-"""Choose a block's coefficients: the cheapest good one of several kinds of chain that are fitted, or closed forms.
+"""Choice of a block's coefficients: the cheapest sufficient of several fitted kinds of chain, or closed forms.
 
 CLOSED FORMS of the azimuth steps, expanded about the centre of a block, as in the papers.
 
@@ -103,7 +103,7 @@ def levelling(
     in_doppler: bool,
     range_model: RangeModel = "polar",
 ) -> AzimuthPolynomials:
-    """A chain's coefficients in closed form; the chain's steps decide on the form.
+    """Coefficients of a chain in closed form; its steps determine the form.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def printed(k: FloatArray, *, wavelength: float, beta: bool = True) -> ClosedFor
 
 
 def deramped(k: FloatArray, *, wavelength: float) -> ClosedForm:
-    """The deramp of the block's centre only."""
+    """Deramp of the block's centre only."""
     n, to_cycles = k.shape[0], 2 / wavelength
     deramp = _orders(n, d2=to_cycles * k[:, 2, 0], d3=to_cycles * k[:, 3, 0], d4=to_cycles * k[:, 4, 0])
     return ClosedForm(_orders(n), _orders(n), _orders(n), deramp)
@@ -261,12 +261,12 @@ def _orders(size: int, **terms: FloatArray) -> FloatArray:
 GOOD_RESIDUAL = 0.02  # rad: the most that is good; see `good_residual`
 RESIDUAL_SHARE = 0.5  # of the allowed loss that residual phase may take before a better chain is preferred
 GOOD_LOSS = 4e-4  # of coherence, at the ends of the dwell: below this a cheaper chain is preferred to a better one
-ENOUGH_COST = 1.2  # of a kind of chain, or of its fit at all ranges over what few promised: no other is tried
+ENOUGH_COST = 1.2  # cost of a kind of chain, or of the fit at all ranges over that at few: below it no other is tried
 FINER = (1.4, 1.2, 1.1, 1.05)  # factors by which the spread of the best bias is varied, one after the other
 
 
 def good_residual(fidelity: float) -> float:
-    """The residual phase below which a cheaper chain is preferred to a better one, rad.
+    """Residual phase, rad, below which a cheaper chain is preferred to a better one.
 
     A phase like the Legendre polynomial of order n that peaks at p has the mean square p^2 / (2 n + 1), and half of
     that is lost. With n = 3, which a cheaper chain leaves, RESIDUAL_SHARE of the allowed loss is
@@ -297,7 +297,7 @@ def choose(
     neighbour: Choice | None,
     resampling: int = len(ORDERS),
 ) -> tuple[AzimuthPolynomials, Choice]:
-    """Coefficients by the method: in closed form, or of the cheapest fitted chain whose lines end level and unfolded.
+    """Choose coefficients by the method: in closed form, or of the cheapest fitted chain with level, unfolded lines.
 
     Parameters
     ----------
@@ -347,7 +347,7 @@ def _find_cheapest(
     good: float,
     resampling: int,
 ) -> tuple[AzimuthPolynomials, Choice]:
-    """The kind of chain with the least cost, fitted. All kinds are tried at three ranges.
+    """Find the kind of chain with the least cost, and fit it; all kinds are tried at three ranges.
 
     Under a steered beam the bias of the best kind is then varied: what the ends lose has a sharp minimum where the
     delays of the steps in Doppler vary least over the block. A kind whose fit at all ranges does not keep what it
@@ -417,7 +417,7 @@ def _cost(
     full: BoolArray,
     good: float,
 ) -> float:
-    """Phase error or loss of coherence above the good ones, times the growth in samples; infinite if lines fold."""
+    """Cost of a chain: excess phase error or loss of coherence, times the growth in samples; infinite if lines fold."""
     azimuth = AzimuthPart.bind(range_part, polynomials, line)
     biased, _, traced = azimuth.trace(line)
     spread = biased.rate * line.weight.sum(axis=-1, keepdims=True) ** 2
@@ -434,5 +434,5 @@ def _cost(
 
 
 def _pick(values: FloatArray, which: NDArray[np.intp], size: int) -> FloatArray:
-    """Some rows of an array (size, ...); arrays that broadcast along rows are returned unchanged."""
+    """Select rows of an array (size, ...); arrays that broadcast along rows are returned unchanged."""
     return values[which] if values.shape[0] == size else values

@@ -1,4 +1,4 @@
-"""Predicted size of a run on the disk."""
+"""Predicted disk space of a run."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from blocksar.planning.plan import Plan
 from blocksar.planning.tiling import image_chunk, touched_chunks
 
 CELL = 4  # bytes of a cell of a pyramid, a height or an angle: float32, which hardly compress; visibility does
-POINTS = 40_000  # at about so many points of the grid, ownership is asked
-SPECTRA = ("spectrum", "gated")  # what a run that discards these removes before the mosaic
+POINTS = 40_000  # number of grid points at which ownership is evaluated, about
+SPECTRA = ("spectrum", "gated")  # stores removed before the mosaic by a run that discards intermediate results
 
 
 class Room(NamedTuple):
-    """Room of a run on a disk, bytes: until it has read its input, at most, and once it is finished."""
+    """Disk space of a run, bytes: at most until its input is read, and once it is finished."""
 
     reading: int
     most: int
@@ -31,7 +31,7 @@ class Room(NamedTuple):
 
 
 def room_of_run(stores: Mapping[str, int], *, beside: int, temporary: int, discard: bool) -> Room:
-    """The room for a run that writes such `stores`, bytes by name, as `run_bytes` or `exact_bytes` tell them.
+    """Disk space of a run that writes `stores`, bytes by name, as `run_bytes` or `exact_bytes` return them.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def room_of_run(stores: Mapping[str, int], *, beside: int, temporary: int, disca
 
 
 def run_bytes(*plans: Plan) -> dict[str, int]:
-    """Bytes that a run by plans writes, by store: the spectra, the blocks' patches, and what is merged from these.
+    """Bytes that a run by plans writes, by store: spectra, patches of blocks, and what is merged from these.
 
     Pixels that are not covered take no room. An image's chunk that only one block touches is that of its patch: the two
     share their storage, on file systems with hard links. The noise of the image is there where that of the samples is
@@ -88,27 +88,27 @@ def run_bytes(*plans: Plan) -> dict[str, int]:
 
 
 def exact_bytes(grid: Grid, terrain: Terrain | None, *, noise: bool) -> dict[str, int]:
-    """Bytes that exact back-projection writes at most, by store: what lies in a grid, all of it covered."""
+    """Bytes that exact back-projection writes at most, by store, for a fully covered grid."""
     pixels = math.prod(grid.shape)
     written = {"image": SAMPLE * pixels, **_beside(terrain, heights=pixels, covered=pixels, noise=noise)}
     return written | (_pyramid(pixels) if has_pyramid(grid) else {})
 
 
 def _beside(terrain: Terrain | None, *, heights: int, covered: int, noise: bool) -> dict[str, int]:
-    """Memory of the terrain's samples, its layers and the noise of an image, bytes."""
+    """Bytes of the terrain's samples, its layers and the noise of an image."""
     layers = {} if terrain is None else {"terrain": terrain.heights.nbytes, "layers": CELL * (heights + covered)}
     # The noise is smooth, float32 of few bits: a byte a pixel at most, compressed.
     return {**layers, **({"noise": covered} if noise else {})}
 
 
 def has_pyramid(grid: Grid, asked: bool | None = None) -> bool:
-    """Whether an image has a pyramid, asked for, against, or not."""
+    """Tell whether an image has a pyramid: as requested, or by default for large ones."""
     longest = max(grid.shape)
     return longest > IMAGE_CHUNK and (longest > PYRAMID_FROM if asked is None else asked)
 
 
 def with_pyramid(stores: Mapping[str, int], grid: Grid, asked: bool | None) -> dict[str, int]:
-    """Bytes that a run writes, by store: with those of a pyramid if it has one.
+    """Bytes that a run writes, by store, including those of a pyramid if it has one.
 
     Where it is not predicted, as that of a small image, all pixels may be covered.
     """
@@ -118,7 +118,7 @@ def with_pyramid(stores: Mapping[str, int], grid: Grid, asked: bool | None) -> d
 
 
 def _pyramid(covered: int) -> dict[str, int]:
-    """Bytes of the pyramid of so many covered pixels: of their number 1 / 4 + 1 / 16 + ... cells."""
+    """Bytes of the pyramid of `covered` pixels: 1 / 4 + 1 / 16 + ... of their number in cells."""
     return {"pyramid": round(CELL * covered / 3)}
 
 
@@ -136,11 +136,11 @@ class _Sampled(NamedTuple):
         return cls(grid, np.arange(step // 2, n_row, step)[:, None], np.arange(step // 2, n_column, step)[None])
 
     def pixels(self, some: BoolArray) -> int:
-        """Number of pixels of the grid for which some samples (n_row, n_column) stand."""
+        """Number of pixels of the grid that samples (n_row, n_column) stand for."""
         return round(float(some.mean()) * math.prod(self.grid.shape)) if some.size else 0
 
     def within(self, cells: set[tuple[int, int]]) -> BoolArray:
-        """Samples in some of the image's chunks, each given by its number along y and along x."""
+        """Mask of samples in chunks of the image, each given by its number along y and along x."""
         side = image_chunk(self.grid)
         chosen = np.zeros([-(-n // length) for n, length in zip(self.grid.shape, side, strict=True)], np.bool_)
         for cell in cells:
@@ -148,7 +148,7 @@ class _Sampled(NamedTuple):
         return chosen[self.row // side[0], self.column // side[1]]
 
     def owned(self, grounds: Sequence[GroundMap]) -> BoolArray:
-        """Samples that blocks own."""
+        """Mask of samples that blocks own."""
         x, y = np.broadcast_arrays(self.grid.x[self.column], self.grid.y[self.row])
         geometry = grounds[0].geometry
         yaw, rng = geometry.yaw(x, y), geometry.epoch_range(x, y)

@@ -1,7 +1,7 @@
-"""Ends of dwells after a chain's steps: when they are, how far they are smeared, and the energy that they lose.
+"""Ends of dwells after a chain's steps: their times, their smear, and the energy lost there.
 
-Steps in Doppler delay a signal, and the more the farther its Doppler is from the block's: a dwell begins and ends at
-other times after the steps of a chain than when its target was lit, and its ends are no longer sharp.
+Steps in Doppler delay a signal by more the farther its Doppler is from the block's: after the steps of a chain, a dwell
+begins and ends at other times than those at which its target was lit, and its ends are no longer sharp.
 
 SMEARED ENDS. Steps in Doppler that delay by D(f) smear a sharp end of the dwell gate into a Fresnel integral of area D'
 (less the mean of the block, with which the gate is made), and displace it where the gate's fit does not meet it. The
@@ -62,7 +62,7 @@ def dwell_ends(line: Line) -> tuple[FloatArray, FloatArray]:
 
 
 def reaches_full(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray) -> bool:
-    """Whether any target is lit over its full dwell, at epoch ranges (n), m, and yaws (m), rad.
+    """Tell whether any target at epoch ranges (n), m, and yaws (m), rad, is lit over its full dwell.
 
     Not where it begins and ends while the beam is over a target: such a dwell is a part of a full one.
     """
@@ -74,7 +74,7 @@ def reaches_full(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray) -
 
 
 def full_dwells(line: Line, geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray) -> BoolArray:
-    """Find which lines (..., n) of targets at epoch ranges (m) and yaws (rad), broadcast, are lit over a full dwell.
+    """Mask of lines (..., n) of targets at epoch ranges (m) and yaws (rad), broadcast, with full dwell.
 
     It is the target's own dwell as if the ends of the collection did not cut it: dwells depend on range under a beam
     about its axis, and on yaw under one that does not turn evenly. Where there is no such target, or the beam stays, it
@@ -115,7 +115,7 @@ def end_smear(line: Line, rate: FloatArray) -> FloatArray:
 
 
 def smear_room(line: Line, rate: FloatArray) -> float:
-    """Time beyond GUARD that ends which no gate cuts need to be summed to the end of their smear, s.
+    """Extra time, s, beyond GUARD, for which ungated ends must be summed to contain their smear.
 
     What is smeared further than d wraps around: with a = |D'|, the energy a / (2 pi^2 d) of either end. Measured, the
     loss falls faster, and is about 1e-4 of coherence at d = 100 a / dwell.
@@ -140,7 +140,7 @@ def lit_energy(
     band: tuple[FloatArray, FloatArray],
     gain: FloatArray | None = None,
 ) -> FloatArray:
-    """Mean energy (...) by which the ends of a chain differ from those at whole pulses, in what is lit, s.
+    """Mean energy (...), s, of the difference of a chain's dwell ends from those at whole pulses, within lit Doppler.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ def blurred_energy(
     pulse_interval: float,
     taper: Taper = FLAT,
 ) -> FloatArray:
-    """Mean energy by which smeared ends, spread by +-`spread` over the band, differ from their gate, s.
+    """Mean energy, s, of the difference between smeared ends, spread by +-`spread` over the band, and their gate.
 
     The gate is the mean of sharp ends spread by +-`blur`; the energy by which it differs from an end is the mean of the
     energies by which those do, less their own variance, blur / 3.
@@ -222,7 +222,7 @@ def band_nodes(taper: Taper, n: int = BAND_NODES) -> tuple[FloatArray, FloatArra
 
 
 def end_energy(area: FloatArray, displaced: FloatArray) -> FloatArray:
-    """Energy by which a smeared and displaced end differs from a sharp one, s; area, s^2; displacement, s."""
+    """Energy, s, of the difference between a smeared, displaced end and a sharp one; area, s^2; displacement, s."""
     size = np.sqrt(np.maximum(np.abs(area), 1e-18))
     z = np.sqrt(2) * np.abs(displaced) / size
     far = ~(z <= FAR)  # and where it is not a number
@@ -269,7 +269,7 @@ def _bend(z: FloatArray) -> FloatArray:
 
 
 def smear_loss(line: Line, spots: Focus, rate: FloatArray, geometry: Geometry, full: BoolArray) -> float:
-    """The most that any of these lines loses at its ends, under the gate that suits them best.
+    """Largest loss of coherence of any line at its ends, under the gate that suits them best.
 
     An estimate from few lines (n_range, n_yaw, n), without a gate: the slopes of the ends along Doppler are differences
     between neighbouring yaws, and only the keystone displaces them. `full` (n_range, n_yaw) is from `full_dwells`.
@@ -294,5 +294,5 @@ def smear_loss(line: Line, spots: Focus, rate: FloatArray, geometry: Geometry, f
 
 
 def lift_energy(blur: float, lift: float) -> float:
-    """Energy by which raised windows differ from others at one end, s."""
+    """Energy, s, of the difference that raising a window makes at one end."""
     return 4 / 3 * blur * lift**2

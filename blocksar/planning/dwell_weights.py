@@ -1,4 +1,4 @@
-"""Weights of targets over their dwells: the weighting, and the antenna's pattern, which their echoes have already."""
+"""Weights of targets over their dwells: the weighting, and the antenna's pattern that echoes contain."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from blocksar.planning.steadiness import scans_evenly
 
 
 def level_aperture(line: Line, taper: AxisTaper) -> AxisTaper:
-    """The taper over the pulses that also levels what the steps in Doppler do to amplitudes.
+    """Taper over the pulses that also compensates the amplitude changes of steps in Doppler.
 
     A step in Doppler that stretches time by s weakens a signal by sqrt(s). Where all targets are lit all the time, s is
     nearly the same function of time for all of them, and the taper is divided by that of its mean. The sum of weights
@@ -42,7 +42,7 @@ def level_aperture(line: Line, taper: AxisTaper) -> AxisTaper:
 
 
 def levelled(line: Line, taper: AxisTaper) -> Line:
-    """Lines after all steps under a taper that `level_aperture` has made: the stretch of each target over the mean."""
+    """Lines after all steps under a taper of `level_aperture`: the stretch of each target relative to the mean."""
     if not taper.level:
         return line
     level = np.polynomial.legendre.legval(solvers.gauss_legendre(line.stretch.shape[-1])[0], np.array(taper.level))
@@ -95,7 +95,7 @@ class DwellWeights:
         return float(self.taper(np.array(1.0)))
 
     def gains(self, side: int) -> FloatArray | None:
-        """Legendre series (..., n) of the square of `pattern` over the dwell, from its begin (side -1) or from its end.
+        """Legendre series (..., n) over the dwell of the squared `pattern`, from its beginning (side -1) or its end.
 
         None without one. The beam passes a target as all that is lit at one of its ends lies in it.
         """
@@ -105,18 +105,18 @@ class DwellWeights:
         return solvers.product(self.pattern[..., ::-side] ** 2, solvers.legendre_series(n, n - 1).T)
 
     def level(self, side: int) -> FloatArray | float:
-        """The square of the pattern in elevation at the begin of dwells (side -1) or at their end; 1 without one.
+        """Squared pattern in elevation at the beginning (side -1) or the end of dwells; 1 without one.
 
         All that is lit there at a target's range has about the same.
         """
         return 1.0 if self.elevation is None else self.elevation[..., 0 if side < 0 else -1] ** 2
 
     def weigh(self, line: Line) -> Line:
-        """The lines with these weights; as they are where all weights are 1."""
+        """Apply these weights to lines; unchanged if all weights are 1."""
         return line if self.uniform else line.weighed(self.nodes)
 
     def weigh_chain(self, line: Line) -> Line:
-        """The lines with the weights that a chain is calibrated by: without a pattern in elevation.
+        """Apply to lines the weights that calibrate a chain: without a pattern in elevation.
 
         By it, places, phases and gains would bend near zeros as no series over the ground does.
         """
@@ -163,7 +163,7 @@ def dwell_weights(
             place = (2 * lit.time - (uncut[0] + uncut[1])[..., None]) / dwell
         nodes = taper(place)
         if collection.steered and moves is not None:
-            # A beam that turns back before it reaches a target gives it a dwell of 0 s: no weights that would move.
+            # A beam that turns back before a target gives it a dwell of 0 s: its weights do not move.
             change = taper.slope(place) * 2 / np.where(dwell > 0, dwell, np.inf) * moves
     weights = DwellWeights(
         taper=taper, nodes=nodes, edge=edge, patterned=False, alone=nodes, change=change, lit_band=lit_band,
@@ -185,7 +185,7 @@ def dwell_weights(
 
 
 def _elevation_alone(geometry: Geometry) -> Geometry:
-    """The geometry with the pattern in elevation only, and that nowhere smaller than in an image.
+    """Copy of the geometry with only the pattern in elevation, nowhere smaller than images require.
 
     Targets that have no weight have no focus.
     """
@@ -202,5 +202,5 @@ def taper_over_dwells(collection: Collection, weighting: Weighting) -> Taper:
 
 
 def beam_moves(collection: Collection) -> bool:
-    """Whether a beam passes over the ground, so that targets are lit one after the other."""
+    """Tell whether the beam passes over the ground, so that targets are lit one after the other."""
     return collection.steered and not abs(collection.beam_azimuth[-1] - collection.beam_azimuth[0]) < STILL

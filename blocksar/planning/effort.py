@@ -67,7 +67,7 @@ FOCUS: Work = dict.fromkeys(("plan", "compile", "start-workers", "recover", "foc
 
 
 def _layers(chunks: int, side: tuple[int, int]) -> Work:
-    """Work of the layers of a terrain for so many chunks of the image, of `side` pixels; nothing for none."""
+    """Work of the terrain layers of `chunks` image chunks of `side` pixels; empty without chunks."""
     counts = [min(chunks - first, LAYER_CHUNKS) for first in range(0, chunks, LAYER_CHUNKS)]
     return {"layers": [LAYERS * count * side[0] * side[1] for count in counts]} if counts else {}
 
@@ -100,7 +100,7 @@ def of_plan(plan: Plan) -> Work:
 
 
 def of_pyramid(grid: Grid, asked: bool | None = None) -> dict[str, list[float]]:
-    """Work of the pyramid of an image; nothing without one."""
+    """Work of an image's pyramid; empty without one."""
     if not has_pyramid(grid, asked):
         return {}
     side = IMAGE_CHUNK * 2**PYRAMID_LEVELS  # pixels
@@ -109,13 +109,13 @@ def of_pyramid(grid: Grid, asked: bool | None = None) -> dict[str, list[float]]:
 
 
 def together(works: Sequence[Work]) -> Work:
-    """Work of several segments, stage by stage; they end together."""
+    """Combine the work of several segments stage by stage."""
     stages = dict.fromkeys(stage for work in works for stage in work)
     return {stage: [cost for work in works for cost in work.get(stage, ())] for stage in stages} | {"finish": [FINISH]}
 
 
 def _gating(plan: Plan) -> dict[str, list[float]]:
-    """Work of the range gates; nothing without sub-blocks."""
+    """Work of the range gates; empty without sub-blocks."""
     groups = plan.gate_spans()
     seconds = STEPS * plan.gate_work() + GATE * plan.gated_samples()
     return {"gate": [seconds / len(groups)] * len(groups)} if groups else {}
@@ -124,13 +124,13 @@ def _gating(plan: Plan) -> dict[str, list[float]]:
 def of_chunks(
     geometries: Sequence[Geometry], grid: Grid, stage: str, seconds: Callable[[Geometry, FloatArray, FloatArray], float]
 ) -> Work:
-    """Work of forming each chunk of an image from all samples, without that of raw echoes; `seconds` is of a chunk."""
+    """Work of forming each image chunk from all samples, without raw echoes; `seconds` predicts that of a chunk."""
     costs = [sum(seconds(geometry, x, y) for geometry in geometries) for x, y in chunks_of(grid)]
     return of_parts(geometries, grid, stage, costs)
 
 
 def of_parts(geometries: Sequence[Geometry], grid: Grid, stage: str, costs: Sequence[float]) -> Work:
-    """Work of inspecting all samples, and of forming parts of an image from them, which take so many seconds."""
+    """Work of inspecting all samples, and of forming image parts from them, of `costs` seconds each."""
     inspect: list[float] = []
     for geometry in geometries:
         collection = geometry.collection
@@ -169,7 +169,7 @@ def seconds_of(work: Work, *, workers: int, threads: int, pace: float) -> dict[s
 
 
 def of_preparation(echoes: Iterable[tuple[int, int]], *, raw: bool) -> Work:
-    """Work of range compression of so many pulses and samples each, or without `raw` echoes of cutting interference."""
+    """Work of range-compressing `echoes` of pulses and samples; if not `raw`, of cutting interference."""
     units: list[float] = []
     for n_pulse, samples in echoes:
         groups = math.ceil(n_pulse / TILE[0])

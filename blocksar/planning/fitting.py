@@ -1,4 +1,4 @@
-"""Fit the coefficients of a chain's azimuth steps on time-frequency lines; `coefficients` has the papers' formulas.
+"""Fit of the azimuth steps' coefficients on time-frequency lines; `coefficients` has the papers' formulas.
 
 The fit has two aims for a block's lines after the last step. They must be level: what remains is phase error. And the
 steps in Doppler must hardly stretch them in time: stretching is dispersion, which blurs the sharp ends of a dwell over
@@ -72,7 +72,7 @@ def candidates(line: Line, *, wavelength: float, freedom: FittedSteps) -> list[C
 
 
 def with_spread(line: Line, candidate: ChainKind, *, wavelength: float, factors: tuple[float, ...]) -> list[ChainKind]:
-    """The candidate with biases that bring the range acceleration of the lines to these multiples of its own."""
+    """Copies of a kind of chain whose bias scales the range acceleration of lines by each of these factors."""
     if not candidate.perturb_time:
         return []
     acceleration = _acceleration(line, wavelength)
@@ -169,7 +169,7 @@ class _Unknowns(NamedTuple):
 
     @property
     def ends(self) -> list[int]:
-        """The end of each group but the last."""
+        """Ends of the groups of unknowns, without the last."""
         return [sum(map(len, self[:k])) for k in (1, 2, 3)]
 
     @property
@@ -185,7 +185,7 @@ class _Scales(NamedTuple):
 
 
 class _Rows(NamedTuple):
-    """Lines (n_range, n_yaw, n) as `LevellingProblem` takes those of one range."""
+    """Lines (n_range, n_yaw, n), scaled for `LevellingProblem`, which takes one range at a time."""
 
     time: FloatArray
     doppler: FloatArray

@@ -1,4 +1,4 @@
-"""Plan a block's gates: of dwells, whose ends polynomials follow along Doppler, and of the ranges of a sub-block.
+"""Plan of a block's gates: dwell gates that follow Doppler by polynomials, and range gates of sub-blocks.
 
 WINDOWS at the ends of whole dwells are spread over the band by a keystone, and targets lose by it. A keystone scales
 time with range frequency, so that ends of dwells lie at +-`spread` at the edges of the band. Windows rise there as the
@@ -46,11 +46,11 @@ BAND_ROOM = 0.08  # of the band, on either side of it, over which a sub-block's 
 
 
 def plan_range_gate(full: Axis, slab: Axis, line: Line, carrier: float) -> RangeGate:
-    """The gate that holds the ranges of lines (n_range, n_yaw) at each Doppler, with room for side lobes."""
+    """Plan the gate that holds the ranges of lines (n_range, n_yaw) at each Doppler, with room for side lobes."""
     u = (2 * line.doppler - slab.start - (slab.start + slab.extent)) / slab.extent
     centre = middle_line(u.ravel(), line.range.ravel(), order=6)
     spread = line.range - chebyshev.chebval(u, centre)
-    # In a Doppler bin the ends of the band belong to other times than the carrier: a smear that SRC removes later.
+    # In a Doppler bin, the band's ends are lit at other times than the carrier: a smear that SRC removes later.
     edge = max(abs(full.start), abs(full.start + full.extent)) / carrier
     rate = np.maximum(np.abs(line.rate), 1e-3 * np.abs(line.rate).max())
     smear = SPEED_OF_LIGHT / (2 * carrier) * line.doppler**2 / rate * edge
@@ -86,7 +86,7 @@ GATE_DEGREES = 4, 5  # of the ends of dwells in range and in Doppler
 
 
 def plan_dwell_gate(sector: Sector, azimuth: AzimuthPart, sampling: Sampling, lines: TracedTargets) -> DwellGate | None:
-    """The gate that follows the ends of the dwells of lines along Doppler, and of what is lit beside the block.
+    """Plan the gate that follows the dwell ends of lines, and of targets lit beside the block, along Doppler.
 
     On a terrain it follows dwells on the finer smooth part of that, at more ranges, if they depend on height.
 
@@ -113,7 +113,7 @@ def plan_dwell_gate(sector: Sector, azimuth: AzimuthPart, sampling: Sampling, li
     at_middle = fit.integral((begin + end) / 2).coefficients(np.array((fit.near + fit.far) / 2))[None]
     common = fit.polynomial(at_middle)
 
-    # The smear that the windows have to have, and the time that they need.
+    # The smear that the windows must have, and the time span that they need.
     (_, shared, _), *along = (each.evaluate(spots.range, spots.doppler[..., None]) for each in (common, *phases))
     apart = max(float(np.abs(at - shared).max()) for _, at, _ in along)
     smear = end_smear(lines.line, lines.rate)
@@ -143,7 +143,7 @@ def plan_dwell_gate(sector: Sector, azimuth: AzimuthPart, sampling: Sampling, li
 
 
 def _halves(sector: Sector, targets: TracedTargets) -> tuple[FloatArray, FloatArray]:
-    """Lengths of both halves of uncut dwells after all steps, (n_range, n_yaw) s: before the beam's centre and after.
+    """Lengths (n_range, n_yaw), s, of the halves of uncut dwells after all steps: before and after the beam's centre.
 
     Where that passes amid dwells, they are halves of the dwell in time.
     """
@@ -154,7 +154,7 @@ def _halves(sector: Sector, targets: TracedTargets) -> tuple[FloatArray, FloatAr
 
 
 def _end_slope(fit: RowFit, series: FloatArray, lines: TracedTargets, slopes: FloatArray) -> RowPolynomial:
-    """Slope of an end in Doppler with which its window is made, s/Hz.
+    """Slope of a dwell end along Doppler, s/Hz, for which its window is made.
 
     At each range it lies amid those of the targets with full dwell there, `slopes`, their smear included.
     """
@@ -166,7 +166,7 @@ def _end_slope(fit: RowFit, series: FloatArray, lines: TracedTargets, slopes: Fl
 
 
 class RowFit(NamedTuple):
-    """Where polynomials along rows lie: ranges, m, and the centre and scale of Doppler, Hz."""
+    """Scaling of polynomials along rows: ranges, m, and centre and scale of Doppler, Hz."""
 
     near: float
     far: float
@@ -175,7 +175,7 @@ class RowFit(NamedTuple):
 
     @classmethod
     def over(cls, rows: Axis, spots: Focus) -> RowFit:
-        """Over the rows of an image, and the Doppler at which targets focus."""
+        """Scaling over the rows of an image and the Doppler of its targets' focus."""
         doppler = spots.doppler
         scale = max(float(np.ptp(doppler) / 2), 1e-6)
         centre = float((doppler.min() + doppler.max()) / 2)
@@ -194,7 +194,7 @@ class RowFit(NamedTuple):
         return [solvers.product(row.reshape(shape), _to_powers(degrees[1])) for row in fitted.T]
 
     def fit_amid(self, rng: FloatArray, values: FloatArray, which: BoolArray, *, degree: int) -> FloatArray:
-        """Fit a series in range amid those of values (n_range, n_yaw) at each range that are chosen by `which`."""
+        """Fit a series in range to the mid-range of chosen values (n_range, n_yaw) at each range."""
         whole = which.any(axis=1)
         rows = [(values[i, which[i]], rng[i, which[i]].mean()) for i in np.flatnonzero(whole)]
         u = np.array([(2 * mean - self.near - self.far) / (self.far - self.near) for _, mean in rows])
@@ -203,13 +203,13 @@ class RowFit(NamedTuple):
         return np.asarray(solvers.least_squares(terms, middles, damping=1e-20 * u.size))
 
     def integral(self, series: FloatArray) -> RowPolynomial:
-        """The polynomial whose derivative has these coefficients (n, order + 1): cycles."""
+        """Integrate a polynomial with these coefficients (n, order + 1): cycles."""
         integral = np.zeros((series.shape[0], series.shape[1] + 1))
         integral[:, 1:] = series / np.arange(1, series.shape[1] + 1) * self.scale
         return self.polynomial(integral)
 
     def slope(self, series: FloatArray) -> RowPolynomial:
-        """The linear coefficient, per Hz."""
+        """Extract the linear coefficient, per Hz."""
         return self.polynomial(series[:, 1:2] / self.scale)
 
 
@@ -230,7 +230,7 @@ MOST_SPREAD = 1.6  # the longest half over the shortest, between which so many w
 def plan_taper(
     taper: Taper, halves: Sequence[FloatArray], lengths: Sequence[RowPolynomial], *, full: BoolArray
 ) -> DwellTaper:
-    """The taper over dwells with halves of these lengths (n_range, n_yaw), s, which polynomials fit."""
+    """Make the taper over dwells, whose halves have lengths (n_range, n_yaw), s, fitted by polynomials."""
     begin, end = (
         HalfDwell(length=length, lengths=_window_lengths(*_blended(half, full)))
         for half, length in zip(halves, lengths, strict=True)
@@ -239,7 +239,7 @@ def plan_taper(
 
 
 def _blended(lengths: FloatArray, full: BoolArray) -> tuple[float, float]:
-    """Shortest and longest half for which windows are made, s.
+    """Shortest and longest half of a dwell, s, for which windows are made.
 
     Where a beam turns slowly near the collection's ends, dwells that these cut may be several times as long as those
     with `full` dwell; windows for both would lie too far apart to be blended. Then they are made for full dwells, and
@@ -255,7 +255,7 @@ def _blended(lengths: FloatArray, full: BoolArray) -> tuple[float, float]:
 
 
 def _window_lengths(shortest: float, longest: float) -> tuple[float, ...]:
-    """So many lengths between two, s, that blending windows of them errs by less than a thousandth."""
+    """Lengths between two, s, dense enough that blending their windows errs by less than a thousandth."""
     count = next((n for spread, n in LENGTHS.items() if longest <= (1 + spread) * shortest), MOST_LENGTHS)
     if count == 1:
         return ((shortest + longest) / 2,)
@@ -263,7 +263,7 @@ def _window_lengths(shortest: float, longest: float) -> tuple[float, ...]:
 
 
 def band_spread(targets: TracedTargets) -> float:
-    """Half of the time over which a keystone spreads the ends of dwells, s; 0 without one."""
+    """Half of the time, s, over which a keystone spreads the ends of dwells; 0 without a keystone."""
     if targets.scaled_about is None:
         return 0.0
     collection, away = targets.geometry.collection, float(np.abs(np.array(targets.uncut) - targets.scaled_about).mean())
@@ -271,7 +271,7 @@ def band_spread(targets: TracedTargets) -> float:
 
 
 def end_lift(blur: float, spread: float, band: Taper = FLAT) -> float:
-    """`DwellGate.lift`: the height h of the triangle, for ends at +-`spread`, s, over a band with a weighting."""
+    """Height h of the triangle `DwellGate.lift`, for ends at +-`spread`, s, over a band with a weighting."""
     if not spread:
         return 0.0
     nodes, weights = solvers.gauss_legendre(NODES)

@@ -1,4 +1,4 @@
-"""How hierarchical back-projection divides an image, and what that costs: levels, error, time and memory.
+"""Division of an image for hierarchical back-projection, and its cost: levels, error, time and memory.
 
 The error of an image is that of its filters and of the last interpolation. A filter of attenuation A errs in its pass
 band and leaves of what it stops 10^(-A / 10) of the power at most. Over the pass band it errs by half of that on
@@ -35,14 +35,14 @@ from blocksar.planning.memory import hierarchical_gpu_memory, hierarchical_memor
 from blocksar.planning.tiling import image_chunk, units_of
 
 ERROR = 1e-5  # error power that no image exceeds: less costs hardly any time, and dark places show it
-SHARE = 0.4  # of what is allowed: some places of an image err by 1 dB more than its mean
+SHARE = 0.4  # of the allowed error: some places of an image err by 1 dB more than its mean
 EDGE = 0.38  # e of the filters: higher ones have long tails, lower ones leave more samples
 RATIOS = (2.0, 3.0, 4.0, 6.0)  # of the sides of a level and the next
 UPSAMPLINGS = range(2, 25)
-NODES = 3  # along a part's side, at which it is found what lights it
+NODES = 3  # along a part's side, at which its lit pulses are found
 DIVISIONS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # of the image along either side, into units of work
 PLACES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the image, along either side, at which costs are found
-FEW = 3  # of so many places one, by which divisions are ranked
+FEW = 3  # every third place, by which divisions are ranked
 PROFILES = 2  # arrays of range profiles at once: transformed in place, and with margins
 GPU_PROFILES = 3  # besides, on a GPU: transformed out of place, with work areas of two lengths
 
@@ -51,7 +51,7 @@ Pair = tuple[float, float]  # m along x and y
 
 @dataclass(frozen=True, kw_only=True)
 class Rates:
-    """Rates of work, s, of one thread where `graph.machine.pace` is 1; or of a GPU.
+    """Times of elementary work, s, of one thread where `graph.machine.pace` is 1, or of a GPU.
 
     Attributes
     ----------
@@ -106,18 +106,18 @@ RATES = {
 
 
 def planned_error(levels: Levels, *, stages: int) -> float:
-    """Error power of an image over its own, after `stages` filters along either axis."""
+    """Error power of an image relative to its own, after `stages` filters along either axis."""
     filters = stages * 10 ** (-levels.attenuation / 10)  # two axes, half of the largest error each
     return filters + spline_error(upsampling=levels.upsampling) ** 2
 
 
 def coherence_of(error: float) -> float:
-    """Coherence of an image with one from which it differs by an error power."""
+    """Coherence of two images that differ by an error power."""
     return (1 + error) ** -0.5
 
 
 def levels_for(fidelity: float, sides: tuple[float, ...], *, stages: int) -> Levels:
-    """Levels whose error power is 1 - fidelity at most, or ERROR where that is less."""
+    """Choose levels whose error power is at most 1 - fidelity, or ERROR if that is less."""
     allowed = SHARE * min(1 - fidelity, ERROR)
     attenuation = 10 * math.log10(stages / allowed)
     upsampling = next((n for n in UPSAMPLINGS if spline_error(upsampling=n) ** 2 <= allowed), UPSAMPLINGS[-1])
@@ -162,7 +162,7 @@ def parts_at(geometry: Geometry, places: Sequence[Pair], side: Pair) -> list[Par
 
 
 class Ladders:
-    """Finds what a unit costs that is divided along a ladder of sides, at one place of the image.
+    """Costs of units divided along ladders of sides, at one place of the image.
 
     Parameters
     ----------
@@ -178,11 +178,11 @@ class Ladders:
         self, hierarchy: Hierarchy, geometry: Geometry, grid: Grid, rates: Rates, part: Callable[[Pair, Pair], Part]
     ) -> None:
         self.hierarchy, self.geometry, self.grid, self.rates, self.part = hierarchy, geometry, grid, rates, part
-        # Waves are those of a taper over the beam, by whose sums the image is divided.
+        # Frequencies of the taper over the beam, whose sums the image is divided by.
         self.gains = effort.GAINS if geometry.collection.has_pattern or hierarchy.waves else 0.0
 
     def cost(self, place: Pair, sides: Sequence[Pair]) -> Cost | None:
-        """Cost of the first of some parts, each of which is divided into the next; None where nothing lights it."""
+        """Cost of a unit whose parts are divided by the given sides in turn; None where nothing is lit."""
         part = self.part(place, sides[0])
         entered = self.hierarchy.enter(part)
         if entered is None:
@@ -192,12 +192,12 @@ class Ladders:
         seconds = self.rates.read * (end - begin) * n_frequency
         filters, frame = entered
         seconds += self._filtering(filters, frame, end - begin, 0, n_frequency)
-        kept = samples = on_gpu = _samples(frame)
+        held_samples = samples = on_gpu = _samples(frame)
         count = 1.0
         for above, below in pairwise(sides):
             part = self.part(place, below)
             (begin, end), _ = part.lit()
-            # Between the few places that are looked at, a part may be lit when its parent is not.
+            # Only a few places are examined, so a part may be lit when its parent is not.
             held = frame.size or bool(((frame.pulses >= begin) & (frame.pulses < end)).any())
             descended = self.hierarchy.descend(frame, part) if held else None
             if descended is None:
@@ -206,19 +206,19 @@ class Ladders:
             filters, left = descended
             edges = len(range(*filters.kept.indices(frame.pulses.size)))
             seconds += count * (self.rates.part + self._filtering(filters, left, edges, frame.size, frame.columns))
-            kept += _samples(left)
+            held_samples += _samples(left)
             between = max(frame.size, edges)
-            samples = max(samples, kept + between * left.columns)
-            on_gpu = max(on_gpu, kept + between * (frame.columns + left.columns))
+            samples = max(samples, held_samples + between * left.columns)
+            on_gpu = max(on_gpu, held_samples + between * (frame.columns + left.columns))
             frame = left
         rows, bins = frame.size + frame.pulses.size, fast_length(self.hierarchy.levels.upsampling * frame.columns)
-        samples = max(samples, kept + PROFILES * rows * bins)
-        on_gpu = max(on_gpu, kept + (PROFILES + GPU_PROFILES) * rows * bins)
+        samples = max(samples, held_samples + PROFILES * rows * bins)
+        on_gpu = max(on_gpu, held_samples + (PROFILES + GPU_PROFILES) * rows * bins)
         seconds += count * (self.rates.profile * rows * bins + self._last(frame, part, sides[-1]))
         return Cost(seconds=seconds, samples=samples, on_gpu=on_gpu)
 
     def _last(self, frame: Frame, part: Part, side: tuple[float, float]) -> float:
-        """Seconds to back-project a last part from the range profiles of what is left."""
+        """Seconds to back-project a last part from the profiles of its remaining samples."""
         pixels = max(side[0] / self.grid.dx, 1) * max(side[1] / self.grid.dy, 1)
         lit = float((part.last - part.first).mean())
         each = frame.size + lit - (frame.inside[1] - frame.inside[0]) if frame.size else lit
@@ -226,7 +226,7 @@ class Ladders:
         return self.rates.part + pixels * pixel
 
     def _filtering(self, filters: Filters, left: Frame, edges: int, interior: int, columns: int) -> float:
-        """Seconds to turn and filter rows of `columns` samples, so many edges and of the interior, to a frame."""
+        """Seconds to turn and filter rows of `columns` samples, of edges and interior, to a frame."""
         across = 2 * filters.across.half if filters.across.factor > 1 else 0
         rows = edges + interior
         seconds = rows * (self.rates.turn * columns + self.rates.tap * left.columns * across)
@@ -243,7 +243,7 @@ def _samples(frame: Frame) -> int:
 
 
 def _halved(unit: tuple[int, int], chunk: tuple[int, int]) -> list[tuple[int, int]]:
-    """Rows and columns of a unit, of its halves as `form_windows` makes them, and of its windows."""
+    """Rows and columns of a unit, of the halves that `form_windows` makes, and of its windows."""
     steps, now = [unit], unit
     while math.ceil(now[0] / chunk[0]) * math.ceil(now[1] / chunk[1]) > MOST_WINDOWS:
         axis = int(now[1] > now[0])
@@ -256,7 +256,7 @@ def _halved(unit: tuple[int, int], chunk: tuple[int, int]) -> list[tuple[int, in
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Division:
-    """How an image is divided, at all levels, and what that takes.
+    """Division of an image at all levels, with its cost.
 
     Attributes
     ----------
@@ -282,7 +282,7 @@ class Division:
 
     @property
     def error(self) -> float:
-        """Error power of the image over that of all that its data hold."""
+        """Error power of the image relative to the total power in its data."""
         return planned_error(self.levels, stages=self.stages)
 
 
@@ -290,7 +290,7 @@ def divide(
     geometry: Geometry, grid: Grid, *, fidelity: float, weighting: Weighting, workers: int, memory_limit: float,
     device: str = "cpu",
 ) -> Division:  # fmt: skip
-    """The division that takes the least predicted time on so many workers of one thread, within their memory, bytes.
+    """Find the division with the least predicted time for `workers` of one thread, within their memory, bytes.
 
     Divisions are ranked by what they cost at a few places; the chosen one is known at all. Where none fits, it is the
     one that takes the least memory.
@@ -312,7 +312,7 @@ def divide(
 
 
 class _Trial:
-    """Divisions of an image, with what they cost."""
+    """Search over divisions of an image by cost."""
 
     def __init__(self, geometry: Geometry, grid: Grid, fidelity: float, weighting: Weighting, device: str) -> None:
         self.geometry, self.grid, self.fidelity, self.device = geometry, grid, fidelity, device
@@ -325,13 +325,13 @@ class _Trial:
         self.places = [(grid.x0 + u * grid.dx * grid.shape[1], grid.y0 + v * grid.dy * grid.shape[0]) for u, v in nodes]
 
     def unit_sizes(self) -> list[tuple[int, int]]:
-        """Chunks of units along rows and columns, of all sizes that are tried."""
+        """Sizes of units to try, in chunks along rows and columns."""
         return _unit_sizes(
             self.grid, [math.ceil(n / side) for n, side in zip(self.grid.shape, self.chunk, strict=True)]
         )
 
     def best_ladder(self, division: tuple[int, int]) -> tuple[float, int]:
-        """Ratio of sides and last side, pixels, that serve units of a size best, at a place that is lit."""
+        """Best ratio of sides and last side, pixels, for units of a size, at a lit place."""
         ladders = list(product(RATIOS, RATES[self.device].last_sides))
         return min(ladders, key=lambda each: self.division(division, each, self.places, first_lit=True).seconds)
 
@@ -339,7 +339,7 @@ class _Trial:
         self, division: tuple[int, int], ladder: tuple[float, int], places: Sequence[tuple[float, float]],
         *, first_lit: bool = False,
     ) -> Division:  # fmt: skip
-        """The division into units of so many chunks, by what they cost at places, or at the first that is lit."""
+        """Evaluate the division into units of a size by its costs at places, or at the first lit one."""
         grid, geometry, rates = self.grid, self.geometry, RATES[self.device]
         unit = tuple(min(c * side, n) for c, side, n in zip(division, self.chunk, grid.shape, strict=True))
         sides = [(columns * grid.dx, rows * grid.dy) for rows, columns in _halved((unit[0], unit[1]), self.chunk)]
@@ -386,7 +386,7 @@ class _Trial:
 
 
 def _unit_sizes(grid: Grid, counts: list[int]) -> list[tuple[int, int]]:
-    """Chunks of a unit along rows and columns, from all of the image to single chunks; about as high as wide."""
+    """Sizes of a unit in chunks along rows and columns, from the whole image to single chunks, nearly square."""
     sizes: list[tuple[int, int]] = []
     for number in DIVISIONS:
         high = abs(grid.dy) * grid.shape[0] / (abs(grid.dx) * grid.shape[1])

@@ -1,4 +1,4 @@
-"""Predicted peak memory of a worker, stage by stage."""
+"""Predicted peak memory of a worker by stage."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def checked_back_projection_memory(
 
 
 def checked_memory(what: str, memory: int, memory_limit: int) -> int:
-    """`memory`, bytes, if a worker's limit holds it; `what` names the need in the message.
+    """Return `memory`, bytes, if a worker's limit allows it; `what` names the need in the error.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def compression_memory(collection: Collection, raw: RawEcho | None) -> int:
 def interference_memory(collection: Collection) -> int:
     """Peak memory of a worker that cuts interference from samples, bytes."""
     columns = collection.n_range_frequency
-    # As an array and as chunks read and written; of a group in double precision, and what of it is projected out.
+    # The samples as an array and as chunks read and written; a group in double precision, and its projected-out part.
     return PROCESS_MEMORY + 8 * 3 * TILE[0] * columns + 16 * 6 * 2 * GROUP * columns
 
 
@@ -95,7 +95,7 @@ def track_memory(collection: Collection, n_pulse: int, chips: int) -> int:
 def back_projection_memory(
     collection: Collection, grid: Grid, *, threads: int, chunks: tuple[int, int] | None = None
 ) -> int:
-    """Peak memory of a worker that inspects a phase history and back-projects it, bytes; on a GPU so many chunks."""
+    """Peak memory of a worker that inspects and back-projects, bytes; on a GPU to `chunks` at a time."""
     pixels = math.prod(image_chunk(grid))
     part = min(pixels, BACKPROJECTION_CHUNK**2)
     if chunks is not None:
@@ -106,7 +106,7 @@ def back_projection_memory(
 
 
 def gpu_back_projection_memory(collection: Collection, grid: Grid, chunks: tuple[int, int]) -> int:
-    """Peak memory of a GPU that back-projects to so many chunks at a time, bytes."""
+    """Peak memory of a GPU that back-projects to `chunks` at a time, bytes."""
     return gpu_memory(_box(grid, chunks), collection)
 
 
@@ -145,18 +145,18 @@ def gating_memory(gate: RangeGate, *, n_bin: int, n_group: int) -> int:
     read = n_bin * gate.full.size
     read += min(read, SPECTRUM_BYTES // 8)  # and the chunks of a part
     delays = n_group * gate.to_delay.period
-    # Groups that are written or wait for it; the one that is computed, alone and in whole chunks; copies of chunks.
+    # Groups being written or waiting for it; the one being computed, alone and in whole chunks; copies of chunks.
     gated = (WRITES_AT_ONCE + 4) * n_group * gate.range_frequency.size
     return PROCESS_MEMORY + 8 * (read + delays + gated) + group_memory(gate.to_delay.period)
 
 
 def group_memory(length: int) -> int:
-    """Memory in which a thread transforms rows of `length` samples, group by group, bytes."""
+    """Memory of a thread that transforms rows of `length` samples by groups, bytes."""
     return 4 * max(GROUP_BYTES, 8 * 8 * length)
 
 
 def thread_memory(length: int) -> int:
-    """Memory that each further thread adds to a worker's peak, bytes: groups of rows, and chunks of the image.
+    """Memory of each further thread of a worker, bytes: groups of rows, and chunks of the image.
 
     The threads of one stage do not give back what those of another take: each has a heap of its own.
     """
@@ -164,7 +164,7 @@ def thread_memory(length: int) -> int:
 
 
 def hierarchical_memory(collection: Collection, samples: int, chunk: tuple[int, int], *, on_gpu: bool) -> int:
-    """Peak memory of a worker of one thread that keeps so many samples, bytes; a GPU has them for itself."""
+    """Peak memory of a worker with one thread that keeps `samples`, bytes; with a GPU, those are kept there."""
     block = max(PULSE_BLOCK_BYTES, 8 * collection.n_range_frequency)
     path = 2 * 3 * 3 * 8 * 3 * collection.n_pulse
     own = GPU_PROCESS_MEMORY if on_gpu else 8 * int(ROOM * samples)
@@ -172,6 +172,6 @@ def hierarchical_memory(collection: Collection, samples: int, chunk: tuple[int, 
 
 
 def hierarchical_gpu_memory(collection: Collection, samples: int, chunk: tuple[int, int]) -> int:
-    """Memory of a GPU, bytes: its samples, a block that is read, turned and filtered, and a window."""
+    """Peak memory of a GPU, bytes: its samples, a block being read and filtered, and a window."""
     block = max(PULSE_BLOCK_BYTES, 8 * collection.n_range_frequency)
     return 8 * int(ROOM * samples) + 4 * block + GPU_PIXEL_BYTES * chunk[0] * chunk[1]

@@ -38,7 +38,7 @@ from blocksar.texts import size_text
 
 @dataclass(frozen=True)
 class Transforms:
-    """FFTs of one length in a stage."""
+    """Number of FFTs of one length in a stage."""
 
     stage: str
     count: int
@@ -60,7 +60,7 @@ def block_work(block: BlockPlan) -> float:
 
 
 def fft_work(length: int) -> float:
-    """Of one FFT."""
+    """Floating-point operations of one FFT."""
     return 5 * length * math.log2(length)
 
 
@@ -69,7 +69,7 @@ LOOKED_AT = 64  # points along a side of a grid at which full dwells are looked 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
-    """How a collection is focused: everything that the tasks need, and the quality to expect.
+    """Plan of a collection: everything that the tasks need, and the expected quality.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class Plan:
         return f"<Plan: {self.headline()}>"
 
     def headline(self) -> str:
-        """The plan in half a sentence: blocks, predicted coherence, memory."""
+        """Summary of the plan on one line: blocks, predicted coherence, memory."""
         if self.refusal is not None:
             return f"refused: {self.refusal}"
         divided = f" of {self.parts} range sub-blocks" if self.parts > 1 else ""
@@ -129,7 +129,7 @@ class Plan:
 
     @cached_property
     def full_dwell_share(self) -> float:
-        """Share of the grid's points that are lit for a full dwell, for which the predicted coherence holds."""
+        """Share of the grid's points with full dwell, for which the predicted coherence holds."""
         x, y = (axis[:: math.ceil(axis.size / LOOKED_AT)] for axis in (self.grid.x, self.grid.y))
         return float(np.mean(self.geometry.beam.has_full_dwell(x, y[:, None])))
 
@@ -150,7 +150,7 @@ class Plan:
 
     @property
     def gate_group(self) -> int:
-        """Doppler bins that are gated in range at a time: a whole fraction of a chunk of the spectrum."""
+        """Number of Doppler bins gated in range at a time: a whole fraction of a spectrum chunk."""
         height = self.spectrum_chunk[0]
         return height // math.ceil(height / DOPPLER_GROUP)
 
@@ -161,7 +161,7 @@ class Plan:
         return block.first_bin - block.first_bin % group, min(math.ceil(last / group) * group, n_bin)
 
     def gated_chunk(self, block: BlockPlan) -> tuple[int, int]:
-        """Doppler bins and range frequencies of a chunk of a sub-block's gated spectrum."""
+        """Shape of a chunk of a sub-block's gated spectrum: Doppler bins, range frequencies."""
         return self.gate_group, _even(block.sampling.range_frequency.size, COLUMN_CHUNK)
 
     @property
@@ -203,12 +203,12 @@ class Plan:
 
     @property
     def coherence(self) -> float:
-        """The least coherence with exact back-projection that any block predicts."""
+        """Least predicted coherence with exact back-projection of any block."""
         return min(block.prediction.coherence for block in self.blocks)
 
     @property
     def blends(self) -> bool:
-        """Whether windows for dwells of several lengths are blended."""
+        """Tell whether windows for dwells of several lengths are blended."""
         gates = [block.sampling.gate for block in self.blocks]
         return any(gate is not None and gate.taper is not None for gate in gates)
 
@@ -253,15 +253,15 @@ class Plan:
         return self.gate_work() + sum(map(block_work, self.blocks))
 
     def excess(self) -> float:
-        """The largest excess of any block over what the fidelity allows; see `Prediction.excess`."""
+        """Largest excess of any block over the limits of the fidelity; see `Prediction.excess`."""
         return max(block.prediction.excess(self.fidelity) for block in self.blocks)
 
     @property
     def faithful(self) -> bool:
-        """Whether all blocks keep the fidelity, and side lobes as close to the ideal ones as it asks for."""
+        """Tell whether all blocks keep the fidelity, including its limit on side lobes."""
         return self.excess() <= 1.0
 
 
 def _even(n: int, most: int) -> int:
-    """The size of the fewest parts of n that have at most `most`, all but the last alike."""
+    """Size of the fewest equal parts of n with at most `most` each."""
     return math.ceil(n / math.ceil(n / most))

@@ -1,12 +1,13 @@
-"""Plan a collection for a chain: the beam of its gates, division into blocks, and reasons to refuse.
+"""Plan of a collection for a chain: the beam of its gates, division into blocks, and reasons to refuse.
 
 No sample is read.
 
 Division: the fewest angular blocks that keep the fidelity. Blocks reduce all errors that vary with angle; where they do
 not suffice, hierarchical back-projection does.
 
-Refused are beams that stay on their ground, as in a spotlight (`steadiness`), and targets that share their Doppler, or
-that stay blurred. Exact back-projection has none of these limits; who shows a reason adds that, with its time.
+Beams that stay on their ground, as in a spotlight (`steadiness`), and targets that share their Doppler, or stay
+blurred, are refused. Exact back-projection has none of these limits; the caller adds that remedy to the reason, with
+its time.
 """
 
 from __future__ import annotations
@@ -54,13 +55,13 @@ from blocksar.planning.target_lines import Sector, ground_range
 
 
 def find_refusal(blocks: Sequence[BlockPlan], method: Method) -> str | None:
-    """The reason why a plan cannot be carried out, or None. Variants may blur: they are built to show it."""
+    """Find the reason to refuse a plan, or None; variants may blur, which they exist to show."""
     blur = None if method.variant else find_blur(blocks)
     return _find_lingering(blocks) or find_folding(blocks, method) or _find_uneven(blocks) or blur
 
 
 def _find_lingering(blocks: Sequence[BlockPlan]) -> str | None:
-    """The reason why a beam about its axis stays too long on some of a block's ground for a dwell gate, or None."""
+    """Find a block on whose ground a beam about its axis stays too long for a dwell gate; the reason, or None."""
     for block in blocks:
         geometry = block.ground.geometry
         if not geometry.collection.has_axis:
@@ -79,7 +80,7 @@ def _find_lingering(blocks: Sequence[BlockPlan]) -> str | None:
 
 
 def find_folding(blocks: Sequence[BlockPlan], method: Method = DEFAULT) -> str | None:
-    """The reason why yaws of a block share their Doppler, so that no transform separates them, or None.
+    """Find a block whose yaws share their Doppler, so that no transform separates them; the reason, or None.
 
     Yaws along the velocity share it in the echo itself. Where the platform's acceleration cancels the Doppler rate, as
     on a circle, yaws share it after a deramp without a bias chirp before it.
@@ -103,7 +104,7 @@ def find_folding(blocks: Sequence[BlockPlan], method: Method = DEFAULT) -> str |
 
 
 def _find_uneven(blocks: Sequence[BlockPlan]) -> str | None:
-    """The reason why a Doppler resampling cannot be applied, or None: that of a closed form has all of its orders."""
+    """Find a block whose Doppler resampling cannot be applied; the reason, or None."""
     for block in blocks:
         if not block.even:
             return (
@@ -124,7 +125,7 @@ def _echo_slope(block: BlockPlan) -> FloatArray:
 
 
 def find_blur(blocks: Sequence[BlockPlan]) -> str | None:
-    """The reason why a block cannot be in focus, or None."""
+    """Find a block that cannot be in focus; the reason, or None."""
     for block in blocks:
         phase, migration = block.prediction.residual_phase, block.prediction.migration
         error = None
@@ -143,13 +144,13 @@ def _describe_block(block: BlockPlan) -> str:
 
 MAX_BLOCKS = 32  # that `auto` tries
 GROWTH = 1.5  # factor by which the number of blocks, or of segments, grows at a time
-# By this factor excesses may differ though blocks are no better or worse: on a terrain each division is predicted at
-# other places of it (1.5 .. 3.0 from 1 to 10 blocks of hills of 60 m every 450 m under Table 1, without a trend).
+# Factor by which excesses may differ although blocks are equally good: on a terrain each division is predicted at other
+# places of it (1.5 .. 3.0 from 1 to 10 blocks of hills of 60 m every 450 m under Table 1, without a trend).
 ALIKE = 1.5
 
 
 class Planned(Protocol):
-    """Figures of a plan that the search asks for."""
+    """Interface of a plan for the search for a division."""
 
     @property
     def blocks(self) -> tuple[BlockPlan, ...]: ...
@@ -169,7 +170,7 @@ def fewest_blocks(workers: int) -> int:
 
 
 def find_division(plan: Callable[[int, bool], P], *, workers: int) -> P:
-    """The plan with the fewest blocks that keep the fidelity, at least one a worker.
+    """Find the plan with the fewest blocks that keep the fidelity, at least one for each worker.
 
     Where MAX_BLOCKS are far from it, none keep it, and it is the fewest whose excess is like theirs. Numbers grow until
     one serves, and those in between are tried by bisection. Probes of the outermost blocks and the middle one decide
@@ -189,7 +190,7 @@ def find_division(plan: Callable[[int, bool], P], *, workers: int) -> P:
         return plan(numbers[0], False)
     if excess_of(first) > 1.0 and (finest := _probe_finest(plan)) is not None:
         if first.refusal is not None and finest.refusal is not None:
-            return first  # which has the reason, and nothing else is asked of it
+            return first  # only its reason is used
         far = ALIKE < excess_of(finest) < math.inf
     if not far and (found := _fewest_blocks(plan, numbers, 1.0)) is not None:
         return found
@@ -198,19 +199,19 @@ def find_division(plan: Callable[[int, bool], P], *, workers: int) -> P:
 
 
 def _probe_finest(plan: Callable[[int, bool], P]) -> P | None:
-    """A probe of the most blocks that are tried; None where a grid has no point in any that is looked at."""
+    """Probe the finest division; None if the grid has no point in the probed blocks."""
     with suppress(OutsideSwath):
         return plan(MAX_BLOCKS, True)
     return None
 
 
 def excess_of(plan: Planned) -> float:
-    """`Plan.excess`; infinite of a plan that is refused."""
+    """Excess of a plan over its limits (`Plan.excess`); infinite if it is refused."""
     return math.inf if plan.refusal is not None else plan.excess()
 
 
 def _fewest_blocks(plan: Callable[[int, bool], P], numbers: Sequence[int], wanted: float) -> P | None:
-    """The plan with the fewest blocks whose excess is at most what is wanted; None where none of the numbers serve."""
+    """Find the plan with the fewest blocks whose excess is at most `wanted`; None if none of the numbers suffices."""
 
     def serves(count: int) -> bool:
         return all(excess_of(plan(count, probe)) <= wanted for probe in (True, False))
@@ -278,7 +279,7 @@ def plan_collection(
     memory_limit: int | None = None,
     prepared: DivisionPlanner | None = None,
 ) -> Plan:
-    """Plan a collection for a method; with `owned`, only the blocks with ground for which it is true.
+    """Plan a collection for a method; with `owned`, only blocks with ground where it is true.
 
     `auto` takes the fewest blocks that keep the fidelity, at least one a worker (`find_division`), and the fewest range
     sub-blocks of each that fit a worker's memory. `prepared` is what `prepare_division` has found with these settings.
@@ -326,7 +327,7 @@ def explain_refusal(refused: Plan, planner: DivisionPlanner) -> str:
 
 
 def _fewest_parts(plan: Callable[[int], Plan], first: Plan, memory_limit: int, *, fixed: bool) -> Plan:
-    """The plan with the fewest range sub-blocks that fit a worker's memory."""
+    """Find the plan with the fewest range sub-blocks that fit a worker's memory."""
     divided, room = first, MEMORY_SHARE * memory_limit
     least = max(divided.recovery_memory, PROCESS_MEMORY)
     if room <= least:
@@ -355,7 +356,7 @@ def _fewest_parts(plan: Callable[[int], Plan], first: Plan, memory_limit: int, *
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DivisionPlanner:
-    """Plans of one collection for any division of it.
+    """Planner of one collection for any division.
 
     Attributes
     ----------
@@ -377,14 +378,14 @@ class DivisionPlanner:
     planned: dict[tuple[int, int, int], list[BlockPlan]] = field(default_factory=dict)
 
     def plan(self, count: int, n_parts: int, probe: bool) -> Plan:
-        """Plan all blocks that the grid touches; a probe plans only the outermost ones and the one in the middle."""
+        """Plan all blocks that the grid touches; a probe plans only the outermost ones and the middle one."""
         seams, touched = self._touched(count, probe)
         planned: list[BlockPlan] = []
         for index in touched:
-            # Narrow blocks are of one kind: each takes what the one before it chose, if that serves.
+            # Narrow blocks are alike: each takes the choice of the previous one, if that suffices.
             like = planned[-1].choice if planned and count > MAX_BLOCKS else None
             planned += self._plan_index(seams, index, n_parts, like)
-        if not planned and probe:  # what it would tell of is not lit
+        if not planned and probe:  # the probed block is not lit
             return self.plan(count, n_parts, False)
         if not planned:
             raise OutsideSwath(f"no block of {count} has a lit point of the grid; give it a finer step, or move it")
@@ -409,7 +410,7 @@ class DivisionPlanner:
         return self._collect(seams, 1, planned) if planned else None
 
     def _touched(self, count: int, probe: bool) -> tuple[FloatArray, list[int]]:
-        """The seams of so many blocks, rad, and the indices of those that the grid touches, for a probe of some."""
+        """Seams of `count` blocks, rad, and indices of those that the grid touches, or of a few for a probe."""
         seams = block_seams(self.geometry, self.region, count)
         touched = [i for i in range(count) if seams[i + 1] > self.extent.low and seams[i] <= self.extent.high]
         if probe and touched:
@@ -417,7 +418,7 @@ class DivisionPlanner:
         return seams, touched
 
     def _plan_index(self, seams: FloatArray, index: int, n_parts: int, neighbour: Choice | None) -> list[BlockPlan]:
-        """The range sub-blocks of one of the blocks between seams, which is planned once."""
+        """Range sub-blocks of block `index` between seams, planned once."""
         key = seams.size - 1, n_parts, index
         if key not in self.planned:
             low, high = float(seams[index]), float(seams[index + 1])
@@ -427,10 +428,10 @@ class DivisionPlanner:
     def _plan_angle(
         self, index: int, low: float, high: float, n_parts: int, neighbour: Choice | None
     ) -> list[BlockPlan]:
-        """The range sub-blocks of one block; none where the grid has no point, or nothing is lit."""
+        """Range sub-blocks of one block; empty if the grid has no point there, or nothing is lit."""
         near, far = self.region.limits(low, high)
         near, far = max(near, self.extent.near), min(far, self.extent.far)
-        # At each yaw ranges are those of the range window, which slants over a wide block: rows go on periodically.
+        # The range window limits ranges at each yaw, and slants over a wide block: rows continue periodically.
         windows = WHOLE_WINDOWS if n_parts == 1 else PART_WINDOWS * n_parts
         excess = max((far - near) - windows * self.geometry.collection.range_window, 0.0)
         near, far = near + excess / 2, far - excess / 2

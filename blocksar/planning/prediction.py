@@ -66,7 +66,7 @@ from blocksar.planning.steadiness import scans_evenly
 
 
 class Prediction(NamedTuple):
-    """Predicted quality of a block: the worst figures of its targets."""
+    """Predicted quality of a block: the figures of its worst target."""
 
     residual_phase: float  # rad, largest over the dwell
     quadratic_phase: float  # rad, its quadratic part at the dwell's edge
@@ -74,7 +74,7 @@ class Prediction(NamedTuple):
     width: float  # azimuth width over the limit that the dwell sets
     migration: float  # range resolution cells over the dwell
     resolution: float  # azimuth, m
-    track_phase: float  # rad, root mean square: what the noise of the track leaves
+    track_phase: float  # rad, root mean square, due to the noise of the track
     coherence: float  # with exact back-projection: 1 less the four losses of the target that loses most, or 0
     phase_loss: float
     range_loss: float
@@ -83,7 +83,7 @@ class Prediction(NamedTuple):
     ideal_pslr: float  # dB, in exact back-projection
 
     def less(self, of_dwells: float, of_range: float) -> Prediction:
-        """Copy where dwells lose some more coherence, and what a division by range mends."""
+        """Copy with additional losses of coherence, by dwells and by range, the latter reducible by division."""
         if not of_dwells + of_range:
             return self
         return self._replace(
@@ -93,13 +93,13 @@ class Prediction(NamedTuple):
         )
 
     def or_lobes(self, lobes: Lobes) -> Prediction:
-        """Copy with other side lobes and their width, if these are changed by more."""
+        """Copy with other side lobes and width, if these deviate more."""
         if lobes.change() <= abs(self.pslr - self.ideal_pslr):
             return self
         return self._replace(pslr=lobes.side, width=lobes.widened, ideal_pslr=lobes.ideal_side)
 
     def excess(self, fidelity: float) -> float:
-        """Loss of coherence and change of the side lobes over what `fidelity` allows: the worse of the two."""
+        """Larger of loss of coherence and change of side lobes, relative to what `fidelity` allows."""
         loss = self.phase_loss + self.range_loss + self.dispersion_loss + self.track_loss
         allowed = side_lobe_budget(fidelity, self.ideal_pslr)
         return max(loss / (1 - fidelity), abs(self.pslr - self.ideal_pslr) / allowed)
@@ -113,7 +113,7 @@ def predict(
     imaged: tuple[ImageEdges, ImageEdges] | None = None,
     band: Taper = FLAT,
 ) -> Prediction:
-    """The worst figures of traced targets under a gate, and a weighting `band` along it.
+    """Predict the worst figures of traced targets under a gate, and a weighting `band` along the band.
 
     The ideal side lobes are those that exact back-projection gives the target with the worst phase. Level lines make
     time after all steps a linear function of the direction in which a target is seen, so that they are those of its
@@ -127,8 +127,8 @@ def predict(
     rng, yaw = targets.epoch_range, targets.yaw
     range_cell = SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
     residual = spots.residual
-    judged = JudgedTargets.of(targets, reached, imaged or ())
-    lobes = worst_lobes(targets, gate, judged, band=band)
+    masks = JudgedTargets.of(targets, reached, imaged or ())
+    lobes = worst_lobes(targets, gate, masks, band=band)
     slope = np.gradient(spots.doppler, yaw, axis=1)
     dwell = (line.weight * line.stretch).sum(axis=-1)
     width = weights.taper.ideal.width
@@ -139,13 +139,13 @@ def predict(
     middle = yaw.size // 2
     track_phase = _track_phase(geometry, rng, yaw)
     track_loss = 1 - float(np.exp(-(track_phase**2) / 2))
-    phase_loss, range_loss, dispersion_loss = worst_losses(targets, gate, judged, reached=reached, band=band)
+    phase_loss, range_loss, dispersion_loss = worst_losses(targets, gate, masks, reached=reached, band=band)
     return Prediction(
-        residual_phase=float(residual[judged.there].max()),
-        quadratic_phase=float(spots.quadratic[judged.there].max()),
+        residual_phase=float(residual[masks.there].max()),
+        quadratic_phase=float(spots.quadratic[masks.there].max()),
         pslr=lobes.side,
         width=lobes.widened,
-        migration=float(spots.migration[judged.there].max() / range_cell),
+        migration=float(spots.migration[masks.there].max() / range_cell),
         resolution=float(widths[rng.size // 2, middle] * ground[rng.size // 2]),
         track_phase=track_phase,
         coherence=max(1 - (phase_loss + range_loss + dispersion_loss + track_loss), 0.0),
@@ -158,7 +158,7 @@ def predict(
 
 
 class JudgedTargets(NamedTuple):
-    """Mask of the targets that are judged."""
+    """Masks of the targets that enter the prediction."""
 
     there: BoolArray  # (n_range, n_yaw): those that there are
     full: BoolArray  # (n_range, n_yaw): those of them with full dwell; of all, if none of them has
@@ -166,8 +166,8 @@ class JudgedTargets(NamedTuple):
 
     @classmethod
     def of(cls, targets: TracedTargets, reached: BoolArray | None, imaged: Sequence[ImageEdges]) -> JudgedTargets:
-        """Select the targets that an image shows; on a terrain, that are `reached`."""
-        # Cut dwells have other side lobes under weights: of those with full dwell, where there are any.
+        """Select the targets that the image shows; on a terrain, those `reached`."""
+        # Under weights, cut dwells have other side lobes: use targets with full dwell, if there are any.
         uncut = beyond = targets.full
         there, edges = np.ones(uncut.shape, np.bool_), []
         for known in (*(each.held for each in imaged), reached):
@@ -181,7 +181,7 @@ class JudgedTargets(NamedTuple):
 
 
 class ImageEdges(NamedTuple):
-    """Where what is imaged begins and ends between places at which targets are traced: (n_range, n_yaw) each.
+    """Edges of the imaged ground between the places of traced targets: (n_range, n_yaw) each.
 
     Targets next beyond stand for targets at the edge: what those lose is interpolated between them and the next ones.
     """
@@ -205,7 +205,7 @@ class ImageEdges(NamedTuple):
         return cls(held.T, before.T, behind.T, share.T, axis) if axis else cls(held, before, behind, share, axis)
 
     def of_dwells(self, full: BoolArray) -> ImageEdges:
-        """Edges where the targets on either side have full dwell."""
+        """Limit edges to those with full dwell on either side."""
         before, behind = self.before & full, self.behind & full
         along = (before.T, behind.T, full.T) if self.axis else (before, behind, full)
         along[0][:-1] &= along[2][1:]
@@ -213,7 +213,7 @@ class ImageEdges(NamedTuple):
         return self._replace(before=before, behind=behind)
 
     def beside(self, target: tuple[int, ...]) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
-        """Pairs of targets, beyond an edge and next to it inside, at a target's place along the other axis."""
+        """Pairs of targets next to an edge, outside and inside, on the same line along the other axis."""
         row, column = target
         pairs: list[tuple[tuple[int, ...], tuple[int, ...]]] = []
         for beyond, step in ((self.before, 1), (self.behind, -1)):
@@ -224,7 +224,7 @@ class ImageEdges(NamedTuple):
         return pairs
 
     def at(self, lost: FloatArray) -> FloatArray:
-        """Losses (n_range, n_yaw), with those at the edges in place of those beyond."""
+        """Interpolate losses (n_range, n_yaw) to the edges, in place of the targets beyond."""
         inner = lost.copy()
         into, own, behind = (inner.T, lost.T, self.behind.T) if self.axis else (inner, lost, self.behind)
         into[:-1] = own[1:]
@@ -233,13 +233,13 @@ class ImageEdges(NamedTuple):
 
 
 MIGRATION_NODES = 12  # of the mean over the phase by range migration, under a weighting
-CHIPS = 1.6  # what the worst chips of an image lose at whole ends, over the mean: 1.1 to 1.6 measured
+CHIPS = 1.6  # loss of an image's worst chips at whole ends over the mean: 1.1 to 1.6 measured
 
 
 def worst_losses(
     targets: TracedTargets, gate: DwellGate | None, judged: JudgedTargets, *, reached: BoolArray | None, band: Taper
 ) -> tuple[float, float, float]:
-    """Losses of the target that loses most, by residual phase, range migration and ends of the dwell; see `predict`.
+    """Losses of the worst target, by residual phase, range migration and dwell ends; see `predict`.
 
     Of those with full dwell; on a terrain, of those of them that are there, if any is.
     """
@@ -256,7 +256,7 @@ def worst_losses(
 
 
 def _along_dwell(targets: TracedTargets, band: Taper) -> tuple[FloatArray, FloatArray]:
-    """Loss by residual phase, and what range migration takes besides."""
+    """Loss by residual phase, and additional loss by range migration."""
     spots, weights = targets.spots, targets.weights
     line = targets.line.weighed(weights.nodes**2)
     stretch = np.maximum(line.stretch, LEAST_STRETCH)
@@ -277,7 +277,7 @@ def _along_dwell(targets: TracedTargets, band: Taper) -> tuple[FloatArray, Float
 
 
 def _gated(targets: TracedTargets, gate: DwellGate, *, reached: BoolArray | None, band: Taper) -> FloatArray:
-    """Loss by the gate: ends of dwells, and slopes of weights that it does not follow."""
+    """Loss by the gate: at ends of dwells, and where it does not follow slopes of weights."""
     line, weights, collection = targets.line, targets.weights, targets.geometry.collection
     whole = collection.lit_widths == 1  # echoes lie to one side of the ends: no dwell is a part of the beam's own
     by_lit = whole and (reached is None or weights.pattern is not None)
@@ -294,7 +294,7 @@ def _gated(targets: TracedTargets, gate: DwellGate, *, reached: BoolArray | None
 
 
 def _by_place(line: Line, spots: Focus, gate: DwellGate, weights: DwellWeights) -> FloatArray:
-    """Loss by windows that take a target's place in the beam as a function of time that does not fit the target.
+    """Loss by windows that assume another time course of a target's place in the beam than its own.
 
     Under a beam about its axis a simple one, made for a few lengths of each half of the dwells and blended; on a
     terrain that of the smooth ground, from which heights move dwells.
@@ -305,12 +305,12 @@ def _by_place(line: Line, spots: Focus, gate: DwellGate, weights: DwellWeights) 
         made *= half.blended(gate.taper.taper, share * length, length)
     wanted, found = weights.nodes, made * weights.nodes / weights.alone
     power = (line.weight * wanted**2).sum(axis=-1) * (line.weight * found**2).sum(axis=-1)
-    # Under a taper to zero targets that are hardly lit weigh nothing at all.
+    # Under a taper to zero, targets that are hardly lit have no weight at all.
     return 1 - np.abs((line.weight * wanted * found).sum(axis=-1)) / np.sqrt(np.where(power > 0, power, np.inf))
 
 
 def _between_ends(targets: TracedTargets, gate: DwellGate, *, by_lit: bool, band: Taper) -> FloatArray:
-    """Loss by ends of the dwell that are smeared or displaced; none at an end that the collection's end cuts."""
+    """Loss by smeared or displaced ends of the dwell; 0 at ends cut by the collection."""
     line, spots, weights, collection = targets.line, targets.spots, targets.weights, targets.geometry.collection
     lit = line.weight.sum(axis=-1)
     lost = np.zeros(lit.shape)
@@ -336,7 +336,7 @@ def _between_ends(targets: TracedTargets, gate: DwellGate, *, by_lit: bool, band
 
 
 def slope_loss(collection: Collection, band: Taper) -> float:
-    """Loss by a change of weights whose square is that of the weights, per relative range frequency."""
+    """Loss by weights that change linearly over the band, for a unit relative slope."""
     nodes, shares = band_nodes(band)
     return float((shares * nodes**2).sum() * (collection.bandwidth / 2 / collection.carrier) ** 2 / 2)
 
@@ -367,7 +367,7 @@ def _track_phase(geometry: Geometry, rng: FloatArray, yaw: FloatArray) -> float:
 
 
 def _along_sight(geometry: Geometry, rng: FloatArray, yaw: FloatArray, misfit: FloatArray) -> FloatArray:
-    """The misfit along the line of sight of one point at each pulse, (n_pulse,) m."""
+    """Misfit along the line of sight of one point at each pulse, (n_pulse,) m."""
     sight = geometry.ground_point(rng, yaw) - geometry.collection.antenna_position
     return np.asarray((sight * misfit).sum(axis=1) / np.sqrt((sight * sight).sum(axis=1)))
 
@@ -397,36 +397,36 @@ class Lobes(NamedTuple):
         return abs(self.side - self.ideal_side)
 
     def towards(self, other: Lobes, share: float) -> Lobes:
-        """Mix with the lobes of another target, by a share."""
+        """Mix with the lobes of another target by a share."""
         return Lobes(self.target, *(a + share * (b - a) for a, b in zip(self[1:], other[1:], strict=True)))
 
 
 def worst_lobes(targets: TracedTargets, gate: DwellGate | None, judged: JudgedTargets, *, band: Taper = FLAT) -> Lobes:
-    """Of the target with the worst phase, and of those at the edges of the image beside it; see `predict`."""
+    """Side lobes of the target with the worst phase and of those at the image's edges next to it; see `predict`."""
     full, uniform = judged.full, targets.weights.uniform
     residual = np.where(judged.there if uniform else full & judged.there, targets.spots.residual, -1.0)
     worst = tuple(int(i) for i in np.unravel_index(int(np.argmax(residual)), residual.shape))
     some = [worst] if uniform or not full.any() else [worst, *_corners(full)]
     changed = _at_ends(targets, gate) if gate is not None and gate.lift else None
-    beside = None if targets.weights.taper.uniform else _beside(targets, band)
-    found = [_azimuth_lobes(targets, target, changed if full[target] else None, beside) for target in some]
+    neighbours = None if targets.weights.taper.uniform else _beside(targets, band)
+    found = [_azimuth_lobes(targets, target, changed if full[target] else None, neighbours) for target in some]
     for edge in judged.edges:
         for outer, inner in edge.beside(worst):
-            beyond = _azimuth_lobes(targets, outer, changed, beside)
-            inside = _azimuth_lobes(targets, inner, changed if full[inner] else None, beside)
+            beyond = _azimuth_lobes(targets, outer, changed, neighbours)
+            inside = _azimuth_lobes(targets, inner, changed if full[inner] else None, neighbours)
             found.append(inside.towards(beyond, float(edge.share[outer])))
     return max(found, key=Lobes.change)
 
 
 def _corners(full: BoolArray) -> list[tuple[int, ...]]:
-    """The first and the last of the targets with full dwell, at the first, the middle and the last range with any."""
+    """First and last target with full dwell, at the first, middle and last range that has any."""
     rows = np.flatnonzero(full.any(axis=1))
     ends = [(row, np.flatnonzero(full[row])[[0, -1]].tolist()) for row in rows[[0, rows.size // 2, -1]].tolist()]
     return sorted({(row, column) for row, columns in ends for column in columns})
 
 
 def _beside(targets: TracedTargets, band: Taper) -> Callable[[tuple[int, ...]], Beside]:
-    """How pixels beside a target sum its echo: as dwells begin and end from yaw to yaw if nothing cuts them."""
+    """Make the sums of a target's echo at neighbouring pixels, whose dwells are shifted unless cut."""
     collection, doppler, yaw = targets.geometry.collection, targets.spots.doppler, targets.yaw
     moments = np.stack([np.broadcast_to(each, doppler.shape) for each in targets.uncut], axis=-1)
     passed = np.gradient(doppler, yaw, axis=1)[..., None]
@@ -442,7 +442,7 @@ def _azimuth_lobes(
     changed: tuple[FloatArray, FloatArray] | None,
     beside: Callable[[tuple[int, ...]], Beside] | None,
 ) -> Lobes:
-    """Side lobes of one target, with what windows have `changed` (`_at_ends`), and `beside` it."""
+    """Side lobes of one target, with changes by windows (`_at_ends`) and dwells of pixels `beside` it."""
     line, spots, weights = targets.line, targets.spots, targets.weights
     weight = weights.weigh(line).weight[target]
     level = line.phase[target] - spots.doppler[target] * line.time[target] - spots.phase[target]
@@ -466,7 +466,7 @@ def _azimuth_lobes(
 
 
 def _at_ends(targets: TracedTargets, gate: DwellGate) -> tuple[FloatArray, FloatArray]:
-    """Times and weights (..., 4) by which windows at ends of dwells change sums; none at ends that no window makes."""
+    """Times and weights (..., 4) of the changes by windows at ends of dwells; 0 at ends without a window."""
     line, edge = targets.line, targets.weights.edge
     stretch = np.sqrt(np.maximum(line.stretch[..., [0, -1]], LEAST_STRETCH))
     weight = np.where(targets.cut, 0.0, np.broadcast_to(edge, line.time.shape[:-1])[..., None] * stretch)
@@ -476,7 +476,7 @@ def _at_ends(targets: TracedTargets, gate: DwellGate) -> tuple[FloatArray, Float
 
 
 class Beside(NamedTuple):
-    """How pixels beside a target sum its echo, other than the target's own."""
+    """Sum of a target's echo at neighbouring pixels, over their dwells rather than the target's."""
 
     band: Taper  # the weighting over the band
     relative: float  # B / fc
@@ -484,7 +484,7 @@ class Beside(NamedTuple):
     cut: BoolArray  # (2,) whether the collection cuts them
 
     def factors(self, offsets: FloatArray, time: FloatArray) -> Complex128Array:
-        """Of the weights at times (n,), at frequencies (m,): (m, n).
+        """Factors (m, n) of the weights at times (n,), at frequencies (m,).
 
         Weights of the last two are those at the begin and the end of the dwell, 1 / s of the others.
         """
@@ -503,7 +503,7 @@ class Beside(NamedTuple):
 
 
 def responses(time: FloatArray, *weights: FloatArray | ComplexArray, beside: Beside | None = None) -> list[FloatArray]:
-    """Magnitudes (SAMPLES,) of the sums of `weights` (n,) at times (n,), s, over frequencies about zero.
+    """Magnitudes (SAMPLES,) of sums of `weights` (n,) at times (n,), s, over frequencies about zero.
 
     With `beside`, the last two of them are those at the ends of a dwell: see `Beside.factors`.
     """
@@ -520,7 +520,7 @@ def side_lobe(response: FloatArray) -> float:
 
 
 def side_lobe_as_in(ideal: FloatArray, response: FloatArray) -> float:
-    """`side_lobe` of a response close to an ideal one, to be compared with that of this.
+    """Side lobe of a response, dB, read where an ideal response close to it has its highest.
 
     Under a part of a weighting, side lobes may be shoulders of the main lobe, which count where the slightest change
     makes a minimum before them. Of the side lobes beyond the response's own main lobe, and beyond that of the ideal
@@ -531,7 +531,7 @@ def side_lobe_as_in(ideal: FloatArray, response: FloatArray) -> float:
 
 
 def _main_lobe(response: FloatArray) -> tuple[int, int]:
-    """The first minima on either side of the peak."""
+    """Indices of the first minima on either side of the peak."""
     left = right = int(np.argmax(response))
     while left > 0 and response[left - 1] < response[left]:
         left -= 1
@@ -546,7 +546,7 @@ def _beyond(response: FloatArray, left: int, right: int) -> float:
 
 
 def lobe_width(response: FloatArray, time: FloatArray) -> float:
-    """Distance between the outermost crossings of 3 dB below the peak, Hz, of a response over those times."""
+    """Distance, Hz, between the outermost -3 dB crossings of a response over these times."""
     above = np.concatenate([[-1.0], response / response.max() - np.sqrt(0.5), [-1.0]])
     first, last = np.flatnonzero(above >= 0)[[0, -1]]
     left, right = above[first] - above[first - 1], above[last] - above[last + 1]

@@ -1,4 +1,4 @@
-"""The terrain of a block: its smooth part, on which the block is fitted, and what stands above and below that."""
+"""Terrain of a block: the smooth part that the block is fitted on, and deviations from it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ TURN_STEP, TURN_STEPS, LEAST_TURN, MOST_TURN = 1 / 64, 3, 1e-3, 0.1
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Relief:
-    """A block's terrain.
+    """Smooth ground and relief of a block's terrain.
 
     Attributes
     ----------
@@ -59,16 +59,16 @@ class Relief:
 
     @property
     def offsets(self) -> FloatArray:
-        """Heights over the smooth ground, m, at which lines are traced."""
+        """Heights over the smooth ground, m, for which lines are traced."""
         count = min(FEWEST_LAYERS + int((self.high - self.low) // LAYER_HEIGHT), MOST_LAYERS)
         return (self.low + self.high) / 2 + (self.high - self.low) / 2 * solvers.end_nodes(count)
 
     def over(self, geometry: Geometry, offset: float) -> Geometry:
-        """A geometry on the smooth ground, raised by an offset, m."""
+        """Geometry on the smooth ground, raised by an offset, m."""
         return geometry.over(None, replace(self.smooth, offset=offset))
 
     def usual(self, n_range: int, n_yaw: int) -> tuple[FloatArray, BoolArray]:
-        """Usual heights over the finer smooth ground about each end node (n_range, n_yaw), m, and whether any is known.
+        """Typical heights (n_range, n_yaw), m, over the finer smooth ground about each end node; whether any is known.
 
         What is lost at the ends of a dwell is in proportion to their displacement, thus to the distance from the smooth
         ground: the mean of the losses about a node, as a chip of the image shows it, is the loss at the mean distance.
@@ -79,7 +79,7 @@ class Relief:
         return np.copysign(np.sqrt(middle**2 + 2 / np.pi * spread), middle), known
 
     def usual_ends(self, n_range: int, n_yaw: int) -> tuple[FloatArray, FloatArray]:
-        """Heights (n_range, n_yaw), m, as `usual`, of places that lie low and of such that lie high: mean -+ deviation.
+        """Typical low and high heights (n_range, n_yaw), m, about each end node: mean -+ standard deviation.
 
         Side lobes are those of each target: what is at one height is not made up for by what is at another.
         """
@@ -87,7 +87,7 @@ class Relief:
         return middle - np.sqrt(spread), middle + np.sqrt(spread)
 
     def _about(self, n_range: int, n_yaw: int) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Mean and variance of heights over the finer smooth ground about each end node, and whether any is known."""
+        """Mean and variance of heights over the finer smooth ground about each end node; whether any is known."""
         u, v, over = self.points
         cell = [bins_of(at, BINS) for at in (u, v)]
         which = cell[0] * BINS + cell[1]
@@ -108,12 +108,12 @@ class Relief:
 
 
 def bins_of(places: FloatArray, n: int) -> IntArray:
-    """The bin, of n over -1 .. 1, in which each place lies; the outermost ones hold what is beyond."""
+    """Bin, of n over -1 .. 1, of each place; the outermost bins include places beyond."""
     return np.clip(((places + 1) / 2 * n).astype(np.int64), 0, n - 1)
 
 
 def _bins_about(n: int) -> tuple[IntArray, IntArray]:
-    """First and last but one of BINS over -1 .. 1 that are about each of n end nodes, (n,) each."""
+    """First and end of the BINS over -1 .. 1 about each of n end nodes, (n,) each."""
     nodes = solvers.end_nodes(n)
     between = (nodes[1:] + nodes[:-1]) / 2
     low = np.minimum(np.append(-1.0, between), nodes - ABOUT)
@@ -123,7 +123,7 @@ def _bins_about(n: int) -> tuple[IntArray, IntArray]:
 
 
 class ReliefPoints(NamedTuple):
-    """Some points of a terrain, (n,): yaw (rad), epoch range and z (m).
+    """Points sampled from a terrain, (n,): yaw (rad), epoch range and z (m).
 
     All of the terrain is within `apart`, m, of one of them; `turn` (n,), rad, is as far as seen from the nadir.
     """
@@ -136,7 +136,7 @@ class ReliefPoints(NamedTuple):
 
 
 def sample_terrain(geometry: Geometry, x: tuple[float, float], y: tuple[float, float]) -> ReliefPoints:
-    """Every n-th sample of the geometry's terrain in a box, x and y from .. to, m, and the box's own edges."""
+    """Sample the geometry's terrain in a box, x and y from .. to, m, and along the box's edges."""
     terrain = geometry.terrain
     assert terrain is not None
     axes = []
@@ -157,16 +157,16 @@ def sample_terrain(geometry: Geometry, x: tuple[float, float], y: tuple[float, f
 
 
 def find_relief(samples: ReliefPoints, geometry: Geometry, *, low: float, high: float, along: GroundRange) -> Relief:
-    """The relief between two yaws, rad, and two epoch ranges; where nothing is known, the plane z = ground_height."""
+    """Fit the relief between two yaws, rad, and two epoch ranges; the plane z = ground_height if nothing is known."""
     x, y = geometry.epoch_position[:2] - geometry.nadir
     depth = Depth(x=float(x), y=float(y), z=float(geometry.epoch_position[2]))
     turn = wrapped(samples.yaw - (low + high) / 2)
     u, v = along.place(samples.epoch_range), 2 * turn / (high - low)
-    inside, beside = (np.abs(u) <= 1) & (np.abs(v) <= 1), _beside(samples, turn, (high - low) / 2, along)
-    inside = inside if inside.any() else beside
+    inside, around = (np.abs(u) <= 1) & (np.abs(v) <= 1), _beside(samples, turn, (high - low) / 2, along)
+    inside = inside if inside.any() else around
     u, v, z = u[inside], v[inside], samples.z[inside]
     level = float(z.mean()) if z.size else geometry.collection.ground_height
-    bounds = samples.z[beside] if z.size else np.array([level])
+    bounds = samples.z[around] if z.size else np.array([level])
     spare = ROOM * float(np.ptp(bounds))  # between samples heights may go beyond them
     cells = _in_cells(u, v, z, level)
     smooth, fine = (
@@ -184,7 +184,7 @@ def find_relief(samples: ReliefPoints, geometry: Geometry, *, low: float, high: 
 
 
 def _beside(samples: ReliefPoints, turn: FloatArray, half: float, along: GroundRange) -> BoolArray:
-    """Find which samples (n,) lie in a block or so close to it that they bound its heights.
+    """Mask of samples (n,) in a block, or close enough to bound its heights.
 
     A block has yaws of at most `half` from its middle, rad, and the ranges `along`; `turn` (n,) are the samples' yaws
     from its middle. It may be hardly larger than the distance between samples.
@@ -195,7 +195,7 @@ def _beside(samples: ReliefPoints, turn: FloatArray, half: float, along: GroundR
 
 
 def _in_cells(u: FloatArray, v: FloatArray, z: FloatArray, mean: float) -> FloatArray:
-    """Heights (CELLS), m, at the middles of cells, of samples at (u, v) in -1 .. 1; what is unknown continues them."""
+    """Average heights of samples at (u, v) in -1 .. 1 over cells (CELLS), m; unknown cells are extrapolated."""
     rows, columns = (bins_of(at, n) for at, n in zip((u, v), CELLS, strict=True))
     which, count = rows * CELLS[1] + columns, CELLS[0] * CELLS[1]
     number = np.bincount(which, minlength=count).reshape(CELLS)
@@ -213,13 +213,13 @@ def _in_cells(u: FloatArray, v: FloatArray, z: FloatArray, mean: float) -> Float
 
 
 def _fit(cells: FloatArray, degree: tuple[int, int]) -> FloatArray:
-    """Tensor Chebyshev series of heights at the middles of cells."""
+    """Fit a tensor Chebyshev series to heights at the middles of cells."""
     along_range, along_yaw = (_fitting(n, terms) for n, terms in zip(cells.shape, degree, strict=True))
     return solvers.product(solvers.product(along_range, cells), along_yaw.T)
 
 
 def _continued(values: FloatArray, known: BoolArray) -> FloatArray:
-    """The values, and where they are not known the mean of neighbours, outwards from what is known."""
+    """Fill unknown values with the mean of neighbours, outwards from known ones."""
     values, known = values.copy(), known.copy()
     while known.any() and not known.all():
         around, number = np.zeros_like(values), np.zeros_like(values)
@@ -239,7 +239,7 @@ def _continued(values: FloatArray, known: BoolArray) -> FloatArray:
 
 @lru_cache
 def _fitting(n: int, degree: int) -> FloatArray:
-    """The matrix (degree + 1, n) from values at the middles of n cells to a Chebyshev series; read-only.
+    """Matrix (degree + 1, n) from values at the middles of n cells to a Chebyshev series; read-only.
 
     Least squares with weights 1 / sqrt(1 - u^2), under which errors at the ends are no larger than amid.
     """
@@ -252,7 +252,7 @@ def _fitting(n: int, degree: int) -> FloatArray:
 
 
 def turns_of(raised: Geometry, smooth: Geometry, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
-    """Yaw, rad, from targets on a raised ground (n_range, n_yaw) to those of the smooth one with the same dwell.
+    """Yaw, rad, between targets on a raised ground (n_range, n_yaw) and those of equal dwell on the smooth one.
 
     They have the same range, and the same place in a beam about its axis at the middle of the dwell. By Newton's steps.
     """

@@ -1,4 +1,4 @@
-"""Plan the recovery of the spectrum: unified walk, derotation and padding, and whether the PRF suffices."""
+"""Plan of the spectrum's recovery: unified walk, derotation and padding, and whether the PRF suffices."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def plan_recovery(
 
 
 def _unfolded(recovery: Recovery, band_edge: float) -> int:
-    """`Recovery.n_time` where all that is lit is summed, thus what lies beyond the grid too.
+    """Length `Recovery.n_time` without aliasing of the lit ground beyond the grid.
 
     The derotated signal fills the PRF, and the derotation moves that up and down. A part that folded into the spectrum
     would lie at a time where nothing of its Doppler is lit, which a dwell gate takes out. Without one, steps in Doppler
@@ -91,7 +91,7 @@ def _unfolded(recovery: Recovery, band_edge: float) -> int:
 
 
 def _plan_derotation(pulses: Axis, line: Line, *, linear: bool) -> tuple[FloatArray, tuple[float, float]]:
-    """Chebyshev series of the derotation phase (cycles), and the Doppler band of the derotated lines (Hz)."""
+    """Plan the derotation: a Chebyshev series of phase (cycles), and the Doppler band of derotated lines (Hz)."""
     half = pulses.extent / 2
     middle = pulses.start + pulses.step * (pulses.size - 1) / 2
     u = (line.time - middle) / half
@@ -103,7 +103,7 @@ def _plan_derotation(pulses: Axis, line: Line, *, linear: bool) -> tuple[FloatAr
 
 
 def _check_prf(geometry: Geometry, method: Method, spread: float) -> None:
-    """Raise PrfTooLow, or what is wrong with track or beam, if the derotated band, `spread` Hz, exceeds the PRF."""
+    """Raise PrfTooLow, or an error about track or beam, if the derotated band, `spread` Hz, exceeds the PRF."""
     collection = geometry.collection
     if collection.prf < spread:
         if (flaw := find_flaw(collection)) is not None:
@@ -123,7 +123,7 @@ def _check_prf(geometry: Geometry, method: Method, spread: float) -> None:
 
 
 def _of_terrain(geometry: Geometry) -> str:
-    """State that a terrain may be wrong, if there is one: on ground that is too high or low, all moves otherwise."""
+    """Mention the terrain as a possible cause, if there is one: wrong heights change all Dopplers."""
     if geometry.terrain is None:
         return ""
     low, high = geometry.terrain.limits
@@ -131,7 +131,7 @@ def _of_terrain(geometry: Geometry) -> str:
 
 
 def _plan_spectrum(geometry: Geometry, region: Region, line: Line, *, padded: int, band_edge: float) -> Axis:
-    """Doppler of the recovered spectrum: all that is lit, at all range frequencies, with a margin for tails."""
+    """Doppler axis of the recovered spectrum: everything lit, at all range frequencies, with a margin for tails."""
     low, high = float(line.doppler.min()), float(line.doppler.max())
     dwell = float(np.max(np.subtract(*geometry.beam.dwell_at(region.yaw, (region.near + region.far) / 2)[::-1])))
     margin = tail_margin(dwell)
@@ -143,7 +143,7 @@ def _plan_spectrum(geometry: Geometry, region: Region, line: Line, *, padded: in
 
 
 def _bulk_cycles(geometry: Geometry, common: CommonRange, *, origin: float, walk: float, region: Region) -> FloatArray:
-    """Cycles on the carrier, per pulse, from the stored reference range to the range that the chain counts from."""
+    """Phase, cycles on the carrier, per pulse, from the stored reference range to the chain's range origin."""
     collection = geometry.collection
     time = collection.time
     slow = time - geometry.epoch
@@ -157,7 +157,7 @@ def _bulk_cycles(geometry: Geometry, common: CommonRange, *, origin: float, walk
 
 
 def _common_range(geometry: Geometry, centre: FloatArray) -> CommonRange:
-    """The range history of the region's centre (3,), m, from COMMON_ORDER on; none below COMMON_LEAST."""
+    """Range history of the region's centre (3,), m, from COMMON_ORDER on; zero if below COMMON_LEAST."""
     track = geometry.track
     # Range is as smooth as the track: somewhat more than twice its order suffices.
     nodes = chebyshev.chebpts1(2 * track.order + 16)
@@ -173,7 +173,7 @@ def _common_range(geometry: Geometry, centre: FloatArray) -> CommonRange:
 def _lit_lines(
     geometry: Geometry, region: Region, origin: float, walk: float, common: CommonRange, *, margin: float
 ) -> Line:
-    """Lines of targets over the region, without `margin` of the range window at either end.
+    """Lines of targets over the region, except for `margin` at either end of the range window.
 
     Under a beam about its axis (n_target, n), of the lit targets only.
     """

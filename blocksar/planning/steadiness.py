@@ -1,4 +1,4 @@
-"""Beams that dwell gates can follow: those that pass over their ground, smoothed where their pointing jitters.
+"""Beams that dwell gates can follow: smooth enough, and passing over their ground.
 
 A gate follows the ends of dwells as smooth functions of range and Doppler. Near the point on which a beam turns that
 stays on its ground, ground passes it ever more slowly, and on the far side the other way: no such function exists.
@@ -54,7 +54,7 @@ class Smoothed(NamedTuple):
 
 
 def smoothed_beam(geometry: Geometry, region: Region, fidelity: float, taper: Taper) -> Smoothed:
-    """The beam that gates may follow: the one that there is, unless it jitters by more than a fidelity allows."""
+    """Return the beam for gates: the given one, or a smoothed one if it jitters by more than a fidelity allows."""
     collection = geometry.collection
     if collection.beam_width is None or scans_evenly(collection):
         return Smoothed(geometry)
@@ -79,28 +79,28 @@ def smoothed_beam(geometry: Geometry, region: Region, fidelity: float, taper: Ta
 
 
 def scans_evenly(collection: Collection) -> bool:
-    """Whether the yaw of a beam, and so a target's place in it, grows evenly with time; not about an axis."""
+    """Tell whether the yaw of a beam grows evenly with time; False for a beam about its axis."""
     return collection.unevenness <= LEAST * (collection.beam_width or 0.0)
 
 
 def _most_over_dwells(values: FloatArray, n: int) -> float:
-    """The largest mean of n values that follow each other."""
+    """Largest mean of n consecutive values."""
     total = np.concatenate([[0.0], np.cumsum(values)])
     return float((total[n:] - total[:-n]).max() / n) if n < values.size else float(values.mean())
 
 
 def _taper_loss(taper: Taper, squared: float) -> float:
-    """Loss of coherence by a place v in the beam whose error has the mean square `squared`."""
+    """Loss of coherence by errors of the place v in the beam with mean square `squared`, under a taper."""
     nodes, shares = solvers.gauss_legendre(NODES)
     return float(squared * (shares * taper.slope(nodes) ** 2).sum() / (shares * taper(nodes) ** 2).sum() / 2)
 
 
 def beam_stays(geometry: Geometry, region: Region, extent: Extent) -> bool:
-    """Whether a beam about its axis stays on ground of an extent for too long for a gate, and lights the most of it."""
+    """Tell whether a beam about its axis lights most of an extent and stays there too long for a gate."""
     collection = geometry.collection
     if not collection.has_axis:
         return False
-    if (steady := collection.steady) is not collection:  # where a beam that jitters goes on is seen in a smooth one
+    if (steady := collection.steady) is not collection:  # follow a jittering beam beyond the collection by a smooth one
         geometry = geometry.lit_by(steady)
     yaw = np.linspace(extent.low, extent.high, PLACES)
     near, far = region.at(yaw)
@@ -115,7 +115,7 @@ def beam_stays(geometry: Geometry, region: Region, extent: Extent) -> bool:
 
 
 def longest_stay(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray) -> float:
-    """The longest time for which a beam about its axis would stay on lit ground, if it went on, s; 0 if none is lit.
+    """Longest time, s, that a beam about its axis, continued, stays on lit ground; 0 if nothing is lit.
 
     Infinite where ground that is lit all the time turns back in the beam. Ranges (m) and yaws (rad) are broadcast.
     """

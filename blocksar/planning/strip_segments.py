@@ -1,6 +1,6 @@
-"""Several collections in one image, and long strips as segments along time: each is planned by itself.
+"""Several collections in one image, and long strips divided along time: segments planned one by one.
 
-Strips that are longer than one epoch serves: segments along time, each planned about its own middle.
+Strips that one epoch cannot serve are divided into segments along time, each planned about its own middle.
 
 Under a beam about the antenna's axis, a strip may be any number of dwells long, but range histories that are expanded
 about one epoch serve a few of them only. Segments overlap by more than the longest dwell: ground in the middle of what
@@ -35,7 +35,7 @@ Span = tuple[int, int]  # pulses first <= p < last
 
 
 def longest_dwell(collection: Collection, grid: Grid) -> float:
-    """The longest dwell of ground in a grid that the collection lights, s, as if it went on; 0 if it lights none."""
+    """Longest uncut dwell, s, of ground in a grid that the collection lights; 0 if it lights none."""
     geometry = Geometry(collection=collection)
     places = np.linspace(grid.x[0], grid.x[-1], PLACES), np.linspace(grid.y[0], grid.y[-1], PLACES)
     first, last = geometry.beam.dwell(*np.meshgrid(*places), uncut=True)
@@ -45,7 +45,7 @@ def longest_dwell(collection: Collection, grid: Grid) -> float:
 
 
 def cuts(collection: Collection, dwell_time: float) -> Iterator[list[Span]]:
-    """Ever more segments of equal length, each time their spans; ends where they would become too short."""
+    """Iterate over divisions into ever more segments of equal length, as spans, until they are too short."""
     overlap = math.ceil((1 + OVERLAP) * dwell_time * collection.prf)
     count, n = 2, collection.n_pulse
     while overlap:
@@ -58,7 +58,7 @@ def cuts(collection: Collection, dwell_time: float) -> Iterator[list[Span]]:
 
 
 def within(collection: Collection, spans: Sequence[Span], grid: Grid) -> list[Span]:
-    """The segments that see some ground of a grid deepest inside their time."""
+    """Select the segments that some ground of a grid is deepest inside, in time."""
     count = PLACES + POINTS_EACH * len(spans)
     x, y = np.meshgrid(np.linspace(grid.x[0], grid.x[-1], count), np.linspace(grid.y[0], grid.y[-1], count))
     margins = np.array([Geometry(collection=collection.segment(*span)).beam.margin(x, y) for span in spans])
@@ -67,7 +67,7 @@ def within(collection: Collection, spans: Sequence[Span], grid: Grid) -> list[Sp
 
 
 def owned_by(collection: Collection, spans: Sequence[Span], number: int) -> Owned:
-    """Find which ground a segment images: what its neighbours see less deep inside their time, and a little beyond."""
+    """Make the test of which ground a segment images: where its neighbours see less deep inside, with some overlap."""
     own, *others = (
         Geometry(collection=collection.segment(*spans[k]))
         for k in (number, number - 1, number + 1)
@@ -179,7 +179,7 @@ def plan_segments(
 
 
 def _cut(plan: Planner, collection: Collection, whole: Plan, number: int) -> list[PlannedSegment]:
-    """The segments of a strip that one epoch does not serve; none if it does, or segments gain nothing.
+    """Divide a strip that one epoch does not serve into segments; empty if it does, or division gains nothing.
 
     The fewest segments that keep the fidelity, judged by one in the middle; else as many as gain.
     """
@@ -210,7 +210,7 @@ def _cut(plan: Planner, collection: Collection, whole: Plan, number: int) -> lis
 
 
 def _first_inside(plan: Planner, collection: Collection, grid: Grid, spans: Sequence[Span]) -> Plan | None:
-    """The plan of the segment that covers some of the grid and lies closest to the middle; None if none does."""
+    """Plan the segment closest to the middle that covers some of the grid; None if none does."""
     for k in sorted(range(len(spans)), key=lambda k: abs(k - len(spans) // 2)):
         with suppress(OutsideSwath):
             own = collection.segment(*spans[k])

@@ -1,4 +1,4 @@
-"""The ground that a block owns, and the time-frequency lines of targets on it in the recovered signal."""
+"""Sector of ground that a block owns, and the time-frequency lines of its targets in the recovered signal."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ TAIL_ENERGY = 1e-3  # fraction of a target's energy that may lie outside its blo
 
 
 class Nodes(NamedTuple):
-    """Gauss-Legendre nodes of dwells, and what does not depend on the targets' ranges.
+    """Gauss-Legendre nodes over dwells, with quantities that do not depend on the targets' ranges.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class Dwells:
 
     @cached_property
     def _of_all_ranges(self) -> Nodes:
-        """The nodes where dwells do not depend on range."""
+        """Nodes shared by all ranges where dwells do not depend on range."""
         return self._nodes(np.zeros(1))
 
     def _nodes(self, epoch_range: FloatArray) -> Nodes:
@@ -126,7 +126,7 @@ class Dwells:
 
 
 def _line_nodes(geometry: Geometry, longest: float, *, coarsely: bool) -> int:
-    """Nodes along a dwell of at most `longest` s: more where a spline bends the track within it."""
+    """Number of nodes along a dwell of at most `longest` s: more if a spline bends the track within it."""
     wobble = geometry.track.wobble
     if wobble is None:
         return LINE_NODES
@@ -144,7 +144,7 @@ def tail_margin(duration: float) -> float:
 
 
 def middle_line(u: FloatArray, doppler: FloatArray, *, order: int) -> FloatArray:
-    """Chebyshev series through the middle of the lit band at each time u in [-1, 1], for the derotation to follow.
+    """Chebyshev series, for the derotation, through the middle of the lit Doppler band at times u in [-1, 1].
 
     Paper A (8) follows the beam's centre at the reference range. The middle of all that is lit at a time needs a
     slightly lower PRF, and coincides with it where the swath is narrow.
@@ -190,7 +190,7 @@ class Sector:
 
     @property
     def ground_range(self) -> GroundRange:
-        """Its epoch ranges along the ground."""
+        """Ground range coordinate of the sector's epoch ranges."""
         return ground_range(self.geometry, self.near, self.far)
 
     @property
@@ -199,7 +199,7 @@ class Sector:
         return taper_over_dwells(self.geometry.collection, self.weighting)
 
     def lit_band(self, lit: Line, uncut: tuple[FloatArray, FloatArray]) -> FloatArray:
-        """Band of Doppler that is lit at a time at targets (...), Hz.
+        """Doppler band, Hz, that is lit at any one time at targets (...).
 
         After derotation the beam keeps its Doppler, and a target passes through all of it in its dwell.
         """
@@ -219,7 +219,7 @@ class Sector:
         )  # fmt: skip
 
     def passing(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray | None:
-        """When the beam's centre passes targets, s from the epoch, where a taper asks; None: amid their dwells."""
+        """Times at which the beam's centre passes targets, s from the epoch, as tapers need; None: in mid-dwell."""
         if self.taper.uniform or scans_evenly(self.geometry.collection):
             return None
         return np.asarray(self.geometry.beam.passing_at(yaw, epoch_range, 0.0) - self.geometry.epoch)
@@ -240,6 +240,6 @@ class Sector:
 
 
 def ground_range(geometry: Geometry, near: float, far: float) -> GroundRange:
-    """Epoch ranges from near to far, m, along the ground; a mountain may lie nearer than the nadir."""
+    """Ground range coordinate from near to far, m; it allows for mountains nearer than the nadir."""
     height = float(geometry.epoch_position[2] - geometry.collection.ground_height)
     return GroundRange(near=near, far=far, height=min(height, near))

@@ -31,7 +31,7 @@ def chunks_of(grid: Grid) -> list[tuple[FloatArray, FloatArray]]:
 
 
 def units_of(grid: Grid, chunks: tuple[int, int]) -> list[list[tuple[slice, slice]]]:
-    """The windows of units of so many rows and columns of the image's chunks: a window for each chunk."""
+    """Windows of each unit of `chunks` rows and columns of image chunks: one window for each chunk."""
     spans = [
         [slice(first, min(first + step, n)) for first in range(0, n, step)]
         for n, step in zip(grid.shape, image_chunk(grid), strict=True)
@@ -44,7 +44,7 @@ def units_of(grid: Grid, chunks: tuple[int, int]) -> list[list[tuple[slice, slic
 
 
 def window_around(windows: Sequence[tuple[slice, slice]]) -> tuple[slice, slice]:
-    """The window around some."""
+    """Bounding window of some windows."""
     spans = [slice(min(w[k].start for w in windows), max(w[k].stop for w in windows)) for k in (0, 1)]
     return spans[0], spans[1]
 
@@ -57,7 +57,7 @@ def chunk_window(cell: tuple[int, int], grid: Grid) -> tuple[slice, slice]:
 
 
 def patch_window(ground: GroundMap, grid: Grid) -> tuple[int, int, int, int]:
-    """First row, first column, rows and columns of a block's patch: the whole image chunks around its sector."""
+    """First row, first column, rows and columns of a block's patch: whole image chunks around its sector."""
     yaw = np.linspace(ground.low, ground.high, 257)
     geometry = ground.geometry
     planes, ends = [geometry.over(None, Level(z)) for z in {*ground.levels}], np.array([[ground.near], [ground.far]])
@@ -75,7 +75,7 @@ def patch_window(ground: GroundMap, grid: Grid) -> tuple[int, int, int, int]:
 
 
 def touched_chunks(ground: GroundMap, grid: Grid) -> list[tuple[int, int]]:
-    """Row and column of each chunk of the image of which a block may own pixels; it owns none of the others."""
+    """Row and column of each image chunk that a block may own pixels of."""
     first_y, first_x, n_y, n_x = patch_window(ground, grid)
     side = image_chunk(grid)
     x, y = grid.x[first_x : first_x + n_x], grid.y[first_y : first_y + n_y]
@@ -84,5 +84,5 @@ def touched_chunks(ground: GroundMap, grid: Grid) -> list[tuple[int, int]]:
 
 
 def inspection_width(collection: Collection) -> int:
-    """Range frequencies that one task inspects."""
+    """Number of range frequencies that one task inspects."""
     return min(max(SIGNAL_BYTES // (8 * collection.n_pulse), 1), TILE[1])

@@ -14,14 +14,14 @@ if TYPE_CHECKING:
 
 
 def _check(processor: Processor) -> None:
-    """Ask a processor for all that is needed before it plans."""
+    """Check that a processor has all attributes that planning needs."""
     options_of(processor.options)
     if not all((processor.summary, callable(processor.plan), callable(processor.check))):
         raise TypeError("a processor has a summary, options, and functions to check these and to plan")
     _ = processor.universal, processor.compared, processor.on_gpu
 
 
-# For editors; the registry knows more.
+# Names for editors; the registry may have more.
 OwnProcessor = Literal[
     "angular-division", "keystone-resampling", "high-order-phase", "hierarchical-backprojection", "backprojection",
     "auto",
@@ -48,7 +48,7 @@ CHAIN = "angular-division"  # of the chains, which are alike, the one that it co
 
 
 def device_for(name: str, asked: str) -> str:
-    """Find what a processor runs on, "cpu" or "gpu"; `asked` may be "auto": a GPU if one is found.
+    """Return the device that a processor runs on, "cpu" or "gpu"; `asked` may be "auto": a GPU if one is found.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def device_for(name: str, asked: str) -> str:
 
 
 def options_for(name: str, given: Mapping[str, Any]) -> Any:
-    """The options of a processor, from what is given by name; None stands for a default.
+    """Make the options of a processor from values by name; None stands for a default.
 
     Raises
     ------
@@ -77,10 +77,10 @@ def options_for(name: str, given: Mapping[str, Any]) -> Any:
     processor = PROCESSORS.get(name)
     given = {key: value for key, value in given.items() if value is not None}
     own = {each.name for each in options_of(processor.options)}
-    if not own.issuperset(given):  # what another processor has as its default is not asked for
+    if not own.issuperset(given):  # another processor's default values are ignored
         stated = {each.name: each.default for _, other in PROCESSORS.sound() for each in options_of(other.options)}
         given = {key: value for key, value in given.items() if key in own or value != stated.get(key)}
-    # The reference and the choice only keep those of chains in settings.
+    # The reference and the automatic choice have the options of chains only to record them in settings.
     sound = ((other, part) for other, part in PROCESSORS.sound() if other not in (REFERENCE, AUTO))
     others = ((other, part.options) for other, part in sound if part.options is not processor.options)
     options: Any = read_options(processor.options, given, f"processor {name}", others)

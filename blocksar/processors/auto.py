@@ -79,10 +79,10 @@ class Auto:
     on_gpu = True
 
     def check(self, options: Any) -> None:
-        """Processors are compared as they are: options of chains ask for a chain."""
+        """Refuse options of chains: processors are compared with their defaults."""
 
     def plan(self, problem: Problem) -> ImagePlan:
-        """Plan an image by several processors; the plan of the chosen one, with all of them in `compared`.
+        """Plan an image by several processors; return the chosen plan, with all others in `compared`.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Interface of a processor: it plans an image, says what that takes, and forms the image by units of work."""
+"""Interface of a processor: it plans an image, predicts the cost, and forms the image by units of work."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ Window = tuple[slice, slice]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Problem:
-    """Problem to plan: what is to be imaged, and what with.
+    """Input of planning: collections, grid, terrain, and the requested division and fidelity.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class Problem:
 
     @cached_property
     def pieces(self) -> tuple[PlannedSegment, ...]:
-        """Each collection as a whole, over the ground.
+        """Segments for processors that do not divide collections: each collection as a whole, over the ground.
 
         Raises
         ------
@@ -125,7 +125,7 @@ def usual_seconds(work: Work, machine: Resources) -> float:
 
 
 class Comparison(NamedTuple):
-    """Processors side by side, and why one was chosen."""
+    """Table of compared processors, and the reason for the choice."""
 
     reason: str
     table: Table
@@ -133,7 +133,7 @@ class Comparison(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ImagePlan(ABC):
-    """How a processor forms an image: what follows from metadata alone, before any sample is read.
+    """Plan of an image: how a processor forms it, from metadata alone, before any sample is read.
 
     It is kept in the run folder, so that a run that is resumed has the very same.
 
@@ -154,12 +154,12 @@ class ImagePlan(ABC):
     refusal: str | None = None  # why the image cannot be formed, with the figure
     device: str = "cpu"  # or "gpu": what back-projection runs on
     coherence: float = 1.0  # least predicted coherence with exact back-projection
-    faithful: bool = True  # whether it keeps the fidelity that was asked for
+    faithful: bool = True  # whether it keeps the requested fidelity
     compared: Comparison | None = None  # with other processors, where one was chosen
 
     @abstractmethod
     def memory(self, threads: int) -> int:
-        """Predicted peak memory of a worker of so many threads, bytes."""
+        """Predict the peak memory of a worker with `threads` threads, bytes."""
 
     @abstractmethod
     def work(self) -> Work:
@@ -167,10 +167,10 @@ class ImagePlan(ABC):
 
     @abstractmethod
     def stored(self) -> dict[str, int]:
-        """Bytes that a run writes, by store: those of the image under `image`; see `planning.disk.room_of_run`."""
+        """Return the bytes that a run writes, by store; the image under `image`; see `planning.disk.room_of_run`."""
 
     def stored_bytes(self) -> int:
-        """Bytes that a run writes, in all stores."""
+        """Return the bytes that a run writes to all stores."""
         return sum(self.stored().values())
 
     @abstractmethod
@@ -210,11 +210,11 @@ class ImagePlan(ABC):
         ]
 
     def tables(self) -> list[Table]:
-        """The figures that decide."""
+        """Return the table of the figures that matter most."""
         return []
 
     def details(self) -> list[Table]:
-        """All figures."""
+        """Return the tables of all figures."""
         return self.tables()
 
     def headline(self) -> str:
@@ -235,7 +235,7 @@ class ImagePlan(ABC):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PartPlan(ImagePlan):
-    """A plan by which parts of the image, whole chunks, are formed straight from the samples.
+    """A plan that forms parts of the image, whole chunks, directly from the samples.
 
     A run then inspects all samples, and forms the parts, each a unit of work of the stage that has the processor's
     name. Several collections, noise, and the layers of a terrain are taken care of.
@@ -258,7 +258,7 @@ class PartPlan(ImagePlan):
     on_gpu: int = 0
 
     def parts(self) -> dict[str, list[Window]]:
-        """Windows of the image, whole chunks, of each unit of work."""
+        """Windows of the image, in whole chunks, that each unit of work forms."""
         return {f"part-{number}": windows for number, windows in enumerate(units_of(self.grid, self.chunks))}
 
     def memory_lines(self) -> list[str]:
@@ -300,14 +300,14 @@ class PartPlan(ImagePlan):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ChunkPlan(PartPlan):
-    """A plan by which each chunk of the image is formed by itself, whatever other chunks are.
+    """A plan that forms each chunk of the image independently of the others.
 
     It states what a chunk takes and the function that forms one.
     """
 
     @abstractmethod
     def seconds(self, geometry: Geometry, x: FloatArray, y: FloatArray) -> float:
-        """Seconds of a thread to form a chunk at x (n_x,) and y (n_y,), m, from the samples of a collection."""
+        """Predict a thread's seconds to form a chunk at x (n_x,) and y (n_y,), m, from a collection's samples."""
 
     @abstractmethod
     def forming(self, weighting: Weighting) -> Form:
@@ -385,12 +385,12 @@ class Bounding(Processor, Protocol):
 
 @dataclass(frozen=True)
 class NoOptions:
-    """The options of a processor that has none."""
+    """Empty options, of a processor that has none."""
 
 
 @dataclass(kw_only=True)
 class Execution:
-    """Execution of the stages of a run: where they run, and on what.
+    """Context in which a run's stages execute: executor, folder and input.
 
     Attributes
     ----------

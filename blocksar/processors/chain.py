@@ -1,6 +1,6 @@
 """The chains of the three papers as processors: recovery, blocks focused by a list of steps, mosaic.
 
-Sentences on a chain's plan beside its tables, one a line.
+A plan is described by tables, and by sentences, one a line.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 OTHER, SMALLER, TAPER = (
     "try --processor auto", "image a smaller --grid", "taper the dwells, for example with --weighting-azimuth hann"
 )  # fmt: skip
-# What helps where no number of blocks does, by what takes most of the coherence.
+# Remedies where no number of blocks suffices, by the main cause of lost coherence.
 REMEDIES = {
     "residual phase": (OTHER, SMALLER),
     "range migration": (OTHER, SMALLER),
@@ -66,7 +66,7 @@ REMEDIES = {
 
 
 def describe_shortfall(plan: Plan, *, compared: bool = False) -> str:
-    """Say which fidelity is not kept, and what would help most; `compared`: this is the best of several processors."""
+    """Describe the fidelity that is not kept, and the best remedy; `compared`: the plan is the best of several."""
     worst = max(plan.blocks, key=lambda block: block.prediction.excess(plan.fidelity))
     p = worst.prediction
     losses = {
@@ -86,18 +86,18 @@ def describe_shortfall(plan: Plan, *, compared: bool = False) -> str:
     if plan.method.variant:
         remedy += ", or leave the alternative methods out"
     if 1 - p.coherence > 1 - plan.fidelity:
-        kept, figure = f"fidelity {plan.fidelity:.12g} is", f"coherence {p.coherence:.6g}"
-    else:  # said apart, for it is no matter of coherence
+        subject, figure = f"fidelity {plan.fidelity:.12g} is", f"coherence {p.coherence:.6g}"
+    else:  # stated separately, since it is not about coherence
         allowed = side_lobe_budget(plan.fidelity, p.ideal_pslr)
-        kept = f"fidelity {plan.fidelity:.12g} is kept in coherence, but side lobes to {allowed:.2g} dB are"
+        subject = f"fidelity {plan.fidelity:.12g} is kept in coherence, but side lobes to {allowed:.2g} dB are"
         figure = f"side lobes of {p.pslr:.2f} dB instead of {p.ideal_pslr:.2f}"
     if plan.searched:
         closest = "block comes" if plan.n_blocks == 1 else "blocks come"
         return (
-            f"{kept} not kept by any division that was tried: {plan.n_blocks} {closest} closest, with {figure} "
+            f"{subject} not kept by any division that was tried: {plan.n_blocks} {closest} closest, with {figure} "
             f"predicted in block {worst.name}, and most is lost by {cause}; {remedy}"
         )
-    return f"{kept} not kept: block {worst.name} predicts {figure}, and most is lost by {cause}; {remedy}"
+    return f"{subject} not kept: block {worst.name} predicts {figure}, and most is lost by {cause}; {remedy}"
 
 
 TRACK_TOLD = 0.01  # rad: noise of the track that leaves less is not mentioned
@@ -107,7 +107,7 @@ SHORT_DWELL = 12  # pulses, below which a coherence of up to 0.002 less than is 
 
 
 def plan_lines(plan: Plan, *, compared: bool = False) -> list[str]:
-    """Say what there is to say of a plan besides its tables; `compared` as for `describe_shortfall`."""
+    """Describe a plan in sentences besides its tables; `compared` as for `describe_shortfall`."""
     recovery, collection, grid = plan.recovery, plan.geometry.collection, plan.grid
     spectrum = recovery.doppler.size * collection.n_range_frequency * 8
     blocks = count(plan.n_blocks, "block")
@@ -151,12 +151,12 @@ def plan_lines(plan: Plan, *, compared: bool = False) -> list[str]:
 
 
 def missed_fidelity(plan: Plan) -> str | None:
-    """A sentence if the division that was searched for does not keep the fidelity, else None."""
+    """State that the best division found does not keep the fidelity; None if it does."""
     return describe_shortfall(plan) if plan.searched and not plan.faithful and plan.refusal is None else None
 
 
 def cut_dwells(plan: Plan) -> str | None:
-    """A sentence if no point of the grid has a full dwell, for which the prediction holds, else None."""
+    """Warn that no point of the grid has a full dwell, which the prediction assumes; None if one has."""
     if plan.full_dwell_share > 0:
         return None
     return (
@@ -166,14 +166,15 @@ def cut_dwells(plan: Plan) -> str | None:
 
 
 def cut_lobes(plan: Plan) -> str | None:
-    """A sentence if blocks have cut dwells only, whose side lobes are those of a part of the weighting, else None."""
+    """Warn that blocks have cut dwells only, so that the weighting is cut and side lobes rise; None if not."""
     if plan.weighting.azimuth.uniform:
         return None
     cut = [block for block in plan.blocks if not reaches_full(plan.geometry, *_places(block))]
     if not cut:
         return None
     worst = max(cut, key=lambda block: block.prediction.ideal_pslr)
-    some = f"{len(cut)} of {len(plan.blocks)} blocks have" if len(plan.blocks) > 1 else "the block has"
+    verb = "has" if len(cut) == 1 else "have"
+    some = f"{len(cut)} of {len(plan.blocks)} blocks {verb}" if len(plan.blocks) > 1 else "the block has"
     return (
         f"{some} no full dwell: the weighting of cut dwells is cut as well, with side lobes of up to "
         f"{worst.prediction.ideal_pslr:.2f} dB in back-projection (block {worst.name})"
@@ -181,20 +182,20 @@ def cut_lobes(plan: Plan) -> str | None:
 
 
 def _places(block: BlockPlan) -> tuple[FloatArray, FloatArray]:
-    """Some epoch ranges and yaws of a block."""
+    """Epoch ranges and yaws of some places in a block."""
     ground = block.ground
     return np.linspace(ground.near, ground.far, PLACES), np.linspace(block.low, block.high, PLACES)
 
 
 def _disk_line(plan: Plan) -> str:
-    """Room that a run needs; a raw echo's range compression is not counted, since a plan knows no samples."""
+    """Describe the disk space of a run, without the range compression of a raw echo, which plans do not know."""
     stores = run_bytes(plan)
     parts = ", ".join(f"{name} {size / MIB:.0f}" for name, size in stores.items())
     return f"a run writes about {sum(stores.values()) / MIB:.0f} MiB ({parts})"
 
 
 def undersampling(plan: Plan) -> str | None:
-    """A sentence if spectra fold on the grid in the middle of any block, or are too wide to be measured; else None."""
+    """Warn that spectra fold on the grid in a block, or are too wide to be measured; None if not."""
     grid, places = plan.grid, [((b.ground.near + b.ground.far) / 2, (b.low + b.high) / 2) for b in plan.blocks]
     folded = any(folds(ground_spectrum(plan.geometry, *place), grid.dx, grid.dy) for place in places)
     if not (bands := list(_bands(plan))):
@@ -213,7 +214,7 @@ def undersampling(plan: Plan) -> str | None:
 
 
 def _bands(plan: Plan) -> Iterator[tuple[float, float]]:
-    """Largest wavenumbers in x and y, cycles/m, of responses at some points of the grid that are lit."""
+    """Iterate over the largest wavenumbers in x and y, cycles/m, of responses at some lit points of the grid."""
     x, y = (np.linspace(axis[0], axis[-1], MEASURED_AT) for axis in (plan.grid.x, plan.grid.y))
     for at in product(x.tolist(), y.tolist()):
         if (axes := response_axes(plan.geometry, *at)) is not None:
@@ -221,7 +222,7 @@ def _bands(plan: Plan) -> Iterator[tuple[float, float]]:
 
 
 def _rounded_down(value: float) -> float:
-    """A number with two digits, not above the value.
+    """Round down to two significant digits.
 
     Examples
     --------
@@ -233,7 +234,7 @@ def _rounded_down(value: float) -> float:
 
 
 def short_dwells(plan: Plan) -> str | None:
-    """A sentence if no point of the grid is lit by enough pulses, else None."""
+    """Warn that no point of the grid is lit by enough pulses; None if one is."""
     n_pulse, lit = plan.geometry.collection.n_pulse, lit_pulses(plan.geometry, plan.grid)
     if lit >= SHORT_DWELL or n_pulse < SHORT_DWELL:
         return None
@@ -244,7 +245,7 @@ def short_dwells(plan: Plan) -> str | None:
 
 
 def jittering_beam(plan: Plan) -> str | None:
-    """A sentence if dwells are gated by a smoothed beam, else None."""
+    """Warn that dwells are gated by a smoothed beam; None if not."""
     width = plan.geometry.collection.beam_width
     if not plan.away or width is None:
         return None
@@ -255,7 +256,7 @@ def jittering_beam(plan: Plan) -> str | None:
 
 
 def outside_window(plans: Sequence[Plan]) -> list[str]:
-    """A sentence if a part of a grid that was asked for lies outside the range windows of all plans, else none."""
+    """Warn that part of a given grid lies outside the range windows of all plans; empty if not."""
     grid = plans[0].grid
     if all(plan.geometry.collection.steered and grid == default_grid(plan.geometry, plan.region) for plan in plans):
         return []  # the corners of the box about what is lit
@@ -409,7 +410,7 @@ HIGH_ORDER_PHASE = Chain("high-order-phase", "a phase of high order in Doppler, 
 
 
 def chain_plan(name: str, segments: Sequence[PlannedSegment]) -> ChainPlan:
-    """The plan of an image from those of its segments."""
+    """Combine the plans of an image's segments."""
     plans = [each.plan for each in segments if each.plan is not None]
     refusal = next((plan.refusal for plan in plans if plan.refusal is not None), None)
     return ChainPlan(
@@ -420,7 +421,7 @@ def chain_plan(name: str, segments: Sequence[PlannedSegment]) -> ChainPlan:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ChainPlan(ImagePlan):
-    """The plan of an image by a chain: one of its own for each collection, or for each part of it along time."""
+    """Plan of an image by a chain: one plan for each collection, or for each part of it along time."""
 
     @cached_property
     def plans(self) -> list[Plan]:

@@ -1,4 +1,4 @@
-"""The tables of a plan: its blocks, what their coherence is made of, and processors side by side."""
+"""The tables of a plan: its blocks, the contributions to their coherence, and processors side by side."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FINE = 0.9999  # coherence from which on it is shown with six decimals
 
 
 def block_table(plans: Sequence[Plan]) -> Table:
-    """The figures that decide, of all blocks, or of the ten that are predicted to lose most."""
+    """Table of the main figures of all blocks, or of the ten with the largest predicted loss."""
     blocks = [block for plan in plans for block in plan.blocks]
     few, divided = len(blocks) <= FEW_BLOCKS, any(plan.parts > 1 for plan in plans)
     worst = sorted(blocks, key=lambda block: block.prediction.coherence)[:WORST]
@@ -40,7 +40,7 @@ def block_table(plans: Sequence[Plan]) -> Table:
 
 
 def _unit(plans: Sequence[Plan]) -> tuple[str, float]:
-    """The unit of all ranges, and its metres."""
+    """Return the unit for all ranges of the plans, and its metres."""
     return unit_of_lengths(max(block.ground.far for plan in plans for block in plan.blocks))
 
 
@@ -49,13 +49,13 @@ def _with_unit(header: Sequence[str], unit: tuple[str, float]) -> list[str]:
 
 
 def plan_details(plans: Sequence[Plan]) -> list[Table]:
-    """All figures of all blocks, and what their coherence is made of."""
+    """Tables of all figures of all blocks, and of the contributions to their coherence."""
     relief = [] if plans[0].geometry.terrain is None else [_relief_table(plans)]
     return [_all_blocks(plans), _coherence_table(plans), *relief]
 
 
 def _relief_table(plans: Sequence[Plan]) -> Table:
-    """The terrain of each block, and what it does to the phase of targets far above or below its smooth part."""
+    """Table of each block's terrain, and the phase errors of targets far above or below its smooth part."""
     header = ("block", "z (m)", "over the smooth ground (m)", "bend taken out (rad)", "predicted coherence")
     rows = []
     for block, relief in ((b, b.ground.relief) for plan in plans for b in plan.blocks if b.ground.relief is not None):
@@ -105,5 +105,5 @@ def _block_row(block: BlockPlan, metres: float) -> list[str]:
 
 
 def digits(coherence: float) -> str:
-    """A coherence with four decimals, or six where four would show none of its loss."""
+    """Format a coherence with four decimals, or with six if four would round its loss to 0."""
     return f"{coherence:.{4 if coherence < FINE else 6}f}"

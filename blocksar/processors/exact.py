@@ -1,4 +1,4 @@
-"""Exact back-projection as a processor: chunks of the image straight from the samples."""
+"""Exact back-projection as a processor: chunks of the image directly from the samples."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Backprojection:
     on_gpu = True
 
     def check(self, options: Any) -> None:
-        """Check that no option of chains is chosen.
+        """Refuse the options of chains.
 
         Raises
         ------
@@ -58,7 +58,7 @@ class Backprojection:
             raise InputError(f"processor {self.name} has no {' or '.join(departures)} to choose; leave it out")
 
     def plan(self, problem: Problem) -> ImagePlan:
-        """Plan an image; nothing is divided.
+        """Plan an image without dividing it.
 
         Raises
         ------
@@ -86,7 +86,7 @@ GPU_CHUNKS = (8, 8)  # of the image, in a unit of work: enough that reading and 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class BackprojectionPlan(ChunkPlan):
-    """The plan of an image by exact back-projection."""
+    """Plan of an image by exact back-projection."""
 
     @property
     def result(self) -> Grid:
@@ -137,7 +137,7 @@ class BackprojectionPlan(ChunkPlan):
 def form_parts(
     read: ReadPulses, geometry: Geometry, x: FloatArray, y: FloatArray, *, threads: int, weighting: Weighting
 ) -> ComplexArray:
-    """`form_image`, by parts that bound its memory."""
+    """Form an image as `form_image` does, in parts that bound its memory."""
     image = np.empty((y.size, x.size), np.complex64)
     for i in range(0, y.size, BACKPROJECTION_CHUNK):
         for j in range(0, x.size, BACKPROJECTION_CHUNK):
@@ -152,7 +152,7 @@ def form_together(
     read: ReadPulses, geometry: Geometry, x: FloatArray, y: FloatArray, windows: Sequence[Window], *, threads: int,
     weighting: Weighting, device: str, memory: int,
 ) -> Iterator[tuple[Window, ComplexArray]]:  # fmt: skip
-    """Form the box around windows in one pass over the samples."""
+    """Form the bounding box of windows in one pass over the samples."""
     rows, columns = window_around(windows)
     with on_device(device, memory) as opened:
         image = form_image(read, geometry, x[columns], y[rows], threads=threads, weighting=weighting, device=opened)

@@ -1,4 +1,4 @@
-"""Hierarchical back-projection as a processor: parts of the image from data that hold no more than these."""
+"""Hierarchical back-projection as a processor: parts of the image from data decimated to their bandwidth."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class HierarchicalBackprojection:
     on_gpu = True
 
     def check(self, options: Any) -> None:
-        """There are none."""
+        """Accept the options: there are none."""
 
     def plan(self, problem: Problem) -> ImagePlan:
         """Plan an image: the levels, and the parts that tasks form.
@@ -73,7 +73,7 @@ HIERARCHICAL = HierarchicalBackprojection()
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class HierarchicalPlan(PartPlan):
-    """The plan of an image by hierarchical back-projection; `divisions` has that of each piece."""
+    """Plan of an image by hierarchical back-projection; `divisions` holds that of each collection."""
 
     divisions: tuple[Division, ...]
 

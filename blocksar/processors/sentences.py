@@ -1,4 +1,4 @@
-"""Sentences on plans of any processor: who does the work, and how long that takes."""
+"""Sentences on plans of any processor: its workers, and the time that it takes."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from blocksar.progress import Work
 from blocksar.texts import count, time_text
 
 PLANNING_TOLD = 1.0  # s to plan, which are counted in the time of a run
-DISK_RATE = 200e6  # bytes/s that a usual disk writes, and at which the time of large runs is told
+DISK_RATE = 200e6  # bytes/s of a typical disk, by which the time of large runs is stated
 PAGE_CACHE = 0.5  # of the machine's memory, which writes fill before they wait for the disk
 LOOKED_AT = 64  # points along a side of a grid at which lit pulses are counted
 
 
 def time_line(work: Work, assumed: Resources, stored: int, planning: float = 0.0) -> str:
-    """How long a run would take on this machine, by stage; the only part of a plan that is measured.
+    """State how long a run would take on this machine, by stage; the only measured part of a plan.
 
     `stored` is what it writes, bytes, for which the disk may need longer where the page cache cannot take them;
     `planning` what the plan took, s, which a run makes again: told where it is long.
@@ -45,12 +45,12 @@ def stage_seconds(work: Work, assumed: Resources, planning: float = 0.0) -> dict
 
 
 def workforce(assumed: Resources) -> str:
-    """Who does the work, in words."""
+    """Name the workers of a run."""
     return f"with {count(assumed.workers, 'worker')}" if assumed.workers else "in one process"
 
 
 def _shares(seconds: Mapping[str, float]) -> str:
-    """Parts of a time, rounded in the unit in which `time_text` writes their sum, so that they add up to it.
+    """Format parts of a time, rounded in the unit in which `time_text` writes their sum, so that they add up.
 
     Examples
     --------
@@ -63,8 +63,8 @@ def _shares(seconds: Mapping[str, float]) -> str:
     left = max(round(total / step), 1) - sum(parts.values())
     for name in sorted(seconds, key=lambda each: parts[each] - seconds[each] / step)[:left]:  # most cut off first
         parts[name] += 1
-    told = {name: f"{count / 10:.1f}" if unit == "h" else str(count) for name, count in parts.items() if count}
-    return ", ".join(f"{name} {text} {unit}" for name, text in told.items())
+    shares = {name: f"{count / 10:.1f}" if unit == "h" else str(count) for name, count in parts.items() if count}
+    return ", ".join(f"{name} {text} {unit}" for name, text in shares.items())
 
 
 def lit_pulses(geometry: Geometry, grid: Grid) -> int:

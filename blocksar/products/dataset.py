@@ -48,7 +48,7 @@ _ENDS = (-np.inf, np.inf)  # in place of ends that are None
 
 
 class Dataset(xr.Dataset):  # type: ignore[no-untyped-call]
-    """A dataset that `to_netcdf` writes as `SarAccessor.netcdf` makes it, so that netCDF can hold it.
+    """A dataset whose `to_netcdf` first converts it with `SarAccessor.netcdf`, since netCDF has no complex numbers.
 
     What xarray derives from it is one as well.
     """
@@ -56,12 +56,12 @@ class Dataset(xr.Dataset):  # type: ignore[no-untyped-call]
     __slots__ = ()
 
     def to_netcdf(self, *arguments: Any, **settings: Any) -> Any:
-        """As in xarray, of the dataset that `sar.netcdf` returns."""
+        """Write as xarray does, but the dataset that `sar.netcdf` returns."""
         return xr.Dataset.to_netcdf(self.sar.netcdf(), *arguments, **settings)
 
 
 def open(folder: Place) -> xr.Dataset:
-    """Open the image of a finished run, or another store, as a dataset that `prepare` has made.
+    """Open the image of a finished run, or another store, as a dataset with CF metadata; see `prepare`.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def open(folder: Place) -> xr.Dataset:
 
 
 def prepare(dataset: xr.Dataset) -> xr.Dataset:
-    """Make a dataset one of the class above, and give an image CF metadata: its axes and, if known, its map projection.
+    """Add CF metadata to a dataset of an image: axes and, if known, the map projection; returns a `Dataset`.
 
     Attributes of an image are numbers and texts, others as JSON text, which netCDF holds. Those of the store's layout
     and place are left out: a part of the dataset would keep them, but they hold for the whole image only. The
@@ -112,7 +112,7 @@ def prepare(dataset: xr.Dataset) -> xr.Dataset:
 
 
 def flat(attrs: Mapping[Any, Any]) -> dict[Any, Any]:
-    """Attributes as netCDF holds them: numbers and texts as they are, others (mappings, lists, bool) as JSON text."""
+    """Convert attributes for netCDF: numbers and texts stay; mappings, lists and bool become JSON text."""
 
     def held(value: Any) -> Any:
         value = value.item() if isinstance(value, np.generic) else value
@@ -123,7 +123,7 @@ def flat(attrs: Mapping[Any, Any]) -> dict[Any, Any]:
 
 
 def nested(attribute: Any) -> Any:
-    """An attribute as it was before `flat`: a mapping or a list where it is the JSON text of one."""
+    """Invert `flat` for an attribute: JSON text of a mapping or a list becomes that again."""
     if isinstance(attribute, str) and attribute.startswith(("{", "[")):
         with suppress(ValueError):
             return json.loads(attribute)
@@ -131,7 +131,7 @@ def nested(attribute: Any) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """An array of numpy, or a number of it, as JSON holds it; the text of anything else."""
+    """Convert an array or a number of numpy for JSON; anything else becomes text."""
     return value.tolist() if isinstance(value, np.generic | np.ndarray) else str(value)
 
 
@@ -159,7 +159,7 @@ class SarAccessor:
         return f"<table>{rows}</table>"
 
     def _facts(self) -> list[tuple[str, str]]:
-        """Find what the dataset is, as names and texts. Reads no pixels and no samples."""
+        """Describe the dataset by names and texts. Reads no pixels and no samples."""
         dataset, attrs = self._dataset, self._dataset.attrs
         rows = [("title", str(attrs["title"]))] if attrs.get("title") else []
         if "image" in dataset.variables:
@@ -420,7 +420,7 @@ class SarAccessor:
 
 
 def _number(name: str, value: Any) -> float:
-    """A parameter as a number."""
+    """Check that a parameter is a number, and return it."""
     with suppress(TypeError, ValueError, OverflowError):
         return float(value)
     raise InputError(f"{name} is {value!r:.80}; give a number")
@@ -453,7 +453,7 @@ def _history_facts(collection: Collection) -> list[tuple[str, str]]:
 
 @xr.register_dataarray_accessor("sar")  # type: ignore[no-untyped-call]
 class ArrayAccessor:
-    """Methods of an array over x and y in m, as those of a dataset: `crop` and `netcdf` of any, others of an image."""
+    """Methods of an array over x and y in m, as of a dataset: `crop` and `netcdf` of any array, others of an image."""
 
     def __init__(self, array: xr.DataArray) -> None:
         self._array = array
@@ -501,7 +501,7 @@ class ArrayAccessor:
 
 @xr.register_datatree_accessor("sar")  # type: ignore[no-untyped-call]
 class TreeAccessor(SarAccessor):
-    """Methods of a tree: those of the dataset at its root, and `netcdf` of all its groups."""
+    """Methods of a tree: those of the dataset at its root, and `netcdf` for all groups."""
 
     def __init__(self, tree: xr.DataTree) -> None:
         super().__init__(tree.to_dataset())
@@ -541,7 +541,7 @@ def _image_facts(dataset: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def _axes(image: xr.DataArray) -> tuple[FloatArray, FloatArray]:
-    """x and y, m, of an image of at least 2 x 2 evenly spaced pixels.
+    """Return x and y, m, of an image of at least 2 x 2 evenly spaced pixels.
 
     Raises
     ------
@@ -559,7 +559,7 @@ def _axes(image: xr.DataArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _interpolate(image: xr.DataArray, x: FloatArray, y: FloatArray) -> Complex128Array:
-    """Interpolate pixels at points (n,) near one another, without the carrier's phase."""
+    """Interpolate pixels at adjacent points (n,), without the phase of the carrier."""
     indices, spans = [], []
     for axis, coordinate in zip(_axes(image), (x, y), strict=True):
         index = (coordinate - axis[0]) / (axis[-1] - axis[0]) * (axis.size - 1)
@@ -592,7 +592,7 @@ UNITS = {
 
 
 def groups_of(run: Place) -> dict[str, xr.Dataset]:
-    """The datasets of a finished run by their place in the tree.
+    """Return the datasets of a finished run by their place in the tree.
 
     Returns
     -------
@@ -647,7 +647,7 @@ def _quality(run: Place) -> xr.Dataset:
 
 
 def _table(along: str, names: Sequence[str], figures: Mapping[str, Any], attrs: Mapping[str, Any]) -> xr.Dataset:
-    """A dataset of figures along a dimension with names; pairs have the dimension `end` as well."""
+    """Make a dataset of figures along a named dimension; pairs get the dimension `end` as well."""
     made = {}
     for name, values in figures.items():
         array = np.asarray(values)

@@ -1,6 +1,6 @@
 """The engine `blocksar` of xarray, by entry point: `xarray.open_dataset(run, engine="blocksar")`, and `open_datatree`.
 
-Whatever is opened by xarray without an engine loads this module, so it loads nothing else before it is asked.
+xarray loads this module whenever it opens something without an engine, so it imports everything else on use.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class Engine(BackendEntrypoint):
-    """Opens what `blocksar.open` does, as `products.dataset` does, and a run with all that belongs to it as a tree."""
+    """Engine that opens what `blocksar.open` does, and a run with all its stores as a tree."""
 
     description = "Runs and stores of blocksar"
     supports_groups: ClassVar[bool] = True
@@ -29,7 +29,7 @@ class Engine(BackendEntrypoint):
         return _without(dataset.open(place(filename_or_obj)), drop_variables)
 
     def open_datatree(self, filename_or_obj: Any, *, drop_variables: str | Iterable[str] | None = None) -> xr.DataTree:
-        """As `products.dataset.groups_of`."""
+        """Open a run as a tree; see `products.dataset.groups_of`."""
         import xarray as xr
 
         return xr.DataTree.from_dict(self.open_groups_as_dict(filename_or_obj, drop_variables=drop_variables))
@@ -37,7 +37,7 @@ class Engine(BackendEntrypoint):
     def open_groups_as_dict(
         self, filename_or_obj: Any, *, drop_variables: str | Iterable[str] | None = None
     ) -> dict[str, xr.Dataset]:
-        """As `products.dataset.groups_of`."""
+        """Open a run as groups; see `products.dataset.groups_of`."""
         from blocksar.places import place
         from blocksar.products import dataset
 
@@ -45,7 +45,7 @@ class Engine(BackendEntrypoint):
         return {path: _without(group, drop_variables) for path, group in groups.items()}
 
     def guess_can_open(self, filename_or_obj: Any) -> bool:
-        """Whether it is the folder of a run, on this machine."""
+        """Tell whether it is the folder of a run on this machine."""
         if not isinstance(filename_or_obj, str | os.PathLike):
             return False
         folder = os.fspath(filename_or_obj)

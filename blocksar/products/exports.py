@@ -1,6 +1,6 @@
-"""The package's own products, as `export` knows them: their options and endings, and where each is written.
+"""The package's own products for `export`: their options, file endings, and writing functions.
 
-The registry imports this module for every help, so what writes a product is imported on use.
+The registry imports this module for every help, so the modules that write products are imported on use.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class SICDOptions:
-    """SICD has none."""
+    """Options of SICD: none."""
 
 
 class SICD:
-    """The complex image, pixel by pixel, see `sicd`."""
+    """Product SICD: the complex image pixel by pixel; see `sicd`."""
 
     summary = "Write the complex image, on its ground plane, as a SICD file.\n\nThe run must be georeferenced."
     endings = (".nitf", ".ntf", ".nsf")
@@ -41,13 +41,13 @@ class SICD:
         from blocksar.products import sicd
         from blocksar.products.writing import opened
 
-        source, said = opened(run, channel)
-        return [*said, *sicd.write(source, out, overwrite=overwrite, progress=progress)]
+        source, lines = opened(run, channel)
+        return [*lines, *sicd.write(source, out, overwrite=overwrite, progress=progress)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class SIDDOptions:
-    """Options of a SIDD: which part, how smooth, and over which range."""
+    """Options of SIDD: the part, the looks, and the range in dB."""
 
     looks: Looks = None
     range: Annotated[Decibels | None, decibels("the 8 bits")] = None
@@ -55,7 +55,7 @@ class SIDDOptions:
 
 
 class SIDD:
-    """The detected image, see `sidd`."""
+    """Product SIDD: the detected image; see `sidd`."""
 
     summary = (
         "Write the detected image, on the plane or on its terrain, as a SIDD file.\n\nThe run must be georeferenced."
@@ -72,11 +72,11 @@ class SIDD:
         from blocksar.products.pixels import pixels_of
         from blocksar.products.writing import opened
 
-        source, said = opened(run, channel, options.crop)
+        source, lines = opened(run, channel, options.crop)
         looks = (1, 1) if options.looks is None else options.looks
         frame = source.placed("a SIDD")
         pixels = pixels_of(source, content="db", looks=looks, scale="uint8", limits=options.range)
-        return [*said, *sidd.write(pixels, frame, out, overwrite=overwrite, progress=progress)]
+        return [*lines, *sidd.write(pixels, frame, out, overwrite=overwrite, progress=progress)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +109,7 @@ class GeoTIFFOptions:
 
 
 class GeoTIFF:
-    """Pixels of the image, their power or what the ground is like there, on a map; see `geotiff`."""
+    """Product GeoTIFF: complex pixels, power or layers of the image on a map; see `geotiff`."""
 
     summary = "Write the image as a cloud-optimised GeoTIFF.\n\nThe run must be georeferenced."
     endings = (".tif", ".tiff")
@@ -124,7 +124,7 @@ class GeoTIFF:
         from blocksar.products.pixels import pixels_of
         from blocksar.products.writing import opened
 
-        source, said = opened(run, channel, options.crop)
+        source, lines = opened(run, channel, options.crop)
         pixels = pixels_of(
             source,
             content=options.content,
@@ -132,12 +132,12 @@ class GeoTIFF:
             scale=options.scale,
             limits=options.range,
         )
-        return [*said, *geotiff.write(pixels, out, crs=options.crs, overwrite=overwrite, progress=progress)]
+        return [*lines, *geotiff.write(pixels, out, crs=options.crs, overwrite=overwrite, progress=progress)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class PNGOptions:
-    """Options of what is drawn, and in which colours."""
+    """Options of PNG: content and colours."""
 
     range: Annotated[Decibels | None, COLOUR_RANGE] = None
     colour_map: Annotated[str | None, COLOUR_MAP] = None
@@ -156,7 +156,7 @@ class PNGOptions:
 
 
 class PNG:
-    """A picture in decibels, see `quicklook` and `composite`."""
+    """Product PNG: a picture in decibels; see `quicklook` and `composite`."""
 
     summary = (
         "Draw the image in decibels as a PNG, with axes in metres.\n\n"
@@ -174,10 +174,10 @@ class PNG:
 
         drawn = {"limits": options.range, "size": options.size, "overwrite": overwrite, "progress": progress}
         if options.composite is None:
-            source, said = opened(run, channel, options.crop)
+            source, lines = opened(run, channel, options.crop)
             cell = _cell(options, source)
             quicklook = _pictures("quicklook")
-            return [*said, *quicklook.write(source, out, cell=cell, colour_map=options.colour_map, **drawn)]
+            return [*lines, *quicklook.write(source, out, cell=cell, colour_map=options.colour_map, **drawn)]
         sources = _composed(run, options, channel)
         first, *others = sources.values()
         cell = _cell(options, first)
@@ -188,7 +188,7 @@ class PNG:
 
 
 def _cell(options: PNGOptions, source: FinishedRun) -> tuple[int, int]:
-    """Pixels along y and along x of the cells of a picture, or of their parts."""
+    """Pixels along y and x that a picture averages over, as requested by `looks`; 1 x 1 by default."""
     from blocksar.measurement.multilooking import checked_looks
 
     return (1, 1) if options.looks is None else checked_looks(options.looks, (source.y.size, source.x.size))
@@ -222,7 +222,7 @@ def _pictures(name: str) -> Any:
 
 
 def parse_files(files: Any) -> tuple[str, ...]:
-    """Read names of files: a text with commas between them, or several.
+    """Parse names of files: a text with commas between them, or several texts.
 
     Examples
     --------
@@ -235,7 +235,7 @@ def parse_files(files: Any) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class STACOptions:
-    """Options of an item: the files that were exported of the run."""
+    """Options of STAC: the files that were exported from the run."""
 
     assets: Annotated[
         tuple[str, ...] | None,
@@ -249,7 +249,7 @@ class STACOptions:
 
 
 class STAC:
-    """Place, time, radar and processing of a run, and where its files are; see `stac`."""
+    """Product STAC: an item on place, time, radar, processing and files of a run; see `stac`."""
 
     summary = "Describe the run and what was exported of it as a STAC item.\n\nThe run must be georeferenced."
     endings = (".json",)
@@ -263,8 +263,8 @@ class STAC:
         from blocksar.products import stac
         from blocksar.products.writing import opened
 
-        source, said = opened(run, channel)
+        source, notes = opened(run, channel)
         whole = run if channel is None else source.folder
         lines = stac.write(source, whole, out, options.assets or (), overwrite=overwrite)
         progress(1, 1)
-        return [*(said if channel else ()), *lines]
+        return [*(notes if channel else ()), *lines]

@@ -13,7 +13,7 @@ is rotated from north, the projection is centred on the image instead, and the b
 rotated if need be. The largest error of a pixel's place against exact conversion through ECEF is reported and stored in
 the file.
 
-Overviews of a GeoTIFF: each level has half as many rows and columns, and what the product holds of the mean there.
+Each level of overviews has half as many rows and columns, with the means of the product's quantity.
 
 Means are of what was measured, before it is coded: power for amplitude and decibels, whose own means say nothing. A
 cell of level k is the mean of all covered pixels among the 2^k x 2^k that it stands for; not that of the means of the
@@ -54,11 +54,11 @@ if TYPE_CHECKING:
 NEAREST = ("complex", "visibility")  # contents without a mean
 AT_ONCE = 1 << 18  # pixels of the full image
 
-State = NDArray[Any]  # (1, rows, columns): pixels; (2, rows, columns): sums of what is covered, and how many
+State = NDArray[Any]  # (1, rows, columns): pixels; (2, rows, columns): sums and numbers of covered pixels
 
 
 def sizes_of(width: int, height: int, tile: int) -> list[tuple[int, int]]:
-    """Columns and rows of the levels, until one tile holds all.
+    """Columns and rows of the overview levels, down to one that fits a single tile.
 
     Examples
     --------
@@ -73,22 +73,22 @@ def sizes_of(width: int, height: int, tile: int) -> list[tuple[int, int]]:
 
 
 class OverviewLevel:
-    """A level of overviews, written from north to south as the rows above it come in."""
+    """A level of overviews, written from north to south as rows of the level above arrive."""
 
     def __init__(self, write: Callable[[int, NDArray[Any]], None], below: OverviewLevel | None) -> None:
-        """`write` takes the number of a row and rows of what was measured."""
+        """Take `write`, a function of the number of a row and of measured rows."""
         self._write, self._below, self._row = write, below, 0
         self._held: State | None = None
 
     def take(self, rows: State) -> None:
-        """Take rows of the level above; an odd one is held until the next comes."""
+        """Take rows of the level above; an odd row is held until the next arrives."""
         rows = rows if self._held is None else np.concatenate([self._held, rows], axis=1)
         whole = rows.shape[1] // 2 * 2
         self._held = rows[:, whole:]
         self._put(rows[:, :whole])
 
     def end(self) -> None:
-        """Write what is held, and end the levels below."""
+        """Write the held row, and end the levels below."""
         if self._held is not None:
             self._put(self._held)
         if self._below is not None:
@@ -105,7 +105,7 @@ class OverviewLevel:
 
 
 def feed(first: OverviewLevel, measured: NDArray[Any], *, nearest: bool) -> None:
-    """Give the first level rows (rows, columns), from north to south, of what was measured; NaN where not covered."""
+    """Feed measured rows (rows, columns), from north to south, to the first level; NaN where not covered."""
     step = max(AT_ONCE // measured.shape[1], 1)
     for start in range(0, len(measured), step):
         rows = measured[start : start + step]
@@ -117,7 +117,7 @@ def feed(first: OverviewLevel, measured: NDArray[Any], *, nearest: bool) -> None
 
 
 def _halved(rows: State) -> State:
-    """Sums over cells of 2 x 2, less at the end of an odd number; pixels of their first corner."""
+    """Sum over cells of 2 x 2, smaller at an odd end; for flags take the first pixel of each cell."""
     if len(rows) == 1:
         return rows[:, ::2, ::2]
     pairs = np.add.reduceat(rows, np.arange(0, rows.shape[1], 2), axis=1)
@@ -135,7 +135,7 @@ UNITS = {"height": "m", "incidence": "rad"}
 GAMMA = "power times cos psi / cos theta over that of level ground, psi: slant plane to slope, theta: local incidence"
 FLAGS = "0 visible, 1 layover, 2 shadow, 255 not covered"
 MAX_ERROR = 0.05  # pixels that a pixel may lie off its exact place
-NOTED = 0.5  # pixels, from which on the remedy is told
+NOTED = 0.5  # pixels, from which on the remedy is stated
 POINTS = 17, 65  # along a side, at which places are compared: on the plane, on a terrain
 TILE = 512  # pixels a side
 TRAILER = 4  # bytes after each tile of GDAL's COG, which repeat its last four
@@ -223,7 +223,7 @@ def write(
 
 
 def _placed(pixels: Pixels, frame: Georeference, crs: str | None) -> tuple[Pixels | MapPixels, Placement]:
-    """The pixels to write, and their places: those of the image, or those of a map."""
+    """Choose the pixels to write and their placement: those of the image, or those of a map."""
     if crs is None:
         return pixels, place_pixels(pixels, frame)
     mapped = MapPixels.over(pixels, parse_crs(crs), frame)
@@ -232,7 +232,7 @@ def _placed(pixels: Pixels, frame: Georeference, crs: str | None) -> tuple[Pixel
 
 
 def _describe(pixels: Pixels, raster: Pixels | MapPixels, placement: Placement) -> str:
-    """One line about what was written."""
+    """Describe the written file in one line."""
     what = f"{pixels.content} of {raster.x.size} x {raster.y.size} pixels"
     if isinstance(raster, MapPixels):
         name, (step, _) = placement.crs.axis_info[0].unit_name, raster.spacing
@@ -259,7 +259,7 @@ def _write_plain(
     placement: Placement,
     progress: Callback,
 ) -> None:
-    """Write a tiled GeoTIFF without overviews, and each level of these, by its columns and rows, as one of its own."""
+    """Write a tiled GeoTIFF without overviews, and each overview level as a file of its own."""
     import rasterio
 
     pixels = raster.of if isinstance(raster, MapPixels) else raster
@@ -296,7 +296,7 @@ def _write_plain(
 
 
 def _optimise(plain: str, levels: list[str], whole: str, path: str) -> None:
-    """Copy a GeoTIFF and its overviews to a cloud-optimised one, through a VRT that has both.
+    """Combine a GeoTIFF and its overviews into a cloud-optimised one, through a VRT that has both.
 
     Raises
     ------
@@ -327,7 +327,7 @@ def _optimise(plain: str, levels: list[str], whole: str, path: str) -> None:
 
 
 def _write_pixels(pixels: Pixels | MapPixels, file: Any, levels: list[Any], progress: Callback) -> None:
-    """Write rows from north to south, and overviews of them, the largest first."""
+    """Write rows from north to south, and their overviews, the largest first."""
 
     def write(file: Any, row: int, measured: NDArray[Any]) -> None:
         values = np.ascontiguousarray(pixels.coded(measured))

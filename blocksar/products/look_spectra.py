@@ -1,4 +1,4 @@
-"""Spectra over the dwell of the looks of a run: each should fill its own part of the dwell, and nothing else.
+"""Spectra of a run's looks over the dwell, which show whether each look fills exactly its own part.
 
 A pixel's wave vector on the ground is K = 2 (fc + f) / c u(t), with u the horizontal part of the unit vector from the
 antenna to it. Its direction depends on time alone, and its length tells the range frequency. So the power of a chip's
@@ -34,7 +34,7 @@ def shares() -> FloatArray:
 def dwell_spectrum(
     chip: ComplexArray, x: FloatArray, y: FloatArray, geometry: Geometry, span_at: SpanAt
 ) -> FloatArray | None:
-    """Mean power of the spectrum over the dwell, (BINS,).
+    """Mean power of a chip's spectrum over the dwell, (BINS,).
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def _frequencies(n: int, axis: FloatArray) -> FloatArray:
 
 
 def _by_share(k_x: FloatArray, k_y: FloatArray, power: FloatArray, sight: FloatArray, band: FloatArray) -> FloatArray:
-    """Mean power of wave vectors within the band, Hz, by the share of the dwell that their directions belong to."""
+    """Mean power of wave vectors within the band, Hz, in bins of the share of the dwell given by their directions."""
     direction = np.unwrap(np.arctan2(sight[:, 1], sight[:, 0]))
     order = np.argsort(direction)
     centre = direction[TIMES // 2]
@@ -98,7 +98,7 @@ def _by_share(k_x: FloatArray, k_y: FloatArray, power: FloatArray, sight: FloatA
 
 
 def _sight(geometry: Geometry, place: FloatArray, time: FloatArray) -> FloatArray:
-    """Horizontal parts (n, 2) of the unit vectors from the antenna at times (n,) to a ground point (2,)."""
+    """Horizontal components (n, 2) of unit vectors from the antenna at times (n,) to a ground point (2,)."""
     height = float(geometry.height(*np.asarray(place, np.float64)))
     sight = np.array([*place, height]) - geometry.track.position(time)
     return np.asarray((sight / np.linalg.norm(sight, axis=-1, keepdims=True))[..., :2])
@@ -111,7 +111,7 @@ def _wave_vector(geometry: Geometry, span_at: SpanAt, place: FloatArray) -> Floa
 
 
 def _turn(geometry: Geometry, span_at: SpanAt, middle: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-    """How the wave vector changes from pixel to pixel, (2, 2) symmetric, cycles/m^2."""
+    """Change of the wave vector between pixels, (2, 2) symmetric, cycles/m^2."""
     columns = []
     for axis, places in enumerate((x, y)):
         step = np.zeros(2)
@@ -123,7 +123,7 @@ def _turn(geometry: Geometry, span_at: SpanAt, middle: FloatArray, x: FloatArray
 
 
 CHIP, LEAST_CHIP = 128, 16  # pixels along a side, at most and at least
-PLACES = 5  # along each side of the image, at which chips are tried, beside the targets
+PLACES = 5  # along each side of the image, at which chips are tried, in addition to targets
 MOST_TARGETS = 16
 
 
@@ -151,7 +151,7 @@ class LookSpectra(NamedTuple):
 
 
 def measure_looks(looks: Sequence[FinishedRun]) -> LookSpectra | None:
-    """Measure the spectra of the looks of a run; None where no chip is covered by all, or its pixels are too coarse."""
+    """Measure the spectra of a run's looks; None if no chip is covered by all looks, or pixels are too coarse."""
     first, share = looks[0], shares()
     total = np.zeros((len(looks), share.size))
     parts: list[FloatArray] = []
@@ -187,7 +187,7 @@ def measure_looks(looks: Sequence[FinishedRun]) -> LookSpectra | None:
 
 
 def _chips(run: FinishedRun) -> Iterator[tuple[slice, slice]]:
-    """Rows and columns of chips over the image and about targets."""
+    """Iterate over rows and columns of chips, spread over the image and about targets."""
     side = min(CHIP, run.x.size, run.y.size)
     if side < LEAST_CHIP:
         return

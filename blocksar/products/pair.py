@@ -1,4 +1,4 @@
-"""Two finished runs of one ground, checked to be on one grid, and what they make together, by chunks of the images."""
+"""Two finished runs on one grid: the check of that, and their joint products, by chunks of the images."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ SAME = 1e-3  # of a pixel, that the grids may lie apart
 NODES = 32  # pixels between the points at which the vertical wavenumber is computed
 SAME_HEIGHT = 0.01  # m, that their grounds may
 HEIGHTS = 129  # points along either axis at which these are compared
-SAMPLED = 64  # chunks, evenly over the image, of which the coherence of the scene is told
+SAMPLED = 64  # chunks, evenly over the image, from which the scene's coherence is estimated
 BINS = 2000  # of the histogram of coherences
 CLEAR = 0.7  # coherence that noise and side lobes leave of the pixels whose median tells that of the scene
 
@@ -97,24 +97,24 @@ class Pair:
 
     @cached_property
     def middle(self) -> tuple[float, float]:
-        """The point in the middle of the image, m."""
+        """Point in the middle of the image, m."""
         return float(self.a.x[self.a.x.size // 2]), float(self.a.y[self.a.y.size // 2])
 
     @cached_property
     def baseline(self) -> Baseline:
-        """The baseline in the middle of the image."""
+        """Baseline in the middle of the image."""
         a, b = (run.geometry_at(*self.middle) for run in (self.a, self.b))
         return Baseline.at(a, b, *self.middle, self.a.weighting)
 
     @cached_property
     def looks(self) -> float:
-        """Independent pixels in the window, in the middle of the image."""
+        """Number of independent pixels in the window, in the middle of the image."""
         sides = sides_at(self.a.geometry_at(*self.middle), *self.middle)
         return max(independent_pixels(self.window, self.a.spacing[::-1], sides, self.a.weighting), 1.0)
 
     @property
     def chance(self) -> float:
-        """Mean coherence that is estimated where there is none."""
+        """Mean estimated coherence of incoherent images."""
         return float(mean_estimate(0.0, self.looks))
 
     def windows(self) -> Iterator[tuple[slice, slice]]:
@@ -131,7 +131,7 @@ class Pair:
         return rows, columns
 
     def over_window(self, rows: slice, columns: slice) -> Windowed:
-        """The means over the window about the pixels of a part of the image."""
+        """Average the pair over the window about the pixels of a part of the image."""
         (top, own_rows), (left, own_columns) = (
             _widened(part, n, side // 2)
             for part, n, side in zip((rows, columns), (self.a.y.size, self.a.x.size), self.window, strict=True)
@@ -141,7 +141,7 @@ class Pair:
         return Windowed(means.inner[own], means.power_a[own], means.power_b[own])
 
     def left_for_ground(self, means: Windowed, rows: slice, columns: slice) -> FloatArray:
-        """Coherence that noise and side lobes of bright places leave of that of the ground, if nothing has changed.
+        """Coherence that noise and bright places' side lobes leave if the ground has not changed.
 
         Each image has the power s of the ground, the same in both, and n of noise, where that is known, and of the side
         lobes (`measurement.side_lobes`) that turn otherwise from pass to pass: s / sqrt((s + n_a) (s + n_b)), with the
@@ -154,7 +154,7 @@ class Pair:
             return np.asarray(ground / np.sqrt((ground + parts[0]) * (ground + parts[1])))
 
     def wavenumbers(self, rows: slice, columns: slice) -> FloatArray:
-        """The vertical wavenumbers of a part of the image, rad/m; of mosaics by the segments that pixels come from."""
+        """Vertical wavenumbers of an image part, rad/m; in mosaics by the segments that pixels come from."""
         owners = [_segments(run, rows, columns) for run in (self.a, self.b)]
         y, x = self.a.y[rows], self.a.x[columns]
         if all(owner is None for owner in owners):
@@ -169,13 +169,13 @@ class Pair:
 
 
 def _widened(part: slice, n: int, by: int) -> tuple[slice, slice]:
-    """Part of an axis of n pixels with some more at both ends, and where the part itself lies in that."""
+    """Extend part of an axis of n pixels at both ends, and locate the part in the result."""
     first, last = max(part.start - by, 0), min(part.stop + by, n)
     return slice(first, last), slice(part.start - first, part.stop - first)
 
 
 def _unwanted(run: FinishedRun, window: tuple[int, int], rows: slice, columns: slice) -> FloatArray:
-    """Mean power of noise, if it is known, and of side lobes of bright places, over a window about pixels of a part."""
+    """Mean power of noise, if known, and of bright places' side lobes, in a window about pixels of a part."""
     x, y = float(run.x[columns].mean()), float(run.y[rows].mean())
     power = np.zeros((rows.stop - rows.start, columns.stop - columns.start))
     if (run.image / "noise_equivalent" / "zarr.json").exists():
@@ -203,7 +203,7 @@ def _means(power: FloatArray, cell: tuple[int, ...]) -> FloatArray:
 
 
 def _segments(run: FinishedRun, rows: slice, columns: slice) -> NDArray[np.int64] | None:
-    """Number of the segment that each pixel comes from, -1 where not covered; None of a run that has one."""
+    """Segment number of each pixel, -1 where not covered; None if the run has only one."""
     if not run.segments:
         return None
     blocks = run.read_block(rows, columns)
@@ -214,7 +214,7 @@ def _segments(run: FinishedRun, rows: slice, columns: slice) -> NDArray[np.int64
 
 
 def _between(a: FinishedRun, b: FinishedRun, numbers: tuple[int, int], y: FloatArray, x: FloatArray) -> FloatArray:
-    """The vertical wavenumber of two segments at pixels, interpolated between nodes, over which it hardly bends."""
+    """Vertical wavenumber of two segments at pixels, interpolated between nodes."""
     first, second = (run.segments[n] if run.segments else run.geometry for run, n in zip((a, b), numbers, strict=True))
     nodes = [np.linspace(axis[0], axis[-1], max(-(-axis.size // NODES), 1) + 1) for axis in (y, x)]
     values = vertical_wavenumber(first, second, *reversed(np.meshgrid(*nodes, indexing="ij")))
@@ -226,7 +226,7 @@ def _between(a: FinishedRun, b: FinishedRun, numbers: tuple[int, int], y: FloatA
 
 
 class Made(NamedTuple):
-    """Findings while a pair was written.
+    """Result of writing a pair: its store and figures.
 
     Attributes
     ----------
@@ -248,7 +248,7 @@ class Made(NamedTuple):
 
 
 def write_pair(pair: Pair, out: Place, *, overwrite: bool, progress: Callback) -> Made:
-    """Create the store of a pair, a chunk at a time.
+    """Create the store of a pair, one chunk at a time.
 
     Raises
     ------
@@ -290,7 +290,7 @@ def write_pair(pair: Pair, out: Place, *, overwrite: bool, progress: Callback) -
 
 
 def _median(pair: Pair, parts: Sequence[tuple[slice, slice]]) -> float:
-    """Median of the coherence over some parts of the image, where noise and side lobes leave enough of it.
+    """Estimate the median coherence over parts of the image where noise and side lobes leave enough of it.
 
     Raises
     ------
@@ -333,7 +333,7 @@ def _attributes(pair: Pair, scene: float, limit: float) -> dict[str, Any]:
 
 
 def displacement(pair: Pair) -> float:
-    """Motion away from the antenna after image a that turns the phase by a radian, m: lambda / (4 pi)."""
+    """Motion, m, away from the antenna after image a that changes the phase by a radian: lambda / (4 pi)."""
     return SPEED_OF_LIGHT / (4 * np.pi * pair.b.collection.carrier)
 
 
@@ -370,14 +370,14 @@ def check_same_ground(a: FinishedRun, b: FinishedRun) -> None:
 
 
 def _heights_apart(a: FinishedRun, b: FinishedRun) -> float:
-    """Greatest distance of the heights that two images assume, at points all over their grid, m."""
+    """Largest difference, m, between the heights that two images assume, at points all over their grid."""
     axes = [np.linspace(axis[0], axis[-1], HEIGHTS) for axis in (a.x, a.y)]
     first, second = (np.asarray(run.geometry.height(*np.meshgrid(*axes))) for run in (a, b))
     return float(np.nanmax(np.abs(first - second), initial=0.0))
 
 
 def _remedy(a: FinishedRun, b: FinishedRun) -> str:
-    """The command that focuses the second input as the first."""
+    """Compose the command that focuses the second input on the first's grid."""
     spans = []
     for axis in (a.x, a.y):
         step = float(axis[-1] - axis[0]) / (axis.size - 1)

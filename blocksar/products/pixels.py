@@ -1,4 +1,4 @@
-"""The pixels of a raster product, in the image's own grid or in that of a map.
+"""Pixels of a raster product, on the image's own grid or on that of a map.
 
 *A map.* The centre of a pixel of the map has a longitude and a latitude. The vertical there, the normal of the
 ellipsoid, is a straight line in the scene frame, with x and y linear in z; it meets the ground where z = height(x, y),
@@ -38,12 +38,12 @@ if TYPE_CHECKING:
 LAYERS = {"height": "height", "incidence": "incidence_angle", "visibility": "visibility"}  # in image.zarr, on a terrain
 CONTENTS: tuple[Content, ...] = get_args(Content)
 SCALES: tuple[Scale, ...] = get_args(Scale)
-STRETCHED = 1000  # cells along the longer side of what the range in dB is chosen from
+STRETCHED = 1000  # cells along the longer side of the overview that determines the range in dB
 
 
 @dataclass(frozen=True, eq=False)
 class Pixels:
-    """Pixels of an image, or cells of `looks` pixels with their mean power.
+    """Pixels of an image, or the mean power of cells of `looks` pixels.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Pixels:
 
     @cached_property
     def x(self) -> FloatArray:
-        """Middles of the pixels, m."""
+        """Centres of the pixels, m."""
         return _middles(self.source.x, self.looks[1])
 
     @cached_property
@@ -90,20 +90,20 @@ class Pixels:
 
     @property
     def nodata(self) -> float:
-        """Value of a pixel that is not covered."""
+        """Value that marks a pixel as not covered."""
         if self.content == "visibility":
             return UNKNOWN
         return np.nan if self.scale is None else 0
 
     @property
     def step(self) -> float:
-        """dB between neighbouring whole numbers."""
+        """Difference in dB between consecutive integer values."""
         assert self.scale is not None
         return (self.limits[1] - self.limits[0]) / (np.iinfo(self.scale).max - 1)
 
     @property
     def offset(self) -> float:
-        """dB that 0 would stand for."""
+        """Level in dB that the value 0 corresponds to."""
         return self.limits[0] - self.step
 
     def strips(self) -> Iterator[slice]:
@@ -116,7 +116,7 @@ class Pixels:
             yield slice(first, min(first + step, self.y.size))
 
     def measured(self, rows: slice) -> NDArray[Any]:
-        """Read whole rows of what `coded` makes the product of: power, complex pixels, or a layer."""
+        """Read whole rows of the quantity that `coded` converts: power, complex pixels, or a layer."""
         if self.content in LAYERS:
             layer = self.source.read_layer(LAYERS[self.content], rows, slice(None))
             layer[self.source.read_block(rows, slice(None)) < 0] = self.nodata
@@ -132,21 +132,21 @@ class Pixels:
         return multilook(power, self.looks)
 
     def coded(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Convert measured values to those of the product."""
+        """Convert measured values to the product's values."""
         if self.content == "db":
             return self._scaled(decibels(values))
         return np.sqrt(values) if self.content == "amplitude" else values
 
     @cached_property
     def _sights(self) -> list[Sight]:
-        """The antenna as the pixels of each segment see it."""
+        """Views of the antenna on the pixels, one for each segment."""
         source, terrain = self.source, self.source.geometry.terrain
         assert terrain is not None
         box = box_of(source.x, source.y)
         return [Sight.of(geometry, box, terrain.limits) for geometry in source.segments or (source.geometry,)]
 
     def _gamma_factor(self, rows: slice) -> NDArray[np.float32]:
-        """Factors of the power of whole rows; NaN in layover and shadow."""
+        """Power factors of whole rows that normalise for slope; NaN in layover and shadow."""
         terrain = self.source.geometry.terrain
         assert terrain is not None
         owner = self.source.read_block(rows, slice(None))
@@ -166,7 +166,7 @@ class Pixels:
 
 
 def _middles(axis: FloatArray, side: int) -> FloatArray:
-    """Middles of whole cells of `side` pixels along an axis, m."""
+    """Centres of whole cells of `side` pixels along an axis, m."""
     if side == 1:
         return axis
     n = axis.size // side
@@ -181,7 +181,7 @@ def pixels_of(
     scale: Scale | None,
     limits: Decibels | None,
 ) -> Pixels:
-    """Check what is asked of the pixels; choose the range in dB if it is needed and not given.
+    """Check the requested pixels, and choose the range in dB if one is needed and not given.
 
     Raises
     ------
@@ -231,7 +231,7 @@ MOST = 1 << 33  # pixels
 
 
 def parse_crs(text: Any) -> CRS:
-    """Read a coordinate reference system such as EPSG:32616, projected or of longitude and latitude.
+    """Parse a coordinate reference system such as EPSG:32616, projected or geographic.
 
     Raises
     ------
@@ -252,7 +252,7 @@ def parse_crs(text: Any) -> CRS:
 
 
 class Verticals(NamedTuple):
-    """The verticals at places of a map: x and y at z = 0, m, and what they change by with z."""
+    """Vertical lines at places of a map: x and y at z = 0, m, and their change with z."""
 
     x: FloatArray
     y: FloatArray
@@ -266,7 +266,7 @@ class Verticals(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class MapPixels:
-    """Pixels of a map that shows those of an image; north is up, as far as the CRS has it.
+    """Pixels of a map made from those of an image; north is up, as far as the CRS permits.
 
     Attributes
     ----------
@@ -289,7 +289,7 @@ class MapPixels:
 
     @classmethod
     def over(cls, pixels: Pixels, crs: CRS, frame: Georeference) -> MapPixels:
-        """The map that holds all of an image, with its least spacing, on whole multiples of that.
+        """Make the map that contains an image, at its finest spacing, on whole multiples of it.
 
         Raises
         ------
@@ -333,7 +333,7 @@ class MapPixels:
             yield slice(first, min(first + step, self.y.size))
 
     def measured(self, rows: slice) -> NDArray[Any]:
-        """Compute whole rows, (rows, x.size), of what `coded` makes the product of."""
+        """Compute whole rows, (rows, x.size), of the quantity that `coded` converts."""
         x, y = self.ground(self.x, self.y[rows])
         if self.content == "height":
             terrain = self.of.source.geometry.terrain
@@ -350,11 +350,11 @@ class MapPixels:
         return out
 
     def coded(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Encode values that were measured."""
+        """Convert measured values to the product's values."""
         return self.of.coded(values)
 
     def ground(self, east: FloatArray, north: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """x and y, m, of the ground at columns east (n,) and rows north (m,) of the map: (m, n) each."""
+        """Ground x and y, m, at columns east (n,) and rows north (m,) of the map: (m, n) each."""
         verticals, level = self._verticals(east, north), self.of.source.ground_height
         terrain = self.of.source.geometry.terrain
         x, y = verticals.at(level)
@@ -367,14 +367,14 @@ class MapPixels:
 
     @cached_property
     def datum_tie(self) -> tuple[float, str]:
-        """`georeference.datum_tie` of the CRS at the middle of the image."""
+        """Accuracy of the datum at the middle of the image; see `georeference.datum_tie`."""
         x, y = ((axis[0] + axis[-1]) / 2 for axis in (self.of.x, self.of.y))
         latitude, longitude, _ = self.frame.to_geodetic(np.array([x, y, self.of.source.ground_height]))
         return datum_tie(self.crs, float(longitude), float(latitude))
 
     @cached_property
     def error(self) -> float:
-        """Largest distance, m, on the ground of pixels from their exact places, over some pixels."""
+        """Largest ground distance, m, between pixels and their exact places, over some pixels."""
         worst = 0.0
         for rows in np.array_split(self.y, min(5, self.y.size)):
             east, north = self.x[:: max(self.x.size // 41, 1)], rows[:1]
@@ -387,7 +387,7 @@ class MapPixels:
         return worst
 
     def _verticals(self, east: FloatArray, north: FloatArray) -> Verticals:
-        """Interpolate the verticals of all pixels from a mesh of some."""
+        """Interpolate the verticals of all pixels from a mesh."""
         from pyproj import Transformer
 
         to_earth = Transformer.from_crs(self.crs, "EPSG:4326", always_xy=True)
@@ -406,7 +406,7 @@ class MapPixels:
         return Verticals(*(_bilinear(field, *weights) for field in fields))
 
     def _linear(self, x: FloatArray, y: FloatArray) -> NDArray[Any]:
-        """Values of the product's own pixels, interpolated linearly, or the nearest one's if they are flags."""
+        """Interpolate the image's pixels linearly; flags are taken from the nearest."""
         pixels, nearest = self.of, self.content == "visibility"
         row, column = ((at - axis[0]) / (axis[-1] - axis[0]) * (axis.size - 1)
                        for at, axis in ((y, pixels.y), (x, pixels.x)))  # fmt: skip
@@ -447,7 +447,7 @@ def _check_area(crs: CRS, frame: Georeference, point: FloatArray) -> None:
 
 
 def suitable_crs(longitude: float, latitude: float) -> str:
-    """The projection that suits a place, degrees, in words: UTM, and polar stereographic where UTM ends."""
+    """Suggest a projection for a place, degrees: UTM, or polar stereographic beyond its limits."""
     if not UTM_ENDS[0] <= latitude <= UTM_ENDS[1]:
         ups, other = ("EPSG:5041", "EPSG:3413") if latitude > 0 else ("EPSG:5042", "EPSG:3031")
         return f"polar stereographic there is {ups}, or {other}"
@@ -456,7 +456,7 @@ def suitable_crs(longitude: float, latitude: float) -> str:
 
 
 def _steps(crs: CRS, frame: Georeference, point: FloatArray, spacing: float) -> tuple[float, float]:
-    """Steps along the axes of a CRS, in its units, that are so long on the ground, m."""
+    """Steps along the axes of a CRS, in its units, that equal a spacing on the ground, m."""
     from pyproj import Transformer
 
     to_earth = Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
@@ -468,7 +468,7 @@ def _steps(crs: CRS, frame: Georeference, point: FloatArray, spacing: float) -> 
 
 
 def _between(axis: FloatArray, nodes: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
-    """The node before each place, and how far it is to the next."""
+    """Index of the node before each place, and the fraction of the step beyond it."""
     step = float(nodes[1] - nodes[0]) or 1.0
     at = (axis - nodes[0]) / step
     before = np.clip(np.floor(at), 0, nodes.size - 2).astype(np.intp)

@@ -1,4 +1,4 @@
-"""The complex image of a run at any place of its ground; and, on a terrain, on the plane that SICD describes.
+"""The complex image of a run at any place of its ground; on a terrain also in the plane that SICD describes.
 
 Pixels turn with the carrier, 4 pi fc / c R, by many turns from one to the next. Before they are interpolated, the phase
 of the carrier at the middle of the dwell is taken off each, with R of its own place and height; the phase at the new
@@ -47,17 +47,17 @@ LEAST_PIXELS = 16  # a side of a part that is divided
 
 @dataclass(frozen=True, eq=False)
 class GroundImage:
-    """The image of a run, to be read between its pixels."""
+    """The image of a run, interpolated between its pixels."""
 
     source: FinishedRun
 
     def nearest(self, x: FloatArray, y: FloatArray) -> tuple[IntArray, IntArray]:
-        """Row and column of the pixels nearest to places x, y (...), m; they may lie outside the image."""
+        """Row and column of the pixels nearest to places x, y (...), m, also outside the image."""
         at = self._indices(x, y)
         return np.rint(at[0]).astype(np.int64), np.rint(at[1]).astype(np.int64)
 
     def covered(self, x: FloatArray, y: FloatArray) -> BoolArray:
-        """Whether the pixels nearest to places x, y (...), m, near one another, are covered."""
+        """Tell whether the pixels nearest to adjacent places x, y (...), m, are covered."""
         row, column = self.nearest(x, y)
         inside = (row >= 0) & (row < self.source.y.size) & (column >= 0) & (column < self.source.x.size)
         if not inside.any():
@@ -68,7 +68,7 @@ class GroundImage:
         return inside
 
     def at(self, x: FloatArray, y: FloatArray, *, carried_to: FloatArray | None = None) -> ComplexArray:
-        """The image (...) at places x, y (...), m, near one another; NaN where it is not covered.
+        """Interpolate the image (...) at adjacent places x, y (...), m; NaN where it is not covered.
 
         The carrier is that of the places, or of other points (..., 3) of the same range and Doppler, m.
         """
@@ -96,7 +96,7 @@ class GroundImage:
         return out
 
     def _halves(self, x: FloatArray, y: FloatArray, seen: BoolArray) -> tuple[BoolArray, BoolArray] | None:
-        """Two halves of places, masks (...), if the carrier of their middle leaves some beyond the band; else None."""
+        """Halve places, as masks (...), if one carrier leaves some of them outside the band; else None."""
         spacing, low, high = np.array(self.source.spacing), [], []
         for axis in (x[seen], y[seen]):
             low.append(float(axis.min()))
@@ -129,7 +129,7 @@ class GroundImage:
 
 @dataclass(frozen=True, eq=False)
 class _Carrier:
-    """The phase of the carrier at one slow time, over the ground."""
+    """Phase of the carrier over the ground at one slow time."""
 
     geometry: Geometry
     time: float
@@ -137,23 +137,23 @@ class _Carrier:
 
     @classmethod
     def about(cls, geometry: Geometry, x: float, y: float) -> _Carrier:
-        """Carrier at the middle of the dwell of a place x, y, m, where its phase vanishes."""
+        """Make the carrier at the middle of the dwell of a place x, y, m, zero there."""
         point = _on_ground(geometry, x, y)
         time = centre_time(geometry, point)
         return cls(geometry, time, float(geometry.range_history(point, np.array(time))[0]))
 
     def turns(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """2 fc / c (R - R0), turns, of ground places x, y (broadcast), m; NaN where the ground has no height."""
+        """Phase 2 fc / c (R - R0), cycles, at ground places x, y (broadcast), m; NaN where the height is unknown."""
         return self.turns_at(self.geometry.on_ground(x, y))
 
     def turns_at(self, points: FloatArray) -> FloatArray:
-        """Turns of the carrier at points (..., 3), m."""
+        """Phase of the carrier, cycles, at points (..., 3), m."""
         distance = self.geometry.range_history(points, np.array(self.time))[0]
         return 2 * self.geometry.collection.carrier / SPEED_OF_LIGHT * (distance - self.origin)
 
 
 def _on_ground(geometry: Geometry, x: float, y: float) -> FloatArray:
-    """The ground point (3,) at x, y, m; at the mean height where its own is not known."""
+    """Ground point (3,) at x, y, m; at the mean height if its own is unknown."""
     return np.nan_to_num(geometry.on_ground(np.array(x), np.array(y)), nan=geometry.collection.ground_height)
 
 
@@ -163,7 +163,7 @@ def _phasor(turns: FloatArray) -> ComplexArray:
 
 
 def _around(index: FloatArray, size: int) -> slice:
-    """The samples that places in samples (n,) take."""
+    """Samples needed to interpolate at places (n,), in samples."""
     first = max(int(np.floor(index.min())) - HALF_TAPS + 1, 0)
     return slice(first, min(int(np.floor(index.max())) + HALF_TAPS + 1, size))
 
@@ -181,7 +181,7 @@ class Poly2D(NamedTuple):
 
 
 def fit_poly2d(u: FloatArray, v: FloatArray, values: FloatArray, accuracy: float) -> Poly2D:
-    """Fit values (n,) by least squares with the polynomial of lowest total order that meets `accuracy`.
+    """Fit values (n,) by the polynomial of lowest total order that meets `accuracy`, by least squares.
 
     The order ends at MAX_ORDER, or where half as many coefficients as points are needed; `error` tells how well the
     last one fits.
@@ -209,7 +209,7 @@ def fit_poly2d(u: FloatArray, v: FloatArray, values: FloatArray, accuracy: float
 
 
 def arp_polynomial(geometry: Geometry, frame: Georeference) -> tuple[FloatArray, float]:
-    """The track as a polynomial in ECEF, and its largest distance from the recorded antenna positions.
+    """Fit the track by a polynomial in ECEF; also its largest distance from the recorded antenna positions.
 
     Returns
     -------
@@ -237,7 +237,7 @@ REFINEMENTS = 3  # of the height on the terrain between samples
 
 @dataclass(frozen=True, eq=False)
 class PlaneImage(FinishedRun):
-    """A run on a terrain, opened as if it lay on the plane z = ground_height.
+    """A run on a terrain, presented as an image in the plane z = ground_height.
 
     Attributes
     ----------
@@ -249,7 +249,7 @@ class PlaneImage(FinishedRun):
 
     @classmethod
     def of(cls, run: FinishedRun) -> PlaneImage:
-        """The plane's pixels, as far apart as those of the image, as far as its ground is seen there."""
+        """Make the plane's grid, at the image's spacing, over all ground that is seen through it."""
         flat = Geometry(collection=run.collection)
         points = _mesh(run, run.x, run.y)
         points = points[np.isfinite(points[:, 2])]
@@ -276,7 +276,7 @@ class PlaneImage(FinishedRun):
 
     @cached_property
     def _centre_of_aperture(self) -> Poly2D:
-        """Middles of dwells, s, over x and y from the middle of the image, m: those of the ground that is seen."""
+        """Fit the middles of dwells, s, of the visible ground over x and y from the middle of the image, m."""
         places = _mesh(self, self.x, self.y)
         ground = self._ground(places, _middles(self.geometry, places))
         seen = np.isfinite(ground[:, 2])
@@ -296,17 +296,17 @@ class PlaneImage(FinishedRun):
         return self._centre_of_aperture.error
 
     def times(self, places: FloatArray) -> FloatArray:
-        """Centres of aperture (...), s, of places (..., 3) of the plane, m."""
+        """Centres of aperture (...), s, of places (..., 3) in the plane, m."""
         middle = self._middle
         coefficients = self._centre_of_aperture.coefficients
         return np.asarray(polynomial.polyval2d(places[..., 0] - middle[0], places[..., 1] - middle[1], coefficients))
 
     def ground(self, places: FloatArray) -> FloatArray:
-        """The ground (n, 3) of the range and Doppler of places (n, 3) of the plane, m; NaN where there is none."""
+        """Ground points (n, 3), m, with range and Doppler of places (n, 3) in the plane; NaN where there are none."""
         return self._ground(places, self.times(places))
 
     def read(self, rows: slice, columns: slice) -> ComplexArray:
-        """Read pixels of the plane, (rows, columns); NaN where no covered ground has their range and Doppler."""
+        """Read pixels of the plane, (rows, columns); NaN without covered ground of their range and Doppler."""
         x, y = self.x[columns], self.y[rows]
         out, image = np.empty((y.size, x.size), np.complex64), GroundImage(self.on_terrain)
         for i in range(0, y.size, TILE):
@@ -322,7 +322,7 @@ class PlaneImage(FinishedRun):
         return out
 
     def read_block(self, rows: slice, columns: slice) -> Int16Array:
-        """0 where a pixel of the plane is covered, else -1, (rows, columns)."""
+        """Read 0 for covered pixels of the plane and -1 for others, (rows, columns)."""
         places = self._places(self.x[columns], self.y[rows])
         ground = self.ground(places)
         seen: BoolArray = np.isfinite(ground[:, 2])
@@ -350,7 +350,7 @@ class PlaneImage(FinishedRun):
         return HeightGrid.of(self.terrain.heights, self.terrain.dx, self.terrain.dy)
 
     def _ground(self, places: FloatArray, time: FloatArray) -> FloatArray:
-        """`ground` at other centres of aperture (n,), s."""
+        """Ground points as from `ground`, at other centres of aperture (n,), s."""
         terrain, geometry = self.terrain, self.on_terrain.geometry
         antenna, velocity = geometry.track.position(time), geometry.track.velocity(time)
         z = np.empty(len(places))
@@ -358,7 +358,7 @@ class PlaneImage(FinishedRun):
             self._samples, np.array([terrain.x[0], terrain.y[0]]), np.ascontiguousarray(places),
             np.ascontiguousarray(antenna), np.ascontiguousarray(velocity), z,
         )  # fmt: skip
-        # From the bilinear ground to the one that the image lies on, by the secant of the clearance over the height.
+        # Move from the bilinear ground to the image's own, by the secant method on the clearance over height.
         before, at = z - 0.01, _on_circle(geometry, places, time, z - 0.01)
         clear_before = before - terrain(at[:, 0], at[:, 1])
         for _ in range(REFINEMENTS):
@@ -379,14 +379,14 @@ def _mesh(run: FinishedRun, x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _middles(geometry: Geometry, points: FloatArray) -> FloatArray:
-    """Middles of the dwells, s, of points (n, 3); of the whole collection where they are not lit."""
+    """Middles of the dwells, s, of points (n, 3); of the whole collection if never lit."""
     first, last = geometry.beam.dwell(points[:, 0], points[:, 1])
     edges = aperture(geometry.collection)
     return np.asarray(np.clip(np.where(first < last, (first + last) / 2, sum(edges) / 2), *edges))
 
 
 def _on_circle(geometry: Geometry, points: FloatArray, time: FloatArray, z: FloatArray | float) -> FloatArray:
-    """Places (n, 3) at heights z, m, of the range and Doppler of points (n, 3) at slow times (n,), s."""
+    """Places (n, 3) at heights z, m, with range and Doppler of points (n, 3) at slow times (n,), s."""
     antenna, velocity = geometry.track.position(time), geometry.track.velocity(time)
     sight, level = points - antenna, np.hypot(velocity[:, 0], velocity[:, 1])
     along, across = (

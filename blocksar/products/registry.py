@@ -1,4 +1,4 @@
-"""Registry of what `export` can write: products of the package, and those that other packages add as entry points."""
+"""Registry of products for `export`: those of the package, and those that other packages add as entry points."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from blocksar.progress.listening import Callback
 
 REPORT = "report", (".html", ".htm")  # no product, but a file that a user names, too
-# Of files that nothing here writes.
+# Endings of formats that the package does not write.
 OTHERS = (".jpg", ".jpeg", ".gif", ".webp", ".svg", ".pdf", ".csv", ".zarr", ".nc", ".h5", ".toml")
 
 
 class Product(Protocol):
-    """A file that is made from a finished run: a class, or another object, with these attributes.
+    """Interface of a product: a kind of file made from a finished run.
 
     Its module is imported for every help, so it imports what is slow to load inside `write`.
 
@@ -78,7 +78,7 @@ class Product(Protocol):
 
 
 def _check(product: Product) -> None:
-    """Ask a product for all that is needed before it writes."""
+    """Check that a product has all attributes that writing needs."""
     options_of(product.options)
     if not (product.summary and product.endings and callable(product.write)):
         raise TypeError("a product has a summary, endings and a function to write it")
@@ -99,7 +99,7 @@ PRODUCTS: Registry[Product] = Registry(
 
 
 def check_ending(kind: str, name: str) -> None:
-    """Refuse a file's name with the ending of something else; unknown endings may stand for anything.
+    """Refuse a file name with the ending of another format; unknown endings are accepted.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Metadata that SICD, SIDD and STAC share: facts of the collection, how a file lies in the scene, valid pixels."""
+"""Metadata shared by SICD, SIDD and STAC: facts of the collection, placement of a file in the scene, valid pixels."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def collect_start(source: FinishedRun) -> tuple[datetime, bool]:
 
 
 def date_of(told: Any, time: float) -> datetime | None:
-    """UTC of a slow time, s; None if it is not known.
+    """Convert a slow time, s, to UTC; None if the collection's time is unknown.
 
     The attribute `source` of ingested data holds `collection_start`, UTC in ISO 8601, and `time_zero`, s from there to
     slow time 0.
@@ -48,7 +48,7 @@ def date_of(told: Any, time: float) -> datetime | None:
 
 
 def radar_mode(collection: Collection, *, one_aperture: bool) -> str:
-    """The mode: spotlight if all pixels have one centre of aperture; dynamic if the beam is steered otherwise."""
+    """Radar mode: spotlight if all pixels have one centre of aperture, dynamic if the beam is steered otherwise."""
     if one_aperture:
         return "SPOTLIGHT"
     angle = collection.beam_azimuth if collection.beam_steering is None else collection.beam_steering
@@ -56,7 +56,7 @@ def radar_mode(collection: Collection, *, one_aperture: bool) -> str:
 
 
 def classification(source: FinishedRun) -> str:
-    """Classification of the collection as ASCII text; UNCLASSIFIED if it names none."""
+    """Classification of the collection as ASCII text; UNCLASSIFIED if it states none."""
     return ascii_text(str(source.attrs.get("classification") or "UNCLASSIFIED"), 200)
 
 
@@ -75,7 +75,7 @@ def polarization(source: FinishedRun) -> tuple[str, str]:
 
 
 def security_mark(source: FinishedRun) -> str:
-    """The letter for the classification in NITF headers.
+    """Letter of the classification in NITF headers.
 
     Raises
     ------
@@ -93,12 +93,12 @@ def security_mark(source: FinishedRun) -> str:
 
 
 def ascii_text(text: str, length: int) -> str:
-    """Text as NITF headers may hold it: printable ASCII, at most `length` characters."""
+    """Restrict text to what NITF headers may hold: printable ASCII, at most `length` characters."""
     return "".join(c if " " <= c <= "~" else "?" for c in text)[:length]
 
 
 def about_segments(source: FinishedRun, product: str, what: str) -> list[str]:
-    """State that the metadata are those of one segment of several, and how much of the image they do not describe."""
+    """State that the metadata describe one of several segments, and which share of the image they do not."""
     if not source.segments:
         return []
     counts = np.zeros(len(source.segments), np.int64)
@@ -141,7 +141,7 @@ def lines_of_sight(geometry: Geometry, points: FloatArray, time: FloatArray) -> 
 
 
 class Support(NamedTuple):
-    """Spatial frequencies that the aperture measures of a target, and their weights.
+    """Spatial frequencies of a target that the aperture measures, with weights.
 
     Attributes
     ----------
@@ -159,7 +159,7 @@ class Support(NamedTuple):
 
 
 def find_support(geometry: Geometry, scp: FloatArray, weighting: Weighting = UNIFORM) -> Support:
-    """Support of a target at the scene centre point (3,); over the whole collection if it is never lit."""
+    """Find the support of a target at the scene centre point (3,); the whole collection's if it is never lit."""
     first, last = (float(t) for t in lit_times(geometry, scp))
     collection = geometry.collection
     if not first < last:
@@ -196,7 +196,7 @@ def cut_width(frequency: FloatArray, weights: FloatArray) -> float:
 
 
 def cut_weights(frequency: FloatArray, weights: FloatArray, count: int) -> FloatArray:
-    """The weighting of a cut, (count,), at most 1: weights of frequencies (n,) summed over equal parts of the band.
+    """Weighting of a cut, (count,), at most 1: weights of frequencies (n,) summed over equal parts of the band.
 
     Each frequency is spread over the width of a part, so that the samples do not show as ripple.
     """
@@ -223,7 +223,7 @@ DIRECTIONS = ((1, 0), (0, 1), (-1, 0), (0, -1))  # in x and y, that rows of the 
 
 
 class Layout(NamedTuple):
-    """Position of the file's rows and columns in the scene.
+    """Placement of the file's rows and columns in the scene.
 
     Attributes
     ----------
@@ -256,13 +256,13 @@ class Layout(NamedTuple):
         return self.first + np.concatenate([offset, np.zeros((*offset.shape[:-1], 1))], axis=-1)
 
     def reorder(self, values: ComplexArray) -> ComplexArray:
-        """Return a part (y, x) of the image in the order of the file."""
+        """Reorder a part (y, x) of the image to the order of the file."""
         values = values.T if self.row_axis == 1 else values
         return values[:: int(self.row.sum()), :: int(self.column.sum())]
 
 
 class Axes(Protocol):
-    """Where pixels lie, m."""
+    """Interface of image axes, m."""
 
     @property
     def x(self) -> FloatArray: ...
@@ -325,7 +325,7 @@ def valid_data(coverage: Coverage, layout: Layout) -> Any:
 
 
 def _box(points: FloatArray, shape: tuple[int, int]) -> FloatArray:
-    """Corners (4, 2), clockwise, of the box around pixels (n, 2), at least one pixel wide and within the image."""
+    """Corners (4, 2), clockwise, of the bounding box of pixels (n, 2), at least one pixel wide, within the image."""
     low, high = points.min(axis=0), points.max(axis=0)
     high = np.minimum(np.maximum(high, low + 1), np.array(shape) - 1)
     low = np.minimum(low, high - 1)
@@ -333,7 +333,7 @@ def _box(points: FloatArray, shape: tuple[int, int]) -> FloatArray:
 
 
 def central_pixel(vertices: Any) -> Any:
-    """Row and column of a pixel inside the polygon: its centroid if that lies inside."""
+    """Row and column of a pixel inside the polygon: its centroid, if that lies inside."""
     from shapely import Polygon
 
     outline = Polygon(vertices)
@@ -342,7 +342,7 @@ def central_pixel(vertices: Any) -> Any:
 
 
 def sample_pixels(coverage: Coverage, layout: Layout) -> FloatArray:
-    """Row and column of covered pixels (n, 2) spread over the image, for fitting polynomials."""
+    """Rows and columns of covered pixels (n, 2) spread over the image, for fitting polynomials."""
     first, last = _spans(coverage, layout)
     columns = np.flatnonzero(last >= first)
     columns = columns[np.unique(np.linspace(0, columns.size - 1, FIT_POINTS).astype(int))]

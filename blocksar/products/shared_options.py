@@ -1,4 +1,4 @@
-"""Options that products share: what they mean, and how their texts are read."""
+"""Options that products share: their meaning, and their parsers."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def parse_range(limits: Any) -> Decibels:
 
 
 def decibels(of: str) -> Option:
-    """The option `range` of what decibels are mapped to."""
+    """Make the option `range`: the range in dB of a quantity."""
     return Option(f"dB at the ends of {of}.", metavar="LOW:HIGH", default="by the image", read=parse_range)
 
 

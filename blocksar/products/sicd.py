@@ -160,7 +160,7 @@ def _grid(
     scp_pixel: Any,
     support: Support,
 ) -> tuple[dict[str, Any], list[str]]:
-    """The Grid branch, and notes on the fit of its polynomials."""
+    """Build the Grid branch, with notes on the fit of its polynomials."""
     geometry, zero = source.geometry, source.collection.time[0]
     pixels = sample_pixels(coverage, layout)
     points = layout.point(*pixels.T)
@@ -191,7 +191,7 @@ def _grid(
 
 
 def _centres_of_aperture(source: FinishedRun, points: FloatArray) -> tuple[FloatArray, BoolArray, float]:
-    """Middles of the lit times of points (n, 3), s; whether they are lit; how exactly to follow them, s (0: not so)."""
+    """Centres of aperture of points (n, 3), s; whether points are lit; and the accuracy of the fit, s (0: default)."""
     if isinstance(source, PlaneImage):
         return source.times(points), np.ones(len(points), bool), EXACTLY
     first, last = lit_times(source.geometry, points)
@@ -207,7 +207,7 @@ def _direction(
     k: FloatArray,
     corners: FloatArray,
 ) -> tuple[dict[str, Any], str]:
-    """The Row or Col branch without its unit vector, and how well DeltaKCOAPoly fits.
+    """Build the Row or Col branch without its unit vector, and describe the fit of DeltaKCOAPoly.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ def _direction(
 
 
 def _weighting(source: FinishedRun, band: FloatArray, weights: FloatArray) -> dict[str, Any]:
-    """WgtType and WgtFunct of a direction; none of an image without a weighting and an antenna's pattern.
+    """WgtType and WgtFunct of a direction; empty without weighting and antenna pattern.
 
     The tapers lie along range and azimuth, not along rows and columns, so no known window describes a cut: WgtFunct has
     the weights that the band of the cut has, and the parameters name the tapers.
@@ -270,7 +270,7 @@ def _weighting(source: FinishedRun, band: FloatArray, weights: FloatArray) -> di
 
 
 def _noise_level(source: FinishedRun, layout: Layout, scp_pixel: Any) -> Poly2D | None:
-    """The power of the noise in a pixel, dB, over m from the scene centre point; None if it is not known."""
+    """Polynomial of the noise power, dB, over m from the scene centre point; None if unknown."""
     found = source.noise_levels(FIT_POINTS)
     if found is None:
         return None
@@ -280,7 +280,7 @@ def _noise_level(source: FinishedRun, layout: Layout, scp_pixel: Any) -> Poly2D 
 
 
 def _extent(delta: FloatArray, corners: FloatArray, width: float, spacing: float) -> tuple[float, float]:
-    """DeltaK1 and DeltaK2, by the standard's rule: from the vertices of ValidData; the whole band if it wraps."""
+    """DeltaK1 and DeltaK2 by the standard's rule from the vertices of ValidData; the whole band if it wraps."""
     at_corners = np.asarray(power.polyval2d(corners[:, 0], corners[:, 1], delta))
     low, high = float(at_corners.min()) - width / 2, float(at_corners.max()) + width / 2
     if low < -0.5 / spacing or high > 0.5 / spacing:
@@ -289,12 +289,12 @@ def _extent(delta: FloatArray, corners: FloatArray, width: float, spacing: float
 
 
 def _axis_name(direction: FloatArray) -> str:
-    """+x, -x, +y or -y."""
+    """Name of the axis that a direction points along: +x, -x, +y or -y."""
     return ("+" if direction.sum() > 0 else "-") + ("x" if direction[0] else "y")
 
 
 def _timeline(geometry: Geometry, start: datetime) -> dict[str, Any]:
-    """The Timeline branch."""
+    """Build the Timeline branch."""
     collection = geometry.collection
     duration = collection.n_pulse / collection.prf
     pulses = {"TStart": 0.0, "TEnd": duration, "IPPStart": 0, "IPPEnd": collection.n_pulse - 1}
@@ -306,7 +306,7 @@ def _timeline(geometry: Geometry, start: datetime) -> dict[str, Any]:
 
 
 def _collection_info(source: FinishedRun, centre_of_aperture: FloatArray) -> dict[str, Any]:
-    """The CollectionInfo branch."""
+    """Build the CollectionInfo branch."""
     collection = source.collection
     return {
         "CollectorName": ascii_text(str(source.attrs.get("collector") or "unknown"), 80),
@@ -318,7 +318,7 @@ def _collection_info(source: FinishedRun, centre_of_aperture: FloatArray) -> dic
 
 
 def _set_radar(sicd: Any, source: FinishedRun) -> None:
-    """Set the branches RadarCollection and ImageFormation."""
+    """Add the branches RadarCollection and ImageFormation."""
     collection = source.collection
     transmit, transmit_receive = polarization(source)
     half = collection.range_frequency[-1] + (collection.range_frequency[1] - collection.range_frequency[0]) / 2
@@ -410,7 +410,7 @@ def write(
 
 
 def _write_pixels(source: FinishedRun, layout: Layout, file: BinaryIO, progress: Callback) -> None:
-    """Write all rows in the file's order: big-endian, real and imaginary parts interleaved, zero where not covered."""
+    """Write rows in the file's order: big-endian, real and imaginary parts interleaved, zero where not covered."""
     axis = layout.row_axis
     strips = list(source.strips(axis))[:: int(layout.row.sum())]
     for done, strip in enumerate(strips, 1):

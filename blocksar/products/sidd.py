@@ -11,8 +11,6 @@ height of each pixel's ground (GeographicProjection, `pixels`), north up.
 
 TimeCOAPoly gives the middle of the lit time of a pixel's ground, over rows and columns from the reference point, as the
 points of the standard are given; its first coefficient is that of the reference point.
-
-The pixels of a SIDD file: where they lie on the Earth, and what they hold.
 """
 
 from __future__ import annotations
@@ -70,7 +68,7 @@ Bytes = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class SIDDGrid(ABC):
-    """Rows and columns of a file.
+    """Grid of a file: its rows and columns.
 
     Attributes
     ----------
@@ -85,7 +83,7 @@ class SIDDGrid(ABC):
     @property
     @abstractmethod
     def raster(self) -> Pixels | MapPixels:
-        """Source of the values, by rows from south to north."""
+        """Source of the values, with rows from south to north."""
 
     @property
     @abstractmethod
@@ -98,7 +96,7 @@ class SIDDGrid(ABC):
 
     @abstractmethod
     def upright(self, file: Bytes) -> Bytes:
-        """The file's array, as a view by rows of `raster`."""
+        """View of the file's array with rows in the order of `raster`."""
 
     @abstractmethod
     def at(self, points: FloatArray) -> FloatArray:
@@ -106,14 +104,14 @@ class SIDDGrid(ABC):
 
     @abstractmethod
     def place(self, pixels: FloatArray) -> FloatArray:
-        """Scene points (n, 3), m, that the standard gives to rows and columns (n, 2)."""
+        """Scene points (n, 3), m, that the standard assigns to rows and columns (n, 2)."""
 
     @abstractmethod
     def projection(self) -> tuple[str, dict[str, Any]]:
-        """Name and content of the projection in Measurement, but TimeCOAPoly."""
+        """Name and content of the projection in Measurement, without TimeCOAPoly."""
 
     def steps(self) -> FloatArray:
-        """From a row and from a column to the next at the reference point, m in x and y, (2, 2)."""
+        """Steps (2, 2), m in x and y, between rows and between columns at the reference point."""
         points = self.place(self.reference + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
         return (points[1:] - points[0])[:, :2]
 
@@ -159,11 +157,11 @@ class PlaneGrid(SIDDGrid):
 
 @dataclass(frozen=True)
 class GeographicGrid(SIDDGrid):
-    """Longitude and latitude, at the height of each pixel's ground; rows run south."""
+    """Grid of longitude and latitude, at the height of each pixel's ground; rows run south."""
 
     @cached_property
     def raster(self) -> MapPixels:
-        # Longitudes from half a turn before the origin's on, which the image does not reach: none of them jumps.
+        # Longitudes start half a turn before the origin's, outside the image, so that none jumps within it.
         crs = parse_crs(f"+proj=longlat +datum=WGS84 +lon_wrap={self.frame.longitude!r} +type=crs")
         return MapPixels.over(self.pixels, crs, self.frame)
 
@@ -197,7 +195,7 @@ class GeographicGrid(SIDDGrid):
 
 
 def grid_of(pixels: Pixels, frame: Georeference) -> SIDDGrid:
-    """The grid of the file: that of the image on the plane, longitude and latitude on a terrain."""
+    """Choose the grid of the file: the image's on the plane, longitude and latitude on a terrain."""
     return (PlaneGrid if pixels.source.geometry.terrain is None else GeographicGrid)(pixels, frame)
 
 
@@ -273,7 +271,7 @@ def build_metadata(grid: SIDDGrid) -> SIDDMetadata:
 
 
 def _on_ground(source: FinishedRun, points: FloatArray) -> FloatArray:
-    """The ground (n, 3) below or above points (n, 3), m; at the mean height where its own is not known."""
+    """Ground points (n, 3) below or above points (n, 3), m; at the mean height where the ground's is unknown."""
     ground = source.geometry.on_ground(points[:, 0], points[:, 1])
     ground[:, 2] = np.where(np.isfinite(ground[:, 2]), ground[:, 2], source.ground_height)
     return np.asarray(ground)
@@ -285,7 +283,7 @@ def _geodetic(grid: SIDDGrid, pixels: FloatArray) -> FloatArray:
 
 
 def _valid_data(grid: SIDDGrid, points: FloatArray) -> Any:
-    """Vertices (n, 2), row and column, of the convex outline of ground points (n, 3), m, in the order of the standard.
+    """Vertices (n, 2), row and column, of the convex hull of ground points (n, 3), m, ordered as the standard requires.
 
     Clockwise with rows to the right and columns up, beginning with the first column of the first row.
     """
@@ -295,15 +293,15 @@ def _valid_data(grid: SIDDGrid, points: FloatArray) -> Any:
     pixels = np.clip(np.rint(grid.at(points)), 0, np.array(grid.shape) - 1)
     hull = MultiPoint(pixels).convex_hull
     if not hull.area > 0:
-        beside = np.array([[0, 0], [0, 1], [1, 0]])
-        hull = MultiPoint((pixels[:, None] + beside).reshape(-1, 2)).convex_hull
+        steps = np.array([[0, 0], [0, 1], [1, 0]])
+        hull = MultiPoint((pixels[:, None] + steps).reshape(-1, 2)).convex_hull
     vertices = np.array(orient(hull, -1.0).exterior.coords[:-1])
     start = np.lexsort((vertices[:, 1], vertices[:, 0]))[0]
     return np.roll(vertices, -start, axis=0).astype(int)
 
 
 def _centres_of_aperture(grid: SIDDGrid, points: FloatArray) -> tuple[Poly2D, float]:
-    """TimeCOAPoly over rows and columns from the reference point, by ground points (n, 3), m; and the mean dwell, s.
+    """Fit TimeCOAPoly over rows and columns from the reference point, at ground points (n, 3), m; and mean dwell, s.
 
     Raises
     ------
@@ -322,7 +320,7 @@ def _centres_of_aperture(grid: SIDDGrid, points: FloatArray) -> tuple[Poly2D, fl
 
 
 def _classification(source: FinishedRun) -> Any:
-    """The element Classification, whose attributes sarkit does not write."""
+    """Build the element Classification, whose attributes sarkit does not write."""
     from lxml import etree
 
     mark = security_mark(source)
@@ -338,7 +336,7 @@ def _classification(source: FinishedRun) -> Any:
 
 
 def _display(grid: SIDDGrid) -> dict[str, Any]:
-    """The Display branch: how pixels become amplitudes; nothing else is to be done to show them."""
+    """Build the Display branch: the map from pixels to amplitudes, without further processing."""
 
     def nearest(name: str, operation: str) -> dict[str, Any]:
         kernel = {"Predefined": {"DatabaseName": "NEAREST NEIGHBOR"}}
@@ -380,7 +378,7 @@ def _display(grid: SIDDGrid) -> dict[str, Any]:
 
 
 def amplitudes(pixels: Pixels) -> Any:
-    """Amplitude for each value of a pixel, (256,), in units of 1 / 65535 of the upper end's amplitude; 0 for 0."""
+    """Amplitude of each pixel value, (256,), in units of 1 / 65535 of the upper limit's; 0 for 0."""
     level = np.arange(LEVELS) * pixels.step + pixels.offset - pixels.limits[1]
     table = np.maximum(np.rint(FULL * 10 ** (level / 20)), 1)
     table[0] = 0
@@ -388,7 +386,7 @@ def amplitudes(pixels: Pixels) -> Any:
 
 
 def _features(grid: SIDDGrid, coa: Poly2D, start: datetime) -> dict[str, Any]:
-    """The ExploitationFeatures branch, of the reference point at its centre of aperture."""
+    """Build the ExploitationFeatures branch for the reference point at its centre of aperture."""
     from sarkit import sidd as sksidd
 
     def turn(angle: float) -> float:  # the schema has angles below 360 degrees
@@ -443,7 +441,7 @@ def _width(support: Support, along: FloatArray) -> float:
 
 
 def _slant_resolution(source: FinishedRun, point: FloatArray, support: Support) -> tuple[float, float]:
-    """-3 dB widths in the slant plane, m, unweighted: in range by the band, in azimuth by the turn of the sight."""
+    """Unweighted -3 dB widths in the slant plane, m: in range by the band, in azimuth by the change of aspect."""
     geometry, middle = source.geometry, centre_time(source.geometry, point)
     ends = middle + np.array([-0.5, 0.5]) * support.dwell
     sight = lines_of_sight(geometry, np.broadcast_to(point, (2, 3)), np.clip(ends, *geometry.collection.time[[0, -1]]))

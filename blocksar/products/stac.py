@@ -47,6 +47,7 @@ from blocksar.products.shared_metadata import (
 )
 from blocksar.products.writing import replacing
 from blocksar.runs.finished import FinishedRun, finished_record, folder_of
+from blocksar.texts import count
 from blocksar.version import __version__
 
 if TYPE_CHECKING:
@@ -110,7 +111,7 @@ def write(
 def build(
     source: FinishedRun, run: Place, frame: Georeference, out: Location, files: Sequence[str]
 ) -> tuple[dict[str, Any], list[str]]:
-    """The item, and notes for the user."""
+    """Build the item, with notes for the user."""
     start, end, known = _times(source)
     coverage, layout = source.coverage(), lay_out(source)
     notes = [] if known else ["the phase history has no date, so datetime is 1970-01-01"]
@@ -130,7 +131,7 @@ def build(
     }
     geometry, bbox = _footprint(source, frame, layout.point(*valid_data(coverage, layout).T.astype(np.float64)))
     used = [name for name in EXTENSIONS if name != "sat" or satellite]
-    notes.append(f"item of {len(assets)} assets, with the extensions {', '.join(used)}")
+    notes.append(f"item of {count(len(assets), 'asset')}, with the extensions {', '.join(used)}")
     return {
         "type": "Feature",
         "stac_version": VERSION,
@@ -147,12 +148,12 @@ def build(
 
 
 def _times(source: FinishedRun) -> tuple[datetime, datetime, bool]:
-    """UTC of the first and of the last pulse of all segments, and whether it is known."""
-    told = [(source.attrs.get("source"), source.collection)]
+    """UTC of the first and the last pulse of all segments, and whether they are known."""
+    sources = [(source.attrs.get("source"), source.collection)]
     for number in range(len(source.segments)):
         collection, attrs = stores.read_collection(source.folder / "segments" / str(number) / "collection.zarr")
-        told.append((attrs.get("source"), collection))
-    dates = [date_of(of, float(collection.time[end])) for of, collection in told for end in (0, -1)]
+        sources.append((attrs.get("source"), collection))
+    dates = [date_of(of, float(collection.time[end])) for of, collection in sources for end in (0, -1)]
     if known := [date for date in dates if date is not None]:
         return min(known), max(known), True
     first, last = source.collection.time[[0, -1]]
@@ -164,7 +165,7 @@ def _text(moment: datetime) -> str:
 
 
 def _footprint(source: FinishedRun, frame: Georeference, vertices: FloatArray) -> tuple[dict[str, Any], list[float]]:
-    """A GeoJSON geometry of vertices (n, 3), m, counter-clockwise, and its limits: west, south, east, north."""
+    """GeoJSON geometry of vertices (n, 3), m, counter-clockwise, and its limits: west, south, east, north."""
     from shapely import Polygon, affinity, box
     from shapely.geometry import mapping
     from shapely.geometry.polygon import orient
@@ -190,7 +191,7 @@ def _footprint(source: FinishedRun, frame: Georeference, vertices: FloatArray) -
 
 
 def _to_the_pole(places: FloatArray) -> FloatArray:
-    """Longitudes and latitudes (n, 2), degrees, of an outline; one that goes round a pole is led there and back."""
+    """Longitudes and latitudes (n, 2), degrees, of an outline; around a pole, it is extended to the pole and back."""
     after = places[-1, 0] + (places[0, 0] - places[-1, 0] + 180) % 360 - 180
     if abs(after - places[0, 0]) < 180:
         return places
@@ -200,7 +201,7 @@ def _to_the_pole(places: FloatArray) -> FloatArray:
 
 
 def _degrees(source: FinishedRun, frame: Georeference, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Longitude and latitude (n, 2), degrees, of the ground at places (n,), m; longitudes without a jump."""
+    """Longitude and latitude (n, 2), degrees, of the ground at places (n,), m; longitudes are continuous."""
     ground = source.geometry.on_ground(x, y)
     ground[..., 2] = np.where(np.isfinite(ground[..., 2]), ground[..., 2], source.ground_height)
     latitude, longitude, _ = np.moveaxis(frame.to_geodetic(ground), -1, 0)
@@ -208,7 +209,7 @@ def _degrees(source: FinishedRun, frame: Georeference, x: FloatArray, y: FloatAr
 
 
 def _radar(source: FinishedRun, run: Place, layout: Layout, pixels: FloatArray) -> dict[str, Any]:
-    """The fields of the extension sar, from some covered pixels (n, 2) of a layout."""
+    """Fields of the extension sar, from some covered pixels (n, 2) of a layout."""
     collection, geometry = source.collection, source.geometry
     first, last = lit_times(geometry, layout.point(*pixels.T))
     middle, lit = (first + last) / 2, first < last
@@ -242,7 +243,7 @@ def _radar(source: FinishedRun, run: Place, layout: Layout, pixels: FloatArray) 
 
 
 def _polarizations(source: FinishedRun, run: Place) -> list[str]:
-    """Polarizations of all channels that are known, each once."""
+    """Known polarisations of all channels, each once."""
     record = finished_record(run)
     channels = record.channels if record.dimension == "channel" else ()
     of = [FinishedRun.open(folder_of(run, name)) for name in channels] or [source]
@@ -251,7 +252,7 @@ def _polarizations(source: FinishedRun, run: Place) -> list[str]:
 
 
 def _processing(source: FinishedRun) -> dict[str, Any]:
-    """The fields of the extension processing."""
+    """Fields of the extension processing."""
     record = source.record
     surface = "the plane" if source.geometry.terrain is None else "a terrain"
     lineage = f"focused by {record.processor or 'a processor'} of blocksar on {surface}, calibrated"
@@ -266,7 +267,7 @@ def _processing(source: FinishedRun) -> dict[str, Any]:
 
 
 def _orbit(source: FinishedRun, frame: Georeference) -> dict[str, Any]:
-    """The fields of the extension sat; none of a platform in the air."""
+    """Fields of the extension sat; empty for an aircraft."""
     collection = source.collection
     ends = frame.to_geodetic(collection.antenna_position[[0, -1]])
     if ends[:, 2].min() < ORBIT:
@@ -277,7 +278,7 @@ def _orbit(source: FinishedRun, frame: Georeference) -> dict[str, Any]:
 def _assets(
     source: FinishedRun, run: Place, frame: Georeference, out: Location, files: Iterable[str]
 ) -> dict[str, Any]:
-    """Assets by name: the image, what the folder has beside it, and exported files."""
+    """Assets by name: the image, other files in the folder, and exported files."""
     assets: dict[str, Any] = {
         "image": {
             "href": _href(run / "image.zarr", out), "type": ZARR, "roles": ["data"], "data_type": "cfloat32",
@@ -304,9 +305,9 @@ def _described(path: Path, source: FinishedRun) -> dict[str, Any]:
     ending = path.suffix.lower()
     kind = TYPES.get(ending) or mimetypes.guess_type(path.name)[0] or "application/octet-stream"
     picture = kind in ("image/png", "text/html")
-    told: dict[str, Any] = {"type": kind, "roles": ["overview" if picture else "data"], "title": path.name}
+    asset: dict[str, Any] = {"type": kind, "roles": ["overview" if picture else "data"], "title": path.name}
     if ending not in (".tif", ".tiff"):
-        return told
+        return asset
     with library_for("a GeoTIFF as an asset needs", "geotiff"):
         import rasterio
         from pyproj import CRS
@@ -317,13 +318,13 @@ def _described(path: Path, source: FinishedRun) -> dict[str, Any]:
         types = {"complex64": "cfloat32"}
         nodata = "nan" if np.isnan(file.nodata) else file.nodata
         return {
-            **told, "data_type": types.get(file.dtypes[0], file.dtypes[0]), "nodata": nodata,
+            **asset, "data_type": types.get(file.dtypes[0], file.dtypes[0]), "nodata": nodata,
             **_projection(CRS.from_wkt(file.crs.to_wkt()), (file.height, file.width), list(file.transform)[:6]),
         }  # fmt: skip
 
 
 def _grid(source: FinishedRun, frame: Georeference) -> dict[str, Any]:
-    """The grid of the image, whose rows run north, in the projection of a GeoTIFF of it."""
+    """Grid of the image, with rows running north, in the projection of its GeoTIFF."""
     placement = place_pixels(Pixels(source, "complex"), frame)
     (dx, dy), matrix = source.spacing, placement.matrix
     corner = placement.offset + matrix @ [source.x[0] - dx / 2, source.y[0] - dy / 2]
@@ -332,7 +333,7 @@ def _grid(source: FinishedRun, frame: Georeference) -> dict[str, Any]:
 
 
 def _projection(crs: CRS, shape: tuple[int, int], transform: list[float]) -> dict[str, Any]:
-    """The fields of the extension projection."""
+    """Fields of the extension projection."""
     matrix = np.reshape(transform, (2, 3))
     ends = np.array([[0, 0, 1], [shape[1], 0, 1], [0, shape[0], 1], [shape[1], shape[0], 1]], np.float64) @ matrix.T
     authority = crs.to_authority()
@@ -346,7 +347,7 @@ def _projection(crs: CRS, shape: tuple[int, int], transform: list[float]) -> dic
 
 
 def _href(path: Place, out: Location) -> str:
-    """The place of a file, relative to the item if both are local."""
+    """Path of a file, relative to the item if both are local."""
     item = place(out)
     if not (isinstance(path, LocalPlace) and isinstance(item, LocalPlace)):
         return str(path)

@@ -1,4 +1,4 @@
-"""A page on this machine that pans and zooms a run of any size: its server, and the tiles that it sends.
+"""Local page that pans and zooms a run of any size: its server, and its tiles.
 
 The server answers on the loopback only, and only to pages that it has written itself. Tiles of a run's image at every
 level: power in hundredths of dB, and blocks; it also tells what a pixel holds.
@@ -36,7 +36,7 @@ LAYERS = ("height", "incidence_angle", "visibility", "noise_equivalent")  # that
 
 @dataclass(frozen=True, eq=False)
 class ViewerTiles:
-    """The tiles of an image; level k has cells of 2^k pixels, as the pyramid of a run (`stores.pyramid`).
+    """Tiles of an image; level k has cells of 2^k pixels, as the pyramid of a run (`stores.pyramid`).
 
     Levels that the run has no pyramid for are reduced from the pixels, strip by strip.
     """
@@ -45,7 +45,7 @@ class ViewerTiles:
 
     @cached_property
     def shapes(self) -> list[tuple[int, int]]:
-        """Shape of each level, that of the image first, down to one that fits a tile."""
+        """Shape of each level, from that of the image down to one that fits a tile."""
         shape = self.source.y.size, self.source.x.size
         shapes = [shape]
         while max(shape) > SIDE:
@@ -55,11 +55,11 @@ class ViewerTiles:
 
     @cached_property
     def stored(self) -> int:
-        """Levels that the run has in its pyramid."""
+        """Number of levels in the run's pyramid."""
         return stores.levels_of(self.source.image)
 
     def window(self, level: int, row: int, column: int) -> tuple[slice, slice]:
-        """The cells of a tile.
+        """Cells of a tile, as rows and columns of its level.
 
         Raises
         ------
@@ -74,7 +74,7 @@ class ViewerTiles:
         raise InputError(f"there is no tile {level}/{row}/{column}; the page asks for others")
 
     def power(self, level: int, row: int, column: int) -> NDArray[np.int16]:
-        """Mean power of a tile's cells (n_y, n_x) in hundredths of dB, from low y to high; else NOTHING."""
+        """Mean power of a tile's cells (n_y, n_x) in hundredths of dB, from low y to high; NOTHING if not covered."""
         window = self.window(level, row, column)
         if 1 <= level <= self.stored:
             power = stores.read_region(self.source.image, stores.level_name(level), window)
@@ -85,7 +85,7 @@ class ViewerTiles:
         return np.where(np.isfinite(power), np.rint(100 * np.nan_to_num(decibel)), NOTHING).astype(np.int16)
 
     def _reduced(self, level: int, window: tuple[slice, slice]) -> NDArray[Any]:
-        """Mean power of the covered pixels of cells, which the pyramid does not have."""
+        """Average the power of covered pixels over cells that the pyramid does not have."""
         base = min(level, self.stored)
         side = 2 ** (level - base)
         shape = self.shapes[base]
@@ -101,7 +101,7 @@ class ViewerTiles:
         return overview(read, x, y, max_pixels=SIDE, looks="mean", cell=(side, side)).power
 
     def blocks(self, level: int, row: int, column: int) -> NDArray[np.int16]:
-        """Block that the first pixel of each of a tile's cells comes from (n_y, n_x); -1 where not covered."""
+        """Block of the first pixel of each of a tile's cells (n_y, n_x); -1 where not covered."""
         side = 2**level
         rows, columns = self.window(level, row, column)
         parts = [
@@ -150,14 +150,14 @@ class ViewerTiles:
 
     @cached_property
     def limits(self) -> tuple[float, float]:
-        """Range in dB that suits the image, from its coarsest level."""
+        """Range in dB for the image, from its coarsest level."""
         top = self.power(len(self.shapes) - 1, 0, 0)
         low, high = stretch(np.where(top == NOTHING, np.nan, top / 100))
         return math.floor(low), math.ceil(high)
 
     @cached_property
     def kept(self) -> Any:
-        """A function that gives the bytes of a tile by its kind, level, row and column, and keeps some."""
+        """Make a function with a cache that returns the bytes of a tile by kind, level, row and column."""
 
         @lru_cache(maxsize=KEPT)
         def tile(kind: str, level: int, row: int, column: int) -> bytes:
@@ -180,7 +180,7 @@ HEADERS = {
 
 
 def directions(source: FinishedRun) -> list[dict[str, Any]]:
-    """Directions in the image, as x, y of any length: north, or x and y where it is not known, and the look direction.
+    """Directions in the image as x, y of any length: north, or else the x and y axes, and the look direction.
 
     The look is that at the middle of the image and of its dwell.
     """
@@ -197,7 +197,7 @@ def directions(source: FinishedRun) -> list[dict[str, Any]]:
 
 
 def page_of(tiles: ViewerTiles, targets: Sequence[Target]) -> bytes:
-    """The page: one HTML file, which asks this server for tiles and for nothing else."""
+    """Page as one HTML file, which requests tiles from this server and nothing else."""
     source = tiles.source
     dx, dy = source.spacing
     low, high = tiles.limits
@@ -207,7 +207,7 @@ def page_of(tiles: ViewerTiles, targets: Sequence[Target]) -> bytes:
         "stored": tiles.stored, "arrows": directions(source),
         "targets": [{"name": each.name, "x": each.x, "y": each.y} for each in targets],
     }  # fmt: skip
-    # No text of a run may end the script or begin a comment in it.
+    # Escape the text of a run, so that it can neither end the script nor begin a comment in it.
     text = json.dumps(facts).replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
     template = (resources.files("blocksar.products") / "view.html").read_text(encoding="utf-8")
     return template.replace("/*FACTS*/null", text).encode()
@@ -234,7 +234,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(200, kind, content)
 
     def _is_own(self) -> bool:
-        """Whether it was asked for by its own address: another name that leads here is another site's."""
+        """Tell whether a request names this server's own address, not another name that resolves to it."""
         port = self.connection.getsockname()[1]
         own = {f"{HOST}:{port}", f"localhost:{port}"}
         origin = self.headers.get("Origin")
@@ -267,7 +267,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.close_connection = True
 
     def log_message(self, format: str, *arguments: Any) -> None:
-        """Say nothing of requests."""
+        """Suppress the log of requests."""
 
 
 class Viewer:

@@ -1,4 +1,4 @@
-"""Writing a product: one local file, under a temporary name until it is complete.
+"""Writing of a product: one local file, under a temporary name until it is complete.
 
 A product is written in strips of whole chunks and renamed when it is complete, so there is never an incomplete product
 and no process holds the whole image.
@@ -21,7 +21,7 @@ from blocksar.runs.record import RECORD
 
 
 def opened(run: Place, channel: str | None, crop: Box | None = None) -> tuple[FinishedRun, list[str]]:
-    """Open a channel of a run, or a part of it; and a line that says which of several it is.
+    """Open a channel of a run, or a part of it; return it with a line that names the channel if there are several.
 
     Raises
     ------
@@ -33,7 +33,7 @@ def opened(run: Place, channel: str | None, crop: Box | None = None) -> tuple[Fi
 
 
 def refuse_parts(target: LocalPlace) -> None:
-    """Raise an InputError if a file would be part of a zarr store, or replace the record of a run."""
+    """Refuse a file that would lie inside a zarr store, or replace the record of a run."""
     for parent in target.path.absolute().parents:
         if (parent / "zarr.json").exists():
             raise InputError(f"{target} would lie within the store {parent}; choose another name")
@@ -43,7 +43,7 @@ def refuse_parts(target: LocalPlace) -> None:
 
 @contextmanager
 def replacing(out: Location, *, overwrite: bool, room: int = 0) -> Iterator[str]:
-    """Yield a temporary name for a product; rename it to `out` when the block ends without error.
+    """Yield a temporary name for a product; it is renamed to `out` when the block ends without error.
 
     `room` is what it will take of the disk at least, bytes.
 
@@ -71,7 +71,7 @@ def replacing(out: Location, *, overwrite: bool, room: int = 0) -> Iterator[str]
     check_room(target, room)
     try:
         os.makedirs(target.path.parent, exist_ok=True)
-        # It fails now if it cannot be written, with the same message whichever library writes.
+        # Fail now if the file cannot be written, with the same message whichever library writes it.
         with held_part(target.path, new_file) as part:
             yield part
             flush_file(part)

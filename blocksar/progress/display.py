@@ -95,7 +95,7 @@ class Log:
 
 
 def _store_about(path: str | Path) -> Path | None:
-    """The zarr store that a path lies in; None if it lies in none. A log would be a stranger among its chunks."""
+    """Return the zarr store that contains a path, if any: a log among its chunks would damage the store."""
     with suppress(OSError, ValueError):
         folders = Path(os.path.realpath(path)).parents
         return next((each for each in folders if any((each / name).exists() for name in METADATA)), None)
@@ -126,7 +126,7 @@ BAR_COLUMNS = 36  # largest width of a bar in the live display
 BAR_NEEDS = 40  # columns of a terminal from which bars are shown
 RATE_NEEDS = 56  # columns of a terminal from which rates are shown
 
-_ACTIVE: list[Progress] = []  # what `abandon` must end
+_ACTIVE: list[Progress] = []  # displays that `abandon` must end
 
 
 class Progress(Listener):
@@ -489,7 +489,7 @@ Wanted = Updated | Literal[False]  # of a parameter that may also be None
 
 
 def as_listener(wanted: Wanted | None) -> Listener:
-    """Return a full listener: for an object that may have `update` only, for None and for False.
+    """Return a full listener for an object that may only have `update`, for None, and for False.
 
     None stands for bars below the cell in a Jupyter notebook and for silence elsewhere, False for silence.
 

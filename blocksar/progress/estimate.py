@@ -1,4 +1,4 @@
-"""The estimate of the time left, from stages and their units."""
+"""Estimate of the time left, from stages and their units."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ NOBODY = Workers(0, 0, 0)
 
 
 class Updated(Protocol):
-    """The least that a user's listener must have: the method `update`."""
+    """Minimal listener of a user: the method `update`."""
 
     def update(self, stage: str, done: int, total: int) -> None: ...
 

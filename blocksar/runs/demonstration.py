@@ -1,4 +1,4 @@
-"""Demonstration: what `blocksar demo` focuses, and how."""
+"""Demonstration: the scene and the settings of `blocksar demo`."""
 
 from __future__ import annotations
 

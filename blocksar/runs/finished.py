@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from blocksar import stores
+from blocksar import stores, texts
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
@@ -56,7 +56,7 @@ def finished_record(folder: Place) -> RunRecord:
 
 
 def _refuse_store(folder: Place) -> None:
-    """Say what to give instead of a store: the run around an image, or the run that a phase history is focused to."""
+    """Refuse a store given instead of a run, and name the folder to give."""
     if (folder / "zarr.json").exists():
         if folder.name == "image.zarr":
             around = str(folder).removesuffix("image.zarr").rstrip("/") or "."
@@ -83,7 +83,7 @@ def folder_of(folder: Place, channel: str | None) -> Place:
 
 
 def member_line(folder: Place, channel: str | None) -> list[str]:
-    """Find which channel or look of a run is used, in words; nothing of a run that has none.
+    """Return a sentence that names the channel or look in use; none if the run has neither.
 
     Raises
     ------
@@ -109,7 +109,7 @@ class Coverage(NamedTuple):
 
 
 def _described(folder: Place, record: RunRecord) -> tuple[tuple[Geometry, ...], dict[str, Any], list[Any]]:
-    """Geometries of a run's segments; the attributes of the first, with the targets of all collections; and `source`.
+    """Read the geometries of a run's segments, the attributes with the targets of all collections, and `source`.
 
     That attribute, of each segment, says when its slow time is 0.
     """
@@ -223,7 +223,7 @@ class FinishedRun:
 
     @property
     def scene_title(self) -> str:
-        """Title of the collection; of the first of several, with their number."""
+        """Title of the collection; of several, that of the first with their number."""
         name = str(self.attrs.get("title") or self.collection.title or "blocksar image")
         others = len(self.record.inputs) - 1
         return f"{name} and {others} more" if others > 0 else name
@@ -246,7 +246,7 @@ class FinishedRun:
 
     @cached_property
     def track(self) -> TrackCorrection | None:
-        """How the track was corrected from the samples; None if it was not.
+        """Correction of the track from the samples; None if it was not corrected.
 
         Raises
         ------
@@ -315,8 +315,9 @@ class FinishedRun:
             inside = np.flatnonzero((axis >= low) & (axis <= high))
             if inside.size < 2:
                 raise InputError(
-                    f"{name}: {along} from {low:g} to {high:g} m has {inside.size} pixels of the image, which runs "
-                    f"from {axis[0]:g} to {axis[-1]:g} m every {axis[1] - axis[0]:g} m; give a part with two at least"
+                    f"{name}: {along} from {low:g} to {high:g} m has {texts.count(inside.size, 'pixel')} of the "
+                    f"image, which runs from {axis[0]:g} to {axis[-1]:g} m every {axis[1] - axis[0]:g} m; give a "
+                    "part with two at least"
                 )
             parts.append(slice(int(inside[0]), int(inside[-1]) + 1))
         first = self.first[0] + parts[0].start, self.first[1] + parts[1].start
@@ -347,7 +348,7 @@ class FinishedRun:
         return stores.read_region(self.image, name, self._in_image(rows, columns))
 
     def _in_image(self, rows: slice, columns: slice) -> tuple[slice, slice]:
-        """Rows and columns of the run's image."""
+        """Convert rows and columns of a crop to those of the run's image."""
         spans = (part.indices(n) for part, n in ((rows, self.y.size), (columns, self.x.size)))
         y, x = (
             slice(first + start, first + max(start, stop), step)
@@ -408,7 +409,7 @@ class FinishedRun:
         return read
 
     def strips(self, axis: int) -> Iterator[slice]:
-        """Divide the image along rows (axis 0) or columns (1) into chunks, or into less where those exceed STRIP."""
+        """Divide the image along rows (axis 0) or columns (1) into strips of whole chunks, or less if above STRIP."""
         along, across = (self.y.size, self.x.size) if axis == 0 else (self.x.size, self.y.size)
         chunk = stores.chunk_shape(self.image, "image")[axis]
         step = max(chunk // -(-chunk * across // STRIP), 1)

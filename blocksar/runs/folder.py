@@ -1,4 +1,4 @@
-"""The run folder: its contents, its lock, and whether a run in it can be resumed.
+"""The run folder: its contents, its lock, and the run that can be resumed in it.
 
 Every unit of work (a column group of the spectrum, the patch of a block, some chunks of the mosaic) leaves a receipt
 once its data are written: the regions that it wrote, with checksums. A receipt is valid if it belongs to the same run
@@ -65,11 +65,11 @@ ESTIMATE = (
     "receipts",
     SCRATCH,
 )
-TEMPORARY = (PLAN, "receipts", "compressed.zarr", "gated", SCRATCH)  # what a finished run does not need
+TEMPORARY = (PLAN, "receipts", "compressed.zarr", "gated", SCRATCH)  # files that a finished run does not need
 INTERMEDIATE = ("spectrum.zarr", "patches")  # those of OWN that nothing reads once a run is finished
 LEFT_ALONE = (HISTORY,)  # may lie in the folder of a new run: `demo` puts its input there
 LOCK, ASIDE = "run.lock", ".replaced"
-AROUND = 4  # folders in which an input that was moved is looked for: a member's own, two more of its run, what holds it
+AROUND = 4  # parent folders searched for a moved input: the member's own, two more of its run, and the one around it
 
 
 def member(folder: Place, name: str, dimension: str = "channel") -> Place:
@@ -78,7 +78,7 @@ def member(folder: Place, name: str, dimension: str = "channel") -> Place:
 
 
 def find_input(folder: Place, path: str, source: Place | None = None) -> Place:
-    """Find where a phase history that a run was made from lies now.
+    """Find the present place of a phase history that a run was made from.
 
     A run may have been moved together with its input, or copied to another machine.
 
@@ -109,7 +109,7 @@ def find_input(folder: Place, path: str, source: Place | None = None) -> Place:
 
 
 def _around(folder: Place) -> Iterator[Place]:
-    """A folder, and those that it lies in."""
+    """Iterate over a folder and its parents."""
     text = str(folder)
     for _ in range(AROUND):
         yield place(text)
@@ -190,7 +190,7 @@ def find_run(folder: Place, settings: Mapping[str, Any], fingerprint: str, *, ov
             "another --out",
             replaceable=True,
         )
-    # Versions may divide the work into other units, or compute other numbers.
+    # Versions may divide the work into other units, or compute other values.
     if not record.finished and record.version != __version__:
         raise FolderError(
             f"{folder} holds an unfinished run of blocksar {record.version or 'unknown'}, which {__version__} does not "
@@ -201,7 +201,7 @@ def find_run(folder: Place, settings: Mapping[str, Any], fingerprint: str, *, ov
 
 
 def foreign_names(folder: Place, names: Sequence[str]) -> list[str]:
-    """Names in a folder without a record of what neither `demo` nor a run that was killed early has left there."""
+    """Names in a folder without a record that neither `demo` nor a killed run has left."""
     foreign = [name for name in names if name not in (*LEFT_ALONE, LOCK, ASIDE) and not is_temporary(name)]
     if SCRATCH in foreign and _is_of_workers(folder / SCRATCH):  # killed while it was planned
         foreign.remove(SCRATCH)
@@ -211,7 +211,7 @@ def foreign_names(folder: Place, names: Sequence[str]) -> list[str]:
 
 
 def foreign_to_estimate(folder: Place) -> list[str]:
-    """Names in the folder of a track's estimate, or of those of several collections, of what is not theirs."""
+    """Names in the folder of a track's estimate, or of several, that belong to none."""
     names = _names(folder)
     own = {LOCK, *(ESTIMATE if _is_estimate(folder, names) else ())}
     foreign = [name for name in names if name not in own and not is_temporary(name)]
@@ -221,7 +221,7 @@ def foreign_to_estimate(folder: Place) -> list[str]:
 
 
 def _is_estimate(folder: Place, names: Sequence[str]) -> bool:
-    """Whether a folder has the record of an estimate; one that cannot be read is taken for a damaged one."""
+    """Tell whether a folder has the record of an estimate; an unreadable record counts as a damaged one."""
     if RECORD not in names:
         return False
     with suppress(InputError):
@@ -231,13 +231,13 @@ def _is_estimate(folder: Place, names: Sequence[str]) -> bool:
 
 
 def _is_numbered(folder: Place, name: str) -> bool:
-    """Whether a folder may be that of the estimate of one of several collections."""
+    """Tell whether a name may be the folder of one collection's estimate among several."""
     inside = folder / name
     return name.isdecimal() and not (isinstance(inside, LocalPlace) and not inside.path.is_dir())
 
 
 def refuse_foreign(folder: Place) -> None:
-    """Check that an estimate of a track can be made in a folder, and that it would hold nothing else.
+    """Refuse a folder for the estimate of a track if it holds anything else.
 
     Raises
     ------
@@ -273,7 +273,7 @@ def remove_estimate(folder: Place) -> None:
 
 
 def refuse_links(folder: Place) -> None:
-    """Check that nothing that a run writes is a symbolic link: it would be followed to somewhere else.
+    """Refuse symbolic links in place of files that a run writes: it would write elsewhere.
 
     Raises
     ------
@@ -302,7 +302,7 @@ def _read_record(folder: Place) -> RunRecord:
 
 
 def _is_of_workers(scratch: Place) -> bool:
-    """Whether a folder holds no more than temporary files of own workers."""
+    """Tell whether a folder holds only temporary files of own workers."""
     return isinstance(scratch, LocalPlace) and scratch.path.is_dir() and set(_names(scratch)) <= {DASK}
 
 
@@ -328,14 +328,14 @@ def refuse_overlap(source: Place, folder: Place) -> None:
 
 
 def clear(folder: Place) -> None:
-    """Remove all files of a run, and nothing else; the record last, which tells that the others are a run's."""
+    """Remove all files of a run and nothing else; the record last, since it marks the others as a run's."""
     for name in reversed(OWN):
         (folder / name).remove()
 
 
 @contextmanager
 def begin(folder: Place, *, resumed: bool = False) -> Iterator[Callable[[], None]]:
-    """Begin a new run in a folder, or go on with one; an InputError restores the earlier run that it replaces.
+    """Begin a new run in a folder, or resume one; an InputError restores the earlier run that it replaces.
 
     Yields the function that removes the earlier run, to be called once the new input has been read. Until then that
     stays, also if the new run ends otherwise and is resumed. In an object store, where nothing can be renamed, it is
@@ -358,7 +358,7 @@ def begin(folder: Place, *, resumed: bool = False) -> Iterator[Callable[[], None
 
 
 def is_begun(folder: Place, record: RunRecord) -> bool:
-    """Whether a folder has this very run, unfinished: to begin it again would only repeat what is done."""
+    """Tell whether a folder has this very run, unfinished: then it is resumed rather than begun again."""
     with suppress(InputError):
         there = RunRecord.read(folder)
         return not there.finished and _identifying(there) == _identifying(record)
@@ -366,13 +366,13 @@ def is_begun(folder: Place, record: RunRecord) -> bool:
 
 
 def _identifying(record: RunRecord) -> tuple[object, ...]:
-    """Find what tells an unfinished run from others; that of several channels or looks has no identity so far."""
+    """Fields that distinguish an unfinished run from others; with several channels or looks it has no identity yet."""
     several = record.channels, record.dimension, record.input.fingerprint
     return record.format, record.version, record.identity, several
 
 
 def _put_aside(folder: Place) -> None:
-    """Put an earlier run out of the way of a new one; an unfinished one that has put another aside is removed."""
+    """Move an earlier run aside for a new one; an unfinished run that has itself moved one aside is removed."""
     if (folder / ASIDE / RECORD).exists():
         clear(folder)
         return
@@ -385,13 +385,13 @@ def _put_aside(folder: Place) -> None:
 
 
 def _remove_aside(folder: Place) -> None:
-    """Remove a run that was put aside, the record first: without it the rest is none."""
+    """Remove a run that was moved aside; its record first, so that a rest does not count as a run."""
     (folder / ASIDE / RECORD).remove()
     (folder / ASIDE).remove()
 
 
 def _move_own(source: Place, target: Place, names: Iterable[str]) -> None:
-    """Move all files of a run, in this order, to another folder of the same file system, or none.
+    """Move all files of a run, in this order, to another folder of the same file system, or move none.
 
     Raises
     ------
@@ -416,7 +416,7 @@ def _move_own(source: Place, target: Place, names: Iterable[str]) -> None:
 
 @contextmanager
 def resumable() -> Iterator[None]:
-    """Add to a ProcessingError in the block that the same command goes on with what was finished."""
+    """Add to a ProcessingError in the block that the same command resumes the run."""
     try:
         yield
     except ProcessingError as error:
@@ -506,7 +506,7 @@ def check_finished(folder: Place, record: RunRecord) -> None:
 
 
 def check_unchanged(folder: Place, record: RunRecord, *, every: bool = False) -> None:
-    """Check as `check_finished`, and read the chunks that were written after the record: all, where the run was copied.
+    """Check as `check_finished`, and read the chunks written after the record; with `every`, all of them.
 
     With `every`, read all of them in any case.
 

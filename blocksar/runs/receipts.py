@@ -49,20 +49,20 @@ class Run:
 
     @property
     def _own(self) -> Place:
-        """The folder of what concerns one segment."""
+        """Folder of the files of one segment."""
         return self.folder if self.segment is None else self.folder / "segments" / str(self.segment)
 
     def unit_of_segment(self, unit: str) -> str:
-        """Name of a unit of work that several segments have."""
+        """Name a unit of work of this segment."""
         return unit if self.segment is None else f"{unit}-of-segment-{self.segment}"
 
     def unit_of_collection(self, unit: str) -> str:
-        """Name of a unit of work that several collections have."""
+        """Name a unit of work of this collection."""
         return unit if self.collection is None else f"{unit}-of-collection-{self.collection}"
 
     @property
     def described(self) -> Place:
-        """The collection, without its samples."""
+        """Store of the collection's metadata, without samples."""
         return self._own / "collection.zarr"
 
     @property
@@ -80,12 +80,12 @@ class Run:
 
     @property
     def terrain(self) -> Place:
-        """The height of the ground; not there where that is a plane."""
+        """Store of the ground's heights; missing if the ground is a plane."""
         return self.folder / "terrain.zarr"
 
     @property
     def surroundings(self) -> Place:
-        """The height of the ground as far as it hides or overlies pixels; not there where that is under the image."""
+        """Store of the heights that shadow or overlay pixels from outside; missing if the terrain suffices."""
         return self.folder / "surroundings.zarr"
 
     def gated(self, block: str) -> Place:
@@ -121,7 +121,7 @@ class Run:
         return receipt
 
     def intact(self, receipt: Receipt) -> bool:
-        """Read everything that a unit wrote, and tell whether it still has the checksums of the receipt."""
+        """Read everything that a unit wrote, and compare it with the checksums of the receipt."""
         try:
             same = stores.same_files(self.folder, receipt.files)
             return same and all(part.intact(self.folder) for part in receipt.written)
@@ -180,7 +180,7 @@ class Run:
             self.sign(Receipt(unit=unit, stage="create", files=files), time.perf_counter())
 
     def discard(self, store: Place, receipts: Sequence[Receipt]) -> None:
-        """Remove a store that the run needs no more, and first the receipts of what was written to it.
+        """Remove a store that the run no longer needs, after the receipts of what was written to it.
 
         If the run is resumed, the store is written again.
         """
@@ -207,7 +207,7 @@ def refuse_replaced(run: Run) -> None:
 
 @lru_cache(maxsize=64)
 def _has(record: Place, version: str, identity: str) -> bool:
-    """Whether a version of a run's record has this identity."""
+    """Tell whether this version of a run's record has an identity."""
     return identity.encode() in record.read_bytes()
 
 

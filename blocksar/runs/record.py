@@ -37,7 +37,7 @@ class SampleCounts(Record):
 
 @dataclass(frozen=True)
 class CentroidError(Record):
-    """Measured Doppler centroid minus that of track and beam, Hz, and the coherence of the measurement; may be NaN."""
+    """Measured Doppler centroid minus that of track and beam, Hz, and the measurement's coherence; may be NaN."""
 
     error: Figure
     coherence: Figure
@@ -45,7 +45,7 @@ class CentroidError(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class RunSegment(Record):
-    """A collection of several, or a part of one along time, which was planned by itself.
+    """A collection of a run, or a part of one along time, that is planned by itself.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ class PredictedBlock(Record):
 
     @property
     def name(self) -> str:
-        """`2`, or `2.0` for a range sub-block."""
+        """Name of the block, `2`, or `2.0` for a range sub-block."""
         return str(self.block) if self.part is None else f"{self.block}.{self.part}"
 
 
@@ -213,7 +213,7 @@ class Written(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Receipt(Record):
-    """The receipt of a unit of work: what it wrote, and what it cost.
+    """The receipt of a unit of work: what it wrote, its time and memory.
 
     Attributes
     ----------
@@ -410,7 +410,7 @@ class RunRecord(Record):
         stores.write_json(folder / RECORD, self.as_json())
 
     def difference(self, settings: Mapping[str, Any], fingerprint: str) -> str | None:
-        """Tell how a run with these settings and this input differs from the recorded one; None if it does not."""
+        """Describe how a run with these settings and this input differs from the recorded one; None if it does not."""
         if self.format != FORMAT:
             return f"format {self.format!r}"
         own = _BEFORE | dict(self.settings)

@@ -1,6 +1,6 @@
-"""Records in JSON: frozen dataclasses of these types, which pydantic reads and checks when a file is read.
+"""Records in JSON: frozen dataclasses whose fields pydantic reads and checks.
 
-pydantic is imported then, and not before: a run that begins anew writes records, and reads none.
+pydantic is imported only to read records: a new run writes records, and reads none.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _KINDS = {"string_type": "a text", "tuple_type": "a list", "dict_type": "an obje
 
 @dataclass(frozen=True)
 class _As:
-    """How a value of JSON is converted: a function that raises ValueError, whose text says what it should be."""
+    """Conversion of a JSON value: a function that raises ValueError with a text on what the value should be."""
 
     convert: Callable[[Any], Any]
 

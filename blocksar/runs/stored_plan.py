@@ -1,4 +1,4 @@
-"""The plan of an unfinished run, kept in its folder: a run that is resumed has the very plan that it began with.
+"""The plan of an unfinished run, stored in its folder, so that a resumed run continues with the same plan.
 
 It is a pickle, which holds objects of this package, of other packages' processors and of numpy, and is never loaded
 unless the record has its checksum. As a run folder may come from elsewhere, nothing else is made from it, no function
@@ -23,7 +23,7 @@ from blocksar.places.place import Place
 from blocksar.runs.folder import PLAN
 
 T = TypeVar("T")
-# What pickles of numpy call, besides types of this package.
+# Functions that pickles of numpy call, in addition to types of this package.
 _NUMPY = {
     ("numpy._core.multiarray", "_reconstruct"), ("numpy._core.multiarray", "scalar"),
     ("numpy._core.numeric", "_frombuffer"), ("numpy", "ndarray"), ("numpy", "dtype"),
@@ -32,7 +32,7 @@ _BUILTINS = {"complex", "frozenset", "range", "set", "slice"}
 
 
 def pack(plan: object) -> bytes:
-    """A plan as it is written."""
+    """Serialise a plan to compressed bytes."""
     file = io.BytesIO()
     _Pickler(file, protocol=5).dump(plan)
     return zlib.compress(file.getvalue(), level=1)
@@ -53,7 +53,7 @@ def write(folder: Place, packed: bytes) -> None:
 
 
 def read(folder: Place, checksum: str, kind: type[T]) -> tuple[T, bytes]:
-    """Read the plan of a run that is to be resumed, of the checksum in its record; also as it was written.
+    """Read the plan of a run to be resumed, and check it against its checksum; also return its bytes.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def read(folder: Place, checksum: str, kind: type[T]) -> tuple[T, bytes]:
 
 
 def damaged(folder: Place) -> FolderError:
-    """The error of a run whose plan is not the one that it began with."""
+    """Make the error about a stored plan that is damaged or of another run."""
     return FolderError(
         f"{folder} is damaged: its run.json does not have the plan that the run began with, or {PLAN} is another; use "
         "--overwrite to begin it again",
@@ -81,7 +81,7 @@ def damaged(folder: Place) -> FolderError:
 
 
 class _Pickler(pickle.Pickler):
-    """Leaves out what objects have only computed: the bytes do not depend on what was asked of a plan."""
+    """Pickler that omits cached values, so that the bytes do not depend on what was computed from a plan."""
 
     def reducer_override(self, obj: Any) -> Any:
         if not is_dataclass(obj) or isinstance(obj, type):
@@ -96,7 +96,7 @@ class _Pickler(pickle.Pickler):
 
 
 class _Unpickler(pickle.Unpickler):
-    """Makes frozen dataclasses, named tuples, enumerations and arrays, and nothing else; imports nothing."""
+    """Unpickler that creates only frozen dataclasses, named tuples, enumerations and arrays, and imports nothing."""
 
     def find_class(self, module: str, name: str) -> Any:
         found = getattr(sys.modules.get(module), name, None)

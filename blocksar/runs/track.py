@@ -1,4 +1,4 @@
-"""The correction of a track as the attribute `autofocus` of a phase history, and of its runs, holds it."""
+"""The correction of a track, as the attribute `autofocus` of a phase history and of its runs holds it."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class _Attribute(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrackCorrection:
-    """Correction of a track: what was taken off, and the figures of its estimate.
+    """Correction of a track: its samples over time, and the figures of its estimate.
 
     Attributes
     ----------
@@ -163,7 +163,7 @@ class TrackCorrection:
 
 
 def _tied(tied: Mapping[str, Any]) -> str:
-    """Whether the track fits that of another collection, with figures."""
+    """State whether the track fits that of another collection, with figures."""
     if not tied["points"]:
         return (
             "not tied to the collections before: too few points that both see, or they do not agree; so its image may "
@@ -188,7 +188,7 @@ def _anchored(control: Mapping[str, Any]) -> str:
 
 
 def levels(before: FloatArray, after: FloatArray) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Levels of chips, (n_chip, n_row, n_column) of power, before and after: each pair relative to its brightest.
+    """Convert power of chips (n_chip, n_row, n_column) before and after to levels, relative to each pair's maximum.
 
     Of each, the columns about the brightest one after.
     """

@@ -18,7 +18,7 @@ from blocksar.collection.weighting import taylor_coefficients
 from blocksar.errors import InputError
 from blocksar.simulation.scene_fields import BeamTable
 
-SIDE, YAWS = 80, 641  # degrees of yaw on either side of the centre that a beam may light, and yaws that are asked
+SIDE, YAWS = 80, 641  # degrees of yaw on either side of the centre that a beam may light, and yaws examined
 PATTERN_SAMPLES = 257  # of a named pattern over its width
 NBAR, SIDE_LOBES = 4, -35.0  # of the Taylor illumination: its nearly constant side lobes, and their level, dB
 
@@ -48,12 +48,12 @@ def axis_beam(
 
 
 def _along(directions: FloatArray) -> FloatArray:
-    """Unit vectors (n, 3) along directions."""
+    """Normalise directions (n, 3)."""
     return np.asarray(directions / np.sqrt((directions * directions).sum(axis=1, keepdims=True)))
 
 
 def patterns(beam: BeamTable, width_deg: float, sight: Callable[[], FloatArray]) -> dict[str, FloatArray]:
-    """The patterns by the names of `Collection`; `sight` returns the vector (3,) from the antenna to the scene centre.
+    """Patterns by the names of `Collection`; `sight` returns the vector (3,) from the antenna to the scene centre.
 
     A named elevation pattern lies about the elevation of the scene centre.
     """
@@ -70,7 +70,7 @@ def patterns(beam: BeamTable, width_deg: float, sight: Callable[[], FloatArray])
 
 
 def _pattern(pattern: str | tuple[tuple[float, float], ...], width_deg: float) -> tuple[FloatArray, FloatArray]:
-    """Angles, rad, and two-way amplitudes of a pattern that is named or sampled."""
+    """Angles, rad, and two-way amplitudes of a pattern given by name or samples."""
     if isinstance(pattern, str):
         return named_pattern(pattern, float(np.deg2rad(width_deg)))
     angle, amplitude = np.array(pattern).T
@@ -101,7 +101,7 @@ def lit_yaws(
 
 
 def named_pattern(name: str, width: float) -> tuple[FloatArray, FloatArray]:
-    """Offsets over a beam of a width, rad, and the two-way amplitude there: `sinc2`, `gaussian` or `taylor`."""
+    """Angles over a beam of `width`, rad, and two-way amplitudes of a pattern: `sinc2`, `gaussian` or `taylor`."""
     place = np.linspace(-1.0, 1.0, PATTERN_SAMPLES)  # 1 at the edge
     if name == "gaussian":
         one_way = np.exp(-np.log(2) / 2 * place**2)
@@ -113,7 +113,7 @@ def named_pattern(name: str, width: float) -> tuple[FloatArray, FloatArray]:
 
 @lru_cache
 def _half_power(name: str) -> float:
-    """Where the one-way amplitude of an aperture is 1 / sqrt(2), in wavelengths over the aperture."""
+    """Angle at which the one-way amplitude of an aperture is 1 / sqrt(2), in wavelengths over the aperture."""
     factors = taylor_coefficients(NBAR, SIDE_LOBES) if name == "taylor" else np.zeros(0)
     low, high = 0.0, 1.0
     for _ in range(60):

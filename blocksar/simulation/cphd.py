@@ -1,6 +1,6 @@
 """Simulation of a scene into a CPHD 1.1.0 file: FX domain, SGN -1, CF8 (see `ingestion.cphd` for the format).
 
-The beam of a scene as CPHD describes it: image area, dwell polynomials, antenna frame, boresight and gain.
+CPHD describes the beam by image area, dwell polynomials, antenna frame, boresight and gain.
 
 The antenna coordinate frame has ACX along the beam's axis and ACX x ACY towards the swath: at the depression of the
 scene centre, at right angles to the axis. The electrical boresight is the beam's centre. Transmitter and receiver are
@@ -53,7 +53,7 @@ MARGIN = 0.1  # of the lit directions across the beam, beyond which its gain is 
 
 
 class LitArea(NamedTuple):
-    """Image area, a clockwise polygon (n, 2) about the scene centre, m; polynomials of centre of dwell and dwell, s."""
+    """Image area, a clockwise polygon (n, 2) about the scene centre, m; polynomials of dwell centre and dwell, s."""
 
     outline: FloatArray
     centre: FloatArray
@@ -140,7 +140,7 @@ def _axis_area(
 
 
 def _runs(mask: BoolArray, amid: int) -> tuple[IntArray, IntArray] | None:
-    """First and last index of the run of each row of a mask (n, m) nearest to an index; None if one is too short.
+    """First and last index of the run nearest to index `amid` in each row of a mask (n, m); None if one is too short.
 
     The beam also lights the other side of the track, which is another run.
     """
@@ -186,7 +186,7 @@ class AntennaFrame(NamedTuple):
     pulse: int  # whose steering is amid all
 
     def directions(self, along: FloatArray, across: FloatArray) -> FloatArray:
-        """Unit vectors (n, 3) of direction cosines (n,) at that pulse."""
+        """Convert direction cosines (n,) to unit vectors (n, 3) in the scene frame."""
         x, y = self.x[self.pulse], self.y[self.pulse]
         rest = np.sqrt(np.maximum(1 - along**2 - across**2, 0.0))
         return np.asarray(along[:, None] * x + across[:, None] * y + rest[:, None] * np.cross(x, y))
@@ -209,7 +209,7 @@ def antenna_frame(scene: Scene, collection: Collection) -> AntennaFrame:
 
 
 def gain_table(scene: Scene, collection: Collection, frame: AntennaFrame) -> FloatArray:
-    """One-way gain in dB: coefficients of the direction cosines off the boresight's, (order1 + 1, order2 + 1).
+    """Polynomial of the one-way gain, dB, in direction cosines off boresight: (order1 + 1, order2 + 1).
 
     Raises
     ------
@@ -234,7 +234,7 @@ def gain_table(scene: Scene, collection: Collection, frame: AntennaFrame) -> Flo
 
 
 def _seen_across(scene: Scene, collection: Collection, frame: AntennaFrame) -> tuple[FloatArray, FloatArray]:
-    """Direction cosines along ACY at which the beam sees the swath, and elevations there, rad, (m,)."""
+    """Direction cosines along ACY, and elevations, rad, at which the beam sees the swath: (m,) each."""
     yaw = np.linspace(*scene.lit_yaw, SEEN)
     x, y = (np.ravel(axis) for axis in scene.ground_point(np.linspace(*scene.area.swath, RANGES)[:, None], yaw))
     ground = np.stack([x, y, np.full(x.size, collection.ground_height)], axis=1)
@@ -248,7 +248,7 @@ def _seen_across(scene: Scene, collection: Collection, frame: AntennaFrame) -> t
         cosines.append((sight[lit] * frame.y[pulse]).sum(axis=1))
         elevations.append(np.arcsin(-sight[lit, 2]))
     seen = np.concatenate(cosines)
-    # The polynomial is to hold a little beyond, for readers that take it there.
+    # Fit a little beyond the swath, for readers that evaluate the polynomial there.
     margin = MARGIN * np.ptp(seen) * np.linspace(0, 1, RANGES)
     beyond = np.concatenate([seen.min() - margin, seen.max() + margin])
     directions = frame.directions(np.full(beyond.shape, frame.boresight[frame.pulse, 0]), beyond)
@@ -256,12 +256,12 @@ def _seen_across(scene: Scene, collection: Collection, frame: AntennaFrame) -> t
 
 
 def _fit_gain(name: str, cosine: FloatArray, amplitude: FloatArray) -> FloatArray:
-    """Coefficients of a one-way gain in dB over direction cosines (n,), of the lowest order that is close enough."""
+    """Fit a polynomial of the lowest sufficient order to a one-way gain, dB, over direction cosines (n,)."""
     peak, scale = float(amplitude.max()), float(np.abs(cosine).max())
     gain = 10 * np.log10(np.maximum(amplitude, FLOOR * peak))
     best, least = np.zeros(1), np.inf
     for order in GAIN_ORDERS:
-        # An error of the gain in dB is one of the amplitude in proportion to it.
+        # Weight by amplitude: an error of the gain in dB is a relative error of the amplitude.
         fit = polynomial.polyfit(cosine / scale, gain, order, w=np.maximum(amplitude, FLOOR * peak))
         error = float(np.abs(10 ** (polynomial.polyval(cosine / scale, fit) / 10) - amplitude).max()) / peak
         if error < least:
@@ -279,7 +279,7 @@ def _fit_gain(name: str, cosine: FloatArray, amplitude: FloatArray) -> FloatArra
 def antenna_content(
     frame: AntennaFrame, scene_frame: Georeference, time: FloatArray, f: float, gain: FloatArray
 ) -> Any:
-    """The element `Antenna`: `time` (n_pulse,) s, of transmission; `f` is the reference frequency, Hz."""
+    """Content of the element `Antenna`: `time` (n_pulse,), s, of transmission; `f` is the reference frequency, Hz."""
     axes = {
         f"{name}AxisPoly": {
             axis: _time_polynomial(time, column)
@@ -340,7 +340,7 @@ def simulate(
     overwrite: bool = False,
     progress: Callback | None = None,
 ) -> Path:
-    """Simulate a scene into a CPHD 1.1.0 file, chunk of pulses by chunk: FX domain, SGN -1, CF8.
+    """Simulate a scene into a CPHD 1.1.0 file, by chunks of pulses: FX domain, SGN -1, CF8.
 
     The scene centre becomes IARP and SRP. The axes x and y point east and north there, or as the scene's georeference
     turns them; the ground is the horizontal plane through it. Signals are referenced to the SRP, whatever the scene
@@ -459,12 +459,12 @@ def _frame(scene: Scene, origin: tuple[float, float, float] | None) -> Georefere
 
 
 def _away(scene: Scene) -> float:
-    """Distance, m, along the ground of the scene centre from the origin of the frame."""
+    """Ground distance, m, of the scene centre from the origin of the frame."""
     return float(np.hypot(*scene.centre[:2]))
 
 
 def off_level(scene: Scene, origin: tuple[float, float, float] | None) -> str | None:
-    """A sentence about a file whose scene lies level at its centre, away from the origin of its georeference.
+    """Warn that the scene in the file is level at its centre, far from the georeference's origin; None if near.
 
     The plane of a CPHD file is that of its reference point. The plane that is level at the origin slopes there by the
     distance over the radius of the Earth, so that places about the centre differ by as much of their distance to it.
@@ -580,7 +580,7 @@ def _fill_vectors(vectors: NDArray[Any], collection: Collection, frame: Georefer
 
 
 class _AntennaParts(NamedTuple):
-    """Antenna in CPHD: per-vector parameters and their layout, and elements; empty where nothing describes it."""
+    """The antenna in CPHD: per-vector parameters, their layout, and elements; empty without a description."""
 
     layout: dict[str, dict[str, tuple[str, int]]]
     vectors: dict[str, NDArray[Any]]
@@ -627,7 +627,7 @@ def _words(*layouts: dict[str, tuple[str, int]]) -> int:
 
 
 def _vector_layout(groups: dict[str, dict[str, tuple[str, int]]]) -> dict[str, Any]:
-    """Places of the per-vector parameters, those of the antenna in groups of their own."""
+    """Layout of the per-vector parameters; those of the antenna form groups."""
     offset = 0
 
     def places(parameters: dict[str, tuple[str, int]]) -> dict[str, Any]:

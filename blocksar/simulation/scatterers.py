@@ -34,7 +34,7 @@ _RAISED = (*_FIELD[:4], REAL_ROW, _FIELD[5])  # of a field with heights
 
 
 def compiled(function: Callable[..., None], *arguments: Any) -> tuple[Loop, Loop]:
-    """A loop over scatterers, compiled for those on the ground plane, and for those with heights."""
+    """Compile a loop over scatterers twice: for those on the ground plane, and for those with heights."""
     plain, raised = (loop(*field, *arguments, **COMPILED) for field in (_FIELD, _RAISED))
     return plain(function), raised(function)
 
@@ -49,7 +49,7 @@ class Scatterers(NamedTuple):
     z: FloatArray | None = None
 
     def at(self, which: slice | BoolArray | IntArray) -> Scatterers:
-        """Some of them."""
+        """Select some scatterers."""
         return Scatterers(*(None if column is None else column[which] for column in self))  # type: ignore[arg-type]
 
 
@@ -89,7 +89,7 @@ class Field:
         return Geometry(collection=self.collection)
 
     def part(self, pulse: int, first: int, last: int) -> Scatterers:
-        """Scatterers of a slice that a pulse lights, with the antenna's pattern in their reflectivity.
+        """Scatterers of a slice that a pulse lights; their reflectivity includes the antenna's pattern.
 
         Under a beam that is described by its yaw, all of the slice but those in shadow: the loops ask the rule.
         """
@@ -335,7 +335,7 @@ def _sum_pulse(
     stride: int,
     out: ComplexArray,
 ) -> None:
-    """out[k] = sum sigma exp(-2j pi (cycles_first + k cycles_step) (R - reference)).
+    """Sum echoes of a pulse: out[k] = sum sigma exp(-2j pi (cycles_first + k cycles_step) (R - reference)).
 
     With k = a stride + b, the exponential is a factor in a times a factor in b: 2 sqrt(n) sines and cosines of float64
     phases instead of n, and an outer product.
@@ -439,7 +439,7 @@ _ECHO, _RAISED_ECHO = compiled(_sum_echo, *[types.float64] * 9, types.complex64[
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Grid:
-    """Frequencies middle + (k - n // 2) step, Hz, of ranges counted from envelope_range (n_pulse,), m."""
+    """Frequencies middle + (k - n // 2) step, Hz, of a transform whose ranges start at envelope_range (n_pulse,), m."""
 
     n: int
     middle: float
@@ -448,7 +448,7 @@ class _Grid:
 
 
 def _transform(scatterers: Field, grid: _Grid, block: range, out: NDArray[Any]) -> None:
-    """out[row, k] = sum sigma exp(-4j pi / c [fc (R - reference_range) + f_k (R - envelope_range)])."""
+    """Transform: out[row, k] = sum sigma exp(-4j pi / c [fc (R - reference_range) + f_k (R - envelope_range)])."""
     collection = scatterers.collection
     # The fine grid of one transform fits into the cache, so that sorting the scatterers by range would not pay.
     plan = finufft.Plan(1, (grid.n,), eps=NUFFT_ACCURACY, isign=-1, dtype="complex128", nthreads=1, spread_sort=0)

@@ -21,7 +21,7 @@ about a wrong file lists every wrong field with its value and the remedy.
     [noise]         power, seed
     [dropped]       pulses, ranges, fraction, seed
 
-Messages about errors in a scene file: the field, the value, the remedy, and the nearest known key.
+Messages about errors name the field, the value, the remedy, and the nearest known key.
 """
 
 from __future__ import annotations
@@ -246,7 +246,7 @@ def read_map(table: ReflectivityTable) -> PlacedScatterers:
     return PlacedScatterers(x, y, values)
 
 
-RANGE_GUARD = 1.05  # ratio of the range window to what lit targets need
+RANGE_GUARD = 1.05  # ratio of the range window to the extent of lit targets
 MAX_FAST_TIME_SAMPLES = 1 << 20
 CHECKED_PULSES = 257  # number of pulses at which ranges of lit targets are evaluated
 
@@ -361,7 +361,7 @@ class Scene(SceneTables):
 
     @cached_property
     def pulse_times(self) -> FloatArray:
-        """Slow time (n_pulse,), s. By default the middle pulse, n_pulse // 2, is at t = 0."""
+        """Slow time (n_pulse,), s; by default 0 at the middle pulse, n_pulse // 2."""
         index = np.arange(self.n_pulse)
         if self.time.start is None:
             return np.asarray((index - self.n_pulse // 2) / self.radar.prf)
@@ -377,7 +377,7 @@ class Scene(SceneTables):
 
     @cached_property
     def _antenna(self) -> dict[str, Any]:
-        """The beam about the antenna's axis and the patterns, by the names of `Collection`."""
+        """The beam about the antenna's axis and its patterns, by field names of `Collection`."""
         if self.beam is None:
             return {}
         antenna: dict[str, Any] = patterns(self.beam, self.beam_width_deg, lambda: self.centre - self.origin)
@@ -421,7 +421,7 @@ class Scene(SceneTables):
 
     @cached_property
     def _bare_geometry(self) -> Geometry:
-        """Track and polar frame without the antenna, which may look at what is found in that frame."""
+        """Geometry of the scene without the antenna, whose pointing may depend on that geometry."""
         if self.beam is None or (self.beam.mode is None and self.beam.elevation_pattern is None):
             return self.geometry
         return self.model_copy(update={"beam": None}).geometry
@@ -492,7 +492,7 @@ class Scene(SceneTables):
         return []
 
     def _placed(self) -> list[PointTarget]:
-        """Point targets, with the z that they are given."""
+        """Point targets with z as given in the file."""
         points: list[PointTarget] = []
         for target in self.targets:
             if target.x is not None and target.y is not None:
@@ -511,14 +511,14 @@ class Scene(SceneTables):
 
     @cached_property
     def terrain(self) -> Terrain | None:
-        """The height of the ground, over all that may be lit; None for the plane."""
+        """Heights of the ground over everything that may be lit; None for the plane."""
         if self.ground is None:
             return None
         return terrain_of(self.ground, self.area.ground_height, *self._outline(), self.georeference)
 
     @cached_property
     def hiding_terrain(self) -> Terrain | None:
-        """The ground as far as it hides anything that may be lit, where its file has it; None for the plane."""
+        """Heights of the ground that may shadow what is lit, as far as the file covers it; None for the plane."""
         if self.ground is None or self.terrain is None:
             return None
         x, y = ((float(axis.min()), float(axis.max())) for axis in self._outline())

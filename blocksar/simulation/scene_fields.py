@@ -1,6 +1,6 @@
 """The tables of a scene file: their fields, units, limits and checks.
 
-Errors of the track: how the antenna really moved off the track that the phase history states.
+Errors of the track describe how the antenna really moved relative to the track that the phase history states.
 
 The scene's track is what the navigation says. Samples are simulated from the track plus its error; the store has the
 track, and a reference range that follows the track. The track as flown is kept beside the store, see `phase_history`.
@@ -72,7 +72,7 @@ class VibrationTable(Table):
 
 
 class ErrorTable(Table):
-    """Where the antenna really was, less where the phase history says: the sum of all that is given."""
+    """Error of the stated track: true minus stated positions, the sum of all given terms."""
 
     offset: Vector = Field(NOTHING, description="[x, y, z], m, constant")
     velocity: Vector = Field(NOTHING, description="[x, y, z], m/s, about the middle of the collection")
@@ -124,7 +124,7 @@ class ErrorTable(Table):
 
 
 def _walk(steps: FloatArray, since: FloatArray, *, sums: int) -> FloatArray:
-    """Sum steps (n, 3) once or twice, take out mean and line over time (n,) from its middle, and scale to rms 1."""
+    """Integrate steps (n, 3) once or twice, remove mean and trend over `since` (n,), and scale to rms 1."""
     for _ in range(sums):
         steps = np.cumsum(steps, axis=0)
     steps = steps - steps.mean(axis=0)
@@ -138,7 +138,7 @@ MAX_PULSES = 1 << 22
 IndexPair = Annotated[tuple[int, int], Field(strict=False)]
 Sample = Annotated[tuple[float, float, float, float], Field(strict=False)]
 State = Annotated[tuple[float, float, float, float, float, float, float], Field(strict=False)]
-STATE_ERROR = 0.02  # of the speed, by which velocities may differ from what positions tell
+STATE_ERROR = 0.02  # of the speed: allowed difference between velocities and the positions' changes
 
 Rows = Annotated[tuple[Pair, ...], Field(strict=False, min_length=2)]
 Pattern = Literal["sinc2", "gaussian", "taylor"] | Rows
@@ -154,12 +154,12 @@ def _either(present: list[str], one: str, other: str) -> str:
 
 
 def _present(table: BaseModel, *names: str) -> list[str]:
-    """List those of the named fields that the file states."""
+    """Return the names among `names` that the file states."""
     return [name for name in names if getattr(table, name) is not None]
 
 
 def _stated(table: BaseModel, *names: str) -> list[str]:
-    """List those of the named fields that have another value than their default."""
+    """Return the names among `names` with other values than their defaults."""
     fields = type(table).model_fields
     return [name for name in names if getattr(table, name) != fields[name].default]
 
@@ -299,7 +299,7 @@ class TimeTable(Table):
 
 
 class BeamTable(Table):
-    """A beam that is described by its yaw (start_deg, stop_deg), or about the antenna's own axis (mode)."""
+    """A beam described by its yaw (start_deg, stop_deg), or about the antenna's own axis (mode)."""
 
     start_deg: float | None = Field(None, ge=-720, le=720, description="beam-centre yaw at the first pulse, degrees")
     stop_deg: float | None = Field(
@@ -566,7 +566,7 @@ class DroppedTable(Table):
 
 
 def _check_states(rows: FloatArray) -> None:
-    """Raise a ValueError if velocities are not those of the positions: in other units, or in axes that do not turn."""
+    """Raise a ValueError if velocities do not match positions: other units, or axes that rotate."""
     mean = np.diff(rows[:, 1:4], axis=0) / np.diff(rows[:, 0])[:, None]
     apart = np.sqrt((((rows[1:, 4:] + rows[:-1, 4:]) / 2 - mean) ** 2).sum(axis=1))
     speed = np.sqrt((mean**2).sum(axis=1))
@@ -579,7 +579,7 @@ def _check_states(rows: FloatArray) -> None:
 
 
 def _beside(file: str, info: ValidationInfo) -> Path:
-    """Return the path of a file that a scene file names relative to itself."""
+    """Resolve the path of a file relative to the scene file that names it."""
     folder = (info.context or {}).get("folder")
     path = Path(file) if folder is None else Path(folder) / file
     _require(not os.path.lexists(path) or os.path.isfile(path), f"file = {file!r}: must be a regular file")

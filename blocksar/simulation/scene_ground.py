@@ -1,6 +1,6 @@
-"""The ground of a scene: a file of heights, or hills, as the `Terrain` that everything stands on.
+"""The ground of a scene as a `Terrain`: from a file of heights, or hills.
 
-Shadow: pulses that do not reach scatterers, since the terrain lies between them and the antenna.
+Shadow: the terrain may lie between a scatterer and the antenna, so that pulses do not reach the scatterer.
 
 A scatterer is hidden from a pulse if the ray from it to the antenna's place at that pulse passes below the terrain,
 which is bilinear between its samples here, as in the layer `visibility` of images. Rays are followed for some pulses of
@@ -36,14 +36,14 @@ from blocksar.kernels.occlusion import STEPS, HeightGrid, find_shadow
 from blocksar.simulation.scene_fields import Positive, Table
 
 RAYS = 1 << 18  # that are followed at a time
-ROOM = 1.0  # dwells on either side of one that are looked at, as the dwell of a raised point may lie beside the plane's
+ROOM = 1.0  # dwells of margin on either side, as a raised point's dwell differs from the plane's
 
 Rays = Callable[[IntArray, IntArray], BoolArray]  # of scatterers and pulses: whether they are hidden
 
 
 @dataclass(frozen=True, eq=False)
 class Shadow:
-    """The pulses that do not reach the scatterers of a field.
+    """Shadow: the pulses that do not reach scatterers because of the terrain.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Shadow:
     pulse: IntArray
 
     def at(self, pulse: int, first: int, last: int) -> BoolArray:
-        """Find which of the scatterers first <= i < last a pulse does not reach, (last - first,)."""
+        """Mask (last - first,) of the scatterers first <= i < last that a pulse does not reach."""
         a, b = np.searchsorted(self.index, [first, last])
         changed = self.index[a:b][self.pulse[a:b] <= pulse] - first
         return self.hidden[first:last] ^ (np.bincount(changed, minlength=last - first) % 2 == 1)
@@ -67,7 +67,7 @@ class Shadow:
 def cast_shadow(
     collection: Collection, terrain: Terrain, x: FloatArray, y: FloatArray, z: FloatArray, *, threads: int = 1
 ) -> Shadow | None:
-    """Find the pulses that do not reach scatterers (n,) at x, y, z, m; None if all of a dwell's reach all of them.
+    """Find the pulses that terrain hides from scatterers (n,) at x, y, z, m; None if it hides none within dwells.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def cast_shadow(
 def reach_of_shadow(
     track: FloatArray, x: tuple[float, float], y: tuple[float, float], limits: tuple[float, float]
 ) -> Box:
-    """The box of the terrain that rays from a box of the ground to the antenna pass below its highest place, m.
+    """Box, m, of the terrain that can hide ground in a box from the antenna: where rays pass below the highest place.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def reach_of_shadow(
 
 
 def _rays(collection: Collection, terrain: Terrain, x: FloatArray, y: FloatArray, z: FloatArray) -> Rays:
-    """Return a function of scatterers (k,) and pulses (k,) that follows their rays."""
+    """Make a function of scatterers (k,) and pulses (k,) that traces their rays and tells which are hidden."""
     grid = HeightGrid.of(terrain.heights, terrain.dx, terrain.dy)
     columns, rows = (x - terrain.x0) / terrain.dx - terrain.column, (y - terrain.y0) / terrain.dy - terrain.row
 
@@ -125,7 +125,7 @@ def _rays(collection: Collection, terrain: Terrain, x: FloatArray, y: FloatArray
 
 
 def _pulses_between(collection: Collection, terrain: Terrain) -> int:
-    """Pulses during which a ray moves over the terrain by less than half a sample.
+    """Number of pulses during which a ray moves by less than half a sample over the terrain.
 
     At the horizontal distance s from its point, of d to the antenna, a ray moves by s / d of what the antenna does. It
     is above all of the terrain from s = relief d / height on, with the antenna's height over the highest point.
@@ -138,7 +138,7 @@ def _pulses_between(collection: Collection, terrain: Terrain) -> int:
 
 
 def _tested(collection: Collection, x: FloatArray, y: FloatArray) -> tuple[IntArray, IntArray]:
-    """First and last pulse at which each scatterer may be lit: those of its dwell, with room."""
+    """First and last pulse at which each scatterer may be lit: its dwell with a margin."""
     end = collection.n_pulse - 1
     width, beam = collection.beam_width, collection.beam_azimuth
     round_about = not collection.has_axis and width is not None and abs(beam[-1] - beam[0]) + width >= TURN
@@ -153,7 +153,7 @@ def _tested(collection: Collection, x: FloatArray, y: FloatArray) -> tuple[IntAr
 def _changes(
     rays: Rays, group: IntArray, first: IntArray, last: IntArray, nodes: int
 ) -> tuple[BoolArray, IntArray, IntArray]:
-    """`hidden`, `index` and `pulse` of a group of scatterers, see `Shadow`, from so many pulses of each at first."""
+    """Find `hidden`, `index` and `pulse` of `Shadow` for some scatterers by bisection between `nodes` pulses each."""
     pulses = np.rint(first[:, None] + (last - first)[:, None] * np.linspace(0, 1, nodes)).astype(np.int64)
     hidden = rays(np.repeat(group, nodes), pulses.ravel()).reshape(pulses.shape)
     row, column = np.nonzero(hidden[:, 1:] != hidden[:, :-1])
@@ -213,12 +213,12 @@ class TerrainTable(Table):
 
     @property
     def asked(self) -> Ground:
-        """Describe the ground beneath hills."""
+        """Ground that the hills stand on."""
         return Ground(terrain=self.file, surface=self.surface, vertical=self.vertical)
 
     @property
     def needs_earth(self) -> str:
-        """Parts that need the place of the frame on the Earth; empty if none does."""
+        """Names of keys that need a georeference; empty if there are none."""
         if self.surface == "ellipsoid":
             return "terrain.surface = 'ellipsoid'"
         return f"terrain.file = {self.file!r}" if self.file is not None and self.asked.geotiff else ""
@@ -231,7 +231,7 @@ def terrain_of(
     points_y: FloatArray,
     georeference: Georeference | None = None,
 ) -> Terrain:
-    """The ground over the box of points, m; hills stand on the plane z = `plane`, or on WGS 84 at that height.
+    """Terrain over the box of points, m; hills stand on the plane z = `plane`, or on WGS 84 at that height.
 
     Raises
     ------
@@ -262,7 +262,7 @@ def hiding_terrain(
     track: FloatArray,
     georeference: Georeference | None = None,
 ) -> Terrain:
-    """The ground as far as it hides places of a box, with `terrain`, from places of the antenna (n, 3), m.
+    """Terrain that may hide a box, over which `terrain` lies, from antenna positions (n, 3), m.
 
     Of a file, as much as it has.
     """
@@ -279,7 +279,7 @@ def hiding_terrain(
 
 
 def _hills_over(table: TerrainTable, plane: float, box: Box, georeference: Georeference | None) -> Terrain:
-    """Samples of hills over a box."""
+    """Sample the hills over a box."""
     x, y = box
     step = table.spacing or min(hill.width for hill in table.hills) / SAMPLES
     sizes = [int(np.ceil((high - low) / step)) + 2 * MARGIN + 2 for low, high in (x, y)]

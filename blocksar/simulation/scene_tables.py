@@ -1,4 +1,4 @@
-"""The tables of a scene file together, checks of one against another, and channels such as polarisations."""
+"""All tables of a scene file, checks of one against another, and channels such as polarisations."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from blocksar.stores import check_channels
 
 
 class WithChannels(Protocol):
-    """Part of a scene that its channels need."""
+    """Interface of a scene for its channels."""
 
     @property
     def channels(self) -> tuple[str, ...]: ...
@@ -49,7 +49,7 @@ S = TypeVar("S", bound=WithChannels)
 
 
 def channel_problems(scene: WithChannels) -> Iterator[str]:
-    """List what is wrong with the channels of a scene."""
+    """List errors in the channels of a scene."""
     try:
         known = check_channels(scene.channels) if scene.channels else ()
     except InputError as error:
@@ -62,7 +62,7 @@ def channel_problems(scene: WithChannels) -> Iterator[str]:
 
 
 def factor(target: TargetTable, channel: str) -> complex:
-    """Factor of a target's reflectivity in a channel: 1 where none is stated, 0 where only others are."""
+    """Factor of a target's reflectivity in a channel: 1 if none is stated, 0 if only other channels are stated."""
     if not target.scattering:
         return 1.0
     amplitude, phase_deg = target.scattering.get(channel, (0.0, 0.0))
@@ -70,7 +70,7 @@ def factor(target: TargetTable, channel: str) -> complex:
 
 
 def of_channel(scene: S, number: int) -> S:
-    """The scene as one channel sees it; clutter and noise of different channels are independent."""
+    """The scene as seen by one channel; clutter and noise of different channels are independent."""
     if not scene.channels:
         return scene
     changes: dict[str, Any] = {
@@ -94,7 +94,7 @@ def _seen(target: TargetTable, channel: str) -> TargetTable:
 
 
 class GeoreferenceTable(Table):
-    """Where the frame's origin x = y = z = 0 lies, and how its axes are turned."""
+    """Position of the frame's origin x = y = z = 0 on the Earth, and rotation of its axes."""
 
     latitude: float = Field(description="of the frame's origin, geodetic, WGS 84, degrees")
     longitude: float = Field(description="of the frame's origin, degrees")
@@ -153,18 +153,18 @@ class SceneTables(Table):
 
     @property
     def georeference(self) -> Georeference | None:
-        """Where the frame lies on the Earth, if that is stated."""
+        """Position of the frame on the Earth, if stated."""
         return None if self.place is None else self.place.frame
 
     @property
     def about_origin(self) -> bool:
-        """Whether the scene centre is the frame's origin, on the ground: that of an Earth-centred track by default."""
+        """Tell whether the scene centre is the frame's origin on the ground, by default with an Earth-centred track."""
         by_yaw = self.beam is not None and self.beam.mode is None
         stated = self.area.centre_yaw_deg is not None or self.area.centre_range is not None
         return self.track.earth_centred and not by_yaw and not stated
 
     def problems(self) -> Iterator[str]:
-        """List what does not go together, each as `field = value: remedy`."""
+        """List keys that contradict each other, as `field = value: remedy`."""
         yield from channel_problems(self)
         if self.track.earth_centred and self.place is None:
             yield "georeference is missing: track.earth_centred = true needs it; add latitude, longitude and height"

@@ -61,7 +61,7 @@ def simulate(
     overwrite: bool = False,
     progress: Callback | None = None,
 ) -> Path | Place:
-    """Simulate a scene into a phase-history store, chunk by chunk of pulses, so that it need not fit into memory.
+    """Simulate a scene into a phase-history store by chunks of pulses, in bounded memory.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def sampler(
 
 
 def as_flown(scene: Scene, collection: Collection) -> Collection:
-    """Return the collection with the positions that the antenna really had; itself where the track has no error.
+    """Return the collection with the antenna's true positions; unchanged if the track has no error.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def truth_place(out: Location) -> Place:
 def write_truth(
     scene: Scene, out: Location, carried: Callable[[FloatArray], FloatArray] = lambda positions: positions
 ) -> None:
-    """Write the track as flown beside a phase history, or remove that of an earlier one where the track has no error.
+    """Write the true track beside a phase history; remove an earlier one if the track has no error.
 
     `carried` turns positions (n, 3), m, into those in the frame of the phase history, if that is not the scene's.
 
@@ -193,7 +193,7 @@ def _echo_axes(scene: Scene) -> RawEcho:
 
 
 def _scatterers(scene: Scene, collection: Collection, threads: int) -> list[tuple[Field, bool]]:
-    """Return point targets, and field with map, each with whether its raw echo is evaluated exactly."""
+    """Return point targets, and random field with map, as `Field`s; each with whether its raw echo is exact."""
     points, many, terrain, hiding = scene.point_targets(), scene.scatterers(), scene.terrain, scene.hiding_terrain
     parts = []
     if points:

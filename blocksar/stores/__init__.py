@@ -9,8 +9,7 @@ checks everything that the contract fixes and raises an `InputError` for any dep
 types and additional variables are free.
 
 Chunks in the layout that `create` uses are plain files, which `chunk_files` reads and writes directly, several times as
-fast as zarr; `layout` has their metadata. zarr handles all other layouts, and is loaded for those only: it would delay
-the start of every run.
+fast as zarr. zarr handles all other layouts, and is loaded for those only: it would delay the start of every run.
 
 A store is a folder or a prefix in an object store: every path may be an `s3://` URL or a `Place`.
 """

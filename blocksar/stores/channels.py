@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from blocksar import texts
 from blocksar.errors import InputError, printable
 from blocksar.places.place import Place
 from blocksar.stores.contract import Variable
@@ -24,13 +25,13 @@ POLARIZATIONS = ("V", "H", "X", "Y", "S", "E", "RHC", "LHC")  # of transmitter o
 
 
 def with_channels(schema: Mapping[str, Variable], *names: str, dimension: str = "channel") -> dict[str, Variable]:
-    """The schema with a leading dimension, of channels or looks, for some variables, and its coordinate."""
+    """Add a leading dimension, of channels or looks, to some variables of a schema, with its coordinate."""
     more = {name: replace(schema[name], dims=(dimension, *schema[name].dims)) for name in names}
     return {**schema, **more, dimension: Variable((dimension,), "T", "1", NAMED[dimension])}
 
 
 def check_channels(names: Sequence[str]) -> tuple[str, ...]:
-    """Return names of channels, if they can be.
+    """Check names of channels.
 
     Raises
     ------
@@ -38,7 +39,7 @@ def check_channels(names: Sequence[str]) -> tuple[str, ...]:
         If there is none, or too many, or one is given twice or is no name.
     """
     if not 0 < len(names) <= MOST:
-        raise InputError(f"channel has {len(names)} names; give 1 to {MOST}")
+        raise InputError(f"channel has {texts.count(len(names), 'name')}; give 1 to {MOST}")
     for name in names:
         if not NAME.fullmatch(name):
             raise InputError(f"channel {printable(str(name))[:40]!r} is no name of a channel; {REMEDY}")
@@ -62,20 +63,21 @@ def read_channels(place: Place, count: int) -> tuple[str, ...]:
         array = open_variable(place, "channel")
         if dimension_names(array) != ("channel",) or array.shape != (count,):
             raise InputError(
-                f"channel has shape {array.shape} over {dimension_names(array)}, but the samples have {count} "
-                "channels; make them agree"
+                f"channel has shape {array.shape} over {dimension_names(array)}, but the samples have "
+                f"{texts.count(count, 'channel')}; make them agree"
             )
         names = read_array(array, (slice(None),), place, "channel", label="channel")
         return check_channels([text(name) for name in names])
 
 
 def unnamed_channels(count: int) -> InputError:
-    """The error of samples whose channels have no names."""
-    return InputError(f"variable channel (channel) is missing, and the samples have {count} channels; {REMEDY}")
+    """Make the error about samples whose channels have no names."""
+    samples = f"the samples have {texts.count(count, 'channel')}"
+    return InputError(f"variable channel (channel) is missing, and {samples}; {REMEDY}")
 
 
 def text(value: Any) -> str:
-    """The text of a name, of whatever type."""
+    """Convert a name of any type to text."""
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
@@ -85,7 +87,7 @@ def look_name(number: int) -> str:
 
 
 def number_of(channels: Sequence[str], channel: str | None, label: str) -> int:
-    """Find which of the channels is meant; the first if none is named.
+    """Return the number of a channel by name; 0 if none is given.
 
     Raises
     ------
@@ -105,7 +107,7 @@ def number_of(channels: Sequence[str], channel: str | None, label: str) -> int:
 
 
 def attrs_of_channel(attrs: Mapping[str, Any], channels: Sequence[str], number: int) -> dict[str, Any]:
-    """Attributes of a store as a channel has them: its name as `channel`, and targets with their reflectivity in it.
+    """Attributes of a store for one channel: its name as `channel`, and targets with their reflectivity in it.
 
     If `polarizations` has the channel, that is its `polarization`.
 
@@ -129,7 +131,7 @@ def attrs_of_channel(attrs: Mapping[str, Any], channels: Sequence[str], number: 
 
 
 def without_unseen(attrs: Mapping[str, Any]) -> dict[str, Any]:
-    """Attributes of a channel without the targets that it does not see."""
+    """Remove the targets that a channel does not see from its attributes."""
     targets = attrs.get("targets")
     if "channel" not in attrs or not isinstance(targets, list):
         return dict(attrs)

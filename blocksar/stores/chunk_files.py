@@ -1,6 +1,6 @@
 """Chunks as plain files of a local file system: reading, writing and linking them without zarr.
 
-The layout of stores that `create` writes: zarr's metadata, version 3, written and recognised without zarr.
+Their layout is the one that `create` writes: zarr's metadata, version 3, written and recognised without zarr.
 
 Loading zarr takes 0.1 to 0.3 s, and creating a store through it 4 to 9 ms instead of 1 ms: every run would wait.
 """
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 
 METADATA = (".zarray", ".zattrs", ".zgroup", ".zmetadata", "zarr.json")  # all names of files of metadata
 NODE_METADATA = ("zarr.json", ".zgroup", ".zarray")  # one of which each group and array has
-# Images: noise does not compress, and passes at the speed of memory; what is not covered takes no room. The checksum
-# lets every reader notice an altered chunk. Chunks are written at ZSTD_LEVEL. Readers do not need the level, but GDAL
-# (3.12) refuses arrays that state a negative one, so the metadata state the level of a writer who appends.
+# Compression of images: noise does not compress and passes at the speed of memory; uncovered parts take no space. The
+# checksum lets every reader notice an altered chunk. Chunks are written at ZSTD_LEVEL. Readers do not need the level,
+# but GDAL (3.12) refuses arrays that state a negative one, so the metadata state the level of a program that appends.
 ZSTD_LEVEL = -5
 COMPRESSION: dict[str, Any] = {"name": "zstd", "configuration": {"level": 1, "checksum": True}}
 HIGHEST_LEVEL = 22  # of zstd
@@ -116,7 +116,7 @@ def metadata_bytes(metadata: Mapping[str, Any]) -> bytes:
 
 @lru_cache(maxsize=256)
 def layout_of(content: bytes) -> VariableLayout | None:
-    """Return what a variable's metadata file states, if it is as `create` writes it, at any level of compression."""
+    """Return the layout that a variable's metadata file states, if `create` writes such, at any compression level."""
     try:
         metadata = json.loads(content)
     except (ValueError, RecursionError):
@@ -145,7 +145,7 @@ def layout_of(content: bytes) -> VariableLayout | None:
 
 
 def _is_zstd(codec: Any) -> bool:
-    """Tell whether a codec's metadata is that of zstd, and zarr would take it."""
+    """Tell whether a codec's metadata describe zstd, in a form that zarr accepts."""
     match codec:
         case {"name": "zstd", "configuration": {"level": int(level), "checksum": bool()}}:
             return level <= HIGHEST_LEVEL and len(codec) == len(codec["configuration"]) == 2
@@ -155,7 +155,7 @@ def _is_zstd(codec: Any) -> bool:
 def group_attrs(metadata: Any) -> dict[str, Any] | None:
     """Return the attributes in a store's metadata; None if it is not as `create` writes it, or zarr's consolidation."""
     match metadata:
-        # A copy of the variables' metadata may be out of date, and is not looked at.
+        # A copy of the variables' metadata may be out of date, and is ignored.
         case {"attributes": dict(attrs), "zarr_format": 3, "node_type": "group", **rest}:
             return attrs if rest.keys() <= {"consolidated_metadata"} else None
     return None
@@ -310,7 +310,7 @@ class ChunkFiles:
                 os.link(other, part)
 
     def _whole(self, region: Region) -> list[range]:
-        """Return a region's indices by dimension; raise an OSError if it is not made of whole chunks."""
+        """Indices of a region by dimension; raises an OSError unless it consists of whole chunks."""
         spans = [range(*part.indices(n)) for part, n in zip(region, self.shape, strict=True)]
         for span, n, chunk in zip(spans, self.shape, self.chunks, strict=True):
             if span.start % chunk or (span.stop % chunk and span.stop != n):
@@ -441,13 +441,13 @@ def chunk_files_of(path: Place, name: str) -> ChunkFiles | None:
 
 @lru_cache(maxsize=256)
 def _layout_in(metadata: str, version: str) -> VariableLayout | None:
-    """Fields of a metadata file of a version."""
+    """Read the layout from the metadata file of a variable; `version` is the file's, for the cache."""
     with open(metadata, "rb") as file:
         return layout_of(file.read())
 
 
 def _is_settled(status: os.stat_result) -> bool:
-    """Whether a file that is changed once more will have another time of modification: clocks of files are coarse."""
+    """Tell whether a file is old enough that a further change would alter its modification time."""
     step = CLOCK if status.st_mtime_ns % 1_000_000_000 else COARSE_CLOCK
     return time.time_ns() - status.st_mtime_ns > step
 
@@ -482,14 +482,14 @@ def zstd() -> Zstd:
 
 
 def _is_dense(chunk: Array) -> bool:
-    """Whether zstd would try in vain: float32 or complex64, all finite, of which some parts get no smaller.
+    """Tell whether zstd would not shrink a chunk: float32 or complex64, finite, with incompressible parts.
 
     Noise, and heights and angles, smooth numbers whose last bits are noise: it would take as long as to compute them.
     """
     if chunk.dtype not in (np.float32, np.complex64) or chunk.size < 2 * DENSE_PARTS * DENSE_SAMPLE:
         return False
     parts = chunk[: chunk.size // DENSE_PARTS * DENSE_PARTS].reshape(DENSE_PARTS, -1)[:, -DENSE_SAMPLE:].copy()
-    # Real and imaginary parts as they lie: numpy takes twice as long for complex numbers.
+    # View real and imaginary parts as real numbers: numpy takes twice as long for complex ones.
     return len(zstd().encode(parts)) > parts.nbytes and bool(np.isfinite(chunk.view(np.float32)).all())
 
 
@@ -517,7 +517,7 @@ def _declared_size(header: bytes) -> int:
 
 
 def _flat(lengths: Sequence[int]) -> tuple[int, ...]:
-    """Lengths without leading ones: a chunk of one channel has the bytes of a chunk without channels."""
+    """Drop leading ones of a shape: a chunk of one channel has the same bytes as one without channels."""
     return tuple(dropwhile(lambda n: n == 1, lengths))
 
 
@@ -527,7 +527,7 @@ def _read_into(stream: BinaryIO | direct.DirectReader, values: Array) -> None:
 
 
 def copy_values(source: Array, target: Array) -> None:
-    """Copy an array, in strips of columns if rows become columns."""
+    """Copy an array by strips of columns, which is fast if rows become columns."""
     transposed = source.ndim == 2 and (source.strides[0] < source.strides[1]) != (target.strides[0] < target.strides[1])
     step = TRANSPOSED_COLUMNS if transposed else max(source.shape[-1], 1)
     for first in range(0, source.shape[-1], step):

@@ -1,4 +1,4 @@
-"""The variables, attributes and units of every store, and the checks of those that a phase history has to hold."""
+"""Variables, attributes and units of every store, and the checks of a phase history's."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ TRACK_AND_BEAM = {
     ),
     "beam_azimuth": Variable(("pulse",), "float64", "rad", "beam-centre yaw; NaN where the beam is not steered"),
 }
-# Of a beam about the antenna's own axis, instead of beam_azimuth; and what a collection may have besides.
+# A beam about the antenna's own axis, in place of beam_azimuth; and optional variables of a collection.
 AXIS_BEAM = {
     "beam_axis": Variable(
         ("pulse", "axis"), "float64", "1", "unit vector along the antenna's azimuth axis, scene frame"
@@ -195,7 +195,7 @@ MAX_CHUNKS = 1 << 15  # chunks of a variable that is read as a whole: more take 
 def stated(
     collection: Collection, schema: Mapping[str, Variable]
 ) -> tuple[dict[str, Variable], dict[str, FloatArray], dict[str, FloatArray]]:
-    """The schema with what the collection states, the angles of its patterns, and its small variables."""
+    """Schema of what the collection states, with the angles of its patterns and its small variables as values."""
     absent = {name for name in OPTIONAL if getattr(collection, name) is None}
     if "beam_axis" not in absent:
         absent.add("beam_azimuth")
@@ -221,12 +221,12 @@ def number(attrs: Mapping[str, Any], name: str, unit: str, default: Any = ...) -
 
 
 def missing(name: str, variable: Variable) -> InputError:
-    """The error of a variable that is not there."""
+    """Make the error about a missing variable."""
     return InputError(f"variable {name} ({', '.join(variable.dims)}) is missing; write it, in {variable.units}")
 
 
 def check_type(name: str, variable: Variable, dims: tuple[Any, ...] | None, dtype: np.dtype[Any]) -> None:
-    """Check that a variable has the dimensions and the kind of numbers that the contract fixes."""
+    """Check that a variable has the dimensions and the type of the contract."""
     if dims == ("channel", *variable.dims) and name in SAMPLES:
         dims = variable.dims
     if dims != variable.dims:
@@ -243,7 +243,7 @@ def check_type(name: str, variable: Variable, dims: tuple[Any, ...] | None, dtyp
 
 
 def unit_factor(text: str, unit: str) -> float | None:
-    """How many of the contract's units a stated one is, such as 1000 of "km" where m are wanted; None if it is none."""
+    """Factor from a stated unit to the contract's, such as 1000 from "km" to m; None if it is no such unit."""
     text = " ".join(text.split()).lower()
     prefixes = {**PREFIXES, "m": M_MEANS.get(unit, 1e-3)}
     for spelling, factor in UNITS.get(unit, {}).items():
@@ -256,7 +256,7 @@ def unit_factor(text: str, unit: str) -> float | None:
 
 
 def check_units(name: str, unit: str, units: Any) -> None:
-    """Check that the units that a variable states, if any, are those of the contract; of samples: that they are linear.
+    """Check that the units stated by a variable are the contract's; for samples, that they are linear.
 
     Raises
     ------
@@ -276,7 +276,7 @@ def check_units(name: str, unit: str, units: Any) -> None:
 
 
 def fill_value(attrs: Mapping[str, Any]) -> list[float]:
-    """The numbers that stand for missing values by the attributes `_FillValue` and `missing_value`, besides NaN."""
+    """Values that stand for missing ones by the attributes `_FillValue` and `missing_value`, besides NaN."""
     found = []
     for name in ("_FillValue", "missing_value"):
         value = attrs.get(name)
@@ -292,7 +292,7 @@ def fill_value(attrs: Mapping[str, Any]) -> list[float]:
 
 
 def checked(place: Place, name: str) -> ChunkFiles | zarr.Array[Any]:
-    """Open a variable of the contract, and check everything except its values."""
+    """Open a variable of the contract, and check all but its values."""
     variable = SCHEMA[name]
     if not metadata_file(place / name):
         raise missing(name, variable)
@@ -331,7 +331,7 @@ def read_real(place: Place, name: str) -> FloatArray:
 
 
 def refuse_filled(name: str, values: FloatArray, attrs: Mapping[str, Any]) -> None:
-    """Refuse metadata some of whose values stand for missing ones, by their attributes."""
+    """Refuse metadata with values that their attributes declare missing."""
     for fill in fill_value(attrs):
         if count := int(np.count_nonzero(values == fill)):
             raise InputError(
@@ -341,7 +341,7 @@ def refuse_filled(name: str, values: FloatArray, attrs: Mapping[str, Any]) -> No
 
 
 def in_order(name: str, values: FloatArray, labels: Callable[[], Any]) -> FloatArray:
-    """Components (n, 3) in the order x, y, z, if labels state another; None: there are none.
+    """Reorder components (n, 3) to x, y, z if labels state another order; None: no labels.
 
     Raises
     ------
@@ -353,7 +353,7 @@ def in_order(name: str, values: FloatArray, labels: Callable[[], Any]) -> FloatA
 
 
 def _component_labels(place: Place) -> Any:
-    """The values of a coordinate `axis`, which the contract has not; None where there is none."""
+    """Read the coordinate `axis` that other programs add to components; None without one."""
     if not metadata_file(place / "axis"):
         return None
     with warnings.catch_warnings():
@@ -365,7 +365,7 @@ def _component_labels(place: Place) -> Any:
 
 
 def raw_echo_from(fast_time: FloatArray, attrs: Mapping[str, Any]) -> RawEcho:
-    """Return the raw echo that fast time (n_fast_time,), s, and attributes describe.
+    """Make the raw echo that fast time (n_fast_time,), s, and attributes describe.
 
     Its own fast time is the delay of the pulse's centre, whichever delay the store's is.
     """

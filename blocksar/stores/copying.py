@@ -1,4 +1,4 @@
-"""A phase history once more, with another track: its files byte by byte, and positions of its own.
+"""Copies of a phase history with another track: files byte by byte, except positions and metadata.
 
 Chunking, compression, extra variables and the version of the zarr format stay those of the source. Metadata is written
 last: until then the copy is no store.
@@ -37,7 +37,7 @@ _VARIABLES = {
 
 
 def files_to_copy(source: Place) -> dict[str, str]:
-    """Names and versions of the files of a store that a copy takes as they are: all but metadata and positions."""
+    """Names and versions of a store's files that a copy takes unchanged: all but metadata and positions."""
     return {
         name: f"{size} {version}"
         for name, size, version in source.files()
@@ -146,7 +146,7 @@ def write_track(
 def _change(
     memory: dict[str, Any], positions: Mapping[str, FloatArray], attrs: Mapping[str, Any], *, consolidated: bool
 ) -> None:
-    """Put positions and attributes into a store's metadata; consolidate it once more where it was."""
+    """Replace positions and attributes in a store's metadata, consolidated as before."""
     import zarr
     from zarr.storage import MemoryStore
 
@@ -176,7 +176,7 @@ def _change(
 
 
 def publish(made: Place, out: Place, *, overwrite: bool) -> None:
-    """Give a store that is complete its name, once it is on the disk: by renaming; in an object store by copying.
+    """Give a complete store its final name, once it is on the disk: by renaming; in an object store by copying.
 
     There it is copied as `replacing_objects` says; one that `was_being_published` is gone on with.
 
@@ -201,12 +201,12 @@ def publish(made: Place, out: Place, *, overwrite: bool) -> None:
 
 
 def was_being_published(made: Place, out: Place) -> bool:
-    """Whether a process was killed while it published this store: what is there may be replaced."""
+    """Tell whether a process was killed while it published this store, so that the rest may be replaced."""
     return isinstance(out, ObjectPlace) and holds(out / UNFINISHED, str(made).encode())
 
 
 def _last(name: str) -> tuple[bool, str]:
-    """Order of writing: the group's own metadata last."""
+    """Sort key for writing: the group's own metadata last."""
     return name in METADATA, name
 
 

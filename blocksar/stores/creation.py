@@ -1,4 +1,4 @@
-"""Creation of stores: metadata, coordinates and small variables are written at once, samples later by region."""
+"""Creation of stores: metadata, coordinates and small variables at once, samples later by region."""
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ from blocksar.stores.regions import metadata_file
 
 RENAMES = 32  # attempts to replace a store that other processes replace at the same time
 UNFINISHED = ".unfinished"  # object in a store that is being created; it identifies the creating process
-LOCK = ".lock"  # what the name of an object beside one has more, while it is written that others could go on with
+LOCK = ".lock"  # suffix of the object that locks another while it is written
 
 
 class Group(NamedTuple):
-    """A group in a store, as `create` takes the store itself."""
+    """A group of a store: the arguments of `create` for it."""
 
     schema: Mapping[str, Variable]
     coords: Mapping[str, Array]
@@ -232,7 +232,7 @@ def _variable_attrs(
 
 @contextmanager
 def replacing(path: Path, *, overwrite: bool, identity: str | None = None) -> Iterator[LocalPlace]:
-    """Yield an empty folder of a temporary name beside another: it replaces that if the block succeeds, else it goes.
+    """Yield an empty folder with a temporary name: it replaces `path` if the block succeeds, else it is removed.
 
     What killed processes have left of such a folder goes first; that of a store of this `identity` is yielded instead.
     """
@@ -253,12 +253,12 @@ def replacing(path: Path, *, overwrite: bool, identity: str | None = None) -> It
 
 
 def _beginning(identity: str | None) -> Callable[[str], bool]:
-    """A function that tells whether a folder is the beginning of a store of this identity."""
+    """Make a function that tells whether a folder is an unfinished store of this identity."""
     return lambda part: identity is not None and is_begun(LocalPlace(Path(part)), identity)
 
 
 def _put_in_place(part: str, path: Path, *, overwrite: bool) -> None:
-    """Rename a folder, and remove what it replaces; if that fails, what was there stays."""
+    """Rename a folder, then remove what it replaces; on failure the old one stays."""
     old = temporary_name(path, "old")
     try:
         for attempt in range(RENAMES):
@@ -320,7 +320,7 @@ def _create_objects(
     overwrite: bool,
     identity: str | None,
 ) -> None:
-    """Write files, samples, and the files that make it a store."""
+    """Write metadata, samples, and last the files that complete the store."""
     token = secrets.token_bytes(16) if identity is None else identity.encode()
     with replacing_objects(place, token, overwrite=overwrite, identity=identity) as check_mark:
         for key, data in files.items():
@@ -338,7 +338,7 @@ def _create_objects(
 def replacing_objects(
     place: ObjectPlace, token: bytes, *, overwrite: bool, identity: str | None = None
 ) -> Iterator[Callable[[], None]]:
-    """Create a store in an object store, where nothing can be renamed: a mark is written first, group metadata last.
+    """Create a store in an object store, which cannot rename: a mark is written first, the group's metadata last.
 
     The mark is this process's `token`; one that was left with the same token is gone on with: anew, or as `create` says
     of a store of an `identity`. Yields the function that checks the mark, to be called before the group's metadata is
@@ -409,7 +409,7 @@ def _clear(place: ObjectPlace) -> None:
 
 
 def holds(mark: Place, token: bytes) -> bool:
-    """Tell whether the mark is the one that was written with this token."""
+    """Tell whether a mark was written with this token."""
     with suppress(FileNotFoundError):
         return mark.read_bytes() == token
     return False
@@ -456,7 +456,7 @@ def phase_history_group(
     channels: Sequence[str] = (),
     attrs: Mapping[str, Any] | None = None,
 ) -> Group:
-    """A phase history, as a group of a store.
+    """Make the group of a phase history within a store.
 
     Parameters
     ----------
@@ -482,7 +482,7 @@ def phase_history_group(
 
 
 def refuse_full(path: Location, needed: int, other: str = "", *, identity: str | None = None) -> None:
-    """Check that the disk has room for so many bytes, once what killed processes have left there is removed.
+    """Check the free space of a disk after removing what killed processes have left there.
 
     `other` is what else would make them fit. What there is of a store of an `identity` stays, and is room as well.
 

@@ -1,4 +1,4 @@
-"""Phase histories in memory: datasets of xarray, held to the contract of a store, and written as one."""
+"""Phase histories in memory: datasets of xarray, checked against the contract of a store and written as one."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from blocksar.stores.regions import metadata_file, write_region
 if TYPE_CHECKING:
     import xarray as xr
 
-CONTENT = "content"  # attribute of a store written from memory: the fingerprint of what it holds
+CONTENT = "content"  # attribute of a store written from memory: the fingerprint of its content
 IN_MEMORY = "the dataset"  # stands for the path in messages
 STORE_LAYERS = 2  # of dask's graph of a variable that was opened and nothing else
 AXES = ("time", "range_frequency", "fast_time", "beam_offset", "elevation")
@@ -165,12 +165,12 @@ class DatasetHistory(PhaseHistory):
 
 
 def _lasting(attrs: Mapping[str, Any]) -> dict[str, Any]:
-    """The attributes without those that change whenever the same data are written."""
+    """Attributes without those that change each time the same data are written."""
     return {name: value for name, value in attrs.items() if name not in ("history", CONTENT)}
 
 
 def history_of(dataset: xr.Dataset) -> PhaseHistory:
-    """Return the phase history that a dataset is: that of the store it was opened from, unless something has changed.
+    """Return the phase history of a dataset: that of the store it was opened from, unless it was modified.
 
     A dataset counts as unchanged if its samples were not loaded and everything else equals what the store holds.
 
@@ -192,7 +192,7 @@ def history_of(dataset: xr.Dataset) -> PhaseHistory:
 
 
 def _is_as_opened(variable: xr.Variable) -> bool:
-    """Tell whether the samples of a variable are still those of the store; where xarray does not say, they are not."""
+    """Tell whether a variable's samples are still those of the store; False if xarray does not show it."""
     if getattr(variable, "_in_memory", True):
         return False
     layers = getattr(getattr(variable.data if variable.chunks else None, "dask", None), "layers", ())
@@ -200,7 +200,7 @@ def _is_as_opened(variable: xr.Variable) -> bool:
 
 
 def history_in_memory(dataset: xr.Dataset) -> DatasetHistory:
-    """Check a dataset against the contract, except for the values of its samples; use those, not a store's.
+    """Check a dataset against the contract, except the values of its samples; its own samples are used, not a store's.
 
     Raises
     ------
@@ -252,7 +252,7 @@ def _checked(dataset: xr.Dataset) -> DatasetHistory:
 
 
 def unmasked(name: str, variable: xr.Variable) -> Any:
-    """The values of a variable: NaN where samples are masked, as in arrays of dask that hold masked ones.
+    """Values of a variable, with NaN for masked samples, also in dask arrays of masked ones.
 
     Raises
     ------
@@ -269,7 +269,7 @@ def unmasked(name: str, variable: xr.Variable) -> Any:
 
 
 def _component_labels(dataset: xr.Dataset) -> Any:
-    """Labels of x, y and z that a dataset has along its dimension `axis`; None without any."""
+    """Labels x, y, z along a dataset's dimension `axis`; None without them."""
     named = [each.values for each in dataset.coords.values() if each.dims == ("axis",) and each.size == 3]
     return named[0] if named else None
 

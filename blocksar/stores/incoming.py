@@ -1,4 +1,4 @@
-"""Arguments of `blocksar.collection`: checks of all that may come, as one table.
+"""Checks and conversions of the arguments of `blocksar.collection`, as one table.
 
 `enter` is the one way in: every argument passes all `CHECKS`, each by its kind in `ARGUMENTS`. The first line of a
 check's docstring is its row of the table in stores/README.md.
@@ -31,7 +31,7 @@ COMPONENTS = ({"i", "q"}, {"re", "im"}, {"real", "imag"}, {"r", "i"}, {"x", "y"}
 
 @dataclass
 class Given:
-    """An argument on its way in; checks change it.
+    """Argument of `blocksar.collection` while it is checked and converted.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ Arguments = Mapping[str, Given]
 
 
 def enter(arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return arguments of `blocksar.collection` as it uses them: plain arrays and numbers in SI units, in order.
+    """Check and convert arguments of `blocksar.collection` to plain arrays and numbers in SI units, in order.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def check_container(given: Given, _: Arguments) -> None:
 
 
 def _layers(value: Any) -> Iterator[Any]:
-    """The value, and what it wraps: xarray around pint, around dask, around numpy."""
+    """Iterate over a value and the arrays it wraps: xarray around pint, around dask, around numpy."""
     while True:
         yield value
         if hasattr(value, "dims") and hasattr(value, "data") and not hasattr(value, "data_vars"):
@@ -220,7 +220,7 @@ def check_dimensions(given: Given, arguments: Arguments) -> None:
     if given.is_samples and "channel" in arguments:
         wanted = ("channel", *wanted)
     if np.ndim(given.value) != len(wanted):
-        return  # said with the shape
+        return  # refused later, with the shape
     dims = canonical_dims(given.name, given.dims, wanted)
     if dims is None:  # names that xarray gives by itself
         given.dims = wanted
@@ -283,7 +283,7 @@ def check_labels(given: Given, arguments: Arguments) -> None:
 
 
 def _reference(given: Given, name: str, dim: str, arguments: Arguments) -> tuple[str, Any] | None:
-    """Find what a coordinate along a dimension is compared with: the argument of its name, or the first that has it."""
+    """Find the reference of a coordinate along a dimension: the argument of its name, or of the first that has it."""
     for each in (name, COORDINATES.get(name, name)):
         if each in arguments and each != given.name:
             over = SCHEMA[each].dims if each in SCHEMA else (each,)
@@ -345,7 +345,7 @@ def _ordered(fields: Sequence[str]) -> tuple[str, str]:
 
 
 def _pairs(what: str, given: Given, real: str, imaginary: str, least: float, more: str = "") -> InputError:
-    """The error of parts that lie apart; of counts that are nowhere negative the middle level is subtracted."""
+    """Make the error about separate real and imaginary parts; for unsigned counts it subtracts a level."""
     if least >= 0:
         real, imaginary = f"({real} - level)", f"({imaginary} - level)"
         more += "; level is the counts' middle, such as 128.0 of 8 bits"
@@ -398,5 +398,5 @@ CHECKS: tuple[Callable[[Given, Arguments], None], ...] = (
 
 
 def rows() -> list[tuple[str, str]]:
-    """List what may come and what happens, as in the table of stores/README.md, from the checks."""
+    """List accepted arguments and their treatment, from the checks, for the table in stores/README.md."""
     return [tuple(" ".join((check.__doc__ or "").split()).split(" | ")) for check in CHECKS]  # type: ignore[misc]

@@ -1,4 +1,4 @@
-"""Names of dimensions and coordinates as others give them, and the order that they state."""
+"""Names of dimensions and coordinates in other conventions, and the order that they state."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SHIFTED = ("time", "range_frequency")  # labels count from elsewhere: from a dat
 
 
 def canonical_dims(name: str, stated: Sequence[str], wanted: Sequence[str]) -> tuple[str, ...] | None:
-    """The dimensions of the contract that stated ones mean, in their order; None if they mean none.
+    """Translate names of dimensions to the contract's, in their order; None if they have no meaning.
 
     One that is not known is the one that is left.
 
@@ -58,7 +58,7 @@ def canonical_dims(name: str, stated: Sequence[str], wanted: Sequence[str]) -> t
 
 
 def axis_order(name: str, label: str, values: Any) -> IntArray:
-    """The numbers of x, y and z along an axis of three that has labels.
+    """Indices of x, y and z along a labelled axis of length three.
 
     East, north and up count as x, y and z.
 
@@ -88,7 +88,7 @@ def _text(value: Any) -> str:
 
 
 def order_by(name: str, label: str, values: Any, other: str, reference: Any) -> IntArray | None:
-    """The order in which samples with labels (n,) lie as a reference (n,) does; None if they do so already.
+    """Permutation of samples with labels (n,) to the order of a reference (n,); None if they are in order.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def order_by(name: str, label: str, values: Any, other: str, reference: Any) -> 
 
 
 def _numbers(label: str, values: Any) -> Any:
-    """Labels as numbers that compare: dates as seconds, times and frequencies from their first."""
+    """Convert labels to comparable numbers: dates to seconds, times and frequencies relative to their first."""
     array = np.asarray(values)
     if array.dtype.kind == "M":
         array = (array - array.min()) / np.timedelta64(1, "s")
@@ -136,7 +136,7 @@ def _agree(mine: Any, yours: Any) -> bool:
 
 
 def check_relation(name: str, label: str, values: Any, argument: Any) -> None:
-    """Refuse a coordinate that has another value than the argument of its name."""
+    """Refuse a coordinate that differs from the argument of its name."""
     mine, yours = np.asarray(values), np.asarray(argument)
     if mine.dtype.kind in NUMERIC and yours.dtype.kind in NUMERIC:
         same = mine.shape == yours.shape and np.allclose(mine, yours, rtol=1e-6, atol=0)

@@ -1,4 +1,4 @@
-"""Phase histories, one or several in one frame: creating them, and opening them with every check of the contract.
+"""Phase histories, one or several in one frame: creation, and opening with all checks of the contract.
 
 A simulated phase history whose own track has an error has the track as flown beside it. A group that holds several
 names them in its attribute `collections`, in the order of time.
@@ -139,7 +139,7 @@ class PhaseHistory:
         )  # fmt: skip
 
     def with_partial_pulses(self) -> PhaseHistory:
-        """Copy with ground of whose pulses a raw echo recorded only parts: its transform is longer."""
+        """Copy that includes ground with partly recorded pulses of a raw echo: its transform is longer."""
         if self.raw is None:
             return self
         frequency, recorded = self.raw.padded_range_frequency, self.raw.recorded(partial=True)
@@ -168,12 +168,12 @@ class PhaseHistory:
         return history if self.look is None else history.of_look(*self.look)
 
     def _region(self, pulses: slice, columns: slice) -> tuple[slice, ...]:
-        """Samples of the channel, as a region of the variable."""
+        """Region of the variable that holds pulses and columns of the channel."""
         lead = (slice(self.channel, self.channel + 1),) if self.channels else ()
         return (*lead, self._in_store(pulses), columns)
 
     def same(self, other: PhaseHistory) -> bool:
-        """Whether everything that was read at opening is the same."""
+        """Tell whether two phase histories agree in everything that is read when they are opened."""
         mine, yours = self.collection.as_dict(), other.collection.as_dict()
         return (
             (self.raw is None) == (other.raw is None)
@@ -182,7 +182,7 @@ class PhaseHistory:
         )
 
     def pinned(self) -> PhaseHistory:
-        """Copy with the versions that its chunks have now: it reads no other ones.
+        """Copy bound to the current versions of its chunks: it refuses to read changed ones.
 
         Raises
         ------
@@ -202,14 +202,14 @@ class PhaseHistory:
         return replace(self, collection=collection, cut=(first, self.collection.n_pulse), attrs=attrs)
 
     def _in_store(self, pulses: slice) -> slice:
-        """Pulses as the store counts them."""
+        """Convert pulses of the segment to pulses of the store."""
         if self.cut is None:
             return pulses
         start, stop, _ = pulses.indices(self.collection.n_pulse)
         return slice(self.cut[0] + start, self.cut[0] + stop)
 
     def within(self, pulses: slice = slice(None), columns: slice = slice(None)) -> PhaseHistory:
-        """Copy with the versions of those chunks only that hold these samples: its pickle is small."""
+        """Copy that knows only the versions of chunks with these samples: its pickle is small."""
         if self.versions is None:
             return self
         array = open_variable(self.path, self.variable)
@@ -286,7 +286,7 @@ class PhaseHistory:
                 yield f"{variable}/{name}", known if chunk else "", self.path / variable / name
 
     def _mine(self) -> set[str]:
-        """The chunks that hold the channel."""
+        """Names of the chunks that hold the channel."""
         array = open_variable(self.path, self.variable)
         return set(chunk_names(array, self._region(slice(None), slice(None))))
 
@@ -318,7 +318,7 @@ def open_phase_history(path: Location) -> PhaseHistory:
 
 
 def not_one_of_two(names: Sequence[str], variables: Iterable[str]) -> InputError:
-    """The error of a store with both or neither of signal and echo."""
+    """Make the error about a store with both or neither of signal and echo."""
     return InputError(
         f"it holds {'both' if names else 'neither'} signal {'and' if names else 'nor'} echo (it holds "
         f"{', '.join(variables) or 'nothing'}); a phase history has one of the two"
@@ -326,13 +326,13 @@ def not_one_of_two(names: Sequence[str], variables: Iterable[str]) -> InputError
 
 
 def other_attrs(attrs: Mapping[str, Any], raw: RawEcho | None) -> dict[str, Any]:
-    """The attributes of a store that neither its collection nor its raw echo has."""
+    """Attributes of a store that belong neither to its collection nor to its raw echo."""
     own = (*COLLECTION_ATTRS, *(RAW_ATTRS if raw is not None else (RECORDED,)))
     return {name: value for name, value in attrs.items() if name not in own}
 
 
 def _counted_from(attrs: dict[str, Any], later: float) -> dict[str, Any]:
-    """The attributes of pulses whose slow time 0 lies so much later, s: `time_zero` of `source` moves with it."""
+    """Shift `time_zero` of the attribute `source` for pulses whose slow time starts `later`, s."""
     match attrs.get("source"):
         case {"time_zero": int() | float() as zero, **others}:
             return {**attrs, "source": {**others, "time_zero": zero + later}}
@@ -566,7 +566,7 @@ def create_collections(
 
 
 def collections_in(path: Location) -> list[Place]:
-    """The phase histories of a store of several; none of any other, or where nothing lies.
+    """List the phase histories in a store of several; empty for any other, or if nothing exists there.
 
     Raises
     ------

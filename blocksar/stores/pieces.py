@@ -1,7 +1,7 @@
-"""Samples of phase histories, written piece by piece; an interrupted write is resumed.
+"""Piecewise writing of phase histories' samples, resumable after an interruption.
 
-Until a store is finished it has a ledger: what it is made from (its *identity*), and which pieces are written, in their
-order, with checksums. Whoever writes a store of the same identity passes over those pieces that are intact.
+An unfinished store has a ledger: its *identity*, a hash of everything it is made from, and the pieces already written,
+in order, with checksums. A later write of a store with the same identity skips the pieces that are intact.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Samples(NamedTuple):
 
     @property
     def total(self) -> int:
-        """Pulses of all channels."""
+        """Number of pulses of all channels."""
         return self.n_pulse * max(self.n_channel, 1)
 
     def within(self, store: Place) -> Place:
@@ -78,7 +78,7 @@ class Samples(NamedTuple):
 
 
 class _Written(NamedTuple):
-    """A piece in the store: of which samples, its channel and pulses, and the checksums of its chunks of pulses."""
+    """Entry of the ledger: samples, channel and pulses of a written piece, and checksums of its chunks."""
 
     of: int
     channel: int
@@ -88,25 +88,25 @@ class _Written(NamedTuple):
 
     @property
     def chunks(self) -> Iterator[tuple[tuple[int, int, int], str]]:
-        """The chunks of pulses, each with its checksum."""
+        """Iterate over the chunks of a piece, with checksums."""
         for first, value in zip(range(self.first, self.stop, TILE[0]), self.sums, strict=True):
             yield (self.of, self.channel, first), value
 
 
 class Ledger:
-    """List of what is written of an unfinished store."""
+    """List of the pieces already written to an unfinished store."""
 
     def __init__(self, store: Place, identity: str, samples: Sequence[Samples], written: list[_Written]) -> None:
         self.store, self.identity, self.samples, self.written = store, identity, samples, written
 
     @classmethod
     def begin(cls, store: Place, identity: str, samples: Sequence[Samples]) -> Self:
-        """Begin the ledger of a store, or go on with it as far as what it says is true."""
-        told, written = ledger_of(store), []
-        if told is not None and told.get("identity") == identity:
+        """Begin the ledger of a store, or resume it as far as the store agrees with it."""
+        stored, written = ledger_of(store), []
+        if stored is not None and stored.get("identity") == identity:
             try:
-                written = [_Written(*entry) for entry in told["written"]]
-                for each, notes in zip(samples, told["notes"], strict=True):
+                written = [_Written(*entry) for entry in stored["written"]]
+                for each, notes in zip(samples, stored["notes"], strict=True):
                     for name, values in each.notes.items():
                         data = zlib.decompress(base64.b64decode(notes[name]))
                         values[...] = np.frombuffer(data, values.dtype).reshape(values.shape)
@@ -118,7 +118,7 @@ class Ledger:
         return ledger
 
     def _intact(self) -> int:
-        """How many pieces, from the first on, are in the store with the checksums that they were last given."""
+        """Count the leading pieces whose samples in the store still have the checksums last recorded."""
         last = {chunk: value for entry in self.written for chunk, value in entry.chunks}
         for number, entry in enumerate(self.written):
             each = self.samples[entry.of]
@@ -133,7 +133,7 @@ class Ledger:
         return len(self.written)
 
     def has(self, number: int, of: int, piece: Piece) -> bool:
-        """Whether a piece is written; if another has its number, that and all after it are not."""
+        """Tell whether a piece is written; an entry of that number for another piece is dropped with all after it."""
         if number >= len(self.written):
             return False
         same = self.written[number][:4] == (of, piece.channel, piece.pulses.start, piece.pulses.stop)
@@ -142,7 +142,7 @@ class Ledger:
         return same
 
     def add(self, of: int, piece: Piece, values: ComplexArray) -> None:
-        """Note a piece that has been written."""
+        """Record a written piece."""
         entry = _Written(of, piece.channel, piece.pulses.start, piece.pulses.stop, _sums(values))
         self.written.append(entry)
         self._save()
@@ -160,16 +160,16 @@ class Ledger:
 def ledger_of(store: Place) -> dict[str, Any] | None:
     """Read the ledger of an unfinished store; None if there is none."""
     try:
-        told = read_json(store / LEDGER)
+        ledger = read_json(store / LEDGER)
     except InputError:
         return None
-    return told if isinstance(told, dict) else None
+    return ledger if isinstance(ledger, dict) else None
 
 
 def is_begun(store: Place, identity: str) -> bool:
-    """Whether a store is the beginning of one of this identity."""
-    told = ledger_of(store)
-    return told is not None and told.get("identity") == identity
+    """Tell whether a store is an unfinished one of this identity."""
+    ledger = ledger_of(store)
+    return ledger is not None and ledger.get("identity") == identity
 
 
 def _sums(values: ComplexArray) -> list[str]:
@@ -257,7 +257,7 @@ def blocks_of(n_pulse: int, n_column: int) -> list[slice]:
 
 
 def _by_chunks(pieces: Iterable[Piece], n_pulse: int) -> Iterator[Piece]:
-    """Cut pieces so that they end where chunks of the store do; none is read before it is asked for."""
+    """Cut pieces at the borders of the store's chunks, reading each only when it is requested."""
     parts: list[Piece] = []  # those that are not given yet
     for piece in pieces:
         parts.append(piece._replace(samples=cache(partial(_read, piece))))
@@ -270,7 +270,7 @@ def _by_chunks(pieces: Iterable[Piece], n_pulse: int) -> Iterator[Piece]:
 
 
 def _joined(parts: Sequence[Piece], stop: int) -> ComplexArray:
-    """The samples of parts that follow each other, to before a pulse."""
+    """Concatenate the samples of consecutive parts up to pulse `stop`."""
     read = [_read(part)[: stop - part.pulses.start] for part in parts]
     return read[0] if len(read) == 1 else np.concatenate(read)
 

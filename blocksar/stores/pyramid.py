@@ -1,4 +1,4 @@
-"""The pyramid of an image: its levels, and their metadata by the conventions of GeoZarr for browsers of zarr.
+"""The pyramid of an image: its levels, and metadata by the GeoZarr conventions for zarr browsers.
 
 Level k has cells of 2^k pixels a side, with the mean power of those of level k - 1 that are covered. They lie in
 image.zarr/pyramid/k, as `power` (y, x) over x and y. The attributes follow these conventions, each in version 0.1:
@@ -101,7 +101,7 @@ def pyramid_of(
     for level, (n_y, n_x) in enumerate(shapes, 1):
         attrs = {**_declared(names[1:]), **shared, **places[level], "spatial:registration": "pixel"}
         axes = {name: _middles(axis, level, n) for name, axis, n in (("x", x, n_x), ("y", y, n_y))}
-        # A chunk of the first level is that of a single chunk of the image.
+        # One chunk of the first level covers one chunk of the image.
         sides = [min(n, IMAGE_CHUNK) for n in ((y.size, x.size) if level == 1 else (n_y, n_x))]
         chunks = dict(zip("yx", [-(-n // 2) for n in sides] if level == 1 else sides, strict=True))
         groups[f"{PYRAMID}/{level}"] = Group(schema, axes | named, attrs, lead | chunks, variables)
@@ -109,7 +109,7 @@ def pyramid_of(
 
 
 def _schema(projection: Mapping[str, Any] | None) -> dict[str, Variable]:
-    """The variables of a level, which names its grid mapping if it has one."""
+    """Variables of a level, with its grid mapping if there is one."""
     if not projection:
         return LEVEL
     power = replace(LEVEL["power"], attrs={"grid_mapping": GRID_MAPPING})
@@ -117,7 +117,7 @@ def _schema(projection: Mapping[str, Any] | None) -> dict[str, Variable]:
 
 
 def _declared(names: Sequence[str]) -> dict[str, Any]:
-    """The attribute that says which conventions a group keeps."""
+    """Attribute that declares the conventions of a group."""
     return {
         "zarr_conventions": [
             {
@@ -137,7 +137,7 @@ def _multiscales(layout: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _derived(level: int, first: str, name: Any) -> dict[str, Any]:
-    """From which level one comes; nothing of the first."""
+    """Attributes on the level that a level is computed from; empty for the first."""
     if level == 0:
         return {}
     source = first if level == 1 else name(level - 1)
@@ -145,7 +145,7 @@ def _derived(level: int, first: str, name: Any) -> dict[str, Any]:
 
 
 def _place(x: FloatArray, y: FloatArray, level: int, shape: tuple[int, int]) -> dict[str, Any]:
-    """Where a level lies: the affine transform from the corners of cells to m, and its shape."""
+    """Attributes on a level's place: its shape, and the affine transform from cell corners to m."""
     dx, dy = _step(x), _step(y)
     side = 2.0**level
     transform = [dx * side, 0.0, float(x[0]) - dx / 2, 0.0, dy * side, float(y[0]) - dy / 2]
@@ -153,7 +153,7 @@ def _place(x: FloatArray, y: FloatArray, level: int, shape: tuple[int, int]) -> 
 
 
 def _middles(axis: FloatArray, level: int, n: int) -> FloatArray:
-    """Middles of n cells of 2^level pixels, m; the last may reach beyond the image."""
+    """Centres of n cells of 2^level pixels, m; the last may reach beyond the image."""
     step = _step(axis)
     return np.asarray(axis[0] + step * ((2**level - 1) / 2 + 2**level * np.arange(n)))
 

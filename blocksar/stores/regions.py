@@ -1,4 +1,4 @@
-"""The arrays of a store: opening them, and reading and writing regions of them.
+"""Arrays of a store: opening, and reading and writing of regions.
 
 Arrays may come from other programs: codecs, metadata and chunk names are checked.
 
@@ -52,7 +52,7 @@ CHUNK_NAME = re.compile(r"c|(c\.)?\d+(\.\d+)*")  # name of a chunk's file, or of
 
 
 def open_variable(path: Place, name: str, mode: Any = "r") -> ChunkFiles | zarr.Array[Any]:
-    """Open a variable: as plain files if it has the layout of `create`, else through zarr.
+    """Open a variable: as plain files if it has the layout of `create`, otherwise through zarr.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def open_variable(path: Place, name: str, mode: Any = "r") -> ChunkFiles | zarr.
 
 
 def open_array(path: Place, name: str, mode: Any = "r") -> zarr.Array[Any]:
-    """Open a variable through zarr by its own path, which takes a tenth of the time of opening the group first.
+    """Open a variable through zarr by its own path, ten times as fast as via its group.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def open_array(path: Place, name: str, mode: Any = "r") -> zarr.Array[Any]:
 
 
 def refuse_codecs(array: zarr.Array[Any], label: str) -> None:
-    """Raise an InputError if an array uses a codec not in CODECS: an installed one could run code from the store."""
+    """Refuse an array with a codec not in CODECS: an installed codec could run code from the store."""
     metadata: Any = array.metadata.to_dict()
     stated = metadata.get("codecs") or [*(metadata.get("filters") or ()), metadata.get("compressor")]
     for name in _codec_names(stated):
@@ -171,7 +171,7 @@ def dimension_names(array: ChunkFiles | zarr.Array[Any]) -> tuple[str | None, ..
 
 
 def file_shape(array: ChunkFiles | zarr.Array[Any]) -> tuple[int, ...]:
-    """Return the shape of what one file of an array holds: a chunk, or a shard."""
+    """Return the shape of the contents of one file of an array: a chunk, or a shard."""
     return array.chunks if isinstance(array, ChunkFiles) else array.shards or array.chunks
 
 
@@ -242,7 +242,7 @@ def write_region(path: Location, name: str, region: Sequence[slice], values: Arr
 
 
 def _at_own_level(array: zarr.Array[Any]) -> zarr.Array[Any]:
-    """The array, whose chunks are then written at ZSTD_LEVEL, as those in files, if its metadata are our own."""
+    """Return the array with compression level ZSTD_LEVEL for writing, if its metadata are ours."""
     import zarr
     from zarr.codecs import ZstdCodec
 

@@ -1,4 +1,4 @@
-"""The terrain of a run: written once, read by windows."""
+"""Storage of a run's terrain: written once, read by windows."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ REFINED = "refined"  # attribute; left out by earlier versions
 
 
 def terrain_fingerprint(terrain: Terrain) -> str:
-    """A checksum of the heights and of where they lie."""
+    """Checksum of a terrain's heights and position."""
     numbers = repr([getattr(terrain, name) for name in NUMBERS])
     return checksum_bytes(f"{numbers} {checksum(np.ascontiguousarray(terrain.heights))}".encode())
 
@@ -43,7 +43,7 @@ def write_terrain(place: Place, terrain: Terrain) -> None:
 
 
 class StoredTerrain:
-    """A stored terrain, read by windows; the chunks of the last window are kept for those beside it.
+    """A stored terrain read by windows; chunks of the last window are cached for its neighbours.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class StoredTerrain:
         self._kept: tuple[slice, slice, FloatArray] | None = None
 
     def read(self, x: tuple[float, float] | None = None, y: tuple[float, float] | None = None) -> Terrain:
-        """The part that a box needs, x and y from .. to, m; all of it without a box."""
+        """Read the part for heights in a box, x and y from .. to, m; all of it without a box."""
         shape = self._known.heights.shape
         columns, rows = (slice(0, shape[1]), slice(0, shape[0])) if x is None or y is None else self._known.span(x, y)
         return replace(self._known, heights=self._heights(rows, columns), row=self._known.row + rows.start,
@@ -102,7 +102,7 @@ def _within(part: slice, whole: slice) -> bool:
 
 
 def read_terrain(place: Place, x: tuple[float, float] | None = None, y: tuple[float, float] | None = None) -> Terrain:
-    """The part of a stored terrain that a box needs, x and y from .. to, m; all of it without a box.
+    """Read the part of a stored terrain for heights in a box, x and y from .. to, m; all of it without a box.
 
     Raises
     ------

@@ -304,7 +304,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
         {"beam_offset": np.array([-0.1, 0.1]), "beam_pattern": np.array([1, -1.0])}, "an amplitude: at least 0"
     ),
     "pattern is NaN": (
-        {"beam_offset": np.array([-0.1, 0.1]), "beam_pattern": np.array([1, np.nan])}, "1 values that are not finite"
+        {"beam_offset": np.array([-0.1, 0.1]), "beam_pattern": np.array([1, np.nan])}, "not finite at 1 of 2 values"
     ),
     "pattern of another length": (
         {"beam_offset": np.array([-0.1, 0.1]), "beam_pattern": np.ones(3)}, r"shape \(3,\) and beam_offset has \(2,\)"

@@ -61,7 +61,7 @@ def test_ideal_figures_are_those_of_the_response(text: str) -> None:
     ("text", "reason"),
     [
         ("", "weighting '' is unknown"),
-        ("taylor", "weighting 'taylor' has 0 parameters, but taylor takes 2"),
+        ("taylor", "weighting 'taylor' has no parameters, but taylor takes 2"),
         ("taylor:4:x", "has a parameter that is no number"),
         ("taylor:4.5:-35", "NBAR = 4.5; give a whole number from 2 to 12"),
         ("taylor:4:35", "SLL = 35 dB; give a level from -80 to -15 dB"),

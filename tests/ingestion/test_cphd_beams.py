@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -395,7 +396,10 @@ WRONG: dict[str, tuple[Edit, str]] = {
     "quotation mark": (put("Antenna/AntPhaseCenter/ACFId", "a'b"), "without a quotation mark"),
     "frequency": (put("Antenna/AntPattern/FreqZero", "-1"), "FreqZero is -1"),
     "no number": (put("Antenna/AntPattern/FreqZero", "x"), "no number"),
-    "not finite": (vectors_of("TxACX", lambda v: v * np.nan), "PVP TxACX is not finite or 0 in 601 vectors (first"),
+    "not finite": (
+        vectors_of("TxACX", lambda v: v * np.nan),
+        "PVP TxACX is not finite or 0 in 601 of 601 vectors (first",
+    ),
     "length": (vectors_of("RcvACY", lambda v: 2 * v), "RcvACY has a length of 2"),
     "angle": (vectors_of("TxACY", lambda v: v[::-1] * 0 + 1 / np.sqrt(3)), "not at a right angle"),
     "boresight": (vectors_of("TxEB", lambda v: v + 1), "TxEB has direction cosines of length"),
@@ -430,7 +434,7 @@ def test_antennas_of_some_vectors_are_given_by_others(value: float, tops: Made, 
     collection, said = ingested(edited(tops, tmp_path / "lost.cphd", lose))
     assert not any("not finite" in line for line in before)
     for name in names:
-        assert any(f"PVP {name} of 6 vectors (first: vector 0) that is not finite or 0" in line for line in said)
+        assert any(re.search(rf"PVP {name} of 6 of \d+ vectors \(first: vector 0\) that is", line) for line in said)
     assert np.abs(collection.beam_axis - whole.beam_axis).max() < 1e-5  # of a width of 0.017 rad
     assert np.abs(collection.beam_steering - whole.beam_steering).max() < 1e-5
     assert collection.beam_width == pytest.approx(whole.beam_width, rel=1e-3) and differing(tops, collection) <= 2

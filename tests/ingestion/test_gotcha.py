@@ -149,7 +149,7 @@ def test_duplicate_pulses_are_kept_once(tmp_path: Path) -> None:
     position = circle(AZIMUTH)
     paths = written(tmp_path, position[:50], position[40:])
     made = ingest([*paths, paths[0]], tmp_path / "ph.zarr")
-    assert "60 of 150 pulses repeat another, and are left out" in made.messages
+    assert "60 of 150 pulses that repeat another: left out" in made.messages
     assert np.array_equal(samples(tmp_path / "ph.zarr"), simulate_pulses(collection_at(position), *SCENE))
 
 

@@ -142,7 +142,7 @@ def test_what_was_written_stays_and_the_rest_is_written(
     total = shown.lines[-1][1]
     assert (shown.reused > 0) == (after > 0) and (not after or shown.lines[0] == (shown.reused, total))
     assert shown.lines[-1] == (total, total) and sorted(shown.lines) == shown.lines
-    told = f"{shown.reused} of {total} pulses were there from one that ended early"
+    told = f"{shown.reused} of {total} pulses kept from a call that ended early"
     assert report.summary[:-1] == [*whole[name][1], *([told] if after else [])]
 
 

@@ -183,8 +183,8 @@ def test_lost_lines_other_windows_and_another_prf(tmp_path: Path) -> None:
     text = " ".join(said)
     assert (
         "the PRF changes: lines 0 .. 49, 50 of 64" in text
-        and "3 of 53 lines are lost" in text
-        and "1 of 50 lines are" in text
+        and "3 of 53 lines lost" in text
+        and "1 of 50 lines marked as empty" in text
     )
     assert "receive windows change; the 630 samples that all pulses have" in text
     echo = history.read(slice(None), slice(None))
@@ -203,7 +203,7 @@ def test_pulses_that_calibrate_and_uneven_times(tmp_path: Path) -> None:
     quiet.echo[5] = 0
     history, said = ingested(write_nisar(tmp_path / "a.h5", quiet, calType=marks), tmp_path / "a")
     assert np.flatnonzero(np.isnan(history.read(slice(None), slice(None))).all(axis=1)).tolist() == [5]
-    assert "1 of 64 pulses are calibration pulses without echo" in " ".join(said)
+    assert "1 of 64 pulses for calibration only: missing in the store" in " ".join(said)
     jumped = SHORT.sent + 5000 / SHORT.prf * (np.arange(n) >= 40)
     history, said = ingested(write_nisar(tmp_path / "b.h5", SHORT, UTCtime=jumped), tmp_path / "b")
     assert "pulses 0 .. 39, 40 of 64, are taken" in " ".join(said) and history.collection.n_pulse == 40
@@ -349,7 +349,7 @@ def test_options_that_do_not_fit_are_refused(tmp_path: Path) -> None:
         ({"polarization": "X"}, "polarization is 'X'; give those of transmitter and receiver"),
         ({"frequency": "B"}, "frequency is B, but the file has A; give one of these"),
         ({"time_tags": "now"}, "time_tags is 'now'; it must be transmit or receive or middle"),
-        ({"pulses": "60:"}, "4 pulses with finite times are left"),
+        ({"pulses": "60:"}, "4 pulses with finite times left"),
     ):
         with pytest.raises(blocksar.InputError, match=sentence):
             blocksar.ingest(None, source, tmp_path / "out", progress=False, **options)

@@ -22,9 +22,9 @@ def test_targets_near_the_edge_and_outside_are_named(tmp_path: Path) -> None:
     assert complex(*values["edge"]) == pytest.approx(complex(made.image[50, 4]), abs=1e-6)
     assert values["between"] == values["away"] == [None, None]
     assert np.abs(complex(*values["A"])) == pytest.approx(1, abs=0.1)
-    assert "1 lie outside the image (away): not measured" in report.summary
+    assert "1 target outside the image (away): not measured" in report.summary
     (line,) = (line for line in report.summary if "edge of what the image covers" in line)
-    assert line.startswith("2 lie close to the edge of what the image covers (edge, between): not judged")
+    assert line.startswith("2 targets close to the edge of what the image covers (edge, between): not judged")
 
 
 def test_a_target_beside_a_brighter_one_is_not_measured(tmp_path: Path) -> None:

@@ -386,7 +386,7 @@ def test_only_the_worst_of_many_targets_are_listed(run: Path, quick: None) -> No
     rows = text[text.index('<table id="targets"') :].partition("</table>")[0].count("<tr>") - 1
     assert rows == facts.MOST_ROWS
     assert f">N{facts.MOST_ROWS + 19}</a>" in text and ">N10</a>" not in text
-    assert f"The {facts.MOST_ROWS} worst; 20 more are in quality.json." in text
+    assert f"The {facts.MOST_ROWS} worst; 20 more in quality.json." in text
     assert path.stat().st_size < 5e6
 
 

@@ -339,7 +339,7 @@ def test_targets_that_no_pulse_lights_are_noted(cphd: bool, tmp_path: Path) -> N
     scene.write_text(PLAIN.replace("pulses = 101", "pulses = 1001") + points)
     blocksar.simulate(scene, tmp_path / "ph", cphd=cphd, progress=Notes())
     assert told == [
-        "no pulse lights 2 of 5 targets (P64.1, P35.9), which leave no echo; correct their places, or the beam"
+        "no pulse lights 2 of 5 targets (P64.1, P35.9), and no echo is simulated there; correct the places, or the beam"
     ]
     assert not any(Scene.read(name).unlit_targets() for name in shipped_scenes())
     unsteered = Scene.parse(scene.read_text().partition("[beam]")[0] + "[scene]\nswath = [9500.0, 10500.0]\n"

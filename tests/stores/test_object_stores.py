@@ -605,7 +605,7 @@ def test_a_run_that_was_killed_and_resumed_equals_the_run_in_a_folder(there: Pla
     assert run.names() == (local / "run").names()
     assert np.array_equal(blocksar.open(run)["block"].values, blocksar.open(local / "run")["block"].values)
     with command("quality", f"{run}") as measured:
-        assert "1 of 1 full-dwell targets measured" in measured.communicate()[0]
+        assert "1 of 1 full-dwell target measured" in measured.communicate()[0]
     blocksar.quality(local / "run")
     assert (run / "quality.json").read_bytes() == (local / "run" / "quality.json").read_bytes()
 

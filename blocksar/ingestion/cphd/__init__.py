@@ -24,8 +24,8 @@ those delays is computed, kept below `ACCURACY`, and reported; a few samples at 
 be exceeded, are left out, and where TOA1 .. TOA2 fills all of 1 / SCSS, the delays at its ends. Samples beyond FX1 and
 FX2, which a vector may have but which carry no meaning, are not used.
 
-Tropospheric and ionospheric delays up to the SRP are part of the file's reference and removed with it (`samples`
-has what is done otherwise); their variation over the scene remains. With SGN = +1 the reflectivity is conjugated as
+Tropospheric and ionospheric delays up to the SRP are part of the file's reference and removed with it (`frequency_grid`
+has the exceptions); their variation over the scene remains. With SGN = +1 the reflectivity is conjugated as
 well, as if time ran backwards.
 
 If the saved delays are not centred at the SRP, reference_range moves to their middle, because the range window of the

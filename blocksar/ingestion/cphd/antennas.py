@@ -1,4 +1,4 @@
-"""The antenna of a channel: its frame, where its beam points, and its gain.
+"""The antenna of a channel: its frame, the pointing of its beam, and its gain.
 
 The antenna coordinate frame (ACF) has the axes ACX and ACY in the aperture, and ACX x ACY along its mechanical
 boresight. A direction u has the direction cosines DCX = u . ACX and DCY = u . ACY, and the electrical boresight (EB) is
@@ -28,6 +28,7 @@ from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
 from blocksar.ingestion.cphd.files import CphdFile, child_of, numbers_of, polynomial_of, text_of
 from blocksar.ingestion.cphd.vectors import MOST_LOST, Pulses, filled_with_zeros
+from blocksar.texts import count
 
 UNIT = 1e-3  # by which ACX and ACY may be off unit length and a right angle
 ALONG = 0.5  # least cosine of the azimuth axis with the velocity
@@ -48,7 +49,7 @@ class _Side(NamedTuple):
     dilation: FloatArray  # (2,) of the array pattern at the carrier
 
     def gain(self, pulse: int, directions: FloatArray) -> FloatArray:
-        """One-way gain at a pulse towards unit vectors (..., 3), dB; of the element, over that at the boresight."""
+        """One-way gain, dB, at a pulse towards unit vectors (..., 3); that of the element relative to boresight."""
         axes = np.stack([self.x[pulse], self.y[pulse]])
         own = (directions[..., None, :] * axes).sum(axis=-1)
         at = self.boresight[pulse]
@@ -89,7 +90,7 @@ class ChannelAntenna:
 
     @property
     def pulse(self) -> int:
-        """The pulse whose steering is amid all."""
+        """Pulse in the middle of the steering."""
         return int(np.abs(self.steering - (self.steering.min() + self.steering.max()) / 2).argmin())
 
     def directions(self, along: FloatArray, across: FloatArray, p: int) -> FloatArray:
@@ -101,13 +102,13 @@ class ChannelAntenna:
         )
 
     def azimuth_gain(self, offset: FloatArray, pulse: int | None = None) -> FloatArray:
-        """Gain of both ways over angles off the beam's centre (...), rad, in dB."""
+        """Two-way gain, dB, over angles off the beam's centre (...), rad."""
         p = self.pulse if pulse is None else pulse
         directions = self.directions(self.steering[p] + offset, np.full(offset.shape, self.tilt[p]), p)
         return np.asarray(sum(side.gain(p, directions) for side in self.sides))
 
     def elevation_gain(self, away: FloatArray, pulse: int | None = None) -> tuple[FloatArray, FloatArray]:
-        """Angle below the horizontal, rad, and gain of both ways over that at the boresight, dB.
+        """Angle below the horizontal, rad, and two-way gain relative to boresight, dB.
 
         `away` (n,) are direction cosines along `across` off the boresight's.
         """
@@ -117,7 +118,7 @@ class ChannelAntenna:
         return np.arcsin(np.clip(-directions[..., 2], -1, 1)), np.asarray(gain)
 
     def half_power(self) -> tuple[float, float] | None:
-        """Angles off the boresight at which the beam falls to half of its power one way, rad; None if it does not."""
+        """Angles off boresight, rad, where the one-way power falls to half; None if it does not."""
         edges = []
         at_centre = float(self.azimuth_gain(np.zeros(1))[0])
         for sign in (-1.0, 1.0):
@@ -138,7 +139,7 @@ class ChannelAntenna:
 def read_antenna(
     file: CphdFile, pulses: Pulses, frame: Georeference, position: FloatArray, carrier: float
 ) -> ChannelAntenna | None:
-    """The antenna that the channel names; None if it names none.
+    """Read the antenna that the channel names; None if it names none.
 
     Parameters
     ----------
@@ -195,7 +196,7 @@ def read_antenna(
 
 
 class _Source(NamedTuple):
-    """Where antennas are read from."""
+    """Input for reading a channel's antennas from a file: its element, used vectors, pulses, frame and carrier."""
 
     file: CphdFile
     channel: Any  # the channel's element Antenna
@@ -206,7 +207,7 @@ class _Source(NamedTuple):
 
 
 def _side(source: _Source, name: str, left: list[str]) -> _Side:
-    """Transmitter or receiver; adds to `left` what is not used."""
+    """Read the transmitting or receiving antenna; names of unused elements are added to `left`."""
     antenna = child_of(source.file.root, "{*}Antenna", "Antenna")
     centre = _named(antenna, "AntPhaseCenter", text_of(source.channel, f"{name}APCId"))
     coordinates = _named(antenna, "AntCoordFrame", text_of(centre, "ACFId"))
@@ -243,7 +244,7 @@ def _side(source: _Source, name: str, left: list[str]) -> _Side:
 def _in_time(
     source: _Source, parameter: str, node: Any, flag: str, paths: Sequence[str], left: list[str]
 ) -> FloatArray:
-    """An axis or a boresight at the pulses, (n_pulse, 3 or 2): per-vector parameters, or else polynomials of time."""
+    """Read an axis or boresight at the pulses, (n_pulse, 3 or 2): from per-vector parameters, or from polynomials."""
     file, used, pulses = source.file, source.used, source.pulses
     if _by_vector(file, node, flag, parameter):
         return _vectors(source, parameter, left)
@@ -261,13 +262,13 @@ def _named(antenna: Any, kind: str, name: str) -> Any:
 
 
 def _by_vector(file: CphdFile, node: Any, flag: str, parameter: str) -> bool:
-    """Whether a per-vector parameter is there and not declared unused."""
+    """Tell whether a per-vector parameter is present and not declared unused."""
     stated = (node.findtext(f"{{*}}{flag}") or "true").strip()
     return stated in ("true", "1") and parameter in (file.vectors.dtype.names or ())
 
 
 def _vectors(source: _Source, name: str, left: list[str]) -> FloatArray:
-    """A per-vector parameter of the antenna at the pulses, (n_pulse, 2 or 3).
+    """Read a per-vector parameter of the antenna at the pulses, (n_pulse, 2 or 3).
 
     Between vectors it is linear; beyond the first and the last that are used, it goes on with the slope there. Vectors
     in which it is not finite, or filled with zeros, are not used.
@@ -275,10 +276,11 @@ def _vectors(source: _Source, name: str, left: list[str]) -> FloatArray:
     file, used, pulses = source.file, source.used, source.pulses
     values = np.asarray(file.vectors[name][used], np.float64)
     if values.shape != (used.size, 2 if name.endswith("EB") else 3):
-        raise InputError(f"PVP {name} has {values[0].size} values in a vector; correct its format in the XML")
+        raise InputError(f"PVP {name} has {count(values[0].size, 'value')} in a vector; correct its format in the XML")
     wrong = ~np.isfinite(values).all(axis=1) | filled_with_zeros(np.linalg.norm(values, axis=1))
     if wrong.any():
-        where = f"{np.count_nonzero(wrong)} vectors (first: vector {file.first_vector + used[int(np.argmax(wrong))]})"
+        first = file.first_vector + used[int(np.argmax(wrong))]
+        where = f"{np.count_nonzero(wrong)} of {wrong.size} vectors (first: vector {first})"
         if np.count_nonzero(wrong) > MOST_LOST * wrong.size:
             raise InputError(f"PVP {name} is not finite or 0 in {where}")
         left.append(f"PVP {name} of {where} that is not finite or 0")
@@ -293,7 +295,7 @@ def _vectors(source: _Source, name: str, left: list[str]) -> FloatArray:
 
 
 def _check_side(name: str, x: FloatArray, y: FloatArray, boresight: FloatArray) -> None:
-    """Refuse axes that are no unit vectors at a right angle, and a boresight that is no direction."""
+    """Refuse axes that are not perpendicular unit vectors, and a boresight that is not a direction."""
     for which, axis in (("ACX", x), ("ACY", y)):
         length = np.linalg.norm(axis, axis=1)
         worst = int(np.abs(length - 1).argmax())
@@ -308,7 +310,7 @@ def _check_side(name: str, x: FloatArray, y: FloatArray, boresight: FloatArray) 
 
 
 def _share(pattern: Any, name: str) -> FloatArray:
-    """How far a pattern follows the frequency along ACX and ACY, (2,): 0 not at all, 1 as its aperture does."""
+    """Dependence of a pattern on frequency along ACX and ACY, (2,): 0 none, 1 like that of its aperture."""
     if (pattern.findtext(f"{{*}}{name}") or "false").strip() not in ("true", "1"):
         return np.zeros(2)
     if pattern.find(f"{{*}}{name}SF") is None:
@@ -328,6 +330,6 @@ def _perpendicular(vectors: FloatArray, axis: FloatArray) -> FloatArray:
 
 
 def sampled(names: Sequence[str], angle: FloatArray, gain: FloatArray) -> dict[str, FloatArray]:
-    """A pattern by the names of `Collection`: angles, ascending, rad, and gain of both ways, dB, as an amplitude."""
+    """Convert a pattern to the names of `Collection`: ascending angles, rad, and two-way gain, dB, as amplitude."""
     order = slice(None) if angle[-1] > angle[0] else slice(None, None, -1)
     return dict(zip(names, (angle[order], 10 ** (gain[order] / 20)), strict=True))

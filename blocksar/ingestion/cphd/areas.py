@@ -1,4 +1,4 @@
-"""The image area of a CPHD file: where the scene lies.
+"""The image area of a CPHD file, which locates the scene.
 
 ImageArea gives it in image-area coordinates, m along uIAX and uIAY from the scene's reference point (IARP), and
 ImageAreaCornerPoints in latitude and longitude. Some files have numbers of samples in ImageArea, its axes swapped, or
@@ -16,6 +16,7 @@ from blocksar.arrays import FloatArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.ingestion.cphd.files import CphdFile, child_of, library, numbers_of
+from blocksar.texts import count
 
 ACROSS = 33  # points along either side of the image area
 AS_IT_IS, SWAPPED = np.eye(2), np.eye(2)[::-1]  # turns of image-area coordinates
@@ -29,7 +30,7 @@ BEYOND = 0.25  # of the saved delays, by which a scene's ranges may exceed them
 
 
 class ImageArea(NamedTuple):
-    """The scene's rectangle, m in image-area coordinates, and what was wrong with it.
+    """The scene's rectangle, m in image-area coordinates, and the fault that was corrected in it.
 
     Attributes
     ----------
@@ -53,7 +54,7 @@ class ImageArea(NamedTuple):
 
 
 def read_area(file: CphdFile) -> ImageArea:
-    """The scene's rectangle.
+    """Read the scene's rectangle.
 
     Raises
     ------
@@ -66,8 +67,8 @@ def read_area(file: CphdFile) -> ImageArea:
     corners = _corner_points(file)
     if corners is None:
         return given
-    told = ImageArea(corners.min(axis=0), corners.max(axis=0))
-    size = float(np.linalg.norm(told.high - told.low))
+    by_corners = ImageArea(corners.min(axis=0), corners.max(axis=0))
+    size = float(np.linalg.norm(by_corners.high - by_corners.low))
     apart = _apart(given.corners, corners)
     if apart <= AGREE * size or not size > 0:
         return given
@@ -75,17 +76,17 @@ def read_area(file: CphdFile) -> ImageArea:
     why = f"corners lie up to {apart:.4g} m apart"
     if turn is not None:
         why = f"as if {describe_turn(turn)}"
-    given_fits, told_fits = _fits(file, given), _fits(file, told)
-    taken, which = (given, "ImageArea is") if given_fits and not told_fits else (told, "the corner points are")
+    given_fits, told_fits = _fits(file, given), _fits(file, by_corners)
+    taken, which = (given, "ImageArea is") if given_fits and not told_fits else (by_corners, "the corner points are")
     message = (
-        f"ImageArea of {_size(given)} disagrees with its corner points, {_size(told)} ({why}): {which} taken"
+        f"ImageArea of {_size(given)} disagrees with its corner points, {_size(by_corners)} ({why}): {which} taken"
         f"{', as the saved delays have it' if given_fits != told_fits else ''}"
     )
     return taken._replace(message=message, turn=AS_IT_IS if turn is None or taken is given else turn)
 
 
 def area_points(file: CphdFile, area: ImageArea) -> tuple[FloatArray, FloatArray]:
-    """x and y of points all over the channel's image area, or else the scene's, m.
+    """x and y of points spread over the channel's image area, or else the scene's, m.
 
     Of an area that is not as the file has it, the rectangle alone: outlines are in the same coordinates.
     """
@@ -103,7 +104,7 @@ def area_points(file: CphdFile, area: ImageArea) -> tuple[FloatArray, FloatArray
         return x, y
     corners = sorted(outline.findall("{*}Vertex"), key=lambda vertex: int(vertex.get("index")))
     if not 3 <= len(corners) <= 10_000:
-        raise InputError(f"the image area's polygon has {len(corners)} corners")
+        raise InputError(f"the image area's polygon has {count(len(corners), 'corner')}")
     polygon = np.array([[float(corner.findtext(f"{{*}}{axis}")) for axis in "XY"] for corner in corners])
     inside = np.zeros(x.size, bool)
     for (ax, ay), (bx, by) in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
@@ -113,19 +114,19 @@ def area_points(file: CphdFile, area: ImageArea) -> tuple[FloatArray, FloatArray
 
 
 def ecef_of(file: CphdFile, points: FloatArray) -> FloatArray:
-    """Points (n, 2), m in image-area coordinates: (n, 3) m, Earth-centred."""
+    """Convert points (n, 2), m in image-area coordinates, to Earth-centred ones, (n, 3) m."""
     return np.asarray(library().iac_to_ecf(file.tree, points))
 
 
 def area_delays(file: CphdFile, area: ImageArea, vector: int) -> tuple[float, float]:
-    """Least and largest delay of the area's corners after the SRP at a vector, s."""
+    """Least and largest delay of the area's corners relative to the SRP at a vector, s."""
     antenna, srp = ((file.parameter(f"{name}Pos")[vector]) for name in ("Tx", "SRP"))
     ranges = np.linalg.norm(ecef_of(file, area.corners) - antenna, axis=1) - np.linalg.norm(srp - antenna)
     return float(ranges.min()) * 2 / SPEED_OF_LIGHT, float(ranges.max()) * 2 / SPEED_OF_LIGHT
 
 
 def _fits(file: CphdFile, area: ImageArea) -> bool:
-    """Whether the area's ranges lie within the saved delays, at the middle of the vectors."""
+    """Tell whether the area's ranges lie within the saved delays at the middle vector."""
     early, late = file.parameter("TOA1"), file.parameter("TOA2")
     known = np.flatnonzero(np.isfinite(early + late + file.parameter("TxPos").sum(axis=1)) & (early < late))
     if not known.size:
@@ -137,7 +138,7 @@ def _fits(file: CphdFile, area: ImageArea) -> bool:
 
 
 def _corner_points(file: CphdFile) -> FloatArray | None:
-    """The corner points in image-area coordinates, (4, 2) m; None if the file has none that can be used."""
+    """Corner points in image-area coordinates, (4, 2) m; None if the file has no usable ones."""
     import sarkit.wgs84
 
     points = file.root.findall("{*}SceneCoordinates/{*}ImageAreaCornerPoints/{*}IACP")
@@ -154,13 +155,13 @@ def _corner_points(file: CphdFile) -> FloatArray | None:
 
 
 def describe_turn(turn: FloatArray) -> str:
-    """Describe the fault of turned coordinates."""
+    """Describe the fault of rotated or mirrored coordinates."""
     wrong = ["x and y were swapped"] if turn[0, 0] == 0 else []
     return " and ".join([*wrong, *(["an axis were reversed"] if turn.sum() < 2 else [])])
 
 
 def _apart(first: FloatArray, second: FloatArray) -> float:
-    """Largest distance of corners (4, 2) to the nearest of others, m, in whatever order."""
+    """Largest distance, m, of corners (4, 2) from the nearest of others, in any order."""
     distance = np.linalg.norm(first[:, None] - second, axis=2)
     return float(max(distance.min(axis=0).max(), distance.min(axis=1).max()))
 

@@ -26,7 +26,7 @@ from blocksar.ingestion.cphd.vectors import Pulses
 
 
 class DwellPoints(NamedTuple):
-    """Points (n, 3) all over the image area, scene frame, m, with their centre of dwell and dwell time (n,), s."""
+    """Points (n, 3) spread over the image area, scene frame, m, with centre of dwell and dwell time (n,), s."""
 
     ground: FloatArray
     centre: FloatArray
@@ -34,7 +34,7 @@ class DwellPoints(NamedTuple):
 
 
 def read_dwells(file: CphdFile, frame: Georeference, area: ImageArea, turn: FloatArray) -> DwellPoints:
-    """Evaluate the channel's polynomials, in image-area coordinates turned by (2, 2) `turn`.
+    """Evaluate the channel's dwell polynomials, in image-area coordinates rotated by `turn` (2, 2).
 
     Raises
     ------
@@ -83,7 +83,7 @@ class StatedBeam(NamedTuple):
 
 
 class _Law(NamedTuple):
-    """A beam fitted to dwells, and by which share of a dwell its edges miss theirs at most."""
+    """A beam fitted to dwells, and the largest error of its dwell ends relative to a dwell."""
 
     beam: StatedBeam
     miss: float
@@ -92,7 +92,7 @@ class _Law(NamedTuple):
 def fit_beam(
     file: CphdFile, pulses: Pulses, frame: Georeference, position: FloatArray, carrier: float, area: ImageArea
 ) -> StatedBeam:
-    """The beam of the store (see the module), and what was taken and left, one sentence each.
+    """Determine the beam of the store (see the module), with a sentence for everything used or left out.
 
     Where the image area is not as the file has it, the dwell polynomials may be in the coordinates of ImageArea, or in
     swapped ones: of these and of what the file says, the first that gives a beam is taken.
@@ -132,7 +132,7 @@ def _of_dwells(
     given: list[str],
     turn: FloatArray,
 ) -> StatedBeam:
-    """The beam of the dwell polynomials, in turned coordinates, and the antenna; `given` are notes so far."""
+    """Fit the beam to dwell polynomials in rotated coordinates, and to the antenna; `given` are notes so far."""
     notes = list(given)
     try:
         dwells = read_dwells(file, frame, area, turn)
@@ -165,7 +165,7 @@ def _unsteered(pulses: Pulses, message: str, notes: list[str]) -> StatedBeam:
 def _by_antenna(
     antenna: ChannelAntenna, pulses: Pulses, position: FloatArray, dwells: DwellPoints, notes: list[str]
 ) -> StatedBeam:
-    """The antenna's axis and steering, with the width that the dwells have about it.
+    """Combine the antenna's axis and steering with the width that dwells have about it.
 
     Raises
     ------
@@ -200,7 +200,7 @@ def _by_antenna(
 def _by_pattern(
     antenna: ChannelAntenna, pulses: Pulses, position: FloatArray, ground: FloatArray, notes: list[str]
 ) -> StatedBeam:
-    """The antenna's axis and steering, as wide as half of its power one way: for files without dwells."""
+    """Combine the antenna's axis and steering with its one-way half-power width: for files without dwells."""
     edges = antenna.half_power()
     if edges is None:
         return _unsteered(
@@ -234,16 +234,16 @@ def _with_patterns(
     ground: FloatArray,
     notes: list[str],
 ) -> StatedBeam:
-    """The beam with the patterns of the antenna's gain polynomials, where they are not constant."""
+    """Add the patterns of the antenna's gain polynomials to the beam, unless they are constant."""
     found: dict[str, FloatArray] = {"beam_axis": antenna.axis, "beam_steering": steering}
     shift = float(steering[0] - antenna.steering[0])
     offset = np.linspace(-width / 2, width / 2, PATTERN_SAMPLES)
     gain = antenna.azimuth_gain(offset + shift)
-    kept, notes = [], list(notes)
+    taken, notes = [], list(notes)
     if _usable("azimuth", gain, float(antenna.azimuth_gain(np.zeros(1))[0]), notes):
         found |= sampled(("beam_offset", "beam_pattern"), offset, gain)
-        kept.append(f"over the beam ({gain.min() - gain.max():.2g} dB at its lowest)")
-    # The origin is where the reference point lies, which the store wants within the pattern.
+        taken.append(f"over the beam ({gain.min() - gain.max():.2g} dB at its lowest)")
+    # Include the reference point, at the origin: the store requires the pattern to cover it.
     across = _across(antenna, position, np.concatenate([ground, np.zeros((1, 3))]), width)
     down, gain = antenna.elevation_gain(across)
     steps = np.diff(down)
@@ -252,15 +252,15 @@ def _with_patterns(
             notes.append("the antenna's gain across the beam is left out: the boresight passes the nadir")
     elif _usable("elevation", gain, 0.0, notes):
         found |= sampled(("elevation", "elevation_pattern"), down, gain)
-        kept.append(f"over elevation ({gain.min() - gain.max():.2g} dB)")
+        taken.append(f"over elevation ({gain.min() - gain.max():.2g} dB)")
         turned = _turned_gain(antenna, across, down, gain)
         if turned > CHANGE:
             notes.append(
                 f"the antenna's gain over elevation changes by {turned:.2g} dB as the beam is steered or the antenna "
                 "turned; that of the middle is taken"
             )
-    if kept:
-        notes.append(f"antenna patterns of both ways taken from the gain polynomials: {' and '.join(kept)}")
+    if taken:
+        notes.append(f"antenna patterns of both ways taken from the gain polynomials: {' and '.join(taken)}")
     scanned = _scanned_gain(antenna)
     if scanned > CHANGE:
         notes.append(f"the antenna's gain changes by {scanned:.2g} dB as the beam is steered, which stays in the image")
@@ -270,7 +270,7 @@ def _with_patterns(
 
 
 def _usable(which: str, gain: FloatArray, at_boresight: float, notes: list[str]) -> bool:
-    """Whether a gain (n,), dB, is a pattern: it is not constant, and does not rise far above the boresight's."""
+    """Tell whether a gain (n,), dB, is a usable pattern: not constant, and nowhere far above boresight."""
     if not (np.isfinite(gain).all() and gain.max() <= at_boresight + RISE):
         notes.append(
             f"the antenna's gain in {which} is left out: its polynomials rise by {gain.max() - at_boresight:.3g} dB "
@@ -281,7 +281,7 @@ def _usable(which: str, gain: FloatArray, at_boresight: float, notes: list[str])
 
 
 def _across(antenna: ChannelAntenna, position: FloatArray, ground: FloatArray, width: float) -> FloatArray:
-    """Direction cosines across the beam, off the boresight's, at which the beam sees points (n, 3), and more, (m,)."""
+    """Direction cosines across the beam, relative to boresight, that cover points (n, 3) with a margin, (m,)."""
     seen = [np.zeros(1)]
     for pulse in np.unique(np.linspace(0, position.shape[0] - 1, CHECKED_PULSES).astype(int)):
         sight = ground - position[pulse]
@@ -295,19 +295,19 @@ def _across(antenna: ChannelAntenna, position: FloatArray, ground: FloatArray, w
 
 
 def _turned_gain(antenna: ChannelAntenna, across: FloatArray, down: FloatArray, gain: FloatArray) -> float:
-    """By how many dB the gain over elevation (n,) differs at the ends of the collection."""
+    """Difference, dB, of the gain over elevation (n,) between the ends of the collection."""
     order, worst = np.argsort(down), 0.0
     for pulse in (0, antenna.steering.size - 1):
         other, changed = antenna.elevation_gain(across, pulse)
         common = (other >= down.min()) & (other <= down.max())
         if common.any():
-            kept = np.interp(other[common], down[order], gain[order])
-            worst = max(worst, float(np.abs(changed[common] - kept).max()))
+            reference = np.interp(other[common], down[order], gain[order])
+            worst = max(worst, float(np.abs(changed[common] - reference).max()))
     return worst
 
 
 def _scanned_gain(antenna: ChannelAntenna) -> float:
-    """By how many dB the gain of both ways at the boresight changes over the steering, by the elements' pattern."""
+    """Change, dB, of the two-way boresight gain over the steering, due to the element pattern."""
     p = antenna.pulse
     total = np.zeros(antenna.steering.size)
     for side in antenna.sides:
@@ -316,7 +316,7 @@ def _scanned_gain(antenna: ChannelAntenna) -> float:
 
 
 def _unused_gain(antenna: ChannelAntenna, position: FloatArray, ground: FloatArray) -> str:
-    """In words, how far the gain over the image area, which is left out, changes."""
+    """Describe how much the unused gain varies over the image area."""
     offset = _offsets(antenna.axis, antenna.steering, position, ground)
     gain = antenna.azimuth_gain(np.linspace(offset.min(), offset.max(), PATTERN_SAMPLES))
     _, across = antenna.elevation_gain(_across(antenna, position, ground, np.inf))
@@ -328,7 +328,7 @@ def _unused_gain(antenna: ChannelAntenna, position: FloatArray, ground: FloatArr
 
 
 def _by_dwells(pulses: Pulses, position: FloatArray, dwells: DwellPoints, notes: list[str]) -> StatedBeam:
-    """The better of a yaw about the nadir and a steering about the velocity, where either reproduces the dwells."""
+    """Choose a yaw about the nadir or a steering about the velocity, whichever reproduces the dwells better."""
     although = "beam not steered, although targets are lit for part of the time only: "
     if np.ptp(dwells.centre) < 0.05 * dwells.length.mean():
         return _unsteered(pulses, f"{although}the image area's centre of dwell hardly changes", notes)
@@ -349,7 +349,7 @@ def _missed(law: _Law) -> str:
 
 
 def _yaw_law(pulses: Pulses, position: FloatArray, dwells: DwellPoints) -> _Law:
-    """A yaw that is a polynomial of the centre of dwell, continued to the ends of the collection."""
+    """Fit a yaw that is a polynomial of the centre of dwell, extrapolated to the ends of the collection."""
     moment, cod = pulses.reference_time, dwells.centre
     nadir = position[position.shape[0] // 2, :2]
     turn = np.arctan2(dwells.ground[:, 1] - nadir[1], dwells.ground[:, 0] - nadir[0])
@@ -376,7 +376,7 @@ def _yaw_law(pulses: Pulses, position: FloatArray, dwells: DwellPoints) -> _Law:
 
 
 def _fit_yaw(u: FloatArray, yaw: FloatArray) -> tuple[FloatArray, float]:
-    """Polynomial of yaw in scaled time, of the lowest order that fits about as well as the next; its misfit, rad."""
+    """Fit a polynomial of yaw in scaled time, of the lowest sufficient order; also its misfit, rad."""
     fits: list[tuple[FloatArray, float]] = []
     for order in range(1, HIGHEST_ORDER + 1):
         fit = polynomial.polyfit(u, yaw, order)
@@ -387,7 +387,7 @@ def _fit_yaw(u: FloatArray, yaw: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _axis_law(pulses: Pulses, position: FloatArray, dwells: DwellPoints) -> _Law:
-    """A steering about the velocity, or about an axis at a yaw off it where that reproduces the dwells better."""
+    """Fit a steering about the velocity, or about an axis at a yaw off it if that reproduces the dwells better."""
     law = _steering_law(pulses, position, dwells, 0.0)
     if law.miss <= CLOSE or np.count_nonzero(_edges(pulses, dwells)[2]) < LEAST_POINTS:
         return law
@@ -404,7 +404,7 @@ def _axis_law(pulses: Pulses, position: FloatArray, dwells: DwellPoints) -> _Law
 
 
 def _steering_law(pulses: Pulses, position: FloatArray, dwells: DwellPoints, turn: float) -> _Law:
-    """A steering that is a polynomial s(t), and a width w, by least squares, about the velocity turned by a yaw, rad.
+    """Fit a polynomial steering s(t) and a width w by least squares, about the velocity rotated by `turn`, rad.
 
     With a(t) the angle of a point off the plane normal to the axis, a = s - w/2 at one end of its dwell, and
     a = s + w/2 at the other.
@@ -459,7 +459,7 @@ def _edges(pulses: Pulses, dwells: DwellPoints) -> tuple[FloatArray, FloatArray,
 
 
 def _angles(axis: FloatArray, position: FloatArray, pulses: Pulses, ground: FloatArray, time: FloatArray) -> FloatArray:
-    """Angles of points (n, 3) off the plane normal to the axis, each at a reference time of its own (n,), rad."""
+    """Angles, rad, of points (n, 3) off the plane normal to the axis, each at its own reference time (n,)."""
     moment = pulses.reference_time
     at, along = (
         np.stack([np.interp(time, moment, column) for column in values.T], axis=1) for values in (position, axis)
@@ -469,7 +469,7 @@ def _angles(axis: FloatArray, position: FloatArray, pulses: Pulses, ground: Floa
 
 
 def _offsets(axis: FloatArray, steering: FloatArray, position: FloatArray, ground: FloatArray) -> FloatArray:
-    """Angles of points (n, 3) off the beam's centre at some pulses, all of them together, rad."""
+    """Angles, rad, of points (n, 3) off the beam's centre, at each of some pulses."""
     some = np.unique(np.linspace(0, steering.size - 1, 9).astype(int))
     return np.concatenate([
         np.arcsin(((ground - position[p]) * axis[p]).sum(axis=1) / np.linalg.norm(ground - position[p], axis=1))

@@ -1,4 +1,4 @@
-"""Channels of a CPHD file that become those of one phase history: their names, and whether one geometry serves them."""
+"""Channels of a CPHD file combined in one phase history: their names, and checks that one geometry serves them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Prepared = tuple[Collection, Pulses]
 
 
 def open_channels(stream: BinaryIO, path: Any, channel: str | None) -> list[CphdFile]:
-    """Open the channel that is meant, or each of the file's if that is `ALL` and no identifier.
+    """Open the requested channel; each channel of the file for `ALL`, unless that is an identifier.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def open_channels(stream: BinaryIO, path: Any, channel: str | None) -> list[Cphd
 
 
 def names_of(identifiers: Sequence[str], polarizations: Sequence[Mapping[str, str] | None]) -> tuple[str, ...]:
-    """Names of channels: their polarisations if these tell them apart, such as HH, or their identifiers made fit.
+    """Name channels by their polarisations, such as HH, if distinct; otherwise by valid forms of their identifiers.
 
     None for a single one.
 
@@ -73,7 +73,7 @@ def names_of(identifiers: Sequence[str], polarizations: Sequence[Mapping[str, st
 
 
 def check_same_geometry(identifiers: Sequence[str], prepared: Sequence[Prepared]) -> list[str]:
-    """Refuse channels that the first one's geometry does not serve; return a note about patterns that differ.
+    """Refuse channels with another geometry than the first; return a note about patterns that differ.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def check_same_geometry(identifiers: Sequence[str], prepared: Sequence[Prepared]
 
 
 def _differences(first: Prepared, second: Prepared) -> Iterator[str]:
-    """Describe what differs. Those after the first may fail to be computed, as shapes may differ."""
+    """Describe differences of two channels, by increasing depth: later ones require equal shapes."""
     (one, pulses), (two, others) = first, second
     if one.n_pulse != two.n_pulse:
         yield f"their numbers of pulses, {one.n_pulse} and {two.n_pulse}"
@@ -118,12 +118,12 @@ def _differences(first: Prepared, second: Prepared) -> Iterator[str]:
 
 
 def _apart(first: FloatArray, second: FloatArray) -> float:
-    """Largest distance between points (n, 3), m."""
+    """Largest distance, m, between corresponding points (n, 3)."""
     return float(np.linalg.norm(first - second, axis=1).max())
 
 
 def _same_beams(first: Collection, second: Collection) -> bool:
-    """Whether two beams light the same at the same times."""
+    """Tell whether two beams light the same ground at the same times."""
     widths = [c.beam_width for c in (first, second)]
     if None in widths:
         return widths[0] == widths[1]

@@ -1,4 +1,4 @@
-"""The samples of a channel as pulses of a store: reading them, the sign of their phase, and pulses that are lost.
+"""Samples of a channel as pulses of a store: reading, sign of the phase, and lost pulses.
 
 *Sign.* A source states the window of delays that its samples hold, or the grid has the ground that they show. The
 conjugate of a signal lies in the mirror image of that window about the reference range. A spotlight about a fixed point
@@ -30,13 +30,13 @@ from blocksar.kernels.fourier import fft_rows
 
 GROUP = 256  # pulses that are transformed at a time
 GUARD = 8  # bins about the ends of the window that are left out: a Hann weighting leaks 1e-6 of a target beyond
-LEAK = 1e-4  # of all energy: with less in either part, they hold what leaks from between them
+LEAK = 1e-4  # of all energy: with less in either part, both hold only leakage from between them
 CLEAR = 3.0  # dB
 SIGNIFICANT = 5.0  # standard deviations; by chance once in 3 million
 
 
 class WindowEnergy(NamedTuple):
-    """Where the energy of a signal lies, against the window that is stated for it.
+    """Energy of a signal inside a stated range window and inside its mirror image.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class WindowEnergy(NamedTuple):
 
     @property
     def conjugated(self) -> bool | None:
-        """Whether the signal is conjugated; None if its energy does not tell."""
+        """Tell whether the signal is conjugated; None if its energy does not show it."""
         if abs(self.gain) < max(CLEAR, SIGNIFICANT * self.deviation):
             return None
         return self.gain < 0
@@ -129,7 +129,7 @@ MOST_ROWS = 64  # vectors that tell the sign
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ChannelEchoes:
-    """Where a channel's samples come from, and what is done with them.
+    """Source of a channel's samples, and their processing.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ class ChannelEchoes:
 
     @cached_property
     def cut(self) -> AreaCut | None:
-        """How what is stored comes from all pulses; None if that is all."""
+        """Selection of the area's samples from all; None if everything is stored."""
         return None if self.area is None else plan_cut(self.collection, self.area, self.pulses.vector >= 0)
 
     @property
@@ -160,7 +160,7 @@ class ChannelEchoes:
         return self.collection if self.cut is None else self.cut.collection
 
     def cut_without(self, missing: BoolArray) -> AreaCut | None:
-        """`cut`, with sums that leave out some of the pulses (n_pulse,)."""
+        """Repeat `cut` with filters that leave out missing pulses (n_pulse,)."""
         if self.area is None or self.cut is None:
             return None
         again = plan_cut(self.collection, self.area, (self.pulses.vector >= 0) & ~missing)
@@ -168,7 +168,7 @@ class ChannelEchoes:
 
 
 class SampleReader:
-    """Reads pulses of a channel, and keeps in mind which vectors hold nothing.
+    """Reader of a channel's pulses that records which vectors hold no echo.
 
     Attributes
     ----------
@@ -186,7 +186,7 @@ class SampleReader:
         self._some: dict[int, ComplexArray] = {}  # vectors that tell the sign, delays after the SRP
 
     def read(self, pulses: slice) -> ComplexArray:
-        """Samples of some pulses on the store's frequencies, (n, n_frequency); NaN where pulses are missing."""
+        """Read pulses at the store's frequencies, (n, n_frequency); NaN where pulses are missing."""
         echoes, vector = self._echoes, self._echoes.pulses.vector
         slow_time = echoes.slow_time
         if slow_time is None:
@@ -205,7 +205,7 @@ class SampleReader:
         return block
 
     def stored(self, cut: AreaCut | None, pulses: slice) -> ComplexArray:
-        """Samples of some of the pulses that are stored."""
+        """Read pulses of the cut area, as they are stored."""
         read = self.read if cut is None else cut.reader(self.read, self._echoes.resampler.frequency)
         with reading_file(self._echoes.file.path):
             return read(pulses)
@@ -221,7 +221,7 @@ class SampleReader:
         return out
 
     def _read_vectors(self, rows: IntArray) -> ComplexArray:
-        """Samples of some vectors, ascending: (rows.size, width), scaled and of the store's sign and reference."""
+        """Read ascending vectors: (rows.size, width), scaled, with sign and reference of the store."""
         file, resampler = self._echoes.file, self._echoes.resampler
         read = file.read(self._stream, int(rows[0]), int(rows[-1]) + 1, resampler.samples)[rows - rows[0]]
         if file.scaled:
@@ -236,11 +236,11 @@ class SampleReader:
         return (out * phasor(resampler.frequency_of(rows) * middle[:, None])).astype(np.complex64)
 
     def _tells_sign(self, vectors: IntArray) -> BoolArray:
-        """Tell which of some vectors are those that tell the sign."""
+        """Mask of the vectors that are examined for the sign."""
         return np.asarray(vectors % -(-self._echoes.file.shape[0] // MOST_ROWS) == 0)
 
     def lost(self) -> tuple[BoolArray, list[Lost]]:
-        """The pulses that are missing by what all of their samples are, and the vectors that are lost, by reason."""
+        """Mask of pulses that are missing judging by their samples, and the lost vectors by reason."""
         echoes, vector = self._echoes, self._echoes.pulses.vector
         known = (vector >= 0) & self.seen[vector]
         empty = known & self.empty[vector]
@@ -256,7 +256,7 @@ class SampleReader:
         return np.sqrt((resampling.weights**2 * gone).sum(axis=1)) > MOST_ERROR, reasons
 
     def sign(self) -> WindowEnergy | None:
-        """Where the energy of the vectors read lies; None in the domain TOA, whose delays have no sign."""
+        """Energy of the vectors read so far by window; None in the domain TOA, whose delays have no sign."""
         file = self._echoes.file
         rows = np.flatnonzero(self.seen & self._tells_sign(np.arange(file.shape[0])))
         if file.domain == "TOA" or not rows.size:
@@ -279,14 +279,14 @@ class ChannelFindings:
 
 
 def notes_of(echoes: ChannelEchoes) -> BoolArray:
-    """Notes of a `SampleReader` on vectors, before any is read: seen, empty and broken ones."""
+    """Make the empty records of a `SampleReader` on vectors: seen, empty and broken ones."""
     return np.zeros((3, echoes.file.shape[0]), np.bool_)
 
 
 def read_samples(
     channels: Sequence[ChannelEchoes], notes: Sequence[BoolArray], found: list[ChannelFindings]
 ) -> Iterator[Piece]:
-    """Read the samples of channels, one block of pulses at a time; lost pulses are missing.
+    """Read the samples of channels by blocks of pulses; lost pulses are missing.
 
     Blocks that change with what is known of lost pulses at the end are given again. Notes, an array a channel, are
     filled in place. What is found is added to a list.
@@ -318,7 +318,7 @@ def read_samples(
 
 
 def _affected(missing: BoolArray, cut: AreaCut | None) -> BoolArray:
-    """The pulses that are stored, and change if some (n_pulse,) of all are missing."""
+    """Mask of the stored pulses that change if pulses (n_pulse,) are missing."""
     if cut is None:
         return missing
     sums = cut.pulses.part(cut.kept[0])

@@ -78,15 +78,15 @@ class CphdFile:
 
     @property
     def scaled(self) -> bool:
-        """Whether samples have an amplitude factor by vector."""
+        """Tell whether samples have an amplitude factor by vector."""
         return "AmpSF" in (self.vectors.dtype.names or ())
 
     def parameter(self, name: str, rows: IntArray | slice = slice(None)) -> FloatArray:
-        """A per-vector parameter of some vectors."""
+        """Read a per-vector parameter of some vectors."""
         return np.asarray(self.vectors[name][rows], dtype=np.float64)
 
     def part(self, pulses: tuple[int, int | None], band: tuple[float, float]) -> CphdFile:
-        """Copy with some of the vectors, first and the one behind the last, and frequencies of a band, Hz.
+        """Copy with vectors first .. stop - 1, and with the frequencies of a band, Hz.
 
         Raises
         ------
@@ -106,7 +106,7 @@ class CphdFile:
         )  # fmt: skip
 
     def read(self, file: BinaryIO, first: int, stop: int, samples: slice) -> ComplexArray:
-        """Read some samples of the vectors first .. stop - 1, (n_vector, n_sample) complex64, not scaled.
+        """Read samples of the vectors first .. stop - 1, (n_vector, n_sample) complex64, not scaled.
 
         Raises
         ------
@@ -214,7 +214,7 @@ def open_file(file: BinaryIO, path: Readable, channel: str | None, *, any_channe
 
 
 def _arrays(root: Any, item: int, size: int, length: int) -> dict[str, dict[str, range]]:
-    """The bytes of each channel's signal and PVP array in their blocks; `item` of a sample, `size` of a vector."""
+    """Byte ranges of each channel's signal and PVP array in their blocks; `item` bytes a sample, `size` a vector."""
     arrays = {}
     for channel in root.findall("{*}Data/{*}Channel"):
         n_vector, n_sample = (
@@ -241,7 +241,7 @@ def _check_apart(what: str, arrays: Mapping[str, range]) -> None:
 
 
 def _header(file: BinaryIO) -> tuple[str, dict[str, str]]:
-    """The version, keys and values of the header; checked first, because it gives the sizes of all blocks.
+    """Read version, keys and values of the header; checked first, since it gives the sizes of all blocks.
 
     Versions 1.0 and 1.1 are laid out alike; `kinds` tells them from others.
     """
@@ -261,7 +261,7 @@ def _header(file: BinaryIO) -> tuple[str, dict[str, str]]:
 
 
 def _block(header: dict[str, str], name: str, length: int) -> range:
-    """The bytes of a block, which must lie within the file."""
+    """Byte range of a block, which must lie within the file."""
     numbers = []
     for key in (f"{name}_BLOCK_BYTE_OFFSET", f"{name}_BLOCK_SIZE"):
         value = header.get(key)
@@ -296,7 +296,7 @@ def _name_known_version(tree: Any, version: str) -> None:
 
 
 def _check_supported(root: Any) -> None:
-    """Refuse, by name, what is not supported."""
+    """Refuse files with content that is not supported, by name."""
     kind = text_of(root, "CollectionID/CollectType")
     if kind != "MONOSTATIC":
         raise InputError(f"CollectionID/CollectType is {kind!r}; only MONOSTATIC collections are supported")
@@ -332,7 +332,7 @@ def identifiers_of(root: Any) -> list[str]:
 
 
 def child_of(node: Any, path: str, name: str) -> Any:
-    """The only element at a path; an InputError calls it by `name`."""
+    """Return the only element at a path; an InputError calls it by `name`."""
     matches = node.findall(path)
     if len(matches) != 1:
         raise InputError(f"{name} is {len(matches)} times in the XML instead of once; correct the XML")
@@ -340,7 +340,7 @@ def child_of(node: Any, path: str, name: str) -> Any:
 
 
 def text_of(node: Any, path: str) -> str:
-    """The text of the only element at a path; it must not be empty."""
+    """Return the text of the only element at a path, which must not be empty."""
     text = child_of(node, "/".join(f"{{*}}{part}" for part in path.split("/")), path).text
     if not (text or "").strip():
         raise InputError(f"{path} is empty in the XML; correct the XML")
@@ -362,7 +362,7 @@ def _integer(node: Any, path: str, least: int, most: int) -> int:
 
 
 def numbers_of(node: Any, path: str, names: Sequence[str]) -> FloatArray:
-    """The finite numbers of an element's children, in the order of `names`."""
+    """Return the finite numbers of an element's children, in the order of `names`."""
     values = []
     for name in names:
         text = text_of(node, f"{path}/{name}")

@@ -1,4 +1,4 @@
-"""Bring samples to one frequency grid, and take out of them the delay of the troposphere that they still hold.
+"""Resampling of vectors to one frequency grid, and removal of the tropospheric delay left in them.
 
 Grids are selected where they agree, interpolated where they differ, transformed from TOA.
 
@@ -40,7 +40,7 @@ RangeWindow = Literal["saved", "reference"]
 
 
 class Delays(NamedTuple):
-    """The part of the echo that is taken: middle of the delays, by vector, and their largest extent, s; messages."""
+    """Selected delays: their middle by vector, their largest extent, s, and messages."""
 
     middle: FloatArray
     extent: float
@@ -48,7 +48,7 @@ class Delays(NamedTuple):
 
 
 def find_delays(file: CphdFile, used: IntArray, area: ImageArea, window: RangeWindow | None) -> Delays:
-    """Determine the delays that are taken; `used` are the vectors that matter.
+    """Select the delays to keep; `used` are the relevant vectors.
 
     Parameters
     ----------
@@ -68,8 +68,8 @@ def find_delays(file: CphdFile, used: IntArray, area: ImageArea, window: RangeWi
                 "--range-window reference is given, but the samples are over delay (DomainType TOA), and SC0 and SCSS "
                 "say where; leave it out"
             )
-        told = f"the {_metres(unambiguous):.6g} m of range about the SRP are taken, whatever TOA1 and TOA2 say"
-        return Delays(np.zeros(early.size), unambiguous, (told,))
+        window_text = f"the {_metres(unambiguous):.6g} m of range about the SRP are taken, whatever TOA1 and TOA2 say"
+        return Delays(np.zeros(early.size), unambiguous, (window_text,))
     own = late - early
     where = int(used[own[used].argmax()])
     fold = float(own[where] / unambiguous)
@@ -106,7 +106,7 @@ def _metres(delay: float) -> float:
 
 
 def _meets(file: CphdFile, used: IntArray, area: ImageArea) -> bool:
-    """Whether any of the saved delays is of the image area."""
+    """Tell whether any of the saved delays falls on the image area."""
     for vector in used[[0, used.size // 2, -1]]:
         first, last = area_delays(file, area, int(vector))
         if first <= file.parameter("TOA2")[vector] and last >= file.parameter("TOA1")[vector]:
@@ -115,7 +115,7 @@ def _meets(file: CphdFile, used: IntArray, area: ImageArea) -> bool:
 
 
 def _reason(file: CphdFile, vector: int, area: ImageArea, unambiguous: float) -> str:
-    """Why a vector's TOA1 .. TOA2 cannot be what its samples hold, in a sentence."""
+    """Explain why a vector's TOA1 .. TOA2 contradict its samples."""
     early, late = (_metres(float(file.parameter(name)[vector])) for name in ("TOA1", "TOA2"))
     first, last = (_metres(delay) for delay in area_delays(file, area, vector))
     apart = ""
@@ -147,7 +147,7 @@ LEAST_BAND = 0.5  # share of a vector's band that must be common to all
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Selected:
-    """FX vectors on one grid, or next to it: some of their samples, unchanged."""
+    """Resampler that selects samples of FX vectors on one grid, or next to it, unchanged."""
 
     frequency: FloatArray  # Hz, absolute
     start: FloatArray  # by vector: SC0
@@ -170,7 +170,7 @@ class Selected:
         return np.take_along_axis(rows, first[:, None] + np.arange(self.frequency.size), axis=1)
 
     def frequency_of(self, vectors: IntArray) -> FloatArray:
-        """Frequencies at which the samples of vectors were taken, (n, n_frequency) or (n_frequency,) Hz."""
+        """Frequencies, Hz, of the samples of vectors, (n, n_frequency) or (n_frequency,)."""
         if self.off == 0:
             return self.frequency
         sample = self.first[vectors, None] + np.arange(self.frequency.size)
@@ -179,7 +179,7 @@ class Selected:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Interpolated:
-    """FX vectors on different grids: local interpolation. `table` (offset steps, TAPS) begins at `margin`."""
+    """Resampler of FX vectors on different grids by interpolation; `table` (offset steps, TAPS) starts at `margin`."""
 
     frequency: FloatArray
     start: FloatArray  # by vector: SC0
@@ -194,7 +194,7 @@ class Interpolated:
     exact: float  # share of the saved delays, about their middle, for which the error holds
 
     def frequency_of(self, vectors: IntArray) -> FloatArray:
-        """See `Selected`."""
+        """Return frequencies as `Selected.frequency_of` does."""
         return self.frequency
 
     def apply(self, rows: ComplexArray, vectors: IntArray) -> ComplexArray:
@@ -221,7 +221,7 @@ class Interpolated:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Transformed:
-    """TOA vectors: their Fourier sum at the grid's frequencies."""
+    """Resampler of TOA vectors: their Fourier sum at the grid's frequencies."""
 
     frequency: FloatArray
     start: FloatArray  # by vector: SC0
@@ -232,7 +232,7 @@ class Transformed:
     error: float = 0.0
 
     def frequency_of(self, vectors: IntArray) -> FloatArray:
-        """See `Selected`."""
+        """Return frequencies as `Selected.frequency_of` does."""
         return self.frequency
 
     def apply(self, rows: ComplexArray, vectors: IntArray) -> ComplexArray:
@@ -260,12 +260,12 @@ Resampler = Selected | Interpolated | Transformed
 
 
 def phasor(cycles: FloatArray) -> NDArray[np.complex128]:
-    """exp(2j pi cycles); whole cycles are removed first."""
+    """Compute exp(2j pi cycles) after removing whole cycles."""
     return np.asarray(np.exp(2j * np.pi * (cycles - np.rint(cycles))))
 
 
 def choose_resampler(file: CphdFile, used: IntArray, delays: Delays) -> Resampler:
-    """Choose how samples are brought to one frequency grid; `used` are the vectors that matter.
+    """Choose the resampler to one frequency grid; `used` are the relevant vectors.
 
     Raises
     ------
@@ -328,7 +328,7 @@ def choose_resampler(file: CphdFile, used: IntArray, delays: Delays) -> Resample
 
 
 def _shifts(start: FloatArray, step: FloatArray, used: IntArray, n: int, df: float) -> tuple[IntArray, float, float]:
-    """How many steps `df` each vector's samples begin after the first of a common grid, and how far they are off it.
+    """Offset of each vector's first sample from that of a common grid, in steps `df`, and the deviation from it.
 
     Returns
     -------
@@ -349,7 +349,7 @@ def _shifts(start: FloatArray, step: FloatArray, used: IntArray, n: int, df: flo
 
 
 def _common(low: FloatArray, high: FloatArray, wanted: tuple[float, float]) -> tuple[float, float]:
-    """The band common to all vectors, as far as it is wanted."""
+    """Band common to all vectors, limited to the wanted one."""
     first, last, own = float(low.max()), float(high.min()), float(np.median(high - low))
     if last - first < LEAST_BAND * own:
         raise InputError(
@@ -365,13 +365,13 @@ def _common(low: FloatArray, high: FloatArray, wanted: tuple[float, float]) -> t
 
 
 def _check_count(count: int) -> None:
-    """Refuse a grid of too few frequencies."""
+    """Refuse a grid with too few frequencies."""
     if count < 8:
         raise InputError(f"only {count} frequencies are common to all vectors; at least 8 are needed")
 
 
 def _best_interpolators(occupancy: float, n: int) -> tuple[FloatArray, int, float, float]:
-    """The interpolators of the fewest taps for samples whose delays fill the share `occupancy` of the unambiguous ones.
+    """Interpolators with the fewest taps for samples whose delays fill a share `occupancy` of the unambiguous ones.
 
     Where none is accurate enough near the ends of the unambiguous delays, they are for a part of the delays.
 
@@ -403,7 +403,7 @@ def _best_interpolators(occupancy: float, n: int) -> tuple[FloatArray, int, floa
 
 
 def _interpolators(occupancy: float, taps: int) -> tuple[FloatArray, int, float]:
-    """Least-squares interpolators for samples whose delays fill the share `occupancy` of the unambiguous ones.
+    """Least-squares interpolators for samples whose delays fill a share `occupancy` of the unambiguous ones.
 
     Returns
     -------
@@ -439,7 +439,7 @@ NAME = "TDTropoSRP"
 
 
 class TroposphericDelay(NamedTuple):
-    """Delay taken out of the ranges of vectors (n_vector,), m; and what was found, in words."""
+    """Delay removed from the ranges of vectors (n_vector,), m, with a description."""
 
     removed: FloatArray
     message: str | None
@@ -448,7 +448,7 @@ class TroposphericDelay(NamedTuple):
 def find_troposphere(
     file: CphdFile, used: IntArray, frame: Georeference, wanted: Troposphere | None, cell: float
 ) -> TroposphericDelay:
-    """Tell the delay, and give what is to be taken out.
+    """Determine the tropospheric delay in the samples, and the part to remove.
 
     Parameters
     ----------
@@ -495,7 +495,7 @@ def find_troposphere(
 
 
 def _given(file: CphdFile, used: IntArray) -> FloatArray | None:
-    """The file's delay in m of range, from neighbours where it is not finite; None if it has none."""
+    """Delay stated by the file, m of range, gaps filled from neighbours; None without one."""
     if NAME not in (file.vectors.dtype.names or ()) or file.vectors.dtype[NAME] != np.dtype("f8"):
         return None
     delay = file.parameter(NAME) * SPEED_OF_LIGHT / 2
@@ -506,5 +506,5 @@ def _given(file: CphdFile, used: IntArray) -> FloatArray | None:
 
 
 def _standard(file: CphdFile, used: IntArray, frame: Georeference) -> FloatArray:
-    """The delay of a standard atmosphere between antenna and SRP, m of range, of some vectors."""
+    """Delay of a standard atmosphere between antenna and SRP, m of range, for some vectors."""
     return slant_delay(file.parameter("TxPos", used), file.parameter("SRPPos", used), frame)

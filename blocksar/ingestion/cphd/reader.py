@@ -1,4 +1,4 @@
-"""CPHD files as a reader: options, and the steps from a file to a phase history, with messages for the user.
+"""CPHD files as a reader: options, and the conversion of a file to a phase history, with messages for the user.
 
 *Sign.* With the wrong SGN an echo of the delay dTOA appears at -dTOA. Echoes lie in TOA1 .. TOA2; where that interval
 is not centred at the SRP, a part of it is outside of its mirror image, and only one sign puts energy there (`echoes`).
@@ -47,7 +47,7 @@ from blocksar.options import Option
 from blocksar.places import Location, readable
 from blocksar.places.ranges import Readable
 from blocksar.spans import parse_crop, parse_pulses, parse_span
-from blocksar.texts import frequency_text, size_text
+from blocksar.texts import count, frequency_text, size_text
 
 # ---------------------------------------------------------------- options
 
@@ -62,7 +62,7 @@ def _read_area(crop: Any) -> tuple[tuple[float, float], tuple[float, float]]:
 
 @dataclass(frozen=True, kw_only=True)
 class Choices(ReaderOptions):
-    """The part of a file that is wanted, and what is not as the file has it; see `ReaderOptions`.
+    """Selected part of the file and corrections to its statements; see `ReaderOptions`.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ DOUBTED = ("capella",)
 
 
 def describe_sign(energy: WindowEnergy | None, sign: int, collector: str, *, given: bool) -> str | None:
-    """A sentence if the samples contradict `sign`, or it is declared by a maker who was wrong; else None.
+    """Describe a contradiction between samples and `sign`, or a known error of a collector's files; None if neither.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ SAME_PLACE = 10.0  # m, largest distance between the two descriptions of the IAR
 
 
 def begin(source: Location, choices: Choices) -> Reading:
-    """Read all of a CPHD file but its samples: those of one channel, or of all of them.
+    """Read everything but the samples of a CPHD file: one channel, or all of them.
 
     Raises
     ------
@@ -188,8 +188,8 @@ def begin(source: Location, choices: Choices) -> Reading:
     noted = [notes_of(each) for each in echoes]
 
     def messages() -> list[str]:
-        told = [each.messages(some, choices) for each, some in zip(prepared, found, strict=True)]
-        first, *others = told
+        by_channel = [each.messages(some, choices) for each, some in zip(prepared, found, strict=True)]
+        first, *others = by_channel
         more = dict.fromkeys(line for some in others for line in some if line not in first)
         return [*notes[:1], *first, *more, *notes[1:]]
 
@@ -201,7 +201,7 @@ def begin(source: Location, choices: Choices) -> Reading:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prepared:
-    """The new store without its samples, and how to compute them."""
+    """A new store without its samples, and how to compute these."""
 
     echoes: ChannelEchoes
     frame: Georeference
@@ -215,7 +215,7 @@ class Prepared:
         return self.echoes.stored
 
     def sign(self, energy: WindowEnergy | None, choices: Choices) -> str | None:
-        """A sentence if the sign is wrong or doubtful, see `describe_sign`; without `energy` by the maker alone."""
+        """Describe a wrong or doubtful sign, see `describe_sign`; without `energy` by the collector alone."""
         collector = str(self.attributes.get("collector", "this maker"))
         return describe_sign(energy, self.echoes.file.sign, collector, given=choices.sgn is not None)
 
@@ -235,7 +235,7 @@ class Prepared:
 
 
 def _combined(prepared: Sequence[Prepared]) -> tuple[tuple[str, ...], dict[str, Any], list[str]]:
-    """Names of the store's channels, none of a single one; its attributes; and notes on the channels.
+    """Combine channels: their names (empty for one channel), attributes of the store, and notes.
 
     Raises
     ------
@@ -271,7 +271,7 @@ def prepare(file: CphdFile, choices: Choices) -> Prepared:
     pulses = assign_pulses(file, frame.origin)
     used = pulses.vector[pulses.vector >= 0]
     if used.size < 8:
-        raise InputError(f"only {used.size} vectors hold a normal signal; at least 8 are needed")
+        raise InputError(f"{count(used.size, 'vector')} with a normal signal; at least 8 are needed")
     delays = find_delays(file, used, area, choices.range_window)
     resampler = choose_resampler(file, used, delays)
     cell = SPEED_OF_LIGHT / 2 / float(resampler.frequency[-1] - resampler.frequency[0])
@@ -318,24 +318,24 @@ def prepare(file: CphdFile, choices: Choices) -> Prepared:
     if cut is not None:
         attributes["source"] |= {"area": choices.area, "time_zero": attributes["source"]["time_zero"] + cut.later}
     slow = [slow_time.message] if slow_time else []
-    beside = [troposphere.message, area.message, _same_samples(file), cut.message if cut else None]
+    found_notes = [troposphere.message, area.message, _same_samples(file), cut.message if cut else None]
     corners = frame.from_ecef(ecef_of(file, area.corners))
     seen = [] if collection.steered else [_describe_area(Geometry(collection=echoes.stored.centred()), corners)]
-    notes = [*delays.messages, *slow, *(text for text in beside if text), *seen]
+    notes = [*delays.messages, *slow, *(text for text in found_notes if text), *seen]
     return Prepared(
         echoes=echoes, frame=frame, bistatic=bistatic, attributes=attributes, notes=notes, beam=beam.messages
     )
 
 
 def _reference_range(pulses: Pulses, later: FloatArray) -> FloatArray:
-    """Reference range of all pulses, m: the SRP's, and how much later (n_vector,) the vectors' is, m."""
+    """Reference range of all pulses, m: the SRP's, plus `later` (n_vector,), m."""
     lit = np.flatnonzero(pulses.vector >= 0)
     after = np.interp(np.arange(pulses.vector.size), lit, later[pulses.vector[lit]])
     return np.asarray(np.linalg.norm(pulses.position - pulses.reference_point, axis=1) + after)
 
 
 def _same_samples(file: CphdFile) -> str | None:
-    """A note on channels that have the same samples."""
+    """Note channels that hold the same samples."""
     if not file.same_samples:
         return None
     others = ", ".join(repr(name) for name in file.same_samples[:8])
@@ -400,7 +400,7 @@ def _frame(file: CphdFile) -> Georeference:
 
 
 def _bistatic_error(file: CphdFile, pulses: Pulses, area: ImageArea, wavelength: float) -> float:
-    """Largest difference of bistatic and monostatic range at the image area's corners, relative to the SRP, m."""
+    """Largest difference, m, of bistatic and monostatic range at the area's corners, relative to the SRP."""
     ground = ecef_of(file, area.corners)
     worst = 0.0
     for vector in pulses.vector[pulses.vector >= 0][[0, -1]]:
@@ -418,7 +418,7 @@ def _bistatic_error(file: CphdFile, pulses: Pulses, area: ImageArea, wavelength:
 
 
 def _describe(echoes: ChannelEchoes, lost: int, bistatic: float) -> list[str]:
-    """Describe the file and its samples, of which so many pulses are `lost`, one sentence each."""
+    """Describe the file and its samples, `lost` pulses of which are missing, one sentence each."""
     file, pulses, resampler = echoes.file, echoes.pulses, echoes.resampler
     frequency, n = resampler.frequency, pulses.vector.size
     missing = int(np.count_nonzero(pulses.vector < 0)) + lost
@@ -445,7 +445,7 @@ def _describe(echoes: ChannelEchoes, lost: int, bistatic: float) -> list[str]:
 
 
 def _describe_resampling(resampler: Resampler, delays: Delays) -> str:
-    """How samples come to the frequencies of the store."""
+    """Describe how samples are converted to the store's frequencies."""
     match resampler:
         case Interpolated():
             message = (
@@ -467,14 +467,14 @@ def _describe_resampling(resampler: Resampler, delays: Delays) -> str:
 
 
 def _describe_area(geometry: Geometry, corners: FloatArray) -> str:
-    """The image area in words, as a grid, from its corners (4, 3) in the scene frame, m."""
+    """Describe the image area as a grid, from its corners (4, 3) in the scene frame, m."""
     (x0, y0), (x1, y1) = (end(corners[:, :2], axis=0).tolist() for end in (np.min, np.max))
     grid = area_grid(geometry, (x0, x1), (y0, y1))
     return f"the beam is not steered, so a run needs a grid: the image area is --grid='{grid.as_option}'"
 
 
 def _describe_frame(frame: Georeference) -> str:
-    """The scene frame in words."""
+    """Describe the scene frame."""
     return (
         f"frame: x east, y north, z up at latitude {frame.latitude:.7f}, longitude {frame.longitude:.7f}, "
         f"height {frame.height:.2f} m"
@@ -482,7 +482,7 @@ def _describe_frame(frame: Georeference) -> str:
 
 
 def describe(path: Readable, given: str) -> Described:
-    """Read header, XML and per-vector parameters; a file with several channels is described by its first.
+    """Read header, XML and per-vector parameters; several channels are described by the first.
 
     Raises
     ------
@@ -523,7 +523,7 @@ def describe(path: Readable, given: str) -> Described:
 
 
 class CphdReader:
-    """CPHD 1.0 and 1.1 (NGA.STND.0068)."""
+    """Reader of CPHD 1.0 and 1.1 (NGA.STND.0068)."""
 
     summary = "Convert a CPHD file to a phase history, in the tangent frame at its scene's reference point."
     example = "collect.cphd --out collect.zarr"

@@ -1,6 +1,6 @@
-"""Assign vectors to pulses, and resample vectors at uneven times to pulses at uniform ones.
+"""Assignment of vectors to pulses, and resampling of uneven vectors to uniform pulses.
 
-Vectors that cannot be used: which parameter is wrong, in which vectors.
+Unusable vectors are reported with the parameter that is wrong.
 
 Files hold vectors of pulses that were lost: without position, with NaN or zeros in any parameter, flagged by SIGNAL or
 not. Such a vector is a missing pulse. A parameter that is wrong in more than half of the vectors is no lost pulse: the
@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from blocksar import texts
 from blocksar.arrays import UNIFORM_TOLERANCE, BoolArray, FloatArray, IntArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
@@ -35,14 +36,14 @@ MOST_RANGES, MOST_NAMES = 8, 4  # in a message
 
 
 class Lost(NamedTuple):
-    """Vectors (n_vector,) that are lost for one reason, in words."""
+    """Mask (n_vector,) of the vectors that are lost for one reason, and the reason."""
 
     reason: str
     vectors: BoolArray
 
 
 class Usable(NamedTuple):
-    """Vectors (n_vector,) that hold echoes, which have at least a time and a place, and why others do not."""
+    """Masks (n_vector,) of the vectors with echoes and of those with time and place, and why others are lost."""
 
     normal: BoolArray
     placed: BoolArray
@@ -57,7 +58,7 @@ class _Fault(NamedTuple):
 
 
 def find_usable(file: CphdFile, origin: FloatArray) -> Usable:
-    """Tell which vectors can be used; `origin` (3,) is the scene's reference point, Earth-centred, m.
+    """Find usable vectors; `origin` (3,) is the scene's reference point, Earth-centred, m.
 
     Raises
     ------
@@ -85,29 +86,29 @@ def find_usable(file: CphdFile, origin: FloatArray) -> Usable:
         lost.append(Lost(name, wrong & flagged))
     if np.count_nonzero(normal) < LEAST:
         raise InputError(
-            f"only {np.count_nonzero(normal)} vectors have valid parameters and a normal signal; at least {LEAST} are "
-            f"needed ({describe_lost(lost, file.first_vector)})"
+            f"{np.count_nonzero(normal)} of {normal.size} vectors with valid parameters and a normal signal; at least "
+            f"{LEAST} are needed ({describe_lost(lost, file.first_vector)})"
         )
     check_most_used(normal, lost, file.first_vector)
     return Usable(normal, placed, lost)
 
 
 def _not_finite(file: CphdFile) -> Iterator[_Fault]:
-    """Each parameter with the vectors in which it is NaN or infinite."""
+    """Iterate over parameters, each with the vectors in which it is NaN or infinite."""
     for name in (*NEEDED, *(("AmpSF",) if file.scaled else ())):
         wrong = ~_finite(file, name)
         yield _Fault(name, wrong, f"{name} is not finite", "correct it, or mark them with SIGNAL = 0")
 
 
 def _finite(file: CphdFile, *names: str) -> BoolArray:
-    """The vectors in which parameters are finite."""
+    """Mask of the vectors in which parameters are finite."""
     return np.asarray(
         np.all([np.isfinite(file.parameter(name)).reshape(file.shape[0], -1).all(axis=1) for name in names], axis=0)
     )
 
 
 def _out_of_range(file: CphdFile, origin: FloatArray) -> Iterator[_Fault]:
-    """Parameters with the vectors in which they are finite, but impossible."""
+    """Iterate over parameters with the vectors in which they are finite but impossible."""
     time, travel = file.parameter("TxTime"), file.parameter("RcvTime") - file.parameter("TxTime")
     yield _Fault("TxTime", _odd_zeros(time), "TxTime is 0 among other times", "correct it")
     for name in ("TxPos", "RcvPos"):
@@ -142,7 +143,7 @@ def _out_of_range(file: CphdFile, origin: FloatArray) -> Iterator[_Fault]:
 
 
 def _odd_zeros(time: FloatArray) -> BoolArray:
-    """Times of 0 that are no time: all but one that lies a pulse away from its neighbours."""
+    """Mask of times of 0 that mean no time: all but one that lies a pulse away from its neighbours."""
     zero = time == 0
     others = np.asarray(np.flatnonzero(~zero & np.isfinite(time)), np.int64)
     if not zero.any() or others.size < LEAST:
@@ -154,25 +155,25 @@ def _odd_zeros(time: FloatArray) -> BoolArray:
 
 
 def filled_with_zeros(values: FloatArray) -> BoolArray:
-    """Zeros that stand for no value: those whose next other values are of the usual size."""
+    """Mask of zeros that mean no value: those between other values of the usual size."""
     zero = values == 0
     others = np.asarray(np.flatnonzero(~zero & np.isfinite(values)), np.int64)
     if not zero.any() or not others.size:
         return np.zeros(values.shape, np.bool_)
     usual = float(np.median(np.abs(values[others])))
-    beside = np.nan_to_num(np.abs(_neighbours(values, zero, others)), nan=np.inf)
-    return zero & (beside.min(axis=0) >= usual / 2)
+    neighbours = np.nan_to_num(np.abs(_neighbours(values, zero, others)), nan=np.inf)
+    return zero & (neighbours.min(axis=0) >= usual / 2)
 
 
 def _neighbours(values: FloatArray, zero: BoolArray, others: IntArray) -> FloatArray:
-    """The next of the other values before and after each value, (2, n); NaN where there is none, or no zero."""
+    """Nearest other value before and after each zero, (2, n); NaN where there is none, or for other values."""
     at = np.searchsorted(others, np.arange(values.size))
     padded = np.concatenate([[np.nan], values[others], [np.nan]])
     return np.where(zero, np.stack([padded[at], padded[at + 1]]), np.nan)
 
 
 def check_most_used(used: BoolArray, lost: Sequence[Lost], first: int) -> None:
-    """Raise an InputError, with the part that holds most, if less than half of vectors (n_vector,) are used."""
+    """Refuse if less than half of the vectors (n_vector,) are used, and name the part with most of the usable ones."""
     ends = np.flatnonzero(np.diff(np.concatenate([[0], used, [0]]))).reshape(-1, 2)
     low, high = ends[np.diff(ends, axis=1).argmax()] if ends.size else (0, 0)
     refuse_few(
@@ -182,7 +183,7 @@ def check_most_used(used: BoolArray, lost: Sequence[Lost], first: int) -> None:
 
 
 def describe_lost(lost: Sequence[Lost], first: int = 0) -> str:
-    """Find which vectors are lost and why, in words: ranges of vectors, then their reasons; empty if none are.
+    """Describe lost vectors: ranges of vectors with their reasons; empty if none is lost.
 
     `first` is the number of the first one in the file.
     """
@@ -194,7 +195,7 @@ def describe_lost(lost: Sequence[Lost], first: int = 0) -> str:
 
 
 def _joined(why: Iterable[str]) -> str:
-    """Reasons in words: parameters by name."""
+    """Join reasons; those of parameters are combined."""
     words = [reason for reason in why if reason in (FLAG, ZEROS, NOT_FINITE)]
     names = [reason for reason in why if reason not in words]
     more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
@@ -202,7 +203,7 @@ def _joined(why: Iterable[str]) -> str:
 
 
 def _ranges(vectors: Sequence[int]) -> str:
-    """Ascending numbers as ranges, the first `MOST_RANGES` of them.
+    """Write ascending numbers as ranges, the first `MOST_RANGES` of them.
 
     Examples
     --------
@@ -211,9 +212,9 @@ def _ranges(vectors: Sequence[int]) -> str:
     """
     breaks = np.flatnonzero(np.diff(vectors) > 1)
     first, last = np.append(0, breaks + 1), np.append(breaks, len(vectors) - 1)
-    texts = [f"{vectors[a]}" if a == b else f"{vectors[a]} .. {vectors[b]}" for a, b in zip(first, last, strict=True)]
-    more = len(texts) - MOST_RANGES
-    return ", ".join(texts[:MOST_RANGES]) + (f" and {more} more ranges" if more > 0 else "")
+    ranges = [f"{vectors[a]}" if a == b else f"{vectors[a]} .. {vectors[b]}" for a, b in zip(first, last, strict=True)]
+    more = len(ranges) - MOST_RANGES
+    return ", ".join(ranges[:MOST_RANGES]) + (f" and {texts.count(more, 'more range')}" if more > 0 else "")
 
 
 MAX_GAPS = 1.0  # missing vectors over those present
@@ -221,7 +222,7 @@ MAX_GAPS = 1.0  # missing vectors over those present
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pulses:
-    """The vector of each pulse. A pulse without a vector, or whose vector is not normal, is missing.
+    """Vector of each pulse. A pulse without a vector, or with an abnormal one, is missing.
 
     Attributes
     ----------
@@ -269,12 +270,12 @@ def assign_pulses(file: CphdFile, origin: FloatArray) -> Pulses:
     except InputError:
         if normal.all():
             raise
-        # Vectors that are lost need no position: many files have anything there.
+        # Lost vectors need no position: many files have arbitrary values there.
         return _placed(file, normal, normal, lost)
 
 
 def _placed(file: CphdFile, normal: BoolArray, placed: BoolArray, lost: list[Lost]) -> Pulses:
-    """Pulses of the vectors that have a time and positions; those whose signal is not normal are missing."""
+    """Pulses of the vectors with time and positions; those with an abnormal signal are missing."""
     vector = np.asarray(np.flatnonzero(placed), dtype=np.int64)
     time = file.parameter("TxTime", vector)
     index, step, off = _slots(time, file.first_vector + vector)
@@ -307,7 +308,7 @@ def _placed(file: CphdFile, normal: BoolArray, placed: BoolArray, lost: list[Los
 
 
 def _slots(time: FloatArray, number: IntArray) -> tuple[IntArray, float, float]:
-    """Index of each vector's pulse on a uniform axis of slow time, the axis' step, s, and the largest deviation, steps.
+    """Pulse index of each vector on a uniform time axis, its step, s, and the largest deviation in steps.
 
     `number` are those of the vectors in the file.
 
@@ -317,7 +318,7 @@ def _slots(time: FloatArray, number: IntArray) -> tuple[IntArray, float, float]:
         If times do not ascend, or leave more than half of the axis empty.
     """
     if time.size < 8:
-        raise InputError(f"only {time.size} vectors have a time and positions; at least 8 are needed")
+        raise InputError(f"{texts.count(time.size, 'vector')} with a time and positions; at least 8 are needed")
     steps = np.diff(time)
     if not (steps > 0).all():
         where = number[1:][int(np.argmin(steps > 0))]
@@ -339,7 +340,7 @@ def _slots(time: FloatArray, number: IntArray) -> tuple[IntArray, float, float]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class VectorResampling:
-    """Resampling of vectors at uneven times to pulses at uniform ones, once their signals have a common reference.
+    """Resampling of uneven vectors to uniform pulses, after their signals have a common reference.
 
     Attributes
     ----------
@@ -428,7 +429,7 @@ def resample_vectors(
 
 
 def _interpolate_positions(slots: IntArray, index: IntArray, values: FloatArray) -> FloatArray:
-    """Positions of all pulses, by a cubic spline through those that are known."""
+    """Interpolate positions of all pulses by a cubic spline through the known ones."""
     if slots.size == index.size:
         return values
     from scipy.interpolate import CubicSpline

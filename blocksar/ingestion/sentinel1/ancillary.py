@@ -1,4 +1,4 @@
-"""Orbit and attitude of Sentinel-1, from packets or from files of precise orbits; and GPS time, which packets have.
+"""Orbit and attitude of Sentinel-1, from packets or files of precise orbits; and the GPS time of packets.
 
 Packets carry one of 64 words each, which follow each other. Words 1 to 22 are position and velocity with their time, 23
 to 41 the attitude's quaternion (S1-IF-ASD-PL-0007, tables 3.2-5 and 3.2-6). Times are GPS seconds of 32 bits with a
@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from blocksar import texts
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.errors import InputError
 from blocksar.ingestion.orbit import Orbit, States
@@ -26,12 +27,12 @@ from blocksar.ingestion.sentinel1.packets import Packets
 from blocksar.places import Location, readable
 
 GPS = datetime(1980, 1, 6, tzinfo=UTC)
-# Seconds that GPS time is ahead of UTC, from a GPS second on.
+# Seconds by which GPS time is ahead of UTC, by the GPS second from which they hold.
 LEAPS = ((0, 16), (1119744017, 17), (1167264018, 18))
 
 
 def utc(zero: int, seconds: float) -> str:
-    """UTC of so many seconds after a GPS second, ISO 8601."""
+    """Convert GPS seconds, `zero` plus `seconds`, to UTC, ISO 8601."""
     ahead = next(leap for since, leap in reversed(LEAPS) if zero >= since)
     moment: datetime = GPS + timedelta(seconds=zero - ahead) + timedelta(seconds=seconds)
     return f"{moment.replace(tzinfo=None).isoformat(timespec='microseconds')}Z"
@@ -43,7 +44,7 @@ J2000 = 630763218.0  # s of GPS time at 2000-01-01T12:00 UT, were it 18 s ahead 
 
 
 class Attitude(NamedTuple):
-    """Of the antenna's axis: how far it lies off the velocity, outwards and across it, rad (n, 2), at times (n,), s.
+    """Attitude: tilt of the antenna's axis off the velocity, outwards and across, rad (n, 2), at times (n,), s.
 
     `reading` says how the quaternions were read, `off` is the largest angle off the velocity, rad.
     """
@@ -54,7 +55,7 @@ class Attitude(NamedTuple):
     off: float
 
     def axis(self, time: FloatArray, position: FloatArray, velocity: FloatArray) -> FloatArray:
-        """The axis (m, 3) at times (m,), of places and velocities there; at other times than those known, the next."""
+        """Antenna axis (m, 3) at times (m,), for positions and velocities there; constant beyond the known times."""
         along, outward, across = _axes(position, velocity)
         lean = [np.interp(time, self.time, column)[:, None] for column in self.lean.T]
         axis = along + lean[0] * outward + lean[1] * across
@@ -62,7 +63,7 @@ class Attitude(NamedTuple):
 
 
 def read_states(packets: Packets, zero: int) -> States:
-    """The orbit's states in packets, at times after the GPS second `zero`.
+    """Read the orbit's states in packets, at times after the GPS second `zero`.
 
     Raises
     ------
@@ -76,14 +77,14 @@ def read_states(packets: Packets, zero: int) -> States:
     _, first = np.unique(time, return_index=True)
     if not first.size:
         raise InputError(
-            f"no state of the orbit is in its {len(packets)} packets, of which 64 hold one: give the orbit's file with "
-            "--orbit, or a longer part of the data"
+            f"no state of the orbit is in its {texts.count(len(packets), 'packet')}, of which 64 hold one: give "
+            "the orbit's file with --orbit, or a longer part of the data"
         )
     return States(time[first], place[first].astype(float), velocity[first].astype(float))
 
 
 def read_attitude(packets: Packets, zero: int, orbit: Orbit) -> Attitude | None:
-    """The attitude within the orbit's times; None if there is none, or none that keeps the zero Doppler."""
+    """Read the attitude within the orbit's times; None if there is none consistent with zero-Doppler steering."""
     words = _records(packets, *ATTITUDE)
     quaternion = words[:, :8].reshape(-1).astype(">u2").view(">f4").reshape(-1, 4).astype(float)
     time = _stamps(words[:, 14:18], zero)
@@ -107,7 +108,7 @@ def read_attitude(packets: Packets, zero: int, orbit: Orbit) -> Attitude | None:
 
 
 def _records(packets: Packets, first: int, last: int) -> IntArray:
-    """The words (n, last - first + 1) that follow each other without a gap."""
+    """Records of ancillary words: rows (n, last - first + 1) of consecutive words."""
     count = last - first + 1
     begins = np.flatnonzero(packets.word == first)
     rows = begins[begins + count <= len(packets), None] + np.arange(count)
@@ -116,14 +117,14 @@ def _records(packets: Packets, first: int, last: int) -> IntArray:
 
 
 def _stamps(words: IntArray, zero: int) -> FloatArray:
-    """Times (n,) of four words (n, 4), of which the first byte is not used, s."""
+    """Times (n,), s, from four words (n, 4), the first byte of which is unused."""
     seconds = ((words[:, 0] & 0xFF) << 24) | (words[:, 1] << 8) | (words[:, 2] >> 8)
     fraction = ((words[:, 2] & 0xFF) << 16) | words[:, 3]
     return np.asarray((seconds - zero) + fraction * 2.0**-24)
 
 
 def _axes(position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Unit vectors (n, 3) along the velocity, outwards at right angles to it, and across both."""
+    """Unit vectors (n, 3) along the velocity, outwards perpendicular to it, and across both."""
     along = velocity / np.linalg.norm(velocity, axis=1, keepdims=True)
     outward = position - (position * along).sum(axis=1, keepdims=True) * along
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
@@ -131,13 +132,13 @@ def _axes(position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, Float
 
 
 def _forward(quaternion: FloatArray, *, inverse: bool) -> FloatArray:
-    """x of a body (n, 3) that quaternions, scalar first, turn; or of the inverse turn."""
+    """Body x axis (n, 3) rotated by quaternions, scalar first, or by their inverse."""
     q0, q1, q2, q3 = quaternion.T * np.array([[1.0], [-1.0], [-1.0], [-1.0]]) ** inverse
     return np.stack([1 - 2 * (q2**2 + q3**2), 2 * (q1 * q2 + q0 * q3), 2 * (q1 * q3 - q0 * q2)], axis=1)
 
 
 def _turns(seconds: FloatArray) -> dict[str, FloatArray]:
-    """Turns (n, 3, 3) of axes to those of the Earth, at GPS times (n,), s: 1e-4 rad, as UT1 and nutation are left out.
+    """Rotations (n, 3, 3) from several axes to Earth-fixed ones at GPS times (n,), s; accurate to 1e-4 rad.
 
     Sidereal time and precession of 1976 (Lieske), to the first order in centuries.
     """
@@ -153,7 +154,7 @@ def _turns(seconds: FloatArray) -> dict[str, FloatArray]:
 
 
 def _about(axis: int, angle: FloatArray) -> FloatArray:
-    """Turns (n, 3, 3) of coordinates to axes turned by angles (n,) about one of them."""
+    """Rotation matrices (n, 3, 3) of coordinates for axes rotated by angles (n,) about axis 1 or 2."""
     c, s, one, zero = np.cos(angle), np.sin(angle), np.ones_like(angle), np.zeros_like(angle)
     about_z, about_y = [c, s, zero, -s, c, zero, zero, zero, one], [c, zero, -s, zero, one, zero, s, zero, c]
     rows = about_z if axis == 2 else about_y
@@ -168,7 +169,7 @@ STATE = ("X", "Y", "Z", "VX", "VY", "VZ")
 
 
 def read_orbit_file(path: Location, first: float, last: float, zero: int) -> Orbit:
-    """Read the states about times first .. last, s after the GPS second `zero`.
+    """Read the states around times first .. last, s after the GPS second `zero`.
 
     Raises
     ------

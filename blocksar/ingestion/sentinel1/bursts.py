@@ -1,4 +1,4 @@
-"""Bursts in files of packets: pulses of one swath, PRF and chirp that follow each other, steered one way."""
+"""Bursts in packet files: consecutive pulses of one swath, PRF and chirp, with continuous steering."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
+from blocksar import texts
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, quoted
@@ -39,7 +40,7 @@ RATES = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Burst:
-    """Echoes of a burst, of one receiver.
+    """Burst: echoes of one receiver.
 
     Attributes
     ----------
@@ -84,17 +85,17 @@ class Burst:
 
     @property
     def interval(self) -> float:
-        """PRI, s."""
+        """Pulse repetition interval, s."""
         return float(self.packets.interval[0]) / REFERENCE
 
     @cached_property
     def slots(self) -> IntArray:
-        """Numbers of the pulses on an even axis, from 0: that of the PRI in which they were sent."""
+        """Slot of each pulse, from 0: that of the PRI in which it was transmitted."""
         return np.asarray(self.packets.pulse - self.packets.rank - self.first)
 
     @cached_property
     def sent(self) -> float:
-        """When the first pulse was sent, s after `zero`: packets have the time of the PRI that receives the echo.
+        """Transmission time of the first pulse, s after `zero`; packets state that of the PRI that receives the echo.
 
         Raises
         ------
@@ -112,18 +113,18 @@ class Burst:
 
     @cached_property
     def delay(self) -> FloatArray:
-        """Of the first sample of each pulse, from the beginning of its transmission by the antenna, s."""
+        """Delay of each pulse's first sample after the beginning of transmission at the antenna, s."""
         window = self.packets.window / REFERENCE + SUPPRESSED - self.internal - self.options.range_delay
         return np.asarray(self.packets.rank * self.interval + window)
 
     @cached_property
     def samples(self) -> tuple[float, int]:
-        """First delay (s) and number of the samples that all pulses have; see `shared_samples`."""
+        """First delay (s) and number of the samples common to all pulses; see `shared_samples`."""
         return shared_samples([self])
 
     @property
     def middle_delay(self) -> float:
-        """Of an echo in the middle of the swath, to its pulse's beginning, s."""
+        """Delay, s, from the beginning of a pulse to that of an echo from mid-swath."""
         first, count = self.samples
         return first + (count - 1) / (2 * self.radar.rate) - self.radar.length / 2
 
@@ -133,7 +134,7 @@ class Burst:
 
 
 def shared_samples(bursts: Sequence[Burst]) -> tuple[float, int]:
-    """First delay (s) and number of the samples that all pulses of a burst's receivers have.
+    """First delay (s) and number of the samples common to all pulses of a burst's receivers.
 
     Raises
     ------
@@ -170,7 +171,7 @@ CONSTANT = ("take", "interval", "ramp", "start", "length", "decimation", "polari
 
 
 def find_bursts(packets: Packets, zero: int) -> tuple[list[Burst], list[str]]:
-    """Divide the echoes of a file, and say what was left out."""
+    """Divide the echoes of a file into bursts; also return notes on what was left out."""
     echoes = packets[packets.echo]
     bursts: list[Burst] = []
     small = 0
@@ -192,12 +193,12 @@ def find_bursts(packets: Packets, zero: int) -> tuple[list[Burst], list[str]]:
     bursts.sort(key=lambda burst: (burst.packets.seconds[0], burst.packets.fine[0]))
     refuse_few(len(echoes) - small, len(echoes), f"most echoes lie in parts of less than {LEAST} pulses",
                "give a longer part of the data")  # fmt: skip
-    notes = [f"{small} of {len(echoes)} echoes, in parts of less than {LEAST} pulses, are left out"] if small else []
+    notes = [f"{small} of {len(echoes)} echoes in parts of less than {LEAST} pulses: left out"] if small else []
     return bursts, notes
 
 
 def as_received(burst: Burst, files: Sequence[PacketFile]) -> Channel | None:
-    """The pulses of a burst as another receiver has them, in that of its files with most; None if fewer than LEAST."""
+    """Find a burst's pulses from another receiver, in the file with most of them; None if fewer than LEAST."""
     found: list[Channel] = []
     for file in files:
         packets = file.packets
@@ -214,7 +215,7 @@ def as_received(burst: Burst, files: Sequence[PacketFile]) -> Channel | None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Steering:
-    """The electronic law of a swath's beam: its angle ahead of broadside rises evenly with time.
+    """Electronic steering of a swath's beam: the angle ahead of broadside rises linearly with time.
 
     Headers have a beam address that rises through a burst. The address at the middle of whole bursts is taken for
     broadside, so that a burst which the data cut has its own part of the law; the rate is that of level 1 products.
@@ -232,7 +233,7 @@ class Steering:
 
     @classmethod
     def of(cls, bursts: Sequence[Burst]) -> Steering:
-        """Steering of a swath's bursts."""
+        """Derive the steering of a swath from its bursts."""
         rate = np.radians(RATES.get(bursts[0].swath, 0.0))
         if not rate:
             return cls(rate=0.0, broadside=None)
@@ -242,7 +243,7 @@ class Steering:
         return cls(rate=rate, broadside=float(np.median(middles)) if middles else None)
 
     def angle(self, burst: Burst, time: FloatArray) -> FloatArray:
-        """Angle of the beam (n,), rad, at times (n,) after `zero`."""
+        """Beam angle (n,), rad, at times (n,), s, after `zero`."""
         middle = burst.sent + burst.interval * ((burst.n_slot - 1) / 2 + float(burst.packets.rank[0]))
         slope, address = _line(burst)
         if self.broadside is not None and slope > 0:
@@ -258,7 +259,7 @@ class Steering:
 
 
 def _line(burst: Burst) -> tuple[float, float]:
-    """How fast the beam's address rises, 1/s, and its value at the middle of the burst, by a line through all."""
+    """Rate of the beam's address, 1/s, and its value at mid-burst, by a straight-line fit."""
     pulse = burst.packets.pulse - burst.packets.pulse[0]
     own = pulse - pulse.mean()
     slope = float((own * burst.packets.azimuth).sum() / (own**2).sum())
@@ -290,7 +291,7 @@ def _path(value: Any) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Sentinel1Options(RawOptions):
-    """The part of the data that is wanted, and what is said of it; see `RawOptions`.
+    """Selected part of the data, and corrections to it; see `RawOptions`.
 
     Attributes
     ----------
@@ -341,18 +342,18 @@ class Sentinel1Options(RawOptions):
 
 
 DAMAGED, REMEDY = "damaged", "get it again"
-BESIDE = re.compile(r"-(annot|index)\.dat$")  # what lies beside packets in a SAFE folder
+BESIDE = re.compile(r"-(annot|index)\.dat$")  # files next to the packets in a SAFE folder
 
 
 class PacketFile(NamedTuple):
-    """Packets of one receiver in a file."""
+    """Packets of one receiver in one file."""
 
     where: Readable
     packets: Packets
 
     @property
     def polarization(self) -> str | None:
-        """Polarization of its echoes, the first one's; None if it has only noise and calibration."""
+        """Polarisation of the file's echoes; None if it has only noise and calibration."""
         echoes = self.packets[self.packets.echo]
         return polarizations(echoes[:1])[0] if len(echoes) else None
 
@@ -361,7 +362,7 @@ Channel = tuple[PacketFile, Burst]
 
 
 def expand(sources: Sequence[Location]) -> list[Readable]:
-    """The files of packets among these, and in folders among them.
+    """List the packet files among these paths, and in folders among them.
 
     Raises
     ------
@@ -404,7 +405,7 @@ def open_files(sources: Sequence[Location]) -> list[PacketFile]:
 
 
 class BurstChoice(NamedTuple):
-    """Bursts in the order of time, with their files, and those that are wanted, each with all receivers' channels.
+    """Bursts in order of time, with their files, and the selected ones with the channels of all receivers.
 
     `packets` are those of the first receiver, which also has all bursts.
     """
@@ -417,7 +418,7 @@ class BurstChoice(NamedTuple):
 
 
 def choose(files: Sequence[PacketFile], options: Sentinel1Options) -> BurstChoice:
-    """The bursts of files that are wanted, of one transmitter, and notes.
+    """Select the requested bursts of one transmitter, with notes.
 
     Raises
     ------
@@ -428,7 +429,8 @@ def choose(files: Sequence[PacketFile], options: Sentinel1Options) -> BurstChoic
     if not have:
         n = sum(len(file.packets) for file in files)
         raise InputError(
-            f"{files[0].where} holds {n} packets of noise or calibration and no echo; give those of echoes"
+            f"{files[0].where} holds {texts.count(n, 'packet')} of noise or calibration and no echo; give those of "
+            "echoes"
         )
     like = [each for each in have if each[0] == each[1]]
     main = options.polarization or (like or have)[0]
@@ -442,9 +444,9 @@ def choose(files: Sequence[PacketFile], options: Sentinel1Options) -> BurstChoic
     zero = min(int(file.packets.seconds.min()) for file in of_it)
     found: list[Channel] = []
     for file in of_it:
-        bursts, said = find_bursts(file.packets, zero)
+        bursts, burst_notes = find_bursts(file.packets, zero)
         found += [(file, burst) for burst in bursts]
-        notes += said
+        notes += burst_notes
     found.sort(key=lambda each: each[1].sent)
     counts: dict[str, int] = {}
     numbered: list[Channel] = []

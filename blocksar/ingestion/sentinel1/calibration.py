@@ -1,4 +1,4 @@
-"""The instrument's internal delay, by calibration pulses.
+"""The instrument's internal delay, measured by calibration pulses.
 
 An echo takes as much longer than its way as the pulse needs from the generator to the antenna, and the echo from the
 antenna to the converter: 0.43 us, 65 m of range. Calibration pulses go around parts of this path (signal types of
@@ -38,14 +38,14 @@ from blocksar.places.ranges import Readable
 
 TX, RX, EPDN, TA, APDN = 8, 9, 10, 11, 12  # signal types
 MOST = 16  # pulses of a type that are read
-LONGEST = 2e-6  # s, of a delay that is believed
+LONGEST = 2e-6  # s, longest plausible delay
 ALIKE = 0.5  # of a pulse's power, which at least is that of the chirp
 FINER = 20  # steps of a sample, between which the peak is a parabola
 USUAL = 433e-9  # s, annotated in a level 1 product
 
 
 class InternalDelay(NamedTuple):
-    """Of an instrument, s; the pulses' types that tell it, their number, and whether they have the echoes' chirp."""
+    """Internal delay, s; types and number of the pulses that show it, and whether they have the echoes' chirp."""
 
     seconds: float
     types: str
@@ -54,7 +54,7 @@ class InternalDelay(NamedTuple):
 
 
 def internal_delay(sources: Sequence[tuple[Readable, Packets]], echoes: Packets) -> InternalDelay | None:
-    """Measure the delay of the echoes' receiver by the calibration pulses of files; None if they tell none.
+    """Measure the delay of the echoes' receiver by calibration pulses in files; None without usable ones.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def _same_chirp(packets: Packets, echoes: Packets) -> BoolArray:
 
 
 def _delays(where: Readable, packets: Packets, rows: np.ndarray[tuple[int], np.dtype[np.int64]]) -> list[float]:
-    """Delays of some of these packets' pulses, s: of those in which the chirp is found."""
+    """Delays, s, of those packets' pulses in which the chirp is found."""
     chosen = rows[np.unique(np.linspace(0, rows.size - 1, min(rows.size, MOST)).astype(int))] if rows.size else rows
     delays: list[float] = []
     if chosen.size:
@@ -108,7 +108,7 @@ def _delays(where: Readable, packets: Packets, rows: np.ndarray[tuple[int], np.d
 
 
 def pulse_delay(samples: ComplexArray, radar: Radar) -> float | None:
-    """When the chirp begins after the first of samples (n,), s; None if there is no such chirp within LONGEST."""
+    """Time, s, from the first of samples (n,) to the beginning of the chirp; None if not found within LONGEST."""
     time = np.arange(int(radar.length * radar.rate) + 1) / radar.rate
     chirp = np.exp(2j * np.pi * (radar.start * time + radar.ramp / 2 * time**2))
     power = float((np.abs(samples) ** 2).sum())

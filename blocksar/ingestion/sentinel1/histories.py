@@ -1,4 +1,4 @@
-"""A burst as a phase history: a raw echo in a frame on the ellipsoid, and remarks on it for a user.
+"""A burst as a phase history: a raw echo in a frame on the ellipsoid, with remarks for the user.
 
 *Resampling.* Columns of samples that come earlier or later than their pulse's position are moved in slow time. The
 Doppler frequency of the beam's centre passes through many PRFs. Without it, samples fill less than a PRF, and are
@@ -70,7 +70,7 @@ UNMOVED_PULSE = 1e-4  # of a PRI
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ColumnResampling:
-    """How pulses are resampled.
+    """Resampling of a burst's pulses to common times, column by column.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ class ColumnResampling:
         return cls(cycles=cycles, doppler=doppler, late=late, interval=interval)
 
     def apply(self, read: Callable[[slice], ComplexArray], pulses: slice) -> ComplexArray:
-        """Samples of some pulses, of which `read` gives those that are asked for; lost ones stay NaN."""
+        """Read pulses through `read` and resample them; lost ones stay NaN."""
         shift = self.late / self.interval
         if np.abs(shift).max() < UNMOVED_PULSE:
             return read(pulses)
@@ -117,7 +117,7 @@ class ColumnResampling:
 
 
 def _weight(place: FloatArray) -> FloatArray:
-    """h at places in pulses."""
+    """Interpolation kernel h at distances in pulses."""
     within = np.clip(1 - (place / (HALF + 1)) ** 2, 0, None)
     return np.asarray(np.sinc(place) * np.i0(WINDOW * np.sqrt(within)) / np.i0(WINDOW))
 
@@ -134,7 +134,7 @@ UNMOVED_SAMPLE = 1e-3  # of a sample
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Data:
-    """Facts that the bursts of a data take have in common."""
+    """Common facts of a data take's bursts."""
 
     options: Sentinel1Options
     zero: int
@@ -143,7 +143,7 @@ class Data:
     steering: Mapping[str, Steering]
 
     def moment(self, burst: Burst) -> FloatArray:
-        """When the antenna is where the pulses' ways have their middle (n_slot,), s after `zero` (see the module)."""
+        """Times (n_slot,), s after `zero`, at which the antenna is midway between transmission and reception."""
         sent: FloatArray = np.asarray(burst.sent + burst.interval * np.arange(burst.n_slot), np.float64)
         received: FloatArray = np.asarray(sent + burst.interval * float(burst.packets.rank[0]), np.float64)
         if self.options.time_tags == "middle":
@@ -152,7 +152,7 @@ class Data:
         return np.asarray((sent if self.options.time_tags is None else received) + later, np.float64)
 
     def track(self, burst: Burst) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Positions, velocities and antenna's axis (n_slot, 3), Earth-centred."""
+        """Positions, velocities and antenna axes (n_slot, 3), Earth-centred."""
         moment = self.moment(burst)
         position, velocity = self.orbit.at(moment)
         if self.attitude is None:
@@ -162,7 +162,7 @@ class Data:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BurstHistory:
-    """A burst as a phase history in a frame, of which each receiver is a channel; all have the geometry of the first.
+    """A burst as a phase history in a frame; receivers are channels with the geometry of the first.
 
     Attributes
     ----------
@@ -194,12 +194,12 @@ class BurstHistory:
 
     @cached_property
     def angle(self) -> FloatArray:
-        """Of the beam ahead of broadside (n_slot,), rad."""
+        """Angle of the beam ahead of broadside (n_slot,), rad."""
         return self.data.steering[self.burst.swath].angle(self.burst, self.data.moment(self.burst))
 
     @cached_property
     def doppler(self) -> FloatArray:
-        """Of the beam's centre (n_slot,), Hz; none where antennas stand still."""
+        """Doppler of the beam's centre (n_slot,), Hz; zero for antennas treated as still."""
         if self.data.options.time_tags == "middle":
             return np.zeros(self.burst.n_slot)
         speed = np.linalg.norm(self.track[1], axis=1)
@@ -207,7 +207,7 @@ class BurstHistory:
 
     @cached_property
     def late(self) -> FloatArray:
-        """By how much later samples are received than the moment of the position takes them for (n_sample,), s."""
+        """Offset (n_sample,), s, of the antenna's true mid-time of samples from that of its stated position."""
         if self.data.options.time_tags == "middle":
             return np.zeros(self.raw.fast_time.size)
         middle = self.burst.middle_delay - 2 * self.removed / SPEED_OF_LIGHT
@@ -215,7 +215,7 @@ class BurstHistory:
 
     @cached_property
     def atmosphere(self) -> float:
-        """Delay of a standard atmosphere in the middle of swath and burst, m of one way."""
+        """Delay, one way in m, of a standard atmosphere in the middle of swath and burst."""
         middle = self.burst.n_slot // 2
         position, _, axis = (each[middle] for each in self.track)
         ground = find_scene_centre(
@@ -225,12 +225,12 @@ class BurstHistory:
 
     @property
     def removed(self) -> float:
-        """Of that, what is taken out, m."""
+        """Part of the atmosphere's delay that is removed, m."""
         return self.atmosphere if self.data.options.troposphere else 0.0
 
     @cached_property
     def samples(self) -> tuple[float, int]:
-        """First delay (s) and number of the samples that all pulses of all channels have."""
+        """First delay (s) and number of the samples common to all pulses of all channels."""
         return shared_samples([burst for _, burst in self.channels])
 
     @cached_property
@@ -295,8 +295,7 @@ class BurstHistory:
     def pieces(self) -> Iterator[Piece]:
         resampling = ColumnResampling.of(self.doppler, self.late, self.burst.interval)
         for channel, (source, burst) in enumerate(self.channels):
-            # In samples, by which a pulse's first one comes after the first that all have. Codes round the chirp's
-            # middle.
+            # Offset of each pulse's first sample from the first common one, in samples. Codes round the chirp's middle.
             frequency = burst.radar.middle + self.doppler[burst.slots] / 2
             shift = (burst.delay - self.samples[0] + frequency / burst.radar.ramp) * burst.radar.rate
             rows = max(AT_ONCE // (16 * int(burst.packets.quads.max())), 1)
@@ -317,7 +316,7 @@ class BurstHistory:
             return resampling.apply(read, pulses)
 
     def _read(self, file: BinaryIO, burst: Burst, shift: FloatArray, pulses: slice) -> ComplexArray:
-        """Samples of some slots, NaN where one is lost."""
+        """Read samples of some slots, NaN for lost ones."""
         count = self.raw.fast_time.size
         samples = np.full((pulses.stop - pulses.start, count), np.nan, np.complex64)
         low, high = np.searchsorted(burst.slots, [pulses.start, pulses.stop])
@@ -329,7 +328,7 @@ class BurstHistory:
 
 
 def _alike(packets: Packets, low: int, high: int) -> Iterator[slice]:
-    """Slices of packets from low to before high that have as many samples."""
+    """Iterate over runs of packets, from low to before high, with equal numbers of samples."""
     if high > low:
         cuts = low + 1 + np.flatnonzero(np.diff(packets.quads[low:high]))
         for first, last in zip([low, *cuts], [*cuts, high], strict=True):
@@ -337,7 +336,7 @@ def _alike(packets: Packets, low: int, high: int) -> Iterator[slice]:
 
 
 def shifted(samples: ComplexArray, shift: FloatArray, count: int) -> ComplexArray:
-    """Rows (n, m) later by so many samples each (n,), of which the first `count` are returned; zeros come from beyond.
+    """Delay rows (n, m) by fractional samples (n,), and return the first `count` columns; zeros are shifted in.
 
     By whole samples and, where the rest is more than UNMOVED, by an even phase over frequency.
     """
@@ -361,7 +360,7 @@ def shifted(samples: ComplexArray, shift: FloatArray, count: int) -> ComplexArra
 
 
 def frame_of(burst: Burst, data: Data) -> Georeference:
-    """About the ground at the middle of a burst, x away from the track, so that a box along the axes fits a swath."""
+    """Make the frame about the ground at mid-burst, x pointing away from the track."""
     position, _, axis = (each[burst.n_slot // 2] for each in data.track(burst))
     frame = find_scene_centre(position, axis, slant_range=burst.middle_range, side=SIDE, height=0.0, squint=0.0)
     east, north, _ = frame.east_north_up @ (frame.origin - position)
@@ -374,7 +373,7 @@ UNTOLD = 1e-9  # s, by which receive windows may differ
 
 
 def remarks(histories: Sequence[BurstHistory]) -> list[str]:
-    """All of them, a sentence each."""
+    """Collect the remarks on all bursts, a sentence each."""
     swaths: dict[str, list[BurstHistory]] = {}
     for each in histories:
         swaths.setdefault(each.burst.swath, []).append(each)
@@ -411,13 +410,13 @@ def _swath(swath: str, own: Sequence[BurstHistory]) -> list[str]:
 
 
 def _internal(history: BurstHistory) -> list[str]:
-    """Say how much of each channel's internal delay is taken off, or stays."""
+    """Describe how much of each channel's internal delay is removed, or left."""
     burst = history.burst
     sight = history.frame.from_ecef(history.track[0][burst.n_slot // 2])
     level = float(np.hypot(sight[0], sight[1]) / np.linalg.norm(sight))
 
     def extent(seconds: float) -> str:
-        """Slant and on the ground, m."""
+        """Format a delay as slant range and ground range, m."""
         slant = SPEED_OF_LIGHT / 2 * seconds
         return f"{1e9 * seconds:.4g} ns ({slant:.3g} m of range, {slant / level:.3g} m on the ground)"
 

@@ -1,4 +1,4 @@
-"""Sentinel-1 level 0 as a reader: what `blocksar ingest sentinel1` and `info` ask."""
+"""Sentinel-1 level 0 as a reader, for `blocksar ingest sentinel1` and `info`."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ FARTHEST = 1e6  # m along the track, in which the Earth falls 20 km below a plan
 
 
 def begin(sources: Sequence[Location], options: Sentinel1Options) -> dict[str, Reading]:
-    """Read all but the samples: the bursts' phase histories by name.
+    """Read everything but the samples: the selected bursts' phase histories, by name.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def begin(sources: Sequence[Location], options: Sentinel1Options) -> dict[str, R
         data = _common(choice, [channels[0][1] for channels in choice.wanted], options)
     delays: dict[tuple[str, str], InternalDelay | None] = {}
     sources_of_delay = [(file.where, file.packets) for file in files]
-    kept: list[tuple[tuple[Channel, ...], tuple[InternalDelay | None, ...]]] = []
+    corrected: list[tuple[tuple[Channel, ...], tuple[InternalDelay | None, ...]]] = []
     for channels in choice.wanted:
         for file, burst in channels:
             if (burst.swath, burst.polarization) not in delays:
@@ -96,8 +96,8 @@ def begin(sources: Sequence[Location], options: Sentinel1Options) -> dict[str, R
             (file, replace(burst, internal=seconds))
             for (file, burst), seconds in zip(channels, late, strict=True)
         )  # fmt: skip
-        kept.append((moved, own))
-    bursts = [channels[0][1] for channels, _ in kept]
+        corrected.append((moved, own))
+    bursts = [channels[0][1] for channels, _ in corrected]
     frame = frame_of(bursts[len(bursts) // 2], data)
     ends = [data.track(burst)[0][burst.n_slot // 2] for burst in (bursts[0], bursts[-1])]
     if (apart := float(np.linalg.norm(ends[1] - ends[0]))) > FARTHEST:
@@ -105,16 +105,16 @@ def begin(sources: Sequence[Location], options: Sentinel1Options) -> dict[str, R
             f"the bursts lie {apart / 1e3:.0f} km from each other, and one frame has room for {FARTHEST / 1e3:g} km; "
             "take some of them with --bursts"
         )
-    histories = [BurstHistory(channels=channels, delays=own, data=data, frame=frame) for channels, own in kept]
-    said = [*choice.notes, *remarks(histories)]
-    return {each.name: each.reading(() if number else said) for number, each in enumerate(histories)}
+    histories = [BurstHistory(channels=channels, delays=own, data=data, frame=frame) for channels, own in corrected]
+    notes = [*choice.notes, *remarks(histories)]
+    return {each.name: each.reading(() if number else notes) for number, each in enumerate(histories)}
 
 
 def _common(choice: BurstChoice, bursts: Sequence[Burst], options: Sentinel1Options) -> Data:
-    """Find what the wanted bursts have in common; the law of the steering is told by all of a swath."""
+    """Collect the facts that the selected bursts share; the steering is derived from all bursts of a swath."""
     zero = choice.zero
     first = min(burst.sent for burst in bursts)
-    last = max(burst.sent + (burst.n_slot + 32) * burst.interval for burst in bursts)  # with what is in the air
+    last = max(burst.sent + (burst.n_slot + 32) * burst.interval for burst in bursts)  # with pulses in the air
     if options.orbit is not None:
         orbit = read_orbit_file(options.orbit, first, last, zero)
     else:
@@ -128,7 +128,7 @@ def _common(choice: BurstChoice, bursts: Sequence[Burst], options: Sentinel1Opti
 
 
 class Sentinel1Reader:
-    """Stripmap, wave and TOPS bursts of Sentinel-1."""
+    """Reader of stripmap, wave and TOPS bursts of Sentinel-1."""
 
     summary = (
         "Convert Sentinel-1 level 0 (packets) to phase histories.\n\n"

@@ -1,4 +1,4 @@
-"""Space packets of Sentinel-1: their headers, and their samples, decoded.
+"""Space packets of Sentinel-1: headers, and decoding of samples.
 
 By "Sentinel-1 SAR Space Packet Protocol Data Unit" (S1-IF-ASD-PL-0007) a packet is a primary header of 6 bytes, which
 has its length, a secondary one of 62, and the samples. Numbers are big-endian.
@@ -27,7 +27,7 @@ FINE = 2.0**-16  # s, of the time of a packet, which is cut off
 SUPPRESSED = 40 / REFERENCE  # s after the start of the window, in which the decimation's filter settles (3.2.5.11)
 ECHO = 0  # signal type
 AT_ONCE = 16 * MIB  # bytes of a file
-# Samples over those of the converter, which are four a period of the clock, by the code of decimation (3.2.5.4).
+# Sampling rate relative to the converter's, four times the clock, by the code of decimation (3.2.5.4).
 DECIMATION = {
     0: (3, 4), 1: (2, 3), 3: (5, 9), 4: (4, 9), 5: (3, 8), 6: (1, 3), 7: (1, 6), 8: (3, 7), 9: (5, 16), 10: (3, 26),
     11: (4, 11),
@@ -45,7 +45,7 @@ KIND = Kind("a file of Sentinel-1 level 0 packets", begins(SYNC, at=SYNC_AT),
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Packets:
-    """Headers of packets, an array (n,) each.
+    """Headers of packets as arrays (n,).
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Packets:
 
     @classmethod
     def of(cls, headers: np.ndarray[tuple[int, int], np.dtype[np.uint8]], offset: IntArray, size: IntArray) -> Self:
-        """Headers (n, HEADERS) uint8 of packets."""
+        """Parse headers (n, HEADERS) uint8 of packets."""
 
         def number(first: int, count: int) -> IntArray:
             value = np.zeros(headers.shape[0], np.int64)
@@ -134,21 +134,21 @@ class Packets:
 
     @cached_property
     def echo(self) -> BoolArray:
-        """Whether a packet holds an echo, and not noise or a calibration pulse."""
+        """Mask of packets that hold an echo rather than noise or a calibration pulse."""
         return np.asarray((self.signal == ECHO) & ~self.calibration)
 
     @property
     def radar(self) -> Radar:
-        """Pulse as the first packet states it."""
+        """Pulse parameters of the first packet."""
         return Radar.of(int(self.ramp[0]), int(self.start[0]), int(self.length[0]), int(self.decimation[0]))
 
     def times(self, zero: int) -> FloatArray:
-        """Times of the packets (n,), s after a GPS second: the middle of what the fine time cuts off."""
+        """Times of the packets (n,), s after a GPS second, centred in the resolution of the fine time."""
         return np.asarray((self.seconds - zero) + (self.fine + 0.5) * FINE)
 
 
 class Radar(NamedTuple):
-    """The transmitted pulse and the rate of samples: Hz/s, Hz, s, Hz."""
+    """Transmitted pulse and sampling: chirp rate, Hz/s; start frequency, Hz; length, s; sampling rate, Hz."""
 
     ramp: float
     start: float
@@ -157,7 +157,7 @@ class Radar(NamedTuple):
 
     @classmethod
     def of(cls, ramp: int, start: int, length: int, decimation: int) -> Radar:
-        """From the codes of a header (3.2.5.4, 3.2.5.6 to 3.2.5.8).
+        """Parse the codes of a header (3.2.5.4, 3.2.5.6 to 3.2.5.8).
 
         Raises
         ------
@@ -183,13 +183,13 @@ class Radar(NamedTuple):
         return radar
 
     def signed(self, sign: float) -> Radar:
-        """The pulse about the same frequency whose own rises (1) or falls (-1)."""
+        """Copy about the same frequency whose chirp rises (1) or falls (-1)."""
         ramp = sign * abs(self.ramp)
         return self._replace(ramp=ramp, start=self.middle - ramp * self.length / 2)
 
     @property
     def bandwidth(self) -> float:
-        """Hz."""
+        """Bandwidth, Hz."""
         return abs(self.ramp) * self.length
 
     @property
@@ -199,7 +199,7 @@ class Radar(NamedTuple):
 
 
 def read_headers(file: BinaryIO, most: int | None = None) -> Packets:
-    """Read the headers of a file of packets, or of the first ones only.
+    """Read the headers of a packet file, or only of its first `most` packets.
 
     Raises
     ------
@@ -243,7 +243,7 @@ COMPRESSIONS = {0: "bypass", 3: "BAQ 3", 4: "BAQ 4", 5: "BAQ 5", 12: "FDBAQ", 13
 
 
 def read_samples(file: BinaryIO, packets: Packets) -> ComplexArray:
-    """Read the samples (n, 2 quads) complex64 of packets that have as many.
+    """Read samples (n, 2 quads) complex64 of packets with equal numbers of them.
 
     Raises
     ------

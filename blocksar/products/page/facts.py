@@ -1,4 +1,4 @@
-"""The facts of a report page: a run's record and its measured figures."""
+"""Facts for a report page: a run's record and its measured figures."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ MOST_ROWS = 300  # rows of a table, and marks on the picture
 
 
 def responses_of(quality: Mapping[str, Any]) -> list[PointResponse]:
-    """Read the targets of quality.json, in which null stands for NaN and [re, im] for a complex number.
+    """Read the targets of quality.json, where null stands for NaN and [re, im] for a complex number.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def responses_of(quality: Mapping[str, Any]) -> list[PointResponse]:
 
 
 def _number(name: str, value: Any) -> Any:
-    """A field of a response, of its type."""
+    """Convert a field of a response to its type."""
     match name:
         case "name":
             return str(value)
@@ -162,19 +162,19 @@ class Facts:
         self.responses = responses_of(quality) if quality else []
         self.judged = select_judged(self.responses)
         worst = sorted(self.responses, key=rank)[:MOST_ROWS]
-        kept = {id(r) for r in worst}
-        self.listed = [r for r in self.responses if id(r) in kept]
+        listed = {id(r) for r in worst}
+        self.listed = [r for r in self.responses if id(r) in listed]
         self.marked: Sequence[PointResponse | Target] = self.listed or [
             Target.from_record(record) for record in list(source.attrs.get("targets") or [])[:MOST_ROWS]
         ]
         self.places = {id(r): block_of(source, self.predicted, r.x, r.y) for r in self.responses}
 
     def receipt(self, block: PredictedBlock) -> Receipt | None:
-        """Return the receipt of a block, if there is one."""
+        """Return the receipt of a block; None if there is none."""
         return self._by_unit.get(block_unit(block.name))
 
     def choose_drawn(self) -> set[str]:
-        """Names of the targets whose responses are drawn: the paper's, the two worst, and others along the list."""
+        """Choose the targets whose responses are drawn: the paper's, the two worst, and others along the list."""
         measured = [r.name for r in self.responses if r.covered]
         paper = [name for name in measured if name in (self.quality.get("table3") or {})]
         worst = [r.name for r in sorted(self.judged, key=rank)[:2]]

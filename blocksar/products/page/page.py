@@ -6,7 +6,7 @@ identical bytes.
 
 Import this module only where a page is made: matplotlib is slow to load.
 
-The Pauli composite of a page is an overlay: colours that are switched on over the grey levels of a channel.
+The Pauli composite of a page is an overlay of colours that can be switched on over the grey levels of a channel.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class PlacedComposite(NamedTuple):
 
 
 def draw_composite(sources: Mapping[str, FinishedRun], *, progress: Callback | None = None) -> Composite:
-    """Reduce the Pauli composite of channels, by polarisation, to levels; reads them strip by strip."""
+    """Reduce the Pauli composite of channels, by polarisation, to colour levels; reads strip by strip."""
     reduced, power = pauli_powers(sources, max_pixels=PIXELS, progress=progress)
     with np.errstate(divide="ignore"):
         decibel = 10 * np.log10(power)
@@ -123,7 +123,7 @@ EDGE = 16  # pixels at the edge of an image in which a response may not be measu
 
 
 def bar_text(response: PointResponse) -> str:
-    """The limits of a response's figures."""
+    """Describe the limits of a response's figures."""
     lobes = [
         f"{axis} side lobes within {limit(response, f'{axis}_pslr')[1]} of theory, "
         f"{number(getattr(response, f'{axis}_pslr_theory'))} dB at {response.name}"
@@ -177,7 +177,7 @@ def _verdict_on_targets(run: Facts) -> Verdict:
 
 
 def _in_a_gap(run: Facts, response: PointResponse) -> bool:
-    """Whether the image does not cover a target that lies more than EDGE pixels inside its grid."""
+    """Tell whether a target without data lies more than EDGE pixels inside the image's grid."""
     if response.covered or np.isfinite(response.value):
         return False
     if len(run.record.inputs) > 1:  # a seam between collections, which covers the target's own pixel
@@ -198,7 +198,7 @@ def _nearest(value: float, axis: FloatArray) -> slice:
 
 
 def _verdict_on_memory(run: Facts) -> Verdict:
-    """Peak memory of a worker against the plan."""
+    """Judge the peak memory of a worker against the plan."""
     peak, planned = run.peak_memory, run.planned_memory
     if peak is None or planned is None:
         return Verdict(True, f"peak memory of a worker {memory(peak)}")
@@ -258,7 +258,7 @@ def memory_sentence(run: Facts) -> str:
 
 
 def repeat_command(settings: Mapping[str, Any], paths: Sequence[str], folder: str) -> str:
-    """The command that focuses the inputs in the same way again; empty if settings or paths are unknown.
+    """Compose the command that repeats the focusing of the inputs; empty if settings or paths are unknown.
 
     An input that lies in the run folder, as samples from memory do, is focused into another one.
     """
@@ -298,7 +298,7 @@ def repeat_command(settings: Mapping[str, Any], paths: Sequence[str], folder: st
 
 
 def repeat_run(run: Facts, folder: str, looks: int | None = None) -> str:
-    """The command that repeats a run: `blocksar demo` for a demonstration, `blocksar focus` for others."""
+    """Compose the command that repeats a run: `blocksar demo` for a demonstration, `blocksar focus` for others."""
     history = f"{folder}/{demonstration.HISTORY}"
     settings = run.settings if looks is None else {**run.settings, "looks": looks}
     inputs = [str(find_input(run.source.folder, path)) for path in run.record.inputs]
@@ -311,7 +311,7 @@ def repeat_run(run: Facts, folder: str, looks: int | None = None) -> str:
 
 
 def provenance(run: Facts) -> list[tuple[str, str]]:
-    """Names and values of what is known of the run's input, image and collection."""
+    """List known facts on the run's input, image and collection as names and values."""
     collection = run.source.collection
     rows = [
         ("input", ", ".join(run.record.inputs)),
@@ -419,7 +419,7 @@ def _draw(response: Response, folder: Path) -> tuple[str, str]:
 
 
 class TrackDrawing(NamedTuple):
-    """The error of a track, and chips before and after its correction, as data URIs; no chips: an empty one."""
+    """The error of a track, and chips before and after correction, as data URIs; an empty one without chips."""
 
     sentences: list[str]
     error: str
@@ -460,7 +460,7 @@ def draw_looks(spectra: LookSpectra | None) -> LooksDrawing | None:
 
 
 class ReliefDrawing(NamedTuple):
-    """The terrain under an image: what is said of it, and a picture as a data URI."""
+    """The terrain under an image: sentences, and a picture as a data URI."""
 
     sentences: list[str]
     picture: str
@@ -480,7 +480,7 @@ def draw_relief(source: FinishedRun, marked: Sequence[PointResponse | Target], i
 
 
 class Sibling(NamedTuple):
-    """The page of a channel or look of the same run: name, place relative to this page, and whether it is this one."""
+    """The page of a channel or look of the same run: name, relative path, and whether it is this page."""
 
     name: str
     href: str
@@ -585,7 +585,7 @@ def make(
 
 
 def _render(contents: Mapping[str, Any]) -> str:
-    """Fill the template. Text from files is escaped, so nothing in it can run."""
+    """Fill the template. Text from files is escaped, so that nothing in it can run."""
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(_template),
         autoescape=True,
@@ -600,7 +600,7 @@ def _render(contents: Mapping[str, Any]) -> str:
 
 
 def _finalize(value: Any) -> Any:
-    """Escape control characters in text; leave markup of our own, which has `__html__`, as it is."""
+    """Escape text for HTML, control characters included; markup of our own, with `__html__`, stays."""
     if not isinstance(value, str) or hasattr(value, "__html__") or value.isprintable():
         return value
     return SPACE.join(map(printable, value.split(SPACE)))  # SPACE does not count as printable, but the page needs it
@@ -612,5 +612,5 @@ def _template(name: str) -> str:
 
 
 def _hash(text: str) -> str:
-    """Hash of a script or style as a content security policy states it."""
+    """Hash a script or style for the content security policy."""
     return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"

@@ -1,4 +1,4 @@
-"""Pictures of the report page: the image decimated to grey levels, with overlays in SVG coordinates; and its terrain.
+"""Pictures of the report page: the image as grey levels with overlays in SVG coordinates, and its terrain.
 
 SVG coordinates are m from the image's centre, with y growing downwards.
 
@@ -45,7 +45,7 @@ ARC = np.radians(1.0)  # between neighbouring points of a block's outline, at mo
 
 @dataclass(frozen=True)
 class Picture:
-    """The decimated image in SVG coordinates: m from its centre, y growing downwards.
+    """The decimated image with its placement in SVG coordinates: m from its centre, y growing downwards.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ class OverlayArrow(NamedTuple):
 
 
 def draw(source: FinishedRun, *, looks: Literal["max", "mean"], progress: Callback | None = None) -> Picture:
-    """Decimate the image to grey levels: a level of the run's pyramid, which has means, or the image, strip by strip.
+    """Decimate the image to grey levels: from a mean level of the run's pyramid, or strip by strip from the image.
 
     Grey levels then reach up to what a single pixel can have in a cell of that mean, for the chips around targets.
     """
@@ -186,7 +186,7 @@ def marks(targets: Sequence[PointResponse | Target], first: Collection[str], pic
 
 
 def chips(source: FinishedRun, targets: Sequence[PointResponse | Target], picture: Picture) -> Iterator[Chip]:
-    """Chips around the targets within the picture; none if its cells are about as small as pixels."""
+    """Cut chips around the targets within the picture; none if its cells are about as small as pixels."""
     (dx, dy), axes = source.spacing, (source.x, source.y)
     if picture.cell < 1.5 * max(dx, dy):
         return
@@ -222,7 +222,7 @@ def outlines(source: FinishedRun, predicted: Sequence[PredictedBlock], picture: 
 
 
 def _label_place(source: FinishedRun, block: PredictedBlock, picture: Picture) -> tuple[str, str] | None:
-    """Place of a block's name: the farthest point with a margin inside the picture, on the most central yaw."""
+    """Place for a block's name: the farthest point with a margin inside the picture, on the most central yaw."""
     (near, far), (low, high) = block.range, block.yaw
     ranges, margin = np.linspace(far, near, 41)[2:-2], 0.03 * max(picture.width, picture.height)
     for share in sorted(np.linspace(0.1, 0.9, 17), key=lambda share: abs(share - 0.5)):
@@ -263,7 +263,7 @@ MOST_NAMED = 40  # targets whose names are written
 
 
 class ReliefPicture(NamedTuple):
-    """The terrain of an image at the cells of a picture.
+    """The terrain of an image, sampled at the cells of a picture.
 
     Attributes
     ----------
@@ -287,7 +287,7 @@ class ReliefPicture(NamedTuple):
     share: dict[int, float]
 
     def sentences(self) -> list[str]:
-        """Describe it on a page."""
+        """Describe the terrain for the page."""
         low, mean, high = (minus(f"{figure(self.height):.1f}") for figure in (np.nanmin, np.nanmean, np.nanmax))
         lines = [
             f"The image lies on a terrain between z = {low} m and {high} m, {mean} m on average, with slopes of up to "
@@ -302,7 +302,7 @@ class ReliefPicture(NamedTuple):
 
 
 def read_relief(source: FinishedRun, terrain: Terrain) -> ReliefPicture:
-    """The terrain of an image, and what it does to the image."""
+    """Read the terrain of an image, with shadow and layover."""
     step = -(-max(source.x.size, source.y.size) // CELLS)
     x, y = source.x[step // 2 :: step], source.y[step // 2 :: step]
     layered = (source.image / "visibility" / "zarr.json").exists()

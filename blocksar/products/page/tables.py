@@ -79,7 +79,7 @@ class Row(NamedTuple):
 
 
 class PageTable(NamedTuple):
-    """A table; `caption` is its title, `note` tells what has been left out."""
+    """A table; `caption` is its title, `note` states what has been left out."""
 
     key: str
     caption: str
@@ -90,14 +90,14 @@ class PageTable(NamedTuple):
 
 
 def _cell(value: float | None, digits: int, *, off: bool = False, scale: float = 1.0) -> Cell:
-    """A number times `scale` as text, sorted by its value; a dash if it is None or not finite."""
+    """Format a number times `scale` as a cell, sortable by value; a dash if it is None or not finite."""
     if value is None or not np.isfinite(value):
         return Cell(number(None), "", off)
     return Cell(number(scale * value, digits), value, off)
 
 
 def plan_table(run: Facts) -> PageTable | None:
-    """Predictions for each block beside the worst figures measured in it; None without a plan."""
+    """Compare predictions for each block with the worst figures measured in it; None without a plan."""
     if not run.predicted:
         return None
     unit, metres = unit_of_lengths(max(block.range[1] for block in run.predicted))
@@ -128,8 +128,8 @@ def plan_table(run: Facts) -> PageTable | None:
 
 def _plan_row(run: Facts, block: PredictedBlock, metres: float) -> Row:
     """Predicted and measured figures of one block, with ranges in units of so many metres."""
-    judged = [r for r in run.judged if run.places[id(r)] == block.name]
-    pslr, width = _worst_of(judged, "azimuth_pslr"), _worst_of(judged, "azimuth_irw")
+    responses = [r for r in run.judged if run.places[id(r)] == block.name]
+    pslr, width = _worst_of(responses, "azimuth_pslr"), _worst_of(responses, "azimuth_irw")
     fidelity, predicted = _fidelity(run), block.pslr
     receipt = run.receipt(block)
     peak = None if receipt is None else receipt.peak_memory
@@ -146,7 +146,7 @@ def _plan_row(run: Facts, block: PredictedBlock, metres: float) -> Row:
             width and width.azimuth_irw / width.azimuth_irw_theory, 4,
             off=width is not None and excess(width, "azimuth_irw") > 1,
         ),
-        Cell(str(len(judged))),
+        Cell(str(len(responses))),
         _cell(block.memory / MIB, 0),
         _cell(peak and peak / MIB, 0, off=peak is not None and peak > (run.planned_memory or np.inf)),
         _cell(block.migration, 3),
@@ -156,12 +156,12 @@ def _plan_row(run: Facts, block: PredictedBlock, metres: float) -> Row:
 
 
 def _fidelity(run: Facts) -> float:
-    """The fidelity that was asked for; records of earlier versions have none."""
+    """Return the fidelity that was requested, which records of earlier versions lack."""
     return float(run.settings.get("fidelity", FIDELITY))
 
 
 def _worst_of(responses: Sequence[PointResponse], figure: str) -> PointResponse | None:
-    """The response that deviates most in a figure."""
+    """Find the response that deviates most in a figure."""
     return max(responses, key=lambda r: excess(r, figure), default=None)
 
 
@@ -196,20 +196,20 @@ def quality_table(run: Facts, image: Picture) -> PageTable:
         columns.append(Column("ground", "z, m"))
     rows = [_quality_row(run, r, image) for r in run.listed]
     rest = len(run.responses) - len(run.listed)
-    note = f"The {len(run.listed)} worst; {number(rest, 0)} more are in quality.json." if rest else ""
+    note = f"The {len(run.listed)} worst; {number(rest, 0)} more in quality.json." if rest else ""
     return PageTable("targets", "Point targets measured in the image", columns, rows, sortable=True, note=note)
 
 
 def _quality_row(run: Facts, r: PointResponse, image: Picture) -> Row:
     """Figures of one target."""
-    judged = r.full_dwell and r.covered and not r.crowded
+    counts = r.full_dwell and r.covered and not r.crowded
 
     def off(figure: str) -> bool:
-        return judged and excess(r, figure) > 1
+        return counts and excess(r, figure) > 1
 
-    share = 100 * worst_excess(r) if judged else None
+    share = 100 * worst_excess(r) if counts else None
     status = (
-        "yes" if judged else "not covered" if not r.covered else "another peak is near" if r.crowded else "partly lit"
+        "yes" if counts else "not covered" if not r.covered else "another peak is near" if r.crowded else "partly lit"
     )
     cells = [
         Cell(r.name, r.name),
@@ -237,7 +237,7 @@ def _quality_row(run: Facts, r: PointResponse, image: Picture) -> Row:
 
 
 def reference_table(run: Facts) -> PageTable | None:
-    """Comparison of image chips with exact back-projection; None without one."""
+    """Tabulate the comparison of image chips with exact back-projection; None without one."""
     chips = run.chips
     if not chips:
         return None
@@ -262,7 +262,7 @@ def reference_table(run: Facts) -> PageTable | None:
 
 
 def _bars(values: Sequence[float], ticks: Sequence[float | None], text: Callable[[float], str]) -> list[Cell]:
-    """Cells with bars on a common scale."""
+    """Make cells with bars on a common scale."""
     longest = max([*values, *(t for t in ticks if t is not None), 1e-12])
     return [
         Cell(text(value), value, bar=100 * value / longest, tick=None if tick is None else 100 * tick / longest)

@@ -1,4 +1,4 @@
-"""Pictures of blocks on the ground: those of a plan, with footprint, grid and flight; and of a mosaic, with targets."""
+"""Pictures of blocks on the ground: of a plan, with footprint, grid and flight; and of a mosaic, with targets."""
 
 from __future__ import annotations
 
@@ -79,13 +79,13 @@ def draw_plan(
     axes.add_patch(_box(grid, label=f"image, {grid.shape[1]} x {grid.shape[0]} pixels"))
     axes.autoscale_view()
     axes.margins(0.04)
-    told = ", with predicted coherence" if 0 < len(blocks) <= MOST_NAMED_BLOCKS // 4 else ""
-    _finish(axes, title or ("blocks on the ground" + told if blocks else "image on the ground"))
+    legend_note = ", with predicted coherence" if 0 < len(blocks) <= MOST_NAMED_BLOCKS // 4 else ""
+    _finish(axes, title or ("blocks on the ground" + legend_note if blocks else "image on the ground"))
     return axes
 
 
 def _block_outline(geometry: Geometry, block: BlockPlan) -> FloatArray:
-    """Corners of a block (n, 2), m: its yaws, and of its ranges those inside the range window."""
+    """Outline of a block (n, 2), m: its yaws, and its ranges inside the range window."""
     ground = block.ground
     yaw = np.linspace(block.low, block.high, OUTLINE_POINTS)
     near = np.maximum(ground.near, np.interp(yaw, ground.yaw_axis, ground.near_limit))
@@ -121,7 +121,7 @@ def _name_block(axes: Axes, block: BlockPlan, outline: FloatArray, count: int) -
 
 
 def _draw_above(axes: Axes, geometry: Geometry, grid: Grid, region: Region | None) -> None:
-    """Draw the track with its direction, the line of sight at t = 0, and the ground that is imaged, from above."""
+    """Draw from above the track with its direction, the line of sight at t = 0, and the imaged ground."""
     track, nadir = geometry.collection.antenna_position[:, :2], geometry.nadir[:2]
     axes.plot(*track.T, color=TRACK, linewidth=2, label="track", solid_capstyle="round")
     ground = np.array([[grid.x[0], grid.y[0]], [grid.x[-1], grid.y[-1]]])
@@ -149,7 +149,7 @@ def _pair(values: FloatArray) -> tuple[float, float]:
 
 
 def _finish(axes: Axes, title: str) -> None:
-    """Axes in m or km with equal scales, a legend and a title."""
+    """Finish axes: m or km with equal scales, legend and title."""
     x, y = axes.get_xlim(), axes.get_ylim()
     unit, scale = ("km", 1e3) if max(abs(x[1] - x[0]), abs(y[1] - y[0])) >= 10e3 else ("m", 1.0)
 
@@ -184,7 +184,7 @@ def plot_mosaic(
     labels: Sequence[str] | None = None,
     title: str = "",
 ) -> None:
-    """Write a PNG of the mosaic: dB against places, block borders, target marks, colour bar.
+    """Write a PNG of the mosaic in dB over the ground, with block borders, targets and colour bar.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ def plot_mosaic(
 
 
 def _label_target(axes: Axes, target: Target, metres: float) -> None:
-    """Write a target's name beside its place; axes count so many metres."""
+    """Write a target's name beside its place; a unit of the axes is `metres` long."""
     text = axes.annotate(
         target.name,
         (target.x / metres, target.y / metres),
@@ -267,7 +267,7 @@ def _borders(block: NDArray[np.int16], x_edges: FloatArray, y_edges: FloatArray)
     """Ends (2, 2) of the line segments along cell edges between two blocks; edges of uncovered cells are no borders."""
 
     def runs(change: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
-        """First index and end of every run of True."""
+        """Iterate over first index and end of every run of True."""
         steps = np.flatnonzero(np.diff(np.concatenate([[False], change, [False]]).astype(np.int8)))
         yield from zip(steps[::2].tolist(), steps[1::2].tolist(), strict=True)
 

@@ -50,7 +50,7 @@ MINUS, ROOT = "\N{MINUS SIGN}", "\N{SQUARE ROOT}2"
 
 
 def find_pauli(channels: Sequence[str]) -> dict[str, str]:
-    """The channels that a Pauli composite takes, by polarisation; none if HH, VV, or both of HV and VH are missing."""
+    """Choose the channels of a Pauli composite, by polarisation; none if HH, VV, or both of HV and VH are missing."""
     known = {name.upper(): name for name in channels}
     if not {"HH", "VV"} <= set(known) or not {"HV", "VH"} & set(known):
         return {}
@@ -58,7 +58,7 @@ def find_pauli(channels: Sequence[str]) -> dict[str, str]:
 
 
 def pauli_channels(channels: tuple[str, ...], label: str) -> dict[str, str]:
-    """The channels of a run that a Pauli composite takes, by polarisation.
+    """Choose the channels of a run for a Pauli composite, by polarisation.
 
     Raises
     ------
@@ -125,14 +125,14 @@ def pauli_powers(
     cell: tuple[int, int] = (1, 1),
     progress: Callback | None = None,
 ) -> tuple[Overview, FloatArray]:
-    """Mean powers of the colours over the cells of a picture, (n_y, n_x, 3), and its cells, with the power of red.
+    """Mean powers of the colours over a picture's cells, (n_y, n_x, 3), and the cells, with the power of red.
 
     NaN in all three where one is not covered.
     """
     colours, rows = [], sources["HH"].y.size
     for number, weights in enumerate((RED, _green(sources), BLUE)):
-        told = None if progress is None else _of_three(progress, number, rows)
-        colours.append(_reduced(sources, weights, max_pixels, cell, told))
+        report = None if progress is None else _of_three(progress, number, rows)
+        colours.append(_reduced(sources, weights, max_pixels, cell, report))
     power = np.stack([colour.power for colour in colours], axis=-1)
     power[~np.isfinite(power).all(axis=-1)] = np.nan
     return colours[0]._replace(power=power[..., 0]), power
@@ -151,7 +151,7 @@ def draw(
     labels: list[str],
     limits: tuple[float, float] | None = None,
 ) -> tuple[float, float]:
-    """Draw powers (n_y, n_x, 3) as red, green and blue; return the dB of no and of full colour."""
+    """Draw powers (n_y, n_x, 3) as red, green and blue; return the dB of black and of full colour."""
     with np.errstate(divide="ignore"):
         decibel = 10 * np.log10(power)
     low, high = limits or stretch(decibel)
@@ -173,7 +173,7 @@ def draw(
 
 
 def labels_of(sources: Mapping[str, FinishedRun]) -> list[str]:
-    """Meanings of red, green and blue."""
+    """Describe the meanings of red, green and blue."""
     green = _green(sources)
     middle = f"|HV + VH|/{ROOT}" if len(green) == 2 else f"{ROOT}|{next(iter(green))}|"
     return [f"|HH {MINUS} VV|/{ROOT}", middle, f"|HH + VV|/{ROOT}"]
@@ -186,7 +186,7 @@ def _reduced(
     cell: tuple[int, int],
     progress: Callback | None,
 ) -> Overview:
-    """A weighted sum of channels, reduced to the cells of a picture."""
+    """Reduce a weighted sum of channels to the cells of a picture."""
     first = sources["HH"]
 
     def read(rows: slice, columns: slice) -> ComplexArray:
@@ -201,5 +201,5 @@ def _reduced(
 
 
 def _of_three(progress: Callback, number: int, rows: int) -> Callback:
-    """Progress of one of three passes over the image's rows."""
+    """Report the progress of one of three passes over the image's rows."""
     return lambda done, total: progress(number * rows + done, 3 * rows)

@@ -1,4 +1,4 @@
-"""Reduce an image and its block map to the size of a picture, strip by strip, and choose the grey scale."""
+"""Reduction of an image and its block map to the size of a picture, strip by strip, and choice of the grey scale."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NOT_COVERED = "#39506b"  # slate blue: cannot be mistaken for dark ground
 
 
 def reader_of(source: FinishedRun, progress: Callback | None) -> ReadImage:
-    """Read an image, and tell how many of its rows are done."""
+    """Make a function that reads an image and reports how many of its rows are done."""
 
     def read(rows: slice, columns: slice) -> ComplexArray:
         if progress is not None:
@@ -35,7 +35,7 @@ def reader_of(source: FinishedRun, progress: Callback | None) -> ReadImage:
 
 
 def level_of(source: FinishedRun, level: int) -> tuple[ReadImage, FloatArray, FloatArray]:
-    """Reader of a level of a run's pyramid as of an image, with the root of the power as a pixel; its x and y, m."""
+    """Read a level of a run's pyramid like an image, with pixels of root power; also x and y, m."""
 
     def read(rows: slice, columns: slice) -> ComplexArray:
         power = stores.read_region(source.image, stores.level_name(level), (rows, columns))
@@ -48,7 +48,7 @@ def level_of(source: FinishedRun, level: int) -> tuple[ReadImage, FloatArray, Fl
 
 
 def mean_of(reads: Sequence[ReadImage]) -> ReadImage:
-    """Read the square root of the mean power of images of one grid; NaN where not covered by all."""
+    """Make a function that reads the root of the mean power of images on one grid; NaN unless covered by all."""
 
     def read(rows: slice, columns: slice) -> ComplexArray:
         power = sum(np.abs(each(rows, columns).astype(np.complex128)) ** 2 for each in reads)
@@ -58,7 +58,7 @@ def mean_of(reads: Sequence[ReadImage]) -> ReadImage:
 
 
 def level_for(source: FinishedRun, max_pixels: int) -> int:
-    """The coarsest level of a run's pyramid whose picture has cells at most COARSER as large as those of the pixels.
+    """Choose the coarsest level of a run's pyramid for a picture: with cells at most COARSER times those from pixels.
 
     0: the pixels themselves. A cell has as many pixels a side as leave at most `max_pixels` cells, and of a level a
     multiple of its own.
@@ -71,7 +71,7 @@ def level_for(source: FinishedRun, max_pixels: int) -> int:
 
 
 def cell_sides(x: FloatArray, y: FloatArray, max_pixels: int, cell: tuple[int, int] = (1, 1)) -> tuple[int, int]:
-    """Pixels along y and along x of a cell, such that an image has at most `max_pixels` cells a side.
+    """Pixels along y and x of a cell, so that an image has at most `max_pixels` cells a side.
 
     Multiples of `cell`; where they are larger, cells are nearly square on the ground.
 
@@ -91,7 +91,7 @@ def cell_sides(x: FloatArray, y: FloatArray, max_pixels: int, cell: tuple[int, i
 
 
 class Overview(NamedTuple):
-    """An image decimated to cells.
+    """An image reduced to cells.
 
     Attributes
     ----------
@@ -172,13 +172,13 @@ def reduce_cells(
 
 
 def cell_edges(axis: FloatArray, cells: int, factor: int) -> FloatArray:
-    """Edges of `cells` cells, m; a single pixel, which extends nowhere, is drawn over 1 m."""
+    """Edges of `cells` cells, m; a single pixel is drawn 1 m wide."""
     step = float(axis[-1] - axis[0]) / (axis.size - 1) if axis.size > 1 else 1.0
     return np.asarray(axis[0] - step / 2 + step * factor * np.arange(cells + 1))
 
 
 def stretch(power_db: FloatArray) -> tuple[float, float]:
-    """Darkest and brightest dB of a grey scale that suits both clutter and isolated targets.
+    """Choose the darkest and brightest dB of a grey scale, for clutter and isolated targets.
 
     The top is the 99.9th percentile, but at least 12 dB above the median, so that even clutter is mid-grey, and
     at most CLIPPED dB below the strongest cell: less by as much as the median would then be below the bottom of the
@@ -201,7 +201,7 @@ def stretch(power_db: FloatArray) -> tuple[float, float]:
 
 
 def range_notes(power_db: FloatArray, limits: tuple[float, float]) -> list[str]:
-    """Note that a range in dB shows next to nothing of a picture, if so; nothing where no cell has power."""
+    """Warn that a range in dB hides almost all of a picture; empty if it does not, or no cell has power."""
     finite = power_db[np.isfinite(power_db)]
     if not finite.size or ((finite > limits[0]) & (finite < limits[1])).mean() >= LEAST_SHOWN:
         return []

@@ -26,7 +26,7 @@ CHANGED, UNJUDGED = "#d81e2c", "#2f6db3"
 
 
 class PairLayer(NamedTuple):
-    """Layer of a pair as a picture shows it."""
+    """Style in which a picture shows a layer of a pair."""
 
     title: str
     variable: str
@@ -111,7 +111,7 @@ def _furnish(axes: Axes, reduced: Overview, pair: Pair, title: str) -> None:
 def reduce_rows(
     store: Place, variable: str, shape: tuple[int, int], cell: int, take: Callable[[NDArray[Any]], FloatArray]
 ) -> FloatArray:
-    """Means of part of a variable over cells of pixels, (n_y, n_x); NaN where a cell has none. Reads strips of rows."""
+    """Average part of a variable over cells of pixels, (n_y, n_x); NaN for empty cells. Reads strips of rows."""
     rows = max(STRIP // (shape[1] * cell), 1) * cell
     parts = [slice(first, min(first + rows, shape[0])) for first in range(0, shape[0], rows)]
     whole = slice(0, shape[1])

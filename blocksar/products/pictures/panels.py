@@ -1,4 +1,4 @@
-"""Figures of all pictures: colours, legends and panels of curves, limits, maps and labels on common scales.
+"""Parts of all pictures: colours, legends and panels of curves, limits, maps and labels on common scales.
 
 Figures use the Agg canvas directly, so they need no display and no global state of pyplot.
 """
@@ -206,7 +206,7 @@ def _draw_map(axes: Axes, grid: Map, scale: tuple[float, float]) -> QuadMesh:
 
 
 def _draw_panel(axes: Axes, panel: Panel) -> None:
-    """Draw all of a panel but its map."""
+    """Draw everything of a panel except its map."""
     axes.set_title(panel.title, fontsize=10)
     axes.xaxis.set_major_locator(MaxNLocator(6))
     axes.set_xlabel(panel.x_label, fontsize=9)

@@ -135,7 +135,7 @@ def save(
     colour_map: str = GREY,
     size: int | None = None,
 ) -> tuple[float, float]:
-    """Write a decimated image as a PNG file; return the dB drawn in the first and in the last colour."""
+    """Write a decimated image as a PNG file; return the dB of the first and the last colour."""
     figure, axes = new_figure(reduced, size)
     limits = draw(axes, reduced, arrows=arrows, limits=limits, colour_map=colour_map)
     axes.set_title(title, fontsize=11)
@@ -145,7 +145,7 @@ def save(
 
 
 def checked_size(size: int | None) -> int | None:
-    """Return the pixels of a picture along its longer side.
+    """Check the number of pixels along a picture's longer side.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def checked_size(size: int | None) -> int | None:
 
 
 def checked_colour_map(name: str | None) -> str:
-    """Return the name of a colour map, grey by default.
+    """Check the name of a colour map, grey by default.
 
     Raises
     ------
@@ -209,7 +209,7 @@ def draw(
 
 
 def furnish(axes: Axes, reduced: Overview, *, arrows: list[Arrow], handles: Sequence[Patch] = ()) -> None:
-    """Label the axes of a picture, draw its scale bar and arrows, and say what its colours mean.
+    """Label the axes of a picture, draw scale bar and arrows, and explain the colours.
 
     `handles` make a legend above the picture; without them there is one in its corner if cells are not covered.
     """
@@ -299,7 +299,7 @@ def caption_of(source: FinishedRun) -> str:
 def draw_colour_bar(
     axes: Axes, picture: ScalarMappable, label: str, *, extend: Literal["both", "neither"] = "both"
 ) -> None:
-    """Draw the colour bar of a picture beside it; `extend` says where values may lie beyond its ends."""
+    """Draw the colour bar of a picture; `extend` marks ends beyond which values may lie."""
     figure = axes.get_figure()
     assert figure is not None
     bar = figure.colorbar(picture, ax=axes, extend=extend, shrink=0.85, pad=0.02)

@@ -1,12 +1,4 @@
-"""Pictures of point responses: contours and cuts.
-
-Import this module only where a picture is drawn: matplotlib is slow to load.
-
-Pictures of the correction of a track: its error over time, and chips before and after.
-
-Import this module only where a picture is drawn: matplotlib is slow to load.
-
-Picture of the spectra of sub-aperture looks.
+"""Pictures of point responses: contours and cuts; and of tracks and looks.
 
 Import this module only where a picture is drawn: matplotlib is slow to load.
 """
@@ -46,7 +38,7 @@ COLOUR = CURVE_COLOURS[2]
 
 
 def plot_track(correction: TrackCorrection, path: str | Path) -> None:
-    """Write a PNG of what was taken off the track in x, y and z, mm, over slow time, with its predicted uncertainty."""
+    """Write a PNG of the correction of the track in x, y and z, mm, over slow time, with its predicted uncertainty."""
     figure, panels = new_panels(3, columns=3, size=(3.2, 2.5), title="")
     for axis, axes in enumerate(panels):
         error, spread = 1e3 * correction.error[:, axis], 1e3 * DEVIATIONS * correction.uncertainty[:, axis]
@@ -67,7 +59,7 @@ def plot_track(correction: TrackCorrection, path: str | Path) -> None:
 
 
 def plot_chips(correction: TrackCorrection, path: str | Path) -> None:
-    """Write a PNG of chips about some points, before above and after below, in dB from the brightest of each pair."""
+    """Write a PNG of chips about some points, before correction above and after it below, in dB from the brightest."""
     count = min(len(correction.before), MOST_CHIPS)
     figure = new_figure(1.55 * count + 0.9, 3.5)
     rows = (("before", correction.before), ("after", correction.after))
@@ -99,7 +91,7 @@ MOST_NAMED = 8
 
 
 def plot_looks(spectra: LookSpectra, path: str | Path) -> None:
-    """Write a PNG of the power of each look over the share of the dwell, dB, with the borders of their own parts."""
+    """Write a PNG of the power of each look over the share of the dwell, dB, with the borders of the looks' parts."""
     figure, (axes,) = new_panels(1, columns=1, size=(8.5, 2.7), title="")
     n = len(spectra.names)
     colours = CURVE_COLOURS if n <= len(CURVE_COLOURS) else colormaps["turbo"](np.linspace(0.05, 0.95, n))
@@ -223,5 +215,5 @@ def _draw_cut(
 
 
 def _caption(name: str, pslr: float, irw: float) -> str:
-    """A panel's title: name, PSLR and width."""
+    """Compose a panel's title: name, PSLR and width."""
     return minus(f"{name}: {pslr:.2f} dB, {irw:.2f} m") if np.isfinite([pslr, irw]).all() else f"{name}: not covered"
