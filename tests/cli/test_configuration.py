@@ -131,35 +131,6 @@ def test_the_printed_configuration_is_read_back(text: str, seen: Any) -> None:
     assert seen[0] == seen[1]
 
 
-@pytest.mark.parametrize(
-    ("text", "sentence"),
-    [
-        ("blokcs = 3", "c.toml: 'blokcs' is no option of focus; did you mean blocks?"),
-        ("zzz = 1", "'zzz' is no option of focus; known are source, out, processor, device, blocks"),
-        ("memory_limit = '1GiB'\nmemory-limit = '2GiB'", "c.toml: memory_limit and memory-limit are one option"),
-        ("workers = -1", "c.toml: workers = '-1': must be greater than or equal to 0"),
-        ("processor = 'omega'", "c.toml: processor = 'omega': 'omega' is not one of"),
-        ("overwrite = 1", "c.toml: overwrite = '1' is neither true nor false"),
-        ("blocks = true", "c.toml: blocks = true is neither text nor a number"),
-        ("blocks = ", "--config c.toml is not TOML: "),
-        ("blocks = 0", "c.toml: --blocks '0' is neither"),
-    ],
-)
-def test_a_wrong_file_is_refused_in_one_sentence(text: str, sentence: str, seen: Any) -> None:
-    Path("c.toml").write_text(text)
-    done = run("focus", "ph.zarr", "--out", "run", "--config", "c.toml")
-    assert (done.exit_code, done.stdout, done.stderr.count("\n"), seen) == (2, "", 1, [])
-    assert sentence.lower() in done.stderr.lower()
-
-
-def test_a_file_that_cannot_be_read_is_refused(seen: Any) -> None:
-    Path("binary.toml").write_bytes(b"\xff\xfe")
-    for name, sentence in (("none.toml", "cannot be read (No such file"), ("binary.toml", "is not TOML")):
-        done = run("focus", "ph.zarr", "--out", "run", "--config", name)
-        assert (done.exit_code, done.stderr.count("\n")) == (2, 1) and sentence in done.stderr
-    assert seen == []
-
-
 # ---------------------------------------------------------------- what would be done
 
 

@@ -260,8 +260,6 @@ def test_the_side_of_the_track_has_to_be_known() -> None:
     geometry = Geometry(collection=replace(collection, side_of_track="left"))
     with pytest.raises(InputError, match=r"lies right of the flight, but side_of_track is 'left': correct one of"):
         plan_region(geometry, Grid(8900.0, 9100.0, 2.0, -60.0, 60.0, 2.0))
-    with pytest.raises(InputError, match=r"side_of_track is 'port'; it must be 'left' or 'right'"):
-        replace(collection, side_of_track="port")
     moved = {"antenna_position": collection.antenna_position - [9000.0, 0.0, 0.0]}  # the origin is the scene's centre
     geometry = Geometry(collection=Collection(**{**collection.as_dict(), **moved}))
     grid = default_grid(geometry, plan_region(geometry, None))
@@ -269,63 +267,10 @@ def test_the_side_of_the_track_has_to_be_known() -> None:
 
 
 N = 400
-BAD: dict[str, tuple[dict[str, Any], str]] = {
-    "both kinds": ({"beam_azimuth": np.linspace(0, 0.1, N)}, "beam_azimuth and beam_axis are both given"),
-    "no steering": ({"beam_steering": None}, "beam_axis is given without beam_steering"),
-    "no axis": ({"beam_axis": None}, "beam_steering is given without beam_axis"),
-    "no unit vector": ({"beam_axis": np.tile([0.0, 1.01, 0.0], (N, 1))}, r"length of 1\.01 .* must be a unit vector"),
-    "axis is NaN": ({"beam_axis": np.full((N, 3), np.nan)}, "beam_axis is not finite at 400 of 400 pulses"),
-    "steering is NaN": ({"beam_steering": np.append(np.zeros(N - 1), np.nan)}, r"first: pulse 399"),
-    "axis of another shape": ({"beam_axis": np.ones((N, 2))}, r"beam_axis has shape \(400, 2\)"),
-    "steering of another shape": ({"beam_steering": np.zeros(3)}, r"beam_steering has shape \(3,\)"),
-    "no width": ({"beam_width": None}, "beam_width must lie between 0 and pi rad where beam_axis"),
-    "width in degrees": ({"beam_width": 12.0}, "it looks like degrees"),
-    "steered along the axis": ({"beam_steering": np.full(N, 1.6)}, r"beam_steering is 1\.6 rad .* below pi / 2"),
-    "steering jumps": ({"beam_steering": np.repeat([0.0, 0.1], N // 2)}, "jumps by 0.1 rad at pulse 200"),
-    "axis jumps": (
-        {"beam_axis": np.repeat([[0, 1.0, 0], [0, -1.0, 0]], N // 2, axis=0)}, "beam_axis jumps by 2 rad at pulse 200"
-    ),
-    "pattern without angles": ({"beam_pattern": np.ones(3)}, "beam_pattern is given without beam_offset"),
-    "absurd pattern": (
-        {"elevation": np.array([0.1, 1.2]), "elevation_pattern": np.full(2, 1e-300)}, "is 1e-300 at most, which no"
-    ),
-    "angles without pattern": ({"elevation": np.ones(3)}, "elevation is given without elevation_pattern"),
-    "narrow pattern": (
-        {"beam_offset": np.array([-0.001, 0.001]), "beam_pattern": np.ones(2)},
-        r"beam_pattern covers beam_offset = -0\.001 .* give it for all of that",
-    ),
-    "elevation elsewhere": (
-        {"elevation": np.array([1.0, 1.2]), "elevation_pattern": np.ones(2)}, "ground at reference_range needs 0.41"
-    ),
-    "pattern descends": (
-        {"beam_offset": np.array([0.1, -0.1]), "beam_pattern": np.ones(2)}, "beam_offset does not ascend at index 1"
-    ),
-    "pattern is negative": (
-        {"beam_offset": np.array([-0.1, 0.1]), "beam_pattern": np.array([1, -1.0])}, "an amplitude: at least 0"
-    ),
-    "pattern is NaN": (
-        {"beam_offset": np.array([-0.1, 0.1]), "beam_pattern": np.array([1, np.nan])}, "1 values that are not finite"
-    ),
-    "pattern of another length": (
-        {"beam_offset": np.array([-0.1, 0.1]), "beam_pattern": np.ones(3)}, r"shape \(3,\) and beam_offset has \(2,\)"
-    ),
-    "noise": ({"noise_power": -1.0}, "noise_power must be 0 or between 1e-30 and 1e"),
-    "loud noise": ({"noise_power": 1e300}, "noise_power must be 0 or between 1e-30 and 1e"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("case", BAD)
-def test_wrong_beams_are_refused(case: str) -> None:
-    changes, message = BAD[case]
-    with pytest.raises(InputError, match=message) as caught:
-        axis_collection(**changes)
-    assert "\n" not in str(caught.value)
 
 
 def test_a_pattern_needs_a_beam() -> None:
     unsteered = {"beam_axis": None, "beam_steering": None, "beam_width": None}
-    with pytest.raises(InputError, match="neither beam_azimuth nor beam_axis"):
-        axis_collection(**unsteered, beam_offset=np.array([-0.1, 0.1]), beam_pattern=np.ones(2))
     down = math.asin(4000 / math.hypot(9000, 4000))
     assert axis_collection(
         **unsteered, elevation=np.array([down - 0.1, down + 0.1]), elevation_pattern=np.ones(2)

@@ -246,23 +246,7 @@ def test_what_is_no_terrain_is_refused_with_figures(tmp_path: Path) -> None:
         read_frame_grid(tmp_path / "uneven.nc", (0.0, 1.0), (0.0, 1.0))
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"surface": "sphere"}, "give plane or ellipsoid"),
-        ({"terrain": "dem.nc", "surface": "ellipsoid"}, "leave one of them out"),
-        ({"vertical": "egm96"}, "there is no terrain"),
-        ({"terrain": "dem.nc", "vertical": "egm96"}, "z of the scene frame"),
-    ],
-)
-def test_settings_that_exclude_each_other(settings: Any, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        Ground(**settings)
-
-
 def test_a_surface_on_the_earth_needs_a_georeference_and_gaps_are_told(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="put the attribute georeference"):
-        Ground(surface="ellipsoid").read(None, 0.0, GRID)
     assert Ground().read(None, 0.0, GRID) is None
     path = frame_file(tmp_path / "dem.nc")
     whole = Ground(terrain=path).read(None, 0.0, GRID)

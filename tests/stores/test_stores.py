@@ -512,65 +512,6 @@ def test_a_beam_azimuth_of_nan_means_not_steered(small_collection: Collection, t
     assert not stores.open_phase_history(written(ds, tmp_path / "ph.zarr")).collection.steered
 
 
-WRONG: dict[str, tuple[dict[str, Any], str]] = {
-    "no track": ({"antenna_position": None}, "antenna_position .* is missing"),
-    "no carrier": ({"carrier_frequency": None}, "carrier_frequency is missing"),
-    "NaN carrier": ({"carrier_frequency": np.nan}, "carrier_frequency .* nan"),
-    "carrier beyond float64": ({"carrier_frequency": 10**400}, "carrier_frequency"),
-    "no beam width": ({"beam_width": None}, "beam_width"),
-    "beam width alone": ({"beam_azimuth": None}, "beam_width"),
-    "beam azimuth NaN here and there": ({"beam_azimuth": ("pulse", np.r_[np.nan, np.ones(255)])}, "azimuth is NaN"),
-    "ground above the antenna": ({"ground_height": 6000.0}, "ground_height"),
-    "georeference in words": ({"georeference": "EPSG:4326"}, "georeference is str instead of a mapping"),
-    "origin beyond the pole": ({"georeference": {"kind": "ENU", "latitude": 91, "longitude": 9, "height": 0}}, "is 91"),
-    "real samples": ({"signal": (("pulse", "range_frequency"), np.zeros((256, 128)))}, "signal is float64"),
-    "transposed": ({"signal": (("range_frequency", "pulse"), np.zeros((128, 256), "c8"))}, "transpose"),
-    "descending time": ({"time": ("pulse", -np.arange(256.0))}, "time does not ascend"),
-    "jump in time": ({"time": ("pulse", np.r_[0:100.0, 101:257.0])}, "time is not uniform"),
-    "NaN in time": ({"time": ("pulse", np.r_[np.nan, 1:256.0])}, "time has 1 values that are not finite"),
-    "time in ms": ({"time": ("pulse", np.arange(256.0), {"units": "ms"})}, "time is in 'ms'"),
-    "absolute frequency": ({"range_frequency": -9.7e9 + np.arange(128.0)}, "baseband"),
-    "flat track": ({"antenna_position": (("pulse", "axis"), np.ones((256, 2)))}, r"position has shape \(256, 2"),
-    "one position": ({"antenna_position": ("axis", np.ones(3))}, "antenna_position has dimensions"),
-    "both": ({"extra": (("pulse", "fast_time"), np.zeros((256, 9), "c8"))}, "both signal and echo"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", WRONG)
-def test_departures_from_the_contract_are_refused(name: str, small_collection: Collection, tmp_path: Path) -> None:
-    change, words = WRONG[name]
-    names = ("carrier_frequency", "beam_width", "ground_height", "georeference")
-    attrs = {k: v for k, v in change.items() if k in names}
-    ds = dataset(small_collection, **{k: v for k, v in change.items() if k not in attrs})
-    ds = ds.rename(extra="echo") if "extra" in ds else ds
-    path = written(ds, tmp_path / "ph.zarr")
-    # Attributes are edited in the file, because no writer accepts some of these values.
-    metadata = json.loads((path / "zarr.json").read_text())
-    for key, value in attrs.items():
-        metadata["attributes"].pop(key, None)
-        if value is not None:
-            metadata["attributes"][key] = value
-    (path / "zarr.json").write_text(json.dumps(metadata))
-    with pytest.raises(InputError, match=words) as error:
-        stores.open_phase_history(path)
-    assert str(path) in one_sentence(error)
-
-
-@pytest.mark.parametrize(
-    ("attr", "words"), [("chirp_rate", "chirp_rate is missing"), ("pulse_width", "pulse_width is missing")]
-)
-def test_a_raw_echo_without_its_chirp_is_refused(
-    small_collection: Collection, echo: RawEcho, tmp_path: Path, attr: str, words: str
-) -> None:
-    path = tmp_path / "raw.zarr"
-    stores.create_phase_history(path, small_collection, raw=echo)
-    metadata = json.loads((path / "zarr.json").read_text())
-    del metadata["attributes"][attr]
-    (path / "zarr.json").write_text(json.dumps(metadata))
-    with pytest.raises(InputError, match=words):
-        stores.open_phase_history(path)
-
-
 def test_dimensions_without_names_are_refused(small_collection: Collection, tmp_path: Path) -> None:
     path = written(dataset(small_collection), tmp_path / "ph.zarr")
     metadata = json.loads((path / "time" / "zarr.json").read_text())
