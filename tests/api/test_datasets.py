@@ -192,16 +192,6 @@ def test_channels_in_memory_are_written_and_taken_out(channels: xr.Dataset, tmp_
         assert taken.fingerprint() == own.of_channel(name).fingerprint()
 
 
-@pytest.mark.slow
-def test_channels_in_memory_are_focused(channels: xr.Dataset, tmp_path: Path) -> None:
-    focus(channels, tmp_path / "run", grid=CORNER)
-    image = pixels(tmp_path / "run")
-    assert image.shape[0] == 2
-    np.testing.assert_allclose(image[1], image[0] / 2, atol=1e-5)
-    assert "nothing to do" in focus(channels, tmp_path / "run", grid=CORNER).summary[0]
-    assert blocksar.quality(tmp_path / "run").result["targets"]
-
-
 # ---------------------------------------------------------------- what a dataset is
 
 

@@ -231,14 +231,6 @@ def test_impossible_values_are_refused(name: str, bench: Bench) -> None:
     bench.all({what: lambda what=what: case(what) for what in BAD_VALUES})
 
 
-@pytest.mark.parametrize("first", [100, 199])
-def test_a_beam_that_jumps_in_yaw_is_refused(first: int, bench: Bench) -> None:
-    def leap(yaw: Any) -> None:
-        yaw[first:] += 0.5
-
-    assert "jumps by 0.50" in bench.refused("bad values", blocksar.plan, with_values(bench, "beam_azimuth", leap))
-
-
 def retyped(name: str, dtype: str) -> Callable[[xr.Dataset], xr.Dataset]:
     def change(dataset: xr.Dataset) -> xr.Dataset:
         variable = dataset[name].variable

@@ -24,6 +24,7 @@ import numpy as np
 import pytest
 import small_run
 import xarray as xr
+import zarr
 from arrays import arrays
 from axis_beams import axis_collection, axis_scene, with_patterns
 from bad_input import EXACT, SCENE, Bench, listing
@@ -32,6 +33,7 @@ from typer.testing import CliRunner
 import blocksar
 from blocksar import stores
 from blocksar.cli import commands
+from blocksar.cli.plan_and_focus import NOT_CONFIGURED
 from blocksar.collection.collection import Collection
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.errors import InputError, in_python
@@ -74,6 +76,13 @@ FILES: dict[str, Callable[[Path], object]] = {
     "binary.toml": lambda path: path.write_bytes(b"\xff\xfe"),
     "broken.toml": text("title = 'a'\n[radar\n"),
     "pipe": os.mkfifo,
+    "page.html": text("mine"),
+    "linked.zarr": lambda path: path.symlink_to("gone.zarr"),
+    "odd.png": lambda path: path.write_bytes(b"\x89PNG\r\n not what it seems = ["),
+    "broken.mat": lambda path: path.write_bytes(b"\x89MAT\r\n not what it seems = ["),
+    "array": lambda path: zarr.create_array(store=str(path), shape=(3,), dtype="f8"),
+    "array2": lambda path: zarr.create_array(store=str(path), shape=(3,), dtype="f8", zarr_format=2),
+    "other": lambda path: xr.Dataset({"temperature": ("x", np.zeros(3))}).to_zarr(path, consolidated=False),
 }
 # Files of targets, and what `quality` says of each.
 TARGETS = {
@@ -168,10 +177,27 @@ ASKED = {
     "plan ''": "a path is '', which names nothing",
     "plan text.txt": "text.txt is a text file; give the data that it describes",
     "plan folder": "is not a zarr store",
-    "plan a.cphd": "is a CPHD file; turn it into a phase history first",
+    "plan array": "single zarr array",
+    "plan array2": "single zarr array",
+    "plan other": "holds neither signal nor echo",
+    "plan linked.zarr": "is a symbolic link to gone.zarr, which does not exist; correct",
+    "plan run/image.zarr": "is an image of a run, not a phase history",
+    "plan ph.zar": "ph.zar does not exist; did you mean ph.zarr?",
+    f"plan {'ph' * 200}.zarr": "File name too long",
+    "plan ph.zarr --grid=4.04:4.12:0.003,-0.04:0.041:0.003": "it looks like km: give metres",
+    "focus scene.toml --out=new": (
+        "is a scene, not a phase history; write one first: `blocksar simulate scene.toml --out scene.zarr`"
+    ),
+    "focus table1 --out=new": (
+        "table1 is a shipped scene, not a phase history; write one first: `blocksar simulate table1 --out table1.zarr`"
+    ),
+    "focus still.zarr --out=new": "grid is missing: a collection whose beam is not",
+    "plan a.cphd": ("is a CPHD file; turn it into a phase history first: `blocksar ingest cphd a.cphd --out a.zarr`"),
     "focus ph.zarr --out=''": "a path is '', which names nothing",
     "focus ph.zarr --out=s3://": "names no bucket",
     "focus ph.zarr --out=folder/..": "holds no run of blocksar",
+    "focus ph.zarr --out=folder/.. --overwrite": "holds no run of blocksar",
+    "focus ph.zarr --out=folder/.. --dry-run": "holds no run of blocksar",
     "focus ph.zarr --out=text.txt": "is not a folder",
     "focus ph.zarr --out=new --wait-workers=-1": "is no time; give seconds, or 0 to wait for no worker",
     f"{FOCUS} --memory-limit=1": "memory_limit '1' is 1 bytes; give it with a unit, such as 2GiB",
@@ -180,7 +206,8 @@ ASKED = {
     f"{FOCUS} --control=two.json": "control is given without autofocus",
     f"{FOCUS} --autofocus --control=absent.csv": "absent.csv does not exist",
     "quality ''": "a path is '', which names nothing",
-    "quality ph.zarr": "is a store, not a run; give the folder",
+    "quality ph.zarr": "is a store, not a run; give the folder that `blocksar focus",
+    "quality run --targets=ph.zarr": "ph.zarr is no regular file; give [{",
     "quality run/image.zarr": "image.zarr is the image alone; give the folder of its run, such as",
     "quality run --found=-1": "found = -1: ask for 1 to 1000 points",
     "quality run --area=1:2": "area = '1:2': give the ends",
@@ -191,6 +218,8 @@ ASKED = {
     "quality run --source=ph.zarr": "which only the reference needs; give reference=True, or leave it out",
     "quality run --targets=point.geojson": "is GeoJSON, whose points are in degrees, but there is no georeference",
     **{f"quality placed --targets=targets{i}": said for i, said in enumerate(TARGETS.values())},
+    "report rnu": "rnu does not exist; give the folder that `blocksar focus --out` left",
+    "report run --out=page.html": "page.html exists; choose another name",
     "report run --out=a.pdf": "which is that of another kind of file; give report a name that ends in .html",
     "report run --out=run/run.json --overwrite": "is the name of a run's record",
     "compare run run --out=pair --window=4x4": "window = '4x4': give pixels along y and along x, odd",
@@ -237,6 +266,9 @@ ASKED = {
     "ingest cphd a.cphd --out=''": "a path is '', which names nothing",
     "ingest cphd nowhere.cphd --out=new": "does not exist",
     "ingest cphd folder --out=new": "no regular file",
+    "ingest gotcha nowhere.mat --out=new": "does not exist",
+    "ingest gotcha folder --out=new": "regular file",
+    "ingest gotcha pipe --out=new": "regular file",
     "ingest cphd a.cphd --out=ph.zarr": "exists; choose another name",
     "ingest cphd a.cphd --out=new --pulses=196:": "pulses 196: leaves 4 of 200 vectors; at least 8 are needed",
     "ingest cphd a.cphd --out=new --pulses=4:2": "is not two numbers, the lower first; give them as pulses 0:4096",
@@ -268,6 +300,10 @@ ASKED = {
     "simulate scene.toml --out=n.cphd --cphd --raw": "leave out one",
     "info nothing": "nothing does not exist; check the path",
     "info ''": "a path is '', which names nothing",
+    "info folder": "is nothing that blocksar reads or writes",
+    "info odd.png": "is of no kind that blocksar knows (it begins with",
+    "info broken.mat": "broken.mat is of no kind",
+    "info binary.toml": "give a scene file in UTF-8",
     "preview ph.zarr --out=b.png --size=3": "give 50 to 8000 pixels",
     "preview ph.zarr --out=b.tif": "give png a name that ends in .png",
     "preview ph.zarr --out=b.png --range=x": "range",
@@ -276,6 +312,7 @@ ASKED = {
     f"preview ph.zarr --out=b.png --grid={AWAY}": "lies outside the swath: it spans yaw",
     f"check ph.zarr --grid={AWAY}": "lies outside the swath: it spans yaw",
     "check still.zarr": "grid is missing",
+    "check run": "is a run, not a phase history; `blocksar info` names the phase history",
     "check ph.zarr --ground-height=9500": "z must point up",
     "autofocus ph.zarr --out=''": "a path is '', which names nothing",
     f"autofocus ph.zarr --out=ph.zarr --grid={GRID}": "lie in each other",
@@ -293,6 +330,10 @@ TYPED = {
     f"{FOCUS} --config=binary.toml": "--config binary.toml is not TOML",
     "simulate scene.toml --out=n.cphd --cphd --origin=north": "--origin 'north' is not three numbers; give",
     "simulate scene.toml": "--out is missing",
+    "simulate scene.toml --out=new.zarr --json-log=scene.toml": (
+        "--json-log 'scene.toml' holds something else than a log; give another file"
+    ),
+    "fokus ph.zarr --out=new": "no such command 'fokus'. Did you mean 'focus'?",
     "demo --out=text.txt": "text.txt is not a folder; choose another --out",
     "demo --out=folder/..": "is not a demonstration run; choose another --out",
     "plan ph.zarr --processor=omega": "invalid value for '--processor': 'omega' is not one of",
@@ -394,7 +435,7 @@ def test_what_is_asked_for(command: str, room: Path, tmp_path: Path, monkeypatch
     monkeypatch.chdir(room)
     before, words, call = listing(room), shlex.split(command), Call.of(command)
     said = {"typed": in_python(typed(*words)), "called": refused(call.call)}
-    if call.name in ("plan", "focus") and call.options:
+    if call.name in ("plan", "focus") and call.options and not set(NOT_CONFIGURED) & set(call.options):
         lines = [f"{name} = {json.dumps(value).replace('NaN', 'nan')}" for name, value in call.options.items()]
         (tmp_path / "c.toml").write_text("\n".join(lines))
         sources = [word for word in words if not word.startswith("--")]
@@ -557,6 +598,13 @@ STEERED: dict[str, tuple[Fields, str]] = {
         lambda c: {"beam_azimuth": np.linspace(0.0, 150.0, c.n_pulse)},
         r"beam_azimuth reaches 150 rad, beyond the 100 rad that can be meant",
     ),
+    **{
+        f"yaw that jumps at pulse {first}": (
+            lambda c, first=first: {"beam_azimuth": c.beam_azimuth + 0.5 * (np.arange(c.n_pulse) >= first)},
+            r"jumps by 0\.50",
+        )
+        for first in (100, 255)
+    },
     "yaw missing here and there": (lambda c: {"beam_azimuth": np.r_[np.nan, np.ones(255)]}, "beam_azimuth is NaN"),
     "width in degrees": (lambda c: {"beam_width": 4.25}, r"beam_width .* got 4\.25; it looks like degrees"),
     "time in us": (

@@ -19,7 +19,6 @@ from blocksar.api.settings import Settings
 from blocksar.cli import commands
 from blocksar.cli.plan_and_focus import NOT_CONFIGURED
 from blocksar.collection.grid import Grid
-from blocksar.errors import InputError
 from blocksar.graph.machine import resources
 from blocksar.places import place
 from blocksar.runs.record import FINISHED, RunRecord
@@ -151,12 +150,6 @@ def test_a_dry_run_of_back_projection_names_memory_and_disk(table1: Path, tmp_pa
     report = blocksar.focus(table1, tmp_path / "run", processor="backprojection", grid=grid, dry_run=True)
     assert "about 0.6 MiB" in report.summary[-2] and report.tables == []  # 256 x 256 pixels of 8 bytes, and the plan
     assert not (tmp_path / "run").exists()
-
-
-def test_a_dry_run_refuses_what_focus_refuses(table1: Path, tmp_path: Path) -> None:
-    (tmp_path / "notes.txt").write_text("not a run")
-    with pytest.raises(InputError, match=r"holds no run of blocksar \(but notes.txt\)"):
-        blocksar.focus(table1, tmp_path, blocks=3, dry_run=True)
 
 
 def test_a_finished_run_needs_nothing() -> None:

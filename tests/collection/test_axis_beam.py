@@ -266,9 +266,6 @@ def test_the_side_of_the_track_has_to_be_known() -> None:
     assert grid.x[0] < 0 < grid.x[-1] and grid.x[0] > -1000
 
 
-N = 400
-
-
 def test_a_pattern_needs_a_beam() -> None:
     unsteered = {"beam_axis": None, "beam_steering": None, "beam_width": None}
     down = math.asin(4000 / math.hypot(9000, 4000))

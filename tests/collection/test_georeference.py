@@ -32,9 +32,6 @@ def test_a_georeference_survives_json() -> None:
     assert (at.latitude, at.longitude, at.height) == pytest.approx((-12.25, 130.125, 33.0), abs=1e-6)
 
 
-GOOD = {"kind": "ENU", "latitude": 1.0, "longitude": 2.0, "height": 3.0}
-
-
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (39.78, -84.1, 300.0), (-89.9, 179.0, -50.0), (90.0, 0.0, 5e3)])
 def test_the_origin_agrees_with_proj(place: tuple[float, float, float]) -> None:
     latitude, longitude, height = place

@@ -454,15 +454,6 @@ def test_flipped_bytes_give_a_valid_store_or_a_one_sentence_error(
     assert refused > 9
 
 
-def test_paths_that_are_not_regular_files_are_refused(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe.mat")
-    for path, said in ((tmp_path, "regular file"), (tmp_path / "pipe.mat", "regular"), (tmp_path / "no", "not exist")):
-        with pytest.raises(InputError, match=said):
-            ingest(path, tmp_path / "ph.zarr")
-    with pytest.raises(InputError, match="empty"):
-        ingest([], tmp_path / "ph.zarr")
-
-
 def test_files_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
     position = circle(STEP * np.arange(200))
     first, second, far = written(tmp_path, position[:40], position[40:80], position[150:])
