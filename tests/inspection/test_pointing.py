@@ -33,7 +33,6 @@ BEAMS = {
         2350.0,
     ),
     "tops": ('mode = "tops"\nwidth_deg = 0.8\nrate_deg = 0.8', {"prf": 480, "time": "pulses = 901"}, -30.0),
-    "fast tops": ('mode = "tops"\nwidth_deg = 0.8\nrate_deg = -1.5', {"prf": 480, "time": "pulses = 901"}, -30.0),
     "yaw": ("start_deg = -2.5\nstop_deg = 2.5\nwidth_deg = 1.2", {"prf": 640, "time": "pulses = 901"}, -20.0),
 }
 

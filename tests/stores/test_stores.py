@@ -482,18 +482,6 @@ def test_a_beam_azimuth_of_nan_means_not_steered(small_collection: Collection, t
     assert not stores.open_phase_history(written(ds, tmp_path / "ph.zarr")).collection.steered
 
 
-def test_dimensions_without_names_are_refused(small_collection: Collection, tmp_path: Path) -> None:
-    path = written(dataset(small_collection), tmp_path / "ph.zarr")
-    metadata = json.loads((path / "time" / "zarr.json").read_text())
-    del metadata["dimension_names"]
-    (path / "time" / "zarr.json").write_text(json.dumps(metadata))
-    with pytest.raises(InputError, match=r"time has dimensions none, but must have \(pulse\)"):
-        stores.open_phase_history(path)
-
-
-# Paths that hold no phase history
-
-
 # Damage
 
 
