@@ -257,19 +257,6 @@ def test_modules_and_functions_stay_small() -> None:
     assert sorted(sizes)[len(sizes) // 2] < 12
 
 
-def test_docstrings_begin_with_a_verb_or_a_noun() -> None:
-    """A first line says by itself what there is: it does not lean on another docstring, nor ask."""
-    leaning = ("What", "Which", "Those", "That", "It", "This", "They", "Such", "The same", "The other")
-    wrong = []
-    for path in MODULES:
-        for node in nodes_of(path):
-            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and (text := ast.get_docstring(node)):
-                first = text.splitlines()[0]
-                if first.startswith(tuple(f"{words} " for words in leaning)):
-                    wrong.append(f"{line_in(path, getattr(node, 'lineno', 1))}: {first}")
-    assert not wrong, "\n".join(wrong)
-
-
 @pytest.mark.slow
 def test_tests_use_public_names_and_no_other_tests() -> None:
     wrong = []

@@ -17,7 +17,6 @@ from typing import Any
 import pytest
 import typer
 from extension import NAME, PARTS
-from packaging.requirements import Requirement
 from scene_reference import scene_tables
 from typer.testing import CliRunner
 
@@ -423,12 +422,3 @@ def test_documented_messages_occur_in_the_code() -> None:
     missing = {span: part for span, part in parts if len(part) > 3 and part not in code}
     assert len(quoted) >= 12
     assert not missing
-
-
-def test_every_requirement_has_a_comment_with_its_reason() -> None:
-    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
-    project = tomllib.loads(text)["project"]
-    declared = [project["dependencies"], *project["optional-dependencies"].values()]
-    reasons = re.findall(r'^    "([^"]+)",  # (\S.*\S)$', text, re.M)
-    assert [requirement for requirement, _ in reasons] == [line for group in declared for line in group]
-    assert all(Requirement(requirement).specifier or requirement.startswith("blocksar[") for requirement, _ in reasons)

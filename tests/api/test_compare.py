@@ -288,21 +288,3 @@ def test_other_grids_are_refused_with_a_command_that_works(passes: Any, tmp_path
     command = [sys.executable, "-m", "blocksar", *words[1:], "--processor", "backprojection", "--workers", "0", "-q"]
     subprocess.run(command, check=True, capture_output=True)
     blocksar.compare(a, words[words.index("--out") + 1], tmp_path / "pair", progress=False)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"window": "4x4"}, "window = '4x4': give pixels along y and along x, odd"),
-        ({"window": (7, 7, 7)}, "window"),
-        ({"window": "251x3"}, "window of 251 pixels along y is larger than the image of 120"),
-        ({"false_alarms": 0.5}, "false_alarms = 0.5: give a probability"),
-        ({"crop": "900:950,0:10"}, "crop: x from 900 to 950 m has 0 pixels"),
-        ({"channel": "HH"}, "channel is 'HH'"),
-    ],
-)
-def test_wrong_options_are_refused(passes: Any, tmp_path: Path, options: dict[str, Any], message: str) -> None:
-    a = passes("still", points((3.0, -2.0, 0.0)))
-    with pytest.raises(blocksar.InputError, match=message):
-        blocksar.compare(a, a, tmp_path / "pair", progress=False, **options)
-    assert not (tmp_path / "pair").exists()

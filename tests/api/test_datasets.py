@@ -74,30 +74,6 @@ def test_a_store_is_not_replaced_unasked(dataset: xr.Dataset, store: Path) -> No
         blocksar.write(xr.open_zarr(store), store, overwrite=True)
 
 
-WRONG: dict[str, tuple[Callable[[dict[str, Any]], dict[str, Any]], str]] = {
-    "track by rows": (lambda a: {"antenna_position": a["antenna_position"].T}, r"give antenna_position.T$"),
-    "no axis": (lambda a: {"range_frequency": None}, r"^signal is given without range_frequency; give its axis"),
-    "both": (lambda a: {"echo": a["signal"]}, r"^signal and echo are both given"),
-    "only missing": (lambda a: {"signal": a["signal"] * np.nan}, r"holds no finite sample; check how"),
-    "zeros": (lambda a: {"signal": a["signal"] * 0}, r"holds zeros only; fill it"),
-    "carrier in GHz": (lambda a: {"carrier_frequency": 10.0}, r"carrier_frequency|range_frequency starts at"),
-    "no place of a target": (
-        lambda a: {"targets": [{"name": "A"}]},
-        r"target .* cannot be read; give it name",
-    ),
-    "ragged": (lambda a: {"signal": [[1j], [1j, 2j]]}, r"signal is a list of rows of different lengths; give one"),
-}
-
-
-@pytest.mark.parametrize("case", WRONG)
-def test_wrong_arrays_are_refused_in_one_sentence(case: str) -> None:
-    change, message = WRONG[case]
-    given = arrays()
-    with pytest.raises(InputError, match=message) as caught:
-        blocksar.collection(**{**given, **change(given)})
-    assert "\n" not in str(caught.value)
-
-
 def test_a_channel_of_zeros_is_named(tmp_path: Path) -> None:
     given = arrays()
     channels = {"signal": np.stack([given["signal"], 0 * given["signal"]]), "channel": ["HH", "HV"]}
@@ -189,13 +165,6 @@ def test_a_run_that_was_moved_is_compared_with_its_own_samples(dataset: xr.Datas
     assert max(chip["coherence"] for chip in chips) > 0.99
 
 
-@pytest.mark.parametrize("settings", [{"blocks": 0}, {"memory_limit": 1}])
-def test_wrong_settings_leave_nothing(settings: dict[str, Any], dataset: xr.Dataset, tmp_path: Path) -> None:
-    with pytest.raises(InputError):
-        focus(dataset, tmp_path / "run", **settings)
-    assert not (tmp_path / "run").exists()
-
-
 # ---------------------------------------------------------------- channels
 
 
@@ -221,32 +190,6 @@ def test_channels_in_memory_are_written_and_taken_out(channels: xr.Dataset, tmp_
         assert taken.channels == () and taken.attrs["channel"] == name
         np.testing.assert_array_equal(taken.read(*every), expected)
         assert taken.fingerprint() == own.of_channel(name).fingerprint()
-
-
-@pytest.mark.slow
-def test_channels_in_memory_are_focused(channels: xr.Dataset, tmp_path: Path) -> None:
-    focus(channels, tmp_path / "run", grid=CORNER)
-    image = pixels(tmp_path / "run")
-    assert image.shape[0] == 2
-    np.testing.assert_allclose(image[1], image[0] / 2, atol=1e-5)
-    assert "nothing to do" in focus(channels, tmp_path / "run", grid=CORNER).summary[0]
-    assert blocksar.quality(tmp_path / "run").result["targets"]
-
-
-@pytest.mark.parametrize(
-    ("channel", "words"),
-    [
-        (["HH"], r"signal has shape \(2, 400, 96\), but must have \(1, 400, 96\)"),
-        (["HH", "../x"], "is no name of a channel"),
-        ("HH", "give a list of names"),
-        (None, r"signal has shape .* but must have \(400, 96\)"),
-    ],
-)
-def test_wrong_channels_are_refused(channel: Any, words: str, channels: xr.Dataset) -> None:
-    with pytest.raises(InputError, match=words):
-        blocksar.collection(**{**arrays(), "signal": channels["signal"].values}, channel=channel)
-    with pytest.raises(InputError, match=r"variable channel .* is missing"):
-        blocksar.write(channels.drop_vars("channel"), "nowhere.zarr")
 
 
 # ---------------------------------------------------------------- what a dataset is
@@ -301,38 +244,6 @@ def _refuse(block: Any) -> Any:
 def test_samples_in_memory_are_checked(dataset: xr.Dataset) -> None:
     conjugate = dataset.assign(signal=np.conj(dataset.signal))
     assert "conjugate" in str(blocksar.check(conjugate).result["warning"])
-
-
-WRONG_SOURCES: dict[str, tuple[Callable[[xr.Dataset], Any], str]] = {
-    "the array": (lambda ds: ds.signal.values, r"^source is a numpy.ndarray; give the path .*blocksar.collection"),
-    "own names": (
-        lambda ds: ds.rename(pulse="line"),
-        r"signal has dimensions \(line, range_frequency\), but",
-    ),
-    "kilometres": (lambda ds: _in(ds, "antenna_position", "km"), r"antenna_position is in 'km', but must be in m;"),
-    "an object": (lambda ds: ds.assign_attrs(made=object()), r"attribute made = .*JSON cannot hold; remove it"),
-    "durations": (
-        lambda ds: ds.assign_coords(time=("pulse", (ds.time.values * 1e9).astype("timedelta64[ns]"))),
-        r"time is timedelta64\[ns\], but must be float64 in s; convert it",
-    ),
-}
-
-
-def _in(dataset: xr.Dataset, name: str, units: str) -> xr.Dataset:
-    changed = dataset.copy()
-    changed[name] = changed[name].assign_attrs(units=units)
-    return changed
-
-
-@pytest.mark.parametrize("case", WRONG_SOURCES)
-def test_wrong_sources_are_refused_in_one_sentence(case: str, dataset: xr.Dataset, tmp_path: Path) -> None:
-    change, message = WRONG_SOURCES[case]
-    wrong = change(dataset)
-    for call in (lambda: blocksar.plan(wrong), lambda: blocksar.focus(wrong, tmp_path / "run")):
-        with pytest.raises(InputError, match=message) as caught:
-            call()
-        assert "\n" not in str(caught.value)
-    assert not (tmp_path / "run").exists()
 
 
 # ---------------------------------------------------------------- where the work is done

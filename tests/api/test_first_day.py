@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import xarray as xr
 from arrays import arrays
 from repository import ROOT
 
@@ -76,11 +75,6 @@ def test_the_sign_of_the_phase_is_doubted() -> None:
     assert blocksar.check(wrong).summary[0].startswith(TABLE["the sign of the phase"].removesuffix(" ..."))
 
 
-def test_frequencies_in_megahertz_are_refused() -> None:
-    with pytest.raises(InputError, match=r"range cells of 1.56e\+06 m at a range of 10018 m; .*it looks like MHz"):
-        blocksar.collection(**changed(range_frequency=lambda f: f / 1e6))
-
-
 @pytest.mark.slow
 def test_times_in_milliseconds_are_doubted(tmp_path: Path) -> None:
     """All of them: the image would be the same, but not the times of products."""
@@ -95,29 +89,6 @@ def test_times_in_milliseconds_are_doubted(tmp_path: Path) -> None:
 
 def test_the_page_lists_no_other_mistakes() -> None:
     assert set(TABLE) == {*MISTAKES, "the sign of the phase", "`focus` in a script without main guard"}
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda _: blocksar.simulate({"radar": 1}, "x.zarr"), r"^scene is a dict; give a file"),
-        (blocksar.quality, r"^a path is needed, but a Dataset was given; give a str or a pathlib.Path$"),
-        (lambda ds: blocksar.focus(ds, None), r"^a path is needed, but a NoneType was given"),
-        (lambda _: blocksar.info(b"ph.zarr"), r"^a path is needed, but a bytes was given"),
-        (lambda _: blocksar.export([], "run", "out"), r"^kind is \[\]; it must be"),
-        (lambda _: blocksar.collection(**{**arrays(), "time": None}), r"^time is None; give the times"),
-        (lambda _: blocksar.collection(**{**arrays(), "targets": 5}), r"^targets is 5; give a list"),
-        (lambda ds: blocksar.write("ph.zarr", "out.zarr"), r"^source is a str; give a dataset"),
-        (lambda ds: blocksar.focus(ds, "run", progress=print), r"^progress is <built-in function print>; give an obje"),
-        (
-            lambda ds: blocksar.focus(ds, "run", progress=True),
-            r"^progress is True; give an object with a method update",
-        ),
-    ],
-)
-def test_things_of_the_wrong_kind(call: Callable[[xr.Dataset], Any], message: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=message):
-        call(blocksar.collection(**arrays()))
 
 
 @pytest.mark.slow

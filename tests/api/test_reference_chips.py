@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
@@ -74,6 +75,13 @@ def test_the_input_of_a_run_that_was_moved_with_it_is_found(channels: tuple[str,
     blocksar.focus(old / "ph.zarr", old / "run", grid=grid, workers=0, progress=False)
     before = blocksar.quality(old / "run", reference=True)
     assert before.result["reference"][0]["coherence"] > 0.99
+    chunk = next(file for file in sorted((old / "ph.zarr").rglob("signal/c/**/*")) if file.is_file())
+    written = chunk.stat().st_mtime_ns
+    os.utime(chunk, (1, 1))
+    changed = blocksar.quality(old / "run", reference=True)
+    assert changed.result["changed_input"] == [str(old / "ph.zarr")]
+    assert any(f"{old / 'ph.zarr'} has changed since the run" in line for line in changed.summary)
+    os.utime(chunk, ns=(written, written))
     shutil.move(old, new)
     after = blocksar.quality(new / "run", reference=True)
     assert after.result["reference"] == before.result["reference"] and "changed_input" not in after.result

@@ -75,18 +75,6 @@ class Tags(HTMLParser):
 # ---------------------------------------------------------------- reprs
 
 
-@pytest.mark.slow
-def test_reprs_are_short(plan: PlanReport, run: RunReport, dataset: xr.Dataset) -> None:
-    block = plan.result.blocks[0]
-    quality = blocksar.quality(run.folder)  # type: ignore[arg-type]
-    for shown in (plan, run, quality, plan.result, block, plan.result.geometry.collection, dataset.sar, run.open().sar):
-        assert len(repr(shown)) < 400 and "\n" not in repr(shown)
-    assert len(repr(plan.result.geometry)) < 500
-    n = plan.result.n_blocks
-    assert repr(plan).startswith(f"<PlanReport: {n} blocks by angular-division, ") and "MiB on the disk" in repr(plan)
-    assert repr(run).startswith(f"<RunReport: {run.folder}")
-
-
 def test_a_printed_report_is_its_table_and_its_sentences(plan: PlanReport) -> None:
     lines = str(plan).splitlines()
     header, rows = plan.tables[0]
@@ -121,15 +109,6 @@ def test_html_is_escaped() -> None:
 def test_figures_are_aligned_on_the_right() -> None:
     table = (("target", "PSLR"), [("A", "-13.26"), ("long name", "-9.1")])
     assert text_table(table).splitlines() == ["target       PSLR", "A          -13.26", "long name    -9.1"]
-
-
-def test_the_accessor_says_what_a_dataset_is(dataset: xr.Dataset, run: RunReport) -> None:
-    assert "phase history 400 pulses x 96 range frequencies" in repr(dataset.sar)
-    assert "beam 1.146 degrees wide, yaw -1.43 .. 1.43 degrees" in repr(dataset.sar)
-    assert "image 180 x 100 pixels" in repr(run.open().sar) and "predicted coherence at least" in repr(run.open().sar)
-    assert "neither image nor phase history" in repr(xr.Dataset({"a": ("x", [1.0])}).sar)
-    for shown in (dataset.sar, run.open().sar):
-        assert "three targets" in Tags(shown._repr_html_()).text
 
 
 # ---------------------------------------------------------------- pictures

@@ -142,39 +142,12 @@ def test_the_calls_match_the_signatures_of_the_api(command: str, api: Calls, mon
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("10", "1 axis"),
-        ("0:1,0:1:1", "'0:1' for x, which is not three numbers"),
-        ("0:nan:1,0:1:1", "not finite"),
-        ("0:1:0,0:1:1", "spacing of 0 m for x"),
-        ("0:1:1,5:5:1", "empty: y runs from 5 to 5"),
-    ],
-)
-def test_an_invalid_grid_is_refused_with_the_reason(text: str, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        parsing.parse_grid(text)
-
-
-@pytest.mark.parametrize(
     ("text", "size"),
     [("1GiB", 2**30), ("1.5 gib", 3 * 2**29), ("500MB", 500_000_000), ("4000k", 4_000_000), ("4096Ki", 1 << 22),
      ("1e9", 10**9), (".5GB", 500_000_000), ("1234567", 1234567), ("7000000B", 7_000_000)],
 )  # fmt: skip
 def test_memory_sizes_are_parsed(text: str, size: int) -> None:
     assert parsing.parse_memory(text) == size
-
-
-@pytest.mark.parametrize("text", ["", "GiB", "-1GiB", "0", "2 Gib b", "nan", "1i", "2PiB", "1e", "auto"])
-def test_an_invalid_memory_size_is_refused_with_its_value(text: str) -> None:
-    with pytest.raises(InputError, match="is no amount of memory"):
-        parsing.parse_memory(text)
-
-
-@pytest.mark.parametrize("text", ["0", "-1", "2.5", "many", "", "²"])
-def test_invalid_blocks_are_refused_with_their_value(text: str) -> None:
-    with pytest.raises(InputError, match="neither 'auto' nor a whole number"):
-        parsing.parse_blocks(text)
 
 
 # Exit status and messages
@@ -216,25 +189,6 @@ def test_a_signal_that_a_class_in_the_making_wraps_is_a_signal(api: Calls) -> No
 def test_an_internal_error_keeps_its_traceback(api: Calls) -> None:
     api.answer = ZeroDivisionError("ours")
     assert isinstance(run(*COMMANDS["plan"]).exception, ZeroDivisionError)
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        ("plan ph.zarr --processor omega", "invalid value for '--processor': 'omega' is not one of"),
-        ("plan ph.zarr --workers -3", "greater than or equal to 0, not '-3'; see blocksar plan --help"),
-        ("plan", "missing argument 'PH.zarr|SCENE.toml'; see blocksar plan --help"),
-        ("--speed", "no such option: --speed; see blocksar --help"),
-        ("export tiff run --out a", "no such command 'tiff'. Did you mean 'geotiff'? See blocksar export --help"),
-    ],
-)
-def test_an_invalid_command_line_gives_one_sentence(words: str, sentence: str, api: Calls) -> None:
-    result = run(*words.split())
-    assert (result.exit_code, result.stdout) == (2, "")
-    assert result.stderr.startswith("blocksar: ")
-    assert sentence in result.stderr
-    assert result.stderr.count("\n") == 1
-    assert api.seen == {}
 
 
 @pytest.mark.parametrize("words", [(), ("export",), ("ingest",)])

@@ -19,7 +19,6 @@ from blocksar.api.settings import Settings
 from blocksar.cli import commands
 from blocksar.cli.plan_and_focus import NOT_CONFIGURED
 from blocksar.collection.grid import Grid
-from blocksar.errors import InputError
 from blocksar.graph.machine import resources
 from blocksar.places import place
 from blocksar.runs.record import FINISHED, RunRecord
@@ -131,35 +130,6 @@ def test_the_printed_configuration_is_read_back(text: str, seen: Any) -> None:
     assert seen[0] == seen[1]
 
 
-@pytest.mark.parametrize(
-    ("text", "sentence"),
-    [
-        ("blokcs = 3", "c.toml: 'blokcs' is no option of focus; did you mean blocks?"),
-        ("zzz = 1", "'zzz' is no option of focus; known are source, out, processor, device, blocks"),
-        ("memory_limit = '1GiB'\nmemory-limit = '2GiB'", "c.toml: memory_limit and memory-limit are one option"),
-        ("workers = -1", "c.toml: workers = '-1': must be greater than or equal to 0"),
-        ("processor = 'omega'", "c.toml: processor = 'omega': 'omega' is not one of"),
-        ("overwrite = 1", "c.toml: overwrite = '1' is neither true nor false"),
-        ("blocks = true", "c.toml: blocks = true is neither text nor a number"),
-        ("blocks = ", "--config c.toml is not TOML: "),
-        ("blocks = 0", "c.toml: --blocks '0' is neither"),
-    ],
-)
-def test_a_wrong_file_is_refused_in_one_sentence(text: str, sentence: str, seen: Any) -> None:
-    Path("c.toml").write_text(text)
-    done = run("focus", "ph.zarr", "--out", "run", "--config", "c.toml")
-    assert (done.exit_code, done.stdout, done.stderr.count("\n"), seen) == (2, "", 1, [])
-    assert sentence.lower() in done.stderr.lower()
-
-
-def test_a_file_that_cannot_be_read_is_refused(seen: Any) -> None:
-    Path("binary.toml").write_bytes(b"\xff\xfe")
-    for name, sentence in (("none.toml", "cannot be read (No such file"), ("binary.toml", "is not TOML")):
-        done = run("focus", "ph.zarr", "--out", "run", "--config", name)
-        assert (done.exit_code, done.stderr.count("\n")) == (2, 1) and sentence in done.stderr
-    assert seen == []
-
-
 # ---------------------------------------------------------------- what would be done
 
 
@@ -180,12 +150,6 @@ def test_a_dry_run_of_back_projection_names_memory_and_disk(table1: Path, tmp_pa
     report = blocksar.focus(table1, tmp_path / "run", processor="backprojection", grid=grid, dry_run=True)
     assert "about 0.6 MiB" in report.summary[-2] and report.tables == []  # 256 x 256 pixels of 8 bytes, and the plan
     assert not (tmp_path / "run").exists()
-
-
-def test_a_dry_run_refuses_what_focus_refuses(table1: Path, tmp_path: Path) -> None:
-    (tmp_path / "notes.txt").write_text("not a run")
-    with pytest.raises(InputError, match=r"holds no run of blocksar \(but notes.txt\)"):
-        blocksar.focus(table1, tmp_path, blocks=3, dry_run=True)
 
 
 def test_a_finished_run_needs_nothing() -> None:

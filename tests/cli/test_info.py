@@ -177,25 +177,6 @@ def test_the_cell_size_is_that_of_the_bandwidth(store: Path) -> None:
     assert f"cells of {SPEED_OF_LIGHT / 2 / collection.bandwidth:.3g} m" in facts_of(store)[1]["band"]
 
 
-@pytest.mark.parametrize(
-    ("name", "sentence"),
-    [
-        ("nothing", "does not exist; check the path"),
-        ("folder", "is nothing that blocksar reads or writes (it holds inside.zarr); look at"),
-        ("picture.png", "is of no kind that blocksar knows (it begins with"),
-        ("broken.toml", "give a scene file in UTF-8"),
-        ("broken.mat", "broken.mat is of no kind"),
-    ],
-)
-def test_other_paths_are_refused_in_one_sentence(name: str, sentence: str, tmp_path: Path) -> None:
-    (tmp_path / "folder" / "inside.zarr").mkdir(parents=True)
-    for broken in ("picture.png", "broken.toml", "broken.mat"):
-        (tmp_path / broken).write_bytes(b"\x89PNG\r\n not what it seems = [")
-    done = CliRunner().invoke(commands.app, ["info", str(tmp_path / name)])
-    assert (done.exit_code, done.stdout, done.stderr.count("\n")) == (2, "", 1)
-    assert sentence in done.stderr
-
-
 def test_the_command_prints_a_table_and_the_next_commands(store: Path) -> None:
     done = CliRunner().invoke(commands.app, ["info", str(store)])
     assert done.exit_code == 0 and "phase history" in done.stdout and "10 GHz" in done.stdout

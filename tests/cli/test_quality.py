@@ -84,34 +84,6 @@ def test_images_are_compared_but_for_shift_and_ramp(run: Path, tmp_path: Path) -
 # ---------------------------------------------------------------- files of targets
 
 
-@pytest.mark.parametrize(
-    ("text", "sentence"),
-    [
-        ("A;1;2\n", "looks like CSV, but its first line is 'A;1;2'; give a first line with name, x, y"),
-        ("name,x,y\nA,1,2\nB,3\n", "target 2 has 2 values for 3 columns"),
-        ("name,x,y\nA,nan,2\n", "has a value that is not finite"),
-        ('[{"name": "A", "x": 1e300, "y": 0}]', "is far outside any scene; give metres"),
-        ('[{"name": "A", "x": 1, "y": 2, "reflectivity": 0}]', "has reflectivity 0, so there is nothing to measure"),
-        ("name,x,y,reflectivity\nA,1,2,big\n", "target 1 has the reflectivity 'big'; give"),
-        (
-            '{"type": "FeatureCollection", "features": [{"geometry": {"type": "Line", "coordinates": [[1, 2]]}}]}',
-            "feature 1 is no point",
-        ),
-        ('{"type": "Feature", "geometry": {"type": "Point", "coordinates": [39, 139]}}', "give longitude first"),
-        ('[{"name": "A", "x": 1, "y": 2},\n;]', "is not JSON at line 2; give [{"),
-        ('[{"name": "A", "x": 1, "Y": 2}]', "target 1 has the unknown key 'Y'; did you mean y?"),
-        ('[{"name": "A", "x": 1, "y": 2}, {"name": "B", "x": 1}]', "target 2 has no y; give"),
-        ('[["A", 1, 2]]', 'target 1 is ["A", 1, 2], not a record; give'),
-        ('{"name": "A", "x": 1, "y": 2}', "holds no list of targets; give [{"),
-    ],
-)
-def test_a_wrong_file_of_targets_is_named_with_its_fault(text: str, sentence: str, run: Path, tmp_path: Path) -> None:
-    (tmp_path / "targets.json").write_text(text)
-    with pytest.raises(InputError) as caught:
-        blocksar.quality(run, targets=tmp_path / "targets.json")
-    assert sentence in str(caught.value) and "targets.json" in str(caught.value) and "\n" not in str(caught.value)
-
-
 def test_targets_of_a_list_a_dict_and_quality_json_are_read(run: Path, tmp_path: Path) -> None:
     (tmp_path / "list.json").write_text('[{"name": "A", "x": 0.3, "y": -0.2, "reflectivity": [1, 0]}]')
     (tmp_path / "dict.json").write_text('{"targets": [{"name": "A", "x": 0.3, "y": -0.2}]}')
@@ -145,14 +117,6 @@ def test_targets_of_csv_and_geojson_are_those_of_json(run: Path, tmp_path: Path)
             assert one["azimuth_pslr"] == pytest.approx(other["azimuth_pslr"], abs=1e-3)
 
 
-def test_geojson_needs_a_georeference(tmp_path: Path) -> None:
-    unplaced = small_run.make(tmp_path / "run", frame=None, size=(60, 50)).folder
-    feature = '{"type": "Feature", "geometry": {"type": "Point", "coordinates": [-84.09, 39.78]}}'
-    (tmp_path / "targets.geojson").write_text(feature)
-    with pytest.raises(InputError, match="is GeoJSON, whose points are in degrees, but there is no georeference"):
-        blocksar.quality(unplaced, targets=tmp_path / "targets.geojson")
-
-
 # ---------------------------------------------------------------- what nobody named
 
 
@@ -182,13 +146,3 @@ def test_points_at_the_edge_of_a_narrow_image_are_found(tmp_path: Path) -> None:
     folder = small_run.make(tmp_path / "run", hole=False, size=(60, 3)).folder
     found = blocksar.quality(folder, targets=[], found=2).result["found"]
     assert all(np.isfinite(point["power"]) for point in found)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("options", "sentence"), [
-    ({"found": -1}, "found = -1: ask for 1 to 1000 points"),
-    ({"area": "-29.9:-28,-25.9:-24"}, "the image covers 0 pixels there"),
-])  # fmt: skip
-def test_what_cannot_be_found_is_said(options: dict[str, str], sentence: str, run: Path) -> None:
-    with pytest.raises(InputError, match=sentence):
-        blocksar.quality(run, **options)

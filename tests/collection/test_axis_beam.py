@@ -260,8 +260,6 @@ def test_the_side_of_the_track_has_to_be_known() -> None:
     geometry = Geometry(collection=replace(collection, side_of_track="left"))
     with pytest.raises(InputError, match=r"lies right of the flight, but side_of_track is 'left': correct one of"):
         plan_region(geometry, Grid(8900.0, 9100.0, 2.0, -60.0, 60.0, 2.0))
-    with pytest.raises(InputError, match=r"side_of_track is 'port'; it must be 'left' or 'right'"):
-        replace(collection, side_of_track="port")
     moved = {"antenna_position": collection.antenna_position - [9000.0, 0.0, 0.0]}  # the origin is the scene's centre
     geometry = Geometry(collection=Collection(**{**collection.as_dict(), **moved}))
     grid = default_grid(geometry, plan_region(geometry, None))
@@ -324,8 +322,6 @@ def test_wrong_beams_are_refused(case: str) -> None:
 
 def test_a_pattern_needs_a_beam() -> None:
     unsteered = {"beam_axis": None, "beam_steering": None, "beam_width": None}
-    with pytest.raises(InputError, match="neither beam_azimuth nor beam_axis"):
-        axis_collection(**unsteered, beam_offset=np.array([-0.1, 0.1]), beam_pattern=np.ones(2))
     down = math.asin(4000 / math.hypot(9000, 4000))
     assert axis_collection(
         **unsteered, elevation=np.array([down - 0.1, down + 0.1]), elevation_pattern=np.ones(2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -203,3 +204,8 @@ def test_a_beam_wider_than_a_full_turn_is_refused(small_collection: Collection) 
     geometry = steered(small_collection, 0.0, 0.0, beam_azimuth=np.linspace(0, 6.28, n), beam_width=0.05)
     with pytest.raises(InputError, match=r"beam_azimuth scans 6\.28 rad .* cut the collection"):
         geometry.beam.longest_pass(np.zeros(1), np.ones(1))
+
+
+def test_a_scan_through_a_full_turn_is_accepted(small_collection: Collection) -> None:
+    scan = np.linspace(6.2, 6.4, small_collection.n_pulse)
+    assert replace(small_collection, beam_azimuth=scan).beam_azimuth[-1] == pytest.approx(6.4)

@@ -15,7 +15,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.raw_echo import RawEcho, RecordedRanges
 from blocksar.collection.region import default_grid, plan_region
 from blocksar.collection.weighting import Taper
-from blocksar.errors import InputError, OutsideSwath
+from blocksar.errors import OutsideSwath
 from blocksar.kernels.fourier import chirp_spectrum
 
 RECORDED = RecordedRanges(near=9000.0, far=11000.0, pulse=600.0)
@@ -87,10 +87,3 @@ def test_stores_of_compressed_echoes_keep_it(small_collection: Collection, tmp_p
     assert opened.with_partial_pulses() is opened
     cut = opened.collection.unsteered().segment(3, 90)
     assert cut.recorded == collection.recorded and cut.centred().recorded == collection.recorded
-    for wrong, words in (
-        ({"near": 1.0}, "it must have near, far and pulse in m, and partial"),
-        ({**RECORDED.as_attribute(), "far": 1.0}, "near below far"),
-    ):
-        stores.create_phase_history(tmp_path / "w.zarr", small_collection, attrs={"recorded": wrong}, overwrite=True)
-        with pytest.raises(InputError, match=words):
-            stores.open_phase_history(tmp_path / "w.zarr")

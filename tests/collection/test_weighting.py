@@ -13,7 +13,6 @@ from steps import collection
 from blocksar.collection.beam import weighted_pulses
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import UNIFORM, Taper, Weighting
-from blocksar.errors import InputError
 
 TAPERS = ["uniform", "taylor:4:-35", "taylor:5:-30", "hamming", "hann", "kaiser:2.5", "kaiser:6"]
 

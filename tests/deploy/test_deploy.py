@@ -718,17 +718,6 @@ def test_the_batch_script_calls_the_recipe(recipe: Any, tmp_path: Path) -> None:
 # ---------------------------------------------------------------- documentation
 
 
-def test_every_deployment_has_a_readme_with_the_required_sections() -> None:
-    assert sorted(p.name for p in DEPLOY.iterdir() if p.is_dir() and p.name != "site") == sorted(PARTS)
-    for part in PARTS:
-        readme = text(part, "README.md")
-        headings = re.findall(r"^## (.*)$", readme, re.MULTILINE)
-        assert {"Install", "What to adapt", "Check", "Stop and resume"} <= set(headings), part
-        assert f"({part}/README.md)" in text("README.md")
-        for target in re.findall(r"\]\((?!https?://)([^)#]+)", readme):
-            assert (DEPLOY / part / target).exists(), f"{part}: {target}"
-
-
 def test_files_named_in_readmes_exist() -> None:
     for part in PARTS:
         readme = text(part, "README.md")

@@ -200,10 +200,6 @@ def test_collections_of_several_frames_are_refused(bursts: list[Path], tmp_path:
     zarr.open_group(other, mode="r+").attrs.update(ground_height=0.0, carrier_frequency=9.9e9)
     with pytest.raises(InputError, match=r"carrier_frequency is .* Hz in .*, but one image has one carrier"):
         blocksar.focus([bursts[1], other], tmp_path / "run", **SETTINGS)
-    with pytest.raises(InputError, match="given twice"):
-        blocksar.focus([bursts[1], bursts[1]], tmp_path / "run", **SETTINGS)
-    with pytest.raises(InputError, match="source is empty"):
-        blocksar.focus([], tmp_path / "run", **SETTINGS)
     assert not (tmp_path / "run").exists()
 
 

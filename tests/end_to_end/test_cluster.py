@@ -186,12 +186,6 @@ def test_a_run_that_is_not_to_wait_fails_at_once(store: Path, nobody: Client, tm
         blocksar.focus(store, tmp_path / "run", progress=Foreman(nobody, goes=True), **settings)
 
 
-@pytest.mark.parametrize("wrong", [-1, float("nan"), "60", True])
-def test_a_time_to_wait_that_is_none_is_refused(wrong: Any, store: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"wait_workers .* is no time; give seconds, or 0 to wait for no worker"):
-        blocksar.focus(store, tmp_path / "run", wait_workers=wrong)
-
-
 # ---------------------------------------------------------------- two machines
 
 

@@ -11,7 +11,7 @@ import pytest
 import blocksar
 from blocksar import stores
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.errors import FolderError, InputError
+from blocksar.errors import FolderError
 
 HEIGHT = 30.0  # m over the stored plane: layover of 30 m x 9 / 12
 TARGETS = ((0.0, 0.0), (12.0, 9.0), (-11.0, 14.0))
@@ -86,24 +86,3 @@ def test_plan_and_check_take_it(store: Path) -> None:
     heights = [plan.pieces[0].geometry.collection.ground_height for plan in plans]
     assert heights == [0.0, 0.0, HEIGHT]
     assert blocksar.check(store, grid=GRID, ground_height=HEIGHT).result["warning"] is None
-
-
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        ({"ground_height": np.nan}, "give a finite number of m"),
-        ({"ground_height": "30"}, "give a finite number of m"),
-        ({"ground_height": 9500.0}, "z must point up"),
-        ({"ground_height": 30.0, "terrain": "dem.tif"}, "which has heights; leave one out"),
-    ],
-)
-def test_wrong_heights_are_refused(store: Path, tmp_path: Path, options: dict[str, Any], sentence: str) -> None:
-    for command in (blocksar.plan, blocksar.check):
-        with pytest.raises(InputError, match=sentence):
-            command(store, grid=GRID, **options)
-    for command in (blocksar.focus, blocksar.autofocus):
-        with pytest.raises(InputError, match=sentence):
-            command(store, tmp_path / "new", grid=GRID, **options)
-    with pytest.raises(InputError, match="a scene on z = 0"):
-        blocksar.plan("table1", ground_height=30.0)
-    assert not list(tmp_path.iterdir())

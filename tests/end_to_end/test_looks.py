@@ -130,16 +130,6 @@ def test_a_plan_of_looks_is_the_one_that_focus_makes(strip: Path, tmp_path: Path
     assert pulses[0] == pytest.approx(sum(pulses[1:]), abs=2)
 
 
-def test_a_plan_of_looks_refuses_what_focus_refuses(strip: Path) -> None:
-    settings: dict[str, Any] = {"grid": ((8980.0, 9020.0, 1.0), (-20.0, 20.0, 0.5)), **SETTINGS}
-    for call in (blocksar.plan, lambda source, **given: blocksar.focus(source, strip.parent / "no", **given)):
-        with pytest.raises(InputError, match=r"^looks = 40: give 2 to 32 looks"):
-            call(strip, **settings, looks=40)
-        with pytest.raises(InputError, match=r"^looks = 2: looks are formed of one collection, and here are 2; give"):
-            call([strip, "table1"], **settings, looks=2)
-    assert not (strip.parent / "no").exists()
-
-
 @pytest.mark.slow
 def test_a_beam_that_stays_on_its_ground_has_no_looks(tmp_path: Path) -> None:
     """Parts of its width see parts of the ground: without the beam, looks are parts of the pulses."""
@@ -181,8 +171,7 @@ def test_looks_of_an_unsteered_collection_are_parts_of_its_pulses(tmp_path: Path
                 np.testing.assert_array_equal(joint.noise_equivalent[number], alone.noise_equivalent)
         level = joint.isel(look=1).sar.noise_db()
         assert level.dims == ("y", "x") and np.isfinite(level).mean() > 0.9
-    for count, words in ((1, "give 2 to 32 looks"), (30, "take fewer looks")):
-        with pytest.raises(InputError, match=words):
-            blocksar.focus(tmp_path / "ph.zarr", tmp_path / "wrong", looks=count, **SETTINGS)
+    with pytest.raises(InputError, match="take fewer looks"):
+        blocksar.focus(tmp_path / "ph.zarr", tmp_path / "wrong", looks=30, **SETTINGS)
     with pytest.raises(InputError, match="in a store"):
         blocksar.focus(dataset, tmp_path / "wrong", looks=2, grid=((-30.0, 30.0, 0.5), (-30.0, 30.0, 0.5)))

@@ -15,7 +15,6 @@ from blocksar import stores
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import FolderError
-from blocksar.measurement.coherence import coherence
 from blocksar.places import place
 from blocksar.planning.disk import run_bytes
 from blocksar.simulation.scene import Scene
@@ -110,35 +109,3 @@ def test_a_chain_puts_targets_where_they_stand(store: Path, terrain: Path, tmp_p
     files = [path for name in stores.ON_TERRAIN for path in (run / "image.zarr" / name).rglob("c/*/*")]
     layers = run_bytes(planned(store, blocks=2, grid=grid_about(300.0, 1.0), terrain=terrain))["layers"]
     assert sum(path.stat().st_size for path in files) == pytest.approx(layers, rel=0.03)
-
-
-@pytest.mark.slow
-def test_clutter_on_hills_is_that_of_back_projection(tmp_path: Path) -> None:
-    """Slopes up to 30 degrees, at the top of a hill, on its flanks, in a hollow, and on the seam of two blocks."""
-    hills = HILLS.replace("width = 700.0", "width = 760.0")
-    more = hills + "[clutter]\nscatterers = 5000\nseed = 3\nrange = [29600.0, 30400.0]\nyaw_deg = [48.3, 51.7]\n"
-    store = write_store(tmp_path, swath=[29600.0, 30400.0], more=more)
-    ground = Scene.read(tmp_path / "scene.toml").terrain
-    assert ground is not None
-    stores.write_terrain(place(tmp_path / "ground.zarr"), ground)
-    run, settings = tmp_path / "run", {"grid": grid_about(240.0, 1.6), "terrain": tmp_path / "ground.zarr", "blocks": 2}
-    report = blocksar.plan(store, **settings)
-    relief = next(table for table in report.details if "bend taken out (rad)" in table[0])
-    assert len(relief[1]) == len(report.result.blocks)
-    blocksar.focus(store, run, workers=0, **settings)
-    exact = blocksar.focus(
-        store, tmp_path / "exact", processor="backprojection", workers=0, terrain=settings["terrain"],
-        grid=grid_about(240.0, 12.8),
-    )  # fmt: skip
-    assert exact.result["status"] == "finished"
-    one, other = blocksar.open(run).image.values[::8, ::8], blocksar.open(tmp_path / "exact").image.values
-    assert np.isfinite(one).all() and one.shape == other.shape
-    whole = coherence(one, other)
-    assert abs(whole.coherence) >= 0.998
-    assert whole.gain == pytest.approx(1.0, abs=0.005)
-    assert abs(whole.phase) < 0.01
-    predicted = report.result.coherence
-    assert predicted == pytest.approx(abs(whole.coherence), abs=0.001)
-    for rows in (slice(0, 19), slice(19, 38)):
-        for columns in (slice(0, 19), slice(19, 38)):
-            assert abs(coherence(one[rows, columns], other[rows, columns]).coherence) >= 0.998

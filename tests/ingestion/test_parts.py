@@ -282,25 +282,6 @@ def test_lost_vectors_are_left_out_of_an_area(made: Made, tmp_path: Path) -> Non
     assert gain == pytest.approx(1, abs=0.005)  # side lobes of the neighbour; 0.91 with zeros in the sums
 
 
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        ({"pulses": "1196:"}, "--pulses 1196: leaves 4 of 1200 vectors; at least 8 are needed"),
-        ({"pulses": "4:2"}, "is not two numbers, the lower first; give them as --pulses 0:4096"),
-        ({"pulses": "1.5:20"}, "is not two whole numbers from 0"),
-        ({"frequencies": "1e9:2e9"}, "has nothing of what all vectors have, 9849965938"),
-        ({"frequencies": "9.99e9"}, "is not two numbers"),
-        ({"area": "5:1,0:3"}, "give the ends of x and of y in metres"),
-        ({"area": "90000:90100,0:100"}, "m in range from the middle of what was recorded"),
-        ({"ground_height": 1e5}, "z must point up"),
-    ],
-)
-def test_wrong_parts_are_refused(made: Made, options: dict[str, Any], sentence: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=re.escape(sentence).replace("\\-\\-", "(--)?").replace("--", "(--)?")):
-        blocksar.ingest("cphd", made.path, tmp_path / "a.zarr", **options)
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_disk_without_room_is_said_before_samples_are_read(
     made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -76,13 +76,6 @@ def test_what_no_reader_knows_is_said(tmp_path: Path) -> None:
     (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n")
     with pytest.raises(blocksar.InputError, match=r"a\.png is a PNG picture"):
         blocksar.ingest(None, tmp_path / "a.png", tmp_path / "a.zarr")
-    kinds = "'cphd' or 'crsd' or 'nisar' or 'palsar' or 'gotcha' or 'sentinel1'"
-    with pytest.raises(blocksar.InputError, match=f"kind is 'sar'; it must be {kinds}"):
-        blocksar.ingest("sar", tmp_path / "a.png", tmp_path / "a.zarr")
-    with pytest.raises(blocksar.InputError, match=r"sgn is 1, but it is an option of cphd only; leave it out"):
-        blocksar.ingest("gotcha", tmp_path / "a.mat", tmp_path / "a.zarr", sgn=1)
-    with pytest.raises(blocksar.InputError, match=r"but cphd has no such option; did you mean area\?"):
-        blocksar.ingest("cphd", tmp_path / "a.cphd", tmp_path / "a.zarr", aera="0:1,0:1")
 
 
 @pytest.mark.parametrize("name", READERS.own)

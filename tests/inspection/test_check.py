@@ -21,7 +21,6 @@ from blocksar.arrays import ComplexArray
 from blocksar.cli import commands
 from blocksar.collection.collection import Collection
 from blocksar.collection.grid import Grid
-from blocksar.errors import InputError
 from blocksar.inspection.check import check, part_of, part_to_read
 from blocksar.inspection.prominent import Contrast
 from blocksar.inspection.verdict import Concentrations, Findings, Trial
@@ -159,11 +158,6 @@ def test_a_run_says_what_the_check_finds(steered_store: Path, tmp_path: Path) ->
     report = blocksar.focus(wrong, tmp_path / "run", **settings)
     assert any("the signal is conjugated" in warning for warning in report.result["warnings"])
     assert any("the signal is conjugated" in line for line in report.summary)
-
-
-def test_a_spotlight_collection_needs_a_grid(spotlight_store: Path) -> None:
-    with pytest.raises(InputError, match="grid is missing"):
-        blocksar.check(spotlight_store)
 
 
 @pytest.mark.slow

@@ -46,31 +46,6 @@ def clutter(collection: Collection, grid: Grid) -> ComplexArray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mode", ["squinted", "tops"])
-def test_a_chain_focuses_as_back_projection_does(mode: str) -> None:
-    collection = axis_collection(mode, n_pulse=900)
-    grid = grid_of(collection)
-    signal = clutter(collection, grid)
-    geometry = Geometry(collection=collection)
-    plan = plan_collection(collection, grid=grid)
-    image = focus(plan, signal)
-    exact = form_image(lambda pulses: signal[pulses], geometry, grid.x, grid.y, threads=2)
-    x, y = np.meshgrid(grid.x, grid.y)
-    full = geometry.beam.has_full_dwell(x, y)
-    first, last = geometry.beam.longest_pass(x, y)
-    some = last - first > 40
-    assert plan.refusal is None and full.mean() > 0.1
-    assert (np.isfinite(image) | ~some).all()  # all that is lit is covered
-    assert np.isnan(image[last == first]).all()
-    whole = coherence(np.where(full, image, np.nan), exact)
-    assert abs(whole.coherence) > 0.999
-    assert abs(whole.gain - 1) < 0.01 and abs(whole.phase) < 0.01
-    assert abs(coherence(np.where(some, image, np.nan), exact).coherence) > 0.995
-    # What is predicted of dwells of a few hundred pulses is too little, under any beam: their grid is coarse.
-    assert -1.5e-3 < plan.coherence - abs(whole.coherence) < 3e-4
-
-
-@pytest.mark.slow
 def test_dwells_that_the_collection_cuts_have_no_noise_but_their_own() -> None:
     """White noise, of which chains hold what no target has: steps in Doppler move it, but to no other dwell."""
     collection, weighting = axis_collection("sliding spotlight", n_pulse=900), Weighting.parse("taylor:4:-35")

@@ -15,7 +15,6 @@ from scipy.special import fresnel
 import blocksar
 from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Taper
-from blocksar.errors import InputError
 from blocksar.planning.dwell_ends import end_energy
 from blocksar.planning.planner import plan_collection
 from blocksar.planning.prediction import ImageEdges
@@ -134,8 +133,6 @@ def test_a_weighting_is_planned_and_predicted() -> None:
         widened = block.prediction.resolution / before.prediction.resolution
         assert widened == pytest.approx(share.ideal.width / 0.885893, rel=1e-3)
     assert any("ideal side lobes -35.17 dB in range" in line for line in report.summary)
-    with pytest.raises(InputError, match="weighting 'cosine' is unknown"):
-        blocksar.plan("table1", weighting="cosine")
 
 
 def test_losses_at_edges_are_interpolated_between_targets_on_either_side() -> None:

@@ -225,15 +225,6 @@ def test_arrays_trees_and_merged_datasets_go_to_netcdf(tmp_path: Path) -> None:
                 np.testing.assert_array_equal(again["image_real"] + 1j * again["image_imag"], run.image)
 
 
-def test_a_store_given_as_a_run_names_the_run(made: Made) -> None:
-    with pytest.raises(
-        InputError, match=r"image\.zarr is the image alone; give the folder of its run, such as .*run\d*$"
-    ):
-        blocksar.quality(made.folder / "image.zarr")
-    with pytest.raises(InputError, match=r"collection\.zarr is a store, not a run; give the folder"):
-        blocksar.quality(made.folder / "collection.zarr")
-
-
 def test_figures_of_a_run_that_cannot_be_written_to_are_reported(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(number: int) -> None:
         def write(self: LocalPlace, data: bytes) -> None:

@@ -158,22 +158,6 @@ def test_looks_are_averaged_before_the_map_is_made(run: tuple[Made, Georeference
     assert seen > 10
 
 
-@pytest.mark.parametrize(
-    ("crs", "words"),
-    [
-        ("EPSG:99999", "is no coordinate reference system; give a projected one, such as EPSG:32616"),
-        ("EPSG:4978", "Geocentric"),
-        ("EPSG:4979", "Geographic 3D"),
-        ("EPSG:32633", r"for longitudes 12 .. 18 .* UTM there is EPSG:32616"),
-        ("EPSG:32716", "UTM there is EPSG:32616"),
-    ],
-)
-def test_a_map_that_does_not_suit_is_refused(crs: str, words: str, made: Made, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=words):
-        blocksar.export("geotiff", made.folder, tmp_path / "a.tif", crs=crs)
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_map_that_breaks_within_the_image_is_refused(tmp_path: Path) -> None:
     """It would be 96 million columns of nothing."""
     made = make(tmp_path, frame=Georeference(latitude=-17.0, longitude=180.0, height=0.0), size=(60, 50))

@@ -24,7 +24,7 @@ from typer.testing import CliRunner
 
 import blocksar
 from blocksar import api, stores
-from blocksar.cli import commands, endings
+from blocksar.cli import commands
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing import method
 from blocksar.measurement.targets import Target
@@ -213,15 +213,6 @@ def test_outlines_follow_the_block_limits(runs: dict[str, Path]) -> None:
 
 
 # ---------------------------------------------------------------- reported values
-
-
-def test_a_good_run_is_reported_as_good(whole: Path) -> None:
-    said = read(whole).text()
-    assert "4 of 4 fully lit targets within the limits" in said
-    assert "no warnings" in said and "% of the plan" in said
-    assert "5 targets, 4 of them lit over their full dwell" in said
-    assert "Warnings" not in said
-    assert 'class="off"' not in whole.read_text()
 
 
 @pytest.mark.slow
@@ -453,18 +444,6 @@ def test_report_of_a_run_in_an_object_store(runs: dict[str, Path], tmp_path: Pat
 
 
 # ---------------------------------------------------------------- progress, wrong input and failures
-
-
-@pytest.mark.slow
-def test_an_existing_page_is_kept_unless_overwrite_is_given(run: Path, tmp_path: Path, quick: None) -> None:
-    target = tmp_path / "page.html"
-    target.write_text("mine")
-    told = CliRunner().invoke(commands.app, ["report", str(run), "--out", str(target), "--quiet"])
-    assert told.exit_code == endings.WRONG_INPUT and "page.html exists" in told.stderr
-    assert target.read_text() == "mine"
-    told = CliRunner().invoke(commands.app, ["report", str(run), "--out", str(target), "--overwrite"])
-    assert told.exit_code == 0 and f"wrote {target}" in told.stdout and "report: " in told.stderr
-    assert target.read_text(encoding="utf-8").startswith("\n<!DOCTYPE html>".strip())
 
 
 @pytest.mark.slow

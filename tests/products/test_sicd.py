@@ -343,10 +343,6 @@ def test_sicd_contains_the_known_collection_metadata(tmp_path: Path) -> None:
     with open(tmp_path / "a.nitf", "rb") as file, sksicd.NitfReader(file) as reader:
         assert reader.metadata.file_header_part.security.clas == "S"
         assert reader.metadata.im_subheader_part.security.clas == "S"
-    run = make(tmp_path / "own", size=(60, 50), more={"classification": "ours", "polarization": "HV"})
-    with pytest.raises(InputError, match=r"classification of .* is 'ours', and NITF knows"):
-        blocksar.export("sicd", run.folder, tmp_path / "b.nitf")
-    assert not (tmp_path / "b.nitf").exists()
 
 
 def test_export_of_a_coarse_image_as_sicd_is_refused(tmp_path: Path) -> None:

@@ -14,7 +14,6 @@ from small_run import DAYTON, TARGETS, Made, hilly, make, ridge
 
 import blocksar
 from blocksar.collection.georeference import Georeference
-from blocksar.errors import InputError
 from blocksar.products.shared_metadata import MARKS
 
 
@@ -143,18 +142,3 @@ def test_parts_and_ends_of_the_image(tmp_path: Path) -> None:
     assert secret.tree.find("{*}ProductCreation/{*}Classification").get("{urn:us:gov:ic:ism:13}classification") == "S"
     assert secret.text("ExploitationFeatures/Product/Polarization/RcvPolarizationProc") == "V"
     assert "SECRET" in MARKS
-
-
-def test_what_makes_no_sidd_is_refused(unplaced: Made, made: Made, tmp_path: Path) -> None:
-    out = tmp_path / "no.nitf"
-    unknown = make(tmp_path / "unknown", size=(60, 50), more={"classification": "eyes only"})
-    for run, options, words in (
-        (unplaced, {}, "no georeference, and a SIDD says where"),
-        (made, {"looks": (90, 1)}, "take fewer looks"),
-        (made, {"range": "0:-40"}, "the lower first"),
-        (made, {"scale": "uint8"}, "option of geotiff only; leave it out"),
-        (unknown, {}, "NITF knows only those"),
-    ):
-        with pytest.raises(InputError, match=words):
-            blocksar.export("sidd", run.folder, out, **options)
-    assert not list(tmp_path.glob("*.nitf*"))

@@ -67,17 +67,6 @@ def test_the_log_is_appended_to_after_an_unfinished_line(tmp_path: Path) -> None
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["", "no/such/folder/log", ".", "a\0b"])
-def test_an_unwritable_log_stops_a_command_before_it_begins(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, api: Fake
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    done = CliRunner().invoke(commands.app, ["focus", "ph.zarr", "--out", "run", "--json-log", name])
-    assert done.exit_code == 2 and done.stderr.count("\n") == 1
-    assert done.stderr.startswith("blocksar: --json-log") and done.stderr.endswith("give another file\n")
-    assert not api.called and not list(tmp_path.iterdir())
-
-
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 def test_a_full_disk_loses_log_lines_but_the_run_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
     with under_way(Clock(), log="/dev/full") as told:

@@ -148,11 +148,6 @@ def test_json_that_is_not_a_record_is_refused(record: Any, tmp_path: Path) -> No
         finished_record(place(write(tmp_path / "run", record)))
 
 
-def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"holds no run\.json; give the folder"):
-        finished_record(place(tmp_path))
-
-
 # Formats and versions
 
 

@@ -168,26 +168,6 @@ def damaged(store: Path, folder: Path, **replace: Any) -> Path:
     return copy
 
 
-def test_a_prf_too_low_is_refused_with_the_prf_needed(tmp_path: Path) -> None:
-    (tmp_path / "scene.toml").write_text(scene(prf=3000.0))
-    with pytest.raises(InputError, match=r"PRF 3000 Hz is too low: .* at least \d+(\.\d+)? Hz is needed"):
-        blocksar.plan(tmp_path / "scene.toml", processor="angular-division")
-
-
-def test_folders_that_are_not_runs_are_not_changed(store: Path, tmp_path: Path) -> None:
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "thesis.tex").write_text("years of work")
-    for overwrite in (False, True):
-        with pytest.raises(InputError, match="no run of blocksar"):
-            blocksar.focus(store, tmp_path / "run", grid=GRID, workers=0, overwrite=overwrite)
-    (tmp_path / "file").write_text("x")
-    with pytest.raises(InputError, match="is not a folder"):
-        blocksar.focus(store, tmp_path / "file", grid=GRID, workers=0)
-    assert (tmp_path / "run" / "thesis.tex").read_text() == "years of work"
-    with pytest.raises(InputError):
-        blocksar.quality(tmp_path / "run")
-
-
 @pytest.mark.slow
 def test_peak_memory_is_that_of_the_process() -> None:
     """A small process started by a large one does not report its parent's peak."""

@@ -97,29 +97,6 @@ def test_patterns_of_a_scene() -> None:
     np.testing.assert_allclose(np.rad2deg(sampled.elevation), [20, 30])
 
 
-WRONG = {
-    "mode of another name": ('mode = "scan"', "beam.mode = 'scan'"),
-    "no width": ('mode = "stripmap"', "beam.width_deg missing: mode = 'stripmap' needs it"),
-    "both": ('mode = "tops"\nwidth_deg = 1.0\nrate_deg = 1.0\nstart_deg = 1.0', "start_deg given with mode = 'tops'"),
-    "no rate": ('mode = "tops"\nwidth_deg = 1.0', "nothing given with mode = 'tops': give rate_deg or squint_deg"),
-    "rate of a strip": ('mode = "stripmap"\nwidth_deg = 1.0\nrate_deg = 1.0', "rate_deg given with mode = 'stripmap'"),
-    "rate without mode": ("start_deg = 1.0\nstop_deg = 2.0\nwidth_deg = 1.0\nrate_deg = 1.0", "rate_deg given without"),
-    "pitch alone": ('mode = "stripmap"\nwidth_deg = 1.0\naxis_pitch_deg = 1.0', "beam.axis_yaw_deg missing"),
-    "no elevation width": (
-        'mode = "stripmap"\nwidth_deg = 1.0\nelevation_pattern = "sinc2"', "beam.elevation_width_deg = None: goes with"
-    ),
-    "nothing": ("width_deg = 1.0", "beam.start_deg, stop_deg missing: give start_deg and stop_deg, or mode"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("case", WRONG)
-def test_wrong_beams_are_refused(case: str) -> None:
-    text, message = WRONG[case]
-    with pytest.raises(InputError) as caught:
-        scene(text)
-    assert message in str(caught.value)
-
-
 def test_a_beam_that_misses_the_swath_is_refused() -> None:
     with pytest.raises(InputError, match=r"beam\.mode: the beam lights none of the swath"):
         beam_of('mode = "stripmap"\nwidth_deg = 1.0\naxis_yaw_deg = 0.0')

@@ -244,10 +244,6 @@ def test_dropped_pulses_are_those_listed_and_a_random_share() -> None:
     assert Scene.parse(text).dropped_pulses().tolist() == [3, 10, 11, 12]
     some = Scene.parse(PLAIN + "[dropped]\nfraction = 0.2\nseed = 1\n").dropped_pulses()
     assert some.size == 20
-    assert problems(PLAIN + "[dropped]\nfraction = 0.2\n") == ["dropped.seed missing: fraction needs one"]
-    assert problems(PLAIN + "[dropped]\npulses = [101, -1]\n") == [
-        "dropped = [-1, 101]: must be indices of the 101 pulses, 0 to 100"
-    ]
 
 
 def test_every_wrong_field_is_named_with_its_value_and_a_remedy() -> None:
@@ -277,34 +273,6 @@ def test_every_wrong_field_is_named_with_its_value_and_a_remedy() -> None:
     (either,) = [problem for problem in found if problem.startswith("scene.reference_range = 'there'")]
     assert "'constant' or 'scene_centre'" in either and "number" in either
     assert len(found) == len(starts) + 1
-
-
-@pytest.mark.parametrize(
-    ("replaced", "expected"),
-    [
-        ({"range_sampling": "range_sampling = 90e6"}, "radar.range_sampling = 9e+07: must be at least the bandwidth"),
-        ({"swath": "swath = [10500.0, 9500.0]"}, "scene.swath = [10500, 9500]: must be [near, far]"),
-        ({"width_deg": "width_deg = 8\ndwell = 0.1"}, "beam: both given: give either dwell (s) or width_deg"),
-        ({"pulses": "pulses = 101\nduration = 1.0"}, "time: both given: give either duration (s) or pulses"),
-        ({"pulses": "duration = 1e-3"}, "time.duration = 0.001: gives 1 pulses; must give 8"),
-        ({"velocity": ""}, "track.velocity missing: a track needs position and velocity"),
-        ({"title": 'name = "x"'}, "name = 'x': unknown key"),
-    ],
-)
-def test_wrong_field(replaced: dict[str, str], expected: str) -> None:
-    (problem,) = problems(plain(**replaced))
-    assert problem.startswith(expected)
-
-
-def test_syntax_errors_missing_files_and_unknown_scenes_raise_input_errors(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"my\.toml is not TOML: .*line 2"):
-        Scene.parse("title = 'a'\n[radar\n", label="my.toml")
-    with pytest.raises(InputError, match=r"neither a file nor one of the shipped scenes: .*table1"):
-        Scene.read("tabel1")
-    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="cannot be read"):
-        Scene.read(tmp_path / "binary.toml")
-    assert "table1" in shipped_scenes()
 
 
 @given(least=st.integers(0, 200_000))

@@ -141,25 +141,6 @@ def test_the_truth_of_a_replaced_store_is_replaced_or_removed(tmp_path: Path) ->
     assert (tmp_path / "ph.truth.zarr" / "signal").exists()
 
 
-@pytest.mark.parametrize(
-    ("table", "expected"),
-    [
-        ("drift = [1.0, 2.0]", "track.error.drift = [1.0, 2.0]: has too few elements ([x, y, z], m"),
-        ("position_random_walk = [1.0, 0.0, 0.0]", "track.error.seed missing: position_random_walk needs one"),
-        (
-            "seed = 1\n[[track.error.vibration]]\nrms = [1.0, 0.0, 0.0]\nband = [30.0, 3.0]",
-            "track.error.vibration[0].band = [30, 3]: must be [low, high] with 0 < low < high, Hz",
-        ),
-    ],
-)
-def test_wrong_field(table: str, expected: str) -> None:
-    with pytest.raises(InputError) as caught:
-        Scene.parse(SCENE + "[track.error]\n" + table, label="my.toml")
-    header, problem = str(caught.value).split("\n  ")
-    assert header == "my.toml has 1 wrong field:"
-    assert problem.startswith(expected)
-
-
 def test_an_error_beyond_the_range_window_is_refused(tmp_path: Path) -> None:
     scene = Scene.parse(SCENE + TARGET + "[track.error]\noffset = [300.0, 0.0, 400.0]\n")
     with pytest.raises(InputError, match=r"track\.error reaches 500 m: must stay below .* m, or echoes leave"):

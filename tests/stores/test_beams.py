@@ -12,7 +12,6 @@ from axis_beams import axis_collection, with_patterns
 
 from blocksar import stores
 from blocksar.collection.collection import Collection
-from blocksar.errors import InputError
 
 
 def write(path: Path, collection: Collection) -> Path:
@@ -61,26 +60,3 @@ def test_the_fingerprint_covers_the_beam(tmp_path: Path) -> None:
         for mode in ("stripmap", "tops")
     )
     assert one != other
-
-
-def test_an_axis_of_other_dimensions_is_refused(tmp_path: Path) -> None:
-    path = write(tmp_path / "phase_history.zarr", axis_collection())
-    group = zarr.open_group(path, mode="r+")
-    del group["beam_axis"]
-    group.create_array("beam_axis", data=np.zeros((3, 400)), dimension_names=("axis", "pulse"))
-    with pytest.raises(InputError, match=r"beam_axis has dimensions \(axis, pulse\).*transpose it"):
-        stores.open_phase_history(path)
-
-
-def test_a_pattern_in_degrees_is_refused(tmp_path: Path) -> None:
-    path = write(tmp_path / "phase_history.zarr", with_patterns(axis_collection()))
-    zarr.open_group(path, mode="r+")["beam_offset"].attrs["units"] = "degrees"
-    with pytest.raises(InputError, match="beam_offset is in 'degrees', but must be in rad"):
-        stores.open_phase_history(path)
-
-
-def test_a_width_that_is_not_a_number_is_named_as_it_is(tmp_path: Path) -> None:
-    path = write(tmp_path / "phase_history.zarr", axis_collection("tops"))
-    zarr.open_group(path, mode="r+").attrs["beam_width"] = float("nan")
-    with pytest.raises(InputError, match=r"beam_width must lie between 0 and pi rad .* got nan$"):
-        stores.open_phase_history(path)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -92,34 +91,6 @@ def test_what_xarray_writes_is_read(store: Path, tmp_path: Path) -> None:
         assert np.array_equal(copy.of_channel(name).read(ALL, ALL), history.of_channel(name).read(ALL, ALL))
 
 
-@pytest.mark.parametrize(
-    ("names", "words"),
-    [
-        (None, "variable channel .* is missing"),
-        (["HH", "HH"], "a name twice"),
-        (["HH", "../x"], "is no name of a channel"),
-    ],
-)
-def test_wrong_names_are_refused(names: Any, words: str, store: Path, tmp_path: Path) -> None:
-    dataset = xr.open_zarr(store, chunks=None).load().drop_vars("channel")
-    if names is not None:
-        dataset = dataset.assign_coords(channel=names)
-    for variable in dataset.variables.values():
-        variable.encoding.clear()
-    dataset.to_zarr(tmp_path / "copy.zarr", zarr_format=3, consolidated=False)
-    with pytest.raises(InputError, match=words):
-        stores.open_phase_history(tmp_path / "copy.zarr")
-
-
 def test_an_unknown_channel_is_refused(store: Path) -> None:
     with pytest.raises(InputError, match=r"channel 'VV' is none of .*, which has HH, HV"):
         stores.open_phase_history(store).of_channel("VV")
-
-
-@pytest.mark.parametrize(
-    ("channels", "words"),
-    [("", r"scattering.HV: must be one of channels"), ('channels = ["HV", "HV"]', "a name twice")],
-)
-def test_wrong_channels_of_a_scene_are_refused(channels: str, words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        Scene.parse(text(channels))

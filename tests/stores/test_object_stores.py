@@ -26,6 +26,7 @@ import s3
 import xarray as xr
 import zarr
 from obstore.store import S3Store
+from samples import noise
 from scenes import scene
 from zarr.storage import ObjectStore
 
@@ -78,11 +79,6 @@ def endpoint(port: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
             objects.open_bucket.cache_clear()
 
 
-def noise(shape: tuple[int, ...], seed: int = 0) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)).astype(np.complex64)
-
-
 def contents(where: Place) -> dict[str, bytes]:
     """Return all files, or all objects, with their bytes."""
     return {name: (where / name).read_bytes() for name, _, _ in where.files()}
@@ -100,7 +96,7 @@ def history(where: Any, collection: Collection, **options: Any) -> stores.PhaseH
         chunks={"pulse": 128, "range_frequency": 64},
         **options,
     )
-    stores.write_region(where, "signal", ALL, noise((collection.n_pulse, collection.n_range_frequency)))
+    stores.write_region(where, "signal", ALL, noise(collection.n_pulse, collection.n_range_frequency))
     return stores.open_phase_history(where)
 
 
@@ -122,7 +118,7 @@ def test_every_store_has_the_same_bytes_as_in_a_folder(name: str, there: Place, 
         stores.create(where, schema, sizes=sizes, coords=coords, attrs={"a": [1, np.nan]}, chunks={"y": 2, "pulse": 3})
         for variable, stated in schema.items():
             if variable not in coords:
-                values = noise((5,) * len(stated.dims))
+                values = noise(*(5,) * len(stated.dims))
                 whole = (slice(None),) * values.ndim
                 real = stated.dtype != "complex64"
                 stores.write_region(where, variable, whole, values.real.astype(stated.dtype) if real else values)
@@ -152,7 +148,7 @@ def test_a_phase_history_can_be_pickled_for_other_processes(small_collection: Co
     assert len(pickled) < 50_000  # axes and track, but no samples
     objects.open_bucket.cache_clear()  # as in a process that has not opened it yet
     again = pickle.loads(pickled)
-    assert np.array_equal(again.read(slice(3, 200), slice(0, 70)), noise((256, 128))[3:200, :70])
+    assert np.array_equal(again.read(slice(3, 200), slice(0, 70)), noise(256, 128)[3:200, :70])
 
 
 @pytest.mark.slow
@@ -170,7 +166,7 @@ def test_chunks_of_object_stores_are_not_shared(there: Place, tmp_path: Path) ->
     axes = {"x": np.arange(4.0), "y": np.arange(4.0)}
     for where in (there / "a", there / "b", tmp_path / "c"):
         stores.create(where, stores.PATCH, sizes={}, coords=axes, attrs={}, chunks={})
-        stores.write_region(where, "image", ALL, noise((4, 4)))
+        stores.write_region(where, "image", ALL, noise(4, 4))
     whole = (slice(0, 4), slice(0, 4))
     for source, target in ((there / "a", there / "b"), (there / "a", tmp_path / "c"), (tmp_path / "c", there / "b")):
         assert not stores.share_region(target, "image", whole, source=source, source_region=whole)
@@ -190,7 +186,7 @@ OTHERWISE: dict[str, dict[str, Any]] = {
 def test_stores_written_by_xarray_are_read(name: str, there: ObjectPlace, small_collection: Collection) -> None:
     c = small_collection
     data = {
-        "signal": (("pulse", "range_frequency"), noise((256, 128))),
+        "signal": (("pulse", "range_frequency"), noise(256, 128)),
         "reference_range": ("pulse", c.reference_range),
         "antenna_position": (("pulse", "axis"), c.antenna_position),
         "beam_azimuth": ("pulse", c.beam_azimuth),
@@ -200,17 +196,17 @@ def test_stores_written_by_xarray_are_read(name: str, there: ObjectPlace, small_
     target = ObjectStore(S3Store(there.bucket, prefix=there.key, client_options={"allow_http": True}))
     ds.to_zarr(target, **{"zarr_format": 3, "consolidated": False} | OTHERWISE[name])
     found = stores.open_phase_history(there)
-    assert np.array_equal(found.read(slice(90, 256), slice(30, 128)), noise((256, 128))[90:, 30:])
+    assert np.array_equal(found.read(slice(90, 256), slice(30, 128)), noise(256, 128)[90:, 30:])
     before = found.fingerprint()
-    stores.write_region(there, "signal", ALL, noise((256, 128), 1))
-    assert np.array_equal(found.read(*ALL), noise((256, 128), 1))
+    stores.write_region(there, "signal", ALL, noise(256, 128, seed=1))
+    assert np.array_equal(found.read(*ALL), noise(256, 128, seed=1))
     assert stores.open_phase_history(there).fingerprint() != before
 
 
 def test_xarray_opens_an_image(there: ObjectPlace) -> None:
     axes = {"x": np.arange(20.0), "y": np.arange(10.0)}
     stores.create(there, stores.IMAGE, sizes={}, coords=axes, attrs={"title": "image"}, chunks={"x": 8, "y": 8})
-    stores.write_region(there, "image", ALL, noise((10, 20)))
+    stores.write_region(there, "image", ALL, noise(10, 20))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         store = S3Store(there.bucket, prefix=there.key, client_options={"allow_http": True})
@@ -218,7 +214,7 @@ def test_xarray_opens_an_image(there: ObjectPlace) -> None:
         ours = stores.open_dataset(there)
     for ds in (theirs, ours):
         assert ds.attrs["title"] == "image" and set(ds.coords) == {"x", "y"}
-        assert np.array_equal(ds["image"][3:, 5:].values, noise((10, 20))[3:, 5:])
+        assert np.array_equal(ds["image"][3:, 5:].values, noise(10, 20)[3:, 5:])
         assert (ds["block"].values == -1).all()
     assert ours.encoding["source"] == str(there)
 
@@ -490,7 +486,7 @@ def unreliable(behind: str, failures: float, monkeypatch: pytest.MonkeyPatch) ->
 def test_a_failed_request_is_repeated(small_collection: Collection, there: Place, monkeypatch: Any) -> None:
     found = history(there, small_collection)
     with unreliable(os.environ["AWS_ENDPOINT_URL"], 1, monkeypatch) as failed:
-        assert np.array_equal(found.read(*ALL), noise((256, 128)))
+        assert np.array_equal(found.read(*ALL), noise(256, 128))
     assert len(failed) == 1
 
 

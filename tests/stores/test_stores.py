@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import shutil
 import warnings
 from collections.abc import Callable
@@ -16,6 +15,7 @@ import numpy as np
 import pytest
 import xarray as xr
 import zarr
+from samples import noise
 
 from blocksar import stores
 from blocksar.collection.collection import Collection
@@ -27,18 +27,11 @@ from blocksar.stores import chunk_files
 SAMPLES = stores.Variable(("pulse", "range_frequency"), "complex64", "1", "samples")
 
 
-def noise(shape: tuple[int, ...], seed: int = 0) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    values = (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)).astype(np.complex64)
-    values.flags.writeable = False
-    return values
-
-
 def dataset(collection: Collection, **changes: Any) -> xr.Dataset:
     """A phase history as another program would build it from the contract alone."""
     n, m = collection.n_pulse, collection.n_range_frequency
     data: dict[str, Any] = {
-        "signal": (("pulse", "range_frequency"), noise((n, m))),
+        "signal": (("pulse", "range_frequency"), noise(n, m)),
         "reference_range": ("pulse", collection.reference_range),
         "antenna_position": (("pulse", "axis"), collection.antenna_position),
         "beam_azimuth": ("pulse", collection.beam_azimuth),
@@ -77,7 +70,7 @@ def own(small_collection: Collection, tmp_path: Path) -> Path:
         attrs={"carrier_frequency": c.carrier, "beam_width": c.beam_width, "title": c.title},
         chunks={"pulse": 128, "range_frequency": 64},
     )
-    stores.write_region(path, "signal", (slice(None), slice(None)), noise((c.n_pulse, c.n_range_frequency)))
+    stores.write_region(path, "signal", (slice(None), slice(None)), noise(c.n_pulse, c.n_range_frequency))
     return path
 
 
@@ -116,7 +109,7 @@ def test_a_phase_history_is_read_back_to_the_last_bit(small_collection: Collecti
     assert history.attrs["targets"] == [{"name": "A1", "x": 1.5, "y": 2, "reflectivity": [1.0, 0.0]}]
     assert history.attrs["seed"] == 3 and history.attrs["title"] == small_collection.title
     assert {"history", "Conventions"} <= set(history.attrs)
-    samples = noise(history.shape)
+    samples = noise(*history.shape)
     stores.write_region(path, "signal", (slice(0, 256), slice(0, 128)), samples)
     read = history.read(slice(3, 200), slice(5, 7))
     assert read.dtype == np.complex64 and np.array_equal(read, samples[3:200, 5:7])
@@ -191,14 +184,14 @@ def test_a_raw_echo_is_validated_on_creation(echo: RawEcho, change: dict[str, An
 
 @pytest.mark.parametrize("region", [np.s_[0:100, 0:64], np.s_[1:129, 0:64], np.s_[0:128, 64:127], np.s_[0:256:2, :]])
 def test_only_whole_chunks_are_written(own: Path, region: tuple[slice, ...]) -> None:
-    shape = noise((256, 128))[region].shape
+    shape = noise(256, 128)[region].shape
     with pytest.raises(ValueError, match="whole chunks"):
         stores.write_region(own, "signal", region, np.zeros(shape, np.complex64))
 
 
 def test_the_last_chunk_may_be_short(tmp_path: Path) -> None:
     sizes = {"pulse": 10, "range_frequency": 7}
-    path, values = tmp_path / "s.zarr", noise((10, 7))
+    path, values = tmp_path / "s.zarr", noise(10, 7)
     chunks = {"pulse": 4, "range_frequency": 5}
     stores.create(path, {"s": SAMPLES}, sizes=sizes, coords={}, attrs={}, chunks=chunks)
     for rows in (slice(0, 8), slice(8, 10)):
@@ -221,7 +214,7 @@ def test_values_that_do_not_fit_the_region_are_refused(own: Path) -> None:
 def test_reading_a_region_opens_only_its_chunks(own: Path) -> None:
     shutil.rmtree(own / "signal" / "c" / "1")
     (own / "signal" / "c" / "0" / "1").write_bytes(b"damaged")
-    assert np.array_equal(stores.read_region(own, "signal", np.s_[5:128, 3:64]), noise((256, 128))[5:128, 3:64])
+    assert np.array_equal(stores.read_region(own, "signal", np.s_[5:128, 3:64]), noise(256, 128)[5:128, 3:64])
 
 
 # Agreement of plain files with zarr
@@ -249,7 +242,7 @@ def plain_store(path: Path, name: str) -> tuple[zarr.Array[Any], np.ndarray]:
     variable, shape, chunks = PLAIN[name]
     sizes, tiles = dict(zip(variable.dims, shape, strict=True)), dict(zip(variable.dims, chunks, strict=True))
     stores.create(path, {"s": variable}, sizes=sizes, coords={}, attrs={}, chunks=tiles)
-    values = noise(shape) if variable.dtype == "complex64" else (noise(shape).real * 1e3).astype(variable.dtype)
+    values = noise(*shape) if variable.dtype == "complex64" else (noise(*shape).real * 1e3).astype(variable.dtype)
     return zarr.open_array(path / "s", mode="r+", config={"write_empty_chunks": True}), values
 
 
@@ -325,7 +318,7 @@ OTHERWISE: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("name", OTHERWISE)
 def test_other_layouts_are_delegated_to_zarr(tmp_path: Path, name: str) -> None:
     usual: dict[str, Any] = {"chunks": (8, 10), "dtype": "complex64", "fill_value": np.nan, "compressors": None}
-    values = noise((23, 19))
+    values = noise(23, 19)
     array = zarr.create_array(tmp_path / "s", shape=values.shape, **(usual | OTHERWISE[name]))
     assert chunk_files.chunk_files_of(place(tmp_path), "s") is None
     stores.write_region(tmp_path, "s", np.s_[:16, :], values[:16])
@@ -398,29 +391,6 @@ def test_concurrent_writers_of_a_chunk_leave_one_whole_chunk(own: Path) -> None:
 
 
 # Creation
-
-
-def test_an_existing_store_is_kept_without_overwrite(own: Path, small_collection: Collection) -> None:
-    before = stores.open_phase_history(own).fingerprint()
-    with pytest.raises(InputError, match=re.escape(str(own))):
-        stores.create_phase_history(own, small_collection)
-    assert stores.open_phase_history(own).fingerprint() == before
-    stores.create_phase_history(own, small_collection, overwrite=True)
-    assert np.isnan(stores.open_phase_history(own).read(slice(None), slice(None))).all()
-    assert os.listdir(own.parent) == ["ph.zarr"]
-
-
-def test_overwrite_spares_what_is_not_a_store(small_collection: Collection, tmp_path: Path) -> None:
-    precious = tmp_path / "thesis"
-    precious.mkdir()
-    (precious / "chapter1.tex").write_text("...")
-    with pytest.raises(InputError, match="not a zarr store"):
-        stores.create_phase_history(precious, small_collection, overwrite=True)
-    with pytest.raises(InputError, match="not a zarr store"):
-        stores.create_phase_history(precious / "chapter1.tex", small_collection, overwrite=True)
-    with pytest.raises(InputError, match="cannot be written"):
-        stores.create_phase_history(precious / "chapter1.tex" / "ph.zarr", small_collection)
-    assert (precious / "chapter1.tex").read_text() == "..."
 
 
 def test_what_killed_processes_left_beside_a_store_goes_and_what_living_ones_write_stays(
@@ -686,7 +656,7 @@ def test_the_fingerprint_changes_with_every_change_of_the_store(own: Path, tmp_p
 
 
 def test_the_checksum_depends_only_on_the_values() -> None:
-    values = noise((6, 8))
+    values = noise(6, 8)
     assert stores.checksum(values) == stores.checksum(np.asfortranarray(values))
     assert stores.checksum(values[:, ::2]) == stores.checksum(values[:, ::2].copy())
     changed = values.copy()
@@ -707,15 +677,6 @@ def test_json_is_read_back_as_written(tmp_path: Path) -> None:
     for each in (record, {"counts": {2: 1, 10: 3}, "rows": [(0.5, None)]}):  # the checksum is that of what is read
         stores.write_json(path, each)
         assert stores.json_checksum(stores.read_json(path)) == stores.json_checksum(each)
-
-
-@pytest.mark.parametrize("content", [b"", b'{"a": 1', b"\xff\x00", b"[" * 200_000])
-def test_damaged_json_is_refused(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "run.json").write_bytes(content)
-    for path in (tmp_path / "run.json", tmp_path / "missing.json", tmp_path):
-        with pytest.raises(InputError) as error:
-            stores.read_json(path)
-        assert str(path) in one_sentence(error)
 
 
 def test_an_unwritable_path_is_refused(tmp_path: Path) -> None:

@@ -16,10 +16,8 @@ from scenes import TABLE1, scene
 
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SINC_ISLR, SPEED_OF_LIGHT
-from blocksar.errors import InputError, ProcessingError
-from blocksar.focusing.method import Method
+from blocksar.errors import ProcessingError
 from blocksar.kernels.fourier import Axis
-from blocksar.planning.planner import plan_collection
 from blocksar.simulation.scene import Scene
 
 # Nine targets with the paper's names, in an area so small that a run takes seconds.
@@ -144,14 +142,6 @@ def test_figure_8_measurements_agree_with_the_traced_lines(page: Path, small: Sc
     wandered = np.ptp(ranges - walk * lit) * 2 * collection.bandwidth / SPEED_OF_LIGHT
     found = float(rows["after unified range-walk correction, largest migration"])
     assert found == pytest.approx(wandered, rel=0.03)
-
-
-@pytest.mark.slow
-def test_a_prf_below_the_minimum_is_refused_by_the_plan(reproduce: Any, page: Path) -> None:
-    for derotation in ("linear", "nonlinear"):
-        least = 1 / reproduce.recovery.least_recovery(derotation).pulses.step
-        with pytest.raises(InputError, match=r"PRF .* is too low"):
-            plan_collection(reproduce.recovery.at_prf(0.98 * least), blocks=3, method=Method(derotation=derotation))
 
 
 @pytest.mark.parametrize("repeats", [0, 1])

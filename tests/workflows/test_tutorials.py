@@ -95,13 +95,6 @@ def test_the_first_image_shows_every_target_of_the_scene(first: tuple[Path, str]
     assert (folder / "image.png").stat().st_size > 50_000
 
 
-def test_the_first_image_needs_at_most_twenty_lines() -> None:
-    source = (WORKFLOWS / "first_image.py").read_text(encoding="utf-8")
-    (main,) = (n for n in ast.parse(source).body if isinstance(n, ast.FunctionDef) and n.name == "main")
-    lines = source.splitlines()[main.body[1].lineno - 1 : main.end_lineno]  # without the docstring
-    assert 10 < len([line for line in lines if line.strip()]) <= 20
-
-
 # ---------------------------------------------------------------- look_at_outputs
 
 
