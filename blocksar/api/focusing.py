@@ -295,7 +295,7 @@ def _focus_image(
             return _report_finished(request.folder, record, discard=discard, claimed=True)
         if here:
             executor = cluster.open_here(listener, _loops(request))
-        said: list[str] = []
+        sentences: list[str] = []
         if request.track is not None:
             from blocksar.api.tracks import track_corrected  # with all of `autofocusing`, which takes 20 ms to load
 

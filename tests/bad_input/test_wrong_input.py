@@ -127,7 +127,7 @@ ASKED = {
     },
     "plan ph.zarr --workers=-1": "workers",
     "plan ph.zarr --fidelity=1.5": "fidelity = 1.5: ask for a coherence from 0.5 to below 1, such as",
-    "plan ph.zarr --weighting=taylor": "weighting 'taylor' has 0 parameters, but taylor takes 2",
+    "plan ph.zarr --weighting=taylor": "weighting 'taylor' has no parameters, but taylor takes 2",
     "plan ph.zarr --weighting=''": "weighting '' is unknown",
     "plan ph.zarr --weighting=cosine": "weighting 'cosine' is unknown",
     "plan ph.zarr --weighting=taylor:4:x": "has a parameter that is no number",
@@ -614,7 +614,7 @@ STEERED: dict[str, tuple[Fields, str]] = {
     "time in us instead of s": (lambda c: {"time": c.time * 1e6}, r"moves at 0\.000.* m/s, .* or of time"),
     "time that descends": (lambda c: {"time": -c.time}, "time does not ascend"),
     "time that jumps": (lambda c: {"time": c.time + (c.time > 0)}, "time is not uniform"),
-    "time that is missing once": (lambda c: {"time": np.r_[np.nan, c.time[1:]]}, "time has 1 values that are not fin"),
+    "time that is missing once": (lambda c: {"time": np.r_[np.nan, c.time[1:]]}, "time is not finite at 1 of"),
     "track in mm": (lambda c: {"antenna_position": c.antenna_position * 1e3}, r"moves at 200272 m/s"),
     "carrier that is no number": (lambda c: {"carrier": np.nan}, "carrier_frequency .* nan"),
     "ground above the antenna": (lambda c: {"ground_height": 6000.0}, "ground_height"),
@@ -665,7 +665,7 @@ TURNING: dict[str, tuple[dict[str, Any], str]] = {
     "pattern is negative": (
         {"beam_offset": PATTERN, "beam_pattern": np.array([1, -1.0])}, "an amplitude: at least 0"
     ),
-    "pattern is NaN": ({"beam_offset": PATTERN, "beam_pattern": np.array([1, np.nan])}, "1 values that are not finite"),
+    "pattern is NaN": ({"beam_offset": PATTERN, "beam_pattern": np.array([1, np.nan])}, "is not finite at 1 of"),
     "pattern of another length": (
         {"beam_offset": PATTERN, "beam_pattern": np.ones(3)}, r"shape \(3,\) and beam_offset has \(2,\)"
     ),

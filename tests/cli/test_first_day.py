@@ -19,7 +19,8 @@ from blocksar.graph import cluster
 @pytest.mark.parametrize("line", ["focus ph.zarr --out new", "focus ph.zarr --out new --grid 9040:9121:3,-40:41:3"])
 def test_a_grid_is_judged_before_loops_are_compiled(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """That takes half a minute on the first day, and says so in a line of its own."""
-    monkeypatch.chdir(desk)
+    monkeypatch.chdir(tmp_path)
+    blocksar.write(blocksar.collection(**arrays(steered=False)), "ph.zarr")
     monkeypatch.setattr(cluster, "kernels_cached", lambda _: False)
     monkeypatch.setattr(cluster, "compile_missing", lambda *_: pytest.fail("loops were compiled"))
     done = CliRunner().invoke(commands.app, line.split(), prog_name="blocksar")

@@ -468,13 +468,13 @@ def test_an_image_far_from_the_block_is_not_covered() -> None:
 
 @pytest.mark.slow
 def test_precompiled_kernels_serve_every_use() -> None:
-    """`compile_kernels` fills the cache for blocks, maps and pixels as workers receive them: read-only or writeable."""
+    """`compile_modules` fills the cache for blocks, maps and pixels as workers receive them: read-only or writeable."""
     script = """
 import pickle, sys
 from blocksar.focusing import correction
-from blocksar.graph.compiling import compile_kernels
+from blocksar.graph.compiling import TASKS, compile_modules
 from blocksar.kernels.loops import dispatchers
-compile_kernels()
+compile_modules(TASKS)
 compiled = {name: len(loop.signatures) for name, loop in dispatchers("blocksar").items()}
 block, cases, x, y = pickle.load(sys.stdin.buffer)
 for array in (block, x, y):

@@ -419,9 +419,9 @@ def main() -> None:
     from distributed.cli import dask_scheduler, dask_worker
 
     from blocksar import api, cli  # noqa: F401  (importing the api takes long)
-    from blocksar.graph.compiling import compile_kernels
+    from blocksar.graph.compiling import TASKS, compile_modules
 
-    compile_kernels()
+    compile_modules(TASKS)
     order = serve()
     if order is not None:
         become(order, {"blocksar": cli.main, "scheduler": dask_scheduler.main, "worker": dask_worker.main})
