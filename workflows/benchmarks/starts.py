@@ -19,7 +19,7 @@ from blocksar.errors import InputError
 from blocksar.planning.planner import plan_collection
 
 COMMAND = (sys.executable, "-m", "blocksar")
-PLAIN = "from blocksar.graph.compiling import TASKS, compile_modules; compile_modules(TASKS)"  # as `focus` does before its workers
+PLAIN = "from blocksar.graph.compiling import TASKS, compile_modules; compile_modules(TASKS)"  # as `focus` does
 BLOCKS = (200, 1000)  # of the plans that are timed beside `auto`
 SCALED = Scale(4, 4)
 
