@@ -20,7 +20,6 @@ from blocksar.focusing.backprojection import PixelSums, ReadPulses, pulse_blocks
 from blocksar.focusing.hierarchy import Echoes, Frames, Hierarchy, Levels, Part, Parts, part_groups
 from blocksar.focusing.profiles import MARGIN, spline_lead
 from blocksar.kernels.device import Device, on_device
-from blocksar.kernels.fourier import fast_length
 from blocksar.kernels.groups import Scratch, row_groups, run_groups
 from blocksar.kernels.projection import BeamTaper, LitPixels, Sights, Tiles
 
@@ -251,7 +250,7 @@ class _Former:
         beyond, weight = put(np.zeros(part.shape, np.bool_)), put(np.zeros(part.shape, np.float32))
         spans = np.stack([frames.ends[:-1], frames.ends[1:]], axis=1)
         tiles = Tiles(windows=last.windows, low=last.low, high=last.high, rows=spans)
-        period = fast_length(self.hierarchy.levels.upsampling * frames.columns)
+        period = self.hierarchy.levels.bins(frames.columns)
 
         def work(some: slice) -> None:
             span = slice(int(spans[some.start, 0]), int(spans[some.stop - 1, 1]))
@@ -263,7 +262,7 @@ class _Former:
     def _sights(self, frames: Frames) -> Sights:
         """How the rows of frames see their parts, without their profiles."""
         collection, path, pulses = self.geometry.collection, self.hierarchy.path, frames.pulses
-        period = fast_length(self.hierarchy.levels.upsampling * frames.columns)
+        period = self.hierarchy.levels.bins(frames.columns)
         window, middle = SPEED_OF_LIGHT / (2 * frames.step), frames.columns // 2
         return Sights(
             start=0,
@@ -283,17 +282,19 @@ class _Former:
         As in `range_profiles`: a profile is the mean over all range frequencies, of which the rows hold the sums.
         """
         n, m = rows.shape
-        middle, half = m // 2, period // 2
-        level = period / self.geometry.collection.n_range_frequency
-        lead = self.device.put((level * spline_lead(np.arange(m) - middle, period)).astype(np.float32))
-        group = scratch.array("group", (n, period))
-        group[:, m - middle : period - middle] = 0
-        np.multiply(rows[:, middle:], lead[middle:], out=group[:, : m - middle])
-        np.multiply(rows[:, :middle], lead[:middle], out=group[:, period - middle :])
-        group = self.device.fft_rows(group, inverse=True)
+        middle = m // 2
+        cycles = np.arange(m) - middle
+        # The sign moves delay 0 to the middle of the period, which is even.
+        lead = (-1.0) ** cycles * spline_lead(cycles, period) * (period / self.geometry.collection.n_range_frequency)
+        lead = self.device.put(lead.astype(np.float32))
         out = scratch.array("profiles", (n, period + 2 * MARGIN))
-        out[:, MARGIN : MARGIN + half] = group[:, half:]
-        out[:, MARGIN + half : -MARGIN] = group[:, :half]
+        inner = out[:, MARGIN:-MARGIN]
+        inner[:, m - middle : period - middle] = 0
+        np.multiply(rows[:, middle:], lead[middle:], out=inner[:, : m - middle])
+        np.multiply(rows[:, :middle], lead[:middle], out=inner[:, period - middle :])
+        found = self.device.fft_rows(inner, inverse=True)
+        if not np.may_share_memory(found, inner):
+            inner[:] = found
         out[:, -MARGIN:] = out[:, MARGIN : 2 * MARGIN]
         out[:, :MARGIN] = out[:, -2 * MARGIN : -MARGIN]
         return out

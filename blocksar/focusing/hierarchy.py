@@ -55,7 +55,9 @@ from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.kernels.decimation import Decimation, padded
 from blocksar.kernels.device import CPU, Device
+from blocksar.kernels.fourier import fast_length
 from blocksar.kernels.groups import Scratch, run_groups
+from blocksar.kernels.parts import find_light, find_rows
 
 BORDER = np.array([(x, y, z) for z in (0, 2) for x, y in product((0, 1, 2), repeat=2)])  # of a box: see `Part.border`
 BEND_NODES = 256  # pulses at which it is found how Doppler bends over a dwell
@@ -95,6 +97,11 @@ class Path:
     def _index(self, pulses: IntArray) -> IntArray:
         """Where pulses are kept; beyond what is continued, its ends."""
         return np.clip(pulses + self.beyond, 0, self._position.shape[0] - 1)
+
+    @property
+    def positions(self) -> tuple[FloatArray, int]:
+        """All positions (n, 3), m, and how many of them precede pulse 0."""
+        return self._position, self.beyond
 
     def at(self, pulses: IntArray) -> FloatArray:
         """Positions (n, 3) at pulses (n,), m."""
@@ -244,56 +251,31 @@ class Part:
 
     def levels(self, sides: Sequence[float]) -> list[Parts]:
         """All of it, lit or not, and level by level its lit parts of at most about so many m a side."""
-        lit, none = self.last > self.first, np.iinfo(np.int64).max
-        fields = [
-            (np.minimum, np.where(lit, self.first, none)), (np.maximum, np.where(lit, self.last, 0)),
-            (np.maximum, np.where(lit, self.first, 0)), (np.minimum, np.where(lit, self.last, none)),
-            (np.minimum, self.x[None]), (np.minimum, self.y[:, None]), (np.minimum, self.z),
-            (np.maximum, self.x[None]), (np.maximum, self.y[:, None]), (np.maximum, self.z),
-        ]  # fmt: skip
         steps = list(zip(*(_steps(axis, sides) for axis in (self.y, self.x)), strict=True))
-        steps = steps[:1] + [
-            below for above, below in pairwise(steps) if (below[0].size, below[1].size) != (above[0].size, above[1].size)
-        ]
+        alike = [all(np.array_equal(*each) for each in zip(*two, strict=True)) for two in pairwise(steps)]
         levels: list[Parts] = []
-        inner, taken = (np.arange(self.y.size), np.arange(self.x.size)), None
-        for rows, columns in reversed(steps):
-            # The smallest parts from pixels, others from their parts.
-            outer = rows[:-1], columns[:-1]
-            fields = [(find, _reduced(find, values, inner, outer)) for find, values in fields]
+        above, numbers = steps[0], np.zeros((1, 1), np.int64)
+        for rows, columns in [steps[0], *(step for step, same in zip(steps[1:], alike, strict=True) if not same)]:
             shape = rows.size - 1, columns.size - 1
-            begin, end, first, last, *box = (np.broadcast_to(values, shape) for _, values in fields)
-            kept = (end > 0) | (len(levels) == len(steps) - 1)
-            if taken is not None:  # of the parts of these
-                number = np.cumsum(kept).reshape(shape) - 1
-                above = (np.searchsorted(here, each, "right") - 1 for here, each in zip(outer, inner, strict=True))
-                levels[0].parent[:] = number[np.ix_(*above)][taken]
-            some = np.stack([np.where(end > 0, begin, 0), end], axis=-1)[kept]
-            whole = np.stack([first, last], axis=-1)[kept]
-            whole = np.where((whole[:, :1] < whole[:, 1:]) & (some[:, 1:] > 0), whole, some[:, 1:])
-            corners = np.broadcast_to(rows[:-1, None], shape), np.broadcast_to(rows[1:, None], shape)
-            corners += np.broadcast_to(columns[:-1], shape), np.broadcast_to(columns[1:], shape)
-            windows = np.stack(corners, axis=-1)[kept]
-            low, high = (np.stack(each, axis=-1)[kept] for each in (box[:3], box[3:]))
-            parent = np.zeros(len(windows), np.int64)
-            levels.insert(0, Parts(low=low, high=high, some=some, whole=whole, windows=windows, parent=parent))
-            inner, taken = outer, kept
+            light, heights = np.empty((*shape, 4), np.int64), np.empty((*shape, 2))
+            find_light(self.first, self.last, self.z, rows, columns, light, heights)
+            kept = (light[..., 1] > 0) | (not levels)
+            ends = np.stack(np.broadcast_arrays(rows[:-1, None], rows[1:, None], columns[:-1], columns[1:]), axis=-1)
+            windows, light, heights = ends[kept], light[kept], heights[kept]
+            x, y = np.sort(self.x[windows[:, 2:] - [0, 1]]), np.sort(self.y[windows[:, :2] - [0, 1]])
+            within = (np.searchsorted(each, windows[:, k], "right") - 1 for each, k in zip(above, (0, 2), strict=True))
+            parent = numbers[tuple(within)]
+            above, numbers = (rows, columns), np.cumsum(kept).reshape(shape) - 1
+            low, high = (np.stack([x[:, k], y[:, k], heights[:, k]], axis=1) for k in (0, 1))
+            levels.append(
+                Parts(low=low, high=high, some=light[:, :2], whole=light[:, 2:], windows=windows, parent=parent)
+            )
         return levels
 
     def divide(self, side: float) -> Iterator[tuple[slice, slice]]:
         """Rows and columns of its parts of at most about `side` m."""
         spans = [[slice(a, b) for a, b in pairwise(_steps(axis, [side])[-1].tolist())] for axis in (self.y, self.x)]
         return ((rows, columns) for rows in spans[0] for columns in spans[1])
-
-
-def _reduced(
-    find: np.ufunc, values: FloatArray | IntArray, inner: tuple[IntArray, IntArray], outer: tuple[IntArray, IntArray]
-) -> FloatArray | IntArray:
-    """The least or largest of values between the places `outer`, where those between the places `inner` are known."""
-    for axis in (0, 1):
-        if values.shape[axis] > 1:
-            values = find.reduceat(values, np.searchsorted(inner[axis], outer[axis]), axis=axis)
-    return values
 
 
 def _steps(axis: FloatArray, sides: Sequence[float]) -> list[IntArray]:
@@ -340,6 +322,10 @@ class Levels:
     attenuation: float
     edge: float
     upsampling: int
+
+    def bins(self, columns: int) -> int:
+        """Bins of the last range profiles of so many range frequencies: an even number."""
+        return 2 * fast_length(-(-self.upsampling * columns // 2))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -576,9 +562,9 @@ class Hierarchy:
         filters, left = entered
         out, scratch = self._empty(left, Scratch(self.device.empty), 0), Scratch(self.device.empty)
         for pulses, samples in blocks:
-            block = replace(self.recorded((int(pulses[0]), int(pulses[-1]) + 1)), bend=left.bend)
             turn = self.path.ranges(pulses, part.centre[0]) - self.collection.reference_range[pulses]
-            self._pass_down(samples, block, filters, left, slice(0, 1), np.zeros(1, np.int64), turn, out, scratch)
+            block = self.recorded((int(pulses[0]), int(pulses[-1]) + 1))
+            self._pass_down(samples, block, filters, left, slice(0, 1), part.parent, out, scratch, turn)
         return Echoes(left, out)
 
     def divide(self, echoes: Echoes, parts: Parts, scratch: Scratch, level: int = 0, threads: int = 1) -> Echoes:
@@ -589,15 +575,13 @@ class Hierarchy:
         frames, rows = echoes
         filters, left = self.descend(frames, parts)
         out, owner = self._empty(left, scratch, level), parts.parent
-        taken = _taken(frames, left.some, owner)
+        held = np.where(frames.size > 0, np.diff(frames.inside)[:, 0] - frames.size, 0)  # fewer rows than pulses
+        taken = np.diff(left.some)[:, 0] - held[owner]
 
         def work(some: slice) -> None:
-            source, child = _run_rows(taken[some], some.start)
-            pulses = frames.pulses[source]
-            turn = self.path.ranges(pulses, left.centre[child]) - self.path.ranges(pulses, frames.centre[owner[child]])
-            self._pass_down(rows, frames, filters, left, some, owner[some], turn, out, scratch)
+            self._pass_down(rows, frames, filters, left, some, owner[some], out, scratch)
 
-        run_groups(work, part_groups(taken[:, 1], left.columns, self.device.group_bytes), threads)
+        run_groups(work, part_groups(taken, left.columns, self.device.group_bytes), threads)
         return Echoes(left, out)
 
     def _empty(self, frames: Frames, scratch: Scratch, level: int) -> ComplexArray:
@@ -607,58 +591,44 @@ class Hierarchy:
 
     def _pass_down(
         self, rows: ComplexArray, frames: Frames, filters: Filters, left: Frames, some: slice, owner: IntArray,
-        turn: FloatArray, out: ComplexArray, scratch: Scratch,
+        out: ComplexArray, scratch: Scratch, turn: FloatArray | None = None,
     ) -> None:  # fmt: skip
         """Refer rows of frames to some parts, whose ranges are larger by `turn` m, and add them to their samples.
 
         Of a part's rows, which are turned and filtered along frequency, those that stay edges are copied, and the other
-        edges and the interior are filtered to its interior. Of a frame that has but some of the pulses, as a block of
-        the collection's, all that it has is added.
+        edges and the interior are filtered to its interior. Of frames that have but some of the pulses, as a block of
+        the collection's, all that they have is added; from them to others `turn` is given.
         """
-        before, at, end = left.before[some], left.ends[some], left.ends[some.start + 1 : some.stop + 1]
-        over = np.clip(left.some[some], frames.some[owner, :1], frames.some[owner, 1:])
-        inside = np.clip(left.inside[some], over[:, :1], over[:, 1:])
-        taken, had = _taken(frames, over, owner), frames.size[owner] > 0
-        held = np.where(had[:, None], frames.inside[owner], inside[:, :1])
-        source, part = _run_rows(taken, 0)
-        first = np.cumsum(taken[:, 1]) - taken[:, 1]
-        row = np.arange(source.size) - first[part]
-        early, late = inside[:, 0] - over[:, 0], over[:, 1] - inside[:, 1]
-        target = np.where(row < early[part], (at + over[:, 0] - left.some[some, 0])[part] + row, -1)
-        from_end = (taken[:, 1])[part] - row
-        target = np.where(
-            from_end <= late[part], (end - (left.some[some, 1] - over[:, 1]))[part] - from_end, target
+        known, had = frames.some[owner], frames.size[owner] > 0
+        begin, end = np.clip(left.some[some], known[:, :1], known[:, 1:]).T
+        start, stop = np.clip(left.inside[some].T, begin, end)
+        # Without an interior of the part above, it is as if it had an empty one where that of the part begins.
+        held, held_until = np.where(had, frames.inside[owner].T, start)
+        inner = np.where(had, frames.size[owner], 0)
+        first, into = frames.ends[owner] + begin - known[:, 0], left.ends[some] + left.before[some]
+        early, middle, late = start - begin, held - begin, end - stop
+        count = middle + inner + end - held_until
+        behind = into + left.size[some] + stop - left.inside[some, 1]
+        taken = np.stack([first, count, early, left.ends[some] + begin - left.some[some, 0], late, behind], axis=1)
+        source, target = np.empty((2, int(count.sum())), np.int64)
+        found = np.empty(source.size)
+        position, beyond = self.path.positions
+        find_rows(
+            position, beyond, frames.pulses, taken, frames.centre[owner], left.centre[some], source, target, found
         )
         others = scratch.array("turned", (source.size, left.columns))
-        scale = 2 / SPEED_OF_LIGHT * turn
+        scale = 2 / SPEED_OF_LIGHT * (found if turn is None else turn)
         device, low = self.device, self.collection.carrier + frames.start
         device.turn_and_decimate(rows, source, scale * low, scale * frames.step, filters.across, target, out, others)
-        into, size, begin = at + before, left.size[some], left.at[some]
-        middle = held[:, 0] - over[:, 0]
-        inner = np.where(had, frames.size[owner], 0)
-        runs = [
-            (filters.further, first + middle, inner, (begin - frames.at[owner]) // frames.stride),
-            (filters.single, first + early, held[:, 0] - inside[:, 0], begin - inside[:, 0]),
-            (filters.single, first + middle + inner, inside[:, 1] - held[:, 1], begin - held[:, 1]),
-        ]
-        for decimation, start, count, lead in runs:
-            run = np.stack([start, count, into, lead, size], axis=1)[count > 0]
-            if run.size:
-                device.add_decimated(others, run, decimation, out)
-
-
-def _taken(frames: Frames, some: IntArray, owner: IntArray) -> IntArray:
-    """The first of the rows of frames that have pulses first <= p < last (n, 2) of parts, and how many there are."""
-    begin, end = some[:, 0] - frames.some[owner, 0], frames.some[owner, 1] - some[:, 1]
-    first = frames.ends[owner] + begin
-    return np.stack([first, frames.ends[owner + 1] - end - first], axis=1)
-
-
-def _run_rows(runs: IntArray, number: int) -> tuple[IntArray, IntArray]:
-    """The rows of runs, each given by its first and how many there are; and the number of its run, from one on."""
-    run = np.repeat(np.arange(runs.shape[0]), runs[:, 1])
-    before = np.cumsum(runs[:, 1]) - runs[:, 1]
-    return np.arange(run.size) + (runs[:, 0] - before)[run], run + number
+        at = np.cumsum(count) - count
+        for decimation, row, number, lead in (
+            (filters.further, middle, inner, (left.at[some] - frames.at[owner]) // frames.stride),
+            (filters.single, early, held - start, left.at[some] - start),
+            (filters.single, middle + inner, stop - held_until, left.at[some] - held_until),
+        ):
+            runs = np.stack([at + row, number, into, lead, left.size[some]], axis=1)[number > 0]
+            if runs.size:
+                device.add_decimated(others, runs, decimation, out)
 
 
 def part_groups(rows: IntArray, columns: int, most: int) -> list[slice]:

@@ -163,9 +163,9 @@ def _see(sights: Any, k: Any, x: Any, y: Any, z: Any, scales: Any) -> Any:
 def _adder(side: int, weighted: bool, hilly: bool) -> Any:
     """The kernel by which each thread sums `side` pixels along either side.
 
-    Of its `sights`, a row for each pulse: the antenna, the reference range, and the centre of the places in the beam, m.
-    Of its `scales`: the bin of the reference range, cycles and bins per metre, the largest unambiguous range, half of
-    the frequency of weights over the beam, and the height of level ground, m.
+    Of its `sights`, a row for each pulse: the antenna, the reference range, and the centre of the places, m. Of its
+    `scales`: the bin of the reference range, cycles and bins per metre, the largest unambiguous range, half of the
+    frequency of weights over the beam, and the height of level ground, m.
     """
     count = side * side
 

@@ -68,6 +68,7 @@ class BeamTaper:
 
     def of(self, pulses: slice) -> BeamTaper:
         """Those of some pulses of the block."""
+
         def place(x: FloatArray, y: FloatArray, z: FloatArray, some: IntArray) -> FloatArray:
             return self.place(x, y, z, some + pulses.start)
 
@@ -107,15 +108,11 @@ class Tiles:
                 rows.append([begin, end])
         ends = (np.array(each, np.int64).reshape(-1, n) for each, n in ((some, 4), (rows, 2)))
         windows_, rows_ = ends
-        return Tiles(
-            windows=windows_, low=np.array(low).reshape(-1, 3), high=np.array(high).reshape(-1, 3), rows=rows_
-        )
+        return Tiles(windows=windows_, low=np.array(low).reshape(-1, 3), high=np.array(high).reshape(-1, 3), rows=rows_)
 
     def some(self, chosen: slice | BoolArray) -> Tiles:
         """Some of them."""
-        return Tiles(
-            windows=self.windows[chosen], low=self.low[chosen], high=self.high[chosen], rows=self.rows[chosen]
-        )
+        return Tiles(windows=self.windows[chosen], low=self.low[chosen], high=self.high[chosen], rows=self.rows[chosen])
 
     def slices(self) -> list[tuple[slice, slice]]:
         """Rows and columns of each."""
@@ -314,8 +311,8 @@ def pulse_tables(
 ) -> tuple[FloatArray, FloatArray]:
     """For each of the pulses (n,), what the series needs, first whether it may be used; and what the square root needs.
 
-    They are seen from the centre of a tile from `low` to `high` (n_tile, 3), m, each from one. The last of each table
-    is for pixels that lie over or under the centre. Of the first, (8, n), each row is of one kind; the second is (n, 5).
+    Each is seen from the centre of one of the tiles from `low` to `high` (n_tile, 3), m. The last of each table is for
+    pixels that lie over or under the centre. Of the first, (8, n), each row is of one kind; the second is (n, 5).
     """
     centre, reach = (low + high) / 2, np.sqrt(np.square(high - low).sum(axis=1))[tile] / 2
     x, y, up = centre.T[:, tile] - sights.antenna[pulses].T

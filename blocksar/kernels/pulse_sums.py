@@ -146,11 +146,12 @@ def _added(re: Any, im: Any, a: Any, b: Any, turn: Any) -> Any:
 def _add_to_groups(
     real: Any, imag: Any, weight: Any, farthest: Any, samples: Any, origins: Any, x: Any, y: Any, z: Any, hilly: Any,
     centre_x: Any, centre_y: Any, centre_z: Any, first: Any, last: Any, spans: Any, close: Any, middles: Any,
-    start: Any, series: Any, roots: Any, cycles_per_metre: Any, bins_per_metre: Any, half_window: Any, places: Any, terms: Any,
-    half_frequency: Any,
+    start: Any, series: Any, roots: Any, cycles_per_metre: Any, bins_per_metre: Any, half_window: Any, places: Any,
+    terms: Any, half_frequency: Any,
 ) -> None:  # fmt: skip
-    # So many arguments, since arrays that inlined functions take have their references counted for every pulse.
     """Sum the lit pulses, in ascending order, at the pixels of a tile, in groups of FEW one after the other.
+
+    It takes many arguments, since arrays that inlined functions take have their references counted for every pulse.
 
     Parameters
     ----------

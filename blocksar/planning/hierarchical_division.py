@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
-from itertools import pairwise, product
+from itertools import product
 
 import numpy as np
 
@@ -29,7 +29,6 @@ from blocksar.collection.weighting import Weighting
 from blocksar.focusing.hierarchical_backprojection import GROUPS, MOST_WINDOWS, dwell_waves, leave_outside
 from blocksar.focusing.hierarchy import Filters, Frames, Hierarchy, Levels, Part, Path
 from blocksar.focusing.profiles import spline_error
-from blocksar.kernels.fourier import fast_length
 from blocksar.kernels.groups import GPU_GROUP_BYTES, GROUP_BYTES
 from blocksar.planning import effort
 from blocksar.planning.memory import hierarchical_gpu_memory, hierarchical_memory
@@ -212,7 +211,7 @@ class Ladders:
             work = max(work, rows * left.columns, GROUP_BYTES // 8)
             on_gpu = max(on_gpu, max(rows * left.columns, GPU_GROUP_BYTES // 8) * (1 + frames.columns / left.columns))
             frames = left
-        rows, bins = frames.shape[0], fast_length(self.hierarchy.levels.upsampling * frames.columns)
+        rows, bins = frames.shape[0], self.hierarchy.levels.bins(frames.columns)
         work = max(work, PROFILES * max(rows * bins, GROUPS * GROUP_BYTES // 8))
         on_gpu = max(on_gpu, (PROFILES + GPU_PROFILES) * max(rows * bins, GROUPS * GPU_GROUP_BYTES // 8))
         seconds += parts * (self.rates.profile * rows * bins + self._last(frames, part, [*singles, *levels][-1]))

@@ -49,7 +49,10 @@ def test_rows_come_in_runs(filters: Decimation, columns: int) -> None:
     size, at = filters.span(100)
     rows = np.concatenate([samples(3, columns), values[40:], values[:40], samples(2, columns)])
     out = np.ones((size + 7, columns), np.complex64)
-    runs = [[[63, 64, 3][k], n, 4, at - first, size] for k, (first, n) in enumerate(zip(ends[:-1], np.diff(ends), strict=True))]
+    runs = [
+        [[63, 64, 3][k], n, 4, at - first, size]
+        for k, (first, n) in enumerate(zip(ends[:-1], np.diff(ends), strict=True))
+    ]
     add_decimated(rows, np.array(runs), filters, out)
     wanted = np.transpose([decimated(column, filters, at, size) for column in values.T])
     assert np.abs(out[4 : 4 + size] - 1 - wanted).max() < 3e-6 * np.abs(wanted).max()
