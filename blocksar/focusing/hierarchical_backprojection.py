@@ -27,7 +27,6 @@ SAFE = 0.45  # of the unambiguous window: ranges that stay within are interpolat
 NOTICED = 1e-4  # of a taper's terms: waves of the weights that a filter has to pass
 PULSE_BLOCK_BYTES = 16 * 1024**2  # samples that are read at a time
 CHECKED = 8  # pixels a side of the parts of which each pixel is tested for the unambiguous window
-GROUPS = 4  # of the samples of parts: their range profiles are formed at a time
 MOST_WINDOWS = 16  # that are formed from the same echoes
 SAMPLED = 16  # places along the side of a window at which it is found which pulses light it
 Window = tuple[slice, slice]
@@ -257,7 +256,7 @@ class _Former:
             values = self._profiles(rows[span], period, scratch)
             self.device.project(image, beyond, sums.of(span, values), pixels, weight, given=tiles.some(some))
 
-        run_groups(work, part_groups(spans[:, 1] - spans[:, 0], period, GROUPS * self.device.group_bytes), threads)
+        run_groups(work, part_groups(spans[:, 1] - spans[:, 0], period, self.device.group_bytes), threads)
 
     def _sights(self, frames: Frames) -> Sights:
         """How the rows of frames see their parts, without their profiles."""

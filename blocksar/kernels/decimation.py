@@ -37,7 +37,6 @@ from blocksar.kernels.lanes import (
     sine,
     spread_few,
     store,
-    totals,
 )  # fmt: skip
 from blocksar.kernels.loops import COMPILED, PART, REAL_ROW, SAMPLES_IN, SAMPLES_OUT, loop
 from blocksar.kernels.phase import Float32Array
@@ -124,30 +123,42 @@ def _turn_and_decimate(
     values: ComplexArray, source: IntArray, u: FloatArray, first: FloatArray, step: FloatArray, taps: Float32Array,
     factor: int, lead: int, parts: Float32Array, target: IntArray, out: ComplexArray, others: ComplexArray,
 ) -> None:  # fmt: skip
-    n, n_out, real, imag = values.shape[1], out.shape[1], parts[0], parts[1]
+    """Decimated samples are FEW lanes, summed tap by tap: of a turned row every factor-th sample is put side by side."""
+    n_out, real, imag = out.shape[1], parts[0], parts[1]
+    length = (n_out + 2 * FEW - 1) // FEW * FEW + taps.size // factor + 1
+    phases, sums = np.zeros((2, factor * length), np.float32), np.zeros((2, n_out + 2 * FEW), np.float32)
+    x, y, re, im = phases[0], phases[1], sums[0], sums[1]
+    places = np.empty(taps.size, np.int64)
+    for k in range(taps.size):
+        places[k] = k % factor * length + k // factor
+    filled = (lead + values.shape[1] + factor - 1) // factor
     for r in range(source.size):
         _turn_row(values[source[r]], u, first[r], step[r], real, imag, lead)
         row = out[target[r]] if target[r] >= 0 else others[r]
-        if factor == 1:
-            for j in range(n_out):
-                row[j] = complex(real[lead + j], imag[lead + j])
-            continue
-        for j in range(0, n_out - 1, 2):
-            begin, after = j * factor, (j + 1) * factor
+        for p in range(factor):
+            for m in range(min(filled, length)):
+                x[p * length + m], y[p * length + m] = real[m * factor + p], imag[m * factor + p]
+        for j in range(0, n_out, 2 * FEW):
             a, b = spread_few(np.float32(0)), spread_few(np.float32(0))
             c, d = spread_few(np.float32(0)), spread_few(np.float32(0))
-            # Taps ahead of the row and behind it would be summed over zeros.
-            low, high = max((lead - after) // FEW * FEW, 0), min(taps.size, lead + n - begin)
-            for k in range(low, high, FEW):
-                h = load_few(taps, k)
-                a = a + h * load_few(real, begin + k)
-                b = b + h * load_few(imag, begin + k)
-                c = c + h * load_few(real, after + k)
-                d = d + h * load_few(imag, after + k)
-            re, im = totals(a, b)
-            row[j] = complex(re, im)
-            re, im = totals(c, d)
-            row[j + 1] = complex(re, im)
+            if n_out - j > FEW:
+                for k in range(taps.size):
+                    h, at = taps[k], places[k] + j
+                    a = a + h * load_few(x, at)
+                    b = b + h * load_few(y, at)
+                    c = c + h * load_few(x, at + FEW)
+                    d = d + h * load_few(y, at + FEW)
+            else:
+                for k in range(taps.size):
+                    h, at = taps[k], places[k] + j
+                    a = a + h * load_few(x, at)
+                    b = b + h * load_few(y, at)
+            store(re, j, a)
+            store(im, j, b)
+            store(re, j + FEW, c)
+            store(im, j + FEW, d)
+        for j in range(n_out):
+            row[j] = complex(re[j], im[j])
 
 
 def turn_and_decimate(
@@ -172,11 +183,10 @@ def turn_and_decimate(
     """
     n = values.shape[1]
     lead = decimation.half - decimation.span(n)[1]
-    whole = np.pad(decimation.taps, (0, -decimation.taps.size % FEW))
-    parts = np.zeros((2, max((out.shape[1] - 1) * decimation.factor + whole.size, lead + n) + LANES), np.float32)
+    parts = np.zeros((2, lead + n + decimation.factor + LANES), np.float32)
     first, step = (np.asarray(cycles - np.rint(cycles), np.float64) for cycles in (first, step))
     u = np.arange(n, dtype=np.float64)
-    _turn_and_decimate(values, source, u, first, step, whole, decimation.factor, lead, parts, target, out, others)
+    _turn_and_decimate(values, source, u, first, step, decimation.taps, decimation.factor, lead, parts, target, out, others)
 
 
 def padded(n: int) -> int:

@@ -17,7 +17,7 @@ from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.errors import InputError, ProcessingError, library_for
 from blocksar.kernels.decimation import Decimation, add_decimated, turn_and_decimate
 from blocksar.kernels.fourier import fft_rows
-from blocksar.kernels.groups import GROUP_BYTES, row_groups, run_groups
+from blocksar.kernels.groups import PART_BYTES, row_groups, run_groups
 from blocksar.kernels.projection import UPSAMPLING, LitPixels, Sights, Tiles, project
 
 Tile = tuple[slice, slice]
@@ -88,7 +88,7 @@ class Cpu:
 
     name = "cpu"
     upsampling = UPSAMPLING["cpu"]
-    group_bytes = GROUP_BYTES
+    group_bytes = PART_BYTES
 
     def limit(self, memory: int) -> None:
         """Its processes have theirs limited by dask."""

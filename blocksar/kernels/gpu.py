@@ -25,7 +25,7 @@ import numpy as np
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.kernels.decimation import Decimation
 from blocksar.kernels.fourier import fft_rows
-from blocksar.kernels.groups import GPU_GROUP_BYTES
+from blocksar.kernels.groups import GPU_PART_BYTES
 from blocksar.kernels.projection import UPSAMPLING, LitPixels, Sights, Tiles, halves, place_tables
 from blocksar.texts import size_text
 
@@ -243,7 +243,7 @@ class Gpu:
 
     name = "gpu"
     upsampling = UPSAMPLING["gpu"]
-    group_bytes = GPU_GROUP_BYTES
+    group_bytes = GPU_PART_BYTES
 
     def limit(self, memory: int) -> None:
         if SIMULATED:

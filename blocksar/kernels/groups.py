@@ -32,7 +32,8 @@ class Scratch(threading.local):
 
 
 GROUP_BYTES = 768 * 1024  # of the rows in a group, to stay within a core's second-level cache
-GPU_GROUP_BYTES = 128 * 1024**2  # of the samples of parts that a GPU works on at a time
+PART_BYTES = 3 * 1024**2  # of the samples of parts of an image that are worked on at a time
+GPU_PART_BYTES = 128 * 1024**2  # of these on a GPU
 GROUP_ROWS = 4  # group sizes are multiples of this: the FFT library transforms so many rows at once
 Part = TypeVar("Part")  # one unit of work for a thread: a slice or a tile
 

@@ -26,17 +26,17 @@ import numpy as np
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Weighting
-from blocksar.focusing.hierarchical_backprojection import GROUPS, MOST_WINDOWS, dwell_waves, leave_outside
+from blocksar.focusing.hierarchical_backprojection import MOST_WINDOWS, dwell_waves, leave_outside
 from blocksar.focusing.hierarchy import Filters, Frames, Hierarchy, Levels, Part, Path
 from blocksar.focusing.profiles import spline_error
-from blocksar.kernels.groups import GPU_GROUP_BYTES, GROUP_BYTES
+from blocksar.kernels.groups import GPU_PART_BYTES, PART_BYTES
 from blocksar.planning import effort
 from blocksar.planning.memory import hierarchical_gpu_memory, hierarchical_memory
 from blocksar.planning.tiling import image_chunk, units_of
 
 ERROR = 1e-5  # error power that no image exceeds: less costs hardly any time, and dark places show it
 SHARE = 0.4  # of what is allowed: some places of an image err by 1 dB more than its mean
-EDGE = 0.38  # e of the filters: higher ones have long tails, lower ones leave more samples
+EDGE = 0.34  # e of the filters: higher ones have long tails, lower ones leave more samples
 RATIOS = (2.0, 3.0, 4.0, 6.0)  # of the sides of a level and the next
 UPSAMPLINGS = range(2, 25)
 NODES = 3  # along a part's side, at which it is found what lights it
@@ -208,12 +208,12 @@ class Ladders:
                 alike = math.ceil(singles[-1][0] * singles[-1][1] / (width * height))
                 both[number % 2] = max(both[number % 2], alike * math.prod(left.shape))
             rows = interior + edges
-            work = max(work, rows * left.columns, GROUP_BYTES // 8)
-            on_gpu = max(on_gpu, max(rows * left.columns, GPU_GROUP_BYTES // 8) * (1 + frames.columns / left.columns))
+            work = max(work, rows * left.columns, PART_BYTES // 8)
+            on_gpu = max(on_gpu, max(rows * left.columns, GPU_PART_BYTES // 8) * (1 + frames.columns / left.columns))
             frames = left
         rows, bins = frames.shape[0], self.hierarchy.levels.bins(frames.columns)
-        work = max(work, PROFILES * max(rows * bins, GROUPS * GROUP_BYTES // 8))
-        on_gpu = max(on_gpu, (PROFILES + GPU_PROFILES) * max(rows * bins, GROUPS * GPU_GROUP_BYTES // 8))
+        work = max(work, PROFILES * max(rows * bins, PART_BYTES // 8))
+        on_gpu = max(on_gpu, (PROFILES + GPU_PROFILES) * max(rows * bins, GPU_PART_BYTES // 8))
         seconds += parts * (self.rates.profile * rows * bins + self._last(frames, part, [*singles, *levels][-1]))
         kept = single + sum(both)
         return Cost(seconds=seconds, samples=kept + work, on_gpu=kept + math.ceil(on_gpu))
