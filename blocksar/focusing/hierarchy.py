@@ -497,7 +497,8 @@ class Hierarchy:
         lit = inside[:, 1] - inside[:, 0]
         single = self._along_pulses(fastest, frames, int(lit.max()))
         further = Decimation(single.factor // stride, single.edge, self.levels.attenuation)
-        inner = had | ((lit > 0) & (single.factor > 1) & (single.span(lit)[0] < lit))
+        fewer = (lit + 2 * single.half - 1) // single.factor + 1  # as `Decimation.span` counts
+        inner = had | ((lit > 0) & (single.factor > 1) & (fewer < lit))
         inside = np.where(inner[:, None], inside, some[:, 1:])
         tail = further.half * stride
         low, high = inside[:, 0] - single.half, inside[:, 1] - 1 + single.half

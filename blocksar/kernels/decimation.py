@@ -123,7 +123,7 @@ def _turn_and_decimate(
     values: ComplexArray, source: IntArray, u: FloatArray, first: FloatArray, step: FloatArray, taps: Float32Array,
     factor: int, lead: int, parts: Float32Array, target: IntArray, out: ComplexArray, others: ComplexArray,
 ) -> None:  # fmt: skip
-    """Decimated samples are FEW lanes, summed tap by tap: of a turned row every factor-th sample is put side by side."""
+    """FEW decimated samples are summed at a time, tap by tap; every factor-th sample of a row lies side by side."""
     n_out, real, imag = out.shape[1], parts[0], parts[1]
     length = (n_out + 2 * FEW - 1) // FEW * FEW + taps.size // factor + 1
     phases, sums = np.zeros((2, factor * length), np.float32), np.zeros((2, n_out + 2 * FEW), np.float32)
@@ -186,7 +186,9 @@ def turn_and_decimate(
     parts = np.zeros((2, lead + n + decimation.factor + LANES), np.float32)
     first, step = (np.asarray(cycles - np.rint(cycles), np.float64) for cycles in (first, step))
     u = np.arange(n, dtype=np.float64)
-    _turn_and_decimate(values, source, u, first, step, decimation.taps, decimation.factor, lead, parts, target, out, others)
+    _turn_and_decimate(
+        values, source, u, first, step, decimation.taps, decimation.factor, lead, parts, target, out, others
+    )
 
 
 def padded(n: int) -> int:

@@ -156,7 +156,7 @@ def place_tables(
     terms = np.prod(nodes.T[:, None, :] ** exponents, axis=-1)
     places = least_squares(terms.T, exact.T).T
     near = (np.abs(exact) <= 1).any(axis=0)
-    precise = ~near | (np.abs(product(terms, places.T) - exact) < PLACE_ERROR).all(axis=0)
+    precise = np.asarray(~near | (np.abs(product(terms, places.T) - exact) < PLACE_ERROR).all(axis=0))
     places = places / np.prod(half[:, None, :] ** exponents, axis=-1)
     table = np.column_stack([places[:, :6], taper.valid[pulses], places[:, 6:]])
     return np.ascontiguousarray(table), precise

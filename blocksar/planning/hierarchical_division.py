@@ -60,13 +60,13 @@ class Rates:
     tap : float
         Per sample and tap, along either axis.
     part : float
-        Per part, besides.
+        Per part, besides, once for each level.
     profile : float
         Per bin of a range profile.
     update : float
         Per pixel and pulse.
     pixel : float
-        Per pixel: which pulses light it, weights, normalisation and writing, all of which a CPU does.
+        Per pixel: which pulses light it, its place in a group, weights, normalisation and writing.
     last_sides : tuple of int
         Of last parts that are tried, pixels.
     read : float
@@ -85,13 +85,13 @@ class Rates:
 
 RATES = {
     "cpu": Rates(
-        turn=0.55e-9,
-        tap=0.055e-9,
-        part=1.1e-3,
-        profile=2.4e-9,
-        update=2.5e-9,
-        pixel=64e-9,
-        last_sides=(32, 48, 64, 96, 128, 192),
+        turn=0.65e-9,
+        tap=0.07e-9,
+        part=25e-6,
+        profile=2.9e-9,
+        update=1.5e-9,
+        pixel=120e-9,
+        last_sides=(24, 32, 48, 64, 96, 128, 192),
     ),
     "gpu": Rates(
         turn=2e-11,
@@ -189,7 +189,7 @@ class Ladders:
         n_frequency, (filters, frames) = self.geometry.collection.n_range_frequency, entered
         lit = int(np.diff(frames.some[0])[0])
         seconds = self.rates.read * lit * n_frequency + self._filtering(filters, frames, lit, 0, n_frequency)
-        single, both, work, on_gpu = math.prod(frames.shape), [0, 0], 0, 0
+        single, both, work, on_gpu = math.prod(frames.shape), [0, 0], 0, 0.0
         parts, area = 1.0, singles[0][0] * singles[0][1]
         for number, (width, height) in enumerate([*singles[1:], *levels], 1 - len(singles)):
             part = self.part(place, (width, height))
