@@ -373,8 +373,7 @@ def add_pulses(
             for k in range(3):
                 middles[k, group] = (box[0, k] + box[1, k]) / 2
                 apart += ((box[1, k] - box[0, k]) / 2) ** 2
-            apart = np.sqrt(apart)
-            near = apart * bins_per_metre < NEAR[1] - 1 and apart * cycles_per_metre < most_cycles
+            near = apart * bins_per_metre**2 < (NEAR[1] - 1) ** 2 and apart * cycles_per_metre**2 < most_cycles**2
             close[group] = near and close_by
         hilly = high[t, 2] > low[t, 2]
         centre_x, centre_y = (low[t, 0] + high[t, 0]) / 2, (low[t, 1] + high[t, 1]) / 2

@@ -37,7 +37,7 @@ from blocksar.planning.tiling import image_chunk, units_of
 ERROR = 1e-5  # error power that no image exceeds: less costs hardly any time, and dark places show it
 SHARE = 0.4  # of what is allowed: some places of an image err by 1 dB more than its mean
 EDGE = 0.34  # e of the filters: higher ones have long tails, lower ones leave more samples
-RATIOS = (2.0, 3.0, 4.0, 6.0)  # of the sides of a level and the next
+RATIOS = (4.0, 6.0)  # of the sides of a level and the next; a further level costs more than it saves
 UPSAMPLINGS = range(2, 25)
 NODES = 3  # along a part's side, at which it is found what lights it
 DIVISIONS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # of the image along either side, into units of work
