@@ -19,7 +19,7 @@ def find_light(
     first: IntArray, last: IntArray, z: FloatArray, rows: IntArray, columns: IntArray, light: IntArray,
     heights: FloatArray,
 ) -> None:  # fmt: skip
-    """What lights the parts of an image between rows and columns, and their lowest and highest z.
+    """Find the pulses that light the parts of an image between rows and columns, and their lowest and highest z.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def find_rows(
     position: FloatArray, beyond: int, pulses: IntArray, taken: IntArray, above: FloatArray, below: FloatArray,
     source: IntArray, target: IntArray, turn: FloatArray,
 ) -> None:  # fmt: skip
-    """The rows that lead from parts to parts of these, one such part after the other.
+    """Find the rows that lead from parts to parts of these, one such part after the other.
 
     Parameters
     ----------

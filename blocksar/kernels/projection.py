@@ -67,7 +67,7 @@ class BeamTaper:
     place: Callable[[FloatArray, FloatArray, FloatArray, IntArray], FloatArray]
 
     def of(self, pulses: slice) -> BeamTaper:
-        """Those of some pulses of the block."""
+        """Take some pulses of the block."""
 
         def place(x: FloatArray, y: FloatArray, z: FloatArray, some: IntArray) -> FloatArray:
             return self.place(x, y, z, some + pulses.start)

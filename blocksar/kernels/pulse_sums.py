@@ -148,7 +148,7 @@ def _add_to_groups(
     centre_x: Any, centre_y: Any, centre_z: Any, first: Any, last: Any, spans: Any, close: Any, middles: Any,
     start: Any, series: Any, roots: Any, cycles_per_metre: Any, bins_per_metre: Any, half_window: Any, places: Any,
     terms: Any, half_frequency: Any,
-) -> None:  # fmt: skip
+) -> None:  # fmt: skip  # longer than most: see its arguments
     """Sum the lit pulses, in ascending order, at the pixels of a tile, in groups of FEW one after the other.
 
     It takes many arguments, since arrays that inlined functions take have their references counted for every pulse.
