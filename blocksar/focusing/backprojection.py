@@ -93,7 +93,7 @@ def accumulate(
         middle=profiles.centre,
         bins_per_metre=1 / profiles.spacing,
         cycles_per_metre=2 * (collection.carrier + middle) / SPEED_OF_LIGHT,
-        antenna=collection.antenna_position[pulses].T,
+        antenna=collection.antenna_position[pulses],
         reference_range=collection.reference_range[pulses],
         half_window=collection.range_window / 2,
         taper=None if taper.uniform else _beam_taper(taper, profiles, geometry),
@@ -105,9 +105,8 @@ def _beam_taper(taper: Taper, profiles: Profiles, geometry: Geometry) -> BeamTap
     """The weights of a block of pulses under a taper over the beam."""
     start, half = profiles.pulses.start, (geometry.collection.beam_width or np.inf) / 2
 
-    def place(x: FloatArray, y: FloatArray, z: FloatArray, pulses: slice) -> FloatArray:
-        block = slice(pulses.start + start, pulses.stop + start)
-        return geometry.beam.offset(x[:, None], y[:, None], block, z[:, None]) / half
+    def place(x: FloatArray, y: FloatArray, z: FloatArray, pulses: IntArray) -> FloatArray:
+        return geometry.beam.offset(x, y, pulses + start, z) / half
 
     valid = profiles.valid / geometry.collection.n_range_frequency
     return BeamTaper(terms=taper.series[0], frequency=taper.series[1], valid=valid, place=place)

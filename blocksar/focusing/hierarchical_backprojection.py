@@ -6,8 +6,8 @@ the sums over pulses and range frequencies are formed from decimated data.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,12 +17,11 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, UNIFORM, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.backprojection import PixelSums, ReadPulses, pulse_blocks
-from blocksar.focusing.hierarchy import Echoes, Hierarchy, Levels, Part
+from blocksar.focusing.hierarchy import Echoes, Frames, Hierarchy, Levels, Part, Parts, part_groups
 from blocksar.focusing.profiles import MARGIN, spline_lead
-from blocksar.kernels.device import CPU, Device, on_device
-from blocksar.kernels.fourier import fast_length
+from blocksar.kernels.device import Device, on_device
 from blocksar.kernels.groups import Scratch, row_groups, run_groups
-from blocksar.kernels.projection import BeamTaper, LitPixels, Sights
+from blocksar.kernels.projection import BeamTaper, LitPixels, Sights, Tiles
 
 SAFE = 0.45  # of the unambiguous window: ranges that stay within are interpolated without a test of each
 NOTICED = 1e-4  # of a taper's terms: waves of the weights that a filter has to pass
@@ -31,7 +30,7 @@ CHECKED = 8  # pixels a side of the parts of which each pixel is tested for the 
 MOST_WINDOWS = 16  # that are formed from the same echoes
 SAMPLED = 16  # places along the side of a window at which it is found which pulses light it
 Window = tuple[slice, slice]
-Outlined = tuple[Window, list[Part]]  # with the lit part in each pass
+Outlined = tuple[Window, list[Parts]]  # with what lights it, pass by pass
 
 
 def form_windows(
@@ -81,8 +80,8 @@ def form_windows(
         yield from former.windows(read, x, y, whole, tops, threads)
 
 
-def _outline(geometry: Geometry, x: FloatArray, y: FloatArray, window: Window) -> list[Part]:
-    """Outline the passes that light a window, from a few places in it.
+def _outline(geometry: Geometry, x: FloatArray, y: FloatArray, window: Window) -> list[Parts]:
+    """Passes that light a window, from a few places of it.
 
     Between these, pulses may begin and end earlier and later by as much as from one to the next: so many are taken for
     edges besides. What that misses after all is noticed by `_Former.window`.
@@ -94,17 +93,16 @@ def _outline(geometry: Geometry, x: FloatArray, y: FloatArray, window: Window) -
     for first, last in zip(*geometry.beam.passes(mesh_x, mesh_y), strict=True):
         seen = Part(x=x[columns], y=y[rows], z=z, first=first, last=last)
         leave_outside(geometry, seen)
+        outline = seen.whole
         (begin, end), (start, stop) = seen.lit()
         lit, apart = begin < end, 2 + max(_apart(ends, last > first) for ends in (first, last))
         n = geometry.collection.n_pulse
         free = begin == 0 and start == 0, end == n and stop == n  # all of the collection lights it
         begin, end = max(begin - apart, 0), min(end + apart, n)
         start, stop = (0 if free[0] else start + apart), (n if free[1] else stop - apart)
-        # Two places suffice: if no pulse lights all of the window, none lights both.
-        ends = [(begin, end), (start, stop)] if start < stop else [(begin, begin + 1), (end - 1, end)]
-        ends = ends if lit else [(0, 0)]
-        places = np.array(ends).T
-        parts.append(Part(x=x[columns], y=y[rows], z=z.ravel(), first=places[0], last=places[1]))
+        whole = (start, stop) if start < stop else (end, end)
+        some, whole = ((begin, end), whole) if lit else ((0, 0), (0, 0))
+        parts.append(replace(outline, some=np.array([some]), whole=np.array([whole])))
     return parts
 
 
@@ -132,19 +130,10 @@ def _halves(outlines: Sequence[Outlined]) -> list[list[Outlined]]:
     return [side for side in sides if side]
 
 
-def _joined(outlines: Sequence[Sequence[Part]]) -> list[Part]:
-    """Join the parts of all windows pass by pass."""
-    joined = []
-    for number in range(max((len(parts) for parts in outlines), default=0)):
-        parts = [some[number] for some in outlines if number < len(some)]
-        every = {
-            name: np.concatenate([getattr(part, name) for part in parts]) for name in ("x", "y", "z", "first", "last")
-        }
-        ends = {name: np.array([every[name].min(), every[name].max()]) for name in ("x", "y", "z")}
-        whole = len(parts) == len(outlines)  # else some window has no such pass
-        light = {name: every[name] if whole else np.append(every[name], 0) for name in ("first", "last")}
-        joined.append(Part(**ends, **light))
-    return joined
+def _joined(outlines: Sequence[Sequence[Parts]]) -> list[Parts]:
+    """The parts of all windows as one, pass by pass."""
+    number = max((len(parts) for parts in outlines), default=0)
+    return [Parts.joined([some[k] for some in outlines if k < len(some)]) for k in range(number)]
 
 
 class _Former:
@@ -161,17 +150,16 @@ class _Former:
         self._over_pulses = None if collection.steered else weighting.azimuth.samples(collection.n_pulse)
         self._valid: FloatArray = np.zeros(collection.n_pulse)
 
-    def gather(self, read: ReadPulses, part: Part, threads: int) -> tuple[Part, Echoes | None]:
-        """Gather the echoes of a part, of one pass of the beam; None if there are none."""
-        return part, self.hierarchy.gather(part, self._blocks(read, part, threads), self._scratch())
+    def gather(self, read: ReadPulses, part: Parts, threads: int) -> Echoes | None:
+        """The echoes of a part, of one pass of the beam; None where it has none."""
+        return self.hierarchy.gather(part, self._blocks(read, part, threads))
 
     def _scratch(self) -> Scratch:
         return Scratch(self.device.empty)
 
-    def _blocks(self, read: ReadPulses, part: Part, threads: int) -> Iterator[tuple[IntArray, ComplexArray]]:
-        """Iterate over blocks of pulses that light a part, weighted over band and collection, zero if missing."""
-        (begin, end), _ = part.lit()
-        n = self._over_band.size
+    def _blocks(self, read: ReadPulses, part: Parts, threads: int) -> Iterator[tuple[IntArray, ComplexArray]]:
+        """Blocks of the pulses that light a part, weighted over band and collection, zero where samples are missing."""
+        (begin, end), n = part.some[0].tolist(), self._over_band.size
         pulse = np.arange(self._valid.size)
         for some in pulse_blocks((pulse >= begin) & (pulse < end), max(PULSE_BLOCK_BYTES // (8 * n), 1)):
             samples = read(some)
@@ -198,7 +186,7 @@ class _Former:
 
     def windows(
         self, read: ReadPulses, x: FloatArray, y: FloatArray, outlines: Sequence[Outlined],
-        tops: Sequence[tuple[Part, Echoes | None]], threads: int,
+        tops: Sequence[Echoes | None], threads: int,
     ) -> Iterator[tuple[Window, ComplexArray]]:  # fmt: skip
         """Form windows; if there are many, halves of them from echoes decimated for each half."""
         if len(outlines) <= MOST_WINDOWS:
@@ -206,21 +194,18 @@ class _Former:
                 yield window, self.window(read, x[window[1]], y[window[0]], tops, threads)
             return
         for some in _halves(outlines):  # the echoes of one are gone before those of the other are found
-            yield from self.windows(read, x, y, some, self._divided(some, tops), threads)
+            parts = _joined([outline for _, outline in some])
+            # Of passes that these lack, as of tops that have no echoes, nothing is left.
+            halves = [self._divided(part, top) for part, top in zip(parts, tops, strict=False)]
+            yield from self.windows(read, x, y, some, halves, threads)
 
-    def _divided(
-        self, outlines: Sequence[Outlined], tops: Sequence[tuple[Part, Echoes | None]]
-    ) -> list[tuple[Part, Echoes | None]]:
-        """Decimate the echoes of all windows for some of them, pass by pass."""
-        parts = _joined([outline for _, outline in outlines])
-        # Passes that these windows lack, and tops without echoes, are dropped.
-        return [
-            (part, None if echoes is None else self.hierarchy.divide(top, echoes, part, self._scratch(), -1))
-            for part, (top, echoes) in zip(parts, tops, strict=False)
-        ]
+    def _divided(self, part: Parts, top: Echoes | None) -> Echoes | None:
+        """The echoes of a part, out of those of more."""
+        lit = part.some[0, 0] < part.some[0, 1]
+        return self.hierarchy.divide(top, part, self._scratch()) if top is not None and lit else None
 
     def window(
-        self, read: ReadPulses, x: FloatArray, y: FloatArray, tops: Sequence[tuple[Part, Echoes | None]], threads: int
+        self, read: ReadPulses, x: FloatArray, y: FloatArray, tops: Sequence[Echoes | None], threads: int
     ) -> ComplexArray:
         """Form the image (n_row, n_column) on columns x and rows y, m."""
         geometry = self.geometry
@@ -229,13 +214,11 @@ class _Former:
         for number, (first, last) in enumerate(_whole_passes(sums)):
             part = Part(x=x, y=y, z=sums.z, first=first, last=last)
             sums.outside |= leave_outside(geometry, part)
-            top, echoes = tops[number] if number < len(tops) else (part, None)
-            if _holds(echoes, part):
-                left = None if echoes is None else self.hierarchy.divide(top, echoes, part, self._scratch(), -1)
-            else:
-                left = self.gather(read, part, threads)[1]
+            levels = part.levels(self.hierarchy.levels.sides)
+            known = number < len(tops) and _holds(tops[number], levels[0])
+            left = self._divided(levels[0], tops[number]) if known else self.gather(read, levels[0], threads)
             if left is not None:
-                self.form(part, left, image, threads)
+                self.form(part, levels[1:], left, image, threads)
         sums.image = self.device.take(image)
         sums.note_valid(slice(None), self._valid)
         if geometry.collection.has_pattern or not sums.over_beam.uniform:
@@ -243,78 +226,74 @@ class _Former:
                 sums.add_gains(pulses)
         return sums.mean()
 
-    def form(
-        self, part: Part, echoes: Echoes, image: ComplexArray, threads: int = 1, level: int = 0,
-        scratch: Scratch | None = None,
-    ) -> None:  # fmt: skip
-        """Add a part to the image (n_row, n_column) in place; its subparts run in threads."""
-        sides = self.hierarchy.levels.sides
-        while level < len(sides) and part.side <= sides[level]:
-            level += 1
-        if level == len(sides):
-            self._sum(part, echoes, image, scratch or self._scratch())
-            return
-        own = threading.local()
+    def form(self, part: Part, levels: Sequence[Parts], echoes: Echoes, image: ComplexArray, threads: int) -> None:
+        """Add the echoes of a part to the image (n_row, n_column), in place: level by level, then by last sums.
 
-        def work(window: Window) -> None:
-            child, memory = part.within(window), scratch or own.__dict__.setdefault("scratch", self._scratch())
-            left = self.hierarchy.divide(part, echoes, child, memory, level)
-            if left is not None:
-                self.form(child, left, image[window], level=level + 1, scratch=memory)
-
-        run_groups(work, part.divide(sides[level]), threads if self.device is CPU else 1)
-
-    def _sum(self, part: Part, echoes: Echoes, image: ComplexArray, scratch: Scratch) -> None:
-        """Back-project the remaining samples to the pixels of a last part, each from the pulses that light it.
-
-        Rows are put in the order of time: edges before the interior, the interior, edges after it. Each pixel takes all
-        of the interior, which lies between its first and its last row.
+        Each pixel takes all rows of its last part from the first that lights it to the last; of the interior's rows,
+        which lie between the edges, these are all.
         """
-        collection, path, frame = self.geometry.collection, self.hierarchy.path, echoes.frame
-        before, n = frame.before, frame.size
-        rows = np.concatenate([frame.pulses[:before], frame.grid, frame.pulses[before:]])
-        values = [echoes.edges[:before], echoes.interior, echoes.edges[before:]]
-        begin, lit = int(rows[0]) if before else frame.inside[0], part.last > part.first
-        first = np.where(lit, np.maximum(part.first - begin, 0), 0)
-        last = np.where(lit, part.last + (before + n - frame.inside[1] if n else -begin), 0)
-        put, period = self.device.put, fast_length(self.hierarchy.levels.upsampling * frame.columns)
-        window, middle = SPEED_OF_LIGHT / (2 * frame.step), frame.columns // 2
-        sights = Sights(
+        scratch, last = self._scratch(), part.whole
+        for number, last in enumerate(levels):
+            echoes = self.hierarchy.divide(echoes, last, scratch, number % 2, threads)
+        frames, rows = echoes
+        owner = np.zeros(part.shape, np.int64)
+        for k, (top, bottom, left, right) in enumerate(last.windows.tolist()):
+            owner[top:bottom, left:right] = k
+        lit, begin = part.last > part.first, frames.ends[:-1] - frames.some[:, 0]
+        end = begin + frames.size - (frames.inside[:, 1] - frames.inside[:, 0])
+        first, last_row = (
+            np.where(lit, ends + shift[owner], 0) for ends, shift in ((part.first, begin), (part.last, end))
+        )
+        put, sums = self.device.put, self._sights(frames)
+        pixels = LitPixels(*map(put, (*np.meshgrid(part.x, part.y), part.z, first, last_row)))
+        beyond, weight = put(np.zeros(part.shape, np.bool_)), put(np.zeros(part.shape, np.float32))
+        spans = np.stack([frames.ends[:-1], frames.ends[1:]], axis=1)
+        tiles = Tiles(windows=last.windows, low=last.low, high=last.high, rows=spans)
+        period = self.hierarchy.levels.bins(frames.columns)
+
+        def work(some: slice) -> None:
+            span = slice(int(spans[some.start, 0]), int(spans[some.stop - 1, 1]))
+            values = self._profiles(rows[span], period, scratch)
+            self.device.project(image, beyond, sums.of(span, values), pixels, weight, given=tiles.some(some))
+
+        run_groups(work, part_groups(spans[:, 1] - spans[:, 0], period, self.device.group_bytes), threads)
+
+    def _sights(self, frames: Frames) -> Sights:
+        """How the rows of frames see their parts, without their profiles."""
+        collection, path, pulses = self.geometry.collection, self.hierarchy.path, frames.pulses
+        period = self.hierarchy.levels.bins(frames.columns)
+        window, middle = SPEED_OF_LIGHT / (2 * frames.step), frames.columns // 2
+        return Sights(
             start=0,
-            values=self._profiles(values, period, scratch),
+            values=np.empty((0, 0), np.complex64),
             middle=period // 2 + MARGIN,
             bins_per_metre=period / window,
-            cycles_per_metre=2 * (collection.carrier + frame.start + middle * frame.step) / SPEED_OF_LIGHT,
-            antenna=path.at(rows).T,
-            reference_range=path.ranges(rows, part.centre),
-            half_window=np.inf if frame.reach < SAFE * window else window / 2,
-            taper=None if self.taper.uniform else self._beam_taper(rows),
+            cycles_per_metre=2 * (collection.carrier + frames.start + middle * frames.step) / SPEED_OF_LIGHT,
+            antenna=path.at(pulses),
+            reference_range=path.ranges(pulses, frames.centre[frames.part]),
+            half_window=np.inf if frames.reach < SAFE * window else window / 2,
+            taper=None if self.taper.uniform else self._beam_taper(pulses),
         )
-        x, y = np.meshgrid(part.x, part.y)
-        beyond, weight = put(np.zeros(part.shape, np.bool_)), put(np.zeros(part.shape, np.float32))
-        self.device.project(image, beyond, sights, LitPixels(*map(put, (x, y, part.z, first, last))), weight)
 
-    def _profiles(self, values: Sequence[ComplexArray], period: int, scratch: Scratch) -> ComplexArray:
-        """Coefficients (n, period + 2 MARGIN) of splines through the range profiles of rows (k, m), n in all.
+    def _profiles(self, rows: ComplexArray, period: int, scratch: Scratch) -> ComplexArray:
+        """Coefficients (n, period + 2 MARGIN) of splines through the range profiles of rows (n, m).
 
         As in `range_profiles`: a profile is the mean over all range frequencies, of which the rows hold the sums.
         """
-        n, m = sum(rows.shape[0] for rows in values), values[0].shape[1]
-        middle, half = m // 2, period // 2
-        level = period / self.geometry.collection.n_range_frequency
-        lead = self.device.put((level * spline_lead(np.arange(m) - middle, period)).astype(np.float32))
-        group = scratch.array("group", (n, period))
-        group[:, m - middle : period - middle] = 0
-        first = 0
-        for rows in values:
-            some = group[first : first + rows.shape[0]]
-            np.multiply(rows[:, middle:], lead[middle:], out=some[:, : m - middle])
-            np.multiply(rows[:, :middle], lead[:middle], out=some[:, period - middle :])
-            first += rows.shape[0]
-        group = self.device.fft_rows(group, inverse=True)
+        n, m = rows.shape
+        middle = m // 2
+        cycles = np.arange(m) - middle
+        # The sign moves delay 0 to the middle of the period, which is even.
+        lead = (-1.0) ** cycles * spline_lead(cycles, period) * (period / self.geometry.collection.n_range_frequency)
+        lead = self.device.put(lead.astype(np.float32))
         out = scratch.array("profiles", (n, period + 2 * MARGIN))
-        out[:, MARGIN : MARGIN + half] = group[:, half:]
-        out[:, MARGIN + half : -MARGIN] = group[:, :half]
+        inner = out[:, MARGIN:-MARGIN]
+        inner[:, m - middle : period - middle] = 0
+        np.multiply(rows[:, middle:], lead[middle:], out=inner[:, : m - middle])
+        np.multiply(rows[:, :middle], lead[:middle], out=inner[:, period - middle :])
+        found = self.device.fft_rows(inner, inverse=True)
+        if not np.may_share_memory(found, inner):
+            inner[:] = found
         out[:, -MARGIN:] = out[:, MARGIN : 2 * MARGIN]
         out[:, :MARGIN] = out[:, -2 * MARGIN : -MARGIN]
         return out
@@ -324,13 +303,13 @@ class _Former:
         geometry, n = self.geometry, self.geometry.collection.n_pulse
         half = (geometry.collection.beam_width or np.inf) / 2
 
-        def place(x: FloatArray, y: FloatArray, z: FloatArray, some: slice) -> FloatArray:
-            x, y, z, pulses = x[:, None], y[:, None], z[:, None], rows[some]
-            v = geometry.beam.offset(x, y, np.clip(pulses, 0, n - 1), z) / half
-            for beyond, end, inner in ((pulses < 0, 0, 1), (pulses >= n, n - 1, n - 2)):
-                if beyond.any():
-                    at = [geometry.beam.offset(x, y, np.array([p]), z) / half for p in (end, inner)]
-                    v[:, beyond] = at[0] + (at[0] - at[1]) * np.abs(pulses[beyond] - end)
+        def place(x: FloatArray, y: FloatArray, z: FloatArray, some: IntArray) -> FloatArray:
+            pulses = rows[some]
+            within = np.clip(pulses, 0, n - 1)
+            v = geometry.beam.offset(x, y, within, z) / half
+            if (within != pulses).any():
+                inner = np.clip(within, 1, n - 2)
+                v += (v - geometry.beam.offset(x, y, inner, z) / half) * np.abs(pulses - within)
             return v
 
         return BeamTaper(
@@ -351,27 +330,25 @@ def _whole_passes(sums: PixelSums) -> list[tuple[IntArray, IntArray]]:
     return passes
 
 
-def _holds(echoes: Echoes | None, part: Part) -> bool:
-    """Tell whether echoes contain all pulses that light a part, and only such pulses in their interior."""
-    (begin, end), (start, stop) = part.lit()
+def _holds(echoes: Echoes | None, part: Parts) -> bool:
+    """Whether echoes have all pulses that light a part, and in their interior none that does not."""
+    (begin, end), (start, stop) = part.some[0].tolist(), part.whole[0].tolist()
     if begin == end:
         return True
     if echoes is None:
         return False
-    frame = echoes.frame
-    known = [*frame.pulses[[0, -1]].tolist()] if frame.pulses.size else []
-    if frame.size:
-        known += [frame.inside[0], frame.inside[1] - 1]
-        if not (start <= frame.inside[0] and frame.inside[1] <= stop):
-            return False
-    return min(known, default=end) <= begin and end - 1 <= max(known, default=begin - 1)
+    frames = echoes.frames
+    (known, until), (first, last) = frames.some[0].tolist(), frames.inside[0].tolist()
+    return known <= begin and end <= until and (first == last or (start <= first and last <= stop))
 
 
 def leave_outside(geometry: Geometry, part: Part) -> BoolArray:
     """Mark pixels as `mark_outside` does, and remove all pulses of the part from these."""
     outside = np.zeros(part.shape, np.bool_)
     mark_outside(geometry, part, outside)
-    part.first[outside], part.last[outside] = 0, 0
+    if outside.any():
+        part.first[outside], part.last[outside] = 0, 0
+        part.__dict__.pop("whole")  # as it was found
     return outside
 
 
@@ -380,11 +357,11 @@ def mark_outside(geometry: Geometry, part: Part, outside: BoolArray) -> None:
     (begin, end), (start, stop) = part.lit()
     if begin == end:
         return
-    collection, centre = geometry.collection, part.centre
+    collection, centre = geometry.collection, part.whole.centre[0]
     half = collection.range_window / 2
     position, reference = collection.antenna_position[begin:end], collection.reference_range[begin:end]
     away = np.abs(np.linalg.norm(position - centre, axis=1) - reference)
-    radius = float(np.linalg.norm(part.border - centre, axis=1).max())
+    radius = float(np.linalg.norm(part.whole.border[0] - centre, axis=1).max())
     if away.max() + radius <= half:
         return
     if away[start - begin : stop - begin].max(initial=0) - radius > half:

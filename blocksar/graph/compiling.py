@@ -42,7 +42,7 @@ TERRAIN = (
 PULSES = ("kernels.pulse_sums", "focusing.pattern_sums")
 WEIGHTS = ("kernels.blending",)
 PYRAMID = ("kernels.halving",)
-HIERARCHY = ("kernels.decimation",)
+HIERARCHY = ("kernels.decimation", "kernels.parts")
 TRACKS = ("autofocusing.range_lines", "autofocusing.information", "autofocusing.chips", "autofocusing.phase_gradient")
 LOOPS = (
     *TERRAIN[:1], *TASKS, *RESAMPLING, *PULSES, "kernels.beam_passes", *TERRAIN[1:], "simulation.scatterers", *WEIGHTS,

@@ -24,8 +24,7 @@ from typing import Any
 import numpy as np
 from numba import njit, types
 
-from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.kernels.groups import Scratch
+from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.kernels.lanes import (
     FEW,
     LANES,
@@ -38,13 +37,14 @@ from blocksar.kernels.lanes import (
     sine,
     spread_few,
     store,
-    totals,
 )  # fmt: skip
 from blocksar.kernels.loops import COMPILED, PART, REAL_ROW, SAMPLES_IN, SAMPLES_OUT, loop
-from blocksar.kernels.phase import Float32Array, rotate
+from blocksar.kernels.phase import Float32Array
 
 WHOLE = FEW // 2  # decimated rows are made of whole vectors of real numbers
 BLOCK = 4 * FEW  # real numbers of a row that are summed in registers
+INDICES = types.Array(types.int64, 1, "C", readonly=True)
+RUNS = types.Array(types.int64, 2, "C", readonly=True)
 _REALS = types.Array(types.float32, 1, "C", readonly=True)
 _MATRIX_IN = types.Array(types.float32, 2, "C", readonly=True)
 
@@ -116,75 +116,79 @@ def _turn_row(row: Any, u: Any, first: Any, step: Any, real: Any, imag: Any, lea
 
 
 @loop(
-    SAMPLES_IN, REAL_ROW, REAL_ROW, REAL_ROW, _REALS, types.int64, types.int64, types.float32[:, ::1], SAMPLES_OUT,
-    **COMPILED,
+    SAMPLES_IN, INDICES, REAL_ROW, REAL_ROW, REAL_ROW, _REALS, types.int64, types.int64, types.float32[:, ::1], INDICES,
+    SAMPLES_OUT, SAMPLES_OUT, **COMPILED,
 )  # fmt: skip
 def _turn_and_decimate(
-    values: ComplexArray, u: FloatArray, first: FloatArray, step: FloatArray, taps: Float32Array, factor: int,
-    lead: int, parts: Float32Array, out: ComplexArray,
+    values: ComplexArray, source: IntArray, u: FloatArray, first: FloatArray, step: FloatArray, taps: Float32Array,
+    factor: int, lead: int, parts: Float32Array, target: IntArray, out: ComplexArray, others: ComplexArray,
 ) -> None:  # fmt: skip
-    n, n_out, real, imag = values.shape[1], out.shape[1], parts[0], parts[1]
-    for r in range(values.shape[0]):
-        _turn_row(values[r], u, first[r], step[r], real, imag, lead)
-        row = out[r]
-        for j in range(0, n_out - 1, 2):
-            begin, after = j * factor, (j + 1) * factor
+    """FEW decimated samples are summed at a time, tap by tap; every factor-th sample of a row lies side by side."""
+    n_out, real, imag = out.shape[1], parts[0], parts[1]
+    length = (n_out + 2 * FEW - 1) // FEW * FEW + taps.size // factor + 1
+    phases, sums = np.zeros((2, factor * length), np.float32), np.zeros((2, n_out + 2 * FEW), np.float32)
+    x, y, re, im = phases[0], phases[1], sums[0], sums[1]
+    places = np.empty(taps.size, np.int64)
+    for k in range(taps.size):
+        places[k] = k % factor * length + k // factor
+    filled = (lead + values.shape[1] + factor - 1) // factor
+    for r in range(source.size):
+        _turn_row(values[source[r]], u, first[r], step[r], real, imag, lead)
+        row = out[target[r]] if target[r] >= 0 else others[r]
+        for p in range(factor):
+            for m in range(min(filled, length)):
+                x[p * length + m], y[p * length + m] = real[m * factor + p], imag[m * factor + p]
+        for j in range(0, n_out, 2 * FEW):
             a, b = spread_few(np.float32(0)), spread_few(np.float32(0))
             c, d = spread_few(np.float32(0)), spread_few(np.float32(0))
-            # Taps ahead of the row and behind it would be summed over zeros.
-            low, high = max((lead - after) // FEW * FEW, 0), min(taps.size, lead + n - begin)
-            for k in range(low, high, FEW):
-                h = load_few(taps, k)
-                a = a + h * load_few(real, begin + k)
-                b = b + h * load_few(imag, begin + k)
-                c = c + h * load_few(real, after + k)
-                d = d + h * load_few(imag, after + k)
-            re, im = totals(a, b)
-            row[j] = complex(re, im)
-            re, im = totals(c, d)
-            row[j + 1] = complex(re, im)
+            if n_out - j > FEW:
+                for k in range(taps.size):
+                    h, at = taps[k], places[k] + j
+                    a = a + h * load_few(x, at)
+                    b = b + h * load_few(y, at)
+                    c = c + h * load_few(x, at + FEW)
+                    d = d + h * load_few(y, at + FEW)
+            else:
+                for k in range(taps.size):
+                    h, at = taps[k], places[k] + j
+                    a = a + h * load_few(x, at)
+                    b = b + h * load_few(y, at)
+            store(re, j, a)
+            store(im, j, b)
+            store(re, j + FEW, c)
+            store(im, j + FEW, d)
+        for j in range(n_out):
+            row[j] = complex(re[j], im[j])
 
 
 def turn_and_decimate(
-    values: ComplexArray, first: FloatArray, step: FloatArray, decimation: Decimation, scratch: Scratch | None = None
-) -> tuple[ComplexArray, int]:
-    """Rotate row r by exp(2j pi (first[r] + step[r] i)) at sample i, then filter and decimate it.
+    values: ComplexArray, source: IntArray, first: FloatArray, step: FloatArray, decimation: Decimation,
+    target: IntArray, out: ComplexArray, others: ComplexArray,
+) -> None:  # fmt: skip
+    """Turn row source[r] of samples i by exp(2j pi (first[r] + step[r] i)), then filter and decimate it.
 
     Parameters
     ----------
     values : (n_row, n) complex64
         Finite; zero where samples are missing.
-    first, step : (n_row,) float
+    source : (k,) int
+        A row may be taken several times.
+    first, step : (k,) float
         Cycles; phases are computed in float64.
     decimation : Decimation
-    scratch : Scratch, optional
-        Whose array "turned" becomes the result.
-
-    Returns
-    -------
-    decimated : (n_row, m) complex64
-        m is a multiple of WHOLE; samples behind the filter's tails are zero.
-    start : int
-        Where the first of them lies, in samples; they are `decimation.factor` apart.
+    target : (k,) int
+        The row of `out` that becomes of it; where negative, it is row r of `others`.
+    out, others : (..., m) complex64
+        m = padded(decimation.span(n)[0]); samples behind the filter's tails are zero.
     """
     n = values.shape[1]
-    count, start = decimation.span(n)
-    filled = padded(count)
-    first = np.asarray(first - np.rint(first), np.float64)
-    step = np.asarray(step - np.rint(step), np.float64)
-    out = (scratch or Scratch()).array("turned", (values.shape[0], filled))
-    if decimation.factor == 1:
-        out[:, n:] = 0
-        # `rotate` counts samples from the middle, in halves of the row
-        rotate(values, n, np.stack([first + n // 2 * step, n / 2 * step], axis=1), out)
-        return out, 0
-    whole = np.pad(decimation.taps, (0, -decimation.taps.size % FEW))
-    lead = decimation.half - start
-    size = max((filled - 1) * decimation.factor + whole.size, lead + n) + LANES
+    lead = decimation.half - decimation.span(n)[1]
+    parts = np.zeros((2, lead + n + decimation.factor + LANES), np.float32)
+    first, step = (np.asarray(cycles - np.rint(cycles), np.float64) for cycles in (first, step))
     u = np.arange(n, dtype=np.float64)
-    parts = np.zeros((2, size), np.float32)
-    _turn_and_decimate(values, u, first, step, whole, decimation.factor, lead, parts, out)
-    return out, start
+    _turn_and_decimate(
+        values, source, u, first, step, decimation.taps, decimation.factor, lead, parts, target, out, others
+    )
 
 
 def padded(n: int) -> int:
@@ -192,60 +196,57 @@ def padded(n: int) -> int:
     return -(-n // WHOLE) * WHOLE
 
 
-@loop(_MATRIX_IN, _REALS, types.int64, types.int64, types.float32[:, ::1], **COMPILED)
-def _add_decimated(rows: Float32Array, taps: Float32Array, factor: int, start: int, out: Float32Array) -> None:
-    n, m = rows.shape
-    source, target = rows.reshape(n * m), out.reshape(out.shape[0] * m)
+@loop(_MATRIX_IN, RUNS, _REALS, types.int64, types.float32[:, ::1], **COMPILED)
+def _add_decimated(rows: Float32Array, runs: IntArray, taps: Float32Array, factor: int, out: Float32Array) -> None:
+    m = rows.shape[1]
+    source, target = rows.reshape(rows.shape[0] * m), out.reshape(out.shape[0] * m)
     whole = m - m % BLOCK
-    for c in range(0, m, BLOCK if whole else FEW):
-        wide = c < whole
-        for k in range(out.shape[0]):
-            begin = start + k * factor
-            low, high = max(0, -begin), min(taps.size, n - begin)
-            if low >= high:
-                continue
-            if wide:
-                at = k * m + c
-                p, q = load_few(target, at), load_few(target, at + FEW)
-                r, s = load_few(target, at + 2 * FEW), load_few(target, at + 3 * FEW)
-                for t in range(low, high):
-                    h, place = taps[t], (begin + t) * m + c
-                    p = p + h * load_few(source, place)
-                    q = q + h * load_few(source, place + FEW)
-                    r = r + h * load_few(source, place + 2 * FEW)
-                    s = s + h * load_few(source, place + 3 * FEW)
-                store(target, at, p)
-                store(target, at + FEW, q)
-                store(target, at + 2 * FEW, r)
-                store(target, at + 3 * FEW, s)
-            else:
-                for e in range(c, m, FEW):
-                    p = load_few(target, k * m + e)
+    for r in range(runs.shape[0]):
+        first, n, at, lead, size = runs[r, 0], runs[r, 1], runs[r, 2], runs[r, 3] - taps.size // 2, runs[r, 4]
+        # Of the rows of `out` those that reach any row of the run.
+        begin_k, end_k = max(-((lead + taps.size - 1) // factor), 0), min((n - 1 - lead) // factor + 1, size)
+        for c in range(0, m, BLOCK if whole else FEW):
+            wide = c < whole
+            for k in range(begin_k, end_k):
+                begin = lead + k * factor
+                low, high, into = max(0, -begin), min(taps.size, n - begin), (at + k) * m
+                begin += first
+                if wide:
+                    p, q = load_few(target, into + c), load_few(target, into + c + FEW)
+                    u, v = load_few(target, into + c + 2 * FEW), load_few(target, into + c + 3 * FEW)
                     for t in range(low, high):
-                        p = p + taps[t] * load_few(source, (begin + t) * m + e)
-                    store(target, k * m + e, p)
-        if not wide:
-            break
+                        h, place = taps[t], (begin + t) * m + c
+                        p = p + h * load_few(source, place)
+                        q = q + h * load_few(source, place + FEW)
+                        u = u + h * load_few(source, place + 2 * FEW)
+                        v = v + h * load_few(source, place + 3 * FEW)
+                    store(target, into + c, p)
+                    store(target, into + c + FEW, q)
+                    store(target, into + c + 2 * FEW, u)
+                    store(target, into + c + 3 * FEW, v)
+                else:
+                    for e in range(c, m, FEW):
+                        p = load_few(target, into + e)
+                        for t in range(low, high):
+                            p = p + taps[t] * load_few(source, (begin + t) * m + e)
+                        store(target, into + e, p)
+            if not wide:
+                break
 
 
-def add_decimated(rows: ComplexArray, decimation: Decimation, at: int, out: ComplexArray) -> None:
-    """Filter and decimate along the first axis, and add the result to `out`, in place.
+def add_decimated(rows: ComplexArray, runs: IntArray, decimation: Decimation, out: ComplexArray) -> None:
+    """Filter and decimate runs of rows along the first axis, and add the results to `out`, in place.
 
-    Rows may come in pieces, one after the other: the filter is linear.
+    What belongs together may come in several runs: the filter is linear.
 
     Parameters
     ----------
-    rows : (n, m) complex64
+    rows : (n_row, m) complex64
         m is a multiple of WHOLE.
+    runs : (k, 5) int
+        The first row of each, and how many there are; the first row of `out` to which it is added; where that lies, in
+        rows of the run, of which the next ones are `decimation.factor` apart; and how many there are.
     decimation : Decimation
-    at : int
-        Where the first row of `out` lies, in rows; the next are `decimation.factor` apart.
     out : (n_out, m) complex64
     """
-    if decimation.factor == 1:
-        low, high = max(0, at), min(rows.shape[0], at + out.shape[0])
-        if low < high:
-            out[low - at : high - at] += rows[low:high]
-        return
-    start = at - decimation.half
-    _add_decimated(rows.view(np.float32), decimation.taps, decimation.factor, start, out.view(np.float32))
+    _add_decimated(rows.view(np.float32), runs, decimation.taps, decimation.factor, out.view(np.float32))

@@ -13,12 +13,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.errors import InputError, ProcessingError, library_for
 from blocksar.kernels.decimation import Decimation, add_decimated, turn_and_decimate
 from blocksar.kernels.fourier import fft_rows
-from blocksar.kernels.groups import Scratch, row_groups, run_groups
-from blocksar.kernels.projection import UPSAMPLING, LitPixels, Sights, project
+from blocksar.kernels.groups import PART_BYTES, row_groups, run_groups
+from blocksar.kernels.projection import UPSAMPLING, LitPixels, Sights, Tiles, project
 
 Tile = tuple[slice, slice]
 TILE = 128  # pixels per side: enough that the preparation of a tile costs little
@@ -32,10 +32,13 @@ class Device(Protocol):
     name : str
     upsampling : int
         Bins of range profiles per range cell in exact back-projection.
+    group_bytes : int
+        Of the samples of parts that are worked on at a time.
     """
 
     name: str
     upsampling: int
+    group_bytes: int
 
     def limit(self, memory: int) -> None:
         """Limit the device's memory, bytes.
@@ -62,17 +65,22 @@ class Device(Protocol):
         """Call `work` for groups of rows of `length` samples, as many as suit the device."""
 
     def turn_and_decimate(
-        self, values: Any, first: FloatArray, step: FloatArray, decimation: Decimation, scratch: Scratch
-    ) -> Any:
-        """Return the first result of `decimation.turn_and_decimate`."""
+        self, values: Any, source: IntArray, first: FloatArray, step: FloatArray, decimation: Decimation,
+        target: IntArray, out: Any, others: Any,
+    ) -> None:  # fmt: skip
+        """`decimation.turn_and_decimate`."""
 
-    def add_decimated(self, rows: Any, decimation: Decimation, at: int, out: Any) -> None:
-        """Add as `decimation.add_decimated`."""
+    def add_decimated(self, rows: Any, runs: IntArray, decimation: Decimation, out: Any) -> None:
+        """`decimation.add_decimated`."""
 
     def project(
-        self, image: Any, outside: Any, sights: Sights, pixels: LitPixels, weight: Any, threads: int = 1
-    ) -> None:
-        """Add pulses as `projection.project`, for pixel arrays on the device; `weight` is None without weights."""
+        self, image: Any, outside: Any, sights: Sights, pixels: LitPixels, weight: Any, threads: int = 1,
+        given: Tiles | None = None,
+    ) -> None:  # fmt: skip
+        """`projection.project`, whose arrays of pixels are the device's; `weight` is None without weights.
+
+        Where no tiles are given, all of the image is divided into some.
+        """
 
 
 class Cpu:
@@ -80,6 +88,7 @@ class Cpu:
 
     name = "cpu"
     upsampling = UPSAMPLING["cpu"]
+    group_bytes = PART_BYTES
 
     def limit(self, memory: int) -> None:
         """Ignore the limit, which dask enforces for processes."""
@@ -100,20 +109,26 @@ class Cpu:
         run_groups(work, row_groups(0, rows, length), threads)
 
     def turn_and_decimate(
-        self, values: ComplexArray, first: FloatArray, step: FloatArray, decimation: Decimation, scratch: Scratch
-    ) -> ComplexArray:
-        return turn_and_decimate(values, first, step, decimation, scratch)[0]
+        self, values: ComplexArray, source: IntArray, first: FloatArray, step: FloatArray, decimation: Decimation,
+        target: IntArray, out: ComplexArray, others: ComplexArray,
+    ) -> None:  # fmt: skip
+        turn_and_decimate(values, source, first, step, decimation, target, out, others)
 
-    def add_decimated(self, rows: ComplexArray, decimation: Decimation, at: int, out: ComplexArray) -> None:
-        add_decimated(rows, decimation, at, out)
+    def add_decimated(self, rows: ComplexArray, runs: IntArray, decimation: Decimation, out: ComplexArray) -> None:
+        add_decimated(rows, runs, decimation, out)
 
     def project(
-        self, image: Any, outside: Any, sights: Sights, pixels: LitPixels, weight: Any, threads: int = 1
-    ) -> None:
+        self, image: Any, outside: Any, sights: Sights, pixels: LitPixels, weight: Any, threads: int = 1,
+        given: Tiles | None = None,
+    ) -> None:  # fmt: skip
         weight = np.empty(image.shape, np.float32) if weight is None else weight
+        if given is not None:
+            project(image, outside, sights, pixels, weight, given)
+            return
+        block = sights.start, sights.start + sights.reference_range.size
 
         def work(tile: Tile) -> None:
-            project(image[tile], outside[tile], sights, pixels.of(tile), weight[tile])
+            project(image, outside, sights, pixels, weight, Tiles.of(pixels, [tile], block))
 
         run_groups(work, tiles(image.shape), threads)
 

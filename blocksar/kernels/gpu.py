@@ -22,11 +22,11 @@ from typing import Any
 import numba.cuda
 import numpy as np
 
-from blocksar.arrays import FloatArray
-from blocksar.kernels.decimation import Decimation, padded
+from blocksar.arrays import FloatArray, IntArray
+from blocksar.kernels.decimation import Decimation
 from blocksar.kernels.fourier import fft_rows
-from blocksar.kernels.groups import Scratch
-from blocksar.kernels.projection import UPSAMPLING, LitPixels, Sights, halves, place_tables
+from blocksar.kernels.groups import GPU_PART_BYTES
+from blocksar.kernels.projection import UPSAMPLING, LitPixels, Sights, Tiles, halves, place_tables
 from blocksar.texts import size_text
 
 cuda: Any = numba.cuda
@@ -69,46 +69,48 @@ else:
 
 
 @cuda.jit(fastmath=True, cache=True)
-def _turn(values: Any, first: Any, step: Any, out: Any) -> None:
-    """Rotate rows: out[r, i] = values[r, i] exp(2j pi (first[r] + step[r] i)), zero beyond the row."""
+def _turn(values: Any, source: Any, first: Any, step: Any, out: Any) -> None:
+    """out[r, i] = values[source[r], i] exp(2j pi (first[r] + step[r] i))."""
     i, r = cuda.grid(2)
     if r < out.shape[0] and i < out.shape[1]:
-        if i < values.shape[1]:
-            turn = first[r] + step[r] * i
-            angle = np.float32(turn - math.floor(turn + 0.5)) * np.float32(2 * math.pi)
-            cos, sin = math.cos(angle), math.sin(angle)
-            a, b = values[r, i].real, values[r, i].imag
-            out[r, i] = complex(a * cos - b * sin, a * sin + b * cos)
-        else:
-            out[r, i] = 0
+        turn = first[r] + step[r] * i
+        angle = np.float32(turn - math.floor(turn + 0.5)) * np.float32(2 * math.pi)
+        cos, sin = math.cos(angle), math.sin(angle)
+        sample = values[source[r], i]
+        a, b = sample.real, sample.imag
+        out[r, i] = complex(a * cos - b * sin, a * sin + b * cos)
 
 
 @cuda.jit(fastmath=True, cache=True)
-def _decimate_rows(values: Any, taps: Any, factor: Any, start: Any, out: Any) -> None:
-    """Decimate rows: out[r, j] = sum over k of taps[k] values[r, start + j factor + k]."""
+def _decimate_rows(values: Any, taps: Any, factor: Any, start: Any, target: Any, out: Any, others: Any) -> None:
+    """The sum over k of taps[k] values[r, start + j factor + k] becomes out[target[r], j], or others[r, j]."""
     j, r = cuda.grid(2)
-    if r < out.shape[0] and j < out.shape[1]:
+    if r < values.shape[0] and j < out.shape[1]:
         begin = start + j * factor
         re, im = np.float32(0), np.float32(0)
         for k in range(max(0, -begin), min(taps.size, values.shape[1] - begin)):
             sample = values[r, begin + k]
             re += taps[k] * sample.real
             im += taps[k] * sample.imag
-        out[r, j] = complex(re, im)
+        if target[r] >= 0:
+            out[target[r], j] = complex(re, im)
+        else:
+            others[r, j] = complex(re, im)
 
 
 @cuda.jit(fastmath=True, cache=True)
-def _add_decimated_columns(values: Any, taps: Any, factor: Any, start: Any, out: Any) -> None:
-    """Decimate columns and add: out[k, c] += sum over t of taps[t] values[start + k factor + t, c]."""
-    c, k = cuda.grid(2)
-    if k < out.shape[0] and c < out.shape[1]:
-        begin = start + k * factor
+def _add_decimated_columns(values: Any, runs: Any, most: Any, taps: Any, factor: Any, out: Any) -> None:
+    """The k-th row of out of a run += sum over t of taps[t] times the row at lead + k factor + t of the run."""
+    c, each = cuda.grid(2)
+    run, k = each // most, each % most
+    if run < runs.shape[0] and c < out.shape[1] and k < runs[run, 4]:
+        first, begin = runs[run, 0], runs[run, 3] - taps.size // 2 + k * factor
         re, im = np.float32(0), np.float32(0)
-        for t in range(max(0, -begin), min(taps.size, values.shape[0] - begin)):
-            sample = values[begin + t, c]
+        for t in range(max(0, -begin), min(taps.size, runs[run, 1] - begin)):
+            sample = values[first + begin + t, c]
             re += taps[t] * sample.real
             im += taps[t] * sample.imag
-        out[k, c] += complex(re, im)
+        out[runs[run, 2] + k, c] += complex(re, im)
 
 
 @_inlined
@@ -161,8 +163,9 @@ def _see(sights: Any, k: Any, x: Any, y: Any, z: Any, scales: Any) -> Any:
 def _adder(side: int, weighted: bool, hilly: bool) -> Any:
     """Make the kernel in which each thread sums `side` x `side` pixels.
 
-    Of its `scales`: the bin of the reference range, cycles and bins per metre, the largest unambiguous range, the
-    centre of the places in the beam, m, and half of the frequency of weights over it.
+    Of its `sights`, a row for each pulse: the antenna, the reference range, and the centre of the places, m. Of its
+    `scales`: the bin of the reference range, cycles and bins per metre, the largest unambiguous range, half of the
+    frequency of weights over the beam, and the height of level ground, m.
     """
     count = side * side
 
@@ -182,7 +185,7 @@ def _adder(side: int, weighted: bool, hilly: bool) -> Any:
         # Pixels beyond the image are those at its end, and are not written.
         bottom, right = min(row + side, image.shape[0]) - 1, min(column + side, image.shape[1]) - 1
         mx, my = (x[row, column] + x[bottom, right]) / 2, (y[row, column] + y[bottom, right]) / 2
-        mz = (z[row, column] + z[bottom, right]) / 2 if hilly else scales[6]
+        mz = (z[row, column] + z[bottom, right]) / 2 if hilly else scales[5]
         low, high = end, begin
         for i in range(count):
             r, c = min(row + i // side, bottom), min(column + i % side, right)
@@ -190,11 +193,11 @@ def _adder(side: int, weighted: bool, hilly: bool) -> Any:
             lit[i], unlit[i] = max(first[r, c], begin), min(last[r, c], end)
             low, high = min(low, lit[i]), max(high, unlit[i])
             re[i], im[i], total[i], far[i] = 0, 0, 0, 0
-        cx, cy, cz = np.float32(mx - scales[4]), np.float32(my - scales[5]), np.float32(mz - scales[6])
         half, one, cycles, bins = np.float32(0.5), np.float32(1), np.float32(scales[1]), np.float32(scales[2])
         for p in range(low, high):
             k = p - begin
             away, turn, whole, offset, ex, ey, ez, g = _see(sights, k, mx, my, mz, scales)
+            cx, cy, cz = np.float32(mx - sights[k, 4]), np.float32(my - sights[k, 5]), np.float32(mz - sights[k, 6])
             for i in range(count):
                 w = ex * ux[i] + ey * uy[i] + ez * uz[i] + g * (ux[i] * ux[i] + uy[i] * uy[i] + uz[i] * uz[i])
                 q = g * w
@@ -206,7 +209,7 @@ def _adder(side: int, weighted: bool, hilly: bool) -> Any:
                 if lit[i] <= p < unlit[i]:
                     far[i] = max(far[i], abs(away + more))
                     if weighted:
-                        part = _weight(places, k, cx + ux[i], cy + uy[i], cz + uz[i], hilly, terms, scales[7])
+                        part = _weight(places, k, cx + ux[i], cy + uy[i], cz + uz[i], hilly, terms, scales[4])
                         total[i] += part * np.float32(places[k, 6])
                         a, b = a * part, b * part
                     angle = (turn + more * cycles) * np.float32(2 * math.pi)
@@ -240,6 +243,7 @@ class Gpu:
 
     name = "gpu"
     upsampling = UPSAMPLING["gpu"]
+    group_bytes = GPU_PART_BYTES
 
     def limit(self, memory: int) -> None:
         if SIMULATED:
@@ -269,48 +273,54 @@ class Gpu:
         work(slice(0, rows))
 
     def turn_and_decimate(
-        self, values: Any, first: FloatArray, step: FloatArray, decimation: Decimation, scratch: Scratch
-    ) -> Any:
-        n, whole = values.shape[1], decimation.factor == 1
-        size, start = decimation.span(n)
+        self, values: Any, source: IntArray, first: FloatArray, step: FloatArray, decimation: Decimation,
+        target: IntArray, out: Any, others: Any,
+    ) -> None:  # fmt: skip
+        turned = xp.empty((source.size, values.shape[1]), np.complex64)
         first, step = (xp.asarray(cycles - np.rint(cycles), np.float64) for cycles in (first, step))
-        out = scratch.array("turned", (values.shape[0], padded(size)))
-        turned = out if whole else scratch.array("turning", values.shape)
-        _launch(_turn, turned.shape, values, first, step, turned)
-        if not whole:
-            taps = _on_gpu(decimation)
-            _launch(_decimate_rows, out.shape, turned, taps, decimation.factor, start - decimation.half, out)
-        return out
+        _launch(_turn, turned.shape, values, xp.asarray(source), first, step, turned)
+        start = decimation.span(values.shape[1])[1] - decimation.half
+        into = xp.asarray(target), out, others
+        _launch(
+            _decimate_rows, (source.size, out.shape[1]), turned, _on_gpu(decimation), decimation.factor, start, *into
+        )
 
-    def add_decimated(self, rows: Any, decimation: Decimation, at: int, out: Any) -> None:
-        if decimation.factor == 1:
-            low, high = max(0, at), min(rows.shape[0], at + out.shape[0])
-            if low < high:
-                out[low - at : high - at] += rows[low:high]
-            return
-        taps = _on_gpu(decimation)
-        _launch(_add_decimated_columns, out.shape, rows, taps, decimation.factor, at - decimation.half, out)
+    def add_decimated(self, rows: Any, runs: IntArray, decimation: Decimation, out: Any) -> None:
+        most = int(runs[:, 4].max())
+        shape = runs.shape[0] * most, out.shape[1]
+        factor = decimation.factor
+        _launch(_add_decimated_columns, shape, rows, xp.asarray(runs), most, _on_gpu(decimation), factor, out)
 
     def project(
-        self, image: Any, outside: Any, sights: Sights, pixels: LitPixels, weight: Any, threads: int = 1
-    ) -> None:
-        """Add pulses; under a taper over the beam in parts in which the place in the beam is a polynomial."""
+        self, image: Any, outside: Any, sights: Sights, pixels: LitPixels, weight: Any, threads: int = 1,
+        given: Tiles | None = None,
+    ) -> None:  # fmt: skip
+        """Sum; under a taper over the beam by parts over which the place in it is a polynomial."""
         (x, y, z, first, last), n, weighted = pixels, sights.reference_range.size, sights.taper is not None
         low, high = self.take(xp.stack([f(axis) for f in (xp.min, xp.max) for axis in (x, y, z)])).reshape(2, 3)
         hilly = bool(high[2] > low[2])
-        places, precise = place_tables(sights.taper, slice(0, n), low, high)
-        if image.size > 1 and not precise:
-            for part in halves(image.shape):
-                over = None if weight is None else weight[part]
-                self.project(image[part], outside[part], sights, pixels.of(part), over)
+        tiles = given or Tiles(
+            windows=np.array([[0, image.shape[0], 0, image.shape[1]]]), low=low[None], high=high[None],
+            rows=np.array([[sights.start, sights.start + n]]),
+        )  # fmt: skip
+        rows = tiles.rows - sights.start
+        # Each pulse is seen from one tile: all of the image, or the part whose row it is.
+        tile = np.repeat(np.arange(rows.shape[0]), rows[:, 1] - rows[:, 0])
+        places, precise = place_tables(sights.taper, np.arange(n), tile, tiles.low, tiles.high)
+        if image.size > 1 and not precise.all():
+            for window, (begin, end) in zip(tiles.slices(), rows.tolist(), strict=True):
+                some = sights.of(slice(begin, end), sights.values[begin:end])
+                for part in halves(window) if rows.shape[0] == 1 else [window]:
+                    over = None if weight is None else weight[part]
+                    self.project(image[part], outside[part], some, pixels.of(part), over)
             return
-        none = xp.zeros((1, 1))
-        table = np.column_stack([sights.antenna.T, sights.reference_range])
+        none, centre = xp.zeros((1, 1)), ((tiles.low + tiles.high) / 2)[tile]
+        table = np.column_stack([sights.antenna, sights.reference_range, centre])
         terms, frequency = (
             (sights.taper.terms.astype(np.float32), sights.taper.frequency) if sights.taper else (np.zeros(1), 0.0)
         )
         of_pulses = sights.middle, sights.cycles_per_metre, sights.bins_per_metre, min(sights.half_window, FAR)
-        scales = np.array([*of_pulses, *((low + high) / 2), frequency / 2])
+        scales = np.array([*of_pulses, frequency / 2, (low[2] + high[2]) / 2])
         side = SIDE if _near(sights, [x, y, z] if hilly else [x, y], high[2]) else 1
         _launch(
             _adder(side, weighted, hilly), (-(-image.shape[0] // side), -(-image.shape[1] // side)), image, outside,
@@ -330,7 +340,7 @@ def _near(sights: Sights, axes: Sequence[Any], top: float) -> bool:
     squared = sum(np.square(axis[1:, 1:] - axis[:-1, :-1]) + np.square(axis[1:, :-1] - axis[:-1, 1:]) for axis in axes)
     apart = math.sqrt(float(np.max(squared)))  # no less than the longer diagonal
     nearest = float(np.min(np.abs(sights.reference_range))) if math.isinf(sights.half_window) else 0.0
-    nearest = max(nearest, float(sights.antenna[2].min() - top))
+    nearest = max(nearest, float(sights.antenna[:, 2].min() - top))
     return apart * sights.cycles_per_metre < MOST_CYCLES and apart < NEAR * nearest
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable, Hashable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
@@ -14,8 +15,8 @@ from blocksar.arrays import ComplexArray
 ROOM = 1.25  # times the requested size: later arrays are often a little larger
 
 
-class Scratch:
-    """Named scratch arrays that reuse memory by name."""
+class Scratch(threading.local):
+    """Named arrays of a thread, each of which takes the memory of the one before of its name."""
 
     def __init__(self, empty: Callable[..., Any] = np.empty) -> None:
         self._empty = empty  # of a device
@@ -31,6 +32,8 @@ class Scratch:
 
 
 GROUP_BYTES = 768 * 1024  # of the rows in a group, to stay within a core's second-level cache
+PART_BYTES = 3 * 1024**2  # of the samples of parts of an image that are worked on at a time
+GPU_PART_BYTES = 128 * 1024**2  # of these on a GPU
 GROUP_ROWS = 4  # group sizes are multiples of this: the FFT library transforms so many rows at once
 Part = TypeVar("Part")  # one unit of work for a thread: a slice or a tile
 

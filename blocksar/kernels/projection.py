@@ -28,16 +28,14 @@ less than PLACE_ERROR.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from blocksar.kernels.lanes import FEW, FIXED_POINT, FIXED_RANGE, NEAR
+from blocksar.kernels.lanes import FEW, FIXED_POINT, FIXED_RANGE
 from blocksar.kernels.phase import Float32Array
 from blocksar.kernels.pulse_sums import add_pulses
 from blocksar.solvers import least_squares, product
@@ -56,67 +54,117 @@ class BeamTaper:
     valid : (n,) float
         Fraction of each pulse's samples that are there.
     place : callable
-        v (n_point, n) of points x, y, z (n_point,), m, for some pulses of the block: -1 .. 1 where they light them.
+        v (k, n) of points x, y, z (k, n), m, each for one of the pulses (n,) of the block: -1 .. 1 where it lights
+        them.
     """
 
     terms: FloatArray
     frequency: float
     valid: FloatArray
-    place: Callable[[FloatArray, FloatArray, FloatArray, slice], FloatArray]
+    place: Callable[[FloatArray, FloatArray, FloatArray, IntArray], FloatArray]
+
+    def of(self, pulses: slice) -> BeamTaper:
+        """Take some pulses of the block."""
+
+        def place(x: FloatArray, y: FloatArray, z: FloatArray, some: IntArray) -> FloatArray:
+            return self.place(x, y, z, some + pulses.start)
+
+        return replace(self, valid=self.valid[pulses], place=place)
 
 
-def place_tables(taper: BeamTaper | None, pulses: slice, low: FloatArray, high: FloatArray) -> tuple[FloatArray, bool]:
-    """Polynomials of the place in the beam, by pulse, over a tile from `low` to `high` (3,), m.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tiles:
+    """Tiles (n) of pixels, and the pulses of a block that light them.
+
+    Attributes
+    ----------
+    windows : (n, 4) int
+        Rows from the first to before the second, columns from the third to before the fourth.
+    low, high : (n, 3) float
+        The box around each, m.
+    rows : (n, 2) int
+        Pulses first <= p < last: all that light any of it.
+    """
+
+    windows: IntArray
+    low: FloatArray
+    high: FloatArray
+    rows: IntArray
+
+    @staticmethod
+    def of(pixels: LitPixels, windows: Sequence[tuple[slice, slice]], pulses: tuple[int, int]) -> Tiles:
+        """Tiles of pixels (n_row, n_column), as far as any of some pulses begin <= p < end lights them."""
+        some, low, high, rows = [], [], [], []
+        for window in windows:
+            x, y, z, first, last = pixels.of(window)
+            begin, end = max(int(first.min()), pulses[0]), min(int(last.max()), pulses[1])
+            if begin < end:
+                some.append([window[0].start, window[0].stop, window[1].start, window[1].stop])
+                low.append([x.min(), y.min(), z.min()])
+                high.append([x.max(), y.max(), z.max()])
+                rows.append([begin, end])
+        ends = (np.array(each, np.int64).reshape(-1, n) for each, n in ((some, 4), (rows, 2)))
+        windows_, rows_ = ends
+        return Tiles(windows=windows_, low=np.array(low).reshape(-1, 3), high=np.array(high).reshape(-1, 3), rows=rows_)
+
+    def some(self, chosen: slice | BoolArray) -> Tiles:
+        """Some of them."""
+        return Tiles(windows=self.windows[chosen], low=self.low[chosen], high=self.high[chosen], rows=self.rows[chosen])
+
+    def slices(self) -> list[tuple[slice, slice]]:
+        """Rows and columns of each."""
+        return [(slice(a, b), slice(c, d)) for a, b, c, d in self.windows.tolist()]
+
+    @property
+    def pixels(self) -> IntArray:
+        """The number of pixels (n,) of each."""
+        ends = self.windows
+        return np.asarray((ends[:, 1] - ends[:, 0]) * (ends[:, 3] - ends[:, 2]))
+
+
+def place_tables(
+    taper: BeamTaper | None, pulses: IntArray, tile: IntArray, low: FloatArray, high: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """The polynomials of the place in the beam over tiles from `low` to `high` (n_tile, 3), m.
+
+    Parameters
+    ----------
+    taper : BeamTaper or None
+    pulses, tile : (n,) int
+        Pulses of the block, and the tile over which each is seen.
 
     Returns
     -------
     places : (n, 7) or (n, 11) float
-        Coefficients of 1, dx, dy, dx^2, dx dy and dy^2, from the tile's centre, and the fraction of valid samples; of a
-        tile that is not level those of dz, dx dz, dy dz and dz^2 besides; without a taper none.
-    precise : bool
-        Whether it errs by less than PLACE_ERROR, where the pulse lights any of the tile.
+        Coefficients of 1, dx, dy, dx^2, dx dy and dy^2, from the tile's centre, and the fraction of valid samples; of
+        tiles that are not level those of dz, dx dz, dy dz and dz^2 besides; without a taper none.
+    precise : (n,) bool
+        Whether it errs by less than PLACE_ERROR, or the pulse lights nothing of the tile.
     """
     if taper is None:
-        return np.empty((0, 7)), True
-    centre, half = (low + high) / 2, np.maximum((high - low) / 2, 1e-6)
-    if high[2] > low[2]:
-        return _places_on_relief(taper, pulses, centre, half)
-    at = np.linspace(-1, 1, 5)
-    u, w = (axis.ravel() for axis in np.meshgrid(at, at))
-    exact = taper.place(centre[0] + half[0] * u, centre[1] + half[1] * w, np.full_like(u, centre[2]), pulses)
-    grid = exact.reshape(5, 5, -1)[::2, ::2]  # rows along y
-    middle, (left, right), (below, above) = grid[1, 1], grid[1, ::2], grid[::2, 1]
-    mixed = (grid[2, 2] - grid[2, 0] - grid[0, 2] + grid[0, 0]) / 4
-    right, left, above, below = right - middle, middle - left, above - middle, middle - below
-    bends = (right - left) / 2, mixed, (above - below) / 2
-    places = np.stack([middle, (right + left) / 2, (above + below) / 2, *bends], axis=1)
-    fitted = product(places, np.stack([np.ones_like(u), u, w, u * u, u * w, w * w]))
-    near = (np.abs(exact) <= 1).any(axis=0)
-    precise = bool((np.abs(fitted.T - exact)[:, near] < PLACE_ERROR).all())
-    scale = np.array([1.0, half[0], half[1], half[0] ** 2, half[0] * half[1], half[1] ** 2])
-    return np.column_stack([places / scale, taper.valid[pulses]]), precise
-
-
-def _places_on_relief(taper: BeamTaper, pulses: slice, centre: FloatArray, half: FloatArray) -> tuple[FloatArray, bool]:
-    """Tables as in `place_tables` with height as third coordinate: the quadratic closest to 3 x 3 x 3 places."""
-    nodes = np.array([axis.ravel() for axis in np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3)])
-    x, y, z = (c + h * u for c, h, u in zip(centre, half, nodes, strict=True))
+        return np.empty((0, 7)), np.ones(pulses.size, np.bool_)
+    centre, half = ((low + high) / 2)[tile], np.maximum((high - low) / 2, 1e-6)[tile]
+    relief = bool((high[:, 2] > low[:, 2]).any())
+    at = np.linspace(-1, 1, 3 if relief else 5)
+    nodes = np.array([axis.ravel() for axis in np.meshgrid(at, at, at if relief else [0.0])])
+    x, y, z = (centre[:, k] + half[:, k] * nodes[k][:, None] for k in range(3))
     exact = taper.place(x, y, z, pulses)
-    exponents = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (2, 0, 0), (1, 1, 0), (0, 2, 0), (0, 0, 1), (1, 0, 1),
-                          (0, 1, 1), (0, 0, 2)])  # fmt: skip
+    exponents = EXPONENTS if relief else EXPONENTS[:6]
     terms = np.prod(nodes.T[:, None, :] ** exponents, axis=-1)
     places = least_squares(terms.T, exact.T).T
     near = (np.abs(exact) <= 1).any(axis=0)
-    precise = bool((np.abs(product(terms, places.T) - exact)[:, near] < PLACE_ERROR).all())
-    places = places / np.prod(half**exponents, axis=-1)
+    precise = np.asarray(~near | (np.abs(product(terms, places.T) - exact) < PLACE_ERROR).all(axis=0))
+    places = places / np.prod(half[:, None, :] ** exponents, axis=-1)
     table = np.column_stack([places[:, :6], taper.valid[pulses], places[:, 6:]])
     return np.ascontiguousarray(table), precise
 
 
+# Of dx, dy and dz in the terms of a polynomial of the place in the beam.
+EXPONENTS = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (2, 0, 0), (1, 1, 0), (0, 2, 0), (0, 0, 1), (1, 0, 1), (0, 1, 1),
+                      (0, 0, 2)])  # fmt: skip
 UPSAMPLING = {"cpu": 6, "gpu": 10}  # bins of profiles per range cell: the spline errs by -69 and -82 dB
 SERIES_ERROR = 1e-9  # m
 SQUARE = 4  # pixels, of whose ranges those of a group are as close together as can be
-MOST_FILLED = 1.2  # times the pixels of a tile, to fill squares
 MOST_CYCLES = 256.0  # from the middle of a group, of which float32 has enough of the phase: 1e-4 rad
 SMALL = 4096  # pixels of a tile that is not divided
 NEAREST = 1.0  # m: nearer antennas are left to the square root
@@ -129,14 +177,14 @@ class Sights:
     Attributes
     ----------
     start : int
-        The first pulse of the block.
+        The first pulse, or row, of the block.
     values : (n, n_bin) complex64
         Spline coefficients of the range profiles.
     middle : int
         Bin of the reference range.
     bins_per_metre, cycles_per_metre : float
         How fast bins and phases go by with range.
-    antenna : (3, n) float
+    antenna : (n, 3) float
         x, y and z, m.
     reference_range : (n,) float
         m
@@ -155,6 +203,13 @@ class Sights:
     reference_range: FloatArray
     half_window: float
     taper: BeamTaper | None = None
+
+    def of(self, pulses: slice, values: ComplexArray) -> Sights:
+        """The view from some of the pulses of the collection, with their profiles (n, n_bin)."""
+        return replace(
+            self, start=self.start + pulses.start, values=values, antenna=self.antenna[pulses],
+            reference_range=self.reference_range[pulses], taper=self.taper and self.taper.of(pulses),
+        )  # fmt: skip
 
 
 class LitPixels(NamedTuple):
@@ -193,8 +248,9 @@ def project(
     sights: Sights,
     pixels: LitPixels,
     weight: Float32Array,
+    tiles: Tiles,
 ) -> None:
-    """Add a block of pulses to the pixels of an image tile that they light, in place.
+    """Add the pulses of a block to the pixels of tiles of the image that they light, in place.
 
     A tile that is too large for the series is divided, down to SMALL pixels; for places in the beam, to one.
 
@@ -207,110 +263,64 @@ def project(
         (n_row, n_column)
     weight : (n_row, n_column) float32
         Rises by the sum of weights under a taper; unchanged without one.
+    tiles : Tiles
     """
-    x, y, z, first, last = pixels
-    size, n_bin, stop = x.size, sights.values.shape[1], sights.start + sights.reference_range.size
-    begin, end = max(int(first.min()), sights.start), min(int(last.max()), stop)
-    if begin >= end:
+    if not tiles.rows.size:
         return
-    side = _group_side(x.shape)
-    place = _in_groups(np.stack([x, y, z]), side)
-    lit = _in_groups(np.stack([first, last], dtype=np.int32), side)
-    spans = np.clip(np.stack([lit[0].min(axis=1), lit[1].max(axis=1)], axis=1, dtype=np.int64), begin, end)
-    pulses = slice(begin - sights.start, end - sights.start)
-    low, high = place.min(axis=(1, 2)), place.max(axis=(1, 2))
-    centre = (low + high) / 2
-    series, roots = pulse_tables(sights, pulses, centre, reach=float(np.linalg.norm(high - low)) / 2)
-    places, precise = place_tables(sights.taper, pulses, low, high)
-    if (size > SMALL and not series[0, :-FEW].all()) or (size > 1 and not precise):
-        for part in halves(x.shape):
-            project(image[part], outside[part], sights, pixels.of(part), weight[part])
+    count, n_bin = tiles.rows[:, 1] - tiles.rows[:, 0], sights.values.shape[1]
+    # The tables of a tile go on by FEW pulses, of which nothing is used.
+    at = np.cumsum(count + FEW) - count - FEW
+    tile = np.repeat(np.arange(count.size), count + FEW)
+    pulses = np.arange(tile.size) - at[tile] + (tiles.rows[:, 0] - sights.start)[tile]
+    pulses = np.minimum(pulses, (tiles.rows[:, 1] - 1 - sights.start)[tile])
+    series, roots = pulse_tables(sights, pulses, tile, tiles.low, tiles.high)
+    places, precise = place_tables(sights.taper, pulses, tile, tiles.low, tiles.high)
+    held, precise = (np.logical_and.reduceat(each, at) for each in (series[0] > 0, precise))
+    divided = (~held & (tiles.pixels > SMALL)) | (~precise & (tiles.pixels > 1))
+    if divided.any():
+        parts = [part for tile in tiles.some(divided).slices() for part in halves(tile)]
+        block = sights.start, sights.start + sights.reference_range.size
+        for some in (tiles.some(~divided), Tiles.of(pixels, parts, block)):
+            project(image, outside, sights, pixels, weight, some)
         return
-    middles, close = _middles(place, sights)
-    close &= bool(series[0, :-FEW].all())
-    sums, farthest = np.zeros((3, place[0].size), np.float32), np.zeros(place[0].size)
     terms = np.zeros(0, np.float32) if sights.taper is None else sights.taper.terms.astype(np.float32)
     frequency = 0.0 if sights.taper is None else sights.taper.frequency
-    # A sample is loaded as one number of 64 bits, so that vectors of samples are transposed whole.
-    samples, origins = (
-        sights.values.reshape(-1).view(np.float64),
-        np.arange(pulses.start, pulses.stop) * n_bin + sights.middle,
-    )
     add_pulses(
-        *sums, farthest, samples, origins, *(axis.ravel() for axis in place), high[2] > low[2], *centre,
-        *(axis.ravel() for axis in lit), spans, close, middles, begin, series, roots, sights.cycles_per_metre,
-        sights.bins_per_metre, sights.half_window, places, terms, frequency / 2,
+        # A sample is loaded as one number of 64 bits, so that vectors of samples are transposed whole.
+        image, outside, weight, sights.values.reshape(-1).view(np.float64), SQUARE, *pixels, tiles.windows, tiles.rows,
+        at, tiles.low, tiles.high, pulses * n_bin + sights.middle, series, roots, sights.cycles_per_metre,
+        sights.bins_per_metre, sights.half_window, MOST_CYCLES, places, terms, frequency / 2,
     )  # fmt: skip
-    if sights.taper is not None:
-        weight += _from_groups(sums[2], side, image.shape)
-    image.real += _from_groups(sums[0], side, image.shape)
-    image.imag += _from_groups(sums[1], side, image.shape)
-    if not series[0, :-FEW].all():
-        outside |= _from_groups(farthest, side, image.shape) > sights.half_window
 
 
-def _group_side(shape: tuple[int, ...]) -> tuple[int, int]:
-    """Rows and columns of a group's pixels: a square, or a row where squares would add many."""
-    filled = math.prod(-(-n // SQUARE) * SQUARE for n in shape)
-    return (SQUARE, SQUARE) if filled <= MOST_FILLED * math.prod(shape) else (1, FEW)
+def halves(tile: tuple[slice, slice]) -> list[tuple[slice, slice]]:
+    """A tile's halves along its longer side."""
+    rows, columns = tile
+    if rows.stop - rows.start > columns.stop - columns.start:
+        middle = (rows.start + rows.stop) // 2
+        return [(slice(rows.start, middle), columns), (slice(middle, rows.stop), columns)]
+    middle = (columns.start + columns.stop) // 2
+    return [(rows, slice(columns.start, middle)), (rows, slice(middle, columns.stop))]
 
 
-def _in_groups(values: NDArray[Any], side: tuple[int, int]) -> NDArray[Any]:
-    """Arrange pixels (k, n_row, n_column) in groups (k, n, FEW), padded by repeating the last ones."""
-    k = values.shape[0]
-    values = values.reshape(k, 1, -1) if side[0] == 1 else values
-    fill = [(0, 0), *((0, -n % each) for n, each in zip(values.shape[1:], side, strict=True))]
-    filled = np.pad(values, fill, mode="edge") if any(after for _, after in fill) else values
-    return filled.reshape(k, filled.shape[1] // side[0], side[0], -1, side[1]).swapaxes(2, 3).reshape(k, -1, FEW)
+def pulse_tables(
+    sights: Sights, pulses: IntArray, tile: IntArray, low: FloatArray, high: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """For each of the pulses (n,), what the series needs, first whether it may be used; and what the square root needs.
 
-
-def _from_groups(values: NDArray[Any], side: tuple[int, int], shape: tuple[int, ...]) -> NDArray[Any]:
-    """Arrange the lanes of groups as pixels (n_row, n_column)."""
-    if side[0] == 1:
-        return values[: math.prod(shape)].reshape(shape)
-    rows, columns = (-(-n // k) for n, k in zip(shape, side, strict=True))
-    pixels = values.reshape(rows, columns, *side).swapaxes(1, 2).reshape(rows * side[0], columns * side[1])
-    return pixels[: shape[0], : shape[1]]
-
-
-def _middles(place: FloatArray, sights: Sights) -> tuple[FloatArray, BoolArray]:
-    """Middles (3, n) float of groups with pixels at `place` (3, n, FEW), m.
-
-    And whether their ranges differ by so little that those from the middle may be found in float32, and the samples
-    by `load_near`.
+    Each is seen from the centre of one of the tiles from `low` to `high` (n_tile, 3), m. The last of each table is for
+    pixels that lie over or under the centre. Of the first, (8, n), each row is of one kind; the second is (n, 5).
     """
-    middles = (place.min(axis=2) + place.max(axis=2)) / 2
-    apart = np.sqrt(np.square(place - middles[..., None]).max(axis=2).sum(axis=0))
-    return middles, (apart * sights.bins_per_metre < NEAR[1] - 1) & (apart * sights.cycles_per_metre < MOST_CYCLES)
-
-
-def halves(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
-    """Divide a tile in half along its longer side."""
-    rows, columns = shape
-    if rows > columns:
-        return [(slice(0, rows // 2), slice(None)), (slice(rows // 2, None), slice(None))]
-    return [(slice(None), slice(0, columns // 2)), (slice(None), slice(columns // 2, None))]
-
-
-def pulse_tables(sights: Sights, pulses: slice, centre: FloatArray, *, reach: float) -> tuple[FloatArray, FloatArray]:
-    """Tables by pulse for the range series, first whether it may be used, and for the square root.
-
-    The last of each is for pixels that lie over or under the centre (3,), m. Of the first table, (8, n + FEW), each row
-    is of one kind, and goes on with zeros; the second is (n, 5).
-    """
-    x, y, up = centre[:, None] - sights.antenna[:, pulses]
+    centre, reach = (low + high) / 2, np.sqrt(np.square(high - low).sum(axis=1))[tile] / 2
+    x, y, up = centre.T[:, tile] - sights.antenna[pulses].T
     over, reference = up**2, sights.reference_range[pulses]
     distance = np.maximum(np.sqrt(x**2 + y**2 + over), NEAREST)
     away, per_metre = distance - reference, sights.cycles_per_metre
     cycles, scale = per_metre * away, per_metre / distance
     precise = (series_error(reach, distance) < SERIES_ERROR) & (distance > NEAREST)
     inside = (np.abs(away) + 2 * reach < sights.half_window) & (2 * reach * per_metre < FIXED_RANGE / 2)
-    series = np.zeros((8, distance.size + FEW))
-    of_pulses = series[:, : distance.size]
-    of_pulses[0] = precise & inside
-    of_pulses[1], of_pulses[2], of_pulses[3] = scale * x, scale * y, scale / 2
-    of_pulses[4] = 0.5 / (distance * per_metre)
-    of_pulses[5] = cycles - np.rint(cycles) + FIXED_POINT
-    of_pulses[6] = away * sights.bins_per_metre + (FIXED_POINT + 0.5)
-    of_pulses[7] = scale * up
+    series = np.stack([
+        precise & inside, scale * x, scale * y, scale / 2, 0.5 / (distance * per_metre),
+        cycles - np.rint(cycles) + FIXED_POINT, away * sights.bins_per_metre + (FIXED_POINT + 0.5), scale * up,
+    ])  # fmt: skip
     return series, np.stack([x, y, over, reference, up], axis=1)

@@ -8,10 +8,11 @@ import numpy as np
 from numba import njit, types
 from numpy.typing import NDArray
 
-from blocksar.arrays import BoolArray, FloatArray, IntArray
+from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.kernels.lanes import (
     FEW,
     FIXED_POINT,
+    NEAR,
     cosine,
     cosine_and_sine,
     from_half,
@@ -30,10 +31,11 @@ from blocksar.kernels.lanes import (
     whole,
     within,
 )
-from blocksar.kernels.loops import COMPILED, PART, REAL_ROW, REAL_ROWS, loop
+from blocksar.kernels.loops import COMPILED, PART, REAL_ROWS, loop
 
 CHUNK = 32  # pulses whose profiles, as far as neighbouring pixels read them, stay in the first-level cache
-PULSES = types.int32[::1]
+MOST_FILLED = 1.2  # times the pixels of a tile, to fill squares
+WINDOWS = types.Array(types.int64, 2, "C", readonly=True)
 ORIGINS = types.Array(types.int64, 1, "C", readonly=True)
 WEIGHTS = types.Array(types.float32, 1, "C", readonly=True)
 
@@ -140,45 +142,16 @@ def _added(re: Any, im: Any, a: Any, b: Any, turn: Any) -> Any:
     return re + a * cos - b * sin, im + a * sin + b * cos
 
 
-@loop(
-    types.float32[::1], types.float32[::1], types.float32[::1], types.float64[::1], REAL_ROW, ORIGINS,
-    *[REAL_ROW] * 3, types.boolean, *[types.float64] * 3, PULSES, PULSES, types.int64[:, ::1], types.boolean[::1],
-    REAL_ROWS, types.int64, REAL_ROWS, REAL_ROWS, types.float64, types.float64, types.float64, REAL_ROWS, WEIGHTS,
-    types.float64, **COMPILED,
-)  # fmt: skip
-def add_pulses(
-    real: NDArray[np.float32],
-    imag: NDArray[np.float32],
-    weight: NDArray[np.float32],
-    farthest: FloatArray,
-    samples: FloatArray,
-    origins: IntArray,
-    x: FloatArray,
-    y: FloatArray,
-    z: FloatArray,
-    hilly: bool,
-    centre_x: float,
-    centre_y: float,
-    centre_z: float,
-    first: NDArray[np.int32],
-    last: NDArray[np.int32],
-    spans: IntArray,
-    close: BoolArray,
-    middles: FloatArray,
-    start: int,
-    series: FloatArray,
-    roots: FloatArray,
-    cycles_per_metre: float,
-    bins_per_metre: float,
-    half_window: float,
-    places: FloatArray,
-    terms: NDArray[np.float32],
-    half_frequency: float,
-) -> None:  # longer than most: arrays that inlined functions take have their references counted for every pulse
-    """Sum the lit pulses in ascending order at pixels (n,).
+@njit(**PART, **COMPILED)
+def _add_to_groups(
+    real: Any, imag: Any, weight: Any, farthest: Any, samples: Any, origins: Any, x: Any, y: Any, z: Any, hilly: Any,
+    centre_x: Any, centre_y: Any, centre_z: Any, first: Any, last: Any, spans: Any, close: Any, middles: Any,
+    start: Any, series: Any, roots: Any, cycles_per_metre: Any, bins_per_metre: Any, half_window: Any, places: Any,
+    terms: Any, half_frequency: Any,
+) -> None:  # fmt: skip  # longer than most: see its arguments
+    """Sum the lit pulses, in ascending order, at the pixels of a tile, in groups of FEW one after the other.
 
-    Pixels n are those of n_group groups of FEW, one after the other. Tables are of n_pulse pulses from `start` on, made
-    by `projection.pulse_tables` and `projection.place_tables`.
+    It takes many arguments, since arrays that inlined functions take have their references counted for every pulse.
 
     Parameters
     ----------
@@ -188,10 +161,6 @@ def add_pulses(
         Rises by the sum of the pulses' weights; unchanged where `terms` is empty.
     farthest : (n,) float
         Rises to |range - reference_range|, m, where a lit pulse needed the square root.
-    samples : (n_sample,) float64
-        Spline coefficients of the profiles, each a complex64 as 64 bits.
-    origins : (n_pulse,) int64
-        The sample of each pulse at its reference range.
     x, y, z : (n,) float
         m
     hilly : bool
@@ -208,25 +177,15 @@ def add_pulses(
     middles : (3, n_group) float
         m
     start : int
-        Pulse at which tables begin.
-    series, roots : (8, n_pulse + FEW), (n_pulse, 5) float
-        For ranges by the series about the tile's centre, and by the square root.
-    cycles_per_metre, bins_per_metre : float
-        How fast phases and bins go by with range.
-    half_window : float
-        Largest unambiguous |range - reference_range|, m.
-    places : (n_pulse, 7) or (n_pulse, 11) float
-        Polynomials of the pixel's place v in the beam, with the fraction of valid samples in column 6.
-    terms : (n_term,) float32
-        Of the weight as a function of v; empty without weights.
-    half_frequency : float
-        Cosines of the weight have k half_frequency v turns.
+        Pulse p has the column p - start of the tables.
+
+    The others are those of `add_pulses`.
     """
     turns, rights = np.empty(CHUNK * FEW, np.float32), np.empty(CHUNK * FEW, np.float32)
     bins, shares = np.empty(CHUNK * FEW, np.int32), np.empty(CHUNK * FEW, np.float32)
     seen, per_cycle = np.empty((7, CHUNK + FEW), np.float32), bins_per_metre / cycles_per_metre
     weighted = terms.size > 0
-    for begin in range(start, start + series.shape[1] - FEW, CHUNK):
+    for begin in range(spans[:, 0].min(), spans[:, 1].max(), CHUNK):
         for group in range(spans.shape[0]):
             i = group * FEW
             dx, dy = load_few(x, i) - centre_x, load_few(y, i) - centre_y
@@ -290,3 +249,146 @@ def add_pulses(
                     re, im = _added(re, im, a, b, load_few(turns, j))
             store(real, i, re)
             store(imag, i, im)
+
+
+@njit(**PART, **COMPILED)
+def _pixel(
+    group: int, lane: int, squares: bool, square: int, wide: int, height: int, width: int
+) -> tuple[int, int, bool]:
+    """Row and column of a lane of a group: of a square of pixels, or of FEW in their order; the last are repeated."""
+    if squares:
+        r, c = group // wide * square + lane // square, group % wide * square + lane % square
+        return min(r, height - 1), min(c, width - 1), r < height and c < width
+    i = group * FEW + lane
+    at = min(i, height * width - 1)
+    return at // width, at % width, i == at
+
+
+@loop(
+    types.complex64[:, :], types.boolean[:, :], types.float32[:, :], types.float64[::1], types.int64,
+    *[types.Array(types.float64, 2, "A", readonly=True)] * 3, *[types.Array(types.int64, 2, "A", readonly=True)] * 2,
+    WINDOWS, WINDOWS, ORIGINS, REAL_ROWS, REAL_ROWS, ORIGINS, REAL_ROWS, REAL_ROWS, types.float64, types.float64,
+    types.float64, types.float64, REAL_ROWS, WEIGHTS, types.float64, **COMPILED,
+)  # fmt: skip
+def add_pulses(
+    image: ComplexArray,
+    outside: BoolArray,
+    weight: NDArray[np.float32],
+    samples: FloatArray,
+    square: int,
+    x: FloatArray,
+    y: FloatArray,
+    z: FloatArray,
+    first: IntArray,
+    last: IntArray,
+    windows: IntArray,
+    rows: IntArray,
+    at: IntArray,
+    low: FloatArray,
+    high: FloatArray,
+    origins: IntArray,
+    series: FloatArray,
+    roots: FloatArray,
+    cycles_per_metre: float,
+    bins_per_metre: float,
+    half_window: float,
+    most_cycles: float,
+    places: FloatArray,
+    terms: NDArray[np.float32],
+    half_frequency: float,
+) -> None:
+    """Sum the lit pulses, in ascending order, at the pixels of some tiles of the image.
+
+    Tables have a column, or a row, for each pulse of each tile; that of a tile begins at `at`. They are made by
+    `projection.pulse_tables` and `projection.place_tables`.
+
+    Parameters
+    ----------
+    image : (n_row, n_column) complex64
+        Added to in place.
+    outside : (n_row, n_column) bool
+        Set where a lit pulse needed the square root and |range - reference_range| exceeds half_window.
+    weight : (n_row, n_column) float32
+        Rises by the sum of the pulses' weights; unchanged where `terms` is empty.
+    samples : (n_sample,) float64
+        Spline coefficients of the profiles, each a complex64 as 64 bits.
+    square : int
+        Pixels along either side of a group, where squares hold a tile well.
+    x, y, z : (n_row, n_column) float
+        m
+    first, last : (n_row, n_column) int
+        Pulses first <= p < last light a pixel.
+    windows : (n, 4) int
+        Tiles: rows from the first to before the second, columns from the third to before the fourth.
+    rows : (n, 2) int
+        The pulses that tables have of a tile: all that light any of it.
+    at : (n,) int
+    low, high : (n, 3) float
+        The box around a tile, m.
+    origins : (n_table,) int
+        The sample of each pulse at its reference range.
+    series, roots : (8, n_table), (n_table, 5) float
+        For ranges by the series about the tile's centre, and by the square root; FEW more follow those of each tile.
+    cycles_per_metre, bins_per_metre : float
+        How fast phases and bins go by with range.
+    half_window : float
+        Largest unambiguous |range - reference_range|, m.
+    most_cycles : float
+        From the middle of a group, of which float32 has enough of the phase.
+    places : (n_table, 7) or (n_table, 11) float
+        Polynomials of the pixel's place v in the beam, with the fraction of valid samples in column 6.
+    terms : (n_term,) float32
+        Of the weight as a function of v; empty without weights.
+    half_frequency : float
+        Cosines of the weight have k half_frequency v turns.
+    """
+    for t in range(windows.shape[0]):
+        top, left = windows[t, 0], windows[t, 2]
+        height, width = windows[t, 1] - top, windows[t, 3] - left
+        begin, end, close_by = rows[t, 0], rows[t, 1], True
+        for k in range(at[t], at[t] + end - begin):
+            close_by = close_by and series[0, k] > 0
+        wide, deep = (width + square - 1) // square, (height + square - 1) // square
+        squares = wide * deep * square * square <= MOST_FILLED * height * width
+        count = wide * deep if squares else (height * width + FEW - 1) // FEW
+        n = count * FEW
+        place, lit = np.empty((3, n)), np.empty((2, n), np.int32)
+        spans, close, middles = np.empty((count, 2), np.int64), np.empty(count, np.bool_), np.empty((3, count))
+        sums, farthest = np.zeros((3, n), np.float32), np.zeros(n)
+        box = np.empty((2, 3))
+        for group in range(count):
+            spans[group, 0], spans[group, 1] = end, begin
+            box[0], box[1] = np.inf, -np.inf
+            for lane in range(FEW):
+                r, c, _ = _pixel(group, lane, squares, square, wide, height, width)
+                r, c, i = r + top, c + left, group * FEW + lane
+                place[0, i], place[1, i], place[2, i] = x[r, c], y[r, c], z[r, c]
+                for k in range(3):
+                    box[0, k], box[1, k] = min(box[0, k], place[k, i]), max(box[1, k], place[k, i])
+                lit[0, i], lit[1, i] = max(first[r, c], begin), min(last[r, c], end)
+                if lit[0, i] < lit[1, i]:
+                    spans[group, 0] = min(spans[group, 0], lit[0, i])
+                    spans[group, 1] = max(spans[group, 1], lit[1, i])
+            apart = 0.0
+            for k in range(3):
+                middles[k, group] = (box[0, k] + box[1, k]) / 2
+                apart += ((box[1, k] - box[0, k]) / 2) ** 2
+            near = apart * bins_per_metre**2 < (NEAR[1] - 1) ** 2 and apart * cycles_per_metre**2 < most_cycles**2
+            close[group] = near and close_by
+        hilly = high[t, 2] > low[t, 2]
+        centre_x, centre_y = (low[t, 0] + high[t, 0]) / 2, (low[t, 1] + high[t, 1]) / 2
+        _add_to_groups(
+            sums[0], sums[1], sums[2], farthest, samples, origins, place[0], place[1], place[2], hilly, centre_x,
+            centre_y, (low[t, 2] + high[t, 2]) / 2, lit[0], lit[1], spans, close, middles, begin - at[t], series, roots,
+            cycles_per_metre, bins_per_metre, half_window, places, terms, half_frequency,
+        )  # fmt: skip
+        for group in range(count):
+            for lane in range(FEW):
+                r, c, there = _pixel(group, lane, squares, square, wide, height, width)
+                if there:
+                    r, c, i = r + top, c + left, group * FEW + lane
+                    image[r, c] += complex(sums[0, i], sums[1, i])
+                    if terms.size:
+                        weight[r, c] += sums[2, i]
+                    if farthest[i] > half_window:
+                        outside[r, c] = True

@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from itertools import pairwise, product
+from itertools import product
 
 import numpy as np
 
@@ -27,17 +27,17 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Weighting
 from blocksar.focusing.hierarchical_backprojection import MOST_WINDOWS, dwell_waves, leave_outside
-from blocksar.focusing.hierarchy import Filters, Frame, Hierarchy, Levels, Part, Path
+from blocksar.focusing.hierarchy import Filters, Frames, Hierarchy, Levels, Part, Path
 from blocksar.focusing.profiles import spline_error
-from blocksar.kernels.fourier import fast_length
+from blocksar.kernels.groups import GPU_PART_BYTES, PART_BYTES
 from blocksar.planning import effort
 from blocksar.planning.memory import hierarchical_gpu_memory, hierarchical_memory
 from blocksar.planning.tiling import image_chunk, units_of
 
 ERROR = 1e-5  # error power that no image exceeds: less costs hardly any time, and dark places show it
-SHARE = 0.4  # of the allowed error: some places of an image err by 1 dB more than its mean
-EDGE = 0.38  # e of the filters: higher ones have long tails, lower ones leave more samples
-RATIOS = (2.0, 3.0, 4.0, 6.0)  # of the sides of a level and the next
+SHARE = 0.4  # of what is allowed: some places of an image err by 1 dB more than its mean
+EDGE = 0.34  # e of the filters: higher ones have long tails, lower ones leave more samples
+RATIOS = (4.0, 6.0)  # of the sides of a level and the next; a further level costs more than it saves
 UPSAMPLINGS = range(2, 25)
 NODES = 3  # along a part's side, at which its lit pulses are found
 DIVISIONS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # of the image along either side, into units of work
@@ -60,13 +60,13 @@ class Rates:
     tap : float
         Per sample and tap, along either axis.
     part : float
-        Per part, besides.
+        Per part, besides, once for each level.
     profile : float
         Per bin of a range profile.
     update : float
         Per pixel and pulse.
     pixel : float
-        Per pixel: which pulses light it, weights, normalisation and writing, all of which a CPU does.
+        Per pixel: which pulses light it, its place in a group, weights, normalisation and writing.
     last_sides : tuple of int
         Of last parts that are tried, pixels.
     read : float
@@ -85,13 +85,13 @@ class Rates:
 
 RATES = {
     "cpu": Rates(
-        turn=0.55e-9,
-        tap=0.055e-9,
-        part=1.1e-3,
-        profile=2.4e-9,
-        update=2.5e-9,
-        pixel=64e-9,
-        last_sides=(32, 48, 64, 96, 128, 192),
+        turn=0.65e-9,
+        tap=0.07e-9,
+        part=25e-6,
+        profile=2.9e-9,
+        update=1.5e-9,
+        pixel=120e-9,
+        last_sides=(24, 32, 48, 64, 96, 128, 192),
     ),
     "gpu": Rates(
         turn=2e-11,
@@ -133,10 +133,10 @@ class Cost:
     seconds : float
         Of one thread, where the pace is 1.
     samples : int
-        That are kept at once: those of all levels from the first to one, and either of the rows that lead to this one,
-        which are filtered along frequency only, or of the last level's range profiles, while these are formed.
+        That are kept at once: see `Ladders.cost`; with a group of the rows that lead to a level, which are filtered
+        along frequency only, or of the last level's range profiles.
     on_gpu : int
-        The same on a GPU, which turns all rows before it filters them.
+        The same on a GPU, which turns all rows of a group before it filters them.
     """
 
     seconds: float
@@ -181,65 +181,68 @@ class Ladders:
         # Frequencies of the taper over the beam, whose sums the image is divided by.
         self.gains = effort.GAINS if geometry.collection.has_pattern or hierarchy.waves else 0.0
 
-    def cost(self, place: Pair, sides: Sequence[Pair]) -> Cost | None:
-        """Cost of a unit whose parts are divided by the given sides in turn; None where nothing is lit."""
-        part = self.part(place, sides[0])
-        entered = self.hierarchy.enter(part)
+    def cost(self, place: Pair, singles: Sequence[Pair], levels: Sequence[Pair]) -> Cost | None:
+        """Cost of a unit at a place; None where nothing lights it.
+
+        Of `singles`, which begin with the unit and end with its windows, the samples of one are kept at a time, and of
+        `levels`, into whose parts these are divided, those of all parts of a window: of one and the next.
+        """
+        part = self.part(place, singles[0])
+        entered = self.hierarchy.enter(part.whole)
         if entered is None:
             return None
-        (begin, end), _ = part.lit()
-        n_frequency = self.geometry.collection.n_range_frequency
-        seconds = self.rates.read * (end - begin) * n_frequency
-        filters, frame = entered
-        seconds += self._filtering(filters, frame, end - begin, 0, n_frequency)
-        held_samples = samples = on_gpu = _samples(frame)
-        count = 1.0
-        for above, below in pairwise(sides):
-            part = self.part(place, below)
-            (begin, end), _ = part.lit()
-            # Only a few places are examined, so a part may be lit when its parent is not.
-            held = frame.size or bool(((frame.pulses >= begin) & (frame.pulses < end)).any())
-            descended = self.hierarchy.descend(frame, part) if held else None
-            if descended is None:
+        n_frequency, (filters, frames) = self.geometry.collection.n_range_frequency, entered
+        lit = int(np.diff(frames.some[0])[0])
+        seconds = self.rates.read * lit * n_frequency + self._filtering(filters, frames, lit, 0, n_frequency)
+        single, both, work, on_gpu = math.prod(frames.shape), [0, 0], 0, 0.0
+        parts, area = 1.0, singles[0][0] * singles[0][1]
+        for number, (width, height) in enumerate([*singles[1:], *levels], 1 - len(singles)):
+            part = self.part(place, (width, height))
+            (begin, end), (known, until) = part.lit()[0], frames.some[0].tolist()
+            # Between the few places that are looked at, a part may be lit when its parent is not.
+            if not max(begin, known) < min(end, until):
                 return None
-            count *= above[0] * above[1] / (below[0] * below[1])
-            filters, left = descended
-            edges = len(range(*filters.kept.indices(frame.pulses.size)))
-            seconds += count * (self.rates.part + self._filtering(filters, left, edges, frame.size, frame.columns))
-            held_samples += _samples(left)
-            between = max(frame.size, edges)
-            samples = max(samples, held_samples + between * left.columns)
-            on_gpu = max(on_gpu, held_samples + between * (frame.columns + left.columns))
-            frame = left
-        rows, bins = frame.size + frame.pulses.size, fast_length(self.hierarchy.levels.upsampling * frame.columns)
-        samples = max(samples, held_samples + PROFILES * rows * bins)
-        on_gpu = max(on_gpu, held_samples + (PROFILES + GPU_PROFILES) * rows * bins)
-        seconds += count * (self.rates.profile * rows * bins + self._last(frame, part, sides[-1]))
-        return Cost(seconds=seconds, samples=samples, on_gpu=on_gpu)
+            filters, left = self.hierarchy.descend(frames, part.whole)
+            parts, interior = area / (width * height), int(frames.size[0])
+            held = frames.inside[0] if interior else left.inside[0, :1].repeat(2)
+            edges = int(held[0] - left.some[0, 0] + left.some[0, 1] - held[1])
+            seconds += parts * (self.rates.part + self._filtering(filters, left, edges, interior, frames.columns))
+            if number < 0:
+                single += math.prod(left.shape)
+            else:
+                alike = math.ceil(singles[-1][0] * singles[-1][1] / (width * height))
+                both[number % 2] = max(both[number % 2], alike * math.prod(left.shape))
+            rows = interior + edges
+            work = max(work, rows * left.columns, PART_BYTES // 8)
+            on_gpu = max(on_gpu, max(rows * left.columns, GPU_PART_BYTES // 8) * (1 + frames.columns / left.columns))
+            frames = left
+        rows, bins = frames.shape[0], self.hierarchy.levels.bins(frames.columns)
+        work = max(work, PROFILES * max(rows * bins, PART_BYTES // 8))
+        on_gpu = max(on_gpu, (PROFILES + GPU_PROFILES) * max(rows * bins, GPU_PART_BYTES // 8))
+        seconds += parts * (self.rates.profile * rows * bins + self._last(frames, part, [*singles, *levels][-1]))
+        kept = single + sum(both)
+        return Cost(seconds=seconds, samples=kept + work, on_gpu=kept + math.ceil(on_gpu))
 
-    def _last(self, frame: Frame, part: Part, side: tuple[float, float]) -> float:
-        """Seconds to back-project a last part from the profiles of its remaining samples."""
+    def _last(self, frames: Frames, part: Part, side: tuple[float, float]) -> float:
+        """Seconds to back-project a last part from the range profiles of what is left."""
         pixels = max(side[0] / self.grid.dx, 1) * max(side[1] / self.grid.dy, 1)
         lit = float((part.last - part.first).mean())
-        each = frame.size + lit - (frame.inside[1] - frame.inside[0]) if frame.size else lit
+        each = int(frames.size[0]) + lit - float(np.diff(frames.inside[0])[0])
         pixel = self.rates.pixel + self.rates.update * max(each, 1) + self.gains * lit
         return self.rates.part + pixels * pixel
 
-    def _filtering(self, filters: Filters, left: Frame, edges: int, interior: int, columns: int) -> float:
-        """Seconds to turn and filter rows of `columns` samples, of edges and interior, to a frame."""
+    def _filtering(self, filters: Filters, left: Frames, edges: int, interior: int, columns: int) -> float:
+        """Seconds to turn and filter rows of `columns` samples, so many edges and of the interior, to a frame."""
         across = 2 * filters.across.half if filters.across.factor > 1 else 0
         rows = edges + interior
         seconds = rows * (self.rates.turn * columns + self.rates.tap * left.columns * across)
         taps = 0.0
         if interior:
             taps += interior * (2 * filters.further.half + 1) / filters.further.factor
-        if left.size:
-            taps += max(edges - left.pulses.size, 0) * (2 * filters.single.half + 1) / filters.single.factor
+        if left.size[0]:
+            single = max(edges - int(left.before[0] + left.after[0]), 0)
+            taps += single * (2 * filters.single.half + 1) / filters.single.factor
         return seconds + self.rates.tap * taps * left.columns
-
-
-def _samples(frame: Frame) -> int:
-    return (frame.size + frame.pulses.size) * frame.columns
 
 
 def _halved(unit: tuple[int, int], chunk: tuple[int, int]) -> list[tuple[int, int]]:
@@ -348,9 +351,7 @@ class _Trial:
         ways, stages = (*sides, *below), len(sides) + len(below)
         levels = replace(self.levels(stages=stages), sides=tuple(max(side) for side in below))
         unlit = Cost(seconds=rates.pixel * unit[0] * unit[1], samples=0, on_gpu=0)
-        if not first_lit:
-            self._find_parts(places, ways)
-        each_place = (self._cost(place, ways) for place in places)
+        each_place = (ladders.cost(place, sides, below) for place in places)
         if first_lit:
             costs = [next((cost for cost in each_place if cost is not None), unlit)]
         else:

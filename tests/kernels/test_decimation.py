@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from blocksar.arrays import ComplexArray
-from blocksar.kernels.decimation import WHOLE, Decimation, add_decimated, turn_and_decimate
+from blocksar.kernels.decimation import WHOLE, Decimation, add_decimated, padded, turn_and_decimate
 
 FILTERS = [Decimation(1, 0.0, 70.0), Decimation(2, 0.42, 70.0), Decimation(3, 0.38, 50.0), Decimation(5, 0.2, 90.0)]
 
@@ -28,26 +28,35 @@ def decimated(row: ComplexArray, filters: Decimation, at: int, size: int) -> Com
 @pytest.mark.parametrize("filters", FILTERS, ids=str)
 @pytest.mark.parametrize("n", [7, 64, 403])
 def test_rows_are_turned_and_decimated(filters: Decimation, n: int) -> None:
-    values = samples(5, n)
-    first, step = np.linspace(-1e6, 1e6, 5), np.linspace(-0.3, 0.3, 5)
-    found, start = turn_and_decimate(values, first, step, filters)
-    turned = values * np.exp(2j * np.pi * ((first % 1)[:, None] + np.outer(step, np.arange(n))))
+    values, source = samples(5, n), np.array([4, 0, 1, 1, 2, 3])
+    first, step = np.linspace(-1e6, 1e6, 6), np.linspace(-0.3, 0.3, 6)
+    count, start = filters.span(n)
+    out, others = (np.zeros((rows, padded(count)), np.complex64) for rows in (2, 6))
+    turn_and_decimate(values, source, first, step, filters, np.array([-1, -1, 1, -1, 0, -1]), out, others)
+    found = np.stack([others[0], others[1], out[1], others[3], out[0], others[5]])
+    turned = values[source] * np.exp(2j * np.pi * ((first % 1)[:, None] + np.outer(step, np.arange(n))))
     wanted = [decimated(row, filters, start, found.shape[1]) for row in turned]
     assert found.shape[1] % WHOLE == 0
-    assert start + filters.factor * filters.span(n)[0] > n - 1 + filters.half  # all of the tail
+    assert start + filters.factor * count > n - 1 + filters.half  # all of the tail
     assert np.abs(found - wanted).max() < 3e-6 * np.abs(wanted).max()  # float32
 
 
 @pytest.mark.parametrize("filters", FILTERS, ids=str)
 @pytest.mark.parametrize("columns", [8, 72])
-def test_rows_come_in_pieces(filters: Decimation, columns: int) -> None:
-    values = samples(100, columns)
+def test_rows_come_in_runs(filters: Decimation, columns: int) -> None:
+    """In three, before which and behind which stand others; what becomes of them stands amid other rows."""
+    values, ends = samples(100, columns), np.array([0, 1, 40, 100])
     size, at = filters.span(100)
-    out = np.ones((size, columns), np.complex64)
-    for begin, end in ((0, 1), (1, 40), (40, 100)):
-        add_decimated(values[begin:end], filters, at - begin, out)
+    rows = np.concatenate([samples(3, columns), values[40:], values[:40], samples(2, columns)])
+    out = np.ones((size + 7, columns), np.complex64)
+    runs = [
+        [[63, 64, 3][k], n, 4, at - first, size]
+        for k, (first, n) in enumerate(zip(ends[:-1], np.diff(ends), strict=True))
+    ]
+    add_decimated(rows, np.array(runs), filters, out)
     wanted = np.transpose([decimated(column, filters, at, size) for column in values.T])
-    assert np.abs(out - 1 - wanted).max() < 3e-6 * np.abs(wanted).max()
+    assert np.abs(out[4 : 4 + size] - 1 - wanted).max() < 3e-6 * np.abs(wanted).max()
+    assert (out[:4] == 1).all() and (out[4 + size :] == 1).all()
 
 
 @pytest.mark.parametrize("attenuation", [40.0, 60.0, 80.0])

@@ -18,9 +18,8 @@ from blocksar.collection.weighting import Weighting
 from blocksar.focusing.backprojection import form_points
 from blocksar.focusing.hierarchical_backprojection import form_windows
 from blocksar.focusing.hierarchy import Levels
-from blocksar.kernels.decimation import Decimation
+from blocksar.kernels.decimation import Decimation, padded
 from blocksar.kernels.device import CPU, device, has_gpu
-from blocksar.kernels.groups import Scratch
 
 HERE = os.environ.get("NUMBA_ENABLE_CUDASIM") == "1" or has_gpu()
 on_gpu = pytest.mark.skipif(not HERE, reason="no GPU: these run in numba's simulator, by the first test")
@@ -58,17 +57,19 @@ def apart(found: ComplexArray, exact: ComplexArray) -> float:
 def test_turns_and_filters(factor: int) -> None:
     gpu, values = device("gpu"), noise((5, 41))
     generator = np.random.default_rng(1)
-    first, step = 1e5 * generator.standard_normal(5), 20 * generator.standard_normal(5)
+    first, step = 1e5 * generator.standard_normal(7), 20 * generator.standard_normal(7)
     filters = Decimation(factor, 0.3 if factor > 1 else 0.0, 60.0)
-    exact = CPU.turn_and_decimate(values, first, step, filters, Scratch())
-    found = gpu.turn_and_decimate(gpu.put(values), first, step, filters, Scratch(gpu.empty))
-    size = filters.span(41)[0]  # what stands beyond are zeros on the CPU
-    assert apart(gpu.take(found)[:, :size], exact[:, :size]) < -110
-    sums = noise((9, exact.shape[1]), seed=2)
-    others = gpu.put(sums.copy())
-    CPU.add_decimated(exact, filters, -4, sums)
-    gpu.add_decimated(gpu.put(exact), filters, -4, others)
-    assert apart(gpu.take(others), sums) < -110
+    source, target = np.array([0, 3, 3, 1, 4, 2, 0]), np.array([-1, 2, -1, 0, -1, -1, 1])
+    runs = np.array([[0, 1, 1, 2, 4], [2, 1, 5, 0, 3], [4, 2, 8, -4, 6]])
+    found = []
+    for each in (CPU, gpu):
+        out, others, sums = (each.put(noise((n, padded(filters.span(41)[0])), seed=n)) for n in (3, 7, 14))
+        each.turn_and_decimate(each.put(values), source, first, step, filters, target, out, others)
+        each.add_decimated(others, runs, filters, sums)
+        size = filters.span(41)[0]  # what stands beyond are zeros on the CPU
+        rows = [each.take(out)[:, :size], each.take(others)[target < 0, :size], each.take(sums)[:, :size]]
+        found.append(np.concatenate(rows))
+    assert apart(found[1], found[0]) < -110
 
 
 SCENES: dict[str, dict[str, Any]] = {
