@@ -323,7 +323,7 @@ class _Trial:
         self.levels = cache(partial(levels_for, fidelity, ()))
         # Ladders and units have most of their parts in common, and some of their costs.
         self.parts: dict[tuple[Pair, Pair], Part] = {}
-        self.costs: dict[tuple[Pair, tuple[Pair, ...]], Cost | None] = {}
+        self.costs: dict[tuple[Pair, tuple[Pair, ...], tuple[Pair, ...]], Cost | None] = {}
         nodes = sorted(product(PLACES, PLACES), key=lambda node: math.hypot(node[0] - 0.5, node[1] - 0.5))
         self.places = [(grid.x0 + u * grid.dx * grid.shape[1], grid.y0 + v * grid.dy * grid.shape[0]) for u, v in nodes]
 
@@ -348,10 +348,10 @@ class _Trial:
         sides = [(columns * grid.dx, rows * grid.dy) for rows, columns in _halved((unit[0], unit[1]), self.chunk)]
         ratio, last = ladder
         below = _ladder(sides[-1], (last * grid.dx, last * grid.dy), ratio)
-        ways, stages = (*sides, *below), len(sides) + len(below)
+        stages = len(sides) + len(below)
         levels = replace(self.levels(stages=stages), sides=tuple(max(side) for side in below))
         unlit = Cost(seconds=rates.pixel * unit[0] * unit[1], samples=0, on_gpu=0)
-        each_place = (ladders.cost(place, sides, below) for place in places)
+        each_place = (self._cost(place, tuple(sides), tuple(below)) for place in places)
         if first_lit:
             costs = [next((cost for cost in each_place if cost is not None), unlit)]
         else:
@@ -377,13 +377,14 @@ class _Trial:
         self._find_parts([place], [side])
         return self.parts[place, side]
 
-    def _cost(self, place: Pair, sides: tuple[Pair, ...]) -> Cost | None:
-        """`Ladders.cost` of a ladder at a place, which is found once."""
-        if (place, sides) not in self.costs:
-            hierarchy = Hierarchy(self.geometry, self.levels(stages=len(sides)), waves=self.waves, path=self.path)
+    def _cost(self, place: Pair, singles: tuple[Pair, ...], levels: tuple[Pair, ...]) -> Cost | None:
+        """Return `Ladders.cost` of a ladder at a place, which is found once."""
+        if (place, singles, levels) not in self.costs:
+            accuracy = self.levels(stages=len(singles) + len(levels))
+            hierarchy = Hierarchy(self.geometry, accuracy, waves=self.waves, path=self.path)
             ladders = Ladders(hierarchy, self.geometry, self.grid, RATES[self.device], self._part)
-            self.costs[place, sides] = ladders.cost(place, sides)
-        return self.costs[place, sides]
+            self.costs[place, singles, levels] = ladders.cost(place, singles, levels)
+        return self.costs[place, singles, levels]
 
 
 def _unit_sizes(grid: Grid, counts: list[int]) -> list[tuple[int, int]]:
