@@ -73,16 +73,17 @@ def collection_rows(collection: Collection) -> Rows:
 
 
 def _pulses(collection: Collection) -> str:
-    duration = collection.n_pulse * collection.pulse_interval
-    return f"{collection.n_pulse} in {duration:.4g} s, PRF {collection.prf:.6g} Hz"
+    return f"{collection.n_pulse} in {collection.duration:.4g} s, {collection.rate_text}"
 
 
 def _band(collection: Collection) -> str:
     centred = collection.centred()
     resolution = SPEED_OF_LIGHT / (2 * collection.bandwidth)
+    band = collection.band
+    uneven = "" if band.even else f", {band.lacking} cut out" if band.lacking else " in uneven steps"
     return (
         f"{frequency_text(centred.carrier)}, wavelength {100 * centred.wavelength:.3g} cm; "
-        f"{frequency_text(collection.bandwidth)} in {collection.n_range_frequency} range frequencies: cells of "
+        f"{frequency_text(collection.bandwidth)} in {collection.n_range_frequency} range frequencies{uneven}: cells of "
         f"{resolution:.3g} m, range window {collection.range_window:.5g} m"
     )
 

@@ -69,7 +69,7 @@ def collection(
     Parameters
     ----------
     time : (n_pulse,) float
-        Slow time, s; uniform, ascending. t = 0 defines the polar frame.
+        Slow time, s; ascending. t = 0 defines the polar frame. Where it is not uniform, exact back-projection serves.
     antenna_position : (n_pulse, 3) float
         Phase centre (x, y, z) in the scene frame, m.
     reference_range : (n_pulse,) float, or float
@@ -79,7 +79,7 @@ def collection(
     signal : (n_pulse, n_range_frequency) complex, optional
         Samples over range frequency, 1; NaN where missing. Needed unless there is `echo`.
     range_frequency : (n_range_frequency,) float, optional
-        Hz, relative to the carrier; uniform, ascending. Needed with `signal`.
+        Hz, relative to the carrier; ascending, uniform or, for exact back-projection, not. Needed with `signal`.
     echo : (n_pulse, n_fast_time) complex, optional
         Raw chirped samples, 1, instead of `signal`; NaN where missing, as in gaps of a pulse.
     fast_time : (n_fast_time,) float, optional

@@ -17,10 +17,11 @@ import numpy as np
 
 from blocksar.arrays import FloatArray, check_axis
 from blocksar.collection.raw_echo import RecordedRanges
+from blocksar.collection.sampling import Sampling, Unevenness, places_of, sampling_of, unevenness_of
 from blocksar.collection.spline import smoothed
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.texts import frequency_text
+from blocksar.texts import count, frequency_text
 
 MOST_ANGLE = 3.15  # rad: patterns may be known all round
 MOST_GAIN = 1e12  # of a pattern's peak, and one over the least
@@ -155,9 +156,9 @@ class Collection:
     carrier : float
         fc, Hz.
     time : (n_pulse,) float
-        Slow time, s; uniform, ascending; t = 0 defines the polar frame.
+        Slow time, s; ascending; t = 0 defines the polar frame.
     range_frequency : (n_range_frequency,) float
-        Baseband range frequency, Hz; uniform, ascending.
+        Baseband range frequency, Hz; ascending.
     reference_range : (n_pulse,) float
         Range whose phase was removed, m.
     antenna_position : (n_pulse, 3) float
@@ -188,9 +189,8 @@ class Collection:
     Raises
     ------
     InputError
-        If an array has the wrong shape, is not finite or implausibly large, an axis is not uniform and ascending, a
-        single pulse deviates far from its neighbours, the variables of the beam do not agree, or a pattern does not
-        cover it.
+        If an array has the wrong shape, is not finite or implausibly large, an axis does not ascend, a single pulse
+        deviates far from its neighbours, the variables of the beam do not agree, or a pattern does not cover it.
     """
 
     carrier: float
@@ -222,8 +222,8 @@ class Collection:
                 raise InputError(f"{name} must be an array of real numbers") from None
             array.flags.writeable = False
             object.__setattr__(self, name, array)
-        check_axis(self.time, "time", "s")
-        check_axis(self.range_frequency, "range_frequency", "Hz")
+        check_axis(self.time, "time", "s", uneven=True)
+        check_axis(self.range_frequency, "range_frequency", "Hz", uneven=True)
         n = self.time.size
         self._check_shape("reference_range", (n,))
         self._check_shape("antenna_position", (n, 3))
@@ -272,8 +272,9 @@ class Collection:
         """Refuse a pulse far off both neighbours: steps and noise may be meant, a single pulse elsewhere is not."""
         values = getattr(self, name).reshape(self.n_pulse, -1)
         # Beyond either end, what its two neighbours lead one to expect.
-        before = np.concatenate([2 * values[1:2] - values[2:3], values[:-1]])
-        after = np.concatenate([values[1:], 2 * values[-2:-1] - values[-3:-2]])
+        steps = np.diff(self.time)
+        before = np.concatenate([values[1:2] - (values[2:3] - values[1:2]) * (steps[0] / steps[1]), values[:-1]])
+        after = np.concatenate([values[1:], values[-2:-1] + (values[-2:-1] - values[-3:-2]) * (steps[-1] / steps[-2])])
         median = np.maximum(np.minimum(before, after), np.minimum(np.maximum(before, after), values))
         off = np.abs(values - median).max(axis=1)
         where = int(off.argmax())
@@ -287,10 +288,11 @@ class Collection:
     def _check_jumps(self, way: FloatArray) -> None:
         """Refuse a track with a jump, as two passes joined into one collection have; way between pulses (n - 1,), m.
 
-        Not the rows of a raster, which are as long as each other.
+        Not the rows of a raster, which are as long as each other, nor the way that is flown in a gap of time.
         """
         usual, where = float(np.median(way)), int(way.argmax())
-        jumps = np.flatnonzero(way > max(SPIKE, JUMP * usual))
+        steps = 1.0 if self.pulses.even else np.maximum(np.diff(self.time) / self.pulses.step, 1.0)
+        jumps = np.flatnonzero(way > np.maximum(SPIKE, JUMP * usual * steps))
         if jumps.size == 1 or (jumps.size and np.ptp(np.diff([-1, *jumps, way.size])) > 1):
             raise InputError(
                 f"antenna_position moves {way[where]:.6g} m from pulse {where} to {where + 1}, and {usual:.3g} m "
@@ -458,7 +460,7 @@ class Collection:
         beam = "not steered" if not self.steered else "about its axis" if self.has_axis else "steered in yaw"
         return (
             f"{self.n_pulse} pulses x {self.n_range_frequency} range frequencies, {frequency_text(self.carrier)}, "
-            f"{frequency_text(self.bandwidth)}, PRF {self.prf:.6g} Hz, beam {beam}"
+            f"{frequency_text(self.bandwidth)}, {self.rate_text}, beam {beam}"
         )
 
     @property
@@ -502,21 +504,72 @@ class Collection:
         return Collection(**{**self.as_dict(), "elevation": None, "elevation_pattern": None})
 
     @cached_property
+    def pulses(self) -> Sampling:
+        """Sampling of slow time."""
+        return sampling_of(self.time)
+
+    @cached_property
+    def band(self) -> Sampling:
+        """Sampling of the band."""
+        return sampling_of(self.range_frequency)
+
+    @property
+    def even(self) -> bool:
+        """Whether pulses and range frequencies are uniform."""
+        return self.pulses.even and self.band.even
+
+    @property
+    def uneven(self) -> list[Unevenness]:
+        """Departures of slow time and range frequencies from uniform axes."""
+        axes = ("time", self.time, self.pulses), ("range_frequency", self.range_frequency, self.band)
+        return [unevenness_of(*axis) for axis in axes if not axis[-1].even]
+
+    def pulse_place(self, time: FloatArray) -> FloatArray:
+        """Number of the pulse, with fractions, at slow times (...), s."""
+        return (time - self.time[0]) * self.prf if self.pulses.even else places_of(time, self.time)
+
+    @property
     def pulse_interval(self) -> float:
-        return float((self.time[-1] - self.time[0]) / (self.n_pulse - 1))
+        """Time between pulses, s; where it is not the same, see `Sampling.step`."""
+        return self.pulses.step
 
     @property
     def prf(self) -> float:
         return 1.0 / self.pulse_interval
 
-    @cached_property
+    @property
+    def duration(self) -> float:
+        """Time that the pulses stand for, s: half a step more than from the first to the last, at either end."""
+        even = self.n_pulse / self.prf
+        return even if self.pulses.even else float(self.time[-1] - self.time[0]) + self.pulse_interval
+
+    @property
+    def rate_text(self) -> str:
+        """The PRF in words."""
+        text = f"PRF {self.prf:.6g} Hz"
+        if self.pulses.lacking:
+            return f"{text}, {count(self.pulses.lacking, 'pulse')} cut out"
+        if self.pulses.even:
+            return text
+        low, high = np.quantile(np.diff(self.time), (0, 1))
+        return f"{text} on average, pulses {1e3 * low:.4g} .. {1e3 * high:.4g} ms apart"
+
+    @property
     def range_frequency_step(self) -> float:
-        return float((self.range_frequency[-1] - self.range_frequency[0]) / (self.n_range_frequency - 1))
+        """Step between range frequencies, Hz; where it is not the same, see `Sampling.step`."""
+        return self.band.step
+
+    @property
+    def n_band(self) -> int:
+        """Steps that cover the band: of uniform range frequencies their number."""
+        return self.n_range_frequency if self.band.even else math.ceil(self.bandwidth / self.band.step - 1e-6)
 
     @property
     def bandwidth(self) -> float:
-        """n_range_frequency steps, Hz: each sample is the midpoint of one step of the band."""
-        return self.range_frequency_step * self.n_range_frequency
+        """Band in which each sample is the midpoint of one step, Hz; half a step beyond the ends if they are uneven."""
+        if self.band.even:
+            return self.range_frequency_step * self.n_range_frequency
+        return float(self.range_frequency[-1] - self.range_frequency[0]) + self.band.step
 
     @property
     def range_window(self) -> float:

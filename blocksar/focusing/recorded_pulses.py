@@ -151,6 +151,6 @@ def _weights(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height, time: 
     weight[[0, -1]] = 0.5
     if taper.uniform and not collection.has_pattern:
         return weight
-    place = np.rint((time - collection.time[0]) * collection.prf)
+    place = np.rint(collection.pulse_place(time))
     pulse = np.clip(np.nan_to_num(place), 0, collection.n_pulse - 1).astype(np.int64)
     return weight * geometry.beam.weights(x, y, pulse, taper, z) * geometry.beam.gain(x, y, pulse, z)

@@ -22,6 +22,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.kernels.fourier import fast_length, fft_rows
+from blocksar.kernels.nonuniform import sum_phasors
 
 SHARES = (0.05, 0.5, 0.95)  # of a grid along either side, at which ghosts are looked for
 TOLD = 0.01  # amplitude below which a ghost is not told
@@ -87,10 +88,18 @@ def _ghost(geometry: Geometry, at: tuple[float, float], source: tuple[float, flo
     gain = [geometry.beam.gain(a, b, pulses, z) for a, b in zip(x[:, None], y[:, None], strict=True)]
     turns = 2 * collection.bandwidth / SPEED_OF_LIGHT * away
     echo = np.where(lit.all(axis=0), gain[1] * np.sinc(turns), 0.0)
-    padded = np.zeros((1, fast_length(PADDING * away.size)), np.complex128)
-    padded[0, : away.size] = echo * np.exp(4j * np.pi / collection.wavelength * away)
-    summed = fft_rows(padded, inverse=False)
-    total = float(gain[0][lit[0]].sum())
+    echo = echo * np.exp(4j * np.pi / collection.wavelength * away)
+    shares = collection.pulses.shares
+    if shares is None:
+        padded = np.zeros((1, fast_length(PADDING * away.size)), np.complex128)
+        padded[0, : away.size] = echo
+        summed = fft_rows(padded, inverse=False)
+        total = float(gain[0][lit[0]].sum())
+    else:
+        place = (collection.time - collection.time.mean()) / collection.pulse_interval  # in pulses
+        n = fast_length(int(2 * PADDING * np.abs(place).max()))
+        summed = sum_phasors(echo * shares, place / n, n)
+        total = float((gain[0] * shares)[lit[0]].sum())
     return Ambiguity(source, at, float(np.abs(summed).max()) / total if total > 0 else 0.0)
 
 
@@ -104,8 +113,10 @@ def azimuth_ambiguities(geometries: Sequence[Geometry], grid: Grid) -> list[str]
     if not found:
         return []
     worst, geometry = max(found, key=lambda each: each[0].amplitude)
+    collection = geometry.collection
+    spread = "" if collection.pulses.even else ", spread by the uneven pulses"
     places = [f"x = {x:.6g}, y = {y:.6g} m" for x, y in (worst.source, worst.ghost)]
     return [
-        f"PRF {geometry.collection.prf:.6g} Hz is below the Doppler that is lit together: echoes fold, such as from "
+        f"PRF {collection.prf:.6g} Hz is below the Doppler that is lit together: echoes fold{spread}, such as from "
         f"{places[0]} to {places[1]}, where their ghosts have {20 * math.log10(worst.amplitude):.0f} dB"
     ]

@@ -15,7 +15,7 @@ from blocksar.errors import InputError
 from blocksar.focusing.method import ChainOptions
 from blocksar.planning import effort
 from blocksar.processors import AUTO, PROCESSORS, options_for
-from blocksar.processors.base import Comparison, ImagePlan, Problem
+from blocksar.processors.base import Comparison, ImagePlan, Problem, takes_uneven
 from blocksar.processors.chain_tables import digits
 from blocksar.texts import time_text
 
@@ -39,6 +39,7 @@ class Auto:
     summary = "the fastest that keeps the fidelity"
     options = ChainOptions
     universal = True
+    uneven = True
     compared = False
     on_gpu = True
 
@@ -79,9 +80,13 @@ CHOICE = Auto()
 
 
 def _candidate(name: str, problem: Problem) -> Candidate:
-    machine = problem.machine
+    machine, processor = problem.machine, PROCESSORS.get(name)
+    uneven = [each for collection in problem.collections for each in collection.uneven]
+    if uneven and not takes_uneven(processor):
+        remedy = f" ({uneven[0].remedy}, and it can)" if uneven[0].remedy else ""
+        return Candidate(name, refusal=uneven[0].fact + remedy)
     try:
-        plan = PROCESSORS.get(name).plan(replace(problem, options=options_for(name, {})))
+        plan = processor.plan(replace(problem, options=options_for(name, {})))
     except InputError as error:
         return Candidate(name, refusal=str(error))
     if plan.refusal is not None:

@@ -13,6 +13,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import check_seen
+from blocksar.collection.sampling import refuse_uneven
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.planning import effort
@@ -306,6 +307,8 @@ class Processor(Protocol):
         Whether `auto` considers it.
     on_gpu : bool
         Whether it can run on a GPU.
+    uneven : bool, optional
+        Whether it takes pulses and range frequencies that are not uniform. Default: False.
     """
 
     name: str
@@ -332,6 +335,25 @@ class Processor(Protocol):
         InputError
             If there is no such plan, or a worker has too little memory.
         """
+
+
+def takes_uneven(processor: Processor) -> bool:
+    """Whether a processor takes pulses and range frequencies that are not uniform."""
+    return bool(getattr(processor, "uneven", False))
+
+
+def plan_image(processor: Processor, problem: Problem) -> ImagePlan:
+    """Plan an image by a processor.
+
+    Raises
+    ------
+    InputError
+        If pulses or range frequencies are not uniform, which it does not take, or from `Processor.plan`.
+    """
+    if not takes_uneven(processor):
+        for each in problem.collections:
+            refuse_uneven(processor.name, each.uneven, "take --processor backprojection or auto")
+    return processor.plan(problem)
 
 
 @dataclass(frozen=True)

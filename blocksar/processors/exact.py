@@ -42,6 +42,7 @@ class Backprojection:
     summary = "exact but slow"
     options = ChainOptions
     universal = True
+    uneven = True
     compared = True
     on_gpu = True
 

@@ -296,7 +296,9 @@ def _axis_name(direction: FloatArray) -> str:
 def _timeline(geometry: Geometry, start: datetime) -> dict[str, Any]:
     """The Timeline branch."""
     collection = geometry.collection
-    duration = collection.n_pulse / collection.prf
+    duration = collection.duration
+    if not collection.pulses.even:  # the number of pulses is no polynomial of time
+        return {"CollectStart": start, "CollectDuration": duration}
     pulses = {"TStart": 0.0, "TEnd": duration, "IPPStart": 0, "IPPEnd": collection.n_pulse - 1}
     return {
         "CollectStart": start,
@@ -332,7 +334,7 @@ def _set_radar(sicd: Any, source: FinishedRun) -> None:
         "RcvChanProc": {"NumChanProc": 1, "ChanIndex": [1]},
         "TxRcvPolarizationProc": transmit_receive,
         "TStartProc": 0.0,
-        "TEndProc": collection.n_pulse / collection.prf,
+        "TEndProc": collection.duration,
         "TxFrequencyProc": {"MinProc": low, "MaxProc": high},
         "ImageFormAlgo": "OTHER",
         "STBeamComp": "NO",
