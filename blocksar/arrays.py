@@ -18,7 +18,7 @@ UNIFORM_TOLERANCE = 1e-3  # of one step: a deviation this small has no relevant 
 
 
 def check_axis(axis: FloatArray, name: str, unit: str, *, uneven: bool = False) -> None:
-    """Check that an axis is finite, ascending and, unless it may be `uneven`, uniform to UNIFORM_TOLERANCE.
+    """Check that an axis is finite, ascending and uniform to UNIFORM_TOLERANCE; if it may be `uneven`, without a leap.
 
     Raises
     ------
@@ -38,6 +38,12 @@ def check_axis(axis: FloatArray, name: str, unit: str, *, uneven: bool = False) 
     step = (axis[-1] - axis[0]) / (axis.size - 1)
     if step < FINEST:
         raise InputError(f"{name} has steps of {step:.3g} {unit}, which cannot be meant; correct its values, or unit")
+    widest = int(steps.argmax())
+    if uneven and steps[widest] > (axis[-1] - axis[0]) / 2:
+        raise InputError(
+            f"{name} leaps by {steps[widest]:.6g} {unit} from index {widest} to {widest + 1}, more than half of its "
+            "extent; correct it there, or give each part as a collection of its own"
+        )
     if not uneven and (error := misplacement(axis)).max() > UNIFORM_TOLERANCE:
         raise InputError(
             f"{name} is not uniform: index {int(error.argmax())} lies {error.max():.3g} steps of "

@@ -15,6 +15,7 @@ from blocksar.api.arguments import history_of, is_dataset
 from blocksar.api.pulses import WHOLE, recorded_text
 from blocksar.api.reports import Report
 from blocksar.api.shown import is_measurable
+from blocksar.arrays import FloatArray
 from blocksar.budget import FIDELITY
 from blocksar.collection.beam import NOT_STEERED, lit_yaw, wrapped
 from blocksar.collection.collection import Collection
@@ -88,6 +89,16 @@ def _band(collection: Collection) -> str:
     )
 
 
+def _antenna(geometry: Geometry, name: str) -> str:
+    """One of two antennas: its way, and where it stands at the epoch, seen from the scene's origin."""
+    collection = geometry.collection
+    position: FloatArray = getattr(collection, name)
+    way = float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())
+    speed, at = way / float(collection.time[-1] - collection.time[0]), position[collection.n_pulse // 2]
+    moves = f"{way:.5g} m at {speed:.4g} m/s" if way else "stands still"
+    return f"{moves}, at x = {at[0]:.6g}, y = {at[1]:.6g}, z = {at[2]:.6g} m in the middle"
+
+
 def _track(geometry: Geometry) -> Rows:
     collection = geometry.collection
     position = collection.antenna_position
@@ -98,6 +109,8 @@ def _track(geometry: Geometry) -> Rows:
     low, high = float(height.min()), float(height.max())
     heights = f"{low:.5g} m" if high - low < 0.5 else f"{low:.6g} .. {high:.6g} m"
     middle = float(np.median(collection.reference_range))
+    if collection.bistatic:
+        return [(name.removesuffix("_position"), _antenna(geometry, name)) for name in collection.antennas]
     rows = [
         (
             "track",

@@ -15,9 +15,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from blocksar.arrays import FloatArray, check_axis
+from blocksar.arrays import FloatArray, IntArray, check_axis
 from blocksar.collection.raw_echo import RecordedRanges
-from blocksar.collection.sampling import Sampling, Unevenness, places_of, sampling_of, unevenness_of
+from blocksar.collection.sampling import TWO_ANTENNAS, Departure, Sampling, departure_of, places_of, sampling_of
 from blocksar.collection.spline import smoothed
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
@@ -136,7 +136,8 @@ STEADY_PARTS = 16  # intervals of the spline that tells whether a beam wobbles
 WOBBLES = 1e-4  # of its width, by which a beam departs from that on average
 NOISE_POWERS = 1e-30, 1e30  # that single-precision images can have, besides none
 PATTERNS = {"beam_pattern": "beam_offset", "elevation_pattern": "elevation"}  # and their angles
-OPTIONAL = ("beam_axis", "beam_steering", *PATTERNS, *PATTERNS.values())  # arrays that may be None
+ANTENNAS = ("transmitter_position", "receiver_position")  # of a bistatic collection
+OPTIONAL = ("beam_axis", "beam_steering", *PATTERNS, *PATTERNS.values(), *ANTENNAS)  # arrays that may be None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -147,7 +148,8 @@ class Collection:
 
         signal[pulse, f] = sigma exp(-4j pi (carrier + f) / c (R(t_pulse) - reference_range[pulse]))
 
-    while the target is lit, times the antenna's pattern where one is given. There are three kinds of beam, and
+    while the target is lit, times the antenna's pattern where one is given. Of a bistatic collection R is half the way
+    from the transmitter to the target and on to the receiver. There are three kinds of beam, and
     `collection.beam` has the rule for each: one that is described by its yaw (beam_azimuth), one about the antenna's
     own axis (beam_axis and beam_steering), and none, if the beam is not steered.
 
@@ -162,7 +164,8 @@ class Collection:
     reference_range : (n_pulse,) float
         Range whose phase was removed, m.
     antenna_position : (n_pulse, 3) float
-        Phase centre in the scene frame (x, y, z), m; z up.
+        Phase centre in the scene frame (x, y, z), m; z up. Of a bistatic collection, whatever is given, the middle
+        between transmitter and receiver, about which its polar frame lies; ranges are none from there.
     beam_azimuth : (n_pulse,) float
         Beam-centre yaw, rad; all NaN if the beam is not steered, or has an axis.
     beam_width : float or None
@@ -185,6 +188,8 @@ class Collection:
         Of a look of a steered beam: the width of the whole beam, whose echoes the samples hold, rad; None: beam_width.
     recorded : RecordedRanges or None
         Of a raw echo: from which ranges it recorded pulses, and which of them are imaged; None: from all in the window.
+    transmitter_position, receiver_position : (n_pulse, 3) float or None
+        Phase centres of the two antennas of a bistatic collection, m; its beam is not steered, without a pattern.
 
     Raises
     ------
@@ -212,9 +217,14 @@ class Collection:
     side_of_track: str | None = None
     lit_width: float | None = None
     recorded: RecordedRanges | None = None
+    transmitter_position: FloatArray | None = None
+    receiver_position: FloatArray | None = None
 
     def __post_init__(self) -> None:
         given = [name for name in OPTIONAL if getattr(self, name) is not None]
+        if len(alone := [name for name in ANTENNAS if name in given]) == 1:
+            (other,) = set(ANTENNAS) - set(alone)
+            raise InputError(f"{alone[0]} is given without {other}; a bistatic collection needs both")
         for name in ("time", "range_frequency", "reference_range", "antenna_position", "beam_azimuth", *given):
             try:
                 array = np.array(getattr(self, name), dtype=np.float64)
@@ -225,10 +235,16 @@ class Collection:
         check_axis(self.time, "time", "s", uneven=True)
         check_axis(self.range_frequency, "range_frequency", "Hz", uneven=True)
         n = self.time.size
+        if self.transmitter_position is not None and self.receiver_position is not None:
+            for name in ANTENNAS:
+                self._check_shape(name, (n, 3))
+            middle = (self.transmitter_position + self.receiver_position) / 2
+            middle.flags.writeable = False
+            object.__setattr__(self, "antenna_position", middle)
         self._check_shape("reference_range", (n,))
         self._check_shape("antenna_position", (n, 3))
         self._check_shape("beam_azimuth", (n,))
-        for name in ("reference_range", "antenna_position"):
+        for name in ("reference_range", *self.antennas):
             bad = np.flatnonzero(~np.isfinite(getattr(self, name).reshape(n, -1)).all(axis=1))
             if bad.size:
                 raise InputError(
@@ -237,18 +253,20 @@ class Collection:
                 )
             self._check_size(name, "m", FARTHEST)
             self._check_spikes(name)
-        way = np.linalg.norm(np.diff(self.antenna_position, axis=0), axis=1)
-        self._check_jumps(way)
-        self._check_speed(way)
+        ways = {name: np.linalg.norm(np.diff(getattr(self, name), axis=0), axis=1) for name in self.antennas}
+        for name, way in ways.items():
+            self._check_jumps(name, way)
+        self._check_speed(*max(ways.items(), key=lambda each: float(each[1].sum())))
         self._check_band()
         self._check_cells()
         if not np.isfinite(self.ground_height):
             raise InputError(f"ground_height must be a finite number of m, got {self.ground_height!r}")
-        if np.min(self.antenna_position[:, 2]) <= self.ground_height:
-            raise InputError(
-                f"antenna_position falls to z = {np.min(self.antenna_position[:, 2]):.6g} m, not above "
-                f"ground_height = {self.ground_height:.6g} m; z must point up"
-            )
+        for name in self.antennas:
+            if (lowest := np.min(getattr(self, name)[:, 2])) <= self.ground_height:
+                raise InputError(
+                    f"{name} falls to z = {lowest:.6g} m, not above ground_height = {self.ground_height:.6g} m; z "
+                    "must point up"
+                )
         self._check_grazing()
         self._check_beam()
         self._check_patterns()
@@ -285,7 +303,7 @@ class Collection:
                 "write the pulse's samples as NaN if they are in doubt"
             )
 
-    def _check_jumps(self, way: FloatArray) -> None:
+    def _check_jumps(self, name: str, way: FloatArray) -> None:
         """Refuse a track with a jump, as two passes joined into one collection have; way between pulses (n - 1,), m.
 
         Not the rows of a raster, which are as long as each other, nor the way that is flown in a gap of time.
@@ -295,21 +313,21 @@ class Collection:
         jumps = np.flatnonzero(way > np.maximum(SPIKE, JUMP * usual * steps))
         if jumps.size == 1 or (jumps.size and np.ptp(np.diff([-1, *jumps, way.size])) > 1):
             raise InputError(
-                f"antenna_position moves {way[where]:.6g} m from pulse {where} to {where + 1}, and {usual:.3g} m "
+                f"{name} moves {way[where]:.6g} m from pulse {where} to {where + 1}, and {usual:.3g} m "
                 "between pulses otherwise; correct it there, or give each part as a collection of its own"
             )
 
-    def _check_speed(self, way: FloatArray) -> None:
+    def _check_speed(self, name: str, way: FloatArray) -> None:
         speed = float(way.sum() / (self.time[-1] - self.time[0]))
         if speed > SPEEDS[1]:
             raise InputError(
-                f"antenna_position moves at {speed:.6g} m/s, but platforms move at up to {SPEEDS[1]:g} m/s: correct "
-                "the unit of antenna_position (m) or of time (s)"
+                f"{name} moves at {speed:.6g} m/s, but platforms move at up to {SPEEDS[1]:g} m/s: correct "
+                f"the unit of {name} (m) or of time (s)"
             )
         if speed < SPEEDS[0]:
             raise InputError(
-                f"antenna_position moves at {speed:.6g} m/s, but an aperture needs at least {SPEEDS[0]:g} m/s: correct "
-                "the unit of antenna_position (it looks like km) or of time (it looks like ms, us or pulse numbers)"
+                f"{name} moves at {speed:.6g} m/s, but an aperture needs at least {SPEEDS[0]:g} m/s: correct "
+                f"the unit of {name} (it looks like km) or of time (it looks like ms, us or pulse numbers)"
             )
 
     def _check_band(self) -> None:
@@ -359,6 +377,14 @@ class Collection:
             )
 
     def _check_beam(self) -> None:
+        if self.bistatic:
+            given = [name for name in ("beam_axis", "beam_steering", *PATTERNS) if getattr(self, name) is not None]
+            if self.beam_width is not None or given or not np.isnan(self.beam_azimuth).all():
+                raise InputError(
+                    f"{given[0] if given else 'beam_azimuth'} is given with transmitter_position: of a bistatic "
+                    "collection no beam is known to which both antennas keep; leave the beam and its patterns out"
+                )
+            return
         if self.beam_axis is None and self.beam_steering is None:
             self._check_yaw_beam()
         else:
@@ -460,7 +486,8 @@ class Collection:
         beam = "not steered" if not self.steered else "about its axis" if self.has_axis else "steered in yaw"
         return (
             f"{self.n_pulse} pulses x {self.n_range_frequency} range frequencies, {frequency_text(self.carrier)}, "
-            f"{frequency_text(self.bandwidth)}, {self.rate_text}, beam {beam}"
+            f"{frequency_text(self.bandwidth)}, {self.rate_text}, "
+            f"{'bistatic' if self.bistatic else f'beam {beam}'}"
         )
 
     @property
@@ -475,6 +502,26 @@ class Collection:
     def steered(self) -> bool:
         """Whether the beam is steered, so that a target may be lit for a part of the time only."""
         return self.beam_width is not None
+
+    @property
+    def bistatic(self) -> bool:
+        """Whether transmitter and receiver are two antennas."""
+        return self.transmitter_position is not None
+
+    @property
+    def two_antennas(self) -> list[Departure]:
+        """The departure from one antenna of a bistatic collection; else none."""
+        return [TWO_ANTENNAS] if self.bistatic else []
+
+    @property
+    def antennas(self) -> tuple[str, ...]:
+        """The fields with the phase centres of the antennas: one, or transmitter and receiver."""
+        return ANTENNAS if self.bistatic else ("antenna_position",)
+
+    def distances(self, points: FloatArray, pulses: slice | IntArray = slice(None)) -> FloatArray:
+        """R of points (..., 3), m, at pulses, with which they are broadcast."""
+        ways = [np.linalg.norm(points - getattr(self, name)[pulses], axis=-1) for name in self.antennas]
+        return np.asarray(ways[0] if len(ways) == 1 else (ways[0] + ways[1]) / 2)
 
     @property
     def has_axis(self) -> bool:
@@ -519,10 +566,11 @@ class Collection:
         return self.pulses.even and self.band.even
 
     @property
-    def uneven(self) -> list[Unevenness]:
-        """Departures of slow time and range frequencies from uniform axes."""
+    def departures(self) -> list[Departure]:
+        """Departures from one antenna, and from uniform slow time and range frequencies."""
         axes = ("time", self.time, self.pulses), ("range_frequency", self.range_frequency, self.band)
-        return [unevenness_of(*axis) for axis in axes if not axis[-1].even]
+        uneven = [departure_of(*axis) for axis in axes if not axis[-1].even]
+        return [*self.two_antennas, *uneven]
 
     def pulse_place(self, time: FloatArray) -> FloatArray:
         """Number of the pulse, with fractions, at slow times (...), s."""
@@ -595,7 +643,7 @@ class Collection:
         Not for a beam that is described by its yaw, which refers to the frame of the whole collection.
         """
         assert self.has_axis or not self.steered
-        by_pulse = ("reference_range", "antenna_position", "beam_azimuth", "beam_axis", "beam_steering")
+        by_pulse = ("reference_range", "antenna_position", "beam_azimuth", "beam_axis", "beam_steering", *ANTENNAS)
         cut = {name: value[first:last] for name in by_pulse if (value := getattr(self, name)) is not None}
         time = self.time[first:last] - self.time[first + (last - first) // 2]
         return Collection(**{**self.as_dict(), **cut, "time": time})

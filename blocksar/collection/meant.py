@@ -80,7 +80,7 @@ def _would_hold(collection: Collection, changes: dict[str, Any], x: float, y: fl
 def _holds(collection: Collection, x: float, y: float) -> bool:
     """Whether a pulse lights a point x, y, m, while its range lies in the range window."""
     point = np.array([x, y, collection.ground_height])
-    away = np.linalg.norm(collection.antenna_position - point, axis=1) - collection.reference_range
+    away = collection.distances(point) - collection.reference_range
     lit = Geometry(collection=collection).beam.is_lit(np.asarray(x), np.asarray(y))
     return bool((lit & (np.abs(away) <= collection.range_window / 2)).any())
 

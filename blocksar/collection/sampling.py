@@ -80,32 +80,38 @@ def places_of(values: FloatArray, axis: FloatArray) -> FloatArray:
     return np.asarray(within + before + np.maximum(values - axis[-1], 0.0) / (axis[-1] - axis[-2]))
 
 
-class Unevenness(NamedTuple):
-    """A departure from a uniform axis, in half a sentence, and how missing samples would mend it; empty if not."""
+class Departure(NamedTuple):
+    """A departure from what most processors need: what that is, the fact, and a remedy besides other processors."""
 
+    needs: str
     fact: str
-    remedy: str
+    remedy: str = ""
 
 
-def unevenness_of(name: str, axis: FloatArray, sampling: Sampling) -> Unevenness:
+UNIFORM_AXES = "uniform pulses and range frequencies"
+TWO_ANTENNAS = Departure("one antenna", "transmitter and receiver are two antennas")
+
+
+def departure_of(name: str, axis: FloatArray, sampling: Sampling) -> Departure:
     """Say how slow time or range frequencies (n,), by the `name` of the axis, depart from a uniform one."""
     if sampling.lacking:
         first = int(np.argmax(np.diff(axis) > 1.5 * sampling.step))
         lines = "rows" if name == "time" else "columns"
         fact = f"{name} lacks {count(sampling.lacking, 'value')} of a uniform axis, first after index {first}"
-        return Unevenness(fact, f"write {lines} of NaN there")
+        return Departure(UNIFORM_AXES, fact, f"write {lines} of NaN there")
     off = misplacement(axis)
-    return Unevenness(f"{name} is not uniform: index {int(off.argmax())} lies {off.max():.3g} steps from its place", "")
+    fact = f"{name} is not uniform: index {int(off.argmax())} lies {off.max():.3g} steps from its place"
+    return Departure(UNIFORM_AXES, fact)
 
 
-def refuse_uneven(who: str, uneven: Iterable[Unevenness], remedy: str) -> None:
-    """Refuse what is not uniform, for one that needs uniform axes.
+def refuse_departures(who: str, departures: Iterable[Departure], remedy: str) -> None:
+    """Refuse what departs from what one needs.
 
     Raises
     ------
     InputError
         If there is any; it names missing samples first where these would do, and the remedy.
     """
-    for each in uneven:
+    for each in departures:
         also = f"{each.remedy}, or " if each.remedy else ""
-        raise InputError(f"{who} needs uniform pulses and range frequencies, but {each.fact}; {also}{remedy}")
+        raise InputError(f"{who} needs {each.needs}, but {each.fact}; {also}{remedy}")

@@ -3,6 +3,7 @@
     image(x, y) = mean over lit pulses p and frequencies f of
                   signal[p, f] exp(+4j pi (fc + f) / c (R_xy(p) - reference_range[p]))
 
+R of a bistatic collection is half the way from the transmitter to the pixel and on to the receiver: two square roots.
 The mean over frequencies is one inverse transform per pulse, the range profile, interpolated at R_xy - reference_range;
 this interpolation is the only approximation, of -69 dB (`profiles.spline_error`). Ranges and phases are float64, for
 every pixel and pulse: no far field, no mean velocity. `kernels.projection` evaluates the square root of a range by its
@@ -94,7 +95,10 @@ def accumulate(
         middle=profiles.centre,
         bins_per_metre=1 / profiles.spacing,
         cycles_per_metre=2 * (collection.carrier + profile_frequency(collection)) / SPEED_OF_LIGHT,
-        antenna=collection.antenna_position[pulses].T,
+        antenna=(
+            collection.antenna_position if collection.transmitter_position is None else collection.transmitter_position
+        )[pulses].T,
+        receiver=None if collection.receiver_position is None else collection.receiver_position[pulses].T,
         reference_range=collection.reference_range[pulses],
         half_window=collection.range_window / 2,
         taper=None if taper.uniform else _beam_taper(taper, profiles, geometry),
@@ -142,6 +146,7 @@ def form_points(
     weighting : Weighting
         Tapers along range frequency and over the dwell, normalised by the sum of weights.
     device : Device
+        A bistatic collection is summed on the CPU.
 
     Returns
     -------
@@ -157,6 +162,7 @@ def form_points(
         From `Beam.passes`.
     """
     collection = geometry.collection
+    device = CPU if collection.bistatic else device
     if np.shape(x) != np.shape(y):
         raise ValueError(f"{np.shape(x)=} but {np.shape(y)=}")
     shape = np.shape(x)

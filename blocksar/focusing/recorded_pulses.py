@@ -140,8 +140,11 @@ def _times(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height) -> Float
 
 def _distances(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height, time: FloatArray) -> FloatArray:
     """Ranges of points (...) at times (TIMES, ...), m."""
-    px, py, pz = np.moveaxis(geometry.track.position(time), -1, 0)
-    return np.asarray(np.sqrt((x - px) ** 2 + (y - py) ** 2 + (z - pz) ** 2))
+    ways = []
+    for track in geometry.tracks:
+        px, py, pz = np.moveaxis(track.position(time), -1, 0)
+        ways.append(np.sqrt((x - px) ** 2 + (y - py) ** 2 + (z - pz) ** 2))
+    return np.asarray(ways[0] if len(ways) == 1 else (ways[0] + ways[1]) / 2)
 
 
 def _weights(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height, time: FloatArray, taper: Taper) -> FloatArray:

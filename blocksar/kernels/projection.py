@@ -42,7 +42,7 @@ from numpy.typing import NDArray
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.kernels.lanes import FEW, FIXED_POINT, FIXED_RANGE, NEAR
 from blocksar.kernels.phase import Float32Array
-from blocksar.kernels.pulse_sums import add_pulses
+from blocksar.kernels.pulse_sums import add_bistatic_pulses, add_pulses
 from blocksar.solvers import least_squares, product
 
 PLACE_ERROR = 1e-5  # of a place in the beam, whose half width is 1
@@ -141,6 +141,8 @@ class Sights:
         How fast bins and phases go by with range.
     antenna : (3, n) float
         x, y and z, m.
+    receiver : (3, n) float or None
+        Of another antenna that receives, m: `antenna` transmits then, and ranges are half the way to both.
     reference_range : (n,) float
         m
     half_window : float
@@ -158,6 +160,7 @@ class Sights:
     reference_range: FloatArray
     half_window: float
     taper: BeamTaper | None = None
+    receiver: FloatArray | None = None
 
 
 class LitPixels(NamedTuple):
@@ -221,6 +224,23 @@ def project(
     lit = _in_groups(np.stack([first, last], dtype=np.int32), side)
     spans = np.clip(np.stack([lit[0].min(axis=1), lit[1].max(axis=1)], axis=1, dtype=np.int64), begin, end)
     pulses = slice(begin - sights.start, end - sights.start)
+    # A sample is loaded as one number of 64 bits, so that vectors of samples are transposed whole.
+    samples, origins = (
+        sights.values.reshape(-1).view(np.float64),
+        np.arange(pulses.start, pulses.stop) * n_bin + sights.middle,
+    )
+    if sights.receiver is not None:
+        sums, farthest = np.zeros((2, place[0].size), np.float32), np.zeros(place[0].size)
+        ends = sights.antenna[:, pulses], sights.receiver[:, pulses], sights.reference_range[None, pulses]
+        antennas = np.ascontiguousarray(np.concatenate(ends).T)
+        add_bistatic_pulses(
+            *sums, farthest, samples, origins, *(axis.ravel() for axis in place), *(axis.ravel() for axis in lit),
+            spans, begin, antennas, sights.cycles_per_metre, sights.bins_per_metre, sights.half_window,
+        )  # fmt: skip
+        image.real += _from_groups(sums[0], side, image.shape)
+        image.imag += _from_groups(sums[1], side, image.shape)
+        outside |= _from_groups(farthest, side, image.shape) > sights.half_window
+        return
     low, high = place.min(axis=(1, 2)), place.max(axis=(1, 2))
     centre = (low + high) / 2
     series, roots = pulse_tables(sights, pulses, centre, reach=float(np.linalg.norm(high - low)) / 2)
@@ -234,11 +254,6 @@ def project(
     sums, farthest = np.zeros((3, place[0].size), np.float32), np.zeros(place[0].size)
     terms = np.zeros(0, np.float32) if sights.taper is None else sights.taper.terms.astype(np.float32)
     frequency = 0.0 if sights.taper is None else sights.taper.frequency
-    # A sample is loaded as one number of 64 bits, so that vectors of samples are transposed whole.
-    samples, origins = (
-        sights.values.reshape(-1).view(np.float64),
-        np.arange(pulses.start, pulses.stop) * n_bin + sights.middle,
-    )
     add_pulses(
         *sums, farthest, samples, origins, *(axis.ravel() for axis in place), high[2] > low[2], *centre,
         *(axis.ravel() for axis in lit), spans, close, middles, begin, series, roots, sights.cycles_per_metre,

@@ -290,3 +290,63 @@ def add_pulses(
                     re, im = _added(re, im, a, b, load_few(turns, j))
             store(real, i, re)
             store(imag, i, im)
+
+
+@loop(
+    types.float32[::1], types.float32[::1], types.float64[::1], REAL_ROW, ORIGINS, *[REAL_ROW] * 3, PULSES, PULSES,
+    types.int64[:, ::1], types.int64, REAL_ROWS, types.float64, types.float64, types.float64, **COMPILED,
+)  # fmt: skip
+def add_bistatic_pulses(
+    real: NDArray[np.float32],
+    imag: NDArray[np.float32],
+    farthest: FloatArray,
+    samples: FloatArray,
+    origins: IntArray,
+    x: FloatArray,
+    y: FloatArray,
+    z: FloatArray,
+    first: NDArray[np.int32],
+    last: NDArray[np.int32],
+    spans: IntArray,
+    start: int,
+    antennas: FloatArray,
+    cycles_per_metre: float,
+    bins_per_metre: float,
+    half_window: float,
+) -> None:
+    """`add_pulses` where transmitter and receiver are two antennas: R is half the sum of two square roots.
+
+    Parameters
+    ----------
+    antennas : (n_pulse, 7) float
+        x, y and z of the transmitter, then of the receiver, and the reference range, m.
+    """
+    turns, rights = np.empty(CHUNK * FEW, np.float32), np.empty(CHUNK * FEW, np.float32)
+    bins = np.empty(CHUNK * FEW, np.int32)
+    for begin in range(start, start + antennas.shape[0], CHUNK):
+        for group in range(spans.shape[0]):
+            i = group * FEW
+            px, py, pz = load_few(x, i), load_few(y, i), load_few(z, i)
+            lit, unlit = load_few(first, i), load_few(last, i)
+            low, high = max(spans[group, 0], begin), min(spans[group, 1], begin + CHUNK)
+            re, im = load_few(real, i), load_few(imag, i)
+            for p in range(low, high):
+                j, k = (p - low) * FEW, p - start
+                dx, dy, dz = px - antennas[k, 0], py - antennas[k, 1], pz - antennas[k, 2]
+                there = square_root(dx * dx + (dy * dy + dz * dz))
+                dx, dy, dz = px - antennas[k, 3], py - antennas[k, 4], pz - antennas[k, 5]
+                away = 0.5 * (there + square_root(dx * dx + (dy * dy + dz * dz))) - antennas[k, 6]
+                reached = within(larger(away, 0.0 - away), lit, p, unlit)
+                store(farthest, i, larger(reached, load_few(farthest, i)))
+                store(turns, j, remainder(away * cycles_per_metre))
+                away = smaller(larger(away, -half_window), half_window)
+                position = away * bins_per_metre + (FIXED_POINT + 0.5)
+                store(bins, j, whole(position))
+                store(rights, j, from_half(position))
+            for p in range(low, high):
+                j = (p - low) * FEW
+                a, b = _sample(load_triples(samples, origins[p - start], bins, j), load_few(rights, j))
+                a, b = within(a, lit, p, unlit), within(b, lit, p, unlit)
+                re, im = _added(re, im, a, b, load_few(turns, j))
+            store(real, i, re)
+            store(imag, i, im)

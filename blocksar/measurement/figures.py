@@ -104,8 +104,7 @@ def _offset(
 ) -> FloatArray:
     """dR of points (n,) at times (n, m), or (m,), m."""
     point, target = geometry.on_ground(x, y)[:, None, :], geometry.on_ground(*(np.array(at) for at in origin))
-    antenna = geometry.track.position(time)
-    return np.asarray(np.linalg.norm(point - antenna, axis=-1) - np.linalg.norm(target - antenna, axis=-1))
+    return geometry.distance(point, time) - geometry.distance(target, time)
 
 
 def _swing(geometry: Geometry, origin: tuple[float, float], x: FloatArray, y: FloatArray, time: FloatArray) -> float:

@@ -1,8 +1,9 @@
 """Azimuth ambiguities: places whose echoes fold onto others, since the PRF is below the Doppler that is lit together.
 
 Two places share range and Doppler in samples at the pulses where their ranges are equal and their range rates differ by
-a multiple of lambda PRF / 2. With u the unit vector to a point at horizontal distance d, range r and azimuth phi about
-the nadir, the range rate is -v u = -(d / r) |v_h| cos(phi - phi_v) + v_z h / r: at the same range and height
+a multiple of lambda PRF / 2. Of two antennas they are found by Newton's method. With u the unit vector to a point at
+horizontal distance d, range r and azimuth phi about the nadir, the range rate is
+-v u = -(d / r) |v_h| cos(phi - phi_v) + v_z h / r: at the same range and height
 
     cos(phi' - phi_v) = cos(phi - phi_v) -+ lambda PRF r / (2 d |v_h|).
 
@@ -58,6 +59,11 @@ def worst_ambiguity(geometry: Geometry, grid: Grid) -> Ambiguity | None:
 def _sources(geometry: Geometry, x: float, y: float) -> list[tuple[float, float]]:
     """Places that share range and folded Doppler with a place, at the middle of its lit pulses."""
     collection, z = geometry.collection, _height(geometry, x, y)
+    if collection.bistatic:
+        from blocksar.measurement.scenery import ambiguity_place  # with what few plans need
+
+        found = (ambiguity_place(geometry, x, y, order) for order in (-1, 1))
+        return [place for place in found if place is not None]
     lit = np.flatnonzero(geometry.beam.is_lit(np.array(x), np.array(y), z=np.array(z)))
     if not lit.size or not math.isfinite(z):
         return []
@@ -83,8 +89,7 @@ def _ghost(geometry: Geometry, at: tuple[float, float], source: tuple[float, flo
     collection, z = geometry.collection, np.array([_height(geometry, *at)])
     pulses, (x, y) = slice(None), (np.array([a, b]) for a, b in zip(at, source, strict=True))
     lit = geometry.beam.is_lit(x, y, z=np.repeat(z, 2))
-    offsets = np.stack([*np.broadcast_arrays(x, y, z)], axis=-1)[:, None] - collection.antenna_position
-    away = np.subtract(*np.sqrt((offsets**2).sum(axis=-1)))
+    away = np.subtract(*collection.distances(np.stack([*np.broadcast_arrays(x, y, z)], axis=-1)[:, None]))
     gain = [geometry.beam.gain(a, b, pulses, z) for a, b in zip(x[:, None], y[:, None], strict=True)]
     turns = 2 * collection.bandwidth / SPEED_OF_LIGHT * away
     echo = np.where(lit.all(axis=0), gain[1] * np.sinc(turns), 0.0)

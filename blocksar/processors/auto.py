@@ -15,7 +15,7 @@ from blocksar.errors import InputError
 from blocksar.focusing.method import ChainOptions
 from blocksar.planning import effort
 from blocksar.processors import AUTO, PROCESSORS, options_for
-from blocksar.processors.base import Comparison, ImagePlan, Problem, takes_uneven
+from blocksar.processors.base import Comparison, ImagePlan, Problem, is_general
 from blocksar.processors.chain_tables import digits
 from blocksar.texts import time_text
 
@@ -39,7 +39,7 @@ class Auto:
     summary = "the fastest that keeps the fidelity"
     options = ChainOptions
     universal = True
-    uneven = True
+    general = True
     compared = False
     on_gpu = True
 
@@ -81,10 +81,10 @@ CHOICE = Auto()
 
 def _candidate(name: str, problem: Problem) -> Candidate:
     machine, processor = problem.machine, PROCESSORS.get(name)
-    uneven = [each for collection in problem.collections for each in collection.uneven]
-    if uneven and not takes_uneven(processor):
-        remedy = f" ({uneven[0].remedy}, and it can)" if uneven[0].remedy else ""
-        return Candidate(name, refusal=uneven[0].fact + remedy)
+    departures = [each for collection in problem.collections for each in collection.departures]
+    if departures and not is_general(processor):
+        remedy = f" ({departures[0].remedy}, and it can)" if departures[0].remedy else ""
+        return Candidate(name, refusal=departures[0].fact + remedy)
     try:
         plan = processor.plan(replace(problem, options=options_for(name, {})))
     except InputError as error:

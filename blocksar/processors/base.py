@@ -13,7 +13,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import check_seen
-from blocksar.collection.sampling import refuse_uneven
+from blocksar.collection.sampling import refuse_departures
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.planning import effort
@@ -307,8 +307,8 @@ class Processor(Protocol):
         Whether `auto` considers it.
     on_gpu : bool
         Whether it can run on a GPU.
-    uneven : bool, optional
-        Whether it takes pulses and range frequencies that are not uniform. Default: False.
+    general : bool, optional
+        Whether it takes pulses and range frequencies that are not uniform, and bistatic collections. Default: False.
     """
 
     name: str
@@ -337,9 +337,9 @@ class Processor(Protocol):
         """
 
 
-def takes_uneven(processor: Processor) -> bool:
-    """Whether a processor takes pulses and range frequencies that are not uniform."""
-    return bool(getattr(processor, "uneven", False))
+def is_general(processor: Processor) -> bool:
+    """Whether a processor takes collections that are bistatic or not uniform; see `Collection.departures`."""
+    return bool(getattr(processor, "general", False))
 
 
 def plan_image(processor: Processor, problem: Problem) -> ImagePlan:
@@ -348,11 +348,12 @@ def plan_image(processor: Processor, problem: Problem) -> ImagePlan:
     Raises
     ------
     InputError
-        If pulses or range frequencies are not uniform, which it does not take, or from `Processor.plan`.
+        If pulses or range frequencies are not uniform, or the collection is bistatic, which it does not take, or from
+        `Processor.plan`.
     """
-    if not takes_uneven(processor):
+    if not is_general(processor):
         for each in problem.collections:
-            refuse_uneven(processor.name, each.uneven, "take --processor backprojection or auto")
+            refuse_departures(processor.name, each.departures, "take --processor backprojection or auto")
     return processor.plan(problem)
 
 

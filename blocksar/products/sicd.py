@@ -66,6 +66,7 @@ from blocksar.products.shared_metadata import (
     lit_times,
     polarization,
     radar_mode,
+    refuse_bistatic,
     sample_pixels,
     security_mark,
     valid_data,
@@ -374,6 +375,7 @@ def write(
     """
     with library_for("SICD needs", "formats"):
         from sarkit import sicd as sksicd
+    refuse_bistatic(source, "a SICD")
     frame, notes = (
         source.placed("a SICD"),
         about_segments(source, "a SICD", "track, centre of aperture and spatial frequencies"),

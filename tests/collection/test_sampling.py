@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from blocksar.collection.sampling import LONGEST_GAP, places_of, refuse_uneven, sampling_of, unevenness_of
+from blocksar.collection.sampling import LONGEST_GAP, departure_of, places_of, refuse_departures, sampling_of
 from blocksar.errors import InputError
 
 EVEN = np.arange(64) * 0.01 - 0.3
@@ -56,5 +56,5 @@ def test_places_on_an_axis_follow_its_steps() -> None:
 )
 def test_a_refusal_names_missing_samples_first(axis: np.ndarray, words: str) -> None:
     with pytest.raises(InputError, match=words):
-        refuse_uneven("a chain", [unevenness_of("time", axis, sampling_of(axis))], "take another")
-    refuse_uneven("a chain", [], "take another")
+        refuse_departures("a chain", [departure_of("time", axis, sampling_of(axis))], "take another")
+    refuse_departures("a chain", [], "take another")

@@ -12,7 +12,7 @@ import blocksar
 from blocksar import stores
 from blocksar.constants import SPEED_OF_LIGHT
 
-N, STEP, CARRIER, GRID = 200, 1 / 750.0, 10e9, "0:60:0.75,-60:0:0.75"
+N, STEP, CARRIER, GRID = 200, 1 / 750.0, 10e9, "-45:105:0.75,-84:36:0.75"
 EVEN, BAND = (np.arange(N) - N / 2) * STEP, (np.arange(96) - 48) * 0.5e6
 STAGGERED = np.cumsum(np.tile([0.85, 1.15], N)[:N]) * STEP - N / 2 * STEP
 GAPPED = np.delete(BAND, np.arange(36, 48))
