@@ -45,7 +45,7 @@ from blocksar.planning import effort
 from blocksar.planning.memory import checked_memory, compression_memory, interference_memory
 from blocksar.planning.strip_segments import joint_grid
 from blocksar.processors import HIERARCHY, PROCESSORS, device_for, options_for
-from blocksar.processors.base import ImagePlan, Problem, plan_image
+from blocksar.processors.base import ImagePlan, Problem, check_taken, plan_image
 from blocksar.progress import Work
 from blocksar.runs import folder as run_folder
 from blocksar.runs import stored_plan
@@ -132,6 +132,7 @@ class Request:
                 run_folder.refuse_overlap(place(history.path), folder)
         histories = imaging_parts(histories, grid, whole_pulses=whole_pulses)
         centred = [history.collection.centred() for history in histories]
+        check_taken(PROCESSORS.get(settings.processor), centred)
         if grid is None or ground.plane:  # the ranges of a terrain are not those of the plane
             check_ground(centred, grid, any_grid=PROCESSORS.get(settings.processor).universal)
         terrain, around = None, None

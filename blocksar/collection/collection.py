@@ -509,6 +509,13 @@ class Collection:
         return self.transmitter_position is not None
 
     @property
+    def half_baseline(self) -> float:
+        """Half the largest distance of two antennas, m: R exceeds the range from their middle by less. 0 of one."""
+        if self.transmitter_position is None or self.receiver_position is None:
+            return 0.0
+        return float(np.linalg.norm(self.transmitter_position - self.receiver_position, axis=1).max()) / 2
+
+    @property
     def two_antennas(self) -> list[Departure]:
         """The departure from one antenna of a bistatic collection; else none."""
         return [TWO_ANTENNAS] if self.bistatic else []

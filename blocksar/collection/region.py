@@ -146,7 +146,7 @@ def range_window(
     reference = np.interp(geometry.epoch, collection.time, collection.reference_range)
     floor = float(geometry.epoch_position[2] - collection.ground_height)
     spread = np.ptp(collection.reference_range) + np.ptp(geometry.track.position(collection.time), axis=0).max()
-    low = max(reference - half - spread, floor * 1.0005)
+    low = max(reference - half - spread - collection.half_baseline, floor * 1.0005)
     trial = np.linspace(low, reference + half + spread, 41)
     point = geometry.ground_point(trial[None, :], yaw[:, None])
     first, last = geometry.beam.dwell_at(yaw[:, None], trial[None, :])

@@ -342,6 +342,19 @@ def is_general(processor: Processor) -> bool:
     return bool(getattr(processor, "general", False))
 
 
+def check_taken(processor: Processor, collections: Sequence[Collection]) -> None:
+    """Check that a processor takes collections of this kind.
+
+    Raises
+    ------
+    InputError
+        If one is bistatic or not uniform, and it does not.
+    """
+    if not is_general(processor):
+        for each in collections:
+            refuse_departures(processor.name, each.departures, "take --processor backprojection or auto")
+
+
 def plan_image(processor: Processor, problem: Problem) -> ImagePlan:
     """Plan an image by a processor.
 
@@ -351,9 +364,7 @@ def plan_image(processor: Processor, problem: Problem) -> ImagePlan:
         If pulses or range frequencies are not uniform, or the collection is bistatic, which it does not take, or from
         `Processor.plan`.
     """
-    if not is_general(processor):
-        for each in problem.collections:
-            refuse_departures(processor.name, each.departures, "take --processor backprojection or auto")
+    check_taken(processor, problem.collections)
     return processor.plan(problem)
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sicd_files import read_sicd
 
 import blocksar
 from blocksar import stores
@@ -25,7 +26,8 @@ def history(time: np.ndarray, band: np.ndarray) -> Any:
     signal = np.exp(-4j * np.pi / SPEED_OF_LIGHT * np.outer(away, CARRIER + band)).astype(np.complex64)
     return blocksar.collection(
         signal=signal, time=time, range_frequency=band, antenna_position=track, reference_range=reference,
-        carrier_frequency=CARRIER, targets=[{"name": "A", "x": 30.0, "y": -24.0, "reflectivity": 1.0}],
+        carrier_frequency=CARRIER, georeference={"kind": "ENU", "latitude": 40.0, "longitude": 9.0, "height": 0.0},
+        targets=[{"name": "A", "x": 30.0, "y": -24.0, "reflectivity": 1.0}],
     )  # fmt: skip
 
 
@@ -81,6 +83,14 @@ def test_others_refuse_in_one_sentence(processor: str, uneven: tuple[Path, Any],
     with pytest.raises(blocksar.InputError, match=r"autofocus needs uniform pulses .*; take the track as it is"):
         blocksar.autofocus(uneven[0], tmp_path / "no.zarr", grid=GRID, workers=0, progress=False)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_sicd_states_no_polynomial_of_uneven_pulses(uneven: tuple[Path, Any], tmp_path: Path) -> None:
+    blocksar.export("sicd", uneven[0].parent / "run", tmp_path / "a.nitf")
+    timeline = read_sicd(tmp_path / "a.nitf").tree.find(".//{*}Timeline")
+    assert timeline is not None and timeline.find("{*}IPP") is None
+    duration = float(timeline.findtext("{*}CollectDuration") or "nan")
+    assert duration == pytest.approx(STAGGERED[-1] - STAGGERED[0] + STEP, rel=1e-3)
 
 
 def test_a_check_trusts_the_samples(uneven: tuple[Path, Any]) -> None:
