@@ -192,7 +192,7 @@ def form_points(
 def weighed(profiles: Profiles, weights: Float32Array, device: Device = CPU) -> Profiles:
     """Profiles times weights of their pulses (n,), in place; so are the numbers of their valid samples."""
     np.multiply(profiles.values, device.put(weights[:, None]), out=profiles.values)
-    return replace(profiles, valid=profiles.valid * weights)
+    return replace(profiles, valid=np.asarray(profiles.valid * weights, np.float64))
 
 
 class DevicePixels:

@@ -57,7 +57,7 @@ def test_the_store_has_two_antennas_and_no_middle(made: tuple[Path, Path]) -> No
     read = stores.open_phase_history(made[0]).collection
     assert read.bistatic and read.transmitter_position is not None
     np.testing.assert_array_equal(read.transmitter_position, flown(8000.0, -20.0, 5000.0, 150.0))
-    facts = dict(blocksar.info(made[0]).tables[0][1])
+    facts = {row[0]: row[1] for row in blocksar.info(made[0]).tables[0][1]}
     assert facts["receiver"].startswith("95.52 m at 120 m/s, at x = -6577.85")
 
 

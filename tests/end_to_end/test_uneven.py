@@ -46,7 +46,7 @@ def test_the_store_keeps_its_axes(uneven: tuple[Path, Any]) -> None:
     read = stores.open_phase_history(uneven[0]).collection
     np.testing.assert_array_equal(read.time, STAGGERED)
     np.testing.assert_array_equal(read.range_frequency, GAPPED)
-    facts = dict(blocksar.info(uneven[0]).tables[0][1])
+    facts = {row[0]: row[1] for row in blocksar.info(uneven[0]).tables[0][1]}
     assert "on average, pulses 1.133 .. 1.533 ms apart" in facts["pulses"]
     assert "84 range frequencies, 12 cut out: cells of 3.12 m" in facts["band"]
 
@@ -77,7 +77,7 @@ def test_rows_of_nan_are_named_first_and_serve(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("processor", ["high-order-phase", "hierarchical-backprojection"])
-def test_others_refuse_in_one_sentence(processor: str, uneven: tuple[Path, Any], tmp_path: Path) -> None:
+def test_others_refuse_in_one_sentence(processor: Any, uneven: tuple[Path, Any], tmp_path: Path) -> None:
     with pytest.raises(blocksar.InputError, match=r"needs uniform pulses .* take processor backprojection or auto"):
         blocksar.focus(uneven[0], tmp_path / "no", grid=GRID, processor=processor, workers=0, progress=False)
     with pytest.raises(blocksar.InputError, match=r"autofocus needs uniform pulses .*; take the track as it is"):

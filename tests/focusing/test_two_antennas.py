@@ -20,7 +20,8 @@ from blocksar.measurement.figures import ideal_response
 from blocksar.planning.ambiguity import worst_ambiguity
 
 N, CARRIER = 160, 10e9
-TIME, BAND = (np.arange(N) - N / 2) / 400.0, (np.arange(96) - 48) * 1e6
+TIME: FloatArray = (np.arange(N) - N / 2) / 400.0
+BAND: FloatArray = (np.arange(96) - 48) * 1e6
 
 
 def flown(distance: float, bearing: float, height: float, speed: float) -> FloatArray:

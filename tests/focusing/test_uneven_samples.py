@@ -18,10 +18,10 @@ from blocksar.focusing.noise import NoiseMap
 from blocksar.measurement.figures import ideal_response
 
 N, STEP, CARRIER = 240, 1 / 750.0, 10e9
-EVEN = (np.arange(N) - N / 2) * STEP
+EVEN: FloatArray = (np.arange(N) - N / 2) * STEP
 STAGGERED = np.cumsum(np.tile([0.9, 1.1, 1.0, 1.15, 0.85], N)[:N]) * STEP
 STAGGERED -= STAGGERED.mean()
-BAND = (np.arange(96) - 48) * 0.5e6
+BAND: FloatArray = (np.arange(96) - 48) * 0.5e6
 TIMES = {"even": EVEN, "staggered": STAGGERED, "rows cut out": np.delete(EVEN, np.arange(90, 130))}
 BANDS = {
     "even": BAND, "steps off by a third": BAND + 0.15e6 * np.sin(np.arange(96.0)),
