@@ -62,7 +62,8 @@ def _candidates(collection: Collection) -> Iterator[tuple[str, dict[str, Any]]]:
         yield "beam_azimuth looks like degrees: give radians", {"beam_azimuth": azimuth}
     position, reference = collection.antenna_position, collection.reference_range
     for unit, metres in (("feet", FOOT), ("km", 1000.0)):
-        for names in (("antenna_position",), ("reference_range",), ("antenna_position", "reference_range")):
+        fields = ("antenna_position",), ("reference_range",), ("antenna_position", "reference_range")
+        for names in fields[1:2] if collection.bistatic else fields:
             given = {"antenna_position": position, "reference_range": reference}
             verb = "looks" if len(names) == 1 else "look"
             yield f"{' and '.join(names)} {verb} like {unit}: give metres", {n: metres * given[n] for n in names}
