@@ -27,6 +27,8 @@ from blocksar.kernels.nonuniform import sum_phasors
 
 SHARES = (0.05, 0.5, 0.95)  # of a grid along either side, at which ghosts are looked for
 TOLD = 0.01  # amplitude below which a ghost is not told
+PARTS = (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 1.0)  # of the PRF, by which uneven pulses fold, as their pattern repeats
+NEAR = 12  # parts of the PRF, within one of which either way a shift belongs to one of these
 PADDING = 4  # of the transform over pulses
 
 
@@ -59,10 +61,11 @@ def worst_ambiguity(geometry: Geometry, grid: Grid) -> Ambiguity | None:
 def _sources(geometry: Geometry, x: float, y: float) -> list[tuple[float, float]]:
     """Places that share range and folded Doppler with a place, at the middle of its lit pulses."""
     collection, z = geometry.collection, _height(geometry, x, y)
+    orders = (-1, 1) if collection.pulses.even else (*(-part for part in PARTS), *PARTS)
     if collection.bistatic:
         from blocksar.measurement.scenery import ambiguity_place  # with what few plans need
 
-        found = (ambiguity_place(geometry, x, y, order) for order in (-1, 1))
+        found = (ambiguity_place(geometry, x, y, order) for order in orders)
         return [place for place in found if place is not None]
     lit = np.flatnonzero(geometry.beam.is_lit(np.array(x), np.array(y), z=np.array(z)))
     if not lit.size or not math.isfinite(z):
@@ -76,7 +79,7 @@ def _sources(geometry: Geometry, x: float, y: float) -> list[tuple[float, float]
     rng, heading = math.hypot(distance, position[2] - z), math.atan2(velocity[1], velocity[0])
     turn = math.atan2(away[1], away[0]) - heading
     places = []
-    for fold in (-1, 1):
+    for fold in orders:
         cosine = math.cos(turn) + fold * collection.wavelength * collection.prf / 2 * rng / (distance * speed)
         if abs(cosine) <= 1:  # on the same side of the track
             azimuth = heading + math.copysign(math.acos(cosine), math.sin(turn))
@@ -103,7 +106,8 @@ def _ghost(geometry: Geometry, at: tuple[float, float], source: tuple[float, flo
     else:
         place = (collection.time - collection.time.mean()) / collection.pulse_interval  # in pulses
         n = fast_length(int(2 * PADDING * np.abs(place).max()))
-        summed = sum_phasors(echo * shares, place / n, n)
+        near = slice(n // 2 - n // NEAR, n // 2 + n // NEAR + 1)  # further off lie the ghosts of other parts of the PRF
+        summed = sum_phasors(echo * shares, place / n, n)[near]
         total = float((gain[0] * shares)[lit[0]].sum())
     return Ambiguity(source, at, float(np.abs(summed).max()) / total if total > 0 else 0.0)
 
