@@ -17,8 +17,8 @@ FINEST, WIDEST = 1e-15, 1e15  # in SI units, the step and the extent of an axis 
 UNIFORM_TOLERANCE = 1e-3  # of one step: a deviation this small has no relevant effect on the phase
 
 
-def check_axis(axis: FloatArray, name: str, unit: str) -> None:
-    """Check that an axis is finite, ascending and uniform to UNIFORM_TOLERANCE.
+def check_axis(axis: FloatArray, name: str, unit: str, *, uneven: bool = False) -> None:
+    """Check that an axis is finite, ascending and uniform to UNIFORM_TOLERANCE; if it may be `uneven`, without a leap.
 
     Raises
     ------
@@ -38,12 +38,23 @@ def check_axis(axis: FloatArray, name: str, unit: str) -> None:
     step = (axis[-1] - axis[0]) / (axis.size - 1)
     if step < FINEST:
         raise InputError(f"{name} has steps of {step:.3g} {unit}, which cannot be meant; correct its values, or unit")
-    error = np.abs(axis - (axis[0] + step * np.arange(axis.size))) / step
-    if error.max() > UNIFORM_TOLERANCE:
+    widest = int(steps.argmax())
+    if uneven and steps[widest] > (axis[-1] - axis[0]) / 2:
+        raise InputError(
+            f"{name} leaps by {steps[widest]:.6g} {unit} from index {widest} to {widest + 1}, more than half of its "
+            "extent; correct it there, or give each part as a collection of its own"
+        )
+    if not uneven and (error := misplacement(axis)).max() > UNIFORM_TOLERANCE:
         raise InputError(
             f"{name} is not uniform: index {int(error.argmax())} lies {error.max():.3g} steps of "
             f"{step:.6g} {unit} from its place; resample it to a uniform axis"
         )
+
+
+def misplacement(axis: FloatArray) -> FloatArray:
+    """How far each sample of an ascending axis (n,) lies from its place on the uniform one of its ends, steps."""
+    step = (axis[-1] - axis[0]) / (axis.size - 1)
+    return np.asarray(np.abs(axis - (axis[0] + step * np.arange(axis.size))) / step)
 
 
 def unrepeated(values: FloatArray) -> FloatArray:

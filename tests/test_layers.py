@@ -46,7 +46,7 @@ HOMES: dict[str, set[str] | None] = {
     "scipy": None,
     "numba": {"autofocusing", "kernels", "focusing", "inspection", "simulation"},
     "llvmlite": {"kernels"},
-    "finufft": {"simulation"},
+    "finufft": {"kernels", "simulation"},
     "pydantic": {"runs", "simulation"},
     "zarr": {"places", "stores"},
     "numcodecs": {"stores"},

@@ -19,6 +19,7 @@ from blocksar.collection.empty_pulses import find_real
 from blocksar.collection.geometry import over_terrain
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import grid_extent, plan_region
+from blocksar.collection.sampling import refuse_departures
 from blocksar.collection.surface import Surface
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
@@ -145,9 +146,10 @@ def check_samples(
     Raises
     ------
     InputError
-        As `inspection.check.check`.
+        If the collection is bistatic, or as `inspection.check.check`.
     """
     collection = history.collection.centred()
+    refuse_departures("check", collection.two_antennas, "focus it, and look at known points")
     pulses, columns = samples_check.part_to_read(collection)
     signal = history.read(pulses, columns) if history.raw is None else _compressed(history, pulses, columns)
     part = samples_check.part_of(collection, pulses, columns)

@@ -15,6 +15,7 @@ from blocksar.api.arguments import history_of, is_dataset
 from blocksar.api.pulses import WHOLE, recorded_text
 from blocksar.api.reports import Report
 from blocksar.api.shown import is_measurable
+from blocksar.arrays import FloatArray
 from blocksar.budget import FIDELITY
 from blocksar.collection.beam import NOT_STEERED, lit_yaw, wrapped
 from blocksar.collection.collection import Collection
@@ -73,18 +74,29 @@ def collection_rows(collection: Collection) -> Rows:
 
 
 def _pulses(collection: Collection) -> str:
-    duration = collection.n_pulse * collection.pulse_interval
-    return f"{collection.n_pulse} in {duration:.4g} s, PRF {collection.prf:.6g} Hz"
+    return f"{collection.n_pulse} in {collection.duration:.4g} s, {collection.rate_text}"
 
 
 def _band(collection: Collection) -> str:
     centred = collection.centred()
     resolution = SPEED_OF_LIGHT / (2 * collection.bandwidth)
+    band = collection.band
+    uneven = "" if band.even else f", {band.lacking} cut out" if band.lacking else " in uneven steps"
     return (
         f"{frequency_text(centred.carrier)}, wavelength {100 * centred.wavelength:.3g} cm; "
-        f"{frequency_text(collection.bandwidth)} in {collection.n_range_frequency} range frequencies: cells of "
+        f"{frequency_text(collection.bandwidth)} in {collection.n_range_frequency} range frequencies{uneven}: cells of "
         f"{resolution:.3g} m, range window {collection.range_window:.5g} m"
     )
+
+
+def _antenna(geometry: Geometry, name: str) -> str:
+    """One of two antennas: its way, and where it stands at the epoch, seen from the scene's origin."""
+    collection = geometry.collection
+    position: FloatArray = getattr(collection, name)
+    way = float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())
+    speed, at = way / float(collection.time[-1] - collection.time[0]), position[collection.n_pulse // 2]
+    moves = f"{way:.5g} m at {speed:.4g} m/s" if way else "stands still"
+    return f"{moves}, at x = {at[0]:.6g}, y = {at[1]:.6g}, z = {at[2]:.6g} m in the middle"
 
 
 def _track(geometry: Geometry) -> Rows:
@@ -97,6 +109,8 @@ def _track(geometry: Geometry) -> Rows:
     low, high = float(height.min()), float(height.max())
     heights = f"{low:.5g} m" if high - low < 0.5 else f"{low:.6g} .. {high:.6g} m"
     middle = float(np.median(collection.reference_range))
+    if collection.bistatic:
+        return [(name.removesuffix("_position"), _antenna(geometry, name)) for name in collection.antennas]
     rows = [
         (
             "track",

@@ -29,9 +29,11 @@ if TYPE_CHECKING:
 def collection(
     *,
     time: ArrayLike,
-    antenna_position: ArrayLike,
     reference_range: ArrayLike,
     carrier_frequency: float,
+    antenna_position: ArrayLike | None = None,
+    transmitter_position: ArrayLike | None = None,
+    receiver_position: ArrayLike | None = None,
     signal: ArrayLike | None = None,
     range_frequency: ArrayLike | None = None,
     echo: ArrayLike | None = None,
@@ -69,17 +71,20 @@ def collection(
     Parameters
     ----------
     time : (n_pulse,) float
-        Slow time, s; uniform, ascending. t = 0 defines the polar frame.
-    antenna_position : (n_pulse, 3) float
-        Phase centre (x, y, z) in the scene frame, m.
+        Slow time, s; ascending. t = 0 defines the polar frame. Where it is not uniform, exact back-projection serves.
     reference_range : (n_pulse,) float, or float
         Range whose phase was removed, m; a constant near the middle of the swath where none was.
     carrier_frequency : float
         Hz.
+    antenna_position : (n_pulse, 3) float, optional
+        Phase centre (x, y, z) in the scene frame, m. Needed unless the two following are given.
+    transmitter_position, receiver_position : (n_pulse, 3) float, optional
+        Phase centres of two antennas, m, instead of `antenna_position`: half the way from one to the target and on to
+        the other is R then. Exact back-projection serves.
     signal : (n_pulse, n_range_frequency) complex, optional
         Samples over range frequency, 1; NaN where missing. Needed unless there is `echo`.
     range_frequency : (n_range_frequency,) float, optional
-        Hz, relative to the carrier; uniform, ascending. Needed with `signal`.
+        Hz, relative to the carrier; ascending, uniform or, for exact back-projection, not. Needed with `signal`.
     echo : (n_pulse, n_fast_time) complex, optional
         Raw chirped samples, 1, instead of `signal`; NaN where missing, as in gaps of a pulse.
     fast_time : (n_fast_time,) float, optional
@@ -121,7 +126,7 @@ def collection(
         Place of the scene frame on the Earth: {"kind": "ENU", "latitude", "longitude", "height"}, in degrees, and in m
         above WGS 84. Default: unknown.
     earth_centred : bool
-        `antenna_position` and `beam_axis` are Earth-centred, Earth-fixed (WGS 84), and are carried into the frame of
+        Positions and `beam_axis` are Earth-centred, Earth-fixed (WGS 84), and are carried into the frame of
         `georeference`. Default: False.
     channel : (n_channel,) str, optional
         Names of channels, such as polarisations, where `signal` or `echo` is (n_channel, n_pulse, ...). Default: one
@@ -183,17 +188,19 @@ def _into_frame(given: Mapping[str, Any]) -> dict[str, Any]:
             "earth_centred = True, but no georeference is given, which says where the scene frame lies; give one"
         )
     frame = Georeference.from_attribute(given["georeference"])
-    places, axis = given["antenna_position"], given["beam_axis"]
-    if np.ndim(places) != 2 or places.shape[1] != 3:
-        raise InputError(f"antenna_position has the shape {np.shape(places)}; give (n_pulse, 3): x, y and z, m")
-    check_earth_centred(
-        carrier=given["carrier_frequency"], time=given["time"], position=places, reference=given["reference_range"],
-        frame=frame,
-    )  # fmt: skip
-    return {
-        "antenna_position": frame.from_ecef(places),
-        "beam_axis": None if axis is None else np.asarray(axis, np.float64) @ frame.axes.T,
-    }
+    axis, moved = given["beam_axis"], {}
+    for name in ("antenna_position", *stores.ANTENNAS):
+        places = given[name]
+        if places is None and (name in stores.ANTENNAS or any(given[each] is not None for each in stores.ANTENNAS)):
+            continue
+        if np.ndim(places) != 2 or places.shape[1] != 3:
+            raise InputError(f"{name} has the shape {np.shape(places)}; give (n_pulse, 3): x, y and z, m")
+        check_earth_centred(
+            carrier=given["carrier_frequency"], time=given["time"], position=places,
+            reference=given["reference_range"], frame=frame,
+        )  # fmt: skip
+        moved[name] = frame.from_ecef(places)
+    return {**moved, "beam_axis": None if axis is None else np.asarray(axis, np.float64) @ frame.axes.T}
 
 
 def scene_centre(
@@ -286,7 +293,8 @@ def _check_reference(given: Mapping[str, Any]) -> None:
     range_frequency = given["range_frequency"]
     try:
         least = float(np.nanmin(given["reference_range"]))
-        height = float(np.nanmin(given["antenna_position"][..., 2])) - given["ground_height"]
+        places = [given[name] for name in ("antenna_position", *stores.ANTENNAS) if given[name] is not None]
+        height = min(float(np.nanmin(place[..., 2])) for place in places) - given["ground_height"]
         step = 0.0 if range_frequency is None else abs(float(np.diff(range_frequency[:2])[0]))
     except (TypeError, ValueError, IndexError):
         return  # refused later, with the shape

@@ -45,7 +45,7 @@ from blocksar.planning import effort
 from blocksar.planning.memory import checked_memory, compression_memory, interference_memory
 from blocksar.planning.strip_segments import joint_grid
 from blocksar.processors import HIERARCHY, PROCESSORS, device_for, options_for
-from blocksar.processors.base import ImagePlan, Problem
+from blocksar.processors.base import ImagePlan, Problem, check_taken, plan_image
 from blocksar.progress import Work
 from blocksar.runs import folder as run_folder
 from blocksar.runs import stored_plan
@@ -132,6 +132,7 @@ class Request:
                 run_folder.refuse_overlap(place(history.path), folder)
         histories = imaging_parts(histories, grid, whole_pulses=whole_pulses)
         centred = [history.collection.centred() for history in histories]
+        check_taken(PROCESSORS.get(settings.processor), centred)
         if grid is None or ground.plane:  # the ranges of a terrain are not those of the plane
             check_ground(centred, grid, any_grid=PROCESSORS.get(settings.processor).universal)
         terrain, around = None, None
@@ -449,7 +450,7 @@ def _plan(request: Request, machine: Resources) -> ImagePlan:
         device=request.device,
     )  # fmt: skip
     with naming_hierarchy():
-        plan = PROCESSORS.get(request.processor).plan(problem)
+        plan = plan_image(PROCESSORS.get(request.processor), problem)
         if plan.refusal is not None:
             raise Unfocusable(plan.refusal)
     return plan

@@ -33,7 +33,7 @@ from blocksar.places import Location
 from blocksar.planning import effort
 from blocksar.planning.strip_segments import joint_grid
 from blocksar.processors import PROCESSORS, OwnDevice, OwnProcessor, device_for, options_for
-from blocksar.processors.base import ImagePlan, Problem
+from blocksar.processors.base import ImagePlan, Problem, plan_image
 from blocksar.processors.sentences import time_line
 
 
@@ -184,11 +184,11 @@ def plan(
     with naming_hierarchy():
         if parts is not None:
             report = report_looks(
-                lambda seen: way.plan(replace(problem, collections=[seen])),
+                lambda seen: plan_image(way, replace(problem, collections=[seen])),
                 collections[0], parts, assumed,
             )  # fmt: skip
         else:
-            planned = way.plan(problem)
+            planned = plan_image(way, problem)
             report = _report(planned, assumed, time.perf_counter() - started)
     if report.refusal is not None:
         return replace(report, refusal=report.refusal + ANY)

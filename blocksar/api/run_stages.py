@@ -226,9 +226,10 @@ def _check_collections(job: Job) -> list[Check]:
 def _check_samples(job: Job, segments: Sequence[Segment]) -> Check:
     """Check the samples against the metadata at prominent places of the scene.
 
-    Of several segments of a collection, in the middle one. Nothing of a look: its samples saw the whole beam.
+    Of several segments of a collection, in the middle one. Nothing of a look, whose samples saw the whole beam, nor of
+    a bistatic collection.
     """
-    if segments[0].source.part_of_a_beam:
+    if segments[0].source.part_of_a_beam or segments[0].source.collection.bistatic:
         return None, ""
     refuse_real(segments[0].source)
     if (flaw := find_flaw(segments[0].source.collection)) is not None and flaw.ways > 1:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Self
 
 from blocksar import stores
+from blocksar.collection.sampling import refuse_departures
 from blocksar.errors import FolderError, InputError
 from blocksar.places.place import Place
 from blocksar.runs import folder as run_folder
@@ -62,7 +63,14 @@ class TrackPlace:
         """Return the place for phase histories, with all channels of their stores.
 
         `fingerprints` are those of the phase histories, if they are known.
+
+        Raises
+        ------
+        InputError
+            If pulses or range frequencies are not uniform, which no estimate takes.
         """
+        for history in histories:
+            refuse_departures("autofocus", history.collection.departures, "take the track as it is")
         channels = tuple(channels_of_track(history) for history in histories)
         known: Sequence[str | None] = fingerprints or [None] * len(channels)
         return cls(

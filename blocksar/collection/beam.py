@@ -257,7 +257,7 @@ class Beam(ABC):
     def at_times(self, time: FloatArray, value: Callable[[IntArray], FloatArray]) -> FloatArray:
         """Interpolate a value of pulses, such as the `offset` of points, linearly to slow times (s); broadcast."""
         collection = self.collection
-        position = (time - collection.time[0]) * collection.prf
+        position = collection.pulse_place(time)
         before = np.clip(np.floor(position), 0, collection.n_pulse - 2).astype(np.int64)
         part = np.clip(position - before, 0.0, 1.0)
         return np.asarray(value(before) * (1 - part) + value(before + 1) * part)
@@ -273,9 +273,8 @@ class Beam(ABC):
         """
         collection, geometry = self.collection, self.geometry
         shape = epoch_range.size, yaw.size
-        start, _ = aperture(collection)
         first, last = self.dwell_at(yaw, epoch_range[:, None])
-        begin, stop = (np.broadcast_to(np.clip((t - start) * collection.prf, 0, None), shape) for t in (first, last))
+        begin, stop = (np.broadcast_to(np.clip(pulses_before(collection, t), 0, None), shape) for t in (first, last))
         before, pulse = np.concatenate([[0.0], np.cumsum(valid)]), np.arange(valid.size + 1.0)
         x, y = geometry.ground_axes(epoch_range[:, None], yaw)
         z = geometry.level(epoch_range[:, None], yaw)
@@ -334,7 +333,7 @@ class Unsteered(_OfYaws):
         raise AssertionError("a beam that is not steered has no centre")
 
     def _tapered(self, x: FloatArray, y: FloatArray, pulses: Pulses, taper: Taper, z: Height | None) -> FloatArray:
-        return taper.samples(self.collection.n_pulse)[pulses]
+        return taper.on(self.collection.time, self.collection.pulses)[pulses]
 
     def dwell_at(
         self, yaw: FloatArray, epoch_range: FloatArray, *, uncut: bool = False
@@ -505,6 +504,13 @@ def aperture(collection: Collection) -> tuple[float, float]:
     """Start and end of the collection, s: a pulse stands for the half interval on either side of it."""
     half_pulse = collection.pulse_interval / 2
     return collection.time[0] - half_pulse, collection.time[-1] + half_pulse
+
+
+def pulses_before(collection: Collection, time: FloatArray) -> FloatArray:
+    """Number of pulses before slow times (...), s, each of which stands for half the way to either neighbour."""
+    if collection.pulses.even:
+        return np.asarray((time - aperture(collection)[0]) * collection.prf)
+    return collection.pulse_place(time) + 0.5
 
 
 def yaw_interval(collection: Collection, yaw: FloatArray, *, tolerance: float) -> tuple[IntArray, IntArray]:

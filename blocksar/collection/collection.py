@@ -15,12 +15,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from blocksar.arrays import FloatArray, check_axis
+from blocksar.arrays import FloatArray, IntArray, check_axis
 from blocksar.collection.raw_echo import RecordedRanges
+from blocksar.collection.sampling import TWO_ANTENNAS, Departure, Sampling, departure_of, places_of, sampling_of
 from blocksar.collection.spline import smoothed
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.texts import frequency_text
+from blocksar.texts import count, frequency_text
 
 MOST_ANGLE = 3.15  # rad: patterns may be known all round
 MOST_GAIN = 1e12  # of a pattern's peak, and one over the least
@@ -136,7 +137,8 @@ STEADY_PARTS = 16  # intervals of the spline that tells whether a beam wobbles
 WOBBLES = 1e-4  # of its width, by which a beam departs from that on average
 NOISE_POWERS = 1e-30, 1e30  # that single-precision images can have, besides none
 PATTERNS = {"beam_pattern": "beam_offset", "elevation_pattern": "elevation"}  # and their angles
-OPTIONAL = ("beam_axis", "beam_steering", *PATTERNS, *PATTERNS.values())  # arrays that may be None
+ANTENNAS = ("transmitter_position", "receiver_position")  # of a bistatic collection
+OPTIONAL = ("beam_axis", "beam_steering", *PATTERNS, *PATTERNS.values(), *ANTENNAS)  # arrays that may be None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -147,7 +149,8 @@ class Collection:
 
         signal[pulse, f] = sigma exp(-4j pi (carrier + f) / c (R(t_pulse) - reference_range[pulse]))
 
-    while the target is lit, times the antenna's pattern where one is given. There are three kinds of beam, and
+    while the target is lit, times the antenna's pattern where one is given. Of a bistatic collection R is half the way
+    from the transmitter to the target and on to the receiver. There are three kinds of beam, and
     `collection.beam` has the rule for each: one that is described by its yaw (beam_azimuth), one about the antenna's
     own axis (beam_axis and beam_steering), and none, if the beam is not steered.
 
@@ -156,13 +159,14 @@ class Collection:
     carrier : float
         fc, Hz.
     time : (n_pulse,) float
-        Slow time, s; uniform, ascending; t = 0 defines the polar frame.
+        Slow time, s; ascending; t = 0 defines the polar frame.
     range_frequency : (n_range_frequency,) float
-        Baseband range frequency, Hz; uniform, ascending.
+        Baseband range frequency, Hz; ascending.
     reference_range : (n_pulse,) float
         Range whose phase was removed, m.
     antenna_position : (n_pulse, 3) float
-        Phase centre in the scene frame (x, y, z), m; z up.
+        Phase centre in the scene frame (x, y, z), m; z up. Of a bistatic collection, whatever is given, the middle
+        between transmitter and receiver, about which its polar frame lies; ranges are none from there.
     beam_azimuth : (n_pulse,) float
         Beam-centre yaw, rad; all NaN if the beam is not steered, or has an axis.
     beam_width : float or None
@@ -185,13 +189,14 @@ class Collection:
         Of a look of a steered beam: the width of the whole beam, whose echoes the samples hold, rad; None: beam_width.
     recorded : RecordedRanges or None
         Of a raw echo: from which ranges it recorded pulses, and which of them are imaged; None: from all in the window.
+    transmitter_position, receiver_position : (n_pulse, 3) float or None
+        Phase centres of the two antennas of a bistatic collection, m; its beam is not steered, without a pattern.
 
     Raises
     ------
     InputError
-        If an array has the wrong shape, is not finite or implausibly large, an axis is not uniform and ascending, a
-        single pulse deviates far from its neighbours, the variables of the beam do not agree, or a pattern does not
-        cover it.
+        If an array has the wrong shape, is not finite or implausibly large, an axis does not ascend, a single pulse
+        deviates far from its neighbours, the variables of the beam do not agree, or a pattern does not cover it.
     """
 
     carrier: float
@@ -213,9 +218,14 @@ class Collection:
     side_of_track: str | None = None
     lit_width: float | None = None
     recorded: RecordedRanges | None = None
+    transmitter_position: FloatArray | None = None
+    receiver_position: FloatArray | None = None
 
     def __post_init__(self) -> None:
         given = [name for name in OPTIONAL if getattr(self, name) is not None]
+        if len(alone := [name for name in ANTENNAS if name in given]) == 1:
+            (other,) = set(ANTENNAS) - set(alone)
+            raise InputError(f"{alone[0]} is given without {other}; a bistatic collection needs both")
         for name in ("time", "range_frequency", "reference_range", "antenna_position", "beam_azimuth", *given):
             try:
                 array = np.array(getattr(self, name), dtype=np.float64)
@@ -223,13 +233,19 @@ class Collection:
                 raise InputError(f"{name} must be an array of real numbers") from None
             array.flags.writeable = False
             object.__setattr__(self, name, array)
-        check_axis(self.time, "time", "s")
-        check_axis(self.range_frequency, "range_frequency", "Hz")
+        check_axis(self.time, "time", "s", uneven=True)
+        check_axis(self.range_frequency, "range_frequency", "Hz", uneven=True)
         n = self.time.size
+        if self.transmitter_position is not None and self.receiver_position is not None:
+            for name in ANTENNAS:
+                self._check_shape(name, (n, 3))
+            middle = (self.transmitter_position + self.receiver_position) / 2
+            middle.flags.writeable = False
+            object.__setattr__(self, "antenna_position", middle)
         self._check_shape("reference_range", (n,))
         self._check_shape("antenna_position", (n, 3))
         self._check_shape("beam_azimuth", (n,))
-        for name in ("reference_range", "antenna_position"):
+        for name in ("reference_range", *self.antennas):
             bad = np.flatnonzero(~np.isfinite(getattr(self, name).reshape(n, -1)).all(axis=1))
             if bad.size:
                 raise InputError(
@@ -238,18 +254,20 @@ class Collection:
                 )
             self._check_size(name, "m", FARTHEST)
             self._check_spikes(name)
-        way = np.linalg.norm(np.diff(self.antenna_position, axis=0), axis=1)
-        self._check_jumps(way)
-        self._check_speed(way)
+        ways = {name: np.linalg.norm(np.diff(getattr(self, name), axis=0), axis=1) for name in self.antennas}
+        for name, way in ways.items():
+            self._check_jumps(name, way)
+        self._check_speed(*max(ways.items(), key=lambda each: float(each[1].sum())))
         self._check_band()
         self._check_cells()
         if not np.isfinite(self.ground_height):
             raise InputError(f"ground_height must be a finite number of m, got {self.ground_height!r}")
-        if np.min(self.antenna_position[:, 2]) <= self.ground_height:
-            raise InputError(
-                f"antenna_position falls to z = {np.min(self.antenna_position[:, 2]):.6g} m, not above "
-                f"ground_height = {self.ground_height:.6g} m; z must point up"
-            )
+        for name in self.antennas:
+            if (lowest := np.min(getattr(self, name)[:, 2])) <= self.ground_height:
+                raise InputError(
+                    f"{name} falls to z = {lowest:.6g} m, not above ground_height = {self.ground_height:.6g} m; z "
+                    "must point up"
+                )
         self._check_grazing()
         self._check_beam()
         self._check_patterns()
@@ -272,9 +290,10 @@ class Collection:
     def _check_spikes(self, name: str) -> None:
         """Refuse a pulse far off both neighbours: steps and noise may be meant, a single pulse elsewhere is not."""
         values = getattr(self, name).reshape(self.n_pulse, -1)
-        # At either end, extrapolate from the two neighbours.
-        before = np.concatenate([2 * values[1:2] - values[2:3], values[:-1]])
-        after = np.concatenate([values[1:], 2 * values[-2:-1] - values[-3:-2]])
+        # Beyond either end, what its two neighbours lead one to expect.
+        steps = np.diff(self.time)
+        before = np.concatenate([values[1:2] - (values[2:3] - values[1:2]) * (steps[0] / steps[1]), values[:-1]])
+        after = np.concatenate([values[1:], values[-2:-1] + (values[-2:-1] - values[-3:-2]) * (steps[-1] / steps[-2])])
         median = np.maximum(np.minimum(before, after), np.minimum(np.maximum(before, after), values))
         off = np.abs(values - median).max(axis=1)
         where = int(off.argmax())
@@ -285,30 +304,31 @@ class Collection:
                 "write the pulse's samples as NaN if they are in doubt"
             )
 
-    def _check_jumps(self, way: FloatArray) -> None:
+    def _check_jumps(self, name: str, way: FloatArray) -> None:
         """Refuse a track with a jump, as two passes joined into one collection have; way between pulses (n - 1,), m.
 
-        Not the rows of a raster, which are as long as each other.
+        Not the rows of a raster, which are as long as each other, nor the way that is flown in a gap of time.
         """
         usual, where = float(np.median(way)), int(way.argmax())
-        jumps = np.flatnonzero(way > max(SPIKE, JUMP * usual))
+        steps = 1.0 if self.pulses.even else np.maximum(np.diff(self.time) / self.pulses.step, 1.0)
+        jumps = np.flatnonzero(way > np.maximum(SPIKE, JUMP * usual * steps))
         if jumps.size == 1 or (jumps.size and np.ptp(np.diff([-1, *jumps, way.size])) > 1):
             raise InputError(
-                f"antenna_position moves {way[where]:.6g} m from pulse {where} to {where + 1}, and {usual:.3g} m "
+                f"{name} moves {way[where]:.6g} m from pulse {where} to {where + 1}, and {usual:.3g} m "
                 "between pulses otherwise; correct it there, or give each part as a collection of its own"
             )
 
-    def _check_speed(self, way: FloatArray) -> None:
+    def _check_speed(self, name: str, way: FloatArray) -> None:
         speed = float(way.sum() / (self.time[-1] - self.time[0]))
         if speed > SPEEDS[1]:
             raise InputError(
-                f"antenna_position moves at {speed:.6g} m/s, but platforms move at up to {SPEEDS[1]:g} m/s: correct "
-                "the unit of antenna_position (m) or of time (s)"
+                f"{name} moves at {speed:.6g} m/s, but platforms move at up to {SPEEDS[1]:g} m/s: correct "
+                f"the unit of {name} (m) or of time (s)"
             )
         if speed < SPEEDS[0]:
             raise InputError(
-                f"antenna_position moves at {speed:.6g} m/s, but an aperture needs at least {SPEEDS[0]:g} m/s: correct "
-                "the unit of antenna_position (it looks like km) or of time (it looks like ms, us or pulse numbers)"
+                f"{name} moves at {speed:.6g} m/s, but an aperture needs at least {SPEEDS[0]:g} m/s: correct "
+                f"the unit of {name} (it looks like km) or of time (it looks like ms, us or pulse numbers)"
             )
 
     def _check_band(self) -> None:
@@ -358,6 +378,14 @@ class Collection:
             )
 
     def _check_beam(self) -> None:
+        if self.bistatic:
+            given = [name for name in ("beam_axis", "beam_steering", *PATTERNS) if getattr(self, name) is not None]
+            if self.beam_width is not None or given or not np.isnan(self.beam_azimuth).all():
+                raise InputError(
+                    f"{given[0] if given else 'beam_azimuth'} is given with transmitter_position: of a bistatic "
+                    "collection no beam is known to which both antennas keep; leave the beam and its patterns out"
+                )
+            return
         if self.beam_axis is None and self.beam_steering is None:
             self._check_yaw_beam()
         else:
@@ -459,7 +487,8 @@ class Collection:
         beam = "not steered" if not self.steered else "about its axis" if self.has_axis else "steered in yaw"
         return (
             f"{self.n_pulse} pulses x {self.n_range_frequency} range frequencies, {frequency_text(self.carrier)}, "
-            f"{frequency_text(self.bandwidth)}, PRF {self.prf:.6g} Hz, beam {beam}"
+            f"{frequency_text(self.bandwidth)}, {self.rate_text}, "
+            f"{'bistatic' if self.bistatic else f'beam {beam}'}"
         )
 
     @property
@@ -474,6 +503,33 @@ class Collection:
     def steered(self) -> bool:
         """Tell whether the beam is steered, so that a target may be lit for part of the time only."""
         return self.beam_width is not None
+
+    @property
+    def bistatic(self) -> bool:
+        """Whether transmitter and receiver are two antennas."""
+        return self.transmitter_position is not None
+
+    @property
+    def half_baseline(self) -> float:
+        """Half the largest distance of two antennas, m: R exceeds the range from their middle by less. 0 of one."""
+        if self.transmitter_position is None or self.receiver_position is None:
+            return 0.0
+        return float(np.linalg.norm(self.transmitter_position - self.receiver_position, axis=1).max()) / 2
+
+    @property
+    def two_antennas(self) -> list[Departure]:
+        """The departure from one antenna of a bistatic collection; else none."""
+        return [TWO_ANTENNAS] if self.bistatic else []
+
+    @property
+    def antennas(self) -> tuple[str, ...]:
+        """The fields with the phase centres of the antennas: one, or transmitter and receiver."""
+        return ANTENNAS if self.bistatic else ("antenna_position",)
+
+    def distances(self, points: FloatArray, pulses: slice | IntArray = slice(None)) -> FloatArray:
+        """R of points (..., 3), m, at pulses, with which they are broadcast."""
+        ways = [np.linalg.norm(points - getattr(self, name)[pulses], axis=-1) for name in self.antennas]
+        return np.asarray(ways[0] if len(ways) == 1 else (ways[0] + ways[1]) / 2)
 
     @property
     def has_axis(self) -> bool:
@@ -503,21 +559,73 @@ class Collection:
         return Collection(**{**self.as_dict(), "elevation": None, "elevation_pattern": None})
 
     @cached_property
+    def pulses(self) -> Sampling:
+        """Sampling of slow time."""
+        return sampling_of(self.time)
+
+    @cached_property
+    def band(self) -> Sampling:
+        """Sampling of the band."""
+        return sampling_of(self.range_frequency)
+
+    @property
+    def even(self) -> bool:
+        """Whether pulses and range frequencies are uniform."""
+        return self.pulses.even and self.band.even
+
+    @property
+    def departures(self) -> list[Departure]:
+        """Departures from one antenna, and from uniform slow time and range frequencies."""
+        axes = ("time", self.time, self.pulses), ("range_frequency", self.range_frequency, self.band)
+        uneven = [departure_of(*axis) for axis in axes if not axis[-1].even]
+        return [*self.two_antennas, *uneven]
+
+    def pulse_place(self, time: FloatArray) -> FloatArray:
+        """Number of the pulse, with fractions, at slow times (...), s."""
+        return (time - self.time[0]) * self.prf if self.pulses.even else places_of(time, self.time)
+
+    @property
     def pulse_interval(self) -> float:
-        return float((self.time[-1] - self.time[0]) / (self.n_pulse - 1))
+        """Time between pulses, s; where it is not the same, see `Sampling.step`."""
+        return self.pulses.step
 
     @property
     def prf(self) -> float:
         return 1.0 / self.pulse_interval
 
-    @cached_property
+    @property
+    def duration(self) -> float:
+        """Time that the pulses stand for, s: half a step more than from the first to the last, at either end."""
+        even = self.n_pulse / self.prf
+        return even if self.pulses.even else float(self.time[-1] - self.time[0]) + self.pulse_interval
+
+    @property
+    def rate_text(self) -> str:
+        """The PRF in words."""
+        text = f"PRF {self.prf:.6g} Hz"
+        if self.pulses.lacking:
+            return f"{text}, {count(self.pulses.lacking, 'pulse')} cut out"
+        if self.pulses.even:
+            return text
+        low, high = np.quantile(np.diff(self.time), (0, 1))
+        return f"{text} on average, pulses {1e3 * low:.4g} .. {1e3 * high:.4g} ms apart"
+
+    @property
     def range_frequency_step(self) -> float:
-        return float((self.range_frequency[-1] - self.range_frequency[0]) / (self.n_range_frequency - 1))
+        """Step between range frequencies, Hz; where it is not the same, see `Sampling.step`."""
+        return self.band.step
+
+    @property
+    def n_band(self) -> int:
+        """Steps that cover the band: of uniform range frequencies their number."""
+        return self.n_range_frequency if self.band.even else math.ceil(self.bandwidth / self.band.step - 1e-6)
 
     @property
     def bandwidth(self) -> float:
-        """n_range_frequency steps, Hz: each sample is the midpoint of one step of the band."""
-        return self.range_frequency_step * self.n_range_frequency
+        """Band in which each sample is the midpoint of one step, Hz; half a step beyond the ends if they are uneven."""
+        if self.band.even:
+            return self.range_frequency_step * self.n_range_frequency
+        return float(self.range_frequency[-1] - self.range_frequency[0]) + self.band.step
 
     @property
     def range_window(self) -> float:
@@ -543,7 +651,7 @@ class Collection:
         Not for a beam that is described by its yaw, which refers to the frame of the whole collection.
         """
         assert self.has_axis or not self.steered
-        by_pulse = ("reference_range", "antenna_position", "beam_azimuth", "beam_axis", "beam_steering")
+        by_pulse = ("reference_range", "antenna_position", "beam_azimuth", "beam_axis", "beam_steering", *ANTENNAS)
         cut = {name: value[first:last] for name in by_pulse if (value := getattr(self, name)) is not None}
         time = self.time[first:last] - self.time[first + (last - first) // 2]
         return Collection(**{**self.as_dict(), **cut, "time": time})

@@ -229,8 +229,8 @@ class Geometry:
         return beam_of(self)
 
     def _keeping_track(self, other: Geometry) -> Geometry:
-        cached = ("track", "epoch", "nadir", "epoch_position", "track_powers")
-        other.__dict__.update({name: self.__dict__[name] for name in cached if name in self.__dict__})
+        kept = ("track", "tracks", "epoch", "nadir", "epoch_position", "track_powers")
+        other.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
         return other
 
     @property
@@ -265,6 +265,27 @@ class Geometry:
         collection = self.collection
         accuracy = TRACK_ACCURACY * collection.wavelength
         return fit_track(collection.time, collection.antenna_position, accuracy=accuracy)
+
+    @cached_property
+    def tracks(self) -> tuple[Track, ...]:
+        """The tracks of the antennas: one, or those of transmitter and receiver."""
+        collection = self.collection
+        if not collection.bistatic:
+            return (self.track,)
+        accuracy = TRACK_ACCURACY * collection.wavelength
+        positions = (getattr(collection, name) for name in collection.antennas)
+        return tuple(fit_track(collection.time, position, accuracy=accuracy) for position in positions)
+
+    def distance(self, point: FloatArray, time: FloatArray) -> FloatArray:
+        """R of points (..., 3), m, at slow times, broadcast against the leading axes: half the way of two antennas."""
+        ways = [np.linalg.norm(point - track.position(time), axis=-1) for track in self.tracks]
+        return np.asarray(ways[0] if len(ways) == 1 else (ways[0] + ways[1]) / 2)
+
+    def gradient(self, point: FloatArray, time: FloatArray) -> FloatArray:
+        """Gradient (..., 3) of R at points (..., 3), m, at slow times, broadcast: of two antennas the mean of both."""
+        sights = [point - track.position(time) for track in self.tracks]
+        units = [sight / np.linalg.norm(sight, axis=-1, keepdims=True) for sight in sights]
+        return np.asarray(units[0] if len(units) == 1 else (units[0] + units[1]) / 2)
 
     @cached_property
     def epoch(self) -> float:
@@ -341,10 +362,15 @@ class Geometry:
         return self.nadir[0] + distance * cos, self.nadir[1] + distance * sin
 
     def range_history(self, point: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Exact range (m) and range rate (m/s) of points (..., 3) at slow times, broadcast against the leading axes."""
-        sight = np.moveaxis(point - self.track.position(time), -1, 0)
-        distance = np.sqrt(_inner(sight, sight))
-        return distance, -_inner(sight, np.moveaxis(self.track.velocity(time), -1, 0)) / distance
+        """Exact R (m) and its rate (m/s) of points (..., 3) at slow times, broadcast against the leading axes."""
+        seen = []
+        for track in self.tracks:
+            sight = np.moveaxis(point - track.position(time), -1, 0)
+            distance = np.sqrt(_inner(sight, sight))
+            seen.append((distance, -_inner(sight, np.moveaxis(track.velocity(time), -1, 0)) / distance))
+        if len(seen) == 1:
+            return seen[0]
+        return (seen[0][0] + seen[1][0]) / 2, (seen[0][1] + seen[1][1]) / 2
 
 
 def over_terrain(collection: Collection, terrain: Terrain | None) -> Geometry:

@@ -91,10 +91,8 @@ def ground_spectrum(geometry: Geometry, epoch_range: float, yaw: float) -> tuple
 def _gradients(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
     """Gradients (3, ..., 2) of targets' ranges on the ground at the begin, the middle and the end of their dwells."""
     first, last = geometry.beam.dwell_at(yaw, epoch_range)
-    sight = geometry.ground_point(epoch_range, yaw) - geometry.track.position(
-        np.stack([first, (first + last) / 2, last])
-    )
-    return np.asarray((sight / np.linalg.norm(sight, axis=-1, keepdims=True))[..., :2])
+    times = np.stack([first, (first + last) / 2, last])
+    return np.asarray(geometry.gradient(geometry.ground_point(epoch_range, yaw), times)[..., :2])
 
 
 def _sides(collection: Collection, first: FloatArray, last: FloatArray) -> tuple[FloatArray, FloatArray]:

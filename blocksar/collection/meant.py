@@ -62,7 +62,8 @@ def _candidates(collection: Collection) -> Iterator[tuple[str, dict[str, Any]]]:
         yield "beam_azimuth looks like degrees: give radians", {"beam_azimuth": azimuth}
     position, reference = collection.antenna_position, collection.reference_range
     for unit, metres in (("feet", FOOT), ("km", 1000.0)):
-        for names in (("antenna_position",), ("reference_range",), ("antenna_position", "reference_range")):
+        fields = ("antenna_position",), ("reference_range",), ("antenna_position", "reference_range")
+        for names in fields[1:2] if collection.bistatic else fields:
             given = {"antenna_position": position, "reference_range": reference}
             verb = "looks" if len(names) == 1 else "look"
             yield f"{' and '.join(names)} {verb} like {unit}: give metres", {n: metres * given[n] for n in names}
@@ -80,7 +81,7 @@ def _would_hold(collection: Collection, changes: dict[str, Any], x: float, y: fl
 def _holds(collection: Collection, x: float, y: float) -> bool:
     """Tell whether a pulse lights a point x, y, m, while its range lies in the range window."""
     point = np.array([x, y, collection.ground_height])
-    away = np.linalg.norm(collection.antenna_position - point, axis=1) - collection.reference_range
+    away = collection.distances(point) - collection.reference_range
     lit = Geometry(collection=collection).beam.is_lit(np.asarray(x), np.asarray(y))
     return bool((lit & (np.abs(away) <= collection.range_window / 2)).any())
 

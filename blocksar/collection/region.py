@@ -99,8 +99,8 @@ def remedied(geometry: Geometry, grid: Grid) -> Iterator[None]:
 def seen_from(collection: Collection, grid: Grid) -> float:
     """Angle, rad, by which an unsteered antenna circles the middle of a grid; 0 if the grid leaves the range window."""
     middle = np.array([grid.x0 + grid.x1, grid.y0 + grid.y1]) / 2
-    away = collection.antenna_position - np.array([*middle, collection.ground_height])
-    change = np.linalg.norm(away, axis=1) - collection.reference_range
+    place = np.array([*middle, collection.ground_height])
+    away, change = collection.antenna_position - place, collection.distances(place) - collection.reference_range
     if collection.steered or not (np.abs(change) <= collection.range_window / 2).all():
         return 0.0
     return float(np.ptp(np.unwrap(np.arctan2(away[:, 1], away[:, 0]))))
@@ -146,7 +146,7 @@ def range_window(
     reference = np.interp(geometry.epoch, collection.time, collection.reference_range)
     floor = float(geometry.epoch_position[2] - collection.ground_height)
     spread = np.ptp(collection.reference_range) + np.ptp(geometry.track.position(collection.time), axis=0).max()
-    low = max(reference - half - spread, floor * 1.0005)
+    low = max(reference - half - spread - collection.half_baseline, floor * 1.0005)
     trial = np.linspace(low, reference + half + spread, 41)
     point = geometry.ground_point(trial[None, :], yaw[:, None])
     first, last = geometry.beam.dwell_at(yaw[:, None], trial[None, :])
@@ -456,7 +456,7 @@ def _sees_some(geometry: Geometry, grid: Grid) -> bool:
     x, y = np.meshgrid(*(axis[:: math.ceil(axis.size / SEEN_AT)] for axis in (grid.x, grid.y)))
     first, last = geometry.beam.passes(x, y)
     points, middle = geometry.on_ground(x, y), np.minimum((first + last) // 2, collection.n_pulse - 1)
-    away = np.linalg.norm(points - collection.antenna_position[middle], axis=-1) - collection.reference_range[middle]
+    away = collection.distances(points, middle) - collection.reference_range[middle]
     return bool(((last > first) & (np.abs(away) <= collection.range_window / 2)).any())
 
 
@@ -576,14 +576,14 @@ def facing_grid(geometry: Geometry) -> Grid:
     """
     collection = geometry.collection
     centre = np.array([0.0, 0.0, collection.ground_height])
-    sight = centre - collection.antenna_position
-    distance = np.linalg.norm(sight, axis=1)
+    distance = collection.distances(centre)
     if np.abs(distance - collection.reference_range).max() > collection.range_window / 8 or collection.n_pulse < 2:
         raise InputError(
             "grid is missing: the beam is not steered, and the reference range does not follow the scene's origin, so "
             "give --grid x0:x1:dx,y0:y1:dy for the ground to show"
         )
-    direction = sight / distance[:, None]
+    sights = [centre - getattr(collection, name) for name in collection.antennas]
+    direction = np.mean([sight / np.linalg.norm(sight, axis=1)[:, None] for sight in sights], axis=0)
     turn = np.linalg.norm(np.diff(direction, axis=0), axis=1).mean() / collection.pulse_interval  # rad/s
     slope = float(np.linalg.norm(direction[:, :2], axis=1).mean())
     room = collection.range_window / 2

@@ -4,7 +4,8 @@
 
 W is a function of v = (2k + 1 - m) / m of range frequency k of m. w is one of v = 2 offset / beam_width, the offset of
 a point from the beam's centre, and of v = (2i + 1 - n) / n of pulse i of n where the beam is not steered. g is the
-antenna's pattern, 1 where none is known.
+antenna's pattern, 1 where none is known. Unevenly spaced frequencies and pulses have v by their place in the band and
+in the collection, and count by their shares of these as well (`sampling`).
 
 Every taper is an even function of v on [-1, 1], and a short sum of cosines: those of Taylor, Hamming and Hann by their
 definition, Kaiser's by a fit to 1e-10 with half the frequencies. Sums of cosines stay smooth beyond the ends.
@@ -22,6 +23,7 @@ import numpy as np
 
 from blocksar import solvers
 from blocksar.arrays import FloatArray
+from blocksar.collection.sampling import Sampling
 from blocksar.constants import SINC_ISLR, SINC_PSLR, SINC_WIDTH
 from blocksar.errors import InputError
 from blocksar.texts import count
@@ -146,6 +148,17 @@ class Taper:
     def samples(self, n: int) -> FloatArray:
         """w at v = (2k + 1 - n) / n, k = 0 .. n - 1."""
         return self((2 * np.arange(n) + 1 - n) / n)
+
+    def on(self, axis: FloatArray, sampling: Sampling) -> FloatArray:
+        """w at the samples of an axis (n,), by their place between its ends."""
+        if sampling.even:
+            return self.samples(axis.size)
+        return self((2 * axis - axis[0] - axis[-1]) / (axis[-1] - axis[0] + sampling.step))
+
+    def weights(self, axis: FloatArray, sampling: Sampling) -> FloatArray:
+        """w times the share of each sample of an axis (n,)."""
+        tapers = self.on(axis, sampling)
+        return tapers if sampling.shares is None else tapers * sampling.shares
 
     def response(self, u: FloatArray) -> FloatArray:
         """The ideal response (n,), 1 at its peak: the mean of w(v) exp(1j pi v u), which is real, over that of w."""

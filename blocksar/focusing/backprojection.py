@@ -3,6 +3,7 @@
     image(x, y) = mean over lit pulses p and frequencies f of
                   signal[p, f] exp(+4j pi (fc + f) / c (R_xy(p) - reference_range[p]))
 
+R of a bistatic collection is half the way from the transmitter to the pixel and on to the receiver: two square roots.
 The mean over frequencies is one inverse transform per pulse, the range profile, interpolated at R_xy - reference_range;
 this interpolation is the only approximation, of -69 dB (`profiles.spline_error`). Ranges and phases are float64, for
 every pixel and pulse: no far field, no mean velocity. `kernels.projection` evaluates the square root of a range by its
@@ -12,7 +13,8 @@ The pulses that light a pixel are an interval, so the loop over them needs no te
 one after the other (`Beam.passes`).
 With an antenna pattern g (`Beam.gain`) the sum over lit pulses is divided by that of g instead of
 their number, and under a weighting w by that of w g, so that a target of reflectivity 1 still has the value 1. NaN
-samples are excluded from the mean. The image is NaN where no valid sample is lit, where the pattern in elevation is too
+samples are excluded from the mean. Pulses and frequencies that are not uniform count by their shares of time and band
+(`collection.sampling`). The image is NaN where no valid sample is lit, where the pattern in elevation is too
 small for an image (`pattern_sums.LEAST_ELEVATION`), and where a lit pulse, missing or not, sees the pixel outside the
 unambiguous window |R_xy - reference_range| <= c / (4 df). Where a raw echo recorded parts of pulses only, the mean is
 divided by them (`recorded_pulses`).
@@ -21,6 +23,7 @@ divided by them (`recorded_pulses`).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -31,7 +34,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, UNIFORM, Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.pattern_sums import add_gains, mean_elevations
-from blocksar.focusing.profiles import Profiles, profile_bins, range_profiles
+from blocksar.focusing.profiles import Profiles, profile_bins, profile_frequency, range_profiles
 from blocksar.focusing.recorded_pulses import divide_by_recorded
 from blocksar.kernels.device import CPU, TILE, Device, Tile, tiles
 from blocksar.kernels.groups import GROUP_BYTES, run_groups
@@ -86,14 +89,16 @@ def accumulate(
     if not taper.uniform and weight is None:
         raise ValueError(f"{taper.text} needs an array for the sum of weights")
     collection, pulses = geometry.collection, profiles.pulses
-    middle = collection.range_frequency[collection.n_range_frequency // 2]
     sights = Sights(
         start=pulses.start,
         values=profiles.values,
         middle=profiles.centre,
         bins_per_metre=1 / profiles.spacing,
-        cycles_per_metre=2 * (collection.carrier + middle) / SPEED_OF_LIGHT,
-        antenna=collection.antenna_position[pulses],
+        cycles_per_metre=2 * (collection.carrier + profile_frequency(collection)) / SPEED_OF_LIGHT,
+        antenna=(
+            collection.antenna_position if collection.transmitter_position is None else collection.transmitter_position
+        )[pulses].T,
+        receiver=None if collection.receiver_position is None else collection.receiver_position[pulses].T,
         reference_range=collection.reference_range[pulses],
         half_window=collection.range_window / 2,
         taper=None if taper.uniform else _beam_taper(taper, profiles, geometry),
@@ -140,6 +145,7 @@ def form_points(
     weighting : Weighting
         Tapers along range frequency and over the dwell, normalised by the sum of weights.
     device : Device
+        A bistatic collection is summed on the CPU.
 
     Returns
     -------
@@ -155,6 +161,7 @@ def form_points(
         From `Beam.passes`.
     """
     collection = geometry.collection
+    device = CPU if collection.bistatic else device
     if np.shape(x) != np.shape(y):
         raise ValueError(f"{np.shape(x)=} but {np.shape(y)=}")
     shape = np.shape(x)
@@ -171,14 +178,20 @@ def form_points(
             read(pulses), collection=collection, pulses=pulses, threads=threads, taper=weighting.range,
             upsampling=device.upsampling, device=device,
         )  # fmt: skip
-        sums.note_valid(pulses, profiles.valid)
         if sums.over_pulses is not None:
-            np.multiply(profiles.values, device.put(sums.over_pulses[pulses, None]), out=profiles.values)
+            profiles = weighed(profiles, sums.over_pulses[pulses], device)
+        sums.note_valid(pulses, profiles.valid)
         pixels.add(profiles, threads)
         del profiles  # before the next block is read: otherwise two blocks are in memory
         if collection.has_pattern:
             sums.add_gains(pulses)
     return sums.mean(pixels.take()).reshape(shape)
+
+
+def weighed(profiles: Profiles, weights: Float32Array, device: Device = CPU) -> Profiles:
+    """Profiles times weights of their pulses (n,), in place; so are the numbers of their valid samples."""
+    np.multiply(profiles.values, device.put(weights[:, None]), out=profiles.values)
+    return replace(profiles, valid=np.asarray(profiles.valid * weights, np.float64))
 
 
 class DevicePixels:
@@ -233,7 +246,7 @@ class PixelSums:
     over_beam : Taper
         Weighting over a steered beam.
     over_pulses : (n_pulse,) float32 or None
-        Weights of pulses that are the same for all pixels.
+        Weights of pulses that are the same for all pixels, among them their shares of time.
 
     Raises
     ------
@@ -249,12 +262,15 @@ class PixelSums:
         self.image, self.outside = np.zeros(x.shape, np.complex64), ~known
         if collection.elevation_pattern is not None:
             _find_dark(self.outside, geometry, x, y, self.z, threads)
-        self.over_beam, self.over_pulses = weighting.azimuth, None
+        self.over_beam, over_pulses = weighting.azimuth, collection.pulses.shares
         if not (collection.steered or self.over_beam.uniform):  # every pixel has the same weights
-            self.over_pulses = self.over_beam.samples(collection.n_pulse).astype(np.float32)
+            over_pulses = self.over_beam.weights(collection.time, collection.pulses)
             self.over_beam = FLAT
-        # Sums of integers are exact: without a weighting nothing is rounded.
-        self._valid: Any = np.zeros(collection.n_pulse, np.int64 if weighting.uniform else np.float64)
+        self.over_pulses = None if over_pulses is None else over_pulses.astype(np.float32)
+        # Sums of integers are exact: without weights nothing is rounded.
+        self._valid: Any = np.zeros(
+            collection.n_pulse, np.int64 if weighting.uniform and collection.even else np.float64
+        )
         self._gains: FloatArray | None = None
 
     def lit(self) -> BoolArray:
@@ -263,8 +279,8 @@ class PixelSums:
         return np.asarray(np.any([lit_pulses(first, last, n) for _, first, last in self.passes], axis=0))
 
     def note_valid(self, pulses: slice, valid: IntArray | FloatArray) -> None:
-        """Record the number of valid samples (n,) of pulses, or the sum of their weights over the band."""
-        self._valid[pulses] = valid if self.over_pulses is None else valid * self.over_pulses[pulses]
+        """Take the number of valid samples (n,) of some pulses, or the sum of their weights."""
+        self._valid[pulses] = valid
 
     def add_gains(self, pulses: slice) -> None:
         """Add pulses with known valid samples to the sums of weights times the antenna's pattern."""

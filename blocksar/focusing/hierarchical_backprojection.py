@@ -220,7 +220,7 @@ class _Former:
             if left is not None:
                 self.form(part, levels[1:], left, image, threads)
         sums.image = self.device.take(image)
-        sums.note_valid(slice(None), self._valid)
+        sums.note_valid(slice(None), self._valid if sums.over_pulses is None else self._valid * sums.over_pulses)
         if geometry.collection.has_pattern or not sums.over_beam.uniform:
             for pulses in pulse_blocks(sums.lit(), geometry.collection.n_pulse):
                 sums.add_gains(pulses)

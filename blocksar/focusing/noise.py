@@ -21,7 +21,7 @@ import numpy as np
 
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.collection.axis_beam import Height
-from blocksar.collection.beam import GAIN_PARTS, aperture
+from blocksar.collection.beam import GAIN_PARTS, pulses_before
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Weighting
 from blocksar.focusing.pattern_sums import mean_elevations
@@ -54,26 +54,32 @@ def pulse_sums(
         Fraction of each pulse's samples that are valid.
     """
     collection, taper = geometry.collection, weighting.azimuth
+    shares = collection.pulses.shares
     ends = geometry.beam.dwell(x, y, z=z)
     never = ~(np.isfinite(ends[0]) & np.isfinite(ends[1]))
-    start, _ = aperture(collection)
-    low, high = (np.where(never, 0.0, (end - start) * collection.prf) for end in ends)
-    before, n = np.concatenate([[0.0], np.cumsum(valid)]), valid.size
+    low, high = (np.where(never, 0.0, pulses_before(collection, end)) for end in ends)
+    n = valid.size
+    before, before_squared = (
+        np.concatenate([[0.0], np.cumsum(valid if shares is None else valid * shares**power)]) for power in (1, 2)
+    )
 
-    def counted(pulse: FloatArray) -> FloatArray:
-        beyond = np.minimum(pulse, 0.0) + np.maximum(pulse - n, 0.0)
-        return np.interp(pulse, np.arange(n + 1.0), before) + beyond
+    def counted(first: FloatArray, last: FloatArray, before: FloatArray) -> FloatArray:
+        parts = (
+            np.interp(pulse, np.arange(n + 1.0), before) + (np.minimum(pulse, 0.0) + np.maximum(pulse - n, 0.0))
+            for pulse in (last, first)
+        )
+        return np.asarray(next(parts) - next(parts))
 
     if taper.uniform and not collection.has_pattern:
-        count = counted(high) - counted(low)
-        return PulseSums(count, count)
+        count = counted(low, high, before)
+        return PulseSums(count if shares is None else counted(low, high, before_squared), count)
     squares, gains = np.zeros(low.shape), np.zeros(low.shape)
     for part in range(GAIN_PARTS):
         first, last = (low + (high - low) * (part + k) / GAIN_PARTS for k in (0, 1))
-        count = counted(last) - counted(first)
+        count = counted(first, last, before)
         middle: IntArray = np.clip((first + last) / 2, 0, n - 1).astype(np.int64)
         weight = geometry.beam.weights(x, y, middle, taper, z)
-        squares += count * weight**2
+        squares += (count if shares is None else counted(first, last, before_squared)) * weight**2
         gains += count * weight * geometry.beam.gain(x, y, middle, z)
     return PulseSums(squares, gains)
 
@@ -110,7 +116,7 @@ class NoiseMap:
         collection = geometry.collection
         if not collection.noise_power:
             return None
-        weights = weighting.range.samples(collection.n_range_frequency)
+        weights = weighting.range.weights(collection.range_frequency, collection.band)
         sample = collection.noise_power * float((weights**2 * spectrum).sum() / weights.sum() ** 2)
         return cls(geometry=geometry, weighting=weighting, valid=valid, sample=sample)
 
@@ -148,9 +154,11 @@ class NoiseMap:
     def _elevation(self, x: FloatArray, y: FloatArray, z: FloatArray | None) -> FloatArray:
         """Means of the pattern in elevation at pixels (n_y, n_x); 0 where they are too small for an image."""
         geometry, mesh = self.geometry, np.meshgrid(x, y)
+        shares = geometry.collection.pulses.shares
+        valid = self.valid if shares is None else self.valid * shares
         at = *mesh, geometry.known_height(*mesh)[0] if z is None else z
         means = mean_elevations(
-            geometry, *at, passes=geometry.beam.passes(*at), valid=self.valid, taper=self.weighting.azimuth
+            geometry, *at, passes=geometry.beam.passes(*at), valid=valid, taper=self.weighting.azimuth
         )
         return np.where(means.dark(geometry), 0.0, means.weighed)
 

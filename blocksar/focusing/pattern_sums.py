@@ -166,7 +166,7 @@ def mean_elevations(
     n = geometry.collection.n_pulse
     valid = np.ones(n) if valid is None else valid
     if not (geometry.collection.steered or taper.uniform):
-        valid, taper = valid * taper.samples(n), FLAT
+        valid, taper = valid * taper.on(geometry.collection.time, geometry.collection.pulses), FLAT
     if passes is None:
         passes = np.zeros((1, *x.shape), np.int64), np.full((1, *x.shape), n)
     lit = [np.array(values, np.int64, order="C") for values in passes]

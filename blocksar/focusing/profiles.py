@@ -13,6 +13,7 @@ from blocksar.collection.weighting import FLAT, Taper
 from blocksar.kernels.device import CPU, Device
 from blocksar.kernels.fourier import Axis, fast_length, unit_phasor
 from blocksar.kernels.lanes import FEW, FIXED_RANGE
+from blocksar.kernels.nonuniform import sum_phasors
 from blocksar.kernels.operations import Transform
 
 UPSAMPLING = CPU.upsampling  # bins per range cell
@@ -29,8 +30,8 @@ class Profiles:
         Spline coefficients: bin b is at R - reference_range = (b - centre) * spacing. The phase of the middle
         frequency, exp(4j pi (fc + f_middle) / c (R - reference_range)), is removed: it varies too fast to interpolate.
     valid : (n,) int or float
-        Number of samples of each pulse that are not NaN; under a weighting in range, the sum of their weights over the
-        mean weight.
+        Number of samples of each pulse that are not NaN; under a weighting in range, or of frequencies that are not
+        uniform, the sum of their weights over the mean weight.
     pulses : slice
         The pulses of the collection.
     centre : int
@@ -79,6 +80,7 @@ def range_profiles(
 
     The zero-padded samples are divided by the frequency response of the quadratic spline, sinc(f / f_bins)^3. The
     spline through the transformed bins then has the exact level over the band; spectral images are its only error.
+    Frequencies that are not uniform are weighed by their shares of the band, and transformed where they lie.
 
     Parameters
     ----------
@@ -114,6 +116,8 @@ def range_profiles(
         raise ValueError(f"{n} range frequencies make {period} bins; at most {2 * FIXED_RANGE:.0f} can be addressed")
     if signal.shape != (pulses.stop - pulses.start, n):
         raise ValueError(f"{signal.shape=} but {pulses=} of {n} range frequencies")
+    if not collection.band.even:
+        return _uneven_profiles(signal, collection, pulses, threads, taper, upsampling, device)
     step, middle = collection.range_frequency_step, n // 2
     frequency = Axis(-middle * step, step, n)
     delay = Axis(-(period // 2) / (period * step), 1 / (period * step), period)
@@ -157,6 +161,36 @@ def range_profiles(
     )
 
 
+def _uneven_profiles(
+    signal: ComplexArray, collection: Collection, pulses: slice, threads: int, taper: Taper, upsampling: int,
+    device: Device,
+) -> Profiles:  # fmt: skip
+    """`range_profiles` of frequencies that are not uniform; on a CPU, whose values go to the device."""
+    n, period = collection.n_range_frequency, _period(collection, upsampling)
+    turns = (collection.range_frequency - profile_frequency(collection)) / collection.range_frequency_step
+    weights = taper.weights(collection.range_frequency, collection.band)
+    weights /= weights.mean()
+    lead = weights * spline_lead(turns, period) / n
+    centre, spacing = profile_axis(collection, upsampling)
+    values = np.empty((signal.shape[0], period + 2 * MARGIN), np.complex64)
+    valid = np.empty(signal.shape[0])
+
+    def work(rows: slice) -> None:
+        missing = np.isnan(signal[rows])
+        valid[rows] = n - np.where(missing, weights, 0.0).sum(axis=1)
+        strengths = np.where(missing, 0.0, signal[rows] * lead)
+        values[rows] = sum_phasors(strengths, turns / period, values.shape[1])
+
+    CPU.run(work, signal.shape[0], period, threads)
+    return Profiles(values=device.put(values), valid=valid, pulses=pulses, centre=centre, spacing=spacing)
+
+
+def profile_frequency(collection: Collection) -> float:
+    """The range frequency whose phase profiles lack, Hz: the middle one, or of uneven ones the middle of the band."""
+    f = collection.range_frequency
+    return float(f[f.size // 2] if collection.band.even else (f[0] + f[-1]) / 2)
+
+
 def spline_lead(frequency: FloatArray, period: int) -> FloatArray:
     """Factors (n,) that turn samples at frequencies, cycles per period, into those of the spline's coefficients.
 
@@ -188,5 +222,5 @@ def profile_axis(collection: Collection, upsampling: int = UPSAMPLING) -> tuple[
 
 
 def _period(collection: Collection, upsampling: int) -> int:
-    """Length of the transform from range frequencies to profiles."""
-    return fast_length(upsampling * collection.n_range_frequency)
+    """Length of the transform to range profiles."""
+    return fast_length(upsampling * collection.n_band)

@@ -140,8 +140,11 @@ def _times(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height) -> Float
 
 def _distances(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height, time: FloatArray) -> FloatArray:
     """Ranges of points (...) at times (TIMES, ...), m."""
-    px, py, pz = np.moveaxis(geometry.track.position(time), -1, 0)
-    return np.asarray(np.sqrt((x - px) ** 2 + (y - py) ** 2 + (z - pz) ** 2))
+    ways = []
+    for track in geometry.tracks:
+        px, py, pz = np.moveaxis(track.position(time), -1, 0)
+        ways.append(np.sqrt((x - px) ** 2 + (y - py) ** 2 + (z - pz) ** 2))
+    return np.asarray(ways[0] if len(ways) == 1 else (ways[0] + ways[1]) / 2)
 
 
 def _weights(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height, time: FloatArray, taper: Taper) -> FloatArray:
@@ -151,6 +154,6 @@ def _weights(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height, time: 
     weight[[0, -1]] = 0.5
     if taper.uniform and not collection.has_pattern:
         return weight
-    place = np.rint((time - collection.time[0]) * collection.prf)
+    place = np.rint(collection.pulse_place(time))
     pulse = np.clip(np.nan_to_num(place), 0, collection.n_pulse - 1).astype(np.int64)
     return weight * geometry.beam.weights(x, y, pulse, taper, z) * geometry.beam.gain(x, y, pulse, z)

@@ -53,6 +53,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.sampling import refuse_departures
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 
@@ -429,6 +430,7 @@ def plan_cut(collection: Collection, area: Area, present: BoolArray) -> AreaCut:
         If the beam lights nothing of the area, its echoes were not recorded, or too few pulses are left.
     """
     shown = f"--area {area[0][0]:g}:{area[0][1]:g},{area[1][0]:g}:{area[1][1]:g}"
+    refuse_departures("--area", collection.departures, "take all pulses and range frequencies")
     by_yaw = collection.steered and not collection.has_axis  # its angles are about the nadir at t = 0, which stays
     lit = slice(0, collection.n_pulse) if by_yaw else _lit(collection, area, shown)
     frequency, step = collection.carrier + collection.range_frequency, collection.range_frequency_step

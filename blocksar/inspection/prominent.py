@@ -49,7 +49,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.backprojection import accumulate
-from blocksar.focusing.profiles import Profiles, range_profiles
+from blocksar.focusing.profiles import Profiles, profile_frequency, range_profiles
 from blocksar.kernels.fourier import fft_rows
 from blocksar.kernels.projection import LitPixels
 
@@ -243,8 +243,7 @@ class Lines:
         self.samples, self.geometry = samples, geometry
         collection = geometry.collection
         self.cell = samples.cell
-        middle = collection.range_frequency[collection.n_range_frequency // 2]
-        self.turns = 2 * (collection.carrier + middle) / SPEED_OF_LIGHT
+        self.turns = 2 * (collection.carrier + profile_frequency(collection)) / SPEED_OF_LIGHT
 
     def places(self, region: Region, count: int) -> list[ProminentPoint]:
         """The most prominent places, at most `count`, from all short apertures."""

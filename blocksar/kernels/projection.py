@@ -37,7 +37,7 @@ import numpy as np
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.kernels.lanes import FEW, FIXED_POINT, FIXED_RANGE
 from blocksar.kernels.phase import Float32Array
-from blocksar.kernels.pulse_sums import add_pulses
+from blocksar.kernels.pulse_sums import add_bistatic_pulses, add_pulses
 from blocksar.solvers import least_squares, product
 
 PLACE_ERROR = 1e-5  # of a place in the beam, whose half width is 1
@@ -186,6 +186,8 @@ class Sights:
         How fast bins and phases go by with range.
     antenna : (n, 3) float
         x, y and z, m.
+    receiver : (3, n) float or None
+        Of another antenna that receives, m: `antenna` transmits then, and ranges are half the way to both.
     reference_range : (n,) float
         m
     half_window : float
@@ -203,6 +205,7 @@ class Sights:
     reference_range: FloatArray
     half_window: float
     taper: BeamTaper | None = None
+    receiver: FloatArray | None = None
 
     def of(self, pulses: slice, values: ComplexArray) -> Sights:
         """The view from some of the pulses of the collection, with their profiles (n, n_bin)."""
@@ -267,21 +270,35 @@ def project(
     """
     if not tiles.rows.size:
         return
-    count, n_bin = tiles.rows[:, 1] - tiles.rows[:, 0], sights.values.shape[1]
-    # The tables of a tile go on by FEW pulses, of which nothing is used.
-    at = np.cumsum(count + FEW) - count - FEW
-    tile = np.repeat(np.arange(count.size), count + FEW)
-    pulses = np.arange(tile.size) - at[tile] + (tiles.rows[:, 0] - sights.start)[tile]
-    pulses = np.minimum(pulses, (tiles.rows[:, 1] - 1 - sights.start)[tile])
-    series, roots = pulse_tables(sights, pulses, tile, tiles.low, tiles.high)
-    places, precise = place_tables(sights.taper, pulses, tile, tiles.low, tiles.high)
-    held, precise = (np.logical_and.reduceat(each, at) for each in (series[0] > 0, precise))
-    divided = (~held & (tiles.pixels > SMALL)) | (~precise & (tiles.pixels > 1))
-    if divided.any():
-        parts = [part for tile in tiles.some(divided).slices() for part in halves(tile)]
-        block = sights.start, sights.start + sights.reference_range.size
-        for some in (tiles.some(~divided), Tiles.of(pixels, parts, block)):
-            project(image, outside, sights, pixels, weight, some)
+    side = _group_side(x.shape)
+    place = _in_groups(np.stack([x, y, z]), side)
+    lit = _in_groups(np.stack([first, last], dtype=np.int32), side)
+    spans = np.clip(np.stack([lit[0].min(axis=1), lit[1].max(axis=1)], axis=1, dtype=np.int64), begin, end)
+    pulses = slice(begin - sights.start, end - sights.start)
+    # A sample is loaded as one number of 64 bits, so that vectors of samples are transposed whole.
+    samples, origins = (
+        sights.values.reshape(-1).view(np.float64),
+        np.arange(pulses.start, pulses.stop) * n_bin + sights.middle,
+    )
+    if sights.receiver is not None:
+        sums, farthest = np.zeros((2, place[0].size), np.float32), np.zeros(place[0].size)
+        ends = sights.antenna[:, pulses], sights.receiver[:, pulses], sights.reference_range[None, pulses]
+        antennas = np.ascontiguousarray(np.concatenate(ends).T)
+        add_bistatic_pulses(
+            *sums, farthest, samples, origins, *(axis.ravel() for axis in place), *(axis.ravel() for axis in lit),
+            spans, begin, antennas, sights.cycles_per_metre, sights.bins_per_metre, sights.half_window,
+        )  # fmt: skip
+        image.real += _from_groups(sums[0], side, image.shape)
+        image.imag += _from_groups(sums[1], side, image.shape)
+        outside |= _from_groups(farthest, side, image.shape) > sights.half_window
+        return
+    low, high = place.min(axis=(1, 2)), place.max(axis=(1, 2))
+    centre = (low + high) / 2
+    series, roots = pulse_tables(sights, pulses, centre, reach=float(np.linalg.norm(high - low)) / 2)
+    places, precise = place_tables(sights.taper, pulses, low, high)
+    if (size > SMALL and not series[0, :-FEW].all()) or (size > 1 and not precise):
+        for part in halves(x.shape):
+            project(image[part], outside[part], sights, pixels.of(part), weight[part])
         return
     terms = np.zeros(0, np.float32) if sights.taper is None else sights.taper.terms.astype(np.float32)
     frequency = 0.0 if sights.taper is None else sights.taper.frequency

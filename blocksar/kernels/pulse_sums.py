@@ -251,144 +251,61 @@ def _add_to_groups(
             store(imag, i, im)
 
 
-@njit(**PART, **COMPILED)
-def _pixel(
-    group: int, lane: int, squares: bool, square: int, wide: int, height: int, width: int
-) -> tuple[int, int, bool]:
-    """Row and column of a lane of a group: of a square of pixels, or of FEW in their order; the last are repeated."""
-    if squares:
-        r, c = group // wide * square + lane // square, group % wide * square + lane % square
-        return min(r, height - 1), min(c, width - 1), r < height and c < width
-    i = group * FEW + lane
-    at = min(i, height * width - 1)
-    return at // width, at % width, i == at
-
-
 @loop(
-    types.complex64[:, :], types.boolean[:, :], types.float32[:, :], types.float64[::1], types.int64,
-    *[types.Array(types.float64, 2, "A", readonly=True)] * 3, *[types.Array(types.int64, 2, "A", readonly=True)] * 2,
-    WINDOWS, WINDOWS, ORIGINS, REAL_ROWS, REAL_ROWS, ORIGINS, REAL_ROWS, REAL_ROWS, types.float64, types.float64,
-    types.float64, types.float64, REAL_ROWS, WEIGHTS, types.float64, **COMPILED,
+    types.float32[::1], types.float32[::1], types.float64[::1], REAL_ROW, ORIGINS, *[REAL_ROW] * 3, PULSES, PULSES,
+    types.int64[:, ::1], types.int64, REAL_ROWS, types.float64, types.float64, types.float64, **COMPILED,
 )  # fmt: skip
-def add_pulses(
-    image: ComplexArray,
-    outside: BoolArray,
-    weight: NDArray[np.float32],
+def add_bistatic_pulses(
+    real: NDArray[np.float32],
+    imag: NDArray[np.float32],
+    farthest: FloatArray,
     samples: FloatArray,
-    square: int,
+    origins: IntArray,
     x: FloatArray,
     y: FloatArray,
     z: FloatArray,
-    first: IntArray,
-    last: IntArray,
-    windows: IntArray,
-    rows: IntArray,
-    at: IntArray,
-    low: FloatArray,
-    high: FloatArray,
-    origins: IntArray,
-    series: FloatArray,
-    roots: FloatArray,
+    first: NDArray[np.int32],
+    last: NDArray[np.int32],
+    spans: IntArray,
+    start: int,
+    antennas: FloatArray,
     cycles_per_metre: float,
     bins_per_metre: float,
     half_window: float,
-    most_cycles: float,
-    places: FloatArray,
-    terms: NDArray[np.float32],
-    half_frequency: float,
 ) -> None:
-    """Sum the lit pulses, in ascending order, at the pixels of some tiles of the image.
-
-    Tables have a column, or a row, for each pulse of each tile; that of a tile begins at `at`. They are made by
-    `projection.pulse_tables` and `projection.place_tables`.
+    """`add_pulses` where transmitter and receiver are two antennas: R is half the sum of two square roots.
 
     Parameters
     ----------
-    image : (n_row, n_column) complex64
-        Added to in place.
-    outside : (n_row, n_column) bool
-        Set where a lit pulse needed the square root and |range - reference_range| exceeds half_window.
-    weight : (n_row, n_column) float32
-        Rises by the sum of the pulses' weights; unchanged where `terms` is empty.
-    samples : (n_sample,) float64
-        Spline coefficients of the profiles, each a complex64 as 64 bits.
-    square : int
-        Pixels along either side of a group, where squares hold a tile well.
-    x, y, z : (n_row, n_column) float
-        m
-    first, last : (n_row, n_column) int
-        Pulses first <= p < last light a pixel.
-    windows : (n, 4) int
-        Tiles: rows from the first to before the second, columns from the third to before the fourth.
-    rows : (n, 2) int
-        The pulses that tables have of a tile: all that light any of it.
-    at : (n,) int
-    low, high : (n, 3) float
-        The box around a tile, m.
-    origins : (n_table,) int
-        The sample of each pulse at its reference range.
-    series, roots : (8, n_table), (n_table, 5) float
-        For ranges by the series about the tile's centre, and by the square root; FEW more follow those of each tile.
-    cycles_per_metre, bins_per_metre : float
-        How fast phases and bins go by with range.
-    half_window : float
-        Largest unambiguous |range - reference_range|, m.
-    most_cycles : float
-        From the middle of a group, of which float32 has enough of the phase.
-    places : (n_table, 7) or (n_table, 11) float
-        Polynomials of the pixel's place v in the beam, with the fraction of valid samples in column 6.
-    terms : (n_term,) float32
-        Of the weight as a function of v; empty without weights.
-    half_frequency : float
-        Cosines of the weight have k half_frequency v turns.
+    antennas : (n_pulse, 7) float
+        x, y and z of the transmitter, then of the receiver, and the reference range, m.
     """
-    for t in range(windows.shape[0]):
-        top, left = windows[t, 0], windows[t, 2]
-        height, width = windows[t, 1] - top, windows[t, 3] - left
-        begin, end, close_by = rows[t, 0], rows[t, 1], True
-        for k in range(at[t], at[t] + end - begin):
-            close_by = close_by and series[0, k] > 0
-        wide, deep = (width + square - 1) // square, (height + square - 1) // square
-        squares = wide * deep * square * square <= MOST_FILLED * height * width
-        count = wide * deep if squares else (height * width + FEW - 1) // FEW
-        n = count * FEW
-        place, lit = np.empty((3, n)), np.empty((2, n), np.int32)
-        spans, close, middles = np.empty((count, 2), np.int64), np.empty(count, np.bool_), np.empty((3, count))
-        sums, farthest = np.zeros((3, n), np.float32), np.zeros(n)
-        box = np.empty((2, 3))
-        for group in range(count):
-            spans[group, 0], spans[group, 1] = end, begin
-            box[0], box[1] = np.inf, -np.inf
-            for lane in range(FEW):
-                r, c, _ = _pixel(group, lane, squares, square, wide, height, width)
-                r, c, i = r + top, c + left, group * FEW + lane
-                place[0, i], place[1, i], place[2, i] = x[r, c], y[r, c], z[r, c]
-                for k in range(3):
-                    box[0, k], box[1, k] = min(box[0, k], place[k, i]), max(box[1, k], place[k, i])
-                lit[0, i], lit[1, i] = max(first[r, c], begin), min(last[r, c], end)
-                if lit[0, i] < lit[1, i]:
-                    spans[group, 0] = min(spans[group, 0], lit[0, i])
-                    spans[group, 1] = max(spans[group, 1], lit[1, i])
-            apart = 0.0
-            for k in range(3):
-                middles[k, group] = (box[0, k] + box[1, k]) / 2
-                apart += ((box[1, k] - box[0, k]) / 2) ** 2
-            near = apart * bins_per_metre**2 < (NEAR[1] - 1) ** 2 and apart * cycles_per_metre**2 < most_cycles**2
-            close[group] = near and close_by
-        hilly = high[t, 2] > low[t, 2]
-        centre_x, centre_y = (low[t, 0] + high[t, 0]) / 2, (low[t, 1] + high[t, 1]) / 2
-        _add_to_groups(
-            sums[0], sums[1], sums[2], farthest, samples, origins, place[0], place[1], place[2], hilly, centre_x,
-            centre_y, (low[t, 2] + high[t, 2]) / 2, lit[0], lit[1], spans, close, middles, begin - at[t], series, roots,
-            cycles_per_metre, bins_per_metre, half_window, places, terms, half_frequency,
-        )  # fmt: skip
-        for group in range(count):
-            for lane in range(FEW):
-                r, c, there = _pixel(group, lane, squares, square, wide, height, width)
-                if there:
-                    r, c, i = r + top, c + left, group * FEW + lane
-                    image[r, c] += complex(sums[0, i], sums[1, i])
-                    if terms.size:
-                        weight[r, c] += sums[2, i]
-                    if farthest[i] > half_window:
-                        outside[r, c] = True
+    turns, rights = np.empty(CHUNK * FEW, np.float32), np.empty(CHUNK * FEW, np.float32)
+    bins = np.empty(CHUNK * FEW, np.int32)
+    for begin in range(start, start + antennas.shape[0], CHUNK):
+        for group in range(spans.shape[0]):
+            i = group * FEW
+            px, py, pz = load_few(x, i), load_few(y, i), load_few(z, i)
+            lit, unlit = load_few(first, i), load_few(last, i)
+            low, high = max(spans[group, 0], begin), min(spans[group, 1], begin + CHUNK)
+            re, im = load_few(real, i), load_few(imag, i)
+            for p in range(low, high):
+                j, k = (p - low) * FEW, p - start
+                dx, dy, dz = px - antennas[k, 0], py - antennas[k, 1], pz - antennas[k, 2]
+                there = square_root(dx * dx + (dy * dy + dz * dz))
+                dx, dy, dz = px - antennas[k, 3], py - antennas[k, 4], pz - antennas[k, 5]
+                away = 0.5 * (there + square_root(dx * dx + (dy * dy + dz * dz))) - antennas[k, 6]
+                reached = within(larger(away, 0.0 - away), lit, p, unlit)
+                store(farthest, i, larger(reached, load_few(farthest, i)))
+                store(turns, j, remainder(away * cycles_per_metre))
+                away = smaller(larger(away, -half_window), half_window)
+                position = away * bins_per_metre + (FIXED_POINT + 0.5)
+                store(bins, j, whole(position))
+                store(rights, j, from_half(position))
+            for p in range(low, high):
+                j = (p - low) * FEW
+                a, b = _sample(load_triples(samples, origins[p - start], bins, j), load_few(rights, j))
+                a, b = within(a, lit, p, unlit), within(b, lit, p, unlit)
+                re, im = _added(re, im, a, b, load_few(turns, j))
+            store(real, i, re)
+            store(imag, i, im)

@@ -71,8 +71,7 @@ class ResponseAxes:
 
 def _range_gradient(geometry: Geometry, point: FloatArray, time: FloatArray) -> FloatArray:
     """grad_xy R of a ground point (3,) along the ground, at slow times (n,): (n, 2)."""
-    sight = point - geometry.track.position(time)
-    sight = sight / np.linalg.norm(sight, axis=1, keepdims=True)
+    sight = geometry.gradient(point, time)
     if geometry.terrain is None:
         return np.asarray(sight[:, :2])
     return np.asarray(sight[:, :2] + sight[:, 2:] * geometry.terrain.slope(point[0], point[1]))

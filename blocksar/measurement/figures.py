@@ -35,14 +35,18 @@ import numpy as np
 from blocksar import solvers
 from blocksar.arrays import Complex128Array, FloatArray
 from blocksar.budget import SIDE_LOBE_BUDGET, WEIGHTED_SIDE_LOBE_BUDGET
+from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import CUT_WIDTHS, NODES, UNIFORM, Taper, Weighting
 from blocksar.constants import SINC_ISLR, SINC_PSLR, SINC_WIDTH, SPEED_OF_LIGHT
+from blocksar.kernels.nonuniform import sum_phasors
 from blocksar.measurement.axes import ResponseAxes, response_axes
 from blocksar.measurement.response import ReadChip, Response, read_response
 from blocksar.measurement.targets import Target
 
 LEAST_NODES = 48  # over a dwell; two more for each turn of phase by which a point's range changes in it
+GAP_NODES = 8  # times as many nodes over a dwell with gaps
+MOMENT = 1e-9  # of the step between pulses, that what lies between two takes
 STEPS = 128  # of the table of W^, per unit of u: linear between them to 1e-5
 
 
@@ -67,15 +71,22 @@ def ideal_response(
 
     plain = taper.uniform and not collection.has_pattern
     swing = _swing(geometry, origin, x, y, np.linspace(begin, end, 17))
-    nodes, weights = solvers.gauss_legendre(max(LEAST_NODES + 2 * int(np.ceil(swing)), 0 if plain else NODES))
+    count = max(LEAST_NODES + 2 * int(np.ceil(swing)), 0 if plain else NODES)
+    nodes, weights = solvers.gauss_legendre(count)
+    recorded, elapsed = _recorded_time(collection)
+    if recorded.size:  # the integrand has steps at gaps
+        nodes = (2 * np.arange(GAP_NODES * count) + 1) / (GAP_NODES * count) - 1
+        weights = np.full(nodes.size, 2 / nodes.size)
+        first, last, own_begin, own_end = (np.interp(t, elapsed, recorded) for t in (first, last, own_begin, own_end))
 
     def over(first: FloatArray, last: FloatArray) -> FloatArray:
-        """Nodes (n, nodes), s, between first and last times (n,)."""
-        return np.asarray((last + first)[:, None] / 2 + (last - first)[:, None] / 2 * nodes)
+        """Times (n, nodes) between those (n,)."""
+        time = np.asarray((last + first)[:, None] / 2 + (last - first)[:, None] / 2 * nodes)
+        return np.interp(time, recorded, elapsed) if recorded.size else time
 
     time = over(first, last)
     offset = _offset(geometry, origin, x, y, time)
-    made = _over_band(weighting.range, collection.bandwidth, offset)
+    made = _over_band(weighting.range, collection, offset)
     whole = own_end - own_begin
     if not plain:
         made *= beam.at_times(time, lambda pulses: beam.weights(x[:, None], y[:, None], pulses, taper))
@@ -93,8 +104,7 @@ def _offset(
 ) -> FloatArray:
     """Difference of range dR (m) of points (n,) from that of the origin, at times (n, m) or (m,)."""
     point, target = geometry.on_ground(x, y)[:, None, :], geometry.on_ground(*(np.array(at) for at in origin))
-    antenna = geometry.track.position(time)
-    return np.asarray(np.linalg.norm(point - antenna, axis=-1) - np.linalg.norm(target - antenna, axis=-1))
+    return geometry.distance(point, time) - geometry.distance(target, time)
 
 
 def _swing(geometry: Geometry, origin: tuple[float, float], x: FloatArray, y: FloatArray, time: FloatArray) -> float:
@@ -104,9 +114,28 @@ def _swing(geometry: Geometry, origin: tuple[float, float], x: FloatArray, y: Fl
     return float(2 * top / SPEED_OF_LIGHT * np.ptp(_offset(geometry, origin, x, y, time), axis=1).max(initial=0.0))
 
 
-def _over_band(taper: Taper, bandwidth: float, offset: FloatArray) -> FloatArray:
+def _recorded_time(collection: Collection) -> tuple[FloatArray, FloatArray]:
+    """Time that pulses stand for up to the borders of each, and slow time there, (2 n_pulse,), s; empty if uniform."""
+    sampling, time = collection.pulses, collection.time
+    if sampling.even:
+        return np.zeros(0), np.zeros(0)
+    before, after = sampling.halves(time)
+    elapsed = np.stack([time - before, time + after], axis=1).ravel()
+    gone = np.diff(elapsed, prepend=elapsed[0])
+    gone[2::2] = MOMENT * sampling.step  # between pulses, where time has to go on
+    return np.cumsum(gone), elapsed
+
+
+def _over_band(taper: Taper, collection: Collection, offset: FloatArray) -> FloatArray | Complex128Array:
     """W^(2 B dR / c)."""
-    u = 2 * bandwidth / SPEED_OF_LIGHT * offset
+    u = 2 * collection.bandwidth / SPEED_OF_LIGHT * offset
+    if not collection.band.even:
+        weights = taper.weights(collection.range_frequency, collection.band)
+        turns = (collection.range_frequency - (collection.range_frequency[[0, -1]]).mean()) / collection.bandwidth
+        most = int(np.abs(u).max(initial=0.0) * STEPS) + 2
+        known = np.arange(-most, most + 1) / STEPS
+        values = sum_phasors((weights / weights.sum()).astype(np.complex128), turns / STEPS, known.size)
+        return np.asarray(np.interp(u, known, values))
     if taper.uniform:
         return np.asarray(np.sinc(u))
     known = np.arange(int(np.abs(u).max(initial=0.0) * STEPS) + 2) / STEPS

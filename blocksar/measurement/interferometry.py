@@ -36,6 +36,7 @@ from scipy.ndimage import uniform_filter
 from blocksar.arrays import Complex128Array, ComplexArray, FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import ground_spectrum
+from blocksar.collection.sampling import refuse_departures
 from blocksar.collection.weighting import Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 
@@ -200,7 +201,14 @@ class LinesOfSight(NamedTuple):
 
     @classmethod
     def of(cls, geometry: Geometry, x: FloatArray, y: FloatArray, z: FloatArray | float) -> LinesOfSight:
-        """Geometry of sight to points x, y, z (...), m; NaN where a point is never lit."""
+        """Geometry of sight to points x, y, z (...), m; NaN where a point is never lit.
+
+        Raises
+        ------
+        InputError
+            If the collection is bistatic.
+        """
+        refuse_departures("a baseline", geometry.collection.two_antennas, "compare images of one antenna")
         first, last = np.broadcast_arrays(*geometry.beam.dwell(x, y, z=z), x)[:2]
         middle = np.where(first < last, (first + last) / 2, geometry.epoch)
         away = np.stack(np.broadcast_arrays(x, y, z), axis=-1) - geometry.track.position(middle)

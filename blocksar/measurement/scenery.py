@@ -145,8 +145,8 @@ def noise_floor(read: ReadChip, strips: Strips) -> float:
     return float(np.quantile(every, FLOOR_SHARE)) if every.size else math.nan
 
 
-def ambiguity_place(geometry: Geometry, x: float, y: float, order: int) -> tuple[float, float] | None:
-    """Find the azimuth ambiguity of a point at x, y (m): its range, with Doppler `order` PRFs away; m.
+def ambiguity_place(geometry: Geometry, x: float, y: float, order: float) -> tuple[float, float] | None:
+    """Where the azimuth ambiguity of a point at x, y (m) lies, m: at its range, with a Doppler off by `order` PRFs.
 
     Both hold at the middle of the point's dwell. Its ghost lies about there, defocused. None if the point is not lit,
     or there is no such place.

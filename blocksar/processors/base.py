@@ -13,6 +13,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import check_seen
+from blocksar.collection.sampling import refuse_departures
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.planning import effort
@@ -339,6 +340,8 @@ class Processor(Protocol):
         Whether `auto` considers it.
     on_gpu : bool
         Whether it can run on a GPU.
+    general : bool, optional
+        Whether it takes pulses and range frequencies that are not uniform, and bistatic collections. Default: False.
     """
 
     name: str
@@ -367,20 +370,35 @@ class Processor(Protocol):
         """
 
 
-@runtime_checkable
-class Bounding(Processor, Protocol):
-    """A processor that may know early that a plan is not worth to be made."""
+def is_general(processor: Processor) -> bool:
+    """Whether a processor takes collections that are bistatic or not uniform; see `Collection.departures`."""
+    return bool(getattr(processor, "general", False))
 
-    def plan_within(self, problem: Problem, seconds: float) -> ImagePlan | Bound:
-        """Plan an image, or say why no plan keeps the fidelity in so many seconds, as soon as that is known.
 
-        The plan is that of `plan`. It may still take longer, or not keep the fidelity.
+def check_taken(processor: Processor, collections: Sequence[Collection]) -> None:
+    """Check that a processor takes collections of this kind.
 
-        Raises
-        ------
-        InputError
-            As `plan`.
-        """
+    Raises
+    ------
+    InputError
+        If one is bistatic or not uniform, and it does not.
+    """
+    if not is_general(processor):
+        for each in collections:
+            refuse_departures(processor.name, each.departures, "take --processor backprojection or auto")
+
+
+def plan_image(processor: Processor, problem: Problem) -> ImagePlan:
+    """Plan an image by a processor.
+
+    Raises
+    ------
+    InputError
+        If pulses or range frequencies are not uniform, or the collection is bistatic, which it does not take, or from
+        `Processor.plan`.
+    """
+    check_taken(processor, problem.collections)
+    return processor.plan(problem)
 
 
 @dataclass(frozen=True)

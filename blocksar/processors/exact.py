@@ -13,6 +13,7 @@ from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.chunks import BACKPROJECTION_CHUNK
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
+from blocksar.collection.sampling import refuse_departures
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import ReadPulses, form_image
@@ -42,6 +43,7 @@ class Backprojection:
     summary = "exact but slow"
     options = ChainOptions
     universal = True
+    general = True
     compared = True
     on_gpu = True
 
@@ -63,8 +65,12 @@ class Backprojection:
         Raises
         ------
         InputError
-            If the grid is missing, or a worker has too little memory.
+            If the grid is missing, a worker has too little memory, or a bistatic collection is to be imaged on a
+            terrain, of whose layers none is known for two antennas.
         """
+        if problem.terrain is not None:
+            for each in problem.collections:
+                refuse_departures("a terrain", each.two_antennas, FLAT)
         grid, machine = problem.points, problem.machine
         chunks = None if problem.device == "cpu" else GPU_CHUNKS
         memory = max(
@@ -81,6 +87,7 @@ class Backprojection:
 
 
 EXACT = Backprojection()
+FLAT = "leave the terrain out, and give ground_height"
 GPU_CHUNKS = (8, 8)  # of the image, in a unit of work: enough that reading and transforming the samples costs little
 
 
@@ -130,8 +137,14 @@ class BackprojectionPlan(ChunkPlan):
             *self.memory_lines(),
             f"a run writes at most {size_text(self.stored_bytes())}",
             *dict.fromkeys(doubts),
+            *self._of_two_antennas(),
             *self.notes(),
         ]
+
+    def _of_two_antennas(self) -> list[str]:
+        if self.device == "cpu" or not any(piece.geometry.collection.bistatic for piece in self.pieces):
+            return []
+        return ["the sums of bistatic collections are computed on the CPU"]
 
 
 def form_parts(

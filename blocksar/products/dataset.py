@@ -440,7 +440,7 @@ def _history_facts(collection: Collection) -> list[tuple[str, str]]:
         beam = f"{np.degrees(collection.beam_width):.4g} degrees wide, {kind} {first:.2f} .. {last:.2f} degrees"
     return [
         ("phase history", f"{collection.n_pulse} pulses x {collection.n_range_frequency} range frequencies"),
-        ("pulses", f"{time[0]:.4g} .. {time[-1]:.4g} s, PRF {collection.prf:.6g} Hz"),
+        ("pulses", f"{time[0]:.4g} .. {time[-1]:.4g} s, {collection.rate_text}"),
         (
             "band",
             f"{frequency_text(collection.carrier)}, {frequency_text(collection.bandwidth)}: cells of {cell:.3g} m",

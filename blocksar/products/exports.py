@@ -70,10 +70,12 @@ class SIDD:
         """Write the file; return lines for the user."""
         from blocksar.products import sidd
         from blocksar.products.pixels import pixels_of
+        from blocksar.products.shared_metadata import refuse_bistatic
         from blocksar.products.writing import opened
 
         source, lines = opened(run, channel, options.crop)
         looks = (1, 1) if options.looks is None else options.looks
+        refuse_bistatic(source, "a SIDD")
         frame = source.placed("a SIDD")
         pixels = pixels_of(source, content="db", looks=looks, scale="uint8", limits=options.range)
         return [*lines, *sidd.write(pixels, frame, out, overwrite=overwrite, progress=progress)]

@@ -10,6 +10,7 @@ import numpy as np
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.sampling import refuse_departures
 from blocksar.collection.weighting import UNIFORM, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
@@ -156,6 +157,17 @@ class Support(NamedTuple):
     frequencies: FloatArray
     weights: FloatArray
     dwell: float
+
+
+def refuse_bistatic(source: FinishedRun, product: str) -> None:
+    """Refuse an image of two antennas, which a product has no fields for as they are written here.
+
+    Raises
+    ------
+    InputError
+        If the collection is bistatic.
+    """
+    refuse_departures(product, source.collection.two_antennas, "export geotiff or png")
 
 
 def find_support(geometry: Geometry, scp: FloatArray, weighting: Weighting = UNIFORM) -> Support:

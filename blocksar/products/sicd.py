@@ -66,6 +66,7 @@ from blocksar.products.shared_metadata import (
     lit_times,
     polarization,
     radar_mode,
+    refuse_bistatic,
     sample_pixels,
     security_mark,
     valid_data,
@@ -296,7 +297,9 @@ def _axis_name(direction: FloatArray) -> str:
 def _timeline(geometry: Geometry, start: datetime) -> dict[str, Any]:
     """Build the Timeline branch."""
     collection = geometry.collection
-    duration = collection.n_pulse / collection.prf
+    duration = collection.duration
+    if not collection.pulses.even:  # the number of pulses is no polynomial of time
+        return {"CollectStart": start, "CollectDuration": duration}
     pulses = {"TStart": 0.0, "TEnd": duration, "IPPStart": 0, "IPPEnd": collection.n_pulse - 1}
     return {
         "CollectStart": start,
@@ -332,7 +335,7 @@ def _set_radar(sicd: Any, source: FinishedRun) -> None:
         "RcvChanProc": {"NumChanProc": 1, "ChanIndex": [1]},
         "TxRcvPolarizationProc": transmit_receive,
         "TStartProc": 0.0,
-        "TEndProc": collection.n_pulse / collection.prf,
+        "TEndProc": collection.duration,
         "TxFrequencyProc": {"MinProc": low, "MaxProc": high},
         "ImageFormAlgo": "OTHER",
         "STBeamComp": "NO",
@@ -372,6 +375,7 @@ def write(
     """
     with library_for("SICD needs", "formats"):
         from sarkit import sicd as sksicd
+    refuse_bistatic(source, "a SICD")
     frame, notes = (
         source.placed("a SICD"),
         about_segments(source, "a SICD", "track, centre of aperture and spatial frequencies"),

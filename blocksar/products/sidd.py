@@ -412,7 +412,7 @@ def _features(grid: SIDDGrid, coa: Poly2D, start: datetime) -> dict[str, Any]:
                 "SensorName": ascii_text(str(source.attrs.get("collector") or "unknown"), 42),
                 "RadarMode": {"ModeType": radar_mode(collection, one_aperture=coa.coefficients.size == 1)},
                 "CollectionDateTime": start,
-                "CollectionDuration": collection.n_pulse / collection.prf,
+                "CollectionDuration": collection.duration,
                 "Resolution": np.array(_slant_resolution(source, point, support)),
                 "Polarization": [{"TxPolarization": transmit, "RcvPolarization": receive}],
             },

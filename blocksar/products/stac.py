@@ -42,6 +42,7 @@ from blocksar.products.shared_metadata import (
     lit_times,
     polarization,
     radar_mode,
+    refuse_bistatic,
     sample_pixels,
     valid_data,
 )
@@ -98,6 +99,7 @@ def write(
         If the run has no georeference or no covered pixel, a file is missing or of another run, a library is not
         installed, or `out` cannot be written.
     """
+    refuse_bistatic(source, "a STAC item")
     frame = source.placed("a STAC item")
     with library_for("STAC needs", "formats"):
         import shapely  # noqa: F401 - which outlines need

@@ -82,7 +82,16 @@ PATTERNS = {
     "elevation_pattern": Variable(("elevation",), "float64", "1", "two-way amplitude over elevation, in the signal"),
     "elevation": Variable(("elevation",), "float64", "rad", "angle of the line of sight below the horizontal"),
 }
-OPTIONAL = {**AXIS_BEAM, **PATTERNS}
+# Of a bistatic collection, instead of antenna_position.
+ANTENNAS = {
+    "transmitter_position": Variable(
+        ("pulse", "axis"), "float64", "m", "phase centre of the transmitter in the scene frame (x, y, z), z up"
+    ),
+    "receiver_position": Variable(
+        ("pulse", "axis"), "float64", "m", "phase centre of the receiver in the scene frame (x, y, z), z up"
+    ),
+}
+OPTIONAL = {**AXIS_BEAM, **PATTERNS, **ANTENNAS}
 COLLECTION = {"time": TIME, "range_frequency": RANGE_FREQUENCY, **TRACK_AND_BEAM}
 PHASE_HISTORY = {
     "signal": Variable(("pulse", "range_frequency"), "complex64", "1", "range-frequency signal; NaN where missing"),
@@ -199,6 +208,8 @@ def stated(
     absent = {name for name in OPTIONAL if getattr(collection, name) is None}
     if "beam_axis" not in absent:
         absent.add("beam_azimuth")
+    if collection.bistatic:
+        absent.add("antenna_position")
     present = {name: variable for name, variable in {**schema, **OPTIONAL}.items() if name not in absent}
     small = {name: getattr(collection, name) for name in {**TRACK_AND_BEAM, **OPTIONAL} if name in present}
     angles = {name: small.pop(name) for name in list(small) if PATTERNS.get(name) and PATTERNS[name].dims == (name,)}

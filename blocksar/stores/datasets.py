@@ -19,6 +19,7 @@ from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.stores.channels import attrs_of_channel, check_channels, number_of, text, unnamed_channels, with_channels
 from blocksar.stores.contract import (
+    ANTENNAS,
     SAMPLES,
     SCHEMA,
     Variable,
@@ -108,6 +109,9 @@ class DatasetHistory(PhaseHistory):
             del values["range_frequency"], values["recorded"]
         elif self.collection.recorded is None:
             del values["recorded"]  # as before there was any
+        if not self.collection.bistatic:
+            for name in ANTENNAS:
+                del values[name]  # likewise
         for name, value in sorted(values.items()):
             digest.update(f"{name} {np.shape(value)} ".encode())
             digest.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())

@@ -35,6 +35,7 @@ from blocksar.places.place import Place
 from blocksar.stores.channels import NAME, attrs_of_channel, look_name, number_of, read_channels
 from blocksar.stores.chunk_files import METADATA, group_attrs, refuse_odd_file
 from blocksar.stores.contract import (
+    ANTENNAS,
     COLLECTION_ATTRS,
     CONVENTIONS,
     OPTIONAL,
@@ -488,7 +489,7 @@ def collection_from(
         beam_width = None
     carrier = number(attrs, "carrier_frequency", "Hz")
     ground_height = number(attrs, "ground_height", "m", 0.0)
-    reference, position = read("reference_range"), read("antenna_position")
+    reference, position = read("reference_range"), _positions(read, present)
     check_scene_frame(
         carrier=carrier, time=time, position=position, reference=reference, ground_height=ground_height
     )  # fmt: skip
@@ -507,6 +508,17 @@ def collection_from(
         recorded=RecordedRanges.among(attrs) if raw is None else raw.recorded(),
         **{name: read(name) for name in OPTIONAL if present(name)},  # type: ignore[arg-type]  # arrays, all of them
     )
+
+
+def _positions(read: Callable[[str], FloatArray], present: Callable[[str], bool]) -> FloatArray:
+    """The antenna's positions (n, 3), m, or the middle of those of transmitter and receiver."""
+    given = [name for name in ANTENNAS if present(name)]
+    if not given:
+        return read("antenna_position")
+    if present("antenna_position"):
+        raise InputError(f"{given[0]} and antenna_position are both given; leave out one, or the other")
+    places = [read(name) for name in given]
+    return places[0] if len({place.shape for place in places}) > 1 else np.asarray(sum(places) / len(places))
 
 
 TITLE = "track as flown; the phase history beside it has the track as known"

@@ -321,7 +321,8 @@ def provenance(run: Facts) -> list[tuple[str, str]]:
         ("image", _extent(run.source)),
         ("segments", _segments(run)),
         ("collection", f"{collection.n_pulse} pulses of {collection.n_range_frequency} range frequencies, "
-         f"{collection.prf:.6g} Hz, {frequency_text(collection.carrier)}, {frequency_text(collection.bandwidth)} wide"),
+         f"{collection.rate_text}, {frequency_text(collection.carrier)}, "
+         f"{frequency_text(collection.bandwidth)} wide"),
         ("samples", run.samples),
         ("Doppler centroid", run.centroid),
         ("noise", "" if run.source.noise is None else run.source.noise.sentence()),
