@@ -12,6 +12,7 @@ from blocksar.options import Option
 from blocksar.spans import numbers_of, parse_crop
 
 Content = Literal["amplitude", "power", "db", "complex", "height", "incidence", "visibility", "gamma"]
+Quantity = Literal["sigma0", "beta0", "gamma0"]
 Scale = Literal["uint8", "uint16"]
 Decibels = tuple[float, float]  # lower and upper end
 Box = tuple[tuple[float, float], tuple[float, float]]  # ends of x and of y, m
@@ -63,6 +64,31 @@ def parse_range(limits: Any) -> Decibels:
     return low, high
 
 
+def parse_calibration(calibration: Any) -> float:
+    """Read a calibration: the radar cross-section of a target that peaks at 1, m^2.
+
+    Raises
+    ------
+    InputError
+        If it is no positive number.
+
+    Examples
+    --------
+    >>> parse_calibration("2.5e3")
+    2500.0
+    """
+    try:
+        factor = math.nan if isinstance(calibration, bool) else float(calibration)
+    except (TypeError, ValueError):
+        factor = math.nan
+    if not (math.isfinite(factor) and factor > 0):
+        raise InputError(
+            f"calibration = {calibration!r:.80}: give the radar cross-section of a target that peaks at 1, a "
+            "positive number of m2, such as 2.5e3"
+        )
+    return factor
+
+
 def decibels(of: str) -> Option:
     """The option `range` of what decibels are mapped to."""
     return Option(f"dB at the ends of {of}.", metavar="LOW:HIGH", default="by the image", read=parse_range)
@@ -83,5 +109,22 @@ Looks = Annotated[
         metavar="AxB",
         default="by the product",
         read=parse_looks,
+    ),
+]
+OfBackscatter = Annotated[
+    Quantity | None,
+    Option(
+        "Backscatter per area of the ground, of the slant plane, or across the line of sight.",
+        metavar="sigma0, beta0, gamma0",
+        default="power over that of unit reflectivity",
+    ),
+]
+Calibration = Annotated[
+    float | None,
+    Option(
+        "Radar cross-section of a target that peaks at 1, m2; for --quantity.",
+        metavar="M2",
+        default="the attribute calibration_factor; else values are relative",
+        read=parse_calibration,
     ),
 ]
