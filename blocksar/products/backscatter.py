@@ -12,7 +12,6 @@ On a terrain, layover and shadow are NaN: there, the power is that of several pl
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Self, get_args
@@ -20,6 +19,7 @@ from typing import Any, Self, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from blocksar import stores
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.errors import InputError
 from blocksar.focusing.response_area import AreaMap
@@ -32,7 +32,6 @@ from blocksar.runs.finished import FinishedRun
 from blocksar.runs.record import RunRecord
 
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
-FACTOR = "calibration_factor"  # attribute of a phase history, and of its images, m^2
 READ = ("recover", "inspect")  # stages whose receipts have the findings in the samples
 MEANINGS = {
     "sigma0": "per area of the ground",
@@ -52,31 +51,17 @@ def check_quantity(quantity: Any) -> Quantity:
     """
     if quantity not in QUANTITIES:
         raise InputError(f"quantity = {quantity!r}: give one of {', '.join(QUANTITIES)}")
-    return quantity  # type: ignore[no-any-return]
-
-
-def factor_of(calibration: float | None, attribute: Any, where: str) -> float | None:
-    """Return the radar cross-section of a target that peaks at 1, m^2: as given, or of a store's attribute.
-
-    Raises
-    ------
-    InputError
-        If the attribute is no positive number.
-    """
-    if calibration is not None or attribute is None:
-        return calibration
-    number = isinstance(attribute, int | float) and not isinstance(attribute, bool)
-    if not (number and math.isfinite(attribute) and attribute > 0):
-        raise InputError(
-            f"{FACTOR} of {where} is {attribute!r:.80}, but must be a positive number of m2, the radar cross-section "
-            "of a target that peaks at 1; give calibration, which goes before it"
-        )
-    return float(attribute)
+    return quantity
 
 
 def describe_factor(factor: float | None) -> str:
     """Say how backscatter is calibrated."""
     return UNCALIBRATED if factor is None else f"a target that peaks at 1 has a radar cross-section of {factor:.6g} m2"
+
+
+def label_of(quantity: Quantity, factor: float | None) -> str:
+    """What a picture of a quantity in dB shows."""
+    return f"{quantity} (dB{'' if factor is not None else ', uncalibrated'})"
 
 
 def valid_pulses(record: RunRecord, segment: int | None) -> FloatArray | None:
@@ -183,10 +168,10 @@ class BackscatterRun(FinishedRun):
         Raises
         ------
         InputError
-            If that attribute is none.
+            If the quantity is none.
         """
         own = {field.name: getattr(source, field.name) for field in fields(FinishedRun)}
-        factor = factor_of(calibration, source.attrs.get(FACTOR), str(source.folder))
+        factor = stores.calibration_of(source.attrs) if calibration is None else calibration
         return cls(**own, ground=GroundFactors(source, check_quantity(quantity)), factor=factor)
 
     @property
@@ -197,7 +182,7 @@ class BackscatterRun(FinishedRun):
     @property
     def label(self) -> str:
         """What a picture in dB shows."""
-        return f"{self.quantity} (dB{'' if self.factor is not None else ', uncalibrated'})"
+        return label_of(self.quantity, self.factor)
 
     def read(self, rows: slice, columns: slice) -> ComplexArray:
         """Read pixels times the root of their factors; NaN also in layover and shadow."""

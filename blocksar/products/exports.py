@@ -12,7 +12,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from blocksar.errors import InputError, library_for
 from blocksar.options import Option
-from blocksar.products.shared_options import COLOUR_MAP, COLOUR_RANGE, Content, Crop, Decibels, Looks, Scale, decibels
+from blocksar.products.shared_options import (
+    COLOUR_MAP,
+    COLOUR_RANGE,
+    Calibration,
+    Content,
+    Crop,
+    Decibels,
+    Looks,
+    OfBackscatter,
+    Scale,
+    decibels,
+)
 
 if TYPE_CHECKING:
     from blocksar.places import Location
@@ -106,6 +117,9 @@ class GeoTIFFOptions:
             default="the scene frame's own, without resampling",
         ),
     ] = None
+    quantity: OfBackscatter = None
+    db: Annotated[bool, Option("Backscatter in dB.")] = False
+    calibration: Calibration = None
 
 
 class GeoTIFF:
@@ -124,15 +138,28 @@ class GeoTIFF:
         from blocksar.products.pixels import pixels_of
         from blocksar.products.writing import opened
 
-        source, said = opened(run, channel, options.crop)
+        source, said = opened(run, channel, options.crop, options.quantity, options.calibration)
         pixels = pixels_of(
             source,
-            content=options.content,
+            content=_content(options),
             looks=(1, 1) if options.looks is None else options.looks,
             scale=options.scale,
             limits=options.range,
         )
         return [*said, *geotiff.write(pixels, out, crs=options.crs, overwrite=overwrite, progress=progress)]
+
+
+def _content(options: GeoTIFFOptions) -> Content | None:
+    """What pixels hold: of backscatter its power, or dB."""
+    if options.quantity is None:
+        if options.db:
+            raise InputError("db = True is of a quantity; give one, such as sigma0, or take content db")
+        return options.content
+    if options.content is not None:
+        raise InputError(
+            f"content is {options.content!r}, but pixels hold {options.quantity}; leave content out, and give db for dB"
+        )
+    return "db" if options.db or options.scale else "power"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,6 +180,8 @@ class PNGOptions:
             default="one channel or look",
         ),
     ] = None
+    quantity: OfBackscatter = None
+    calibration: Calibration = None
 
 
 class PNG:
@@ -174,7 +203,7 @@ class PNG:
 
         drawn = {"limits": options.range, "size": options.size, "overwrite": overwrite, "progress": progress}
         if options.composite is None:
-            source, said = opened(run, channel, options.crop)
+            source, said = opened(run, channel, options.crop, options.quantity, options.calibration)
             cell = _cell(options, source)
             quicklook = _pictures("quicklook")
             return [*said, *quicklook.write(source, out, cell=cell, colour_map=options.colour_map, **drawn)]
@@ -202,7 +231,8 @@ def _composed(run: Place, options: PNGOptions, channel: str | None) -> dict[str,
     composite = options.composite
     if composite not in ("pauli", "mean"):
         raise InputError(f"composite is {composite!r}; it must be 'pauli' or 'mean'")
-    taken = {"channel": channel, **({"colour_map": options.colour_map} if composite != "mean" else {})}
+    own = {"colour_map": options.colour_map, "quantity": options.quantity} if composite != "mean" else {}
+    taken = {"channel": channel, **own}
     for name, value in taken.items():
         if value is not None:
             raise InputError(f"{name} is {value!r}, but a composite has channels and colours of its own; leave it out")
@@ -212,7 +242,8 @@ def _composed(run: Place, options: PNGOptions, channel: str | None) -> dict[str,
     members = dict(zip(names, names, strict=True))
     if composite == "pauli":
         members = _pictures("composite").pauli_channels(names, str(run))
-    return {name: opened(run, member, options.crop)[0] for name, member in members.items()}
+    asked = options.crop, options.quantity, options.calibration
+    return {name: opened(run, member, *asked)[0] for name, member in members.items()}
 
 
 def _pictures(name: str) -> Any:

@@ -11,9 +11,11 @@ from summed_response import _comb
 
 from blocksar.arrays import FloatArray
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import UNIFORM, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.response_area import AreaMap
+from blocksar.focusing.terrain_layers import Sight, slope_factors
 from blocksar.measurement.axes import response_axes
 
 CELLS = 24  # of the nominal response to either side: sin(x)^2 / x^2 has 0.5 % of its energy beyond
@@ -31,7 +33,7 @@ def clutter_power(geometry: Geometry, x: float, y: float, weighting: Weighting, 
     collection, beam, at = geometry.collection, geometry.beam, (np.array([x]), np.array([y]))
     weights = valid * beam.is_lit(*at) * beam.weights(*at, slice(None), weighting.azimuth)
     gain = weights * beam.gain(*at, slice(None))
-    pixel = geometry.range_history(geometry.on_ground(x, y), collection.time)[0]
+    pixel = geometry.range_history(geometry.on_ground(*at), collection.time)[0]
     total, middle = 0.0, collection.carrier + float(collection.range_frequency.mean())
     for px, py in zip(x + dx, y + dy, strict=True):
         places = geometry.on_ground(px, py)[:, None]
@@ -67,7 +69,7 @@ def test_clutter_has_the_power_of_its_area(
     collection = collection.unsteered() if "still" in changes else collection
     geometry, tapers, valid = Geometry(collection=collection), Weighting.parse(weighting), np.ones(collection.n_pulse)
     valid[changes.get("missing", slice(0, 0))] = 0
-    area = AreaMap.of(geometry, tapers, valid).at(*map(np.array, place))
+    area = AreaMap.of(geometry, tapers, valid).at(np.array(place[0]), np.array(place[1]))
     assert 10 * np.log10(area / clutter_power(geometry, *place, tapers, valid)) == pytest.approx(0, abs=TENTH)
 
 
@@ -93,7 +95,23 @@ def test_areas_between_nodes_are_those_at_the_places() -> None:
     raised = np.full((y.size, x.size), 40.0)
     raised[30:50, 10:40] = np.nan
     for z in (None, np.full_like(raised, 40.0)):
-        exact = areas.at(*np.meshgrid(x, y), z)
+        columns, rows = np.meshgrid(x, y)
+        exact = areas.at(columns, rows, z)
         np.testing.assert_allclose(areas.over(x, y, z), exact, rtol=3e-3)
     assert np.isfinite(areas.over(x, y, raised)).all()
     assert np.isnan(areas.over(x, 400 + y)).all()
+
+
+def test_slopes_change_the_area_by_their_factor() -> None:
+    """Clutter of 1 / m^2 of a plane that climbs along range and along the track, by its own surface."""
+    collection, along_x, along_y = axis_collection(), 0.2, 0.1
+    x, y = np.meshgrid(np.arange(8800.0, 9201, 10), np.arange(-200.0, 201, 10))
+    terrain = Terrain(x0=8800.0, dx=10.0, y0=-200.0, dy=10.0, heights=along_x * (x - 9000) + along_y * y)
+    geometry, place, box = Geometry(collection=collection), (9000.0, 0.0), ((8900.0, 9100.0), (-100.0, 100.0))
+    power = clutter_power(geometry.over(terrain), *place, UNIFORM, np.ones(collection.n_pulse))
+    power *= np.sqrt(1 + along_x**2 + along_y**2)
+    sight = Sight.of(geometry, box, terrain.limits)
+    slopes = slope_factors(terrain, sight, np.array([9000.0]), np.array([0.0]))
+    area = AreaMap.of(geometry, UNIFORM).at(np.array([9000.0]), np.array([0.0])) / slopes.area
+    assert 10 * np.log10(float(area[0, 0]) / power) == pytest.approx(0, abs=TENTH)
+    assert abs(10 * np.log10(float(slopes.area[0, 0]))) > 1
