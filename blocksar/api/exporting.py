@@ -99,11 +99,11 @@ def export(
     quantity : {"sigma0", "beta0", "gamma0"}, optional
         Backscatter, in a GeoTIFF or a PNG: per area of the ground, of the slant plane, or across the line of sight.
         Default: power over that of a target of reflectivity 1, or `content`.
-    db : bool
+    db : bool, optional
         The quantity in dB, in a GeoTIFF; a PNG is in dB anyway. Default: False.
     calibration : float or str, optional
-        Radar cross-section of a target that peaks at 1, m2, for `quantity`. Default: the run's attribute
-        `calibration_factor`; without it values are relative.
+        Radar cross-section of a target that peaks at 1, m2, for `quantity`, or of a SICD. Default: the run's
+        attribute `calibration_factor`; without it values are relative, and a SICD has none.
     colour_map : str, optional
         Of a PNG, by matplotlib's name. Default: "gray".
     size : int, optional

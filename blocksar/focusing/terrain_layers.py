@@ -227,7 +227,7 @@ def heights_and_angles(terrain: Terrain, sight: Sight, grid: Grid, strip: Strip)
 
 
 class SlopeFactors(NamedTuple):
-    """What a surface makes of the echo of level ground at its pixels (n_y, n_x).
+    """Effects of slopes on the echo of pixels (n_y, n_x), against level ground.
 
     Attributes
     ----------

@@ -60,7 +60,7 @@ def describe_factor(factor: float | None) -> str:
 
 
 def label_of(quantity: Quantity, factor: float | None) -> str:
-    """What a picture of a quantity in dB shows."""
+    """Label of a picture of a quantity in dB."""
     return f"{quantity} (dB{'' if factor is not None else ', uncalibrated'})"
 
 
@@ -75,9 +75,16 @@ def valid_pulses(record: RunRecord, segment: int | None) -> FloatArray | None:
     return merge(found).lit if found else None
 
 
+def valid_of(run: FinishedRun, segment: int | None = None) -> FloatArray | None:
+    """Share of each pulse's samples that were valid, of a run or a segment of it, if it is known."""
+    valid = valid_pulses(run.record, segment)
+    collection = (run.geometry if segment is None else run.segments[segment]).collection
+    return valid if valid is not None and valid.size == collection.n_pulse else None
+
+
 @dataclass(frozen=True, eq=False)
 class GroundFactors:
-    """What the power of a run's pixels is multiplied by to become backscatter.
+    """Factors that turn the power of a run's pixels into backscatter.
 
     Attributes
     ----------
@@ -92,14 +99,9 @@ class GroundFactors:
     def _areas(self) -> list[AreaMap]:
         """The areas of the responses of each segment."""
         run = self.run
-        several = run.segments or (run.geometry,)
-        maps = []
-        for number, geometry in enumerate(several):
-            valid = valid_pulses(run.record, number if run.segments else None)
-            if valid is not None and valid.size != geometry.collection.n_pulse:
-                valid = None
-            maps.append(AreaMap.of(geometry, run.weighting, valid))
-        return maps
+        if not run.segments:
+            return [AreaMap.of(run.geometry, run.weighting, valid_of(run))]
+        return [AreaMap.of(each, run.weighting, valid_of(run, number)) for number, each in enumerate(run.segments)]
 
     @cached_property
     def _sights(self) -> list[Sight]:
@@ -181,7 +183,7 @@ class BackscatterRun(FinishedRun):
 
     @property
     def label(self) -> str:
-        """What a picture in dB shows."""
+        """Label of a picture in dB."""
         return label_of(self.quantity, self.factor)
 
     def read(self, rows: slice, columns: slice) -> ComplexArray:

@@ -7,11 +7,11 @@ another way.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import fields
 from html import escape
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -25,11 +25,10 @@ from blocksar.errors import InputError, library_for
 from blocksar.measurement.figures import DEFINITIONS, PointResponse
 from blocksar.measurement.multilooking import checked_looks, power_of
 from blocksar.measurement.response import MIN_HALF_TAPS, interpolate
-from blocksar.places import place
 from blocksar.places.place import Place
 from blocksar.products.page.facts import responses_of
-from blocksar.products.shared_options import parse_calibration, parse_looks
-from blocksar.runs.finished import FinishedRun, finished_record
+from blocksar.products.shared_options import parse_looks
+from blocksar.runs.finished import finished_record
 from blocksar.runs.folder import member
 from blocksar.runs.record import RECORD, PredictedBlock
 from blocksar.texts import frequency_text
@@ -44,8 +43,6 @@ LAYOUT = ("zarr_conventions", "multiscales", "spatial:", "proj:")  # what attrib
 UNEVEN = 1e-3  # of the mean spacing, that the distance of neighbouring pixels may differ from it
 MOST_SAMPLES = 1 << 20  # of a cut
 PIECE = 32  # length in pixels of a piece of a cut; each is interpolated with a carrier of its own
-SCATTERING = "surface_backwards_scattering_coefficient_of_radar_wave"  # CF's name of sigma0
-Ground = TypeVar("Ground")
 Span = tuple[float | None, float | None]
 _ENDS = (-np.inf, np.inf)  # in place of ends that are None
 
@@ -230,14 +227,14 @@ class SarAccessor:
         ----------
         quantity : {"sigma0", "beta0", "gamma0"}
             Per area of the ground, of a terrain's slope if there is one; that over the sine of the local incidence
-            angle at the middle of the dwell, as of an area of the slant plane; and over the cosine.
+            angle at the middle of the dwell, as of an area of the slant plane; and over the cosine. Default: "sigma0".
         calibration : float, optional
             Radar cross-section of a target that peaks at 1, m2. Default: the attribute `calibration_factor`; without
             it values are relative, as if it were 1 m2, and the attribute `calibration` says so.
         db : bool
-            In dB; NaN where no power is left.
+            In dB; NaN where no power is left. Default: False.
         subtract_noise : bool
-            Without the mean power of the image's noise; may be below 0 in single pixels.
+            Without the mean power of the image's noise; may be below 0 in single pixels. Default: False.
 
         Returns
         -------
@@ -250,15 +247,17 @@ class SarAccessor:
             If the quantity or the calibration is none, the run is not found, or noise is to be subtracted that was not
             known.
         """
+        from blocksar.products import dataset_backscatter  # loads numba, which other methods do without
+
         names = ["image", *(("noise_equivalent",) if subtract_noise else ())]
-        if subtract_noise:
+        if self._images is not None and subtract_noise:
             self._check_noise()
 
         def power(part: xr.Dataset) -> FloatArray:
             values = power_of(part["image"].values).astype(np.float64)
             return values - part["noise_equivalent"].values if subtract_noise else values
 
-        return self._backscatter(names, power, quantity, calibration, db=db)
+        return dataset_backscatter.compute(self._dataset, power, names, quantity, calibration, db=db)
 
     def noise_db(self, quantity: str | None = None, *, calibration: float | None = None) -> xr.DataArray:
         """Noise-equivalent reflectivity in dB: the mean power of the image's noise over that of unit reflectivity.
@@ -268,9 +267,9 @@ class SarAccessor:
         Parameters
         ----------
         quantity : {"sigma0", "beta0", "gamma0"}, optional
-            The noise as backscatter of a quantity instead, such as the noise-equivalent sigma nought.
+            The noise as backscatter instead, such as the noise-equivalent sigma nought. Default: reflectivity.
         calibration : float, optional
-            As for `backscatter`; only with a quantity.
+            Radar cross-section of a target that peaks at 1, m2, for a quantity. Default: as for `backscatter`.
 
         Raises
         ------
@@ -279,8 +278,15 @@ class SarAccessor:
         """
         self._check_noise()
         if quantity is not None:
-            found = self._backscatter(
-                ["noise_equivalent"], lambda part: part["noise_equivalent"].values, quantity, calibration, db=True
+            from blocksar.products import dataset_backscatter  # loads numba, which other methods do without
+
+            found = dataset_backscatter.compute(
+                self._dataset,
+                lambda part: part["noise_equivalent"].values,
+                ["noise_equivalent"],
+                quantity,
+                calibration,
+                db=True,
             )
             found.attrs["long_name"] = f"noise-equivalent {quantity}"
             return found.rename(f"noise_equivalent_{quantity}")
@@ -299,75 +305,6 @@ class SarAccessor:
                 "the dataset has no noise_equivalent: the noise of the samples was not known; give the phase history "
                 "the attribute noise_power, and focus again"
             )
-
-    def _backscatter(
-        self,
-        names: list[str],
-        power: Callable[[xr.Dataset], FloatArray],
-        quantity: str,
-        calibration: float | None,
-        *,
-        db: bool,
-    ) -> xr.DataArray:
-        """Backscatter of a power that is computed of variables of some names; lazily if these have chunks."""
-        # These load numba, which other methods do without.
-        from blocksar.products import backscatter as of
-
-        images, dataset = self._images, self._dataset
-        checked = of.check_quantity(quantity)
-        grounds = self._grounds(lambda run: of.GroundFactors(run, checked))
-        run = next(iter(grounds.values())).run
-        own = stores.calibration_of({**run.attrs, **dataset.attrs})
-        factor = own if calibration is None else parse_calibration(calibration)
-        needed = [name for name in ("block", "visibility") if name in dataset]
-        for name, why in (("block", len(run.segments) > 1), ("visibility", run.geometry.terrain is not None)):
-            if why and name not in needed:
-                raise InputError(f"the dataset has no {name}, on which backscatter depends here; keep it beside image")
-
-        def scaled(part: xr.Dataset) -> xr.DataArray:
-            template = part[names[0]]
-            x, y = (np.asarray(part[axis].values, np.float64) for axis in "xy")
-            layers = [part[name].values if name in part else None for name in ("block", "visibility")]
-            factors = [ground.over(x, y, *layers) for ground in _of_part(grounds, part)]
-            values = power(part) * (factor or 1.0) * (np.stack(factors) if template.ndim > 2 else factors[0])
-            if db:
-                with np.errstate(divide="ignore", invalid="ignore"):
-                    values = 10 * np.log10(values)
-            return template.copy(data=np.asarray(values, np.float32))
-
-        part = dataset[[*names, *needed]].unify_chunks()
-        template = part[names[0]].astype(np.float32) if names[0] != "image" else part["image"].real.astype(np.float32)
-        found: xr.DataArray = xr.map_blocks(scaled, part, template=template)
-        found.attrs = {
-            "units": "dB" if db else "1",
-            "long_name": f"backscatter {checked}, {of.MEANINGS[checked]}",
-            **({"standard_name": SCATTERING} if checked == "sigma0" and not db else {}),
-            "calibration": of.describe_factor(factor),
-            **({} if factor is None else {stores.CALIBRATION_FACTOR: factor}),
-            **({"grid_mapping": images.attrs["grid_mapping"]} if "grid_mapping" in images.attrs else {}),
-        }
-        found.encoding = {}
-        return found.rename(checked)
-
-    def _grounds(self, make: Callable[[FinishedRun], Ground]) -> dict[str, Ground]:
-        """Open the run that the dataset is of: what is made of it, or of each of its channels or looks, by name."""
-        source = str(self._dataset.encoding.get("source") or "")
-        try:
-            if not source:
-                raise InputError("of which this dataset tells nothing")
-            folder = place(source.rstrip("/").removesuffix("/image.zarr"))
-            record = finished_record(folder)
-        except InputError as error:
-            raise InputError(
-                f"backscatter depends on track, beam and ground, which are in the folder of the run ({error}); open "
-                "the run with blocksar.open, and take .sar.backscatter of what it returns, or of parts of that"
-            ) from error
-        if not record.channels:
-            return {"": make(FinishedRun.open(folder))}
-        if record.dimension not in self._dataset.coords:
-            raise InputError(f"the dataset has no coordinate {record.dimension}; keep it beside image")
-        wanted = np.atleast_1d(self._dataset[record.dimension].values).tolist()
-        return {name: make(FinishedRun.open(member(folder, name, record.dimension))) for name in map(str, wanted)}
 
     def multilook(self, looks: tuple[int, int] | str) -> xr.DataArray:
         """Average power over whole cells of pixels, with less speckle; reads the whole image unless it has chunks.
@@ -556,14 +493,6 @@ class SarAccessor:
         image = self._image
         descending = [name for name in "xy" if image[name].size > 1 and image[name].values[0] > image[name].values[-1]]
         return image.isel({name: slice(None, None, -1) for name in descending})
-
-
-def _of_part(grounds: Mapping[str, Ground], part: xr.Dataset) -> list[Ground]:
-    """What belongs to the channels or looks of a part of a dataset."""
-    if list(grounds) == [""]:
-        return list(grounds.values())
-    dimension = next(name for name in ("channel", "look") if name in part.coords)
-    return [grounds[str(name)] for name in np.atleast_1d(part[dimension].values)]
 
 
 def _number(name: str, value: Any) -> float:

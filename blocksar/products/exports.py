@@ -34,7 +34,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class SICDOptions:
-    """SICD has none."""
+    """Option of a SICD: how it is calibrated."""
+
+    calibration: Calibration = None
 
 
 class SICD:
@@ -53,7 +55,8 @@ class SICD:
         from blocksar.products.writing import opened
 
         source, said = opened(run, channel)
-        return [*said, *sicd.write(source, out, overwrite=overwrite, progress=progress)]
+        lines = sicd.write(source, out, calibration=options.calibration, overwrite=overwrite, progress=progress)
+        return [*said, *lines]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +121,7 @@ class GeoTIFFOptions:
         ),
     ] = None
     quantity: OfBackscatter = None
-    db: Annotated[bool, Option("Backscatter in dB.")] = False
+    db: Annotated[bool | None, Option("Backscatter in dB.", default="power", flags=("--db",))] = None
     calibration: Calibration = None
 
 
@@ -150,7 +153,7 @@ class GeoTIFF:
 
 
 def _content(options: GeoTIFFOptions) -> Content | None:
-    """What pixels hold: of backscatter its power, or dB."""
+    """Content of the pixels: of backscatter its power, or dB."""
     if options.quantity is None:
         if options.db:
             raise InputError("db = True is of a quantity; give one, such as sigma0, or take content db")

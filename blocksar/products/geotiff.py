@@ -371,7 +371,7 @@ def _end(path: str) -> int:
 
 
 def _name(pixels: Pixels) -> str:
-    """What pixels hold, in a word or two."""
+    """Name of what pixels hold."""
     if not isinstance(pixels.source, BackscatterRun):
         return pixels.content
     return pixels.source.quantity + (" (dB)" if pixels.content == "db" else "")

@@ -114,15 +114,15 @@ Looks = Annotated[
 OfBackscatter = Annotated[
     Quantity | None,
     Option(
-        "Backscatter per area of the ground, of the slant plane, or across the line of sight.",
-        metavar="sigma0, beta0, gamma0",
-        default="power over that of unit reflectivity",
+        "Backscatter: sigma0, beta0 or gamma0, per area of the ground, of the slant plane or across the sight.",
+        metavar="NAME",
+        default="reflectivity",
     ),
 ]
 Calibration = Annotated[
     float | None,
     Option(
-        "Radar cross-section of a target that peaks at 1, m2; for --quantity.",
+        "Radar cross-section of a target that peaks at 1, m2, for backscatter.",
         metavar="M2",
         default="the attribute calibration_factor; else values are relative",
         read=parse_calibration,
