@@ -101,9 +101,9 @@ def export(
         Default: power over that of a target of reflectivity 1, or `content`.
     db : bool, optional
         The quantity in dB, in a GeoTIFF; a PNG is in dB anyway. Default: False.
-    calibration : float or str, optional
-        Radar cross-section of a target that peaks at 1, m2, for `quantity`, or of a SICD. Default: the run's
-        attribute `calibration_factor`; without it values are relative, and a SICD has none.
+    calibration : float or path, optional
+        Radar cross-section of a target that peaks at 1, m2, or a file that `calibrate` wrote, for `quantity` or a
+        SICD. Default: the run's attribute `calibration_factor`; without it values are relative, and a SICD has none.
     colour_map : str, optional
         Of a PNG, by matplotlib's name. Default: "gray".
     size : int, optional

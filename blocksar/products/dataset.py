@@ -25,6 +25,7 @@ from blocksar.errors import InputError, library_for
 from blocksar.measurement.figures import DEFINITIONS, PointResponse
 from blocksar.measurement.multilooking import checked_looks, power_of
 from blocksar.measurement.response import MIN_HALF_TAPS, interpolate
+from blocksar.places import Location
 from blocksar.places.place import Place
 from blocksar.products.page.facts import responses_of
 from blocksar.products.shared_options import parse_looks
@@ -214,7 +215,7 @@ class SarAccessor:
         self,
         quantity: str = "sigma0",
         *,
-        calibration: float | None = None,
+        calibration: float | Location | None = None,
         db: bool = False,
         subtract_noise: bool = False,
     ) -> xr.DataArray:
@@ -228,9 +229,10 @@ class SarAccessor:
         quantity : {"sigma0", "beta0", "gamma0"}
             Per area of the ground, of a terrain's slope if there is one; that over the sine of the local incidence
             angle at the middle of the dwell, as of an area of the slant plane; and over the cosine. Default: "sigma0".
-        calibration : float, optional
-            Radar cross-section of a target that peaks at 1, m2. Default: the attribute `calibration_factor`; without
-            it values are relative, as if it were 1 m2, and the attribute `calibration` says so.
+        calibration : float or path, optional
+            Radar cross-section of a target that peaks at 1, m2, or a file that `calibrate` wrote. Default: the
+            attribute `calibration_factor`; without it values are relative, as if it were 1 m2, and the attribute
+            `calibration` says so.
         db : bool
             In dB; NaN where no power is left. Default: False.
         subtract_noise : bool
@@ -250,7 +252,7 @@ class SarAccessor:
         from blocksar.products import dataset_backscatter  # loads numba, which other methods do without
 
         names = ["image", *(("noise_equivalent",) if subtract_noise else ())]
-        if self._images is not None and subtract_noise:
+        if subtract_noise:
             self._check_noise()
 
         def power(part: xr.Dataset) -> FloatArray:
@@ -259,7 +261,7 @@ class SarAccessor:
 
         return dataset_backscatter.compute(self._dataset, power, names, quantity, calibration, db=db)
 
-    def noise_db(self, quantity: str | None = None, *, calibration: float | None = None) -> xr.DataArray:
+    def noise_db(self, quantity: str | None = None, *, calibration: float | Location | None = None) -> xr.DataArray:
         """Noise-equivalent reflectivity in dB: the mean power of the image's noise over that of unit reflectivity.
 
         A target of that reflectivity has a signal-to-noise ratio of 1 in its pixel. NaN where not covered.
@@ -268,8 +270,9 @@ class SarAccessor:
         ----------
         quantity : {"sigma0", "beta0", "gamma0"}, optional
             The noise as backscatter instead, such as the noise-equivalent sigma nought. Default: reflectivity.
-        calibration : float, optional
-            Radar cross-section of a target that peaks at 1, m2, for a quantity. Default: as for `backscatter`.
+        calibration : float or path, optional
+            Radar cross-section of a target that peaks at 1, m2, or a file of `calibrate`, for a quantity. Default: as
+            for `backscatter`.
 
         Raises
         ------

@@ -11,7 +11,7 @@ import xarray as xr
 from blocksar import stores
 from blocksar.arrays import FloatArray
 from blocksar.errors import InputError
-from blocksar.places import place
+from blocksar.places import Location, place
 from blocksar.products.backscatter import MEANINGS, GroundFactors, check_quantity, describe_factor
 from blocksar.products.shared_options import Quantity, parse_calibration
 from blocksar.runs.finished import FinishedRun, finished_record
@@ -24,7 +24,13 @@ Grounds = Mapping[str, GroundFactors]  # by channel or look; of an image without
 
 
 def compute(
-    dataset: xr.Dataset, power: Power, names: list[str], quantity: str, calibration: float | None, *, db: bool
+    dataset: xr.Dataset,
+    power: Power,
+    names: list[str],
+    quantity: str,
+    calibration: float | Location | None,
+    *,
+    db: bool,
 ) -> xr.DataArray:
     """Compute the backscatter of a power: see `SarAccessor.backscatter`.
 

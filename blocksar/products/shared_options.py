@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal
@@ -65,12 +66,12 @@ def parse_range(limits: Any) -> Decibels:
 
 
 def parse_calibration(calibration: Any) -> float:
-    """Read a calibration: the radar cross-section of a target that peaks at 1, m^2.
+    """Read a calibration: the radar cross-section of a target that peaks at 1, m^2; or a file of `calibrate`.
 
     Raises
     ------
     InputError
-        If it is no positive number.
+        If it is no positive number, nor a file that has one.
 
     Examples
     --------
@@ -81,10 +82,21 @@ def parse_calibration(calibration: Any) -> float:
         factor = math.nan if isinstance(calibration, bool) else float(calibration)
     except (TypeError, ValueError):
         factor = math.nan
+    if isinstance(calibration, str | os.PathLike) and not math.isfinite(factor):
+        from blocksar import stores  # loads numpy, which help does without
+        from blocksar.places import place
+
+        where = place(calibration)
+        content = stores.read_json(where) if where.exists() else None
+        try:
+            found = stores.calibration_of(content if isinstance(content, dict) else {})
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from None
+        factor = math.nan if found is None else found
     if not (math.isfinite(factor) and factor > 0):
         raise InputError(
             f"calibration = {calibration!r:.80}: give the radar cross-section of a target that peaks at 1, a "
-            "positive number of m2, such as 2.5e3"
+            "positive number of m2, such as 2.5e3, or a file that `blocksar calibrate` wrote"
         )
     return factor
 
@@ -122,8 +134,8 @@ OfBackscatter = Annotated[
 Calibration = Annotated[
     float | None,
     Option(
-        "Radar cross-section of a target that peaks at 1, m2, for backscatter.",
-        metavar="M2",
+        "Radar cross-section of a target that peaks at 1, m2; or a file of calibrate.",
+        metavar="M2|FILE",
         default="the attribute calibration_factor; else values are relative",
         read=parse_calibration,
     ),

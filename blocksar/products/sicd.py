@@ -32,10 +32,10 @@ parameters name the tapers along range and azimuth.
 Noise. Where the noise of the samples is known, NoisePoly of Radiometric's NoiseLevel has the power of the noise in a
 pixel, dB: 0 dB is that of a target of reflectivity 1.
 
-Backscatter. Where the radar cross-section K of a target that peaks at 1 is known, RCSSFPoly is K, and SigmaZeroSFPoly is
-K / A with the area A of the point response on the ground plane (`focusing.response_area`). BetaZeroSFPoly is that over the
-cosine of the angle between ground plane and slant plane, and GammaZeroSFPoly over that of the incidence angle, as SICD
-defines them, both at the centre of aperture. Without K they are not given, as the reflectivity then has no unit.
+Backscatter. Where the radar cross-section K of a target that peaks at 1 is known, RCSSFPoly is K, and SigmaZeroSFPoly
+is K / A with the area A of the point response on the ground plane (`focusing.response_area`). BetaZeroSFPoly is that
+over the cosine of the angle between ground plane and slant plane, and GammaZeroSFPoly over that of the incidence angle,
+as SICD defines them, both at the centre of aperture. Without K they are not given: the reflectivity then has no unit.
 """
 
 from __future__ import annotations

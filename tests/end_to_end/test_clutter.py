@@ -23,7 +23,7 @@ power = 4.0
 x = [8400.0, 8900.0]
 y = [-320.0, 320.0]
 [dropped]
-pulses = [700, 701, 702]
+ranges = [[640, 679]]
 """
 SETTINGS: dict[str, Any] = {
     "bandwidth": 50e6, "range_sampling": 60e6, "prf": 600, "height": 5000.0, "time": "duration = 2",

@@ -11,9 +11,11 @@ from summed_response import _comb
 
 from blocksar.arrays import FloatArray
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.raw_echo import RecordedRanges
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import UNIFORM, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.focusing.recorded_pulses import recorded_means
 from blocksar.focusing.response_area import AreaMap
 from blocksar.focusing.terrain_layers import Sight, slope_factors
 from blocksar.measurement.axes import response_axes
@@ -115,3 +117,16 @@ def test_slopes_change_the_area_by_their_factor() -> None:
     area = AreaMap.of(geometry, UNIFORM).at(np.array([9000.0]), np.array([0.0])) / slopes.area
     assert 10 * np.log10(float(area[0, 0]) / power) == pytest.approx(0, abs=TENTH)
     assert 10 * np.log10(float(slopes.area[0, 0])) < -0.4
+
+
+def test_ground_with_half_of_its_pulses_has_twice_the_area() -> None:
+    """A part of a chirp is a part of the band: responses are broader by its inverse."""
+    collection = axis_collection()
+    x, y = np.array([9000.0]), np.array([0.0])
+    distance, pulse = float(np.hypot(9000.0, 4000.0)), 600.0
+    recorded = RecordedRanges(near=distance, far=distance + 5000, pulse=pulse, partial=True)
+    cut = Collection(**{**collection.as_dict(), "recorded": recorded})
+    share = recorded_means(Geometry(collection=cut), x, y)
+    assert share.amplitude == pytest.approx(0.5, abs=0.01)
+    whole, part = (AreaMap.of(Geometry(collection=each), UNIFORM).at(x, y) for each in (collection, cut))
+    assert part / whole == pytest.approx(2.0, rel=0.02)

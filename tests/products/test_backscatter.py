@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,14 @@ from small_run import Made, make, ridge
 
 import blocksar
 from blocksar.arrays import FloatArray
+from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError
 from blocksar.focusing.response_area import AreaMap
+from blocksar.inspection.samples import Inspection
+from blocksar.products.backscatter import GroundFactors, valid_pulses
+from blocksar.runs.record import Receipt, RunRecord, RunSegment
 
 pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # by affine, in rioxarray
 
@@ -149,3 +154,34 @@ def test_on_hills_it_is_that_of_slopes(tmp_path: Path) -> None:
     assert 0.2 < np.isfinite(values["gamma"]).mean() < 0.9
     np.testing.assert_allclose(values["gamma0"], values["gamma"] / area / level, rtol=2e-3)
     np.testing.assert_allclose(values["sigma0"], values["gamma0"] * np.cos(local), rtol=1e-3)
+
+
+def test_pixels_of_several_segments_have_the_areas_of_theirs(made: Made) -> None:
+    run = made.source
+    half = run.geometry.lit_by(Collection(**{**made.collection.as_dict(), "carrier": 2 * made.collection.carrier}))
+    several = (RunSegment(collection=0, path="a", fingerprint="", first_block=0),
+               RunSegment(collection=1, path="b", fingerprint="", first_block=3))  # fmt: skip
+    both = replace(run, segments=(run.geometry, half), record=replace(run.record, segments=several))
+    owner = np.where(made.x < 0, 2, 4) + np.zeros((made.y.size, 1), np.int16)
+    owner[:5] = -1
+    factors = [
+        GroundFactors(replace(run, geometry=geometry), "sigma0").over(made.x, made.y) for geometry in both.segments
+    ]
+    found = GroundFactors(both, "sigma0").over(made.x, made.y, owner)
+    assert np.isnan(found[:5]).all()
+    np.testing.assert_array_equal(found[5:], np.where(owner < 3, *factors)[5:])
+    assert (factors[1] > 3 * factors[0]).all()  # a quarter of the area: half the wavelength and half the relative band
+
+
+def test_pulses_that_were_lost_count_by_the_receipts() -> None:
+    lost = Inspection(n_pulse=6, n_column=4, missing={2: 4, 3: 2})
+    other = Inspection(n_pulse=6, n_column=4, outliers={3: [1, 2]})
+    receipts = [
+        Receipt(unit=f"columns-{4 * i}-of-segment-1", stage="recover", found=each.as_dict())
+        for i, each in enumerate((lost, other))
+    ]
+    record = RunRecord(
+        status="finished", receipts=(*receipts, Receipt(unit="columns-0-of-segment-11", stage="recover"))
+    )
+    assert valid_pulses(record, 1) == pytest.approx([1, 1, 0.5, 0.5, 1, 1])
+    assert valid_pulses(record, None) is None and valid_pulses(record, 0) is None
