@@ -10,6 +10,7 @@ from axis_beams import axis_collection, with_patterns
 from summed_response import _comb
 
 from blocksar.arrays import FloatArray
+from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.raw_echo import RecordedRanges
 from blocksar.collection.terrain import Terrain
