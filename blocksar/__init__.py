@@ -1,10 +1,10 @@
 """blocksar: focus squint-TOPS synthetic aperture radar data by angular blocks, in parallel.
 
 The functions correspond to the commands: `simulate`, `ingest`, `info`, `preview`, `check`, `autofocus`, `plan`,
-`focus`, `quality`, `report`, `export`, `compare`, `view` and `compile`; `open` returns a finished image; `collection`
-builds a phase history from arrays, `scene_centre` finds its place on the Earth, and `write` stores it. They are loaded
-on first use, so that `import blocksar` is fast. They raise `InputError` if the input is wrong, and `ProcessingError` if
-processing failed and the same call can resume it.
+`focus`, `quality`, `report`, `export`, `compare`, `calibrate`, `view` and `compile`; `open` returns a finished image;
+`collection` builds a phase history from arrays, `scene_centre` finds its place on the Earth, and `write` stores it.
+They are loaded on first use, so that `import blocksar` is fast. They raise `InputError` if the input is wrong, and
+`ProcessingError` if processing failed and the same call can resume it.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from blocksar.version import __version__
 if TYPE_CHECKING:
     from blocksar.api import (
         autofocus,
+        calibrate,
         check,
         collection,
         compare,
@@ -47,6 +48,7 @@ __all__ = [
     "ProcessingError",
     "__version__",
     "autofocus",
+    "calibrate",
     "check",
     "collection",
     "compare",

@@ -1,8 +1,10 @@
-"""The functions of the commands, from simulate to compile; and collection, scene_centre and write for data in memory.
+"""The commands as functions: simulate, ingest, check, autofocus, plan, focus, quality, report, export, compare,
+calibrate, open, info, preview, view, demo, compile; and collection, scene_centre and write, for data in memory.
 
-One module for each stage: `sources`, `describing`, `previewing`, `checking`, `autofocusing` (with `tracks`),
-`planning`, `focusing` (with `jobs`), `measuring`, `reporting`, `exporting`, `comparing`, `viewing`, `demonstrating`,
-`compile_ahead`. They share `settings`, which states every option once, `arguments` and `reports`.
+One module for each stage: `sources`, `datasets`, `describing`, `previewing`, `checking`, `autofocusing`
+(with `tracks`), `planning`, `focusing` (with `jobs`), `measuring`, `reporting`, `exporting`, `comparing`,
+`calibrating`, `viewing`, `demonstrating`, `compile_ahead`. They share `settings`, which states every option once,
+`arguments` and `reports`.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from blocksar.garbage import uncollected
 
 if TYPE_CHECKING:
     from blocksar.api.autofocusing import autofocus
+    from blocksar.api.calibrating import calibrate
     from blocksar.api.checking import check
     from blocksar.api.comparing import compare
     from blocksar.api.compile_ahead import compile
@@ -42,19 +45,20 @@ if TYPE_CHECKING:
 
 # The module of each function: it is loaded on first use, since a command needs one of them.
 _HOMES = {
-    "PlanReport": "shown", "Report": "reports", "RunReport": "shown", "autofocus": "autofocusing", "check": "checking",
-    "collection": "from_arrays", "compare": "comparing", "compile": "compile_ahead", "demo": "demonstrating",
-    "export": "exporting", "focus": "focusing", "info": "describing", "ingest": "sources", "ingest_cphd": "sources",
-    "ingest_crsd": "sources", "ingest_gotcha": "sources", "ingest_nisar": "sources", "ingest_palsar": "sources",
-    "ingest_sentinel1": "sources", "open": "exporting", "plan": "planning", "preview": "previewing",
-    "quality": "measuring", "report": "reporting", "scene_centre": "from_arrays", "simulate": "sources",
-    "view": "viewing", "write": "from_arrays",
+    "PlanReport": "shown", "Report": "reports", "RunReport": "shown", "autofocus": "autofocusing",
+    "calibrate": "calibrating", "check": "checking", "collection": "from_arrays", "compare": "comparing",
+    "compile": "compile_ahead", "demo": "demonstrating", "export": "exporting", "focus": "focusing",
+    "info": "describing", "ingest": "sources", "ingest_cphd": "sources", "ingest_crsd": "sources",
+    "ingest_gotcha": "sources", "ingest_nisar": "sources", "ingest_palsar": "sources", "ingest_sentinel1": "sources",
+    "open": "exporting", "plan": "planning", "preview": "previewing", "quality": "measuring", "report": "reporting",
+    "scene_centre": "from_arrays", "simulate": "sources", "view": "viewing", "write": "from_arrays",
 }  # fmt: skip
 __all__ = [
     "PlanReport",
     "Report",
     "RunReport",
     "autofocus",
+    "calibrate",
     "check",
     "collection",
     "compare",

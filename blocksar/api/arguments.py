@@ -150,8 +150,8 @@ def check_one_frame(histories: Sequence[stores.PhaseHistory]) -> None:
     Raises
     ------
     InputError
-        If neither their `georeference` nor their attribute `frame` is the same, their ground has several heights, or
-        their carriers are farther apart than half of a band.
+        If neither their `georeference` nor their attribute `frame` is the same, their ground has several heights, they
+        are calibrated differently, or their carriers are farther apart than half of a band.
     """
     for first, other in pairwise(histories):
         georeferences = [Georeference.among(history.attrs) for history in (first, other)]
@@ -172,6 +172,12 @@ def check_one_frame(histories: Sequence[stores.PhaseHistory]) -> None:
             raise InputError(
                 f"ground_height is {heights[0]:g} m in {first.label} and {heights[1]:g} m in {other.label}, but one "
                 "image has one ground; write them with the same"
+            )
+        factors = [history.attrs.get(stores.CALIBRATION_FACTOR) for history in (first, other)]
+        if factors[0] != factors[1]:
+            raise InputError(
+                f"{stores.CALIBRATION_FACTOR} is {factors[0]} in {first.label} and {factors[1]} in {other.label}, but "
+                "one image has one; multiply the samples of one by the root of what they differ by"
             )
         bands = [history.collection.centred() for history in (first, other)]
         if abs(bands[0].carrier - bands[1].carrier) > min(band.bandwidth for band in bands) / 2:

@@ -252,7 +252,8 @@ PARTS = {
     "spectrum": "the recovered spectrum of a run", "height": "the terrain of a run",
     "antenna_position": "the track as flown, beside a simulated phase history",
 }  # fmt: skip
-MADE = ("quality.json", "report.html", "mosaic.png", "contours.png")  # in a run folder, by other commands
+# Files in a run folder, by other commands.
+MADE = ("quality.json", "report.html", "mosaic.png", "contours.png", "calibration.json")
 
 
 # ---------------------------------------------------------------- info

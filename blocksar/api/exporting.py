@@ -96,6 +96,14 @@ def export(
     crs : str, optional
         Coordinate reference system to which a GeoTIFF is orthorectified, such as "EPSG:32616": each pixel shows the
         ground, at its height, whose place it is. Default: the pixels of the image, in the frame's own projection.
+    quantity : {"sigma0", "beta0", "gamma0"}, optional
+        Backscatter, in a GeoTIFF or a PNG: per area of the ground, of the slant plane, or across the line of sight.
+        Default: power over that of a target of reflectivity 1, or `content`.
+    db : bool, optional
+        The quantity in dB, in a GeoTIFF; a PNG is in dB anyway. Default: False.
+    calibration : float or path, optional
+        Radar cross-section of a target that peaks at 1, m2, or a file that `calibrate` wrote, for `quantity` or a
+        SICD. Default: the run's attribute `calibration_factor`; without it values are relative, and a SICD has none.
     colour_map : str, optional
         Of a PNG, by matplotlib's name. Default: "gray".
     size : int, optional

@@ -394,6 +394,7 @@ def _create_image(run: Run, job: Job, record: RunRecord) -> None:
         **({} if record.plan.coherence is None else {"predicted_coherence": record.plan.coherence}),
         "warnings": list(record.warnings),
         "scene": attrs.get("scene", ""),
+        **({} if (factor := stores.calibration_of(attrs)) is None else {stores.CALIBRATION_FACTOR: factor}),
     }
     if "georeference" in attrs:
         attributes["georeference"] = attrs["georeference"]

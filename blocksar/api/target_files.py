@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import difflib
 import json
+import math
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -16,6 +17,7 @@ from blocksar import stores
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
 from blocksar.measurement.figures import PointResponse
+from blocksar.measurement.reflectors import KINDS, Reflector
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
@@ -25,6 +27,10 @@ from blocksar.texts import count
 CSV_FORM = "a first line with name, x, y, and maybe z and reflectivity (such as 1 or 0.5+0.2j)"
 GROUND_STEPS = 4  # to the height above the ellipsoid at which a place lies on the ground's plane
 FORM = '[{"name": "A1", "x": 120.5, "y": -40.0}, ...], x and y in m in the scene frame'
+REFLECTORS = (
+    '[{"name": "R1", "x": 120.5, "y": -40.0, "kind": "trihedral", "side": 1.5}, ...], or GeoJSON of such points'
+)
+MOST_SIDE = 1e3  # m, of a reflector
 # Of quality.json, too, which has the targets and more; what is measured is not read.
 KNOWN = {*Target._fields, *PointResponse._fields}
 
@@ -154,7 +160,44 @@ def _of_csv(path: Place) -> list[dict[str, Any]]:
     return records
 
 
-def _of_geojson(path: Place, content: Mapping[str, Any], frame: HasFrame | None) -> list[dict[str, Any]]:
+def read_reflectors(path: Place, frame: HasFrame | None = None) -> list[Reflector]:
+    """Read reflectors of a file as of `read_targets`, each with its kind and its side, m, also in `properties`.
+
+    Raises
+    ------
+    InputError
+        If there are none, a record is none of a target, or its kind or its side is wrong.
+    """
+    records = _records(path)
+    if isinstance(records, dict) and records.get("type") in ("FeatureCollection", "Feature"):
+        records = _of_geojson(path, records, frame, ("kind", "side"))
+    if not isinstance(records, list) or not records:
+        raise InputError(f"{path} holds no list of reflectors; give {REFLECTORS}")
+    reflectors = []
+    for number, record in enumerate(records, 1):
+        where = f"{path}: reflector {number}"
+        if not isinstance(record, Mapping):
+            raise InputError(f"{where} is {json.dumps(record)[:60]}, not a record; give {REFLECTORS}")
+        _check_keys({key: value for key, value in record.items() if key not in ("kind", "side")}, where)
+        kind, side = record.get("kind"), record.get("side")
+        if kind not in KINDS:
+            raise InputError(f"{where} is of the kind {kind!r:.60}; give one of {', '.join(KINDS)}")
+        try:
+            metres = math.nan if isinstance(side, bool) else float(side)  # type: ignore[arg-type]
+        except (TypeError, ValueError):
+            metres = math.nan
+        if not 0 < metres < MOST_SIDE:
+            raise InputError(f"{where} has the side {side!r:.60}; give it in m, above 0 and below {MOST_SIDE:g}")
+        try:
+            reflectors.append(Reflector(Target.from_record(record), kind, metres))
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from None
+    return reflectors
+
+
+def _of_geojson(
+    path: Place, content: Mapping[str, Any], frame: HasFrame | None, kept: Sequence[str] = ("reflectivity",)
+) -> list[dict[str, Any]]:
     """The records of GeoJSON points: longitude and latitude in degrees, and height above the ellipsoid in m if given.
 
     Without a height a point lies on the plane of the ground.
@@ -189,7 +232,7 @@ def _of_geojson(path: Place, content: Mapping[str, Any], frame: HasFrame | None)
                 "first, in degrees"
             )
         x, y, z = _in_scene(frame.georeference, frame.ground_height, latitude, longitude, height[0] if height else None)
-        extra = {key: own[key] for key in ("reflectivity",) if key in own}
+        extra = {key: own[key] for key in kept if key in own}
         records.append({"name": str(name), "x": x, "y": y, **({"z": z} if height else {}), **extra})
     return records
 

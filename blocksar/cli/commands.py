@@ -298,6 +298,34 @@ def compare(
     hint(context, "quality", a, "--against", b)
 
 
+def calibrate(
+    context: typer.Context,
+    run: Run,
+    reflectors: Annotated[
+        str, typer.Option(metavar="FILE", help="Reflectors, with place, kind and side: JSON, CSV or GeoJSON.")
+    ],
+    out: Annotated[
+        str | None, typer.Option(metavar="FILE", help="JSON file to write; default: RUN/calibration.json.")
+    ] = None,
+    channel: Channel = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate a run by reflectors whose radar cross-section is known.
+
+    Writes a file that --calibration of export takes.
+
+    Example: [bold]blocksar calibrate run --reflectors corners.geojson[/bold]
+    """
+    from blocksar import api
+
+    report = api.calibrate(run, reflectors, out=out, channel=channel, overwrite=overwrite)
+    show(report, context)
+    file = out or f"{run.rstrip('/')}/calibration.json"
+    name = f"{Path(run).name}.tif"
+    hint(context, "export", "geotiff", run, "--quantity", "sigma0", "--calibration", file, "--out", name)
+
+
 def view(
     context: typer.Context,
     run: Run,
@@ -520,7 +548,7 @@ def compile_loops(context: typer.Context, quiet: Quiet = False, json_log: JsonLo
 
 # In the order of the help.
 app.command()(demo)
-for command in (simulate, info, plan, check, preview, autofocus, focus, quality, report, compare, view):
+for command in (simulate, info, plan, check, preview, autofocus, focus, quality, report, compare, calibrate, view):
     app.command()(command)
 app.command("compile")(compile_loops)
 

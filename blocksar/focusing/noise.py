@@ -14,6 +14,7 @@ of W^2 over the square of that of W (`recorded_pulses`).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
@@ -54,14 +55,26 @@ def pulse_sums(
         Fraction of each pulse's samples that are valid.
     """
     collection, taper = geometry.collection, weighting.azimuth
-    shares = collection.pulses.shares
+    if taper.uniform and not collection.has_pattern:
+        [(count, _)] = dwell_parts(geometry, x, y, valid, z, 1)
+        return PulseSums(count, count)
+    squares, gains = np.zeros(np.shape(x)), np.zeros(np.shape(x))
+    for count, middle in dwell_parts(geometry, x, y, valid, z, GAIN_PARTS):
+        weight = geometry.beam.weights(x, y, middle, taper, z)
+        squares += count * weight**2
+        gains += count * weight * geometry.beam.gain(x, y, middle, z)
+    return PulseSums(squares, gains)
+
+
+def dwell_parts(
+    geometry: Geometry, x: FloatArray, y: FloatArray, valid: FloatArray, z: Height | None, parts: int
+) -> Iterator[tuple[FloatArray, IntArray]]:
+    """Divide the dwells of points (...), as of `pulse_sums`: valid pulses of each part, and its middle pulse."""
     ends = geometry.beam.dwell(x, y, z=z)
     never = ~(np.isfinite(ends[0]) & np.isfinite(ends[1]))
-    low, high = (np.where(never, 0.0, pulses_before(collection, end)) for end in ends)
-    n = valid.size
-    before, before_squared = (
-        np.concatenate([[0.0], np.cumsum(valid if shares is None else valid * shares**power)]) for power in (1, 2)
-    )
+    start, _ = aperture(geometry.collection)
+    low, high = (np.where(never, 0.0, (end - start) * geometry.collection.prf) for end in ends)
+    before, n = np.concatenate([[0.0], np.cumsum(valid)]), valid.size
 
     def counted(first: FloatArray, last: FloatArray, before: FloatArray) -> FloatArray:
         parts = (
@@ -70,18 +83,10 @@ def pulse_sums(
         )
         return np.asarray(next(parts) - next(parts))
 
-    if taper.uniform and not collection.has_pattern:
-        count = counted(low, high, before)
-        return PulseSums(count if shares is None else counted(low, high, before_squared), count)
-    squares, gains = np.zeros(low.shape), np.zeros(low.shape)
-    for part in range(GAIN_PARTS):
-        first, last = (low + (high - low) * (part + k) / GAIN_PARTS for k in (0, 1))
-        count = counted(first, last, before)
-        middle: IntArray = np.clip((first + last) / 2, 0, n - 1).astype(np.int64)
-        weight = geometry.beam.weights(x, y, middle, taper, z)
-        squares += (count if shares is None else counted(first, last, before_squared)) * weight**2
-        gains += count * weight * geometry.beam.gain(x, y, middle, z)
-    return PulseSums(squares, gains)
+    for part in range(parts):
+        first = low + (high - low) * part / parts
+        last = high if part + 1 == parts else low + (high - low) * (part + 1) / parts
+        yield counted(last) - counted(first), np.clip((first + last) / 2, 0, n - 1).astype(np.int64)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -226,21 +226,60 @@ def heights_and_angles(terrain: Terrain, sight: Sight, grid: Grid, strip: Strip)
     return found
 
 
+class SlopeFactors(NamedTuple):
+    """Effects of slopes on the echo of pixels (n_y, n_x), against level ground.
+
+    Attributes
+    ----------
+    area : float
+        Area of the point response on level ground at the same point over that on the surface; 1 on level ground.
+    incidence : float
+        Local incidence angle, rad.
+    gamma : float
+        `gamma_factor`.
+
+    All are NaN where a surface faces away or stands on edge.
+    """
+
+    area: FloatArray
+    incidence: FloatArray
+    gamma: FloatArray
+
+
+def slope_factors(terrain: Terrain, sight: Sight, x: FloatArray, y: FloatArray) -> SlopeFactors:
+    """Find the factors at pixels of columns x (n_x,) and rows y (n_y,), m.
+
+    With p the normal of the slant plane and m = (-dz/dx, -dz/dy, 1), a response covers p_z / p . m times the x and y
+    that it does on level ground, and |m| times that of the surface: `area` is p . m / (p_z |m|).
+    """
+    along_x, along_y = terrain.slopes_on_grid(x, y)
+    z = terrain.on_grid(x, y)
+    ux, uy, uz = _sight(sight, x, y, z)
+    vx, vy, vz = np.moveaxis(sight.velocity_at(*np.meshgrid(x, y), z), -1, 0)
+    across_x, across_y, across_z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx  # u x v
+    # Ratios to those of a level surface, so that no normal needs to have unit length.
+    incidence = 1 - (ux * along_x + uy * along_y) / uz
+    with np.errstate(invalid="ignore", divide="ignore"):
+        slant = 1 - (across_x * along_x + across_y * along_y) / across_z
+        seen = (slant > 0) & (incidence > 0)
+        steepness = np.sqrt(1 + along_x**2 + along_y**2)
+        angle = np.arccos(uz * incidence / (np.sqrt(ux**2 + uy**2 + uz**2) * steepness))
+        found = slant / steepness, angle, slant / incidence
+    return SlopeFactors(*(np.where(seen, factor, np.nan) for factor in found))
+
+
+def level_incidence(sight: Sight, x: FloatArray, y: FloatArray, height: float) -> FloatArray:
+    """Incidence angle (n_y, n_x), rad, of a plane at a height, m."""
+    ux, uy, uz = _sight(sight, x, y, np.full((y.size, x.size), height))
+    return np.asarray(np.arctan2(np.sqrt(ux**2 + uy**2), uz))
+
+
 def gamma_factor(terrain: Terrain, sight: Sight, x: FloatArray, y: FloatArray) -> NDArray[np.float32]:
     """Factor (n_y, n_x) that removes the effect of slopes on power; NaN for surfaces that face away or are edge-on."""
     factor = np.empty((y.size, x.size), np.float32)
     for first in range(0, y.size, ROWS):
         rows = slice(first, first + ROWS)
-        along_x, along_y = terrain.slopes_on_grid(x, y[rows])
-        z = terrain.on_grid(x, y[rows])
-        ux, uy, uz = _sight(sight, x, y[rows], z)
-        vx, vy, vz = np.moveaxis(sight.velocity_at(*np.meshgrid(x, y[rows]), z), -1, 0)
-        across_x, across_y, across_z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx  # u x v
-        # Only ratios to those of a level surface count, so that no normal needs to have unit length.
-        incidence = 1 - (ux * along_x + uy * along_y) / uz
-        with np.errstate(invalid="ignore", divide="ignore"):
-            slant = 1 - (across_x * along_x + across_y * along_y) / across_z
-            factor[rows] = np.where((slant > 0) & (incidence > 0), slant / incidence, np.nan)
+        factor[rows] = slope_factors(terrain, sight, x, y[rows]).gamma
     return factor
 
 

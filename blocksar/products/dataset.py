@@ -25,6 +25,7 @@ from blocksar.errors import InputError, library_for
 from blocksar.measurement.figures import DEFINITIONS, PointResponse
 from blocksar.measurement.multilooking import checked_looks, power_of
 from blocksar.measurement.response import MIN_HALF_TAPS, interpolate
+from blocksar.places import Location
 from blocksar.places.place import Place
 from blocksar.products.page.facts import responses_of
 from blocksar.products.shared_options import parse_looks
@@ -72,7 +73,9 @@ def open(folder: Place) -> xr.Dataset:
         finished_record(folder)
     elif not (folder / "image.zarr").exists():
         return prepare(stores.open_dataset(folder))
-    return prepare(stores.open_dataset(folder / "image.zarr"))
+    dataset = prepare(stores.open_dataset(folder / "image.zarr"))
+    dataset.encoding["source"] = str(folder)
+    return dataset
 
 
 def prepare(dataset: xr.Dataset) -> xr.Dataset:
@@ -208,27 +211,103 @@ class SarAccessor:
             power.attrs["grid_mapping"] = image.attrs["grid_mapping"]
         return power.rename("power")
 
-    def noise_db(self) -> xr.DataArray:
-        """Noise-equivalent reflectivity in dB: the mean power of the image's noise over that of unit reflectivity.
+    def backscatter(
+        self,
+        quantity: str = "sigma0",
+        *,
+        calibration: float | Location | None = None,
+        db: bool = False,
+        subtract_noise: bool = False,
+    ) -> xr.DataArray:
+        """Backscatter of the ground: power over the area of the point response, and over a function of the incidence.
 
-        A target of that reflectivity has a signal-to-noise ratio of 1 in its pixel. NaN where not covered.
+        Reads the whole image unless the dataset has chunks (`ds.chunk()`); to read less, `crop` first. The run's folder
+        must still be there.
+
+        Parameters
+        ----------
+        quantity : {"sigma0", "beta0", "gamma0"}
+            Per area of the ground, of a terrain's slope if there is one; that over the sine of the local incidence
+            angle at the middle of the dwell, as of an area of the slant plane; and over the cosine. Default: "sigma0".
+        calibration : float or path, optional
+            Radar cross-section of a target that peaks at 1, m2, or a file that `calibrate` wrote. Default: the
+            attribute `calibration_factor`; without it values are relative, as if it were 1 m2, and the attribute
+            `calibration` says so.
+        db : bool
+            In dB; NaN where no power is left. Default: False.
+        subtract_noise : bool
+            Without the mean power of the image's noise; may be below 0 in single pixels. Default: False.
+
+        Returns
+        -------
+        DataArray
+            (y, x), or of each channel or look, float32; NaN where not covered, and on a terrain in layover and shadow.
 
         Raises
         ------
         InputError
-            If the noise of the samples was not known (`noise_power`).
+            If the quantity or the calibration is none, the run is not found, or noise is to be subtracted that was not
+            known.
         """
-        if "noise_equivalent" not in self._dataset:
-            raise InputError(
-                "the dataset has no noise_equivalent: the noise of the samples was not known; give the phase history "
-                "the attribute noise_power, and focus again"
+        from blocksar.products import dataset_backscatter  # loads numba, which other methods do without
+
+        names = ["image", *(("noise_equivalent",) if subtract_noise else ())]
+        if subtract_noise:
+            self._check_noise()
+
+        def power(part: xr.Dataset) -> FloatArray:
+            values = power_of(part["image"].values).astype(np.float64)
+            return values - part["noise_equivalent"].values if subtract_noise else values
+
+        return dataset_backscatter.compute(self._dataset, power, names, quantity, calibration, db=db)
+
+    def noise_db(self, quantity: str | None = None, *, calibration: float | Location | None = None) -> xr.DataArray:
+        """Noise-equivalent reflectivity in dB: the mean power of the image's noise over that of unit reflectivity.
+
+        A target of that reflectivity has a signal-to-noise ratio of 1 in its pixel. NaN where not covered.
+
+        Parameters
+        ----------
+        quantity : {"sigma0", "beta0", "gamma0"}, optional
+            The noise as backscatter instead, such as the noise-equivalent sigma nought. Default: reflectivity.
+        calibration : float or path, optional
+            Radar cross-section of a target that peaks at 1, m2, or a file of `calibrate`, for a quantity. Default: as
+            for `backscatter`.
+
+        Raises
+        ------
+        InputError
+            If the noise of the samples was not known (`noise_power`), or as `backscatter`.
+        """
+        self._check_noise()
+        if quantity is not None:
+            from blocksar.products import dataset_backscatter  # loads numba, which other methods do without
+
+            found = dataset_backscatter.compute(
+                self._dataset,
+                lambda part: part["noise_equivalent"].values,
+                ["noise_equivalent"],
+                quantity,
+                calibration,
+                db=True,
             )
+            found.attrs["long_name"] = f"noise-equivalent {quantity}"
+            return found.rename(f"noise_equivalent_{quantity}")
+        if calibration is not None:
+            raise InputError(f"calibration is {calibration!r}, but no quantity is given; give one, such as 'sigma0'")
         noise = self._dataset["noise_equivalent"]
         level: xr.DataArray = xr.ufuncs.log10(noise) * 10
         level.attrs = {"units": "dB", "long_name": "noise-equivalent reflectivity"}
         if "grid_mapping" in noise.attrs:
             level.attrs["grid_mapping"] = noise.attrs["grid_mapping"]
         return level.rename("noise_equivalent")
+
+    def _check_noise(self) -> None:
+        if "noise_equivalent" not in self._dataset:
+            raise InputError(
+                "the dataset has no noise_equivalent: the noise of the samples was not known; give the phase history "
+                "the attribute noise_power, and focus again"
+            )
 
     def multilook(self, looks: tuple[int, int] | str) -> xr.DataArray:
         """Average power over whole cells of pixels, with less speckle; reads the whole image unless it has chunks.
@@ -537,7 +616,7 @@ def _image_facts(dataset: xr.Dataset) -> list[tuple[str, str]]:
         )
     rows += [(name, str(attrs[name])) for name in ("calibration",) if attrs.get(name)]
     rows += [("note", str(line)) for line in warnings or []]
-    return [*rows, ("methods", "db, multilook, crop, plot, cut, netcdf")]
+    return [*rows, ("methods", "db, backscatter, multilook, crop, plot, cut, netcdf")]
 
 
 def _axes(image: xr.DataArray) -> tuple[FloatArray, FloatArray]:

@@ -12,7 +12,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from blocksar.errors import InputError, library_for
 from blocksar.options import Option
-from blocksar.products.shared_options import COLOUR_MAP, COLOUR_RANGE, Content, Crop, Decibels, Looks, Scale, decibels
+from blocksar.products.shared_options import (
+    COLOUR_MAP,
+    COLOUR_RANGE,
+    Calibration,
+    Content,
+    Crop,
+    Decibels,
+    Looks,
+    OfBackscatter,
+    Scale,
+    decibels,
+)
 
 if TYPE_CHECKING:
     from blocksar.places import Location
@@ -23,7 +34,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class SICDOptions:
-    """Options of SICD: none."""
+    """Option of a SICD: how it is calibrated."""
+
+    calibration: Calibration = None
 
 
 class SICD:
@@ -41,8 +54,9 @@ class SICD:
         from blocksar.products import sicd
         from blocksar.products.writing import opened
 
-        source, lines = opened(run, channel)
-        return [*lines, *sicd.write(source, out, overwrite=overwrite, progress=progress)]
+        source, said = opened(run, channel)
+        lines = sicd.write(source, out, calibration=options.calibration, overwrite=overwrite, progress=progress)
+        return [*said, *lines]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,6 +122,9 @@ class GeoTIFFOptions:
             default="the scene frame's own, without resampling",
         ),
     ] = None
+    quantity: OfBackscatter = None
+    db: Annotated[bool | None, Option("Backscatter in dB.", default="power", flags=("--db",))] = None
+    calibration: Calibration = None
 
 
 class GeoTIFF:
@@ -126,15 +143,28 @@ class GeoTIFF:
         from blocksar.products.pixels import pixels_of
         from blocksar.products.writing import opened
 
-        source, lines = opened(run, channel, options.crop)
+        source, said = opened(run, channel, options.crop, options.quantity, options.calibration)
         pixels = pixels_of(
             source,
-            content=options.content,
+            content=_content(options),
             looks=(1, 1) if options.looks is None else options.looks,
             scale=options.scale,
             limits=options.range,
         )
         return [*lines, *geotiff.write(pixels, out, crs=options.crs, overwrite=overwrite, progress=progress)]
+
+
+def _content(options: GeoTIFFOptions) -> Content | None:
+    """Content of the pixels: of backscatter its power, or dB."""
+    if options.quantity is None:
+        if options.db:
+            raise InputError("db = True is of a quantity; give one, such as sigma0, or take content db")
+        return options.content
+    if options.content is not None:
+        raise InputError(
+            f"content is {options.content!r}, but pixels hold {options.quantity}; leave content out, and give db for dB"
+        )
+    return "db" if options.db or options.scale else "power"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,6 +185,8 @@ class PNGOptions:
             default="one channel or look",
         ),
     ] = None
+    quantity: OfBackscatter = None
+    calibration: Calibration = None
 
 
 class PNG:
@@ -176,7 +208,7 @@ class PNG:
 
         drawn = {"limits": options.range, "size": options.size, "overwrite": overwrite, "progress": progress}
         if options.composite is None:
-            source, lines = opened(run, channel, options.crop)
+            source, said = opened(run, channel, options.crop, options.quantity, options.calibration)
             cell = _cell(options, source)
             quicklook = _pictures("quicklook")
             return [*lines, *quicklook.write(source, out, cell=cell, colour_map=options.colour_map, **drawn)]
@@ -204,7 +236,8 @@ def _composed(run: Place, options: PNGOptions, channel: str | None) -> dict[str,
     composite = options.composite
     if composite not in ("pauli", "mean"):
         raise InputError(f"composite is {composite!r}; it must be 'pauli' or 'mean'")
-    taken = {"channel": channel, **({"colour_map": options.colour_map} if composite != "mean" else {})}
+    own = {"colour_map": options.colour_map, "quantity": options.quantity} if composite != "mean" else {}
+    taken = {"channel": channel, **own}
     for name, value in taken.items():
         if value is not None:
             raise InputError(f"{name} is {value!r}, but a composite has channels and colours of its own; leave it out")
@@ -214,7 +247,8 @@ def _composed(run: Place, options: PNGOptions, channel: str | None) -> dict[str,
     members = dict(zip(names, names, strict=True))
     if composite == "pauli":
         members = _pictures("composite").pauli_channels(names, str(run))
-    return {name: opened(run, member, options.crop)[0] for name, member in members.items()}
+    asked = options.crop, options.quantity, options.calibration
+    return {name: opened(run, member, *asked)[0] for name, member in members.items()}
 
 
 def _pictures(name: str) -> Any:

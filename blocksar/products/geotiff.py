@@ -43,6 +43,7 @@ from blocksar.collection.georeference import Georeference
 from blocksar.errors import library_for, printable
 from blocksar.places import Location
 from blocksar.places.local import temporary_name
+from blocksar.products.backscatter import MEANINGS, BackscatterRun, describe_factor
 from blocksar.products.pixels import MapPixels, Pixels, parse_crs
 from blocksar.products.writing import replacing
 from blocksar.progress.listening import Callback
@@ -232,8 +233,8 @@ def _placed(pixels: Pixels, frame: Georeference, crs: str | None) -> tuple[Pixel
 
 
 def _describe(pixels: Pixels, raster: Pixels | MapPixels, placement: Placement) -> str:
-    """Describe the written file in one line."""
-    what = f"{pixels.content} of {raster.x.size} x {raster.y.size} pixels"
+    """One line about what was written."""
+    what = f"{_name(pixels)} of {raster.x.size} x {raster.y.size} pixels"
     if isinstance(raster, MapPixels):
         name, (step, _) = placement.crs.axis_info[0].unit_name, raster.spacing
         unit = {"metre": "m", "degree": "degrees"}.get(name, name)
@@ -287,11 +288,13 @@ def _write_plain(
                 files.append(rasterio.open(level, "w", **{**reduced, "width": width, "height": height}))
             stack.enter_context(files[-1])
         _write_pixels(raster, file, files, progress)
-        file.set_band_description(1, pixels.content)
+        file.set_band_description(1, _name(pixels))
         if pixels.scale is not None:
             file.scales, file.offsets, file.units = (pixels.step,), (pixels.offset,), ("dB",)
         elif pixels.content in UNITS:
             file.units = (UNITS[pixels.content],)
+        elif isinstance(pixels.source, BackscatterRun):
+            file.units = ("dB" if pixels.content == "db" else "1",)
         file.update_tags(**_tags(pixels, placement))
 
 
@@ -367,19 +370,31 @@ def _end(path: str) -> int:
     return max(ends)
 
 
+def _name(pixels: Pixels) -> str:
+    """Name of what pixels hold."""
+    if not isinstance(pixels.source, BackscatterRun):
+        return pixels.content
+    return pixels.source.quantity + (" (dB)" if pixels.content == "db" else "")
+
+
 def _tags(pixels: Pixels, placement: Placement) -> dict[str, str]:
     """Tags of the file."""
     source = pixels.source
     looks = {} if pixels.looks == (1, 1) else {"looks": f"{pixels.looks[0]} x {pixels.looks[1]} pixels (y x x)"}
     meaning = {"gamma": GAMMA, "visibility": FLAGS}.get(pixels.content)
+    calibration = {"calibration": "a target of reflectivity 1 peaks at 1 + 0j"}
+    if isinstance(source, BackscatterRun):
+        meaning = f"{source.quantity}, backscatter {MEANINGS[source.quantity]}"
+        calibration = {"calibration": describe_factor(source.factor)}
+        calibration |= {} if source.factor is None else {"calibration_factor_m2": repr(source.factor)}
     return (
         looks
+        | calibration
         | ({} if meaning is None else {"content": meaning})
         | {
             "TIFFTAG_IMAGEDESCRIPTION": source.title,
             "TIFFTAG_SOFTWARE": f"blocksar {__version__}",
             "AREA_OR_POINT": "Area",
-            "calibration": "a target of reflectivity 1 peaks at 1 + 0j",
             "run": source.record.identity,
             "carrier_frequency_hz": repr(source.collection.carrier),
             "location_error_m": f"{placement.error:.3g}",

@@ -25,6 +25,7 @@ from blocksar.errors import InputError, printable
 from blocksar.focusing.terrain_layers import Sight, box_of, by_owner, gamma_factor
 from blocksar.kernels.occlusion import UNKNOWN, VISIBLE
 from blocksar.measurement.multilooking import checked_looks, decibels, multilook, power_of
+from blocksar.products.backscatter import BackscatterRun
 from blocksar.products.pictures.overview import overview, stretch
 from blocksar.products.plane_image import GroundImage
 from blocksar.products.shared_options import Content, Decibels, Scale
@@ -94,6 +95,12 @@ class Pixels:
         if self.content == "visibility":
             return UNKNOWN
         return np.nan if self.scale is None else 0
+
+    @property
+    def linear(self) -> bool:
+        """Whether single pixels are interpolated as they are: layers, and power that slopes change."""
+        of_slopes = isinstance(self.source, BackscatterRun) and self.source.geometry.terrain is not None
+        return self.content in ("visibility", "incidence", "gamma") or of_slopes
 
     @property
     def step(self) -> float:
@@ -339,7 +346,7 @@ class MapPixels:
             terrain = self.of.source.geometry.terrain
             assert terrain is not None
             return np.where(GroundImage(self.of.source).covered(x, y), terrain(x, y), np.nan).astype(np.float32)
-        if self.content in ("visibility", "incidence", "gamma") or self.of.looks != (1, 1):
+        if self.of.linear or self.of.looks != (1, 1):
             return self._linear(x, y)
         complex_pixels, image = self.content == "complex", GroundImage(self.of.source)
         out = np.empty(x.shape, np.complex64 if complex_pixels else np.float32)

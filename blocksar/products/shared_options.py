@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal
@@ -12,6 +13,7 @@ from blocksar.options import Option
 from blocksar.spans import numbers_of, parse_crop
 
 Content = Literal["amplitude", "power", "db", "complex", "height", "incidence", "visibility", "gamma"]
+Quantity = Literal["sigma0", "beta0", "gamma0"]
 Scale = Literal["uint8", "uint16"]
 Decibels = tuple[float, float]  # lower and upper end
 Box = tuple[tuple[float, float], tuple[float, float]]  # ends of x and of y, m
@@ -63,6 +65,42 @@ def parse_range(limits: Any) -> Decibels:
     return low, high
 
 
+def parse_calibration(calibration: Any) -> float:
+    """Read a calibration: the radar cross-section of a target that peaks at 1, m^2; or a file of `calibrate`.
+
+    Raises
+    ------
+    InputError
+        If it is no positive number, nor a file that has one.
+
+    Examples
+    --------
+    >>> parse_calibration("2.5e3")
+    2500.0
+    """
+    try:
+        factor = math.nan if isinstance(calibration, bool) else float(calibration)
+    except (TypeError, ValueError):
+        factor = math.nan
+    if isinstance(calibration, str | os.PathLike) and not math.isfinite(factor):
+        from blocksar import stores  # loads numpy, which help does without
+        from blocksar.places import place
+
+        where = place(calibration)
+        content = stores.read_json(where) if where.exists() else None
+        try:
+            found = stores.calibration_of(content if isinstance(content, dict) else {})
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from None
+        factor = math.nan if found is None else found
+    if not (math.isfinite(factor) and factor > 0):
+        raise InputError(
+            f"calibration = {calibration!r:.80}: give the radar cross-section of a target that peaks at 1, a "
+            "positive number of m2, such as 2.5e3, or a file that `blocksar calibrate` wrote"
+        )
+    return factor
+
+
 def decibels(of: str) -> Option:
     """Make the option `range`: the range in dB of a quantity."""
     return Option(f"dB at the ends of {of}.", metavar="LOW:HIGH", default="by the image", read=parse_range)
@@ -83,5 +121,22 @@ Looks = Annotated[
         metavar="AxB",
         default="by the product",
         read=parse_looks,
+    ),
+]
+OfBackscatter = Annotated[
+    Quantity | None,
+    Option(
+        "Backscatter: sigma0, beta0 or gamma0, per area of the ground, of the slant plane or across the sight.",
+        metavar="NAME",
+        default="reflectivity",
+    ),
+]
+Calibration = Annotated[
+    float | None,
+    Option(
+        "Radar cross-section of a target that peaks at 1, m2; or a file of calibrate.",
+        metavar="M2|FILE",
+        default="the attribute calibration_factor; else values are relative",
+        read=parse_calibration,
     ),
 ]

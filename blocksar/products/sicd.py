@@ -30,8 +30,12 @@ antenna's pattern, WgtFunct has the weights along each cut's band, those of the 
 parameters name the tapers along range and azimuth.
 
 Noise. Where the noise of the samples is known, NoisePoly of Radiometric's NoiseLevel has the power of the noise in a
-pixel, dB: 0 dB is that of a target of reflectivity 1. The image's reflectivity has no unit of its own, so that scale
-factors to radar cross section and sigma nought are not given.
+pixel, dB: 0 dB is that of a target of reflectivity 1.
+
+Backscatter. Where the radar cross-section K of a target that peaks at 1 is known, RCSSFPoly is K, and SigmaZeroSFPoly
+is K / A with the area A of the point response on the ground plane (`focusing.response_area`). BetaZeroSFPoly is that
+over the cosine of the angle between ground plane and slant plane, and GammaZeroSFPoly over that of the incidence angle,
+as SICD defines them, both at the centre of aperture. Without K they are not given: the reflectivity then has no unit.
 """
 
 from __future__ import annotations
@@ -42,12 +46,15 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 import numpy as np
 from numpy.polynomial import polynomial as power
 
+from blocksar import stores
 from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, library_for
+from blocksar.focusing.response_area import AreaMap
 from blocksar.places import Location
+from blocksar.products.backscatter import valid_of
 from blocksar.products.plane_image import PlaneImage, Poly2D, arp_polynomial, fit_poly2d
 from blocksar.products.shared_metadata import (
     FIT_POINTS,
@@ -87,6 +94,7 @@ TIME_ACCURACY = 1e-3  # of a dwell, that TimeCOAPoly may be off
 EXACTLY = 1e-9  # s, that it may be off the polynomial by which pixels of a terrain are laid on the plane
 BAND_ACCURACY = 1e-2  # of the bandwidth, that DeltaKCOAPoly may be off
 NOISE_ACCURACY = 0.1  # dB, that NoisePoly may be off
+SCALE_ACCURACY = 0.01  # of their mean, that scale factors to backscatter may be off
 WEIGHTS = 65  # samples of WgtFunct
 NEAR_ZERO = 1e-12  # degrees: sarkit 1.8 writes no NITF header of a corner on the equator or the meridian of Greenwich
 
@@ -99,8 +107,8 @@ class SICDMetadata(NamedTuple):
     notes: list[str]
 
 
-def build_metadata(source: FinishedRun, frame: Georeference) -> SICDMetadata:
-    """Build the XML tree of an image whose scene lies at `frame`.
+def build_metadata(source: FinishedRun, frame: Georeference, factor: float | None = None) -> SICDMetadata:
+    """Build the XML tree of an image whose scene lies at `frame`; `factor` is the K of the backscatter, if known, m2.
 
     Raises
     ------
@@ -146,9 +154,16 @@ def build_metadata(source: FinishedRun, frame: Georeference) -> SICDMetadata:
     _set_radar(sicd, source)
     root.append(etree.Element(f"{{{NAMESPACE}}}SCPCOA"))
     root.replace(root[-1], sksicd.compute_scp_coa(root.getroottree()))
+    radiometric: dict[str, Any] = {}
     if (level := _noise_level(source, layout, scp_pixel)) is not None:
-        sicd["Radiometric"] = {"NoiseLevel": {"NoiseLevelType": "ABSOLUTE", "NoisePoly": level.coefficients}}
+        radiometric["NoiseLevel"] = {"NoiseLevelType": "ABSOLUTE", "NoisePoly": level.coefficients}
         notes.append(f"NoisePoly is of order {len(level.coefficients) - 1} and at most {level.error:.2g} dB off")
+    if factor is not None:
+        scales, worst = _scale_factors(source, layout, sample_pixels(coverage, layout), scp_pixel, factor)
+        radiometric |= scales
+        notes.append(f"scale factors to backscatter are at most {worst:.2g} dB off")
+    if radiometric:
+        sicd["Radiometric"] = radiometric
     return SICDMetadata(root.getroottree(), layout, notes)
 
 
@@ -280,6 +295,31 @@ def _noise_level(source: FinishedRun, layout: Layout, scp_pixel: Any) -> Poly2D 
     return fit_poly2d(offset @ layout.row, offset @ layout.column, 10 * np.log10(noise), NOISE_ACCURACY)
 
 
+def _scale_factors(
+    source: FinishedRun, layout: Layout, pixels: FloatArray, scp_pixel: Any, factor: float
+) -> tuple[dict[str, Any], float]:
+    """Polynomials of the factors from power to backscatter, over m from the scene centre point; most dB off."""
+    points, geometry = layout.point(*pixels.T), source.geometry
+    area = AreaMap.of(geometry, source.weighting, valid_of(source)).at(points[:, 0], points[:, 1])
+    middle, lit, _ = _centres_of_aperture(source, points)
+    known = lit & np.isfinite(area)
+    points, area, middle = points[known], area[known], middle[known]
+    sight = points - geometry.track.position(middle)
+    sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+    normal = np.cross(sight, geometry.track.velocity(middle))
+    cosine = np.abs(normal[:, 2]) / np.linalg.norm(normal, axis=1)
+    offset = (pixels[known] - scp_pixel) * layout.spacing
+    found, worst = {"RCSSFPoly": np.array([[factor]])}, 0.0
+    for name, scale in (("Sigma", 1.0), ("Beta", cosine), ("Gamma", -sight[:, 2])):
+        values = factor / area / scale
+        poly = fit_poly2d(offset[:, 0], offset[:, 1], values, SCALE_ACCURACY * float(values.mean()))
+        found[f"{name}ZeroSFPoly"] = poly.coefficients
+        fitted = np.asarray(power.polyval2d(offset[:, 0], offset[:, 1], poly.coefficients))
+        with np.errstate(divide="ignore"):
+            worst = max(worst, float(np.abs(10 * np.log10(np.maximum(fitted, 0) / values)).max()))
+    return found, worst
+
+
 def _extent(delta: FloatArray, corners: FloatArray, width: float, spacing: float) -> tuple[float, float]:
     """DeltaK1 and DeltaK2 by the standard's rule from the vertices of ValidData; the whole band if it wraps."""
     at_corners = np.asarray(power.polyval2d(corners[:, 0], corners[:, 1], delta))
@@ -356,9 +396,19 @@ MAX_BYTES = 10**10 - 2  # of one NITF image segment
 
 
 def write(
-    source: FinishedRun, out: Location, *, overwrite: bool = False, progress: Callback | None = None
+    source: FinishedRun,
+    out: Location,
+    *,
+    calibration: float | None = None,
+    overwrite: bool = False,
+    progress: Callback | None = None,
 ) -> list[str]:
     """Write the image as one SICD file, holding one strip of pixels at a time.
+
+    Parameters
+    ----------
+    calibration : float, optional
+        Radar cross-section of a target that peaks at 1, m2. Default: the run's attribute.
 
     Returns
     -------
@@ -392,7 +442,8 @@ def write(
         raise InputError(
             f"the image has {n_byte / 1e9:.3g} GB, and one SICD file holds up to 10 GB; focus on a smaller --grid"
         )
-    metadata = build_metadata(source, frame)
+    factor = stores.calibration_of(source.attrs) if calibration is None else calibration
+    metadata = build_metadata(source, frame, factor)
     security = sksicd.NitfSecurityFields(clas=security_mark(source))
     nitf = sksicd.NitfMetadata(
         xmltree=metadata.tree,

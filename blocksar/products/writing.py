@@ -15,21 +15,38 @@ from blocksar.errors import InputError, ProcessingError, in_the_way, is_full, no
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace, flush_file, held_part, new_file
 from blocksar.places.place import Place, check_room
-from blocksar.products.shared_options import Box
+from blocksar.products.shared_options import Box, Quantity
 from blocksar.runs.finished import FinishedRun, folder_of, member_line
 from blocksar.runs.record import RECORD
 
 
-def opened(run: Place, channel: str | None, crop: Box | None = None) -> tuple[FinishedRun, list[str]]:
-    """Open a channel of a run, or a part of it; return it with a line that names the channel if there are several.
+def opened(
+    run: Place,
+    channel: str | None,
+    crop: Box | None = None,
+    quantity: Quantity | None = None,
+    calibration: float | None = None,
+) -> tuple[FinishedRun, list[str]]:
+    """Open a channel of a run, or a part of it, perhaps with backscatter for power; and lines that say what it is.
 
     Raises
     ------
     InputError
-        If the run is not finished, or has no such channel, or nothing of it lies in `crop`.
+        If the run is not finished, or has no such channel, nothing of it lies in `crop`, the quantity is none, or a
+        calibration is given without one.
     """
-    source = FinishedRun.open(folder_of(run, channel))
-    return source if crop is None else source.cropped(*crop), member_line(run, channel)
+    source, said = FinishedRun.open(folder_of(run, channel)), member_line(run, channel)
+    source = source if crop is None else source.cropped(*crop)
+    if quantity is not None:
+        from blocksar.products.backscatter import BackscatterRun, describe_factor  # loads numba
+
+        source = BackscatterRun.of(source, quantity, calibration)
+        said = [*said, f"{quantity}: {describe_factor(source.factor)}"]
+    elif calibration is not None:
+        raise InputError(
+            f"calibration = {calibration:g} is of a quantity of backscatter; give one, such as sigma0, too"
+        )
+    return source, said
 
 
 def refuse_parts(target: LocalPlace) -> None:

@@ -19,7 +19,7 @@ from __future__ import annotations
 from blocksar.stores.channels import POLARIZATIONS, check_channels, look_name, number_of, with_channels, without_unseen
 from blocksar.stores.chunk_files import Array, Region
 from blocksar.stores.contract import (
-    ANTENNAS,
+    CALIBRATION_FACTOR,
     COLLECTION,
     COLLECTION_NUMBER,
     CONVENTIONS,
@@ -36,6 +36,7 @@ from blocksar.stores.contract import (
     TRACK_AND_BEAM,
     TRUTH,
     Variable,
+    calibration_of,
 )
 from blocksar.stores.copying import (
     ORIGINAL,
@@ -78,7 +79,7 @@ from blocksar.stores.regions import chunk_shape, read_region, share_region, writ
 from blocksar.stores.terrain_store import StoredTerrain, read_terrain, terrain_fingerprint, write_terrain
 
 __all__ = [
-    "ANTENNAS",
+    "CALIBRATION_FACTOR",
     "COLLECTION",
     "COLLECTION_NUMBER",
     "CONTENT",
@@ -111,6 +112,7 @@ __all__ = [
     "StoredTerrain",
     "Variable",
     "blocks_of",
+    "calibration_of",
     "check_channels",
     "checksum",
     "checksum_bytes",

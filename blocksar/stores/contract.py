@@ -168,6 +168,7 @@ COLLECTION_NUMBER = {
     )
 }
 CONVENTIONS = "CF-1.11"
+CALIBRATION_FACTOR = "calibration_factor"  # attribute of a phase history and its images
 # Attributes of a collection with their fields of `Collection`; those of a raw echo. What its delays count from is kept
 # in no store that blocksar writes: they count from the centre there.
 COLLECTION_ATTRS = {
@@ -229,6 +230,23 @@ def number(attrs: Mapping[str, Any], name: str, unit: str, default: Any = ...) -
         return float(value)
     except OverflowError:
         raise InputError(f"attribute {name} is a whole number with hundreds of digits; correct it, in {unit}") from None
+
+
+def calibration_of(attrs: Mapping[str, Any]) -> float | None:
+    """Radar cross-section of a target that peaks at 1, m2, of a store's attributes; None if they do not say.
+
+    Raises
+    ------
+    InputError
+        If it is no positive number.
+    """
+    factor: float | None = number(attrs, CALIBRATION_FACTOR, "m2", None)
+    if factor is not None and not 0 < factor < math.inf:
+        raise InputError(
+            f"attribute {CALIBRATION_FACTOR} is {factor!r}; it must be positive: the radar cross-section of a target "
+            "that peaks at 1, m2"
+        )
+    return factor
 
 
 def missing(name: str, variable: Variable) -> InputError:

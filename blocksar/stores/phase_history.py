@@ -43,6 +43,7 @@ from blocksar.stores.contract import (
     RAW_ATTRS,
     RAW_ECHO,
     TRUTH,
+    calibration_of,
     checked,
     number,
     raw_echo_from,
@@ -478,9 +479,11 @@ def collection_from(
     Raises
     ------
     InputError
-        If they depart from the contract, or the attribute `georeference` is none.
+        If they depart from the contract, or the attribute `georeference` or `calibration_factor` is none.
     """
-    Georeference.among(attrs)  # whatever is done with the collection: a wrong one is refused before the work starts
+    # Whatever is done with the collection: wrong ones are refused before the work starts.
+    Georeference.among(attrs)
+    calibration_of(attrs)
     time = read("time")
     beam_azimuth = read("beam_azimuth") if present("beam_azimuth") else np.full(time.shape, np.nan)
     beam_width = number(attrs, "beam_width", "rad", None)

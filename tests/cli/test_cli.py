@@ -39,6 +39,7 @@ COMMANDS = {
     "quality": ["quality", "run"],
     "report": ["report", "run"],
     "compare": ["compare", "a", "b", "--out", "pair"],
+    "calibrate": ["calibrate", "run", "--reflectors", "corners.geojson"],
     "view": ["view", "run", "--no-browser"],
     "compile": ["compile"],
 }

@@ -100,6 +100,29 @@ def test_the_noise_of_the_image_is_that_of_the_file(tmp_path: Path) -> None:
         assert polynomial.polyval2d(*offset, poly) == pytest.approx(10 * np.log10(noise[i, j]), abs=0.15)
 
 
+def test_scale_factors_are_those_of_backscatter(tmp_path: Path) -> None:
+    run = make(tmp_path, steered=True, hole=False, more={"calibration_factor": 3.0})
+    report = blocksar.export("sicd", run.folder, run.folder / "image.nitf", calibration=40.0)
+    found = read_sicd(run.folder / "image.nitf")
+    assert errors(found.checked) == []
+    assert any("scale factors to backscatter are at most 0.0" in line for line in report.summary)
+    assert found.load("Radiometric/RCSSFPoly") == 40
+    layout, scp = lay_out(run.source), found.load("ImageData/SCPPixel")
+    with blocksar.open(run.folder) as opened:
+        scale = opened.sar.backscatter(calibration=40.0) / np.abs(opened.image) ** 2
+        gamma = opened.sar.backscatter("gamma0", calibration=40.0) / np.abs(opened.image) ** 2
+    slope = np.radians(float(found.tree.findtext("{*}SCPCOA/{*}SlopeAng")))
+    for row, column in ([20, 30], [60, 70], [100, 110], scp):
+        x, y, _ = layout.point(np.array(float(row)), np.array(float(column)))
+        offset, at = (np.array([row, column]) - scp) * layout.spacing, {"x": x, "y": y, "method": "nearest"}
+        sigma = polynomial.polyval2d(*offset, found.load("Radiometric/SigmaZeroSFPoly"))
+        assert sigma == pytest.approx(float(scale.sel(**at)), rel=0.02)
+        assert polynomial.polyval2d(*offset, found.load("Radiometric/GammaZeroSFPoly")) == pytest.approx(
+            float(gamma.sel(**at)), rel=0.02
+        )
+    assert sigma / found.load("Radiometric/BetaZeroSFPoly")[0, 0] == pytest.approx(np.cos(slope), rel=0.01)
+
+
 def test_sicd_metadata_project_targets_onto_their_peaks(exported: tuple[Made, Sicd]) -> None:
     run, found = exported
     layout = lay_out(run.source)

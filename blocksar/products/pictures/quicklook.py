@@ -27,6 +27,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
 from blocksar.places import Location
+from blocksar.products.backscatter import BackscatterRun
 from blocksar.products.pictures.overview import (
     NOT_COVERED,
     Overview,
@@ -44,6 +45,7 @@ from blocksar.runs.finished import FinishedRun
 from blocksar.texts import frequency_text
 
 GREY = "gray"
+POWER = "power (dB, unit reflectivity = 0)"
 PIXELS = 1600  # along the longer side, at most
 SMALLEST, LARGEST = 200, 20_000  # pixels of a picture along its longer side
 STRIP = 1 << 20  # pixels of the image read at once
@@ -115,7 +117,7 @@ def write(
         arrows = scene_arrows(reduced, source.geometry, source.georeference)
         low, high = save(
             part, reduced, title=title, caption=caption, arrows=arrows, limits=limits, colour_map=colour_map,
-            size=size,
+            size=size, label=source.label if isinstance(source, BackscatterRun) else POWER,
         )  # fmt: skip
     side = float(reduced.x_edges[1] - reduced.x_edges[0]), float(reduced.y_edges[1] - reduced.y_edges[0])
     scale = "grey" if colour_map == GREY else colour_map
@@ -134,10 +136,11 @@ def save(
     limits: tuple[float, float] | None = None,
     colour_map: str = GREY,
     size: int | None = None,
+    label: str = POWER,
 ) -> tuple[float, float]:
     """Write a decimated image as a PNG file; return the dB of the first and the last colour."""
     figure, axes = new_figure(reduced, size)
-    limits = draw(axes, reduced, arrows=arrows, limits=limits, colour_map=colour_map)
+    limits = draw(axes, reduced, arrows=arrows, limits=limits, colour_map=colour_map, label=label)
     axes.set_title(title, fontsize=11)
     figure.supxlabel(caption, fontsize=8, color="#5a6676")
     figure.savefig(path, format="png")
@@ -182,6 +185,7 @@ def draw(
     arrows: list[Arrow] | None = None,
     limits: tuple[float, float] | None = None,
     colour_map: str = GREY,
+    label: str = POWER,
 ) -> tuple[float, float]:
     """Draw a decimated image into a pair of axes, with a scale bar and a colour bar.
 
@@ -203,7 +207,7 @@ def draw(
         vmax=high,
         interpolation="nearest",
     )
-    draw_colour_bar(axes, picture, "power (dB, unit reflectivity = 0)")
+    draw_colour_bar(axes, picture, label)
     furnish(axes, reduced, arrows=arrows or [])
     return low, high
 
